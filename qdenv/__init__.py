@@ -1,0 +1,1 @@
+"""Make floor plans that let robot fleets flow."""

@@ -1,0 +1,1 @@
+"""Benchmarks: `python -m qdenv.bench NAME --json FILE`."""

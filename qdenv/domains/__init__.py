@@ -1,0 +1,1 @@
+"""The domains: the only place that knows a domain's name."""

@@ -1,0 +1,1 @@
+"""The generator: a neural cellular automaton that draws tiles."""

@@ -1,0 +1,94 @@
+"""The grid: moves, neighbours, components, and text to tiles and back.
+
+A position is ``row * width + column``. The four moves are right, left, down, up, in this order
+everywhere; waiting is the fifth.
+"""
+
+import functools
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.types import Array, InputError
+
+MOVES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # (row, column) steps: right, left, down, up
+
+
+def shift(values: Array, move: tuple[int, int], fill: object = 0) -> jax.Array:
+    """Look one move away from every cell: result[r, c] = values[r + dr, c + dc].
+
+    Args:
+        values: [H, W].
+        move: (dr, dc), each in -1..1.
+        fill: what lies outside the grid.
+    """
+    rows, cols = values.shape
+    padded = jnp.pad(values, 1, constant_values=fill)
+    return padded[1 + move[0] : 1 + move[0] + rows, 1 + move[1] : 1 + move[1] + cols]
+
+
+def count_neighbours(mask: Array) -> jax.Array:
+    """Count each cell's 4-neighbours inside `mask` (bool [H, W] -> int32 [H, W])."""
+    return sum(shift(mask.astype(jnp.int32), move) for move in MOVES)
+
+
+def count_components(mask: Array) -> jax.Array:
+    """Count the 4-connected components of `mask` (bool [H, W] -> int32)."""
+    rows, cols = mask.shape
+    labels = jnp.where(mask, jnp.arange(rows * cols, dtype=jnp.int32).reshape(rows, cols), -1)
+
+    def spread(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        old, _ = carry
+        new = functools.reduce(jnp.maximum, [shift(old, move, -1) for move in MOVES], old)
+        new = jnp.where(mask, new, -1)
+        # Pointer jumping: a label names a cell, whose own label is at least as large.
+        new = jnp.where(mask, jnp.maximum(new, new.reshape(-1)[new]), -1)
+        return new, (new != old).any()
+
+    final, _ = jax.lax.while_loop(lambda carry: carry[1], spread, (labels, jnp.bool_(True)))
+    roots = final.reshape(-1) == jnp.arange(rows * cols)
+    return (roots & mask.reshape(-1)).sum(dtype=jnp.int32)
+
+
+def parse(rows: Sequence[str], tiles: str) -> np.ndarray:
+    """Turn drawn rows into a layout.
+
+    Args:
+        rows: H strings of W symbols.
+        tiles: the alphabet; symbol ``tiles[k]`` becomes tile ``k``.
+
+    Returns:
+        int8 [H, W].
+
+    Raises:
+        InputError: the drawing is empty or ragged, or holds a symbol outside the alphabet.
+    """
+    if not rows or not rows[0]:
+        raise InputError("the layout is empty: give at least one row of tiles")
+    width = len(rows[0])
+    for index, row in enumerate(rows):
+        if len(row) != width:
+            raise InputError(
+                f"row {index} of the layout has {len(row)} tiles, row 0 has {width}: "
+                "make all rows equally long"
+            )
+        for column, symbol in enumerate(row):
+            if symbol not in tiles:
+                raise InputError(
+                    f"unknown tile {symbol!r} at row {index}, column {column}: "
+                    f"this domain knows {' '.join(map(repr, tiles))}"
+                )
+    return np.array([[tiles.index(symbol) for symbol in row] for row in rows], dtype=np.int8)
+
+
+def draw(layout: Array, tiles: str) -> list[str]:
+    """Draw a layout (int8 [H, W]) as H strings, the inverse of `parse`."""
+    return ["".join(tiles[tile] for tile in row) for row in np.asarray(layout)]
+
+
+def of_tiles(layout: Array, symbols: str, tiles: str) -> jax.Array:
+    """Mark the cells of `layout` that hold one of `symbols` (int8 [H, W] -> bool [H, W])."""
+    table = np.array([tile in symbols for tile in tiles])
+    return jnp.asarray(table)[layout.astype(jnp.int32)]

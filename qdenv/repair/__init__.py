@@ -1,0 +1,1 @@
+"""The repair: the closest layout that obeys every rule."""

@@ -1,0 +1,1 @@
+"""The scores: what the search sees of a layout and its runs."""

@@ -1,0 +1,1 @@
+"""The search: archives, evolution strategies and quality-diversity algorithms."""

@@ -1,0 +1,1 @@
+"""The simulators: fleets of robots, and one agent in a maze."""

@@ -1,0 +1,1 @@
+"""Planners: a block of timesteps for all agents."""

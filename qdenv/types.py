@@ -1,0 +1,145 @@
+"""Records that cross stage borders, their axis letters and their status codes.
+
+Axis letters, used in every docstring of the package:
+
+    B  layouts (solutions) of a batch     P  parameters of one generator
+    S  simulations of one layout          A  agents of one simulation
+    H  rows, W  columns of a layout       T  timesteps
+    K  kinds of tile                      M  measures
+    C  cells of an archive
+
+A layout is an int8 array [H, W] of tile indices into its domain's alphabet (`Rules.tiles`).
+A position is ``row * width + column`` (int32). Records describe one item; batches add leading axes.
+"""
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Array = Any  # a numpy or jax array: stages run on either side of the host border
+
+
+class InputError(ValueError):
+    """A mistake the user can mend: one line that says what is wrong and what to do."""
+
+
+class Count(NamedTuple):
+    """Bound the number of cells that hold one of `tiles`: ``low <= count <= high``."""
+
+    tiles: str
+    low: int
+    high: int | None = None
+
+
+class Adjacency(NamedTuple):
+    """Demand that every cell holding one of `tiles` has a 4-neighbour holding one of `needs`."""
+
+    tiles: str
+    needs: str
+
+
+class Rules(NamedTuple):
+    """Hard constraints of one domain on one canvas, and the price of changing a cell.
+
+    The model builder, the annealer and the audit all read this one record.
+
+    Attributes:
+        tiles: the alphabet; tile ``k`` is drawn as ``tiles[k]``.
+        counts: bounds on numbers of tiles.
+        adjacency: neighbourhood demands.
+        connected: symbols whose cells must form one 4-connected component ("" for none).
+        allowed: bool [H, W, K], the tiles each cell may hold. A fixed cell allows one tile, a
+            keep-out cell every tile but obstacles.
+        weights: float [H, W], the price of changing a cell; 1 for the Hamming distance.
+        aisle: every connected cell lies in an ``aisle x aisle`` square of connected cells.
+    """
+
+    tiles: str
+    counts: tuple[Count, ...]
+    adjacency: tuple[Adjacency, ...]
+    connected: str
+    allowed: np.ndarray
+    weights: np.ndarray
+    aisle: int = 1
+
+
+class RepairStatus(IntEnum):
+    """How a repair ended; everything below `IMPOSSIBLE` is feasible."""
+
+    OPTIMAL = 0  # proven, or within the asked gap
+    NODE_LIMIT = 1  # best layout at the deterministic limit
+    TIME_LIMIT = 2  # best layout when the wall-clock safety net fired
+    ANNEALED = 3  # feasible, no polish was asked for or the budget left none
+    IMPOSSIBLE = 4  # the rules contradict each other; the layout is returned as it came
+    FAILED = 5  # no feasible layout was found; the layout is returned as it came
+
+
+class Repair(NamedTuple):
+    """A layout made to obey its rules."""
+
+    layout: Array  # int8 [H, W]
+    status: Array  # int32, a RepairStatus
+    hamming: Array  # float32, summed weights of the changed cells
+    lower_bound: Array  # float32, proven bound on `hamming`
+    seconds: Array  # float32, CPU seconds spent (0 when remembered)
+
+
+class Goal(NamedTuple):
+    """One kind of goal in a task cycle.
+
+    Attributes:
+        weight: function layout int8 [H, W] -> float32 [H, W], the odds of each cell being drawn;
+            0 where a cell is no goal of this kind.
+        stay: timesteps an agent stays on the goal after arriving, blocking the cell.
+    """
+
+    weight: Callable[[Array], Array]
+    stay: int = 0
+
+
+class TaskRule(NamedTuple):
+    """What agents do: drive on `traversable` tiles and visit goals of `cycle`, again and again.
+
+    Attributes:
+        tiles: the alphabet of the layouts.
+        traversable: symbols agents may drive on.
+        cycle: kinds of goal in the order in which every agent visits them.
+    """
+
+    tiles: str
+    traversable: str
+    cycle: tuple[Goal, ...]
+
+
+class Traffic(NamedTuple):
+    """One lifelong multi-agent simulation."""
+
+    throughput: Array  # float32, finished tasks / T, over the full T
+    congested: Array  # bool, ever more than half of the agents stuck over a window
+    end_timestep: Array  # int32, steps simulated (less than T only after congestion)
+    finished: Array  # int32 [T], tasks finished at each timestep
+    usage: Array  # float32 [H, W], share of agent-steps spent on each cell, sums to 1
+    waiting: Array  # float32, share of agent-steps without a move
+    path_length: Array  # float32, mean number of moves per finished task
+
+
+class Score(NamedTuple):
+    """What the search sees of one layout; finite whatever the stages returned."""
+
+    objective: Array  # float32, objective of the learning archive (f_opt)
+    result_objective: Array  # float32, objective of the result archive (f_res)
+    measures: Array  # float32 [M]
+    success: Array  # bool, False when a stage failed: enters no archive
+
+
+class Evaluation(NamedTuple):
+    """Everything one evaluation produced."""
+
+    score: Score
+    unrepaired: Array  # int8 [H, W]
+    repaired: Array  # int8 [H, W]
+    similarity: Array  # float32 in [0, 1]
+    status: Array  # int32, a RepairStatus
+    runs: Any  # Traffic (or the maze's episodes) with a leading axis S
