@@ -5,16 +5,25 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from qdenv.repair.solver import RepairConfig
-from qdenv.types import Array, Rules, Score
+from qdenv.types import Array, Rules
 
 
 class Measure(NamedTuple):
-    """One axis of the archive."""
+    """One axis of the archive.
+
+    Attributes:
+        name: how plots and tables call it.
+        low: value at the archive's lower edge.
+        high: value at its upper edge.
+        cells: number of cells in between.
+        value: (repaired layout int8 [H, W], runs with leading axis S) -> float32.
+    """
 
     name: str
     low: float
     high: float
     cells: int
+    value: Callable[[Array, Any], Array]
 
 
 class Simulator(NamedTuple):
@@ -80,7 +89,9 @@ class Domain:
         frame: generated area int8 [H - 2 dr, W - 2 dc] -> framed layout int8 [H, W].
         rules: (rows, cols, shelves) -> the repair's `Rules`; None where nothing is repaired.
         simulator: config -> `Simulator`.
-        score: (unrepaired, repaired, runs, config) -> (`Score`, similarity).
+        objective: (repaired layout, runs with leading axis S) -> float32, the objective f_res of
+            the result archive; the learning objective adds alpha times the similarity.
+        price: unrepaired layout int8 [H, W] -> float32 [H, W], p_i / max p of the similarity.
         measures: axes of the archive.
     """
 
@@ -92,5 +103,6 @@ class Domain:
     frame: Callable[[Array], Array]
     rules: Callable[[int, int, int], Rules] | None
     simulator: Callable[[EvaluationConfig], Simulator]
-    score: Callable[[Array, Array, Any, EvaluationConfig], tuple[Score, Array]]
+    objective: Callable[[Array, Any], Array]
+    price: Callable[[Array], Array]
     measures: tuple[Measure, ...]

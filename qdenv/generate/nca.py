@@ -1,0 +1,149 @@
+"""The neural cellular automaton: a small convolutional network applied again and again.
+
+One step is three convolutions with zero padding, ReLU, ReLU, sigmoid (appendix C.1.1). The
+real-valued output is fed back; tiles are chosen only after the last step.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import linen as nn
+from jax.flatten_util import ravel_pytree
+
+from qdenv.grid import parse
+from qdenv.types import Array, InputError
+
+
+class NCA(nn.Module):
+    """One step of the automaton, [H, W, K] -> [H, W, K] in (0, 1).
+
+    Attributes:
+        kinds: kinds of tile K, the channels in and out.
+        kernel_sizes: width of each convolution's kernel; the appendix uses (3, 3, 3), the
+            published code (3, 1, 1).
+        hidden: channels between the convolutions.
+    """
+
+    kinds: int
+    kernel_sizes: tuple[int, ...] = (3, 3, 3)
+    hidden: int = 32
+
+    @nn.compact
+    def __call__(self, cells: Array) -> Array:
+        """Apply one step to the real-valued cells [H, W, K]."""
+        last = len(self.kernel_sizes) - 1
+        for layer, size in enumerate(self.kernel_sizes):
+            width = self.kinds if layer == last else self.hidden
+            # The automaton iterates its own output: full precision keeps a layout the same on
+            # devices whose fast convolutions round more coarsely.
+            convolution = nn.Conv(
+                width, (size, size), padding="SAME", precision=jax.lax.Precision.HIGHEST
+            )
+            cells = convolution(cells)
+            cells = nn.sigmoid(cells) if layer == last else nn.relu(cells)
+        return cells
+
+
+class Generator(NamedTuple):
+    """An NCA addressed by one flat parameter vector.
+
+    Attributes:
+        size: number of parameters P.
+        unravel: flat float32 [P] -> the module's variables.
+        grow: (flat float32 [P], start float32 [H, W, K], steps) -> cells float32 [H, W, K].
+    """
+
+    size: int
+    unravel: Callable[[Array], dict]
+    grow: Callable[[Array, Array, int], Array]
+
+
+def make_generator(
+    kinds: int, kernel_sizes: tuple[int, ...] = (3, 3, 3), hidden: int = 32
+) -> Generator:
+    """Build the generator of an architecture; it works on canvases of any size.
+
+    Raises:
+        InputError: there is no layer, or a kernel is even or not positive (an even kernel has
+            no centre cell, so the drawing would drift).
+    """
+    if not kernel_sizes or any(size < 1 or size % 2 == 0 for size in kernel_sizes):
+        raise InputError(f"kernel sizes {tuple(kernel_sizes)} must be positive odd numbers")
+    module = NCA(kinds, tuple(kernel_sizes), hidden)
+    canvas = jnp.zeros((1, 1, kinds))
+    variables = jax.tree.map(
+        lambda leaf: np.zeros(leaf.shape, leaf.dtype),
+        jax.eval_shape(module.init, jax.random.key(0), canvas),
+    )
+    flat, unravel = ravel_pytree(variables)
+
+    def grow(parameters: Array, start: Array, steps: int) -> Array:
+        weights = unravel(parameters)
+        return jax.lax.fori_loop(0, steps, lambda _, cells: module.apply(weights, cells), start)
+
+    return Generator(flat.size, unravel, grow)
+
+
+def grow_population(generator: Generator, parameters: Array, start: Array, steps: int) -> Array:
+    """Grow every solution from the same start canvas.
+
+    One solution after the other: its numbers then cannot depend on how many grow beside it, and
+    a convolution with its own weights per item is no faster batched on a CPU.
+
+    Args:
+        generator: from `make_generator`.
+        parameters: float32 [B, P].
+        start: float32 [H, W, K].
+        steps: NCA steps C.
+
+    Returns:
+        float32 [B, H, W, K].
+    """
+    return jax.lax.map(lambda one: generator.grow(one, start, steps), parameters)
+
+
+def grow_frames(
+    generator: Generator, parameters: Array, start: Array, steps: Sequence[int]
+) -> list[Array]:
+    """Grow one solution and keep the cells after each number of `steps` (Figure 6).
+
+    Returns:
+        one float32 [H, W, K] for each entry of the ascending `steps`.
+    """
+    frames, cells, done = [], start, 0
+    for step in steps:
+        cells = generator.grow(parameters, cells, step - done)
+        frames.append(cells)
+        done = step
+    return frames
+
+
+def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> np.ndarray:
+    """Draw the fixed start canvas: `block` in the middle of empty tiles, one-hot (Figure 9).
+
+    Args:
+        block: drawn rows of the block.
+        rows: rows H of the generated area.
+        cols: columns W of the generated area.
+        generated: symbols the NCA draws; the first one is the empty tile.
+
+    Returns:
+        float32 [H, W, K].
+
+    Raises:
+        InputError: the canvas is smaller than the block.
+    """
+    tiles = parse(block, generated)
+    height, width = tiles.shape
+    if rows < height or cols < width:
+        raise InputError(
+            f"a canvas of {rows} x {cols} is smaller than the seed block of {height} x {width}: "
+            "ask for a bigger layout"
+        )
+    canvas = np.zeros((rows, cols), np.int8)
+    top, left = (rows - height) // 2, (cols - width) // 2
+    canvas[top : top + height, left : left + width] = tiles
+    return np.eye(len(generated), dtype=np.float32)[canvas]

@@ -1,0 +1,56 @@
+"""Scores of a layout alone: entropy, components, counts, similarity."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from qdenv.grid import count_components, of_tiles
+from qdenv.types import Array
+
+
+def entropy(area: Array, kinds: int) -> jax.Array:
+    """Measure how irregular a layout is: Shannon entropy of its 2x2 patterns.
+
+    The logarithm's base is the number of possible patterns, ``kinds ** 4``, so the result lies
+    in [0, 1] (environment entropy, section 4 of the paper).
+
+    Args:
+        area: int8 [h, w], the generated area; tiles below `kinds`.
+        kinds: kinds of tile the generator can draw.
+
+    Returns:
+        float32; 0 for an area without a 2x2 window.
+    """
+    tiles = area.astype(jnp.int32)
+    corners = (tiles[:-1, :-1], tiles[:-1, 1:], tiles[1:, :-1], tiles[1:, 1:])
+    codes = sum(corner * kinds**power for power, corner in enumerate(corners))
+    if codes.size == 0:
+        return jnp.float32(0)
+    counts = jnp.zeros(kinds**4, jnp.int32).at[codes.reshape(-1)].add(1)
+    share = counts / codes.size
+    return -jax.scipy.special.xlogy(share, share).sum() / (4 * math.log(kinds))
+
+
+def components(layout: Array, symbols: str, tiles: str) -> jax.Array:
+    """Count 4-connected components of cells holding one of `symbols` (-> float32)."""
+    return count_components(of_tiles(layout, symbols, tiles)).astype(jnp.float32)
+
+
+def count(layout: Array, symbols: str, tiles: str) -> jax.Array:
+    """Count the cells holding one of `symbols` (-> float32)."""
+    return of_tiles(layout, symbols, tiles).sum().astype(jnp.float32)
+
+
+def similarity(unrepaired: Array, repaired: Array, price: Array) -> jax.Array:
+    """Score how little the repair changed: Delta of the paper's section 4.
+
+    Args:
+        unrepaired: int8 [H, W].
+        repaired: int8 [H, W].
+        price: float32 [H, W], p_i / max p of each cell, in [0, 1].
+
+    Returns:
+        float32 in [0, 1], the summed price of the unchanged cells per cell.
+    """
+    return ((unrepaired == repaired) * price).mean(dtype=jnp.float32)
