@@ -1,1 +1,21 @@
 """The domains: the only place that knows a domain's name."""
+
+from qdenv.domains.base import Domain
+from qdenv.domains.manufacturing import MANUFACTURING
+from qdenv.domains.warehouse import WAREHOUSE_EVEN, WAREHOUSE_UNEVEN
+from qdenv.types import InputError
+
+DOMAINS: dict[str, Domain] = {
+    domain.name: domain for domain in (WAREHOUSE_EVEN, WAREHOUSE_UNEVEN, MANUFACTURING)
+}
+
+
+def find_domain(name: str) -> Domain:
+    """Look a domain up by name.
+
+    Raises:
+        InputError: no domain has this name.
+    """
+    if name not in DOMAINS:
+        raise InputError(f"unknown domain {name!r}: choose one of {', '.join(DOMAINS)}")
+    return DOMAINS[name]
