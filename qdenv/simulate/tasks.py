@@ -1,0 +1,95 @@
+"""Task rules as data: where goals lie, how they are drawn, and in which order they are visited."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.grid import count_neighbours, of_tiles
+from qdenv.types import Array, Goal, TaskRule
+
+
+class GoalTable(NamedTuple):
+    """The goals of one layout; G is the goal capacity, n the number of kinds in the cycle.
+
+    Attributes:
+        cells: int32 [G], the goal cells in row-major order; unused slots hold 0.
+        used: bool [G].
+        odds: float32 [n, G], cumulated odds of each slot within its kind, ending in 1.
+        complete: bool, every kind has a goal and no goal was left out for want of slots.
+    """
+
+    cells: Array
+    used: Array
+    odds: Array
+    complete: Array
+
+
+def tile_goal(tiles: str, symbol: str, stay: int = 0, left_odds: float = 1.0) -> Goal:
+    """Make every cell that holds `symbol` a goal.
+
+    Args:
+        tiles: the alphabet of the layouts.
+        symbol: the tile agents drive onto.
+        stay: timesteps spent on the goal after arriving.
+        left_odds: how much likelier a goal in column 0 is than any other (uneven warehouse: 5).
+    """
+
+    def weight(layout: Array) -> jax.Array:
+        columns = jnp.where(jnp.arange(layout.shape[1]) == 0, left_odds, 1.0)
+        return of_tiles(layout, symbol, tiles) * columns[None, :]
+
+    return Goal(weight, stay)
+
+
+def beside_goal(tiles: str, symbol: str, station: str, stay: int = 0) -> Goal:
+    """Make every `symbol` cell beside a `station` a goal, once per station at its sides.
+
+    Args:
+        tiles: the alphabet of the layouts.
+        symbol: the tile agents drive onto.
+        station: the tile that must lie at one of its four sides.
+        stay: timesteps spent on the goal after arriving.
+    """
+
+    def weight(layout: Array) -> jax.Array:
+        stations = count_neighbours(of_tiles(layout, station, tiles))
+        return (of_tiles(layout, symbol, tiles) * stations).astype(jnp.float32)
+
+    return Goal(weight, stay)
+
+
+def stays(rule: TaskRule) -> np.ndarray:
+    """List the timesteps spent on each kind of goal (int32 [n])."""
+    return np.array([goal.stay for goal in rule.cycle], dtype=np.int32)
+
+
+def goal_table(layout: Array, rule: TaskRule, capacity: int) -> GoalTable:
+    """List the goals of `layout` (int8 [H, W]) in `capacity` slots."""
+    weights = jnp.stack([goal.weight(layout).reshape(-1) for goal in rule.cycle])
+    weights = weights.astype(jnp.float32)
+    wanted = (weights > 0).any(0)
+    cells = jnp.nonzero(wanted, size=capacity, fill_value=0)[0].astype(jnp.int32)
+    used = jnp.arange(capacity) < wanted.sum()
+    cumulated = jnp.cumsum(jnp.where(used, weights[:, cells], 0.0), axis=1)
+    total = cumulated[:, -1:]
+    complete = (total > 0).all() & (wanted.sum() <= capacity)
+    return GoalTable(cells, used, cumulated / jnp.maximum(total, 1e-6), complete)
+
+
+def draw_goals(table: GoalTable, kinds: Array, key: Array) -> jax.Array:
+    """Draw one goal slot per agent, independently and with the odds of its kind.
+
+    Args:
+        table: goals of the layout.
+        kinds: int32 [A], index into the cycle.
+        key: consumed. Agent i's draw does not depend on the number of agents.
+
+    Returns:
+        int32 [A], slots of `table`.
+    """
+    chance = jax.random.uniform(key, kinds.shape)
+    per_kind = jax.vmap(lambda odds: jnp.searchsorted(odds, chance, side="right"))(table.odds)
+    slots = jnp.take_along_axis(per_kind, kinds[None].astype(jnp.int32), axis=0)[0]
+    return jnp.minimum(slots, table.cells.shape[0] - 1).astype(jnp.int32)
