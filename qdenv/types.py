@@ -125,6 +125,15 @@ class Traffic(NamedTuple):
     path_length: Array  # float32, mean number of moves per finished task
 
 
+class Measure(NamedTuple):
+    """One axis of the archive: `cells` equal intervals between `low` and `high`."""
+
+    name: str
+    low: float
+    high: float
+    cells: int
+
+
 class Score(NamedTuple):
     """What the search sees of one layout; finite whatever the stages returned."""
 
