@@ -26,31 +26,25 @@ class GoalTable(NamedTuple):
     complete: Array
 
 
-def tile_goal(tiles: str, symbol: str, stay: int = 0, left_odds: float = 1.0) -> Goal:
+def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
     """Make every cell that holds `symbol` a goal.
 
     Args:
-        tiles: the alphabet of the layouts.
         symbol: the tile agents drive onto.
+        tiles: the alphabet of the layouts.
         stay: timesteps spent on the goal after arriving.
-        left_odds: how much likelier a goal in column 0 is than any other (uneven warehouse: 5).
     """
-
-    def weight(layout: Array) -> jax.Array:
-        columns = jnp.where(jnp.arange(layout.shape[1]) == 0, left_odds, 1.0)
-        return of_tiles(layout, symbol, tiles) * columns[None, :]
-
-    return Goal(weight, stay)
+    return Goal(lambda layout: of_tiles(layout, symbol, tiles).astype(jnp.float32), stay)
 
 
-def beside_goal(tiles: str, symbol: str, station: str, stay: int = 0) -> Goal:
+def beside_goal(symbol: str, station: str, stay: int, tiles: str) -> Goal:
     """Make every `symbol` cell beside a `station` a goal, once per station at its sides.
 
     Args:
-        tiles: the alphabet of the layouts.
         symbol: the tile agents drive onto.
         station: the tile that must lie at one of its four sides.
         stay: timesteps spent on the goal after arriving.
+        tiles: the alphabet of the layouts.
     """
 
     def weight(layout: Array) -> jax.Array:
@@ -58,6 +52,16 @@ def beside_goal(tiles: str, symbol: str, station: str, stay: int = 0) -> Goal:
         return (of_tiles(layout, symbol, tiles) * stations).astype(jnp.float32)
 
     return Goal(weight, stay)
+
+
+def favour_left(goal: Goal, odds: float) -> Goal:
+    """Make goals in column 0 `odds` times likelier (uneven warehouse of appendix B.1: 5)."""
+
+    def weight(layout: Array) -> jax.Array:
+        left = jnp.arange(layout.shape[1]) == 0
+        return goal.weight(layout) * jnp.where(left, odds, 1.0)[None, :]
+
+    return Goal(weight, goal.stay)
 
 
 def stays(rule: TaskRule) -> np.ndarray:
