@@ -126,12 +126,22 @@ class Traffic(NamedTuple):
 
 
 class Measure(NamedTuple):
-    """One axis of the archive: `cells` equal intervals between `low` and `high`."""
+    """One axis of the archive: `cells` equal intervals between `low` and `high`.
+
+    Attributes:
+        name: how plots and tables call it.
+        low: value at the archive's lower edge.
+        high: value at its upper edge.
+        cells: number of cells in between.
+        value: (repaired layout int8 [H, W], runs with leading axis S) -> float32; None where
+            the measures come from elsewhere.
+    """
 
     name: str
     low: float
     high: float
     cells: int
+    value: Callable[[Array, Any], Array] | None = None
 
 
 class Score(NamedTuple):

@@ -5,25 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from qdenv.repair.solver import RepairConfig
-from qdenv.types import Array, Rules
-
-
-class Measure(NamedTuple):
-    """One axis of the archive.
-
-    Attributes:
-        name: how plots and tables call it.
-        low: value at the archive's lower edge.
-        high: value at its upper edge.
-        cells: number of cells in between.
-        value: (repaired layout int8 [H, W], runs with leading axis S) -> float32.
-    """
-
-    name: str
-    low: float
-    high: float
-    cells: int
-    value: Callable[[Array, Any], Array]
+from qdenv.types import Array, Measure, Rules
 
 
 class Simulator(NamedTuple):

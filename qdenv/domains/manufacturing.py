@@ -3,13 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.domains.base import Domain, Measure
+from qdenv.domains.base import Domain
 from qdenv.domains.fleet import fleet_simulator
 from qdenv.grid import of_tiles
 from qdenv.score import layout as score
 from qdenv.score.traffic import mean_throughput
 from qdenv.simulate.tasks import beside_goal
-from qdenv.types import Adjacency, Array, Count, Rules, TaskRule
+from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule
 
 TILES = ".012e"
 STATIONS = "012"

@@ -7,13 +7,13 @@ Even: every workstation is drawn alike. Uneven: those on the left border five ti
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.domains.base import Domain, Measure
+from qdenv.domains.base import Domain
 from qdenv.domains.fleet import fleet_simulator
 from qdenv.generate.decode import inside_frame, put_in_frame
 from qdenv.score import layout as score
 from qdenv.score.traffic import mean_throughput
 from qdenv.simulate.tasks import favour_left, tile_goal
-from qdenv.types import Adjacency, Array, Count, InputError, Rules, TaskRule
+from qdenv.types import Adjacency, Array, Count, InputError, Measure, Rules, TaskRule
 
 TILES = ".@ew"
 GENERATED = ".@e"

@@ -1,0 +1,46 @@
+"""Writing files so that a crash, a full disk or a kill never leaves half of one."""
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+from qdenv.types import InputError
+
+
+def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) -> None:
+    """Write under a temporary name beside `path`, sync, rename: the old file lives until then.
+
+    Args:
+        path: the file to make or replace; its folder is made if need be.
+        content: the bytes, or a function that writes them to an open binary file.
+
+    Raises:
+        InputError: the place cannot be written to (read-only, full, not a folder).
+    """
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with os.fdopen(handle, "wb") as file:
+            if isinstance(content, bytes):
+                file.write(content)
+            else:
+                content(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o666 & ~_UMASK)
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary and os.path.exists(temporary):
+            os.unlink(temporary)
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror or error}): free some space or choose "
+            "another place; what was written before is intact"
+        ) from error
+
+
+# mkstemp makes private files; results are ordinary ones. The mask can only be read by setting it.
+_UMASK = os.umask(0)
+os.umask(_UMASK)

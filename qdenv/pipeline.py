@@ -1,0 +1,188 @@
+"""The chain on one screen: parameters, grow, repair, simulate, score.
+
+The only vmaps over layouts and simulations are here. `evaluate` is one traceable function with
+the repair as a host callback; `evaluate_pipelined` runs the same chain as jitted parts around
+explicit repairs, so that one layout is repaired while another is simulated. Both give the same
+numbers for the same key.
+"""
+
+import math
+import os
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.domains.base import Domain, EvaluationConfig, Simulator
+from qdenv.generate.decode import choose_tiles
+from qdenv.generate.nca import grow_population, make_generator, seed_canvas
+from qdenv.repair.callback import RepairPool, repair_in_jit
+from qdenv.score.layout import similarity
+from qdenv.types import Array, Evaluation, Repair, RepairStatus, Score
+
+
+class Pipeline(NamedTuple):
+    """The chain of one domain and configuration; every function below is traceable.
+
+    Attributes:
+        solution_size: parameters P of one solution.
+        grow: float32 [B, P] -> unrepaired layouts int8 [B, H, W].
+        pool: repairs layouts on the host; None where the domain repairs nothing.
+        repair_seed: the layout's own content and this number decide its repair.
+        simulate: (layouts [B, H, W], indices [B], key) -> runs with leading axes B, S.
+        score: (unrepaired, repaired, status, runs), each with leading axis B -> `Evaluation`.
+    """
+
+    solution_size: int
+    grow: Callable[[Array], Array]
+    pool: RepairPool | None
+    repair_seed: int
+    simulate: Callable[[Array, Array, Array], Any]
+    score: Callable[[Array, Array, Array, Any], Evaluation]
+
+
+def make_pipeline(domain: Domain, config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
+    """Build the chain.
+
+    Args:
+        domain: what is generated, repaired and simulated.
+        config: the numbers.
+        repair_seed: other seeds give other, equally good repairs.
+
+    Raises:
+        InputError: the canvas is too small, or the repair rules contradict each other.
+    """
+    rows, cols = config.rows - 2 * domain.margin[0], config.cols - 2 * domain.margin[1]
+    start = seed_canvas(domain.seed_block, rows, cols, domain.generated)
+    generator = make_generator(len(domain.generated), config.kernel_sizes, config.hidden)
+    simulator = domain.simulator(config)
+    pool = None
+    if domain.rules is not None:
+        pool = RepairPool(domain.rules(config.rows, config.cols, config.shelves), config.repair)
+
+    def grow(parameters: Array) -> Array:
+        cells = grow_population(generator, parameters, start, config.steps)
+        return jax.vmap(domain.frame)(choose_tiles(cells))
+
+    def simulate(layouts: Array, indices: Array, key: Array) -> Any:
+        keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
+        return simulate_layouts(simulator, layouts, keys, config.simulations)
+
+    def score(unrepaired: Array, repaired: Array, status: Array, runs: Any) -> Evaluation:
+        def one(*item: Any) -> Evaluation:
+            return score_layout(domain, config.alpha, *item)
+
+        return jax.vmap(one)(unrepaired, repaired, status, runs)
+
+    return Pipeline(generator.size, grow, pool, repair_seed, simulate, score)
+
+
+def in_lanes(function: Callable, items: Any, lanes: int) -> Any:
+    """Map `function` over the leading axis of `items`, `lanes` at a time side by side."""
+    return jax.lax.map(function, items, batch_size=lanes if lanes > 1 else None)
+
+
+def simulate_layouts(simulator: Simulator, layouts: Array, keys: Array, simulations: int) -> Any:
+    """Simulate layouts [B, H, W], each `simulations` times from its own key of `keys` [B]."""
+
+    def one(item: tuple[Array, Array]) -> Any:
+        layout, key = item
+        tables = simulator.prepare(layout)
+        runs = jax.random.split(key, simulations)
+        return in_lanes(lambda run: simulator.run(tables, run), runs, simulator.lanes)
+
+    return in_lanes(one, (layouts, keys), simulator.lanes // simulations)
+
+
+def score_layout(
+    domain: Domain, alpha: float, unrepaired: Array, repaired: Array, status: Array, runs: Any
+) -> Evaluation:
+    """Score one layout: f_res, f_opt = f_res + alpha * similarity, measures (section 4).
+
+    A layout without a feasible repair, or with a number that is not finite, gets zeros and
+    ``success = False``: the search enters it nowhere.
+    """
+    alike = similarity(unrepaired, repaired, domain.price(unrepaired))
+    result = domain.objective(repaired, runs)
+    measures = jnp.stack([measure.value(repaired, runs) for measure in domain.measures])
+    finite = jnp.isfinite(result) & jnp.isfinite(measures).all()
+    success = (status < RepairStatus.IMPOSSIBLE) & finite
+    result, measures = jnp.where(success, result, 0.0), jnp.where(success, measures, 0.0)
+    objective = jnp.where(success, result + alpha * alike, 0.0)
+    score = Score(objective, result, measures, success)
+    return Evaluation(score, unrepaired, repaired, alike, status, runs)
+
+
+def evaluate(pipeline: Pipeline, parameters: Array, key: Array) -> Evaluation:
+    """Evaluate a population; traceable, with the repair as a host callback.
+
+    Args:
+        pipeline: from `make_pipeline`.
+        parameters: float32 [B, P].
+        key: consumed; item ``i`` uses ``fold_in(key, i)``, so a shorter batch gives the same.
+
+    Returns:
+        `Evaluation` with leading axis B.
+    """
+    unrepaired = pipeline.grow(parameters)
+    if pipeline.pool is None:
+        repair = jax.vmap(unrepaired_as_is)(unrepaired)
+    else:
+        repair = repair_in_jit(pipeline.pool, unrepaired, pipeline.repair_seed)
+    runs = pipeline.simulate(repair.layout, jnp.arange(unrepaired.shape[0]), key)
+    return pipeline.score(unrepaired, repair.layout, repair.status, runs)
+
+
+def unrepaired_as_is(layout: Array) -> Repair:
+    """Pass a layout of a domain without rules through unchanged."""
+    return Repair(layout, np.int32(RepairStatus.OPTIMAL), *np.zeros(3, np.float32))
+
+
+class PipelinedEvaluator:
+    """Evaluate populations with repair and simulation overlapping.
+
+    Chunks of layouts are simulated in threads (a compiled call releases the GIL) as soon as
+    their repairs are ready: on a CPU one layout per chunk and one thread per core, on an
+    accelerator one thread that feeds larger chunks.
+    """
+
+    def __init__(self, pipeline: Pipeline, chunk: int | None = None) -> None:
+        """Compile nothing yet; `chunk` layouts, or a divisor of it, are simulated per call."""
+        on_cpu = jax.default_backend() == "cpu"
+        self._pipeline = pipeline
+        self._chunk = chunk or (1 if on_cpu else 10)
+        self._grow = jax.jit(pipeline.grow)
+        self._simulate = jax.jit(pipeline.simulate)
+        self._score = jax.jit(pipeline.score)
+        self._threads = ThreadPoolExecutor((os.cpu_count() or 1) if on_cpu else 1)
+
+    def __call__(self, parameters: Array, key: Array) -> Evaluation:
+        """Evaluate float32 [B, P]; the same arguments and result as `evaluate`."""
+        unrepaired = np.asarray(self._grow(parameters))
+        size = math.gcd(len(unrepaired), self._chunk)  # equal chunks compile once
+        chunks = np.arange(len(unrepaired), dtype=np.int32).reshape(-1, size)
+        repairs = [[self._submit(unrepaired[index]) for index in chunk] for chunk in chunks]
+        pending = [
+            self._threads.submit(self._finish, chunk, repair, key)
+            for chunk, repair in zip(chunks, repairs, strict=True)
+        ]
+        parts = [future.result() for future in pending]
+        repaired, status, runs = jax.tree.map(lambda *part: np.concatenate(part), *parts)
+        return self._score(unrepaired, repaired, status, runs)
+
+    def _submit(self, layout: np.ndarray) -> Future:
+        if self._pipeline.pool is not None:
+            return self._pipeline.pool.submit(layout, self._pipeline.repair_seed)
+        untouched: Future = Future()
+        untouched.set_result(unrepaired_as_is(layout))
+        return untouched
+
+    def _finish(self, chunk: np.ndarray, repairs: list[Future], key: Array) -> tuple:
+        done = [future.result() for future in repairs]
+        layouts = np.stack([repair.layout for repair in done])
+        status = np.array([repair.status for repair in done], np.int32)
+        runs = self._simulate(layouts, chunk, key)
+        return layouts, status, jax.tree.map(np.asarray, runs)

@@ -1,0 +1,117 @@
+"""The automaton against a plain-numpy oracle, its flat parameters, canvases and frames."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from qdenv.domains import DOMAINS
+from qdenv.generate.decode import choose_tiles, inside_frame
+from qdenv.generate.nca import grow_frames, grow_population, make_generator, seed_canvas
+from qdenv.grid import draw
+from qdenv.types import InputError
+
+
+def oracle_step(layers: list[tuple[np.ndarray, np.ndarray]], cells: np.ndarray) -> np.ndarray:
+    """Apply one step with explicit loops over cells; kernels are [k, k, in, out]."""
+    for number, (kernel, bias) in enumerate(layers):
+        reach = kernel.shape[0] // 2
+        padded = np.pad(cells, ((reach, reach), (reach, reach), (0, 0)))
+        rows, cols = cells.shape[:2]
+        out = np.zeros((rows, cols, kernel.shape[3]))
+        for row in range(rows):
+            for col in range(cols):
+                window = padded[row : row + kernel.shape[0], col : col + kernel.shape[1]]
+                out[row, col] = np.einsum("ijk,ijko->o", window, kernel) + bias
+        last = number == len(layers) - 1
+        cells = 1 / (1 + np.exp(-out)) if last else np.maximum(out, 0)
+    return cells
+
+
+@pytest.mark.parametrize("kernel_sizes", [(3, 3, 3), (3, 1, 1), (5, 3)])
+def test_step_agrees_with_oracle(kernel_sizes):
+    generator = make_generator(3, kernel_sizes, hidden=4)
+    flat = np.asarray(jax.random.normal(jax.random.key(0), (generator.size,))) * 0.5
+    variables = generator.unravel(jnp.asarray(flat))["params"]
+    layers = [
+        (np.asarray(layer["kernel"], np.float64), np.asarray(layer["bias"], np.float64))
+        for _, layer in sorted(variables.items())
+    ]
+    cells = np.random.default_rng(0).random((5, 6, 3)).astype(np.float32)
+    expected = oracle_step(layers, oracle_step(layers, cells.astype(np.float64)))
+    np.testing.assert_allclose(generator.grow(flat, cells, 2), expected, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "kernel_sizes", "size"),
+    [(3, (3, 3, 3), 11_011), (3, (3, 1, 1), 2_051), (5, (3, 1, 1), 2_693), (2, (3, 1, 1), 1_730)],
+)
+def test_published_parameter_counts(kinds, kernel_sizes, size):
+    assert make_generator(kinds, kernel_sizes).size == size
+
+
+def test_flat_vector_fills_every_weight_once():
+    generator = make_generator(3, (3, 1), hidden=2)
+    leaves = jax.tree.leaves(generator.unravel(jnp.arange(float(generator.size))))
+    values = np.sort(np.concatenate([np.ravel(leaf) for leaf in leaves]))
+    np.testing.assert_array_equal(values, np.arange(generator.size))
+
+
+def test_frames_continue_one_growth():
+    generator = make_generator(3, (3, 1), hidden=4)
+    flat = jax.random.normal(jax.random.key(1), (generator.size,))
+    start = seed_canvas(("e",), 5, 5, ".@e")
+    frames = grow_frames(generator, flat, start, (0, 2, 5))
+    np.testing.assert_array_equal(frames[0], start)
+    np.testing.assert_array_equal(frames[2], generator.grow(flat, start, 5))
+
+
+def test_a_solution_grows_alike_in_any_company():
+    generator = make_generator(3, hidden=8)
+    flat = jax.random.normal(jax.random.key(2), (6, generator.size)) * 0.3
+    start = seed_canvas(("ee", "@@"), 9, 8, ".@e")
+    grow = jax.jit(lambda some: grow_population(generator, some, start, 20))
+    together = np.asarray(grow(flat))
+    alone = np.concatenate([grow(flat[index : index + 1]) for index in range(6)])
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_seed_blocks_sit_where_the_paper_puts_them():
+    corners = {"warehouse-even": (15, 15), "manufacturing": (15, 16)}
+    for name, corner in corners.items():
+        domain = DOMAINS[name]
+        rows, cols = 33 - 2 * domain.margin[0], 36 - 2 * domain.margin[1]
+        canvas = seed_canvas(domain.seed_block, rows, cols, domain.generated)
+        drawn = draw(choose_tiles(canvas), domain.generated)
+        top, left = corner
+        block = domain.seed_block
+        assert (
+            tuple(row[left : left + len(block[0])] for row in drawn[top : top + len(block)])
+            == block
+        )
+        assert sum(symbol != "." for row in drawn for symbol in row) == sum(
+            symbol != "." for row in block for symbol in row
+        )
+
+
+def test_warehouse_frame_is_drawn_around_the_generated_area():
+    domain = DOMAINS["warehouse-even"]
+    tiles = np.full((7, 3), 1, np.int8)
+    layout = np.asarray(domain.frame(tiles))
+    assert draw(layout, domain.tiles) == [
+        "..@@@..",
+        "w.@@@.w",
+        "..@@@..",
+        "..@@@..",
+        "w.@@@.w",
+        "..@@@..",
+        "..@@@..",
+    ]
+    np.testing.assert_array_equal(inside_frame(layout, domain.margin), tiles)
+
+
+def test_bad_architectures_and_canvases_are_refused():
+    with pytest.raises(InputError, match="odd"):
+        make_generator(3, (3, 2))
+    with pytest.raises(InputError, match="smaller than the seed block"):
+        seed_canvas(("ee", "@@"), 1, 5, ".@e")
