@@ -1,0 +1,1 @@
+"""The maze agent: levels to train on, PPO, the trainer, the converter, the evaluation."""
