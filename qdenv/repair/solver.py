@@ -1,10 +1,115 @@
-"""The repair of one layout: annealed start, HiGHS polish, lazy cuts, limits and status."""
+"""The repair of one layout: annealed start, HiGHS polish, limits, status and bound."""
 
+import hashlib
+import time
 from dataclasses import dataclass
+
+import numpy as np
+
+from qdenv.repair.anneal import anneal
+from qdenv.repair.audit import audit
+from qdenv.repair.bounds import impossible, price_bound
+from qdenv.types import InputError, Repair, RepairStatus, Rules
 
 
 @dataclass(frozen=True)
 class RepairConfig:
-    """Limits of one repair."""
+    """Limits of one repair; all but `time_limit` are deterministic.
+
+    Attributes:
+        polish: "none" anneals only, "quick" adds a short solver run where it pays, "full" anneals
+            longer and lets the solver run to a proof or to `node_limit`.
+        moves_per_cell: annealing moves per free cell; 0 takes the default of `polish`.
+        gap: relative gap at which the solver stops.
+        node_limit: branch-and-bound nodes of the solver.
+        time_limit: wall-clock safety net in seconds; only when it fires is a repair not
+            reproducible, and its status says so.
+        workers: threads that repair layouts of a batch; 0 takes one per core.
+    """
 
     polish: str = "quick"
+    moves_per_cell: int = 0
+    gap: float = 0.0
+    node_limit: int = 1000
+    time_limit: float = 300.0
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        """Reject a polish that does not exist."""
+        if self.polish not in MOVES_PER_CELL:
+            raise InputError(f"polish {self.polish!r} must be one of {', '.join(MOVES_PER_CELL)}")
+
+
+MOVES_PER_CELL = {"none": 800, "quick": 800, "full": 4000}
+# Later attempts, taken only when one found nothing: heats and pulls that insist on the rules.
+ATTEMPTS = (
+    {},
+    {"heats": (0.5, 0.1), "pulls": (2.0, 6.0)},
+    {"heats": (1.0, 0.1), "pulls": (4.0, 20.0)},
+)
+
+
+def seed_of(layout: np.ndarray, seed: int) -> int:
+    """Mix a base seed with the layout's content.
+
+    Equal layouts share a seed whatever the batch around them, so a remembered repair is exactly
+    the one that would be computed again.
+    """
+    digest = hashlib.blake2b(layout.astype(np.int8).tobytes(), digest_size=8)
+    digest.update(repr((layout.shape, int(seed))).encode())
+    return int.from_bytes(digest.digest(), "little") >> 1
+
+
+def repair(
+    layout: np.ndarray, rules: Rules, seed: int = 0, config: RepairConfig | None = None
+) -> Repair:
+    """Find the cheapest layout near `layout` that obeys `rules`.
+
+    Args:
+        layout: int8 [H, W].
+        rules: the constraints of this canvas.
+        seed: any integer; mixed with the layout's content. The same seed gives the same layout,
+            another seed may give another one of equal price.
+        config: limits; defaults to `RepairConfig()`.
+
+    Returns:
+        A `Repair` of numpy values. Status `IMPOSSIBLE` or `FAILED` returns the layout as it came,
+        with infinite price.
+    """
+    config = config or RepairConfig()
+    begin = time.thread_time()
+    layout = np.asarray(layout, np.int8)
+    if impossible(rules) is not None:
+        return _record(layout, RepairStatus.IMPOSSIBLE, np.inf, np.inf, begin)
+    bound = price_bound(layout, rules)
+    found, price = _feasible(layout, rules, seed_of(layout, seed), config)
+    if found is None:
+        return _record(layout, RepairStatus.FAILED, np.inf, bound, begin)
+    status = RepairStatus.OPTIMAL if price <= bound + 1e-6 else RepairStatus.ANNEALED
+    return _record(found, status, price, bound, begin)
+
+
+def _feasible(
+    layout: np.ndarray, rules: Rules, seed: int, config: RepairConfig
+) -> tuple[np.ndarray | None, float]:
+    """Anneal until a layout passes the audit."""
+    cells = int((rules.allowed.sum(-1) > 1).sum())
+    moves = cells * (config.moves_per_cell or MOVES_PER_CELL[config.polish])
+    for attempt, schedule in enumerate(ATTEMPTS):
+        found, price = anneal(layout, rules, seed + attempt, moves, **schedule)
+        if found is not None and not audit(found, rules):
+            return found, price
+    return None, np.inf
+
+
+def _record(
+    layout: np.ndarray, status: RepairStatus, price: float, bound: float, begin: float
+) -> Repair:
+    """Fill a `Repair` with numpy values of the promised types."""
+    return Repair(
+        layout=layout.astype(np.int8),
+        status=np.int32(status),
+        hamming=np.float32(price),
+        lower_bound=np.float32(bound),
+        seconds=np.float32(time.thread_time() - begin),
+    )
