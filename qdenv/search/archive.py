@@ -1,0 +1,291 @@
+"""Grid archives: a qdax repertoire with direct indexing, and its soft-threshold form (CMA-MAE)."""
+
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Self
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+from qdax.core.containers.mapelites_repertoire import MapElitesRepertoire
+
+from qdenv.types import Array, InputError, Measure
+
+EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
+
+
+class Insertion(NamedTuple):
+    """What an archive says of each solution of a batch, seen against the archive before it.
+
+    Attributes:
+        status: int32 [B], 2 found a new cell, 1 improved a filled one, 0 was not accepted.
+        value: float [B], objective minus the cell's threshold; -inf for a failed solution.
+    """
+
+    status: Array
+    value: Array
+
+
+def check_measures(measures: Sequence[Any]) -> tuple[Measure, ...]:
+    """Turn records with ``name, low, high, cells`` into `Measure`s.
+
+    Raises:
+        InputError: there is no measure, a range is empty or infinite, or an axis has no cell.
+    """
+    if not measures:
+        raise InputError("an archive needs at least one measure")
+    axes = tuple(Measure(str(m.name), float(m.low), float(m.high), int(m.cells)) for m in measures)
+    for axis in axes:
+        if not (math.isfinite(axis.low) and math.isfinite(axis.high) and axis.low < axis.high):
+            raise InputError(f"measure {axis.name!r}: the range {axis.low}..{axis.high} is empty")
+        if axis.cells < 1:
+            raise InputError(f"measure {axis.name!r}: give at least one cell, not {axis.cells}")
+    return axes
+
+
+@functools.lru_cache
+def inner_edges(axis: Measure, dtype: np.dtype) -> np.ndarray:
+    """List the edges between the cells of an axis, ``[cells - 1]`` ascending values of `dtype`.
+
+    A measure lies in the cell given by the number of inner edges at or below it. This is pyribs'
+    ``floor((cells * (m - low) + 1e-6) / (high - low))`` clipped to the grid, but free of the
+    roundings of that formula in float32: integers on an edge always fall above it.
+    """
+    numerators = np.arange(1, axis.cells) * (axis.high - axis.low) - EDGE_TOLERANCE
+    exact = axis.low + numerators / axis.cells
+    edges = exact.astype(dtype)
+    # Rounded up, so that comparing in `dtype` decides as comparing in float64 would.
+    return np.where(edges < exact, np.nextafter(edges, dtype.type(np.inf)), edges)
+
+
+def grid_centroids(measures: Sequence[Any]) -> jax.Array:
+    """Compute the centres of all cells, float [C, M], the last measure varying fastest."""
+    centres = [
+        axis.low + (np.arange(axis.cells) + 0.5) * (axis.high - axis.low) / axis.cells
+        for axis in check_measures(measures)
+    ]
+    grid = np.meshgrid(*centres, indexing="ij")
+    return jnp.asarray(np.stack([axis.ravel() for axis in grid], axis=-1), jnp.result_type(float))
+
+
+def first_of_best(objective: Array, candidates: Array, same_cell: Array) -> jax.Array:
+    """Mark the best candidate of each cell, the first of the batch on a tie.
+
+    Args:
+        objective: float [B].
+        candidates: bool [B].
+        same_cell: bool [B, B].
+    """
+    index = jnp.arange(objective.shape[0])
+    above = objective[None, :] > objective[:, None]
+    tied_before = (objective[None, :] == objective[:, None]) & (index[None, :] < index[:, None])
+    beaten = (same_cell & candidates[None, :] & (above | tied_before)).any(axis=1)
+    return candidates & ~beaten
+
+
+class GridArchive(MapElitesRepertoire):
+    """The best solution of every cell of a regular grid over the measures.
+
+    A qdax `MapElitesRepertoire` (selectors, metrics and the `MAPElites` driver accept it) whose
+    cells are found by direct indexing. Cells are numbered row-major, the last measure fastest.
+
+    Attributes:
+        genotypes: solutions, pytree of [C, ...].
+        fitnesses: float [C, 1], the objectives; -inf where a cell is empty.
+        descriptors: float [C, M], the measures of the elites.
+        centroids: float [C, M], the centres of the cells.
+        extra_scores: dict of arrays [C, ...] kept beside each elite.
+        measures: the axes (static).
+    """
+
+    measures: tuple[Measure, ...] = flax.struct.field(pytree_node=False)
+
+    @classmethod
+    def empty(
+        cls, solution: Any, measures: Sequence[Any], extras: Mapping[str, Any] | None = None
+    ) -> Self:
+        """Make an archive without elites.
+
+        Args:
+            solution: one example solution (shapes and dtypes are read, not values).
+            measures: records with ``name, low, high, cells``.
+            extras: one example of what is stored beside each elite.
+
+        Raises:
+            InputError: the measures are no grid.
+        """
+        axes = check_measures(measures)
+        extras = dict(extras or {})
+        cells = math.prod(axis.cells for axis in axes)
+
+        def blank(leaf: Any) -> jax.Array:
+            return jnp.zeros((cells, *jnp.shape(leaf)), jax.dtypes.canonicalize_dtype(leaf.dtype))
+
+        centroids = grid_centroids(axes)
+        return cls(
+            genotypes=jax.tree.map(blank, solution),
+            fitnesses=jnp.full((cells, 1), -jnp.inf, centroids.dtype),
+            descriptors=jnp.zeros_like(centroids),
+            centroids=centroids,
+            extra_scores=jax.tree.map(blank, extras),
+            keys_extra_scores=tuple(sorted(extras)),
+            measures=axes,
+        )
+
+    @classmethod
+    def init(
+        cls,
+        genotypes: Any,
+        fitnesses: Array,
+        descriptors: Array,
+        centroids: Array | None = None,
+        *args: Any,
+        measures: Sequence[Any],
+        extra_scores: Mapping[str, Array] | None = None,
+        keys_extra_scores: tuple[str, ...] = (),
+    ) -> Self:
+        """Make an archive of a first batch, as qdax's `MAPElites` asks for it.
+
+        Bind the grid first: ``functools.partial(GridArchive.init, measures=measures)``. The
+        `centroids` follow from the measures and are ignored.
+        """
+        extras = {
+            key: value for key, value in (extra_scores or {}).items() if key in keys_extra_scores
+        }
+        first_solution, first_extras = jax.tree.map(lambda leaf: leaf[0], (genotypes, extras))
+        archive = cls.empty(first_solution, measures, first_extras)
+        return archive.add(genotypes, descriptors, fitnesses, extras)
+
+    def cells_of(self, measures: Array) -> jax.Array:
+        """Find the cells of measures [..., M] -> int32 [...]; outside values go to the rim."""
+        index = jnp.zeros(measures.shape[:-1], jnp.int32)
+        for position, axis in enumerate(self.measures):
+            values = measures[..., position]
+            edges = inner_edges(axis, np.dtype(values.dtype))
+            along = (values[..., None] >= edges).sum(axis=-1, dtype=jnp.int32)
+            index = index * axis.cells + along
+        return index
+
+    def insert(
+        self,
+        solutions: Any,
+        objective: Array,
+        measures: Array,
+        extras: Mapping[str, Array] | None = None,
+        success: Array | bool = True,
+    ) -> tuple[Self, Insertion]:
+        """Add a batch at once: every solution is judged against the archive before the batch.
+
+        The winner of a cell is the best accepted solution, the first one on a tie (pyribs'
+        ``GridArchive.add``). Rows that failed, or whose objective or measures are not finite,
+        enter nothing.
+
+        Args:
+            solutions: pytree of [B, ...].
+            objective: float [B].
+            measures: float [B, M].
+            extras: dict of arrays [B, ...]; must hold the keys declared at construction.
+            success: bool [B].
+
+        Returns:
+            The new archive and the `Insertion` of each row.
+        """
+        objective = jnp.asarray(objective, self.fitnesses.dtype)
+        measures = jnp.asarray(measures, self.descriptors.dtype)
+        valid = success & jnp.isfinite(objective) & jnp.isfinite(measures).all(axis=-1)
+        objective = jnp.where(valid, objective, -jnp.inf)
+        cells = self.cells_of(measures)
+        threshold = self.threshold_of(cells)
+        accepted = objective > threshold
+        filled = self.fitnesses[cells, 0] > -jnp.inf
+        status = jnp.where(accepted, jnp.where(filled, 1, 2), 0).astype(jnp.int32)
+        value = objective - jnp.where(jnp.isneginf(threshold), 0, threshold)
+
+        same_cell = cells[:, None] == cells[None, :]
+        winner = first_of_best(objective, accepted, same_cell)
+        target = jnp.where(winner, cells, self.fitnesses.shape[0])  # out of bounds: dropped
+        kept = {key: (extras or {})[key] for key in self.keys_extra_scores}
+        archive = self._raise_thresholds(
+            target, threshold, objective, same_cell & accepted[None, :]
+        )
+        archive = archive.replace(
+            genotypes=_put(self.genotypes, target, solutions),
+            fitnesses=_put(self.fitnesses, target, objective[:, None]),
+            descriptors=_put(self.descriptors, target, measures),
+            extra_scores=_put(self.extra_scores, target, kept),
+        )
+        return archive, Insertion(status, value)
+
+    def threshold_of(self, cells: Array) -> jax.Array:
+        """Look up what a solution must exceed to enter each of `cells` (int32 [B] -> [B])."""
+        return self.fitnesses[cells, 0]
+
+    def _raise_thresholds(
+        self, target: Array, threshold: Array, objective: Array, accepted: Array
+    ) -> Self:
+        return self  # the threshold of an elitist archive is the objective itself
+
+    def add(
+        self,
+        batch_of_genotypes: Any,
+        batch_of_descriptors: Array,
+        batch_of_fitnesses: Array,
+        batch_of_extra_scores: Mapping[str, Array] | None = None,
+    ) -> Self:
+        """Add a batch (qdax's signature; see `insert`)."""
+        objective = jnp.reshape(batch_of_fitnesses, (batch_of_descriptors.shape[0],))
+        extras = batch_of_extra_scores
+        return self.insert(batch_of_genotypes, objective, batch_of_descriptors, extras)[0]
+
+    @property
+    def objectives(self) -> jax.Array:
+        """Give the objective of every cell, float [C]; -inf where empty."""
+        return self.fitnesses[:, 0]
+
+    @property
+    def filled(self) -> jax.Array:
+        """Mark the cells that hold an elite, bool [C]."""
+        return self.objectives > -jnp.inf
+
+    def qd_score(self, offset: float = 0.0) -> jax.Array:
+        """Sum the objectives minus `offset` over the filled cells; 0 when empty."""
+        return jnp.sum(self.objectives - offset, where=self.filled)
+
+    @property
+    def coverage(self) -> jax.Array:
+        """Give the share of filled cells, in [0, 1]."""
+        return self.filled.mean()
+
+    @property
+    def best(self) -> jax.Array:
+        """Give the cell of the best elite, int32; the first on a tie, 0 when empty."""
+        return jnp.argmax(self.objectives).astype(jnp.int32)
+
+    def sample_cells(self, key: Array, count: int) -> jax.Array:
+        """Draw filled cells uniformly with replacement, int32 [count]; 0 when there is none.
+
+        Consumes `key`.
+        """
+        ranks = jnp.cumsum(self.filled)
+        draws = jax.random.randint(key, (count,), 0, jnp.maximum(ranks[-1], 1))
+        cells = jnp.searchsorted(ranks, draws, side="right")
+        return jnp.where(ranks[-1] > 0, cells, 0).astype(jnp.int32)
+
+    def sample_solutions(self, key: Array, count: int, fallback: Any) -> Any:
+        """Draw elites' solutions, pytree of [count, ...]; copies of `fallback` when empty.
+
+        Consumes `key`.
+        """
+        cells = self.sample_cells(key, count)
+        some = self.filled.any()
+        return jax.tree.map(
+            lambda stored, other: jnp.where(some, stored[cells], other), self.genotypes, fallback
+        )
+
+
+def _put(stored: Any, target: Array, rows: Any) -> Any:
+    return jax.tree.map(
+        lambda old, new: old.at[target].set(jnp.asarray(new, old.dtype), mode="drop"), stored, rows
+    )

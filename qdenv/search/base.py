@@ -1,0 +1,74 @@
+"""The one face of all search algorithms: `init / ask / tell` on a single pytree of state."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.search.archive import GridArchive
+from qdenv.types import Array, InputError, Score
+
+
+class Algorithm(NamedTuple):
+    """A search algorithm as a record of pure, jittable functions.
+
+    Attributes:
+        init: key -> state. The state is one pytree of arrays with the random key inside; its
+            shapes never change.
+        ask: state -> (solutions float [B, P], state).
+        tell: (state, solutions, `Score` with a leading axis B, extras: dict of arrays [B, ...])
+            -> state. Rows whose score is no success enter no archive and change nobody's rank.
+        archive: state -> the result archive.
+        batch_size: B, the number of solutions of every ask.
+    """
+
+    init: Callable[[Array], Any]
+    ask: Callable[[Any], tuple[Array, Any]]
+    tell: Callable[[Any, Array, Score, Mapping[str, Array]], Any]
+    archive: Callable[[Any], GridArchive]
+    batch_size: int
+
+
+def usable(solutions: Array, score: Score) -> jax.Array:
+    """Mark the rows an algorithm may learn from, bool [B]: a success, everything finite."""
+    return (
+        jnp.asarray(score.success)
+        & jnp.isfinite(score.objective)
+        & jnp.isfinite(score.result_objective)
+        & jnp.isfinite(score.measures).all(axis=-1)
+        & jnp.isfinite(solutions).all(axis=-1)
+    )
+
+
+def start_solution(x0: Any, solution_dim: int) -> jax.Array:
+    """Give the solution the search starts from, float [P]: `x0`, or zeros where it is None.
+
+    Raises:
+        InputError: the dimension is not positive, or `x0` has another shape or is not finite.
+    """
+    if solution_dim < 1:
+        raise InputError(f"a solution needs at least one parameter, not {solution_dim}")
+    if x0 is None:
+        return jnp.zeros(solution_dim)
+    x0 = np.asarray(x0)
+    if x0.shape != (solution_dim,) or not np.isfinite(x0).all():
+        raise InputError(f"x0 must hold {solution_dim} finite numbers, its shape is {x0.shape}")
+    return jnp.asarray(x0, jnp.result_type(float))
+
+
+def plain_key(key: Array) -> jax.Array:
+    """Give the words of a random key, uint32 [2], so that a state is plain arrays throughout."""
+    return jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
+
+
+def positive(**values: float) -> None:
+    """Demand that every named setting is a finite positive number.
+
+    Raises:
+        InputError: one of them is not; the line names it.
+    """
+    for name, value in values.items():
+        if not 0 < value < float("inf"):
+            raise InputError(f"{name} must be a positive number, not {value}")

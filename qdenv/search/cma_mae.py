@@ -1,0 +1,139 @@
+"""CMA-MAE, its special case CMA-ME, and the search of evolution strategies that both are."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from qdenv.search.archive import GridArchive
+from qdenv.search.base import Algorithm, plain_key, positive, start_solution, usable
+from qdenv.search.emitters import (
+    RANKERS,
+    SELECTIONS,
+    EmittersState,
+    lookup,
+    make_emitters,
+    restart_rule,
+)
+from qdenv.search.strategies import STRATEGIES
+from qdenv.search.threshold_archive import ThresholdArchive
+from qdenv.types import Array, Score
+
+
+@dataclass(frozen=True)
+class CmaMaeConfig:
+    """Settings of CMA-MAE; the defaults are the paper's (Table 1).
+
+    Attributes:
+        emitters: evolution strategies E running side by side.
+        batch: solutions b of each emitter per iteration.
+        sigma0: initial step size.
+        learning_rate: of the learning archive's thresholds, in [0, 1].
+        threshold_min: threshold of an empty cell.
+        ranker: sort rows by improvement (imp), status then improvement (2imp), objective (obj)
+            or status then objective (2obj).
+        selection: parents are the better half (mu) or as many as were accepted (filter).
+        restart: when nothing was accepted, never (basic), or every so many iterations.
+        strategy: a name of `STRATEGIES`.
+    """
+
+    emitters: int = 5
+    batch: int = 10
+    sigma0: float = 0.2
+    learning_rate: float = 0.01
+    threshold_min: float = 0.0
+    ranker: str = "imp"
+    selection: str = "mu"
+    restart: Literal["no_improvement", "basic"] | int = "no_improvement"
+    strategy: str = "iso"
+
+
+@dataclass(frozen=True)
+class CmaMeConfig(CmaMaeConfig):
+    """Settings of CMA-ME: CMA-MAE with an elitist archive (Fontaine et al. 2020)."""
+
+    learning_rate: float = 1.0
+    threshold_min: float = -math.inf
+    ranker: str = "2imp"
+    selection: str = "filter"
+
+
+class CmaMaeState(NamedTuple):
+    """State of CMA-MAE; one pytree."""
+
+    key: Array
+    emitters: EmittersState
+    learning: ThresholdArchive  # judged by `Score.objective`; steers the emitters
+    result: GridArchive  # the best by `Score.result_objective`
+
+
+def cma_mae(
+    config: CmaMaeConfig,
+    solution_dim: int,
+    measures: Sequence[Any],
+    extras: Mapping[str, Any] | None = None,
+    x0: Any = None,
+) -> Algorithm:
+    """Make CMA-MAE (Fontaine and Nikolaidis 2023), as pyribs' scheduler runs it.
+
+    All E * b rows enter both archives as one batch; then every emitter ranks its own rows by
+    what the learning archive said of them, and restarts from an elite of that archive.
+
+    Args:
+        config: the settings.
+        solution_dim: P.
+        measures: records with ``name, low, high, cells``.
+        extras: one example of what the result archive stores beside each elite.
+        x0: where all emitters start, float [P]; zeros where None.
+
+    Raises:
+        InputError: a setting is out of range or unknown.
+    """
+    positive(emitters=config.emitters, batch=config.batch, sigma0=config.sigma0)
+    start = start_solution(x0, solution_dim)
+    make_strategy = lookup(STRATEGIES, config.strategy, "strategy")
+    emitters = make_emitters(
+        make_strategy(solution_dim, config.batch, config.sigma0),
+        start,
+        config.emitters,
+        config.batch,
+        lookup(RANKERS, config.ranker, "ranker"),
+        lookup(SELECTIONS, config.selection, "selection"),
+        restart_rule(config.restart),
+    )
+    soft = {"learning_rate": config.learning_rate, "threshold_min": config.threshold_min}
+    ThresholdArchive.check(**soft)
+
+    def init(key: Array) -> CmaMaeState:
+        learning = ThresholdArchive.empty(start, measures, **soft)
+        return CmaMaeState(
+            plain_key(key), emitters.init(), learning, GridArchive.empty(start, measures, extras)
+        )
+
+    def ask(state: CmaMaeState) -> tuple[Array, CmaMaeState]:
+        key, ask_key = jax.random.split(state.key)
+        solutions, emitters_state = emitters.ask(state.emitters, ask_key)
+        return solutions, state._replace(key=key, emitters=emitters_state)
+
+    def tell(
+        state: CmaMaeState, solutions: Array, score: Score, extras: Mapping[str, Array]
+    ) -> CmaMaeState:
+        score, solutions = jax.tree.map(jnp.asarray, (score, solutions))
+        key, tell_key = jax.random.split(state.key)
+        valid = usable(solutions, score)
+        learning, insertion = state.learning.insert(
+            solutions, score.objective, score.measures, success=valid
+        )
+        result, _ = state.result.insert(
+            solutions, score.result_objective, score.measures, extras, valid
+        )
+        emitters_state = emitters.tell(
+            state.emitters, tell_key, solutions, insertion, score.objective, valid, learning
+        )
+        return CmaMaeState(key, emitters_state, learning, result)
+
+    batch_size = config.emitters * config.batch
+    return Algorithm(init, ask, tell, lambda state: state.result, batch_size)

@@ -1,0 +1,99 @@
+"""MAP-Elites with the Iso+LineDD variation, on an elitist or a soft archive."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from qdax.core.emitters.mutation_operators import isoline_variation
+
+from qdenv.search.archive import GridArchive
+from qdenv.search.base import Algorithm, plain_key, positive, start_solution, usable
+from qdenv.search.threshold_archive import ThresholdArchive
+from qdenv.types import Array, Score
+
+
+@dataclass(frozen=True)
+class MapElitesConfig:
+    """Settings of MAP-Elites.
+
+    Attributes:
+        emitters: kept beside `batch` so that algorithms compare at equal settings.
+        batch: an iteration makes ``emitters * batch`` solutions.
+        sigma_iso: standard deviation of the isotropic noise.
+        sigma_line: standard deviation of the step along the line to another elite.
+        learning_rate: of the parents' archive. 1 with a `threshold_min` of -inf is the plain
+            elitist archive; the published runs drew their parents from the soft archive of
+            CMA-MAE (0.01 and 0).
+        threshold_min: threshold of an empty cell of the parents' archive.
+    """
+
+    emitters: int = 5
+    batch: int = 10
+    sigma_iso: float = 0.01
+    sigma_line: float = 0.2
+    learning_rate: float = 1.0
+    threshold_min: float = -math.inf
+
+
+class MapElitesState(NamedTuple):
+    """State of MAP-Elites; one pytree."""
+
+    key: Array
+    parents: ThresholdArchive  # judged by `Score.objective`
+    result: GridArchive  # the best by `Score.result_objective`
+
+
+def map_elites(
+    config: MapElitesConfig,
+    solution_dim: int,
+    measures: Sequence[Any],
+    extras: Mapping[str, Any] | None = None,
+    x0: Any = None,
+) -> Algorithm:
+    """Make MAP-Elites (Mouret and Clune 2015; Vassiliades and Mouret 2018).
+
+    A child is x_i + sigma_iso N(0, I) + sigma_line (x_j - x_i) N(0, 1) of two random elites;
+    while there are none, both parents are `x0`.
+
+    Args:
+        config: the settings.
+        solution_dim: P.
+        measures: records with ``name, low, high, cells``.
+        extras: one example of what the result archive stores beside each elite.
+        x0: the parent while there is none, float [P]; zeros where None.
+
+    Raises:
+        InputError: a setting is out of range.
+    """
+    positive(emitters=config.emitters, batch=config.batch, sigma_iso=config.sigma_iso)
+    start = start_solution(x0, solution_dim)
+    batch_size = config.emitters * config.batch
+    soft = {"learning_rate": config.learning_rate, "threshold_min": config.threshold_min}
+    ThresholdArchive.check(**soft)
+
+    def init(key: Array) -> MapElitesState:
+        parents = ThresholdArchive.empty(start, measures, **soft)
+        return MapElitesState(plain_key(key), parents, GridArchive.empty(start, measures, extras))
+
+    def ask(state: MapElitesState) -> tuple[Array, MapElitesState]:
+        key, pair_key, noise_key = jax.random.split(state.key, 3)
+        pairs = state.parents.sample_solutions(pair_key, 2 * batch_size, start)
+        first, second = pairs[:batch_size], pairs[batch_size:]
+        children = isoline_variation(first, second, noise_key, config.sigma_iso, config.sigma_line)
+        return children, state._replace(key=key)
+
+    def tell(
+        state: MapElitesState, solutions: Array, score: Score, extras: Mapping[str, Array]
+    ) -> MapElitesState:
+        score, solutions = jax.tree.map(jnp.asarray, (score, solutions))
+        valid = usable(solutions, score)
+        parents, _ = state.parents.insert(solutions, score.objective, score.measures, success=valid)
+        result, _ = state.result.insert(
+            solutions, score.result_objective, score.measures, extras, valid
+        )
+        return MapElitesState(state.key, parents, result)
+
+    return Algorithm(init, ask, tell, lambda state: state.result, batch_size)

@@ -1,0 +1,94 @@
+"""The soft archive of CMA-MAE: a cell's threshold follows the objectives it accepted."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+from qdenv.search.archive import GridArchive
+from qdenv.types import Array, InputError
+
+
+class ThresholdArchive(GridArchive):
+    """A grid archive whose cells accept whatever exceeds their threshold.
+
+    A winner replaces the elite of its cell even when its objective is lower (the archive is not
+    elitist): keep a `GridArchive` beside it for results.
+
+    Attributes:
+        thresholds: float [C].
+        learning_rate: how far a threshold moves towards what it accepted, in [0, 1] (static).
+        threshold_min: threshold of an empty cell; -inf gives the archive of CMA-ME (static).
+
+    Source: Fontaine and Nikolaidis 2023, "Covariance Matrix Adaptation MAP-Annealing".
+    """
+
+    thresholds: Array
+    learning_rate: float = flax.struct.field(pytree_node=False)
+    threshold_min: float = flax.struct.field(pytree_node=False)
+
+    @staticmethod
+    def check(learning_rate: float, threshold_min: float) -> None:
+        """Raise an `InputError` where the two numbers are out of range or do not go together."""
+        if not 0 <= learning_rate <= 1:
+            raise InputError(f"the archive learning rate must be in [0, 1], not {learning_rate}")
+        if math.isnan(threshold_min) or threshold_min == math.inf:
+            raise InputError(f"threshold_min must be a number or -inf, not {threshold_min}")
+        if threshold_min == -math.inf and learning_rate != 1:
+            raise InputError("threshold_min = -inf needs an archive learning rate of 1")
+
+    @classmethod
+    def empty(
+        cls,
+        solution: Any,
+        measures: Sequence[Any],
+        extras: Mapping[str, Any] | None = None,
+        learning_rate: float = 1.0,
+        threshold_min: float = -math.inf,
+    ) -> Self:
+        """Make an archive without elites.
+
+        Args:
+            solution: one example solution.
+            measures: records with ``name, low, high, cells``.
+            extras: one example of what is stored beside each elite.
+            learning_rate: in [0, 1]; must be 1 where `threshold_min` is -inf.
+            threshold_min: threshold of an empty cell.
+
+        Raises:
+            InputError: the measures are no grid, or the two numbers do not go together.
+        """
+        cls.check(learning_rate, threshold_min)
+        blank = GridArchive.empty(solution, measures, extras)
+        thresholds = jnp.full_like(blank.objectives, threshold_min)
+        parts = {name: getattr(blank, name) for name in GridArchive.__dataclass_fields__}
+        return cls(
+            **parts,
+            thresholds=thresholds,
+            learning_rate=float(learning_rate),
+            threshold_min=float(threshold_min),
+        )
+
+    def threshold_of(self, cells: Array) -> jax.Array:
+        """Look up what a solution must exceed to enter each of `cells` (int32 [B] -> [B])."""
+        return self.thresholds[cells]
+
+    def _raise_thresholds(
+        self, target: Array, threshold: Array, objective: Array, accepted: Array
+    ) -> Self:
+        """Apply the batch rule: t' = (1 - a)^k t + mean(f_accepted) (1 - (1 - a)^k).
+
+        The closed form of Fontaine and Nikolaidis 2023 (appendix), free of the batch's order.
+        With threshold_min = -inf the threshold is the best accepted objective.
+        """
+        if self.threshold_min == -math.inf:
+            raised = objective
+        else:
+            count = jnp.maximum(accepted.sum(axis=1), 1).astype(objective.dtype)
+            total = jnp.where(accepted, objective[None, :], 0).sum(axis=1)
+            ratio = jnp.asarray(1 - self.learning_rate, objective.dtype) ** count
+            raised = ratio * threshold + total / count * (1 - ratio)
+        return self.replace(thresholds=self.thresholds.at[target].set(raised, mode="drop"))
