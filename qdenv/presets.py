@@ -1,0 +1,54 @@
+"""Named configurations: quick looks, a laptop's night, the paper's rows (Table 1)."""
+
+from dataclasses import replace
+
+from qdenv.domains.base import EvaluationConfig
+from qdenv.run.config import RunConfig
+from qdenv.search.cma_mae import CmaMaeConfig
+from qdenv.types import InputError
+
+_WAREHOUSE = EvaluationConfig()
+_PAPER = RunConfig()
+
+# A small warehouse: 40 shelves leave a handful to forty components.
+_QUICK = RunConfig(
+    evaluation=replace(
+        _WAREHOUSE, rows=17, cols=16, steps=20, shelves=40, agents=60, timesteps=200, simulations=2
+    ),
+    algorithm=CmaMaeConfig(learning_rate=0.1),
+    evaluations=600,
+    archive=((0, 40, 20), (0, 1, 20)),
+)
+
+
+def _paper(domain: str, alpha: float) -> RunConfig:
+    return replace(_PAPER, evaluation=replace(_WAREHOUSE, domain=domain, alpha=alpha))
+
+
+PRESETS: dict[str, RunConfig] = {
+    "quick": _QUICK,
+    "laptop": replace(_PAPER, evaluations=1000),
+    "warehouse-even": _paper("warehouse-even", 5.0),
+    "warehouse-even-a1": _paper("warehouse-even", 1.0),
+    "warehouse-even-a0": _paper("warehouse-even", 0.0),
+    "warehouse-uneven": _paper("warehouse-uneven", 5.0),
+    "warehouse-uneven-a1": _paper("warehouse-uneven", 1.0),
+    "warehouse-uneven-a0": _paper("warehouse-uneven", 0.0),
+    "manufacturing": _paper("manufacturing", 5.0),
+    "manufacturing-quick": replace(
+        _QUICK,
+        evaluation=replace(_QUICK.evaluation, domain="manufacturing"),
+        archive=((0, 140, 20), (0, 1, 20)),
+    ),
+}
+
+
+def find_preset(name: str) -> RunConfig:
+    """Look a preset up by name.
+
+    Raises:
+        InputError: no preset has this name.
+    """
+    if name not in PRESETS:
+        raise InputError(f"unknown preset {name!r}: choose one of {', '.join(PRESETS)}")
+    return PRESETS[name]
