@@ -18,7 +18,7 @@ from qdenv.search.emitters import (
     make_emitters,
     restart_rule,
 )
-from qdenv.search.strategies import STRATEGIES
+from qdenv.search.strategies.registry import STRATEGIES
 from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import Array, Score
 
@@ -108,10 +108,10 @@ def cma_mae(
     ThresholdArchive.check(**soft)
 
     def init(key: Array) -> CmaMaeState:
+        key, emitters_key = jax.random.split(plain_key(key))
         learning = ThresholdArchive.empty(start, measures, **soft)
-        return CmaMaeState(
-            plain_key(key), emitters.init(), learning, GridArchive.empty(start, measures, extras)
-        )
+        result = GridArchive.empty(start, measures, extras)
+        return CmaMaeState(key, emitters.init(emitters_key), learning, result)
 
     def ask(state: CmaMaeState) -> tuple[Array, CmaMaeState]:
         key, ask_key = jax.random.split(state.key)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.search.archive import GridArchive, Insertion
-from qdenv.search.strategies import Strategy
+from qdenv.search.strategies.base import Strategy
 from qdenv.types import Array, InputError
 
 FLAT = 1e-12  # best and worst ranking values closer than this restart the emitter (pyribs)
@@ -41,13 +41,13 @@ class Emitters(NamedTuple):
     """E emitters as a record of functions.
 
     Attributes:
-        init: () -> state.
+        init: key -> state; consumes the key.
         ask: (state, key) -> (solutions float [E * b, P], state); consumes the key.
         tell: (state, key, solutions, insertion, objective, usable, archive) -> state, the
             arrays with a leading axis E * b; `archive` holds the batch already. Consumes the key.
     """
 
-    init: Callable[[], EmittersState]
+    init: Callable[[Array], EmittersState]
     ask: Callable[[EmittersState, Array], tuple[Array, EmittersState]]
     tell: Callable[..., EmittersState]
 
@@ -113,9 +113,9 @@ def make_emitters(
     its distribution is degenerate.
     """
 
-    def init() -> EmittersState:
+    def init(key: Array) -> EmittersState:
         means = jnp.broadcast_to(x0, (emitters, *x0.shape))
-        states = jax.vmap(strategy.init)(means)
+        states = jax.vmap(strategy.init)(means, jax.random.split(key, emitters))
         return EmittersState(states, jnp.int32(0), jnp.zeros(emitters, jnp.int32))
 
     def ask(state: EmittersState, key: Array) -> tuple[Array, EmittersState]:
@@ -149,10 +149,11 @@ def make_emitters(
         states, accepted, spent = jax.vmap(adapt)(state.strategy, *rows)
         iterations = state.iterations + 1
         again = spent | restart(accepted, iterations)
-        means = archive.sample_solutions(key, emitters, x0)
+        elite_key, fresh_key = jax.random.split(key)
+        means = archive.sample_solutions(elite_key, emitters, x0)
 
         def renew(old: Any) -> Any:
-            fresh = jax.vmap(strategy.init)(means)
+            fresh = jax.vmap(strategy.init)(means, jax.random.split(fresh_key, emitters))
             return jax.tree.map(
                 lambda new, kept: jnp.where(again.reshape(-1, *[1] * (kept.ndim - 1)), new, kept),
                 fresh,

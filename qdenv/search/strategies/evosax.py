@@ -1,0 +1,113 @@
+"""Evolution strategies of evosax behind the same face, fed ranks instead of objectives."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from qdenv.search.strategies.base import SMALLEST_STEP, Strategy
+from qdenv.types import Array, InputError
+
+EVOSAX_NAMES = ("CMA_ES", "CR_FM_NES", "Open_ES", "SNES")
+ADAM_RATE = 0.1  # of Open_ES, in initial step sizes; evosax' plain SGD at 1e-3 stands still
+
+# Names that would run and mislead (read and measured with evosax 0.3.2).
+UNSOUND = {
+    "LM_MA_ES": "its matrix update ignores the ranking; use lm_ma",
+    "MA_ES": "its rank-mu update ignores the ranking; use full",
+    "Sep_CMA_ES": "it keeps the rates of the full matrix, so its diagonal hardly moves; use sep",
+    "xNES": "it exponentiates its matrix element by element; use SNES or full",
+    "Rm_ES": "its success rule compares fitness across generations, ranks carry none; use lm_ma",
+}
+
+
+class EvosaxState(NamedTuple):
+    """State of one emitter that runs an evosax strategy."""
+
+    inner: Any
+    key: Array  # uint32 [2], for the next tell
+
+
+def evosax_strategy(name: str, **settings: Any) -> Callable[[int, int, float], Strategy]:
+    """Make the constructor of an evosax distribution-based strategy for `STRATEGIES`.
+
+    The number of parents is the strategy's own affair: the selection only decides whether it is
+    told at all. Failed rows rank last and stand at the mean, where they pull nowhere.
+
+    Args:
+        name: class name in ``evosax.algorithms``.
+        settings: further arguments of that class.
+
+    Raises:
+        InputError: evosax has no such strategy, or a known defect makes it unfit.
+    """
+    if name in UNSOUND:
+        raise InputError(f"the evosax strategy {name} is not offered: {UNSOUND[name]}")
+
+    def make(dim: int, batch: int, sigma0: float) -> Strategy:
+        return wrap(build(name, dim, batch, sigma0, settings), sigma0)
+
+    return make
+
+
+def build(name: str, dim: int, batch: int, sigma0: float, settings: dict[str, Any]) -> Any:
+    """Construct the evosax object; its classes load only when they are used."""
+    import evosax.algorithms
+    import optax
+
+    if not hasattr(evosax.algorithms, name):
+        raise InputError(f"evosax has no strategy {name!r}")
+    if name in ("Open_ES", "CR_FM_NES") and batch % 2:
+        raise InputError(f"the strategy {name} needs an even batch, not {batch}")
+    if name == "Open_ES":
+        defaults = {
+            "optimizer": optax.adam(ADAM_RATE * sigma0),
+            "std_schedule": optax.constant_schedule(sigma0),
+        }
+        settings = {**defaults, **settings}
+    return getattr(evosax.algorithms, name)(
+        population_size=batch, solution=jnp.zeros(dim), **settings
+    )
+
+
+def strong(leaf: Any) -> jax.Array:
+    """Give a leaf its dtype for good: a Python number in a state would be traced twice."""
+    return jnp.asarray(leaf, jnp.asarray(leaf).dtype)
+
+
+def wrap(algorithm: Any, sigma0: float) -> Strategy:
+    """Give an evosax object the face of a `Strategy`."""
+    params = algorithm.default_params
+    if hasattr(params, "std_init"):
+        params = params.replace(std_init=jnp.full_like(jnp.asarray(params.std_init), sigma0))
+    batch = algorithm.population_size
+
+    def init(mean: Array, key: Array) -> EvosaxState:
+        inner = algorithm.init(key, mean, params)
+        inner = inner.replace(best_solution=mean)  # evosax puts NaN there
+        return EvosaxState(jax.tree.map(strong, inner), key)
+
+    def ask(state: EvosaxState, key: Array) -> tuple[Array, EvosaxState]:
+        ask_key, tell_key = jax.random.split(key)
+        solutions, inner = algorithm.ask(ask_key, state.inner, params)
+        return solutions, EvosaxState(inner, tell_key)
+
+    def tell(
+        state: EvosaxState, solutions: Array, order: Array, parents: Array, evaluated: Array
+    ) -> EvosaxState:
+        ranks = jnp.zeros(batch, jnp.int32).at[order].set(jnp.arange(batch, dtype=jnp.int32))
+        rows = jnp.where((ranks < evaluated)[:, None], solutions, state.inner.mean)
+        fitness = ranks.astype(solutions.dtype)  # evosax minimises: the best has rank 0
+        told, _ = algorithm.tell(state.key, rows, fitness, state.inner, params)
+        inner = jax.tree.map(
+            lambda new, old: strong(jnp.where(parents > 0, new, old)), told, state.inner
+        )
+        return EvosaxState(inner, state.key)
+
+    def exhausted(state: EvosaxState) -> jax.Array:
+        step = jnp.asarray(state.inner.std).max()
+        healthy = (step >= SMALLEST_STEP) & jnp.isfinite(step)
+        return ~(healthy & jnp.isfinite(state.inner.mean).all())
+
+    return Strategy(init, ask, tell, exhausted)

@@ -1,0 +1,120 @@
+"""CMA-ES with a full covariance matrix, decomposed when it is due."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.search.strategies.base import (
+    Strategy,
+    adapt_step_size,
+    degenerate,
+    follow_path,
+    matmul,
+    path_is_short,
+    rank_one_decay,
+    ranked_parents,
+    stretch_cov_path,
+)
+from qdenv.search.strategies.rates import full_rates, pick, rates_row, rates_table
+from qdenv.types import Array
+
+
+class FullState(NamedTuple):
+    """State of `full` for one emitter."""
+
+    mean: Array  # float [P]
+    sigma: Array  # float
+    path: Array  # float [P]
+    evaluations: Array  # int32, successful ones since the last restart
+    cov_path: Array  # float [P]
+    covariance: Array  # float [P, P]
+    basis: Array  # float [P, P], eigenvectors of the covariance at the last refresh
+    eigenvalues: Array  # float [P], at the last refresh
+    refreshed: Array  # int32, `evaluations` at the last refresh
+
+
+def refresh_gap(dim: int, batch: int) -> float:
+    """Compute after how many evaluations of an emitter the eigensystem is due (pyribs)."""
+    rates = rates_row(max(batch // 2, 1), batch, dim, full_rates)
+    return 0.5 * batch / (dim * (rates.rank_one + rates.rank_mu))
+
+
+def full(dim: int, batch: int, sigma0: float) -> Strategy:
+    """Make CMA-ES with pyribs' rules: positive weights, eigendecomposition when it is due.
+
+    Costs O(b P^2) per iteration and O(P^3) per refresh: for P up to some hundreds. Under a vmap
+    over whole searches the refresh is computed at every ask (a branch under vmap becomes a
+    select). As in pyribs the covariance path is not divided by sigma and the rank-one term
+    carries its rate twice.
+    """
+    table = rates_table(batch, dim, full_rates)
+    gap = np.float32(refresh_gap(dim, batch))
+
+    def init(mean: Array, key: Array) -> FullState:
+        zeros, identity = jnp.zeros_like(mean), jnp.eye(dim, dtype=mean.dtype)
+        sigma, never = jnp.asarray(sigma0, mean.dtype), jnp.int32(0)
+        return FullState(
+            mean, sigma, zeros, never, zeros, identity, identity, jnp.ones_like(mean), never
+        )
+
+    def ask(state: FullState, key: Array) -> tuple[Array, FullState]:
+        noise = jax.random.normal(key, (batch, dim), state.mean.dtype)
+        transform = state.basis * jnp.sqrt(state.eigenvalues)
+        return state.mean + state.sigma * matmul(noise, transform.T), state
+
+    def tell(
+        state: FullState, solutions: Array, order: Array, parents: Array, evaluated: Array
+    ) -> FullState:
+        rates = pick(table, parents)
+        evaluations = state.evaluations + evaluated
+        rows = ranked_parents(solutions, order, parents, state.mean)
+        mean = (rates.weights[:, None] * rows).sum(axis=0)
+        step = mean - state.mean
+        along = matmul(step, state.basis) / jnp.sqrt(state.eigenvalues)
+        path = follow_path(state.path, matmul(state.basis, along), state.sigma, rates)
+        short = path_is_short(path, evaluations, batch, rates)
+        cov_path = stretch_cov_path(state.cov_path, step, short, rates)
+        steps = rows - state.mean
+        covariance = (
+            state.covariance * (1 - rank_one_decay(short, rates) - rates.rank_mu)
+            + rates.rank_one**2 * jnp.outer(cov_path, cov_path)
+            + rates.rank_mu / state.sigma**2 * matmul((rates.weights[:, None] * steps).T, steps)
+        )
+        return state._replace(
+            mean=mean,
+            sigma=adapt_step_size(state.sigma, path, rates),
+            path=path,
+            evaluations=evaluations,
+            cov_path=cov_path,
+            covariance=covariance,
+        )
+
+    def due(state: FullState) -> jax.Array:
+        return state.evaluations > state.refreshed + gap
+
+    def exhausted(state: FullState) -> jax.Array:
+        return degenerate(state.sigma, state.eigenvalues)
+
+    def refresh(states: FullState) -> FullState:
+        def one(state: FullState) -> FullState:
+            return jax.lax.cond(due(state), decompose, lambda same: same, state)
+
+        # Not a vmap: under it each branch would be taken and every ask would decompose.
+        return jax.lax.cond(
+            jax.vmap(due)(states).any(), lambda s: jax.lax.map(one, s), lambda s: s, states
+        )
+
+    return Strategy(init, ask, tell, exhausted, refresh)
+
+
+def decompose(state: FullState) -> FullState:
+    """Renew the eigensystem of the covariance matrix."""
+    covariance = jnp.maximum(state.covariance, state.covariance.T)
+    eigenvalues, basis = jnp.linalg.eigh(covariance)
+    # Rounding may leave tiny negative values.
+    eigenvalues = jnp.maximum(jnp.abs(eigenvalues), jnp.finfo(eigenvalues.dtype).tiny)
+    return state._replace(
+        covariance=covariance, basis=basis, eigenvalues=eigenvalues, refreshed=state.evaluations
+    )
