@@ -7,7 +7,7 @@ import pytest
 
 from qdenv.domains import DOMAINS
 from qdenv.generate.decode import choose_tiles, inside_frame
-from qdenv.generate.nca import grow_frames, grow_population, make_generator, seed_canvas
+from qdenv.generate.nca import grow_population, make_generator, seed_canvas
 from qdenv.grid import draw
 from qdenv.types import InputError
 
@@ -57,13 +57,15 @@ def test_flat_vector_fills_every_weight_once():
     np.testing.assert_array_equal(values, np.arange(generator.size))
 
 
-def test_frames_continue_one_growth():
+def test_growth_continues_where_it_stopped():
     generator = make_generator(3, (3, 1), hidden=4)
     flat = jax.random.normal(jax.random.key(1), (generator.size,))
     start = seed_canvas(("e",), 5, 5, ".@e")
-    frames = grow_frames(generator, flat, start, (0, 2, 5))
-    np.testing.assert_array_equal(frames[0], start)
-    np.testing.assert_array_equal(frames[2], generator.grow(flat, start, 5))
+    np.testing.assert_array_equal(generator.grow(flat, start, 0), start)
+    halfway = generator.grow(flat, start, 2)
+    np.testing.assert_allclose(
+        generator.grow(flat, halfway, 3), generator.grow(flat, start, 5), atol=1e-6
+    )
 
 
 def test_a_solution_grows_alike_in_any_company():

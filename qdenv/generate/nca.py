@@ -105,22 +105,6 @@ def grow_population(generator: Generator, parameters: Array, start: Array, steps
     return jax.lax.map(lambda one: generator.grow(one, start, steps), parameters)
 
 
-def grow_frames(
-    generator: Generator, parameters: Array, start: Array, steps: Sequence[int]
-) -> list[Array]:
-    """Grow one solution and keep the cells after each number of `steps` (Figure 6).
-
-    Returns:
-        one float32 [H, W, K] for each entry of the ascending `steps`.
-    """
-    frames, cells, done = [], start, 0
-    for step in steps:
-        cells = generator.grow(parameters, cells, step - done)
-        frames.append(cells)
-        done = step
-    return frames
-
-
 def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> np.ndarray:
     """Draw the fixed start canvas: `block` in the middle of empty tiles, one-hot (Figure 9).
 

@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from qdenv.domains import find_domain
 from qdenv.domains.base import Domain
+from qdenv.formats.layouts import write_layout
 from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.run.config import RunConfig
 from qdenv.run.records import Metrics, RunDirectory
@@ -114,7 +115,8 @@ def train(
         InputError: a setting is impossible, the folder holds a run already or is read-only.
     """
     study = make_study(config, domain)
-    return _run(study, config, RunDirectory.create(path, config), progress)
+    run = RunDirectory.create(path, config, study.measures, study.domain.tiles)
+    return _run(study, config, run, progress)
 
 
 def resume(
@@ -176,9 +178,28 @@ def _run(study: Study, config: RunConfig, run: RunDirectory, progress: bool) -> 
         )
         if iteration % config.checkpoint_every == 0 or iteration == total:
             run.save_checkpoint(iteration, state, init(study.search_key))
-            run.save_archive(elites(study.algorithm, state))
+            _publish(run, study, elites(study.algorithm, state))
     bar.close()
     return run
+
+
+def _publish(run: RunDirectory, study: Study, archive: dict[str, np.ndarray]) -> None:
+    """Write the archive and its best layout."""
+    run.save_archive(archive)
+    if len(archive["index"]) == 0:
+        return
+    row = int(np.argmax(archive["objective"]))
+    details = {
+        "domain": study.domain.name,
+        "objective": float(archive["objective"][row]),
+        "measures": {
+            measure.name: float(value)
+            for measure, value in zip(study.measures, archive["measures"][row], strict=True)
+        },
+        "similarity": float(archive["similarity"][row]),
+    }
+    layout = archive["repaired"][row]
+    write_layout(run.path / "best_layout.json", layout, study.domain.tiles, **details)
 
 
 def _summary(algorithm: Algorithm, state: Any) -> tuple[Array, Array, Array]:

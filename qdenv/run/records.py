@@ -14,6 +14,7 @@ import io
 import json
 import platform
 import subprocess
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -25,7 +26,7 @@ import numpy as np
 from qdenv.files import write_atomically
 from qdenv.run.checkpoint import load_checkpoint, save_checkpoint
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
-from qdenv.types import InputError
+from qdenv.types import InputError, Measure
 
 SCHEMA = 1
 KEPT_CHECKPOINTS = 2
@@ -50,8 +51,16 @@ class RunDirectory:
     path: Path
 
     @classmethod
-    def create(cls, path: str | Path, config: RunConfig) -> "RunDirectory":
+    def create(
+        cls, path: str | Path, config: RunConfig, measures: Sequence[Measure], tiles: str
+    ) -> "RunDirectory":
         """Start a run's folder.
+
+        Args:
+            path: the folder; made if need be.
+            config: the resolved configuration.
+            measures: axes of the archive.
+            tiles: alphabet of the layouts.
 
         Raises:
             InputError: there is a run already, or the place cannot be written to.
@@ -59,7 +68,7 @@ class RunDirectory:
         run = cls(Path(path))
         if (run.path / "config.json").exists():
             raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
-        write_atomically(run.path / "manifest.json", _json(_manifest()))
+        write_atomically(run.path / "manifest.json", _json(_manifest(measures, tiles)))
         run.write_metrics([])
         run.write_config(config)  # last: a folder with a configuration counts as a run
         return run
@@ -86,6 +95,17 @@ class RunDirectory:
     def config(self) -> RunConfig:
         """The resolved configuration."""
         return config_from_json(self._read_json("config.json"), self.path / "config.json")
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """The axes of the archive."""
+        axes = self._read_json("manifest.json")["measures"]
+        return tuple(Measure(**axis) for axis in axes)
+
+    @property
+    def tiles(self) -> str:
+        """The alphabet of the layouts."""
+        return self._read_json("manifest.json")["tiles"]
 
     def write_metrics(self, rows: list[Metrics]) -> None:
         """Replace metrics.csv."""
@@ -159,9 +179,12 @@ def _json(content: dict[str, Any]) -> bytes:
     return (json.dumps(content, indent=1) + "\n").encode()
 
 
-def _manifest() -> dict[str, Any]:
+def _manifest(measures: Sequence[Measure], tiles: str) -> dict[str, Any]:
+    axes = ("name", "low", "high", "cells")
     return {
         "schema": SCHEMA,
+        "measures": [{axis: getattr(measure, axis) for axis in axes} for measure in measures],
+        "tiles": tiles,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {"python": platform.python_version()}
         | {name: _version(name) for name in _PACKAGES},

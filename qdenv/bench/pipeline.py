@@ -1,0 +1,113 @@
+"""Benchmark of the whole chain: evaluations per minute of a preset, and where the time goes."""
+
+import json
+import resource
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import numpy as np
+import tyro
+
+from qdenv.files import write_atomically
+from qdenv.pipeline import PipelinedEvaluator
+from qdenv.presets import find_preset
+from qdenv.run.loop import Study, kept, make_study
+
+
+def run(
+    preset: str = "warehouse-even",
+    iterations: int = 3,
+    seed: int = 0,
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
+) -> dict[str, Any]:
+    """Search for some iterations, then take one more apart stage by stage.
+
+    Compilation happens in an iteration of its own and is reported apart.
+
+    Args:
+        preset: a named configuration.
+        iterations: timed iterations of the pipelined loop.
+        seed: of the search.
+        json_file: where to write the result.
+    """
+    study = make_study(replace(find_preset(preset), seed=seed))
+    evaluator = PipelinedEvaluator(study.pipeline)
+    tell = jax.jit(study.algorithm.tell, donate_argnums=0)
+    ask = jax.jit(study.algorithm.ask, donate_argnums=0)
+    state = study.algorithm.init(study.search_key)
+
+    def step(state: Any, number: int) -> Any:
+        solutions, state = ask(state)
+        evaluation = evaluator(solutions, jax.random.fold_in(study.evaluation_key, number))
+        return tell(state, solutions, evaluation.score, kept(evaluation))
+
+    def repeat(state: Any) -> Any:
+        for number in range(iterations):
+            state = step(state, number + 1)
+        return jax.block_until_ready(state)
+
+    first = timed(lambda: jax.block_until_ready(step(state, 0)))
+    state = first.pop("result")
+    loop = timed(lambda: repeat(state))
+    state = loop.pop("result")
+    batch = study.algorithm.batch_size
+    result = {
+        "preset": preset,
+        "evaluations": iterations * batch,
+        "evaluations_per_minute": 60 * iterations * batch / loop["wall"],
+        "cpu_seconds_per_evaluation": loop["cpu"] / (iterations * batch),
+        "first_iteration_with_compilation": first,
+        "peak_memory_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "cpu_share_percent": split(study, state),
+    }
+    print(json.dumps(result, indent=1))
+    if json_file:
+        write_atomically(json_file, (json.dumps(result, indent=1) + "\n").encode())
+    return result
+
+
+def split(study: Study, state: Any) -> dict[str, float]:
+    """Run an iteration stage by stage and give each stage's share of the CPU seconds."""
+    stage_by_stage(study, state, study.pipeline.repair_seed)  # compiles
+    # Another repair seed, so that no repair is remembered.
+    spent = stage_by_stage(study, state, study.pipeline.repair_seed + 1)
+    total = sum(spent.values())
+    return {name: round(100 * seconds / total, 2) for name, seconds in spent.items()}
+
+
+def stage_by_stage(study: Study, state: Any, repair_seed: int) -> dict[str, float]:
+    """Run an iteration with every stage on its own: CPU seconds of each."""
+    pipeline, algorithm, spent = study.pipeline, study.algorithm, Counter()
+
+    def clock(name: str, work: Callable, *given: Any) -> Any:
+        measured = timed(lambda: jax.block_until_ready(work(*given)))
+        spent[name] += measured["cpu"]
+        return measured["result"]
+
+    solutions, state = clock("search", jax.jit(algorithm.ask), state)
+    unrepaired = np.asarray(clock("NCA", jax.jit(pipeline.grow), solutions))
+    repair = clock("repair", pipeline.pool.repair, unrepaired, repair_seed)
+    indices = np.arange(len(unrepaired))
+    runs = clock("simulate", jax.jit(pipeline.simulate), repair.layout, indices, study.search_key)
+    evaluation = clock(
+        "score", jax.jit(pipeline.score), unrepaired, repair.layout, repair.status, runs
+    )
+    tell = jax.jit(algorithm.tell)
+    clock("search", tell, state, solutions, evaluation.score, kept(evaluation))
+    return spent
+
+
+def timed(work: Callable[[], Any]) -> dict[str, Any]:
+    """Measure wall and CPU seconds of all threads."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    result = work()
+    return {
+        "wall": time.perf_counter() - wall,
+        "cpu": time.process_time() - cpu,
+        "result": result,
+    }

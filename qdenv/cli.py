@@ -1,0 +1,55 @@
+"""The command line `qdenv`: choose a command, turn mistakes into one line and exit code 2."""
+
+import os
+
+# Before numpy is loaded: small eigenproblems on shared cores lose tenfold to BLAS threads.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import tyro
+
+from qdenv.commands import layouts, runs, traffic
+from qdenv.types import InputError
+
+COMMANDS: dict[str, Callable] = {
+    "train": runs.Train,
+    "resume": runs.resume,
+    "plot": runs.plot,
+    "presets": runs.presets,
+    "generate": runs.generate,
+    "repair": layouts.repair,
+    "check": layouts.check,
+    "simulate": traffic.simulate,
+    "sweep": traffic.sweep,
+}
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command and return its exit code.
+
+    Args:
+        arguments: what follows `qdenv` on the command line.
+    """
+    try:
+        if arguments[:1] == ["train"]:
+            runs.train(arguments[1:])
+            return 0
+        code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="qdenv", args=arguments)
+        return code if isinstance(code, int) else 0
+    except InputError as error:
+        print(f"qdenv: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("qdenv: stopped; `qdenv resume RUN_DIR` continues a run", file=sys.stderr)
+        return 130
+
+
+def main() -> None:
+    """Run the command line with compiled programs kept between calls."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "qdenv" / "jax"
+    jax.config.update("jax_compilation_cache_dir", str(cache))
+    sys.exit(run(sys.argv[1:]))

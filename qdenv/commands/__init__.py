@@ -1,0 +1,1 @@
+"""The commands of `qdenv`, by subject: parse, call, print."""

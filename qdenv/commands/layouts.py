@@ -1,0 +1,106 @@
+"""Commands about layouts: repair, check."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+
+from qdenv.domains import find_domain
+from qdenv.domains.base import Domain
+from qdenv.files import write_atomically
+from qdenv.formats.layouts import read_layout, write_layout
+from qdenv.plots.layouts import save_difference
+from qdenv.repair.audit import audit
+from qdenv.repair.bounds import impossible
+from qdenv.repair.solver import RepairConfig
+from qdenv.repair.solver import repair as repair_layout
+from qdenv.score.layout import similarity
+from qdenv.types import InputError, RepairStatus, Rules
+
+LayoutFile = tyro.conf.Positional[Path]
+JsonFile = Annotated[Path | None, tyro.conf.arg(name="json")]
+
+
+def rules_of(domain: Domain, layout: np.ndarray, shelves: int | None) -> Rules:
+    """State the rules of a layout's canvas; its own number of shelves unless one is given.
+
+    Raises:
+        InputError: the domain has no rules.
+    """
+    if domain.rules is None:
+        raise InputError(f"layouts of {domain.name} have no rules: there is nothing to do")
+    own = int((layout == domain.tiles.find("@")).sum())
+    return domain.rules(*layout.shape, own if shelves is None else shelves)
+
+
+def repair(
+    layout: LayoutFile,
+    domain: str = "warehouse-even",
+    shelves: int | None = None,
+    seed: int = 0,
+    polish: Literal["none", "quick", "full"] = "full",
+    out: Path | None = None,
+    diff: Path | None = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Repair a layout: the closest one that obeys every rule of its domain.
+
+    Args:
+        layout: layout file.
+        domain: whose rules.
+        shelves: exact number of shelves; as many as the layout has unless given.
+        seed: other seeds may give other, equally good layouts.
+        polish: how hard to try after the first feasible layout.
+        out: layout file to write.
+        diff: picture of what changed to write.
+        json_file: facts to write.
+    """
+    kind = find_domain(domain)
+    before = read_layout(layout, kind.tiles)
+    rules = rules_of(kind, before, shelves)
+    reason = impossible(rules)
+    if reason:
+        raise InputError(f"{layout}: no repair exists: {reason}")
+    result = repair_layout(before, rules, seed, RepairConfig(polish=polish))
+    broken = audit(result.layout, rules)
+    facts = {
+        "status": RepairStatus(int(result.status)).name.lower(),
+        "hamming": float(result.hamming),
+        "lower_bound": float(result.lower_bound),
+        "gap": float((result.hamming - result.lower_bound) / max(result.hamming, 1.0)),
+        "similarity": float(similarity(before, result.layout, kind.price(before))),
+        "cpu_seconds": round(float(result.seconds), 3),
+        "broken_before": len(audit(before, rules)),
+        "valid": not broken,
+    }
+    if result.status < RepairStatus.IMPOSSIBLE and out:
+        write_layout(out, result.layout, kind.tiles, domain=kind.name, repaired_from=layout.name)
+    if diff:
+        save_difference(diff, before, result.layout, kind.tiles)
+    if json_file:
+        write_atomically(json_file, (json.dumps(facts, indent=1) + "\n").encode())
+    print("\n".join(f"{name:13} {value}" for name, value in facts.items()))
+    if broken:
+        raise InputError(f"{layout}: no feasible layout was found: try another seed")
+
+
+def check(
+    layout: LayoutFile, domain: str = "warehouse-even", shelves: int | None = None
+) -> int | None:
+    """Check a layout against its domain's rules: exit code 0, or 1 and what is broken.
+
+    Args:
+        layout: layout file.
+        domain: whose rules.
+        shelves: exact number of shelves to demand; not checked unless given.
+    """
+    kind = find_domain(domain)
+    tiles = read_layout(layout, kind.tiles)
+    broken = audit(tiles, rules_of(kind, tiles, shelves))
+    for violation in broken:
+        row, column = violation.cell
+        print(f"{violation.message} (row {row}, column {column})")
+    print(f"{layout}: {len(broken)} rules broken" if broken else f"{layout}: obeys every rule")
+    return 1 if broken else 0
