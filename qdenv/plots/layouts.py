@@ -1,0 +1,130 @@
+"""Pictures of layouts: one colour per tile, and what a repair changed."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from qdenv.files import write_atomically
+
+COLOURS = {
+    ".": "#ffffff",
+    "@": "#2b2b2b",
+    "e": "#9dc3f2",
+    "w": "#f4a6c8",
+    "0": "#d64545",
+    "1": "#4aa564",
+    "2": "#f2c94c",
+    "X": "#8a8a8a",
+    " ": "#ffffff",
+}
+NAMES = {
+    ".": "empty",
+    "@": "shelf",
+    "e": "endpoint",
+    "w": "workstation",
+    "0": "station 0",
+    "1": "station 1",
+    "2": "station 2",
+    "X": "wall",
+    " ": "empty",
+}
+UNKNOWN = "#b39ddb"  # tiles of a user's own domain
+LINES = "#d9d9d9"
+CHANGED = "#e8590c"
+CELL = 0.14  # inches per cell, so that the tiles of a 33 x 36 layout are told apart at a glance
+LARGEST = 14.0  # inches
+
+
+def draw_layout(layout: np.ndarray, tiles: str, ax: Axes | None = None) -> Axes:
+    """Draw a layout with a legend of the tiles it holds.
+
+    Args:
+        layout: int8 [H, W].
+        tiles: the alphabet.
+        ax: where to draw; a new figure unless given.
+
+    Returns:
+        The axes; their figure is registered nowhere and vanishes with them.
+    """
+    layout = np.asarray(layout)
+    ax = _new_figure(layout.shape, 1).axes[0] if ax is None else ax
+    colours = ListedColormap([COLOURS.get(tile, UNKNOWN) for tile in tiles])
+    ax.imshow(layout, cmap=colours, vmin=-0.5, vmax=len(tiles) - 0.5, interpolation="nearest")
+    rows, cols = layout.shape
+    if max(rows, cols) <= 60:  # finer than this, lines hide the tiles
+        ax.set_xticks(np.arange(cols + 1) - 0.5, minor=True)
+        ax.set_yticks(np.arange(rows + 1) - 0.5, minor=True)
+        ax.grid(which="minor", color=LINES, linewidth=0.4)
+    ax.tick_params(which="both", length=0, labelbottom=False, labelleft=False)
+    present = [kind for kind in range(len(tiles)) if (layout == kind).any()]
+    handles = [
+        Patch(
+            facecolor=COLOURS.get(tiles[kind], UNKNOWN),
+            edgecolor="#999999",
+            label=f"{NAMES.get(tiles[kind], repr(tiles[kind]))} {np.sum(layout == kind)}",
+        )
+        for kind in present
+    ]
+    ax.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.01),
+        ncols=min(len(handles), 5),
+        frameon=False,
+        fontsize=8,
+        handlelength=1.0,
+        columnspacing=1.2,
+    )
+    return ax
+
+
+def save_layout(path: str | Path, layout: np.ndarray, tiles: str) -> None:
+    """Write a picture of `layout` (int8 [H, W]); the ending of `path` chooses the format."""
+    figure = _new_figure(np.shape(layout), 1)
+    draw_layout(layout, tiles, figure.axes[0])
+    _write(figure, path)
+
+
+def save_difference(path: str | Path, before: np.ndarray, after: np.ndarray, tiles: str) -> None:
+    """Write `before` and `after` (int8 [H, W]) side by side, every changed cell framed."""
+    before, after = np.asarray(before), np.asarray(after)
+    figure = _new_figure(before.shape, 2)
+    changed = np.argwhere(before != after)
+    for ax, layout, title in zip(figure.axes, (before, after), ("before", "after"), strict=True):
+        draw_layout(layout, tiles, ax)
+        ax.set_title(f"{title}, {len(changed)} cells changed" if title == "after" else title)
+        row, col = changed.T if len(changed) else (np.zeros(0), np.zeros(0))
+        side = 0.85 * 72 * _scale(before.shape)
+        ax.scatter(col, row, s=side**2, marker="s", facecolors="none", edgecolors=CHANGED, lw=0.9)
+    _write(figure, path)
+
+
+def _scale(shape: tuple[int, ...]) -> float:
+    """Inches per cell of a layout of this shape."""
+    return min(CELL, LARGEST / max(shape))
+
+
+def _new_figure(shape: tuple[int, ...], panels: int) -> Figure:
+    """Make a figure with `panels` axes side by side, sized so that cells are square.
+
+    Built without pyplot, which would keep every figure alive and pick a window system.
+    """
+    rows, cols = (side * _scale(shape) for side in shape)
+    figure = Figure(figsize=(panels * (cols + 0.3), rows + 0.75), layout="none")
+    width, height = figure.get_size_inches()
+    for panel in range(panels):
+        left = (panel * (cols + 0.3) + 0.15) / width
+        figure.add_axes((left, 0.42 / height, cols / width, rows / height))
+    return figure
+
+
+def _write(figure: Figure, path: str | Path) -> None:
+    """Write the figure in one step: a reader never sees half a file."""
+    picture, path = io.BytesIO(), Path(path)
+    figure.savefig(picture, format=path.suffix.lstrip(".") or "png", dpi=150)
+    write_atomically(path, picture.getvalue())
