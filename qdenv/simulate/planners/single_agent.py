@@ -1,0 +1,273 @@
+"""The best path of one agent through a window, given what the others have reserved.
+
+Every set of cells is a square of bits around the agent, one word per row. Which cells can be
+reached at time t + 1 follows from those at time t by shifting words. The sets are kept apart by
+
+    level  0 on the way to the current goal, 1 on the way to the next one;
+    layer  how many reservations were driven over so far: 0, 1, ..., and the last layer for more.
+
+Only the end of a path has a price: the steps still to go from there, plus a penalty per layer. The
+path itself is read off backwards by asking which neighbour was reachable one step before. Going
+back it prefers to wait, so the path drives early and waits late.
+
+While an agent serves at a goal it is in no set; bit e of `served` says that a path exists by which
+it has been serving for e timesteps.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from qdenv.types import Array
+
+REACH = 10  # cells in sight to each side: the longest window
+SIDE = 2 * REACH + 1
+FULL = (1 << SIDE) - 1
+UNIT = 4  # prices are counted in quarters of a timestep
+CODE_BITS = 12  # room for the end of a path: level, layer, row, column
+NEVER = 2**30
+LONGEST_STAY = 20  # elapsed service is one bit of a word, for a whole window longer
+
+
+class View(NamedTuple):
+    """What K agents see around them.
+
+    Attributes:
+        taken: uint32 [window, 5, 21, K], reserved cells and moves (`reservation`).
+        free: uint32 [21, K], cells without walls.
+        goal: uint32 [21, 2, K], the current and the next goal, where in sight.
+        price: int32 [2, 21, 21, K], quarter steps to go from each cell, per level.
+        tail: int32 [K], quarter steps to go once the current goal is done.
+        stay: int32 [2, K], timesteps to serve at each goal.
+        serving: int32 [K], timesteps still to serve where the agent stands; 0 while driving.
+        penalty: int32 [K], quarter steps per layer.
+        noise: int32 [K], random bits that settle ties.
+    """
+
+    taken: Array
+    free: Array
+    goal: Array
+    price: Array
+    tail: Array
+    stay: Array
+    serving: Array
+    penalty: Array
+    noise: Array
+
+
+def or_rows(words: Array) -> jax.Array:
+    """Tell whether any row has a bit set (uint32 [21, ...] -> bool [...])."""
+    return jax.lax.reduce(words, jnp.uint32(0), jax.lax.bitwise_or, (0,)) != 0
+
+
+def next_layer(words: Array, axis: int) -> jax.Array:
+    """Move every layer to the next; the last one also keeps what it has."""
+    layers = words.shape[axis]
+    if layers == 1:
+        return words
+    cut = lambda low, high: jax.lax.slice_in_dim(words, low, high, axis=axis)  # noqa: E731
+    last = cut(layers - 2, layers - 1) | cut(layers - 1, layers)
+    first = jnp.zeros_like(last)
+    return jnp.concatenate([first, cut(0, layers - 2), last], axis)
+
+
+def clashes(taken: Array) -> tuple[jax.Array, ...]:
+    """Mark where arriving would conflict: by waiting, moving right, left, down, up."""
+    cell, right, left, down, up = (taken[plane] for plane in range(5))
+    return cell, cell | left, cell | right, cell | up, cell | down
+
+
+def advance(view: View, state: tuple[Array, Array], taken: Array) -> tuple[Array, Array]:
+    """Take one timestep: (reached [21, 2, layers, K], served [2, layers, K])."""
+    reached, served = state
+    edge = jnp.zeros_like(reached[:1])
+    moves = (
+        reached,
+        reached << 1,
+        reached >> 1,
+        jnp.concatenate([edge, reached[:-1]]),
+        jnp.concatenate([reached[1:], edge]),
+    )
+    free = view.free[:, None, None]
+    clean = dirty = jnp.zeros_like(reached)
+    for move, clash in zip(moves, clashes(taken), strict=True):
+        clean = clean | (move & free & ~clash[:, None, None])
+        dirty = dirty | (move & free & clash[:, None, None])
+    reached = clean | next_layer(dirty, 2)
+
+    goal = view.goal[:, :, None]
+    disturbed = or_rows(taken[0][:, None] & view.goal)[:, None]
+    longer = served << 1
+    kept = jnp.where(disturbed, 0, longer)
+    served = kept | next_layer(jnp.where(disturbed, longer, jnp.uint32(0)), 1)
+    served = served | or_rows(reached & goal).astype(jnp.uint32)
+    done = (served[0] >> view.stay[0].astype(jnp.uint32)) & 1
+    leaving = jnp.where(done == 1, goal[:, 0], jnp.uint32(0))
+    onward = jnp.stack([jnp.zeros_like(leaving), leaving], 1)
+    return (reached & ~goal) | onward, served
+
+
+def start(view: View, layers: int) -> tuple[Array, Array]:
+    """Set what is reached before the first step: the middle, or the service under way."""
+    count = view.penalty.shape[0]
+    driving = view.serving == 0
+    reached = jnp.zeros((SIDE, 2, layers, count), jnp.uint32)
+    reached = reached.at[REACH, 0, 0].set(jnp.where(driving, jnp.uint32(1 << REACH), 0))
+    elapsed = (view.stay[0] - view.serving).astype(jnp.uint32)
+    served = jnp.zeros((2, layers, count), jnp.uint32)
+    return reached, served.at[0, 0].set(jnp.where(driving, 0, jnp.uint32(1) << elapsed))
+
+
+def cheapest_end(view: View, reached: Array, served: Array) -> tuple[Array, Array]:
+    """Choose where to be after the window (price, code), both int32 [K]."""
+    layers, count = reached.shape[2:]
+    column = jnp.arange(SIDE, dtype=jnp.uint32)[:, None]
+    noise = view.noise & ((1 << CODE_BITS) - 1)
+    best = jnp.full((count,), NEVER, jnp.int32)
+    for level in range(2):
+        for layer in range(layers):
+            block = level * layers + layer
+            code = block * SIDE**2 + jnp.arange(SIDE**2).reshape(SIDE, SIDE, 1)
+            here = (reached[:, level, layer][:, None] >> column) & 1
+            price = view.price[level] + layer * view.penalty
+            key = jnp.where(here == 1, (price << CODE_BITS) | (code ^ noise), NEVER)
+            best = jnp.minimum(best, key.min((0, 1)))
+            best = jnp.minimum(best, serving_end(view, served, level, layer, noise))
+    return best >> CODE_BITS, jnp.where(best < NEVER, (best ^ noise) & ((1 << CODE_BITS) - 1), 0)
+
+
+def serving_end(view: View, served: Array, level: int, layer: int, noise: Array) -> jax.Array:
+    """Find the cheapest way to end the window while serving (key int32 [K])."""
+    layers = served.shape[1]
+    elapsed = jnp.arange(32)[:, None]
+    code = 2 * layers * SIDE**2 + (level * layers + layer) * 32 + elapsed
+    here = (served[level, layer] >> elapsed.astype(jnp.uint32)) & 1
+    todo = UNIT * jnp.maximum(view.stay[level] - elapsed, 0)
+    price = todo + (1 - level) * view.tail + layer * view.penalty
+    return jnp.where(here == 1, (price << CODE_BITS) | (code ^ noise), NEVER).min(0)
+
+
+class Trail(NamedTuple):
+    """Where the path is while it is read backwards, all int32 [K]; `elapsed` is -1 if driving."""
+
+    level: Array
+    layer: Array
+    row: Array
+    column: Array
+    elapsed: Array
+
+
+def decode(view: View, code: Array, layers: int) -> Trail:
+    """Find the end of the path that `cheapest_end` chose."""
+    cells = 2 * layers * SIDE**2
+    serving = code >= cells
+    block = jnp.where(serving, (code - cells) // 32, code // SIDE**2)
+    level, layer = block // layers, block % layers
+    goal_row, goal_column = goal_cell(view, level)
+    row = jnp.where(serving, goal_row, code % SIDE**2 // SIDE)
+    column = jnp.where(serving, goal_column, code % SIDE)
+    return Trail(level, layer, row, column, jnp.where(serving, (code - cells) % 32, -1))
+
+
+def goal_cell(view: View, level: Array) -> tuple[jax.Array, jax.Array]:
+    """Locate the goal of each agent's level in its view (row, column: int32 [K])."""
+    words = jnp.where(level == 0, view.goal[:, 0], view.goal[:, 1])
+    row = jnp.argmax(words != 0, axis=0).astype(jnp.int32)
+    column = jax.lax.clz(jnp.uint32(1)) - jax.lax.clz(words.max(0))
+    return row, jnp.maximum(column.astype(jnp.int32), 0)
+
+
+def step_back(
+    view: View, trail: Trail, taken: Array, reached: Array, served: Array, now: Array
+) -> Trail:
+    """Go from one timestep to the one before.
+
+    Args:
+        view: what the agents see.
+        trail: where the paths are at time t + 1.
+        taken: uint32 [5, 21, K], reservations between t and t + 1.
+        reached: uint32 [21, 2, layers, K] at time t.
+        served: uint32 [2, layers, K] at time t.
+        now: the same at time t + 1.
+    """
+    lane = jnp.arange(trail.level.shape[0])
+    layers = reached.shape[2]
+    level, layer, row, column, elapsed = trail
+    # Was the next goal's part of the path entered here, by finishing service at the current one?
+    on_goal = (view.goal[row, 0, lane] >> column.astype(jnp.uint32)) & 1 == 1
+    finished = (now[0, layer, lane] >> view.stay[0].astype(jnp.uint32)) & 1 == 1
+    entered = (elapsed < 0) & (level == 1) & on_goal & finished
+    level = jnp.where(entered, 0, level)
+    elapsed = jnp.where(entered, view.stay[0], elapsed)
+
+    def bit(words: Array, column: Array) -> jax.Array:
+        inside = (column >= 0) & (column < SIDE)
+        return inside & ((words >> jnp.clip(column, 0, 31).astype(jnp.uint32)) & 1 == 1)
+
+    fewer = jnp.maximum(layer - 1, 0)
+    last = layer == layers - 1
+    clash = [bit(word, column) for word in clashes(taken[:, row, lane])]
+
+    # Serving: the layer falls where the stay was disturbed.
+    held = elapsed > 0
+    previous = jnp.maximum(elapsed - 1, 0).astype(jnp.uint32)
+    from_fewer = (served[level, fewer, lane] >> previous) & 1 == 1
+    held_layer = jnp.where(clash[0] & (layer > 0) & from_fewer, fewer, layer)
+
+    # Driving: the first neighbour, in order of preference, from which this cell was reached.
+    best_rank = jnp.full_like(level, 99)
+    chosen = (row, column, layer)
+    flip = (view.noise >> CODE_BITS) & 1
+    for way, (down, right) in enumerate(((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))):
+        i, j = row - down, column - right
+        safe = jnp.clip(i, 0, SIDE - 1)
+        same = bit(reached[safe, level, layer, lane], j) & (i == safe)
+        less = bit(reached[safe, level, fewer, lane], j) & (i == safe) & (layer > 0)
+        ok = jnp.where(clash[way], less | (same & last), same)
+        # Waiting first; then along the row or along the column, as the agent's noise says.
+        rank = jnp.where(flip == 1, 5 - way, way) if way else 0
+        better = ok & (rank < best_rank)
+        best_rank = jnp.where(better, rank, best_rank)
+        to_layer = jnp.where(clash[way] & less, fewer, layer)
+        here = (i, j, to_layer)
+        chosen = tuple(jnp.where(better, new, old) for new, old in zip(here, chosen, strict=True))
+    return Trail(
+        level,
+        jnp.where(held, held_layer, chosen[2]),
+        jnp.where(held, row, chosen[0]),
+        jnp.where(held, column, chosen[1]),
+        jnp.where(held, elapsed - 1, -1),
+    )
+
+
+def plan(view: View, layers: int) -> tuple[jax.Array, jax.Array]:
+    """Find the best path of every agent in `view`.
+
+    Args:
+        view: what K agents see.
+        layers: how finely conflicts are counted; 1 for not at all.
+
+    Returns:
+        rows and columns relative to the start, int32 [2, window + 1, K], and the price int32 [K]
+        in quarter steps from the end of the window on (`NEVER` where nothing can be reached).
+    """
+    begin = start(view, layers)
+
+    def step(state: tuple[Array, Array], taken: Array) -> tuple[tuple[Array, Array], Array]:
+        state = advance(view, state, taken)
+        return state, state
+
+    (reached, served), history = jax.lax.scan(step, begin, view.taken)
+    price, code = cheapest_end(view, reached, served)
+    before = jax.tree.map(
+        lambda first, rest: jnp.concatenate([first[None], rest[:-1]]), begin, history
+    )
+    trail = decode(view, code, layers)
+
+    def back(trail: Trail, step: tuple) -> tuple[Trail, Array]:
+        return step_back(view, trail, *step), jnp.stack([trail.row, trail.column])
+
+    first, cells = jax.lax.scan(back, trail, (view.taken, *before, history[1]), reverse=True)
+    begin_cell = jnp.stack([first.row, first.column])
+    return jnp.concatenate([begin_cell[None], cells]).swapaxes(0, 1) - REACH, price
