@@ -75,6 +75,8 @@ class Domain:
             the result archive; the learning objective adds alpha times the similarity.
         price: unrepaired layout int8 [H, W] -> float32 [H, W], p_i / max p of the similarity.
         measures: axes of the archive.
+        design: (rows, cols) -> hand-made layout int8 [rows, cols], the baseline of appendix D.2;
+            raises `InputError` where nothing fits; None where people design none.
     """
 
     name: str
@@ -88,3 +90,4 @@ class Domain:
     objective: Callable[[Array, Any], Array]
     price: Callable[[Array], Array]
     measures: tuple[Measure, ...]
+    design: Callable[[int, int], Array] | None = None

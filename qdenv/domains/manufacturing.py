@@ -3,9 +3,10 @@
 import jax.numpy as jnp
 import numpy as np
 
+from qdenv.domains import designs
 from qdenv.domains.base import Domain
 from qdenv.domains.fleet import fleet_simulator
-from qdenv.grid import of_tiles
+from qdenv.grid import of_tiles, parse
 from qdenv.score import layout as score
 from qdenv.score.traffic import mean_throughput
 from qdenv.simulate.tasks import beside_goal
@@ -58,4 +59,6 @@ MANUFACTURING = Domain(
             "environment entropy", 0, 1, 100, lambda layout, runs: score.entropy(layout, len(TILES))
         ),
     ),
+    # As many stations of each kind as agents stay there, so that none is a bottleneck.
+    design=lambda rows, cols: parse(designs.stations(rows, cols, tuple(STAYS.values())), TILES),
 )

@@ -7,9 +7,11 @@ Even: every workstation is drawn alike. Uneven: those on the left border five ti
 import jax.numpy as jnp
 import numpy as np
 
+from qdenv.domains import designs
 from qdenv.domains.base import Domain
 from qdenv.domains.fleet import fleet_simulator
 from qdenv.generate.decode import inside_frame, put_in_frame
+from qdenv.grid import parse
 from qdenv.score import layout as score
 from qdenv.score.traffic import mean_throughput
 from qdenv.simulate.tasks import favour_left, tile_goal
@@ -40,6 +42,11 @@ def frame(tiles: Array) -> Array:
     """Add two fixed columns on each side: workstations outside, a free lane inside."""
     rows, cols = tiles.shape
     return put_in_frame(tiles, border(rows, cols + 2 * MARGIN[1]), MARGIN)
+
+
+def design(rows: int, cols: int) -> np.ndarray:
+    """Draw the hand-made warehouse of `rows` x `cols`, frame included (int8 [rows, cols])."""
+    return np.asarray(frame(parse(designs.shelf_blocks(rows, cols - 2 * MARGIN[1]), TILES)))
 
 
 def rules(rows: int, cols: int, shelves: int) -> Rules:
@@ -89,6 +96,7 @@ def warehouse(name: str, left: float) -> Domain:
                 lambda layout, runs: score.entropy(inside_frame(layout, MARGIN), len(GENERATED)),
             ),
         ),
+        design=design,
     )
 
 

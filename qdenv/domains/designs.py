@@ -1,0 +1,122 @@
+"""Layouts people design by hand, at any size: the baselines of appendix D.2, as drawings.
+
+Each function draws the area that a generator would draw; the domains add their frames.
+"""
+
+import numpy as np
+
+from qdenv.types import InputError
+
+SHELVES = 10  # shelves of one block
+BAND = 4  # rows from one line of blocks to the next
+STATION_BLOCK = 6  # columns of a block of two stations and its share of the lanes
+STATION_SHARE = 93 / (33 * 36)  # stations per cell of the published design of size S
+STAND_ALONE_FROM = 50  # rows and columns from which stations stand alone
+SPACING = (3, 2)  # rows and columns from one stand-alone station to the next
+
+
+def shelf_blocks(rows: int, cols: int) -> list[str]:
+    """Draw blocks of 1 x 10 shelves with endpoints above and below (Figures 10a, 14a).
+
+    Lanes of one cell run between the blocks; the last block of a line is cut where the columns
+    end, rows that hold no full line stay empty.
+
+    Args:
+        rows: rows of the generated area.
+        cols: columns of the generated area.
+
+    Returns:
+        `rows` strings of `cols` symbols out of ``.@e``.
+
+    Raises:
+        InputError: no line of blocks fits.
+    """
+    lines = (rows - 1) // BAND
+    if lines < 1 or cols < 1:
+        raise InputError(
+            f"an area of {rows} x {cols} holds no block of shelves: ask for 5 rows or more"
+        )
+    picture = np.full((rows, cols), ".")
+    blocks = np.arange(cols) % (SHELVES + 1) < SHELVES
+    for top in range(1, BAND * lines, BAND):
+        picture[top : top + 3, blocks] = [["e"], ["@"], ["e"]]
+    return ["".join(row) for row in picture]
+
+
+def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
+    """Draw a hand-made factory: blocks of stations where it is small, single ones where large.
+
+    The kinds of station follow one another in row-major order, in numbers as near to `ratio` as
+    whole stations allow (appendix D.2).
+
+    Args:
+        rows: rows of the layout.
+        cols: columns of the layout.
+        ratio: wanted proportion of each kind of station, drawn as ``0``, ``1``, ...
+
+    Returns:
+        `rows` strings of `cols` symbols: digits, ``e`` and ``.``.
+
+    Raises:
+        InputError: too few stations fit to have one of each kind.
+    """
+    draw = station_blocks if min(rows, cols) < STAND_ALONE_FROM else stand_alone_stations
+    picture = draw(rows, cols)
+    places = picture == "s"
+    numbers = apportion(int(places.sum()), ratio)
+    if 0 in numbers:
+        raise InputError(
+            f"a factory of {rows} x {cols} holds {places.sum()} stations by hand, too few for "
+            "every kind: ask for a bigger one"
+        )
+    picture[places] = [str(kind) for kind, number in enumerate(numbers) for _ in range(number)]
+    return ["".join(row) for row in picture]
+
+
+def station_blocks(rows: int, cols: int) -> np.ndarray:
+    """Draw pairs of stations ringed by endpoints, with a lane around each ring (Figure 11a).
+
+    The last pairs are left out until the share of stations is that of the published design.
+
+    Returns:
+        symbols [rows, cols] out of ``.es``, where ``s`` is a station.
+    """
+    picture = np.full((rows, cols), ".")
+    block = np.array([list("..ee.."), list(".esse."), list("..ee..")])
+    corners = [
+        (top, left)
+        for top in range(1, rows - 3, BAND)
+        for left in range(0, cols - STATION_BLOCK + 1, STATION_BLOCK)
+    ]
+    wanted = min(round(rows * cols * STATION_SHARE), 2 * len(corners))
+    for top, left in corners[: wanted // 2]:
+        picture[top : top + 3, left : left + STATION_BLOCK] = block
+    if wanted % 2:
+        top, left = corners[wanted // 2]
+        picture[top : top + 3, left + 1 : left + 4] = [list(".e."), list("ese"), list(".e.")]
+    return picture
+
+
+def stand_alone_stations(rows: int, cols: int) -> np.ndarray:
+    """Draw single stations with endpoints above and below and a lane on each side (Figure 14b).
+
+    Returns:
+        symbols [rows, cols] out of ``.es``, where ``s`` is a station.
+    """
+    picture = np.full((rows, cols), ".")
+    columns = slice(1, cols - 1, SPACING[1])
+    for row, symbol in ((0, "e"), (1, "s"), (2, "e")):
+        picture[row :: SPACING[0], columns] = symbol
+    if rows % SPACING[0] == 1:
+        picture[-1] = "."  # endpoints whose station would lie outside
+    return picture
+
+
+def apportion(total: int, ratio: tuple[int, ...]) -> list[int]:
+    """Split `total` in the proportions of `ratio`, the largest remainders rounded up."""
+    exact = [total * part / sum(ratio) for part in ratio]
+    numbers = [int(value) for value in exact]
+    largest = sorted(range(len(ratio)), key=lambda kind: numbers[kind] - exact[kind])
+    for kind in largest[: total - sum(numbers)]:
+        numbers[kind] += 1
+    return numbers
