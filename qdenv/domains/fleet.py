@@ -5,6 +5,8 @@ from collections.abc import Callable
 import jax
 
 from qdenv.domains.base import EvaluationConfig, Simulator
+from qdenv.simulate import fleet
+from qdenv.simulate.planners.windowed import EFFORTS
 from qdenv.types import TaskRule
 
 # On an accelerator many simulations run side by side; on a CPU one after the other, because
@@ -23,9 +25,6 @@ def fleet_simulator(rule: TaskRule) -> Callable[[EvaluationConfig], Simulator]:
     """
 
     def simulator(config: EvaluationConfig) -> Simulator:
-        from qdenv.simulate import fleet
-        from qdenv.simulate.planners.windowed import EFFORTS
-
         settings = fleet.FleetConfig(
             agents=config.agents, timesteps=config.timesteps, planner=EFFORTS[config.effort]
         )
