@@ -1,0 +1,138 @@
+"""Hand-made layouts: golden drawings, the published ones tile for tile, the rules at any size."""
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from qdenv import grid
+from qdenv.domains import DOMAINS, designs, find_domain
+from qdenv.domains.base import Domain
+from qdenv.repair.audit import audit
+from qdenv.types import InputError
+
+PUBLISHED = Path(__file__).parents[2] / "shared/reference/layouts"
+FIGURE_18 = [(33, 36), (45, 47), (57, 58), (69, 69), (81, 80), (93, 91), (101, 102)]
+DESIGNED = [domain for domain in DOMAINS.values() if domain.design is not None]
+
+
+def drawn(domain: Domain, rows: int, cols: int) -> list[str]:
+    return grid.draw(domain.design(rows, cols), domain.tiles)
+
+
+def published(name: str) -> list[str]:
+    path = PUBLISHED / f"{name}.json"
+    if not path.exists():
+        pytest.skip("the published layouts are not beside this checkout")
+    return json.loads(path.read_text())["layout"]
+
+
+@pytest.mark.parametrize(
+    ("name", "domain"),
+    [
+        ("warehouse_human", "warehouse-even"),
+        ("warehouse_human_eval", "warehouse-uneven"),
+        ("manufacturing_human_eval", "manufacturing"),
+    ],
+)
+def test_regular_published_designs_are_met_tile_for_tile(name, domain):
+    layout = published(name)
+    assert drawn(find_domain(domain), len(layout), len(layout[0])) == layout
+
+
+def test_the_small_factory_has_the_published_numbers_of_stations():
+    ours = Counter("".join(drawn(find_domain("manufacturing"), 33, 36)))
+    theirs = Counter("".join(published("manufacturing_human")))
+    assert [ours[kind] for kind in "012"] == [theirs[kind] for kind in "012"] == [11, 27, 55]
+    # Theirs squeezes some rows by hand; endpoints and lanes agree within 2 %.
+    assert ours["e"] == pytest.approx(theirs["e"], rel=0.02)
+    assert ours["."] == pytest.approx(theirs["."], rel=0.02)
+
+
+def test_the_large_factory_has_1700_stations_at_2_5_10():
+    counts = Counter("".join(drawn(find_domain("manufacturing"), 101, 102)))
+    assert [counts[kind] for kind in "012"] == [200, 500, 1000]
+
+
+def test_golden_drawings():
+    assert drawn(find_domain("warehouse-even"), 9, 18) == [
+        "..................",
+        "w.eeeeeeeeee.eee.w",
+        "..@@@@@@@@@@.@@@..",
+        "..eeeeeeeeee.eee..",
+        "w................w",
+        "..eeeeeeeeee.eee..",
+        "..@@@@@@@@@@.@@@..",
+        "w.eeeeeeeeee.eee.w",
+        "..................",
+    ]
+    assert drawn(find_domain("manufacturing"), 9, 13) == [
+        ".............",
+        "..ee....ee...",
+        ".e01e..e12e..",
+        "..ee....ee...",
+        ".............",
+        "..ee....ee...",
+        ".e22e..e22e..",
+        "..ee....ee...",
+        ".............",
+    ]
+
+
+@pytest.mark.parametrize("domain", DESIGNED, ids=lambda domain: domain.name)
+@pytest.mark.parametrize("shape", [(9, 9), (10, 23), (49, 50), (50, 49), (52, 51), *FIGURE_18])
+def test_every_design_obeys_the_rules_of_its_domain(domain, shape):
+    layout = domain.design(*shape)
+    shelves = int((layout == domain.tiles.find("@")).sum())
+    assert layout.shape == shape
+    assert layout.dtype == np.int8
+    assert audit(layout, domain.rules(*shape, shelves)) == []
+
+
+def test_every_small_or_odd_size_is_proper_or_refused():
+    for domain in DESIGNED:
+        for rows in range(1, 14):
+            for cols in range(1, 16):
+                try:
+                    layout = domain.design(rows, cols)
+                except InputError as error:
+                    assert "\n" not in str(error)
+                    continue
+                shelves = int((layout == domain.tiles.find("@")).sum())
+                assert audit(layout, domain.rules(rows, cols, shelves)) == []
+
+
+def test_density_of_stations_is_that_of_the_published_design():
+    for rows, cols in [(33, 36), (45, 47), (41, 42)]:
+        stations = (designs.station_blocks(rows, cols) == "s").sum()
+        assert stations / (rows * cols) <= designs.STATION_SHARE + 0.5 / (rows * cols)
+        assert stations / (rows * cols) > 0.85 * designs.STATION_SHARE
+
+
+@pytest.mark.parametrize("total", range(60))
+def test_apportion_splits_everything_within_one_of_the_exact_share(total):
+    numbers = designs.apportion(total, (2, 5, 10))
+    assert sum(numbers) == total
+    assert all(abs(n - total * part / 17) < 1 for n, part in zip(numbers, (2, 5, 10), strict=True))
+
+
+def code_lines(path: Path) -> list[str]:
+    """List a file's lines of code, without imports, docstring quotes and lone brackets."""
+    lines = (line.strip() for line in path.read_text().splitlines())
+    dull = ("from ", "import ", "#", '"""')
+    return [line for line in lines if not line.startswith(dull) and len(line) > 3]
+
+
+def test_no_domain_file_repeats_another():
+    folder = Path(designs.__file__).parent
+    files = {path: code_lines(path) for path in sorted(folder.glob("*.py"))}
+    for one, ours in files.items():
+        for other, theirs in files.items():
+            if one < other:
+                shared = set(ours) & set(theirs)
+                assert len(shared) <= 0.15 * min(len(ours), len(theirs)) + 2, (one, other, shared)
+                runs = {tuple(ours[i : i + 3]) for i in range(len(ours) - 2)}
+                copied = runs & {tuple(theirs[i : i + 3]) for i in range(len(theirs) - 2)}
+                assert not copied, f"{one.name} and {other.name} share {copied}"

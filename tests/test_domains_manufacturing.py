@@ -1,0 +1,139 @@
+"""Manufacturing: rules, price, measures and tasks against drawings and plain-numpy oracles."""
+
+import json
+import math
+from collections import Counter
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from qdenv import grid
+from qdenv.domains import find_domain
+from qdenv.domains.manufacturing import TILES, rules
+from qdenv.generate.nca import make_generator, seed_canvas
+from qdenv.presets import find_preset
+from qdenv.repair.anneal import anneal
+from qdenv.repair.audit import audit
+from qdenv.score.layout import similarity
+from qdenv.simulate import tasks
+from qdenv.types import TaskRule
+
+DOMAIN = find_domain("manufacturing")
+PUBLISHED = Path(__file__).parents[2] / "shared/reference/layouts"
+GOOD = ["..e..", ".e0e.", "..e..", "e1.2e", ".e.e."]
+
+needs_published = pytest.mark.skipif(
+    not PUBLISHED.is_dir(), reason="the published layouts are not beside this checkout"
+)
+
+
+def task_rule() -> TaskRule:
+    """Build the domain's task rule anew from the appendix: visit 0, 1, 2; stay 2, 5, 10."""
+    stays = {"0": 2, "1": 5, "2": 10}
+    cycle = tuple(tasks.beside_goal("e", kind, stay, TILES) for kind, stay in stays.items())
+    return TaskRule(TILES, ".e", cycle)
+
+
+def broken(drawing: list[str]) -> list[str]:
+    layout = grid.parse(drawing, TILES)
+    return [violation.message for violation in audit(layout, rules(*layout.shape))]
+
+
+def test_rules_accept_a_proper_factory():
+    assert broken(GOOD) == []
+
+
+@pytest.mark.parametrize(
+    ("drawing", "said"),
+    [
+        (["..e..", ".e0e.", "..e..", "e1..e", ".e.e."], "0 tiles '2'"),
+        ([".e...", "e0...", ".....", "e1.2e", ".e.e."], None),
+        (["....0", ".e0e.", "..e..", "e1.2e", ".e.e."], "'012' without a neighbour of 'e'"),
+        (["e.e..", ".e0e.", "..e..", "e1.2e", ".e.e."], "'e' without a neighbour of '012'"),
+        (["e0...", "0e1..", ".1e2.", "..2e.", "....."], "unconnected parts"),
+    ],
+)
+def test_rules_name_what_is_broken(drawing, said):
+    found = broken(drawing)
+    assert (found == []) if said is None else any(said in message for message in found), found
+
+
+def test_a_canvas_without_anything_is_repaired_to_all_three_kinds():
+    layout, _ = anneal(np.zeros((6, 7), np.int8), rules(6, 7), 0, 20_000)
+    counts = Counter("".join(grid.draw(layout, TILES)))
+    assert audit(layout, rules(6, 7)) == []
+    assert min(counts[kind] for kind in "012") >= 1
+    # Three stations and one endpoint between them: the cheapest factory changes four cells.
+    assert int((layout != 0).sum()) == 4
+
+
+def test_price_weighs_generated_stations_five_times():
+    before = grid.parse(["0.e", "12e"], TILES)
+    np.testing.assert_allclose(DOMAIN.price(before), [[1, 0.2, 0.2], [1, 1, 0.2]])
+    after = grid.parse(["1.e", "12e"], TILES)
+    # Sum of p_i over unchanged cells / (n * max p): (5 + 5 + 1 + 1 + 1) / (6 * 5).
+    assert float(similarity(before, after, DOMAIN.price(before))) == pytest.approx(13 / 30)
+
+
+def test_measures_count_stations_and_entropy():
+    layout = np.random.default_rng(3).integers(0, 5, (9, 11)).astype(np.int8)
+    stations, entropy = (float(measure.value(layout, None)) for measure in DOMAIN.measures)
+    windows = Counter(layout[r : r + 2, c : c + 2].tobytes() for r in range(8) for c in range(10))
+    expected = -sum(n / 80 * math.log(n / 80, 5**4) for n in windows.values())
+    assert stations == np.isin(layout, [1, 2, 3]).sum()
+    assert entropy == pytest.approx(expected, abs=1e-6)
+    axes = [(axis.low, axis.high, axis.cells) for axis in DOMAIN.measures]
+    assert axes == [(0, 600, 100), (0, 1, 100)]
+
+
+def oracle_weights(layout: np.ndarray, kind: int) -> np.ndarray:
+    weights = np.zeros(layout.shape)
+    for row, col in np.argwhere(layout == TILES.index("e")):
+        for dr, dc in grid.MOVES:
+            r, c = row + dr, col + dc
+            inside = 0 <= r < layout.shape[0] and 0 <= c < layout.shape[1]
+            weights[row, col] += inside and layout[r, c] == 1 + kind
+    return weights
+
+
+def test_goals_are_endpoints_weighed_by_their_stations():
+    layout = np.random.default_rng(5).integers(0, 5, (8, 9)).astype(np.int8)
+    for kind, goal in enumerate(task_rule().cycle):
+        np.testing.assert_array_equal(goal.weight(layout), oracle_weights(layout, kind))
+    assert tasks.stays(task_rule()).tolist() == [2, 5, 10]
+
+
+def test_an_endpoint_between_two_stations_is_drawn_twice_as_often():
+    layout = grid.parse(["0e0.e0", "1e.2e."], TILES)
+    rule = task_rule()
+    table = tasks.goal_table(layout, rule, 8)
+    assert bool(table.complete)
+    draws = tasks.draw_goals(table, np.zeros(6000, np.int32), jax.random.key(0))
+    cells = Counter(np.asarray(table.cells)[np.asarray(draws)].tolist())
+    assert set(cells) == {1, 4}  # the e between two zeros and the e beside one
+    assert cells[1] / 6000 == pytest.approx(2 / 3, abs=0.02)  # three standard deviations
+
+
+def test_presets_state_the_paper_and_a_quick_look():
+    paper, quick = find_preset("manufacturing").evaluation, find_preset("manufacturing-quick")
+    assert paper.domain == quick.evaluation.domain == "manufacturing"
+    assert (paper.rows, paper.cols, paper.steps) == (33, 36, 50)
+    assert (paper.agents, paper.timesteps, paper.simulations, paper.alpha) == (200, 1000, 5, 5.0)
+    assert quick.evaluations * quick.evaluation.timesteps <= 120_000
+
+
+def test_the_generator_starts_from_the_block_of_figure_9():
+    canvas = seed_canvas(DOMAIN.seed_block, 33, 36, DOMAIN.generated).argmax(-1)
+    assert grid.draw(canvas[15:18, 16:20], TILES) == ["eeee", "0221", "eeee"]
+    assert int((canvas != 0).sum()) == 12
+    assert make_generator(5, (3, 1, 1)).size == 2693
+
+
+@needs_published
+@pytest.mark.parametrize(
+    "name", ["manufacturing_nca_a5", "manufacturing_human", "manufacturing_human_eval"]
+)
+def test_published_layouts_obey_the_rules(name):
+    assert broken(json.loads((PUBLISHED / f"{name}.json").read_text())["layout"]) == []
