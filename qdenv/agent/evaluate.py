@@ -1,0 +1,173 @@
+"""Evaluate the maze agent: success over many runs, random mazes of a given path length."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.simulate.maze import (
+    Episode,
+    longest_path,
+    prepare,
+    run_episode,
+    until_done,
+    whole_horizon,
+)
+from qdenv.simulate.policy import Weights
+from qdenv.types import Array, InputError
+
+
+class Success(NamedTuple):
+    """How often the agent reached the goal of one maze."""
+
+    rate: float
+    low: float  # ends of the 95 % Wilson interval
+    high: float
+    runs: int
+    mean_length: float  # actions, failures counted with the horizon
+    shortest: int  # moves of the shortest path
+
+
+def wilson_interval(successes: int, runs: int, z: float = 1.96) -> tuple[float, float]:
+    """Bound a success probability (Wilson 1927); exact 0 and 1 get a width too.
+
+    Raises:
+        InputError: no runs.
+    """
+    if runs < 1:
+        raise InputError("a success rate needs at least one run")
+    share = successes / runs
+    centre = (share + z * z / (2 * runs)) / (1 + z * z / runs)
+    half = z * math.sqrt(share * (1 - share) / runs + z * z / (4 * runs * runs))
+    half /= 1 + z * z / runs
+    return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def default_horizon(layout: Array) -> int:
+    """Give the agent two actions per tile of the maze with its ring: 648 for 16x16."""
+    rows, cols = layout.shape
+    return 2 * (rows + 2) * (cols + 2)
+
+
+def run_batch(weights: Weights, layouts: Array, key: Array, episodes: int, horizon: int) -> Episode:
+    """Run every maze of a batch side by side; traceable.
+
+    Args:
+        weights: the agent.
+        layouts: int8 [B, H, W].
+        key: consumed.
+        episodes: runs per maze.
+        horizon: actions after which a run fails.
+
+    Returns:
+        `Episode` with leading axes [B, episodes].
+    """
+
+    def one(layout: Array, key: Array) -> Episode:
+        tables = prepare(weights, layout)
+        keys = jax.random.split(key, episodes)
+        return jax.vmap(lambda k: run_episode(weights, tables, k, horizon, whole_horizon))(keys)
+
+    return jax.vmap(one)(layouts, jax.random.split(key, layouts.shape[0]))
+
+
+def run_alone(weights: Weights, layout: Array, key: Array, episodes: int, horizon: int) -> Episode:
+    """Run one maze, stopping when its last episode ends; traceable, arguments of `run_batch`."""
+    tables = prepare(weights, layout)
+    keys = jax.random.split(key, episodes)
+    return jax.vmap(lambda k: run_episode(weights, tables, k, horizon, until_done))(keys)
+
+
+_run_alone = jax.jit(run_alone, static_argnums=(3, 4))
+_run_batch = jax.jit(run_batch, static_argnums=(3, 4))
+
+
+def evaluate_agent(
+    weights: Weights, layout: Array, seed: int = 0, runs: int = 100, horizon: int | None = None
+) -> Success:
+    """Measure how often the agent reaches the goal of one maze of any size (host side).
+
+    Args:
+        weights: the agent.
+        layout: int8 [H, W], with or without a ring of walls.
+        seed: of headings and actions.
+        runs: independent episodes.
+        horizon: actions per episode; twice the tiles of the ringed maze by default.
+
+    Raises:
+        InputError: no runs, or a maze in which no two empty tiles touch.
+    """
+    wilson_interval(0, runs)
+    episodes = _run_alone(
+        weights, jnp.asarray(layout), jax.random.key(seed), runs, horizon or default_horizon(layout)
+    )
+    shortest = int(episodes.shortest[0])
+    if shortest == 0:
+        raise InputError("this maze has no two empty tiles that touch: nothing to solve")
+    successes = int(episodes.success.sum())
+    low, high = wilson_interval(successes, runs)
+    mean = float(episodes.length.mean())
+    return Success(successes / runs, low, high, runs, mean, shortest)
+
+
+def random_layout(rng: np.random.Generator, rows: int, cols: int, walls: int) -> np.ndarray:
+    """Put exactly `walls` walls on random tiles (int8 [rows, cols])."""
+    layout = np.zeros(rows * cols, np.int8)
+    layout[rng.permutation(rows * cols)[:walls]] = 1
+    return layout.reshape(rows, cols)
+
+
+def random_mazes(
+    seed: int,
+    count: int,
+    rows: int,
+    cols: int,
+    walls: int,
+    accept: Callable[[int], bool] = lambda length: length > 0,
+    tries: int = 100_000,
+) -> np.ndarray:
+    """Draw random mazes whose longest shortest path is accepted (host side).
+
+    Args:
+        seed: of the walls.
+        count: mazes wanted, B.
+        rows: H.
+        cols: W.
+        walls: walls of each.
+        accept: length of the longest shortest path -> keep it; by default every solvable maze.
+        tries: mazes drawn before giving up.
+
+    Returns:
+        int8 [B, H, W].
+
+    Raises:
+        InputError: `tries` mazes were not enough, or more walls than tiles.
+    """
+    if not 0 <= walls <= rows * cols:
+        raise InputError(f"{walls} walls do not fit on {rows} x {cols} tiles")
+    rng = np.random.default_rng(seed)
+    measure = jax.jit(lambda layout: longest_path(layout).length)
+    kept = []
+    for _ in range(tries):
+        if len(kept) == count:
+            break
+        layout = random_layout(rng, rows, cols, walls)
+        if accept(int(measure(layout))):
+            kept.append(layout)
+    if len(kept) < count:
+        raise InputError(
+            f"only {len(kept)} of {tries} random mazes have such a path: widen the bounds"
+        )
+    return np.array(kept, np.int8).reshape(count, rows, cols)
+
+
+def mean_success(
+    weights: Weights, layouts: Array, seed: int = 0, runs: int = 50, horizon: int | None = None
+) -> np.ndarray:
+    """Measure the success rate on each maze of a batch (host side) -> float [B]."""
+    horizon = horizon or default_horizon(layouts[0])
+    episodes = _run_batch(weights, jnp.asarray(layouts), jax.random.key(seed), runs, horizon)
+    return np.asarray(episodes.success.mean(1))

@@ -1,0 +1,140 @@
+"""Levels for the maze agent to train on: random walls, textures, edits; start and goal pairs.
+
+Every level lies on one canvas of fixed size. Half of the pairs are the evaluation's own (the first
+pair of the longest shortest path), the others a random tile and a random tile it can reach.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from qdenv.simulate.maze import (
+    EMPTY,
+    GOAL,
+    HEADINGS,
+    WALL,
+    canvas,
+    longest_path,
+    on_canvas,
+)
+from qdenv.types import Array
+
+UNSEEN = 10_000  # distance of tiles that cannot reach the goal
+
+
+class LevelConfig(NamedTuple):
+    """What levels look like.
+
+    Attributes:
+        size: rows and columns.
+        most_walls: walls are drawn from 0 to this.
+        textured: share of levels with a repeated pattern instead of independent walls.
+        longest: share of levels with the longest-path pair.
+        horizon: shortest and longest horizon.
+        edits: tiles flipped when a level is varied (ACCEL).
+    """
+
+    size: int = 16
+    most_walls: int = 110
+    textured: float = 0.25
+    longest: float = 0.5
+    horizon: tuple[int, int] = (250, 648)
+    edits: int = 5
+
+
+class Level(NamedTuple):
+    """One training level; places are flat indices of its canvas."""
+
+    kinds: Array  # int8 [size + 8, size + 8]
+    start: Array  # int32
+    distance: Array  # int32 [(size + 8)^2], moves to the goal
+    horizon: Array  # int32
+    longest: Array  # bool, the pair is the longest path's
+
+
+def _walls(noise: Array, count: Array) -> jax.Array:
+    """Put `count` walls where the noise (float32 [n, n]) is largest -> int8 [n, n]."""
+    rank = jnp.argsort(jnp.argsort(-noise.reshape(-1)))
+    return (rank < count).astype(jnp.int8).reshape(noise.shape)
+
+
+def draw_layout(key: Array, config: LevelConfig) -> jax.Array:
+    """Draw a layout of random walls, or of a noisy linear texture (consumes the key).
+
+    A texture repeats a random row of m values along a random lattice direction, which yields the
+    stripes, diagonals and dashes that generators like to grow.
+
+    Returns:
+        int8 [size, size].
+    """
+    keys = jax.random.split(key, 6)
+    n = config.size
+    noise = jax.random.uniform(keys[0], (n, n))
+    row, col = jnp.meshgrid(jnp.arange(n), jnp.arange(n), indexing="ij")
+    period = jax.random.randint(keys[1], (), 3, 13)
+    a, b = jax.random.randint(keys[2], (2,), 0, 12)
+    pattern = jax.random.uniform(keys[3], (16,))[(a * row + b * col) % period]
+    rough = jax.random.uniform(keys[4], (), minval=0.02, maxval=0.6)
+    kind, amount = jax.random.uniform(keys[5], (2,))
+    field = jnp.where(kind < config.textured, pattern + rough * noise, noise)
+    return _walls(field, (amount * (config.most_walls + 1)).astype(jnp.int32))
+
+
+def distances(kinds: Array, goal: Array) -> jax.Array:
+    """Count the moves from every place of a canvas to the goal (int32 [(H + 8) (W + 8)])."""
+    width = kinds.shape[1]
+    free = (kinds != WALL).reshape(-1)
+    strides = [int(row) * width + int(col) for row, col in HEADINGS]
+    far = jnp.full(free.shape, UNSEEN, jnp.int32).at[goal].set(0)
+
+    def spread(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        old, _ = carry
+        near = jnp.stack([jnp.roll(old, stride) for stride in strides]).min(0) + 1
+        new = jnp.where(free, jnp.minimum(old, near), UNSEEN)
+        return new, (new != old).any()
+
+    return jax.lax.while_loop(lambda carry: carry[1], spread, (far, jnp.bool_(True)))[0]
+
+
+def _pair_up(key: Array, layout: Array, horizon: Array, longest: Array) -> Level:
+    """Choose start and goal; a level without any pair gets one carved into its first corner."""
+    course = longest_path(layout)
+    broken = course.length < 1
+    carved = layout.at[0, :2].set(EMPTY)
+    layout = jnp.where(broken, carved, layout)
+    start = jnp.where(broken, 0, course.start)
+    goal = jnp.where(broken, 1, course.goal)
+    n = layout.shape[1]
+    far = canvas(layout, goal)
+    there = jnp.where(far == GOAL, EMPTY, far).reshape(-1)
+    place = on_canvas(goal, n)
+    gap = distances(far, place)
+    # A random pair lies in the component of the longest path, where a partner is sure to exist.
+    odds = jnp.where((gap < UNSEEN) & (there == EMPTY), 0.0, -jnp.inf)
+    one, two = jax.random.categorical(key, odds, shape=(2,))
+    swap = ~longest & (one != two)
+    place = jnp.where(swap, one, place)
+    begin = jnp.where(swap, two, on_canvas(start, n)).astype(jnp.int32)
+    kinds = there.at[place].set(GOAL).reshape(far.shape).astype(jnp.int8)
+    return Level(kinds, begin, distances(kinds, place), horizon, longest)
+
+
+def draw_level(key: Array, config: LevelConfig) -> Level:
+    """Draw a new level (domain randomisation); consumes the key."""
+    keys = jax.random.split(key, 4)
+    low, high = config.horizon
+    horizon = jax.random.randint(keys[1], (), low, high + 1)
+    longest = jax.random.bernoulli(keys[2], config.longest)
+    return _pair_up(keys[3], draw_layout(keys[0], config), horizon, longest)
+
+
+def vary_level(key: Array, level: Level, config: LevelConfig) -> Level:
+    """Flip a few tiles of a level and pair it anew, the edit of ACCEL; consumes the key."""
+    keys = jax.random.split(key, 2)
+    n = config.size
+    inner = level.kinds[4 : 4 + n, 4 : 4 + n]
+    layout = jnp.where(inner == WALL, WALL, EMPTY).astype(jnp.int8).reshape(-1)
+    cells = jax.random.randint(keys[0], (config.edits,), 0, n * n)
+    layout = layout.at[cells].set(1 - layout[cells]).reshape(n, n)
+    return _pair_up(keys[1], layout, level.horizon, level.longest)
