@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from qdenv.files import write_atomically
 from qdenv.types import Array, InputError
 
 COLOURS = "viridis"
@@ -121,6 +122,5 @@ def save_heatmap(
     share = f"{finite.mean():.1%} of {finite.size:,} cells filled"
     axes.set_title(f"{title} ({share})" if title else share, fontsize="medium")
     target = Path(path)
-    partial = target.with_name(f".{target.stem}.partial{target.suffix}")
-    figure.savefig(partial)
-    os.replace(partial, target)
+    form = target.suffix.removeprefix(".") or "png"
+    write_atomically(target, lambda file: figure.savefig(file, format=form))

@@ -1,6 +1,5 @@
 """Grid archives: a qdax repertoire with direct indexing, and its soft-threshold form (CMA-MAE)."""
 
-import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Self
@@ -8,12 +7,10 @@ from typing import Any, NamedTuple, Self
 import flax.struct
 import jax
 import jax.numpy as jnp
-import numpy as np
 from qdax.core.containers.mapelites_repertoire import MapElitesRepertoire
 
+from qdenv.search.axes import cell_index, check_measures, grid_centroids
 from qdenv.types import Array, InputError, Measure
-
-EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
 
 
 class Insertion(NamedTuple):
@@ -26,48 +23,6 @@ class Insertion(NamedTuple):
 
     status: Array
     value: Array
-
-
-def check_measures(measures: Sequence[Any]) -> tuple[Measure, ...]:
-    """Turn records with ``name, low, high, cells`` into `Measure`s.
-
-    Raises:
-        InputError: there is no measure, a range is empty or infinite, or an axis has no cell.
-    """
-    if not measures:
-        raise InputError("an archive needs at least one measure")
-    axes = tuple(Measure(str(m.name), float(m.low), float(m.high), int(m.cells)) for m in measures)
-    for axis in axes:
-        if not (math.isfinite(axis.low) and math.isfinite(axis.high) and axis.low < axis.high):
-            raise InputError(f"measure {axis.name!r}: the range {axis.low}..{axis.high} is empty")
-        if axis.cells < 1:
-            raise InputError(f"measure {axis.name!r}: give at least one cell, not {axis.cells}")
-    return axes
-
-
-@functools.lru_cache
-def inner_edges(axis: Measure, dtype: np.dtype) -> np.ndarray:
-    """List the edges between the cells of an axis, ``[cells - 1]`` ascending values of `dtype`.
-
-    A measure lies in the cell given by the number of inner edges at or below it. This is pyribs'
-    ``floor((cells * (m - low) + 1e-6) / (high - low))`` clipped to the grid, but free of the
-    roundings of that formula in float32: integers on an edge always fall above it.
-    """
-    numerators = np.arange(1, axis.cells) * (axis.high - axis.low) - EDGE_TOLERANCE
-    exact = axis.low + numerators / axis.cells
-    edges = exact.astype(dtype)
-    # Rounded up, so that comparing in `dtype` decides as comparing in float64 would.
-    return np.where(edges < exact, np.nextafter(edges, dtype.type(np.inf)), edges)
-
-
-def grid_centroids(measures: Sequence[Any]) -> jax.Array:
-    """Compute the centres of all cells, float [C, M], the last measure varying fastest."""
-    centres = [
-        axis.low + (np.arange(axis.cells) + 0.5) * (axis.high - axis.low) / axis.cells
-        for axis in check_measures(measures)
-    ]
-    grid = np.meshgrid(*centres, indexing="ij")
-    return jnp.asarray(np.stack([axis.ravel() for axis in grid], axis=-1), jnp.result_type(float))
 
 
 def first_of_best(objective: Array, candidates: Array, same_cell: Array) -> jax.Array:
@@ -160,13 +115,7 @@ class GridArchive(MapElitesRepertoire):
 
     def cells_of(self, measures: Array) -> jax.Array:
         """Find the cells of measures [..., M] -> int32 [...]; outside values go to the rim."""
-        index = jnp.zeros(measures.shape[:-1], jnp.int32)
-        for position, axis in enumerate(self.measures):
-            values = measures[..., position]
-            edges = inner_edges(axis, np.dtype(values.dtype))
-            along = (values[..., None] >= edges).sum(axis=-1, dtype=jnp.int32)
-            index = index * axis.cells + along
-        return index
+        return cell_index(measures, self.measures)
 
     def insert(
         self,
@@ -191,6 +140,9 @@ class GridArchive(MapElitesRepertoire):
 
         Returns:
             The new archive and the `Insertion` of each row.
+
+        Raises:
+            InputError: a declared extra is missing (when tracing, not inside jit).
         """
         objective = jnp.asarray(objective, self.fitnesses.dtype)
         measures = jnp.asarray(measures, self.descriptors.dtype)
@@ -206,7 +158,7 @@ class GridArchive(MapElitesRepertoire):
         same_cell = cells[:, None] == cells[None, :]
         winner = first_of_best(objective, accepted, same_cell)
         target = jnp.where(winner, cells, self.fitnesses.shape[0])  # out of bounds: dropped
-        kept = {key: (extras or {})[key] for key in self.keys_extra_scores}
+        kept = self._wanted(extras or {})
         archive = self._raise_thresholds(
             target, threshold, objective, same_cell & accepted[None, :]
         )
@@ -217,6 +169,12 @@ class GridArchive(MapElitesRepertoire):
             extra_scores=_put(self.extra_scores, target, kept),
         )
         return archive, Insertion(status, value)
+
+    def _wanted(self, extras: Mapping[str, Array]) -> dict[str, Array]:
+        for key in self.keys_extra_scores:
+            if key not in extras:
+                raise InputError(f"this archive stores {key!r} beside each elite: hand it in")
+        return {key: extras[key] for key in self.keys_extra_scores}
 
     def threshold_of(self, cells: Array) -> jax.Array:
         """Look up what a solution must exceed to enter each of `cells` (int32 [B] -> [B])."""

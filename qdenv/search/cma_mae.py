@@ -13,6 +13,7 @@ from qdenv.search.base import Algorithm, plain_key, positive, start_solution, us
 from qdenv.search.emitters import (
     RANKERS,
     SELECTIONS,
+    Emitters,
     EmittersState,
     lookup,
     make_emitters,
@@ -70,6 +71,26 @@ class CmaMaeState(NamedTuple):
     result: GridArchive  # the best by `Score.result_objective`
 
 
+def make_team(config: CmaMaeConfig, start: Array) -> Emitters:
+    """Make the emitters a config describes, all starting at `start` (float [P]).
+
+    Raises:
+        InputError: a setting is out of range or unknown.
+    """
+    positive(emitters=config.emitters, batch=config.batch, sigma0=config.sigma0)
+    ThresholdArchive.check(config.learning_rate, config.threshold_min)
+    make_strategy = lookup(STRATEGIES, config.strategy, "strategy")
+    return make_emitters(
+        make_strategy(start.shape[0], config.batch, config.sigma0),
+        start,
+        config.emitters,
+        config.batch,
+        lookup(RANKERS, config.ranker, "ranker"),
+        lookup(SELECTIONS, config.selection, "selection"),
+        restart_rule(config.restart),
+    )
+
+
 def cma_mae(
     config: CmaMaeConfig,
     solution_dim: int,
@@ -92,20 +113,9 @@ def cma_mae(
     Raises:
         InputError: a setting is out of range or unknown.
     """
-    positive(emitters=config.emitters, batch=config.batch, sigma0=config.sigma0)
     start = start_solution(x0, solution_dim)
-    make_strategy = lookup(STRATEGIES, config.strategy, "strategy")
-    emitters = make_emitters(
-        make_strategy(solution_dim, config.batch, config.sigma0),
-        start,
-        config.emitters,
-        config.batch,
-        lookup(RANKERS, config.ranker, "ranker"),
-        lookup(SELECTIONS, config.selection, "selection"),
-        restart_rule(config.restart),
-    )
+    emitters = make_team(config, start)
     soft = {"learning_rate": config.learning_rate, "threshold_min": config.threshold_min}
-    ThresholdArchive.check(**soft)
 
     def init(key: Array) -> CmaMaeState:
         key, emitters_key = jax.random.split(plain_key(key))

@@ -1,14 +1,14 @@
 """Archives as tables and files: pandas with pyribs' column names, CSV and npz."""
 
 import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import jax
 import numpy as np
 
+from qdenv.files import write_atomically
 from qdenv.search.archive import GridArchive
 from qdenv.types import InputError, Measure
 
@@ -75,8 +75,7 @@ def to_pandas(archive: GridArchive, fields: Sequence[str] | None = None) -> Any:
 
 def save_csv(archive: GridArchive, path: str | os.PathLike) -> None:
     """Write `to_pandas` of the archive as CSV, atomically."""
-    text = to_pandas(archive).to_csv(index=False)
-    _write(path, lambda file: file.write(text.encode()))
+    write_atomically(Path(path), to_pandas(archive).to_csv(index=False).encode())
 
 
 def save_npz(archive: GridArchive, path: str | os.PathLike) -> None:
@@ -92,7 +91,8 @@ def save_npz(archive: GridArchive, path: str | os.PathLike) -> None:
         "measure_highs": np.array([axis.high for axis in axes]),
         "measure_cells": np.array([axis.cells for axis in axes]),
     }
-    _write(path, lambda file: np.savez_compressed(file, **elites(archive), **grid))
+    rows = elites(archive)
+    write_atomically(Path(path), lambda file: np.savez_compressed(file, **rows, **grid))
 
 
 def load_npz(path: str | os.PathLike) -> GridArchive:
@@ -128,18 +128,3 @@ def load_npz(path: str | os.PathLike) -> GridArchive:
             name: blank.extra_scores[name].at[index].set(values) for name, values in rows.items()
         },
     )
-
-
-def _write(path: str | os.PathLike, fill: Any) -> None:
-    """Write beside the target and rename, so that no reader ever sees half a file."""
-    target = Path(path)
-    with tempfile.NamedTemporaryFile(dir=target.parent, prefix=target.name, delete=False) as file:
-        handle: BinaryIO = file  # type: ignore[assignment]
-        try:
-            fill(handle)
-            handle.flush()
-            os.fsync(handle.fileno())
-        except BaseException:
-            os.unlink(file.name)
-            raise
-    os.replace(file.name, target)

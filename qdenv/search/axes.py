@@ -1,0 +1,70 @@
+"""The axes of a grid archive: from measures to cells."""
+
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.types import Array, InputError, Measure
+
+EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
+
+
+def check_measures(measures: Sequence[Any]) -> tuple[Measure, ...]:
+    """Turn records with ``name, low, high, cells`` into `Measure`s.
+
+    Raises:
+        InputError: there is no measure, a range is empty or infinite, or an axis has no cell.
+    """
+    if not measures:
+        raise InputError("an archive needs at least one measure")
+    axes = tuple(Measure(str(m.name), float(m.low), float(m.high), int(m.cells)) for m in measures)
+    for axis in axes:
+        if not (math.isfinite(axis.low) and math.isfinite(axis.high) and axis.low < axis.high):
+            raise InputError(f"measure {axis.name!r}: the range {axis.low}..{axis.high} is empty")
+        if axis.cells < 1:
+            raise InputError(f"measure {axis.name!r}: give at least one cell, not {axis.cells}")
+    return axes
+
+
+@functools.lru_cache
+def inner_edges(axis: Measure, dtype: np.dtype) -> np.ndarray:
+    """List the edges between the cells of an axis, ``[cells - 1]`` ascending values of `dtype`.
+
+    A measure lies in the cell given by the number of inner edges at or below it. This is pyribs'
+    ``floor((cells * (m - low) + 1e-6) / (high - low))`` clipped to the grid, but free of the
+    roundings of that formula in float32: integers on an edge always fall above it.
+    """
+    numerators = np.arange(1, axis.cells) * (axis.high - axis.low) - EDGE_TOLERANCE
+    exact = axis.low + numerators / axis.cells
+    edges = exact.astype(dtype)
+    # Rounded up, so that comparing in `dtype` decides as comparing in float64 would.
+    return np.where(edges < exact, np.nextafter(edges, dtype.type(np.inf)), edges)
+
+
+def grid_centroids(measures: Sequence[Any]) -> jax.Array:
+    """Compute the centres of all cells, float [C, M], the last measure varying fastest."""
+    centres = [
+        axis.low + (np.arange(axis.cells) + 0.5) * (axis.high - axis.low) / axis.cells
+        for axis in check_measures(measures)
+    ]
+    grid = np.meshgrid(*centres, indexing="ij")
+    return jnp.asarray(np.stack([axis.ravel() for axis in grid], axis=-1), jnp.result_type(float))
+
+
+def cell_index(measures: Array, axes: tuple[Measure, ...]) -> jax.Array:
+    """Find the cells of measures [..., M] -> int32 [...], row-major.
+
+    Values outside an axis go to its first or last cell, NaN to the first.
+    """
+    index = jnp.zeros(measures.shape[:-1], jnp.int32)
+    for position, axis in enumerate(axes):
+        values = measures[..., position]
+        edges = inner_edges(axis, np.dtype(values.dtype))
+        along = (values[..., None] >= edges).sum(axis=-1, dtype=jnp.int32)
+        index = index * axis.cells + along
+    return index
