@@ -3,13 +3,29 @@
 import hashlib
 import time
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from qdenv.repair.anneal import anneal
 from qdenv.repair.audit import audit
 from qdenv.repair.bounds import impossible, price_bound
+from qdenv.repair.polish import Limits, polish
 from qdenv.types import InputError, Repair, RepairStatus, Rules
+
+
+class Level(NamedTuple):
+    """What a named polish means."""
+
+    moves_per_cell: int
+    limits: Limits | None
+
+
+LEVELS = {
+    "none": Level(800, None),
+    "quick": Level(800, Limits(gap=0.0, hope=0.07, nodes=1, checks=6, rounds=2, seconds=0)),
+    "full": Level(4000, Limits(gap=0.0, hope=0.2, nodes=1000, checks=40, rounds=8, seconds=0)),
+}
 
 
 @dataclass(frozen=True)
@@ -18,29 +34,28 @@ class RepairConfig:
 
     Attributes:
         polish: "none" anneals only, "quick" adds a short solver run where it pays, "full" anneals
-            longer and lets the solver run to a proof or to `node_limit`.
+            longer and lets the solver run to a proof or to its limits.
         moves_per_cell: annealing moves per free cell; 0 takes the default of `polish`.
         gap: relative gap at which the solver stops.
-        node_limit: branch-and-bound nodes of the solver.
-        time_limit: wall-clock safety net in seconds; only when it fires is a repair not
-            reproducible, and its status says so.
+        node_limit: branch-and-bound nodes of one solve; 0 takes the default of `polish`.
+        time_limit: wall-clock safety net of one solve in seconds; only when it fires is a repair
+            not reproducible, and its status says so.
         workers: threads that repair layouts of a batch; 0 takes one per core.
     """
 
     polish: str = "quick"
     moves_per_cell: int = 0
     gap: float = 0.0
-    node_limit: int = 1000
+    node_limit: int = 0
     time_limit: float = 300.0
     workers: int = 0
 
     def __post_init__(self) -> None:
         """Reject a polish that does not exist."""
-        if self.polish not in MOVES_PER_CELL:
-            raise InputError(f"polish {self.polish!r} must be one of {', '.join(MOVES_PER_CELL)}")
+        if self.polish not in LEVELS:
+            raise InputError(f"polish {self.polish!r} must be one of {', '.join(LEVELS)}")
 
 
-MOVES_PER_CELL = {"none": 800, "quick": 800, "full": 4000}
 # Later attempts, taken only when one found nothing: heats and pulls that insist on the rules.
 ATTEMPTS = (
     {},
@@ -81,12 +96,20 @@ def repair(
     layout = np.asarray(layout, np.int8)
     if impossible(rules) is not None:
         return _record(layout, RepairStatus.IMPOSSIBLE, np.inf, np.inf, begin)
-    bound = price_bound(layout, rules)
-    found, price = _feasible(layout, rules, seed_of(layout, seed), config)
+    bound, seed = price_bound(layout, rules), seed_of(layout, seed)
+    found, price = _feasible(layout, rules, seed, config)
     if found is None:
         return _record(layout, RepairStatus.FAILED, np.inf, bound, begin)
-    status = RepairStatus.OPTIMAL if price <= bound + 1e-6 else RepairStatus.ANNEALED
-    return _record(found, status, price, bound, begin)
+    limits = LEVELS[config.polish].limits
+    if price <= bound + 1e-6:
+        return _record(found, RepairStatus.OPTIMAL, price, bound, begin)
+    if limits is None:
+        return _record(found, RepairStatus.ANNEALED, price, bound, begin)
+    limits = limits._replace(
+        gap=config.gap, nodes=config.node_limit or limits.nodes, seconds=config.time_limit
+    )
+    best = polish(layout, rules, found, price, bound, seed, limits)
+    return _record(best.layout, best.status, best.price, best.bound, begin)
 
 
 def _feasible(
@@ -94,7 +117,7 @@ def _feasible(
 ) -> tuple[np.ndarray | None, float]:
     """Anneal until a layout passes the audit."""
     cells = int((rules.allowed.sum(-1) > 1).sum())
-    moves = cells * (config.moves_per_cell or MOVES_PER_CELL[config.polish])
+    moves = cells * (config.moves_per_cell or LEVELS[config.polish].moves_per_cell)
     for attempt, schedule in enumerate(ATTEMPTS):
         found, price = anneal(layout, rules, seed + attempt, moves, **schedule)
         if found is not None and not audit(found, rules):
