@@ -10,12 +10,12 @@ import numpy as np
 
 from qdenv.simulate.maze import (
     Episode,
-    longest_path,
     prepare,
     run_episode,
     until_done,
     whole_horizon,
 )
+from qdenv.simulate.maze_world import longest_path
 from qdenv.simulate.policy import Weights
 from qdenv.types import Array, InputError
 

@@ -4,12 +4,13 @@ Every level lies on one canvas of fixed size. Half of the pairs are the evaluati
 pair of the longest shortest path), the others a random tile and a random tile it can reach.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulate.maze import (
+from qdenv.simulate.maze_world import (
     EMPTY,
     GOAL,
     HEADINGS,
@@ -23,7 +24,8 @@ from qdenv.types import Array
 UNSEEN = 10_000  # distance of tiles that cannot reach the goal
 
 
-class LevelConfig(NamedTuple):
+@dataclass(frozen=True)
+class LevelConfig:
     """What levels look like.
 
     Attributes:

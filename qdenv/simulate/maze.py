@@ -1,42 +1,30 @@
-"""The maze: longest shortest path, dynamics of the agent, its 5x5 view, one episode.
+"""The maze agent at work: tables of one layout, one episode, its trace.
 
-Headings are 0 right, 1 down, 2 left, 3 up. Of the agent's actions 0 turns left, 1 turns right, 2
-drives forward and every other one does nothing. Whatever lies outside a layout is wall, so a layout
-means the same with or without its ring of walls.
+The 50 episodes of a layout are independent: each has its own first heading and its own actions.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.grid import MOVES, shift
+from qdenv.simulate.maze_world import (
+    FORWARD,
+    HEADINGS,
+    TURN_LEFT,
+    Course,
+    Pose,
+    canvas,
+    image,
+    longest_path,
+    on_canvas,
+    step,
+    view,
+)
 from qdenv.simulate.policy import Memory, Weights, act, blank_memory, encode, recur
 from qdenv.types import Array
-
-TILES = " X"
-EMPTY, WALL, GOAL = 0, 1, 2  # GOAL is a kind of view cell, not a tile
-TURN_LEFT, TURN_RIGHT, FORWARD = 0, 1, 2
-HEADINGS = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])  # (row, column) step of each heading
-REACH = 4  # cells the view extends ahead; also the padding that makes every view fall inside
-CODES = np.array([(1, 0, 0), (2, 5, 0), (8, 1, 0)], np.float32)  # channels of empty, wall, goal
-
-
-class Course(NamedTuple):
-    """The first pair of the longest shortest path."""
-
-    start: Array  # int32, cell
-    goal: Array  # int32, cell
-    length: Array  # int32, moves from start to goal; 0 where no two empty tiles touch
-
-
-class Pose(NamedTuple):
-    """Where the agent is."""
-
-    position: Array  # int32, cell
-    heading: Array  # int32, 0..3
 
 
 class Tables(NamedTuple):
@@ -54,117 +42,6 @@ class Episode(NamedTuple):
     success: Array  # bool, the goal was reached within the horizon
     length: Array  # int32, actions taken; the horizon after a failure, 0 in an unsolvable level
     shortest: Array  # int32, moves of the shortest path; 0 in an unsolvable level
-
-
-def longest_path(layout: Array) -> Course:
-    """Find the two empty tiles that lie farthest apart, over all components.
-
-    All sources spread at once, one bit each, so the last pairs to meet are the farthest; of these
-    the smallest start wins, then the smallest goal (the published tie rule).
-
-    Args:
-        layout: int8 [H, W].
-    """
-    rows, cols = layout.shape
-    cells = rows * cols
-    free = (layout == EMPTY)[:, :, None]
-    index = np.arange(cells)
-    bits = np.zeros((cells, -(-cells // 32)), np.uint32)
-    bits[index, index // 32] = np.uint32(1) << (index % 32).astype(np.uint32)
-    own = jnp.where(free, bits.reshape(rows, cols, -1), np.uint32(0))
-
-    def spread(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        seen, last, length, _ = carry
-        near = seen
-        for move in MOVES:
-            near = near | jax.vmap(lambda plane, m=move: shift(plane, m), 2, 2)(seen)
-        fresh = jnp.where(free, near, np.uint32(0)) & ~seen
-        grew = fresh.any()
-        return seen | fresh, jnp.where(grew, fresh, last), length + grew, grew
-
-    carry = (own, jnp.zeros_like(own), jnp.int32(0), jnp.bool_(True))
-    _, last, length, _ = jax.lax.while_loop(lambda carry: carry[3], spread, carry)
-    last = last.reshape(cells, -1)
-    source = jnp.bitwise_or.reduce(last, axis=0)  # sources that met a partner in the last round
-    shifts = jnp.arange(32, dtype=jnp.uint32)
-    start = jnp.argmax(((source[:, None] >> shifts) & 1).reshape(-1)).astype(jnp.int32)
-    goal = jnp.argmax((last[:, start // 32] >> (start % 32).astype(jnp.uint32)) & 1)
-    return Course(start, goal.astype(jnp.int32), length)
-
-
-def is_solvable(layout: Array) -> jax.Array:
-    """Tell whether two empty tiles touch (int8 [H, W] -> bool)."""
-    free = layout == EMPTY
-    return (free[1:] & free[:-1]).any() | (free[:, 1:] & free[:, :-1]).any()
-
-
-def canvas(layout: Array, goal: Array) -> jax.Array:
-    """Surround a layout with walls and mark its goal, so that every view can be read from it.
-
-    Returns:
-        int8 [H + 8, W + 8] of view kinds.
-    """
-    kinds = layout.reshape(-1).at[goal].set(GOAL).reshape(layout.shape)
-    return jnp.pad(kinds, REACH, constant_values=WALL)
-
-
-def view_offsets(width: int) -> np.ndarray:
-    """List how far each view cell lies from the agent on a canvas `width` wide.
-
-    Returns:
-        int32 [4, 5, 5], by heading, view x (to the agent's right), view y (4 is the agent's row).
-    """
-    ahead = REACH - np.arange(5)[None, None, :, None]
-    right = np.arange(5)[None, :, None, None] - 2
-    facing = HEADINGS[:, None, None, :]
-    sideways = HEADINGS[(np.arange(4) + 1) % 4][:, None, None, :]
-    step = ahead * facing + right * sideways
-    return (step[..., 0] * width + step[..., 1]).astype(np.int32)
-
-
-def view(kinds: Array, place: Array, heading: Array) -> jax.Array:
-    """Read what the agent sees; walls hide nothing.
-
-    Args:
-        kinds: int8 [H + 8, W + 8], a `canvas`.
-        place: int32, the agent's flat index on the canvas.
-        heading: int32.
-
-    Returns:
-        int8 [5, 5] of view kinds, indexed [x, y].
-    """
-    offsets = jnp.asarray(view_offsets(kinds.shape[1]))
-    return kinds.reshape(-1)[place + offsets[heading]]
-
-
-def image(kinds: Array) -> jax.Array:
-    """Code a view for the network (int8 [..., 5, 5] -> float32 [..., 5, 5, 3], a tenth of ints)."""
-    return (jnp.asarray(CODES) / 10)[kinds.astype(jnp.int32)]
-
-
-def on_canvas(position: Array, width: int) -> jax.Array:
-    """Turn a cell of a layout `width` wide into a flat index of its canvas."""
-    return (position // width + REACH) * (width + 2 * REACH) + position % width + REACH
-
-
-def step(kinds: Array, pose: Pose, action: Array) -> tuple[Pose, jax.Array]:
-    """Act once.
-
-    Args:
-        kinds: int8 [H + 8, W + 8], a `canvas`; `pose.position` is a flat index of it.
-        pose: where the agent is.
-        action: int32.
-
-    Returns:
-        The new pose and whether the goal is reached; the agent never stands on the goal.
-    """
-    turn = jnp.where(action == TURN_RIGHT, 1, 0) - jnp.where(action == TURN_LEFT, 1, 0)
-    strides = jnp.asarray(HEADINGS @ np.array([kinds.shape[1], 1]), jnp.int32)
-    front = pose.position + strides[pose.heading]
-    kind = kinds.reshape(-1)[front]
-    forward = action == FORWARD
-    position = jnp.where(forward & (kind == EMPTY), front, pose.position)
-    return Pose(position, (pose.heading + turn) % 4), forward & (kind == GOAL)
 
 
 def prepare(weights: Weights, layout: Array) -> Tables:
@@ -203,36 +80,39 @@ def choose(logits: Array, uniform: Array) -> jax.Array:
     return (uniform[..., None] >= share[..., :-1]).sum(-1, dtype=jnp.int32)
 
 
-class _Running(NamedTuple):
+class Running(NamedTuple):
     """An episode under way."""
 
-    state: Array
+    state: Array  # int32, position * 4 + heading
     memory: Memory
-    length: Array
-    done: Array
-    success: Array
+    length: Array  # int32, actions taken
+    done: Array  # bool
+    success: Array  # bool
 
 
-Loop = Callable[[Callable[[_Running, Array], _Running], _Running, Array], _Running]
+Body = Callable[[Running, Array], Running]
+Loop = Callable[[Body, Running, Array], Running]
 
 
-def whole_horizon(body: Callable[[Any, Array], Any], carry: Any, draws: Array) -> Any:
+def whole_horizon(
+    body: Callable[[Running, Array], Running], first: Running, draws: Array
+) -> Running:
     """Step to the horizon whatever happens: best for batches of mazes, where one always fails."""
-    return jax.lax.scan(lambda c, draw: (body(c, draw), None), carry, draws)[0]
+    return jax.lax.scan(lambda now, draw: (body(now, draw), None), first, draws)[0]
 
 
-def until_done(body: Callable[[Any, Array], Any], carry: Any, draws: Array) -> Any:
+def until_done(body: Body, first: Running, draws: Array) -> Running:
     """Stop when the episode is done: best for one maze at a time and for long horizons."""
     horizon = draws.shape[0]
 
-    def advance(pair: tuple[Array, Any]) -> tuple[Array, Any]:
-        t, running = pair
-        return t + 1, body(running, draws[t])
+    def advance(pair: tuple[Array, Running]) -> tuple[Array, Running]:
+        t, now = pair
+        return t + 1, body(now, draws[t])
 
-    def under_way(pair: tuple[Array, Any]) -> Array:
+    def under_way(pair: tuple[Array, Running]) -> Array:
         return (pair[0] < horizon) & ~pair[1].done
 
-    return jax.lax.while_loop(under_way, advance, (jnp.int32(0), carry))[1]
+    return jax.lax.while_loop(under_way, advance, (jnp.int32(0), first))[1]
 
 
 def run_episode(
@@ -249,27 +129,57 @@ def run_episode(
         horizon: actions after which the episode fails.
         loop: `whole_horizon` or `until_done`.
     """
+    first, draws = _begin(weights, tables, key, horizon)
+    last = loop(lambda now, draw: _act_once(weights, tables, now, draw), first, draws)
+    return Episode(last.success, last.length, tables.course.length)
+
+
+def trace_episode(
+    weights: Weights, tables: Tables, key: Array, horizon: int
+) -> tuple[Episode, Pose]:
+    """Run the episode that `run_episode` runs for this key and keep every pose.
+
+    Returns:
+        the episode, and `Pose` with leading axis [horizon + 1]; what follows the episode's end
+        repeats its last pose (beside the goal, after a success).
+    """
+    first, draws = _begin(weights, tables, key, horizon)
+
+    def body(now: Running, draw: Array) -> tuple[Running, Array]:
+        later = _act_once(weights, tables, now, draw)
+        return later, later.state
+
+    last, states = jax.lax.scan(body, first, draws)
+    states = jnp.concatenate([first.state[None], states])
+    episode = Episode(last.success, last.length, tables.course.length)
+    return episode, Pose(states // 4, states % 4)
+
+
+def _begin(weights: Weights, tables: Tables, key: Array, horizon: int) -> tuple[Running, Array]:
+    """Draw the first heading, and one number in [0, 1) for every action."""
     turn_key, draw_key = jax.random.split(key)
     heading = jax.random.randint(turn_key, (), 0, 4)
-
-    def body(now: _Running, draw: Array) -> _Running:
-        memory = recur(weights, tables.gates[now.state], now.memory)
-        action = choose(act(weights, memory.hidden), draw)
-        reached = (action == FORWARD) & tables.wins[now.state] & ~now.done
-        turned = now.state // 4 * 4 + (now.state + jnp.where(action == TURN_LEFT, 3, 1)) % 4
-        state = jnp.where(action < FORWARD, turned, now.state)
-        state = jnp.where(action == FORWARD, tables.ahead[now.state], state)
-        return _Running(
-            state, memory, now.length + ~now.done, now.done | reached, now.success | reached
-        )
-
-    solvable = tables.course.length > 0
-    first = _Running(
+    first = Running(
         state=tables.course.start * 4 + heading,
         memory=blank_memory(weights),
         length=jnp.int32(0),
-        done=~solvable,
+        done=tables.course.length < 1,
         success=jnp.bool_(False),
     )
-    last = loop(body, first, jax.random.uniform(draw_key, (horizon,)))
-    return Episode(last.success, last.length, tables.course.length)
+    return first, jax.random.uniform(draw_key, (horizon,))
+
+
+def _act_once(weights: Weights, tables: Tables, now: Running, draw: Array) -> Running:
+    memory = recur(weights, tables.gates[now.state], now.memory)
+    action = choose(act(weights, memory.hidden), draw)
+    reached = (action == FORWARD) & tables.wins[now.state] & ~now.done
+    turned = now.state // 4 * 4 + (now.state + jnp.where(action == TURN_LEFT, 3, 1)) % 4
+    state = jnp.where(action < FORWARD, turned, now.state)
+    state = jnp.where(action == FORWARD, tables.ahead[now.state], state)
+    return Running(
+        state=jnp.where(now.done, now.state, state),
+        memory=memory,
+        length=now.length + ~now.done,
+        done=now.done | reached,
+        success=now.success | reached,
+    )

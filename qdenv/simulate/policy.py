@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qdenv.files import write_atomically
 from qdenv.types import Array, InputError
 
 VIEW, WINDOW, CHANNELS, FILTERS, COMPASS, HEAD = 5, 3, 3, 16, 5, 32
@@ -192,10 +193,10 @@ def load_weights(path: str | Path = "") -> Weights:
 
 
 def save_weights(weights: Weights, path: str | Path, dtype: type = np.float32) -> None:
-    """Write an agent to an .npz file (host side), whole or not at all."""
-    path = Path(path)
-    draft = path.with_name(path.name + ".part")
-    with draft.open("wb") as stream:
-        named = {name: np.asarray(array, dtype) for name, array in weights._asdict().items()}
-        np.savez_compressed(stream, **named)
-    draft.replace(path)
+    """Write an agent to an .npz file (host side), whole or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    named = {name: np.asarray(array, dtype) for name, array in weights._asdict().items()}
+    write_atomically(Path(path), lambda file: np.savez_compressed(file, **named))
