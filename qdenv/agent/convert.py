@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from qdenv.agent.files import save_weights
 from qdenv.simulate.policy import (
     FILTERS,
     PATCHES,
     Weights,
     check_weights,
-    save_weights,
 )
 from qdenv.types import InputError
 

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.agent.evaluate import random_mazes, run_batch
+from qdenv.agent.files import load_state, save_state, save_weights
 from qdenv.agent.update import TrainConfig, start, update
 from qdenv.files import write_atomically
-from qdenv.run.checkpoint import load_checkpoint, save_checkpoint
-from qdenv.simulate.policy import Weights, save_weights
+from qdenv.simulate.policy import Weights
 from qdenv.types import InputError
 
 EXAM_WALLS = (60, 90)
@@ -65,9 +65,8 @@ def train_agent(
     """
     state, used = start(config), 0.0
     checkpoint = out / "checkpoint.npz"
-    blank = jax.tree.map(lambda x: x, state)
     if resume:
-        state, facts = load_checkpoint(checkpoint, blank)
+        state, facts = load_state(checkpoint, state)
         used = facts["cpu_seconds"]
     elif checkpoint.exists():
         raise InputError(f"{out} holds a run already: resume it or choose another folder")
@@ -93,10 +92,10 @@ def train_agent(
             **examine(state.weights),
         }
         logs = []
+        save_state(checkpoint, state, {"cpu_seconds": spent})
+        save_weights(state.weights, out / "agent.npz")
         with (out / "curve.jsonl").open("a") as log:
             log.write(json.dumps(row) + "\n")
-        save_checkpoint(checkpoint, state, blank, {"cpu_seconds": spent})
-        save_weights(state.weights, out / "agent.npz")
         if last:
             break
     return out / "agent.npz"

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from qdenv.agent.curriculum import Bank, admit, find_method, new_bank, replay_odds, rescore
+from qdenv.agent.curriculum import Bank, Method, admit, find_method, new_bank, replay_odds, rescore
 from qdenv.agent.levels import Level, LevelConfig
 from qdenv.agent.ppo import Batch, PPOConfig, advantages, learn
-from qdenv.agent.rollout import Lane, RewardConfig, begin, roll
+from qdenv.agent.rollout import Lane, RewardConfig, Step, begin, roll
 from qdenv.simulate.policy import Weights, draw_weights, load_weights
 from qdenv.types import Array, InputError
 
@@ -65,7 +65,7 @@ class State(NamedTuple):
     optimiser: Any
     lanes: Lane
     bank: Bank
-    key: Array
+    key: Array  # raw key data, uint32 [2]
     update: Array  # int32
 
 
@@ -105,7 +105,7 @@ def start(config: TrainConfig) -> State:
     level = jax.tree.map(lambda x: x[place], bank.level)
     lanes = jax.vmap(begin, (None, 0, 0, 0, 0))(weights, level, place, bank.serial[place], heading)
     optimiser = _optimiser(config).init(weights)
-    return State(weights, optimiser, lanes, bank, keys[4], jnp.int32(0))
+    return State(weights, optimiser, lanes, bank, jax.random.key_data(keys[4]), jnp.int32(0))
 
 
 def _schedules(config: TrainConfig, update: Array) -> tuple[Array, Array, RewardConfig]:
@@ -137,24 +137,44 @@ def _try_out(
     return jnp.maximum(advantages(steps, last, config.ppo), 0).mean(0)
 
 
-def update(state: State, config: TrainConfig) -> tuple[State, dict[str, Array]]:
-    """Propose levels, play, learn; traceable.
-
-    Returns:
-        the new state, and numbers for the log.
-    """
-    method = find_method(config.method)
-    keys = jax.random.split(state.key, 6)
-    rate, entropy, reward = _schedules(config, state.update)
-    weights = state.weights
+def _renew(
+    key: Array, state: State, config: TrainConfig, method: Method, reward: RewardConfig
+) -> Bank:
+    """Propose new levels, try them out if the method asks for it, let them in."""
+    keys = jax.random.split(key)
     odds = replay_odds(state.bank, state.update, method)
     levels = jax.vmap(lambda key: method.propose(key, state.bank, odds, config.levels))(
         jax.random.split(keys[0], config.fresh)
     )
     score = jnp.zeros(config.fresh)
     if method.on_trial:
-        score = _try_out(keys[1], weights, levels, config, reward)
-    bank = admit(state.bank, levels, score, state.update, method)
+        score = _try_out(keys[1], state.weights, levels, config, reward)
+    return admit(state.bank, levels, score, state.update, method)
+
+
+def _numbers(steps: Step, log: Array, bank: Bank) -> dict[str, Array]:
+    """Sum an update up for the log."""
+    ended, longest = steps.done.sum(), (steps.done & steps.longest).sum()
+    return {
+        "success": steps.success.sum() / jnp.maximum(ended, 1),
+        "success_longest": (steps.success & steps.longest).sum() / jnp.maximum(longest, 1),
+        "entropy": log[0],
+        "divergence": log[1],
+        "value_error": log[2],
+        "bank_score": bank.score.mean(),
+    }
+
+
+def update(state: State, config: TrainConfig) -> tuple[State, dict[str, Array]]:
+    """Renew the bank, play its levels, learn; traceable.
+
+    Returns:
+        the new state, and numbers for the log.
+    """
+    method = find_method(config.method)
+    keys = jax.random.split(jax.random.wrap_key_data(state.key), 4)
+    rate, entropy, reward = _schedules(config, state.update)
+    bank = _renew(keys[0], state, config, method, reward)
     ladder = jnp.cumsum(replay_odds(bank, state.update, method))
 
     def next_level(key: Array, lane: Array) -> tuple[Level, Array, Array]:
@@ -164,7 +184,7 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, Array]]:
         return jax.tree.map(lambda x: x[place], bank.level), place, bank.serial[place]
 
     lanes, steps, last = roll(
-        keys[2], weights, state.lanes, next_level, config.ppo.timesteps, reward
+        keys[1], state.weights, state.lanes, next_level, config.ppo.timesteps, reward
     )
     gain = advantages(steps, last, config.ppo)
     if method.on_trial:
@@ -173,16 +193,8 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, Array]]:
     optimiser[1].hyperparams["learning_rate"] = rate
     batch = Batch(steps, state.lanes.memory, gain, gain + steps.value)
     weights, optimiser, log = learn(
-        keys[3], weights, _optimiser(config), optimiser, batch, config.ppo, entropy
+        keys[2], state.weights, _optimiser(config), optimiser, batch, config.ppo, entropy
     )
-    ended = steps.done.sum()
-    longest = (steps.done & steps.longest).sum()
-    numbers = {
-        "success": steps.success.sum() / jnp.maximum(ended, 1),
-        "success_longest": (steps.success & steps.longest).sum() / jnp.maximum(longest, 1),
-        "entropy": log[0],
-        "divergence": log[1],
-        "value_error": log[2],
-        "bank_score": bank.score.mean(),
-    }
-    return State(weights, optimiser, lanes, bank, keys[4], state.update + 1), numbers
+    key = jax.random.key_data(keys[3])
+    new = State(weights, optimiser, lanes, bank, key, state.update + 1)
+    return new, _numbers(steps, log, bank)

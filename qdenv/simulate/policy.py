@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.files import write_atomically
 from qdenv.types import Array, InputError
 
 VIEW, WINDOW, CHANNELS, FILTERS, COMPASS, HEAD = 5, 3, 3, 16, 5, 32
@@ -190,13 +189,3 @@ def load_weights(path: str | Path = "") -> Weights:
             raise
         raise InputError(f"{path} is no agent (.npz): {error}") from None
     return check_weights(weights, str(path))
-
-
-def save_weights(weights: Weights, path: str | Path, dtype: type = np.float32) -> None:
-    """Write an agent to an .npz file (host side), whole or not at all.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    named = {name: np.asarray(array, dtype) for name, array in weights._asdict().items()}
-    write_atomically(Path(path), lambda file: np.savez_compressed(file, **named))
