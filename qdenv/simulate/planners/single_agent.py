@@ -36,7 +36,9 @@ class View(NamedTuple):
     Attributes:
         taken: uint32 [window, 5, 21, K], reserved cells and moves (`reservation`).
         free: uint32 [21, K], cells without walls.
-        goal: uint32 [21, 2, K], the current and the next goal, where in sight.
+        goal: uint32 [2, 21, K], the current and the next goal, where they end a level.
+        goal_row: int32 [2, K], their rows in sight (0 where out of sight).
+        goal_column: int32 [2, K], likewise.
         price: int32 [2, 21, 21, K], quarter steps to go from each cell, per level.
         tail: int32 [K], quarter steps to go once the current goal is done.
         stay: int32 [2, K], timesteps to serve at each goal.
@@ -48,6 +50,8 @@ class View(NamedTuple):
     taken: Array
     free: Array
     goal: Array
+    goal_row: Array
+    goal_column: Array
     price: Array
     tail: Array
     stay: Array
@@ -56,20 +60,28 @@ class View(NamedTuple):
     noise: Array
 
 
-def or_rows(words: Array) -> jax.Array:
-    """Tell whether any row has a bit set (uint32 [21, ...] -> bool [...])."""
-    return jax.lax.reduce(words, jnp.uint32(0), jax.lax.bitwise_or, (0,)) != 0
+class Front(NamedTuple):
+    """What can be reached at one timestep; the axes are layer, level, row, agent.
+
+    The order matters for speed: whole layers and rows move as blocks, agents lie side by side.
+
+    Attributes:
+        cells: uint32 [layers, 2, 21, K], reached by driving, goals included.
+        served: uint32 [layers, 2, K], bit e: serving for e timesteps.
+        opened: uint32 [layers, 2, 1, K], all ones where service at the current goal just ended,
+            so that the path goes on from that goal in level 1.
+    """
+
+    cells: Array
+    served: Array
+    opened: Array
 
 
-def next_layer(words: Array, axis: int) -> jax.Array:
-    """Move every layer to the next; the last one also keeps what it has."""
-    layers = words.shape[axis]
-    if layers == 1:
+def next_layer(words: Array) -> jax.Array:
+    """Move every layer (axis 0) to the next; the last one also keeps what it has."""
+    if words.shape[0] == 1:
         return words
-    cut = lambda low, high: jax.lax.slice_in_dim(words, low, high, axis=axis)  # noqa: E731
-    last = cut(layers - 2, layers - 1) | cut(layers - 1, layers)
-    first = jnp.zeros_like(last)
-    return jnp.concatenate([first, cut(0, layers - 2), last], axis)
+    return jnp.concatenate([jnp.zeros_like(words[:1]), words[:-2], words[-2:-1] | words[-1:]])
 
 
 def clashes(taken: Array) -> tuple[jax.Array, ...]:
@@ -78,50 +90,59 @@ def clashes(taken: Array) -> tuple[jax.Array, ...]:
     return cell, cell | left, cell | right, cell | up, cell | down
 
 
-def advance(view: View, state: tuple[Array, Array], taken: Array) -> tuple[Array, Array]:
-    """Take one timestep: (reached [21, 2, layers, K], served [2, layers, K])."""
-    reached, served = state
-    edge = jnp.zeros_like(reached[:1])
-    moves = (
-        reached,
-        reached << 1,
-        reached >> 1,
-        jnp.concatenate([edge, reached[:-1]]),
-        jnp.concatenate([reached[1:], edge]),
-    )
-    free = view.free[:, None, None]
-    clean = dirty = jnp.zeros_like(reached)
-    for move, clash in zip(moves, clashes(taken), strict=True):
-        clean = clean | (move & free & ~clash[:, None, None])
-        dirty = dirty | (move & free & clash[:, None, None])
-    reached = clean | next_layer(dirty, 2)
+def departures(view: View, front: Front) -> jax.Array:
+    """List where paths go on from: goals are left only after service, and in the next level."""
+    return (front.cells & ~view.goal) | (front.opened & view.goal[:1])
 
-    goal = view.goal[:, :, None]
-    disturbed = or_rows(taken[0][:, None] & view.goal)[:, None]
+
+def serve(view: View, cells: Array, served: Array, disturbed: Array) -> Front:
+    """Let the agents at their goals begin, go on or end their service.
+
+    Args:
+        view: what the agents see.
+        cells: uint32 [layers, 2, 21, K], cells just reached.
+        served: uint32 [layers, 2, K], service until one timestep ago.
+        disturbed: bool [2, K], another agent has reserved the goal now.
+    """
+    layers, count = cells.shape[0], cells.shape[-1]
     longer = served << 1
-    kept = jnp.where(disturbed, 0, longer)
-    served = kept | next_layer(jnp.where(disturbed, longer, jnp.uint32(0)), 1)
-    served = served | or_rows(reached & goal).astype(jnp.uint32)
-    done = (served[0] >> view.stay[0].astype(jnp.uint32)) & 1
-    leaving = jnp.where(done == 1, goal[:, 0], jnp.uint32(0))
-    onward = jnp.stack([jnp.zeros_like(leaving), leaving], 1)
-    return (reached & ~goal) | onward, served
+    served = jnp.where(disturbed, 0, longer) | next_layer(jnp.where(disturbed, longer, 0))
+    layer, level, lane = jnp.ogrid[:layers, :2, :count]
+    goal_row = cells[layer, level, view.goal_row, lane] & view.goal[level, view.goal_row, lane]
+    served = served | ((goal_row >> view.goal_column.astype(jnp.uint32)) & 1)
+    done = (served[:, 0] >> view.stay[0].astype(jnp.uint32)) & 1
+    opened = jnp.stack([jnp.zeros_like(done), -done], axis=1)[:, :, None]
+    return Front(cells, served, opened)
 
 
-def start(view: View, layers: int) -> tuple[Array, Array]:
+def advance(view: View, front: Front, taken: Array, disturbed: Array) -> Front:
+    """Take one timestep past the reservations `taken` (uint32 [5, 21, K])."""
+    here = departures(view, front)
+    edge = jnp.zeros_like(here[:, :, :1])
+    down = jnp.concatenate([edge, here[:, :, :-1]], axis=2)
+    up = jnp.concatenate([here[:, :, 1:], edge], axis=2)
+    clean = dirty = jnp.zeros_like(here)
+    for move, clash in zip((here, here << 1, here >> 1, down, up), clashes(taken), strict=True):
+        clean = clean | (move & view.free & ~clash)
+        dirty = dirty | (move & view.free & clash)
+    return serve(view, clean | next_layer(dirty), front.served, disturbed)
+
+
+def start(view: View, layers: int) -> Front:
     """Set what is reached before the first step: the middle, or the service under way."""
     count = view.penalty.shape[0]
     driving = view.serving == 0
-    reached = jnp.zeros((SIDE, 2, layers, count), jnp.uint32)
-    reached = reached.at[REACH, 0, 0].set(jnp.where(driving, jnp.uint32(1 << REACH), 0))
+    middle = jnp.where(driving, jnp.uint32(1 << REACH), 0)
     elapsed = (view.stay[0] - view.serving).astype(jnp.uint32)
-    served = jnp.zeros((2, layers, count), jnp.uint32)
-    return reached, served.at[0, 0].set(jnp.where(driving, 0, jnp.uint32(1) << elapsed))
+    cells = jnp.zeros((layers, 2, SIDE, count), jnp.uint32).at[0, 0, REACH].set(middle)
+    served = jnp.zeros((layers, 2, count), jnp.uint32)
+    served = served.at[0, 0].set(jnp.where(driving, 0, jnp.uint32(1) << elapsed))
+    return Front(cells, served, jnp.zeros((layers, 2, 1, count), jnp.uint32))
 
 
 def cheapest_end(view: View, reached: Array, served: Array) -> tuple[Array, Array]:
     """Choose where to be after the window (price, code), both int32 [K]."""
-    layers, count = reached.shape[2:]
+    layers, count = reached.shape[0], reached.shape[-1]
     column = jnp.arange(SIDE, dtype=jnp.uint32)[:, None]
     noise = view.noise & ((1 << CODE_BITS) - 1)
     best = jnp.full((count,), NEVER, jnp.int32)
@@ -129,7 +150,7 @@ def cheapest_end(view: View, reached: Array, served: Array) -> tuple[Array, Arra
         for layer in range(layers):
             block = level * layers + layer
             code = block * SIDE**2 + jnp.arange(SIDE**2).reshape(SIDE, SIDE, 1)
-            here = (reached[:, level, layer][:, None] >> column) & 1
+            here = (reached[layer, level][:, None] >> column) & 1
             price = view.price[level] + layer * view.penalty
             key = jnp.where(here == 1, (price << CODE_BITS) | (code ^ noise), NEVER)
             best = jnp.minimum(best, key.min((0, 1)))
@@ -139,10 +160,10 @@ def cheapest_end(view: View, reached: Array, served: Array) -> tuple[Array, Arra
 
 def serving_end(view: View, served: Array, level: int, layer: int, noise: Array) -> jax.Array:
     """Find the cheapest way to end the window while serving (key int32 [K])."""
-    layers = served.shape[1]
+    layers = served.shape[0]
     elapsed = jnp.arange(32)[:, None]
     code = 2 * layers * SIDE**2 + (level * layers + layer) * 32 + elapsed
-    here = (served[level, layer] >> elapsed.astype(jnp.uint32)) & 1
+    here = (served[layer, level] >> elapsed.astype(jnp.uint32)) & 1
     todo = UNIT * jnp.maximum(view.stay[level] - elapsed, 0)
     price = todo + (1 - level) * view.tail + layer * view.penalty
     return jnp.where(here == 1, (price << CODE_BITS) | (code ^ noise), NEVER).min(0)
@@ -164,18 +185,10 @@ def decode(view: View, code: Array, layers: int) -> Trail:
     serving = code >= cells
     block = jnp.where(serving, (code - cells) // 32, code // SIDE**2)
     level, layer = block // layers, block % layers
-    goal_row, goal_column = goal_cell(view, level)
-    row = jnp.where(serving, goal_row, code % SIDE**2 // SIDE)
-    column = jnp.where(serving, goal_column, code % SIDE)
+    lane = jnp.arange(code.shape[0])
+    row = jnp.where(serving, view.goal_row[level, lane], code % SIDE**2 // SIDE)
+    column = jnp.where(serving, view.goal_column[level, lane], code % SIDE)
     return Trail(level, layer, row, column, jnp.where(serving, (code - cells) % 32, -1))
-
-
-def goal_cell(view: View, level: Array) -> tuple[jax.Array, jax.Array]:
-    """Locate the goal of each agent's level in its view (row, column: int32 [K])."""
-    words = jnp.where(level == 0, view.goal[:, 0], view.goal[:, 1])
-    row = jnp.argmax(words != 0, axis=0).astype(jnp.int32)
-    column = jax.lax.clz(jnp.uint32(1)) - jax.lax.clz(words.max(0))
-    return row, jnp.maximum(column.astype(jnp.int32), 0)
 
 
 def step_back(
@@ -187,16 +200,16 @@ def step_back(
         view: what the agents see.
         trail: where the paths are at time t + 1.
         taken: uint32 [5, 21, K], reservations between t and t + 1.
-        reached: uint32 [21, 2, layers, K] at time t.
-        served: uint32 [2, layers, K] at time t.
+        reached: uint32 [layers, 2, 21, K] at time t, where paths go on from.
+        served: uint32 [layers, 2, K] at time t.
         now: the same at time t + 1.
     """
     lane = jnp.arange(trail.level.shape[0])
-    layers = reached.shape[2]
+    layers = reached.shape[0]
     level, layer, row, column, elapsed = trail
     # Was the next goal's part of the path entered here, by finishing service at the current one?
-    on_goal = (view.goal[row, 0, lane] >> column.astype(jnp.uint32)) & 1 == 1
-    finished = (now[0, layer, lane] >> view.stay[0].astype(jnp.uint32)) & 1 == 1
+    on_goal = (view.goal[0, row, lane] >> column.astype(jnp.uint32)) & 1 == 1
+    finished = (now[layer, 0, lane] >> view.stay[0].astype(jnp.uint32)) & 1 == 1
     entered = (elapsed < 0) & (level == 1) & on_goal & finished
     level = jnp.where(entered, 0, level)
     elapsed = jnp.where(entered, view.stay[0], elapsed)
@@ -212,7 +225,7 @@ def step_back(
     # Serving: the layer falls where the stay was disturbed.
     held = elapsed > 0
     previous = jnp.maximum(elapsed - 1, 0).astype(jnp.uint32)
-    from_fewer = (served[level, fewer, lane] >> previous) & 1 == 1
+    from_fewer = (served[fewer, level, lane] >> previous) & 1 == 1
     held_layer = jnp.where(clash[0] & (layer > 0) & from_fewer, fewer, layer)
 
     # Driving: the first neighbour, in order of preference, from which this cell was reached.
@@ -222,8 +235,8 @@ def step_back(
     for way, (down, right) in enumerate(((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))):
         i, j = row - down, column - right
         safe = jnp.clip(i, 0, SIDE - 1)
-        same = bit(reached[safe, level, layer, lane], j) & (i == safe)
-        less = bit(reached[safe, level, fewer, lane], j) & (i == safe) & (layer > 0)
+        same = bit(reached[layer, level, safe, lane], j) & (i == safe)
+        less = bit(reached[fewer, level, safe, lane], j) & (i == safe) & (layer > 0)
         ok = jnp.where(clash[way], less | (same & last), same)
         # Waiting first; then along the row or along the column, as the agent's noise says.
         rank = jnp.where(flip == 1, 5 - way, way) if way else 0
@@ -252,22 +265,22 @@ def plan(view: View, layers: int) -> tuple[jax.Array, jax.Array]:
         rows and columns relative to the start, int32 [2, window + 1, K], and the price int32 [K]
         in quarter steps from the end of the window on (`NEVER` where nothing can be reached).
     """
-    begin = start(view, layers)
+    lane = jnp.arange(view.penalty.shape[0])
+    level = jnp.arange(2)[:, None]
+    on_goal = view.taken[:, 0][:, view.goal_row, lane] & view.goal[level, view.goal_row, lane]
+    disturbed = on_goal != 0
 
-    def step(state: tuple[Array, Array], taken: Array) -> tuple[tuple[Array, Array], Array]:
-        state = advance(view, state, taken)
-        return state, state
+    def step(front: Front, inputs: tuple[Array, Array]) -> tuple[Front, tuple[Array, Array]]:
+        return advance(view, front, *inputs), (departures(view, front), front.served)
 
-    (reached, served), history = jax.lax.scan(step, begin, view.taken)
-    price, code = cheapest_end(view, reached, served)
-    before = jax.tree.map(
-        lambda first, rest: jnp.concatenate([first[None], rest[:-1]]), begin, history
-    )
+    front, history = jax.lax.scan(step, start(view, layers), (view.taken, disturbed))
+    price, code = cheapest_end(view, departures(view, front), front.served)
+    now = jnp.concatenate([history[1][1:], front.served[None]])
+
+    def back(trail: Trail, inputs: tuple) -> tuple[Trail, Array]:
+        return step_back(view, trail, *inputs), jnp.stack([trail.row, trail.column])
+
     trail = decode(view, code, layers)
-
-    def back(trail: Trail, step: tuple) -> tuple[Trail, Array]:
-        return step_back(view, trail, *step), jnp.stack([trail.row, trail.column])
-
-    first, cells = jax.lax.scan(back, trail, (view.taken, *before, history[1]), reverse=True)
-    begin_cell = jnp.stack([first.row, first.column])
-    return jnp.concatenate([begin_cell[None], cells]).swapaxes(0, 1) - REACH, price
+    first, cells = jax.lax.scan(back, trail, (view.taken, *history, now), reverse=True)
+    begin = jnp.stack([first.row, first.column])
+    return jnp.concatenate([begin[None], cells]).swapaxes(0, 1) - REACH, price

@@ -79,9 +79,11 @@ def look(problem: Problem, situation: Situation, table: Array, walls: Array, who
     cells = problem.goals.cells[slots]
     row = cells // width - position // width + reach
     column = cells % width - position % width + reach
-    seen = (column >= 0) & (column < side) & (jnp.arange(side)[:, None, None] == row)
-    seen = seen & jnp.stack([jnp.ones_like(stay[0], bool), stay[1] > 0])
-    goal = jnp.where(seen, jnp.uint32(1) << jnp.clip(column, 0, 31).astype(jnp.uint32), 0)
+    ends = jnp.stack([jnp.ones_like(stay[0], bool), stay[1] > 0])
+    seen = ends & (column >= 0) & (column < side) & (row >= 0) & (row < side)
+    row, column = jnp.where(seen, row, 0), jnp.where(seen, column, 0)
+    bit = jnp.where(seen, jnp.uint32(1) << column.astype(jnp.uint32), 0)
+    goal = jnp.where(jnp.arange(side)[:, None] == row[:, None], bit[:, None], 0)
     step = jnp.arange(side) - reach
     cell = position + (step[:, None] * width + step)[:, :, None]
     cell = jnp.clip(cell, 0, problem.traversable.size - 1)
@@ -96,6 +98,8 @@ def look(problem: Problem, situation: Situation, table: Array, walls: Array, who
         "taken": reservation.around(table, position, width, reach),
         "free": reservation.around(walls, position, width, reach),
         "goal": goal.astype(jnp.uint32),
+        "goal_row": row,
+        "goal_column": column,
         "price": price,
         "tail": tail,
         "stay": stay,
