@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 import tyro
 
-from qdenv.commands import layouts, runs, traffic
+from qdenv.commands import layouts, runs, sizes, traffic
 from qdenv.types import InputError
 
 COMMANDS: dict[str, Callable] = {
@@ -21,6 +21,9 @@ COMMANDS: dict[str, Callable] = {
     "plot": runs.plot,
     "presets": runs.presets,
     "generate": runs.generate,
+    "series": sizes.series,
+    "layout": sizes.layout_human,
+    "tile": sizes.tile,
     "repair": layouts.repair,
     "check": layouts.check,
     "simulate": traffic.simulate,

@@ -9,11 +9,13 @@ import tyro
 from qdenv.formats.layouts import write_layout
 from qdenv.plots.layouts import save_layout
 from qdenv.plots.run import plot_run
+from qdenv.plots.sizes import save_frames
 from qdenv.presets import PRESETS, find_preset
 from qdenv.run import loop
 from qdenv.run.config import RunConfig
 from qdenv.run.elites import grow_elite, repair_grown
 from qdenv.run.records import RunDirectory
+from qdenv.run.sizes import grow_frames
 from qdenv.types import RepairStatus
 
 
@@ -102,6 +104,7 @@ def generate(
     shelves: int | None = None,
     repair_seed: int | None = None,
     repair: bool = True,
+    frames: int | None = None,
     out: Path = Path("layout.json"),
 ) -> None:
     """Grow an elite of a run at any size and repair it.
@@ -115,11 +118,17 @@ def generate(
         shelves: number of shelves; scaled with the area unless given.
         repair_seed: other seeds give other, equally good repairs; the run's own unless given.
         repair: --no-repair keeps what the NCA drew.
+        frames: also draw the layout after every so many steps (Figure 6).
         out: layout file to write; a picture is drawn beside it.
     """
     run = RunDirectory.open(run_dir)
     config = run.config
     grown = grow_elite(run, elite, (rows, cols), steps, shelves)
+    if frames is not None:
+        numbers, drawn = grow_frames(run, grown, frames)
+        picture = out.with_name(f"{out.stem}_frames.png")
+        save_frames(picture, drawn, numbers, grown.domain.tiles)
+        print(f"{picture}: after {', '.join(map(str, numbers))} steps")
     seed = config.seed if repair_seed is None else repair_seed
     repaired = repair_grown(grown, config.evaluation.repair, seed) if repair else None
     layout = grown.layout if repaired is None else repaired.layout

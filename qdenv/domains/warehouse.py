@@ -46,7 +46,11 @@ def frame(tiles: Array) -> Array:
 
 def design(rows: int, cols: int) -> np.ndarray:
     """Draw the hand-made warehouse of `rows` x `cols`, frame included (int8 [rows, cols])."""
-    return np.asarray(frame(parse(designs.shelf_blocks(rows, cols - 2 * MARGIN[1]), TILES)))
+    picture = border(rows, cols)
+    inside_frame(picture, MARGIN)[:] = parse(
+        designs.shelf_blocks(rows, cols - 2 * MARGIN[1]), TILES
+    )
+    return picture
 
 
 def rules(rows: int, cols: int, shelves: int) -> Rules:

@@ -28,7 +28,7 @@ class Grown(NamedTuple):
     """An elite's layout at some size, unrepaired."""
 
     domain: Domain
-    elite: Elite
+    elite: Elite | None  # None where no elite drew it: a tiled layout
     layout: np.ndarray  # int8 [H, W]
     steps: int
     shelves: int
