@@ -18,13 +18,6 @@ PALETTE = (
     (245, 200, 40),
     (60, 90, 160),
 )
-    (20, 20, 20),
-    (128, 128, 128),
-    (60, 170, 80),
-    (70, 62, 30),
-    (245, 200, 40),
-    (60, 90, 160),
-)
 # Corners of a triangle that points to heading 0 (right), in cells from the middle: (right, down).
 TRIANGLE = np.array([(0.38, 0.0), (-0.32, -0.34), (-0.32, 0.34)])
 
