@@ -165,8 +165,7 @@ def enter(
     losers = jnp.where(accepted & (losers != NOBODY), losers, count).reshape(-1)
     evicted = jnp.zeros((count,), bool).at[losers].set(True, mode="drop")
 
-    table = reservation.reserve(book.table, book.paths, evicted, shape, sign=-1)
-    owner = clear(book.owner, book.paths, evicted)
+    table, owner = strike_out(book, shape, evicted, who.shape[0])
     table = reservation.reserve(table, paths, accepted, shape)
     place = jnp.where(accepted, paths, owner.shape[1])
     owner = owner.at[time, place].set(jnp.broadcast_to(who, paths.shape), mode="drop")
@@ -181,11 +180,25 @@ def enter(
     )
 
 
-def clear(owner: Array, paths: Array, evicted: Array) -> jax.Array:
-    """Strike the evicted agents' cells from the owner table."""
-    time = jnp.arange(paths.shape[0])[:, None]
-    place = jnp.where(evicted, paths, owner.shape[1])
-    return owner.at[time, place].set(NOBODY, mode="drop")
+def strike_out(
+    book: Book, shape: tuple[int, int], evicted: Array, lanes: int
+) -> tuple[jax.Array, jax.Array]:
+    """Remove the evicted agents (bool [A]) from the table and from the owners, a few at a time."""
+    count = evicted.shape[0]
+    time = jnp.arange(book.paths.shape[0])[:, None]
+
+    def some(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        table, owner, evicted = carry
+        who = jnp.nonzero(evicted, size=lanes, fill_value=count)[0]
+        paths = book.paths[:, jnp.minimum(who, count - 1)]
+        table = reservation.reserve(table, paths, who < count, shape, sign=-1)
+        place = jnp.where(who < count, paths, owner.shape[1])
+        owner = owner.at[time, place].set(NOBODY, mode="drop")
+        return table, owner, evicted.at[who].set(False, mode="drop")
+
+    carry = (book.table, book.owner, evicted)
+    table, owner, _ = jax.lax.while_loop(lambda carry: carry[2].any(), some, carry)
+    return table, owner
 
 
 def settle(
