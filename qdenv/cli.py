@@ -22,8 +22,8 @@ COMMANDS: dict[str, Callable] = {
     "presets": runs.presets,
     "generate": runs.generate,
     "series": sizes.series,
-    "layout": sizes.layout_human,
-    "tile": sizes.tile,
+    "layout human": sizes.layout_human,
+    "layout tile": sizes.layout_tile,
     "repair": layouts.repair,
     "check": layouts.check,
     "simulate": traffic.simulate,
@@ -41,6 +41,8 @@ def run(arguments: list[str]) -> int:
         if arguments[:1] == ["train"]:
             runs.train(arguments[1:])
             return 0
+        if " ".join(arguments[:2]) in COMMANDS:
+            arguments = [" ".join(arguments[:2]), *arguments[2:]]
         code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="qdenv", args=arguments)
         return code if isinstance(code, int) else 0
     except InputError as error:

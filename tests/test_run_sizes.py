@@ -170,7 +170,7 @@ def test_commands_write_layouts_pictures_and_a_table(run, tmp_path, capsys):
     frames = ["generate", str(run.path), "--frames", "4", "--out", str(target)]
     assert cli.run([*frames, "--rows", "9", "--cols", "9"]) == 0
     assert (tmp_path / "frames_frames.png").stat().st_size > 1000
-    tiled = ["tile", str(target), "--rows", "13", "--cols", "14", "--out", str(target)]
+    tiled = ["layout", "tile", str(target), "--rows", "13", "--cols", "14", "--out", str(target)]
     assert cli.run(tiled) == 0
     assert "tiled_from frames.json" in capsys.readouterr().out
     design = ["--domain", "manufacturing", "--rows", "13", "--cols", "14", "--out", str(target)]
@@ -239,7 +239,7 @@ def test_baselines_refuse_in_one_line(tmp_path, capsys):
     assert "too few for every kind" in said
     factory = tmp_path / "factory.json"
     write_layout(factory, MANUFACTURING.design(9, 9), MANUFACTURING.tiles)
-    assert "unknown tile" in refusal(["tile", str(factory), *size], capsys)
+    assert "unknown tile" in refusal(["layout", "tile", str(factory), *size], capsys)
     with pytest.raises(InputError, match="nobody designs layouts"):
         sizes.human_layout(replace(WAREHOUSE, design=None), 9, 9)
     small = WAREHOUSE.design(9, 9)

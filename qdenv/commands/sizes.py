@@ -1,4 +1,4 @@
-"""Commands about other sizes and the baselines: layout, tile, series."""
+"""Commands about other sizes and the baselines: layout human, layout tile, series."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,7 +14,6 @@ from qdenv.run.records import RunDirectory
 
 
 def layout_human(
-    kind: tyro.conf.Positional[Literal["human"]],
     rows: int,
     cols: int,
     domain: str = "warehouse-even",
@@ -23,7 +22,6 @@ def layout_human(
     """Draw a layout as people design it by hand, at any size.
 
     Args:
-        kind: "human".
         rows: rows of the layout, frame included.
         cols: columns of the layout, frame included.
         domain: whose layouts.
@@ -31,13 +29,13 @@ def layout_human(
     """
     found = find_domain(domain)
     layout = sizes.human_layout(found, rows, cols)
-    write_layout(out, layout, found.tiles, domain=found.name, design=kind)
+    write_layout(out, layout, found.tiles, domain=found.name, design="human")
     save_layout(out.with_suffix(".png"), layout, found.tiles)
     numbers = ", ".join(f"{(layout == k).sum()} {tile!r}" for k, tile in enumerate(found.tiles))
     print(f"{out}: {rows} x {cols}, {numbers}")
 
 
-def tile(
+def layout_tile(
     layout: tyro.conf.Positional[Path],
     rows: int,
     cols: int,
@@ -106,5 +104,5 @@ def series(
         grown.append(item)
         if human:
             path = out / f"human_{item.rows}x{item.cols}.json"
-            layout_human("human", item.rows, item.cols, domain.name, path)
+            layout_human(item.rows, item.cols, domain.name, path)
     sizes.write_series(out / "series.csv", grown)
