@@ -1,0 +1,196 @@
+"""The archives: cells, the batch rule, degenerate batches, and what qdax makes of them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from qdax.core.emitters.repertoire_selectors.uniform_selector import UniformSelector
+from qdax.utils.metrics import default_qd_metrics
+
+from qdenv.search.archive import GridArchive
+from qdenv.search.axes import cell_index
+from qdenv.search.threshold_archive import ThresholdArchive
+from qdenv.types import InputError, Measure
+
+GRID = (Measure("x", -1, 1, 4), Measure("y", 0, 3, 3))
+
+
+def pyribs_cells(measures, axes):
+    """Compute cells in float64 by pyribs' formula."""
+    index = np.zeros(len(measures), int)
+    for column, axis in enumerate(axes):
+        scaled = axis.cells * (measures[:, column].astype(float) - axis.low) + 1e-6
+        along = np.clip(np.trunc(scaled / (axis.high - axis.low)), 0, axis.cells - 1)
+        index = index * axis.cells + along.astype(int)
+    return index
+
+
+@jax.jit
+def insert(archive, *batch):
+    return archive.insert(*batch)
+
+
+def add(archive, objective, measures, success=True, **extras):
+    """Insert rows whose solutions are their own numbers, filled up to ten rows with failures."""
+    rows = len(objective)
+
+    def fill(values, with_value=0):
+        padding = np.full((10 - rows, *np.shape(values)[1:]), with_value)
+        return np.concatenate([np.asarray(values), padding.astype(np.asarray(values).dtype)])
+
+    batch = (
+        np.arange(10, dtype=np.float32)[:, None],
+        fill(np.asarray(objective, np.float32)),
+        fill(np.asarray(measures, np.float32)),
+        {name: fill(values) for name, values in extras.items()},
+        fill(np.broadcast_to(success, rows), False),
+    )
+    archive, insertion = insert(archive, *batch)
+    return archive, jax.tree.map(lambda leaf: leaf[:rows], insertion)
+
+
+@pytest.mark.parametrize(
+    "axis",
+    [
+        Measure("shelf components", 140, 240, 100),
+        Measure("workstations", 0, 600, 100),
+        Measure("walls", 0, 256, 256),
+        Measure("path length", 0, 648, 162),
+    ],
+)
+def test_every_integer_falls_where_pyribs_puts_it(axis):
+    integers = np.arange(axis.low - 50, axis.high + 50, dtype=np.float32)[:, None]
+    got = jax.jit(lambda m: cell_index(m, (axis,)))(integers)
+    np.testing.assert_array_equal(got, pyribs_cells(integers, (axis,)))
+
+
+def test_random_measures_in_float32_fall_where_pyribs_puts_them():
+    axes = (Measure("entropy", 0, 1, 100), Measure("path length", 0, 648, 162))
+    rng = np.random.default_rng(0)
+    measures = rng.uniform((-0.1, -9), (1.1, 700), (200_000, 2)).astype(np.float32)
+    edges = np.arange(101, dtype=np.float32) / 100  # and right on the edges
+    measures[:101, 0] = edges
+    got = jax.jit(lambda m: cell_index(m, axes))(measures)
+    np.testing.assert_array_equal(got, pyribs_cells(measures, axes))
+
+
+def test_huge_and_infinite_measures_land_on_the_rim():
+    measures = np.array([[1e30, -1e30], [np.inf, -np.inf], [-np.inf, np.inf]], np.float32)
+    assert cell_index(measures, GRID).tolist() == [9, 9, 2]
+
+
+@pytest.mark.parametrize(
+    ("count", "expected"), [(1, 2.5), (2, 4.125), (5, 5.328125), (10, 5.494629)]
+)
+def test_threshold_after_k_solutions_in_one_cell(count, expected):
+    # t' = 0.5^k 0 + mean (1 - 0.5^k), the mean of 1..10 (5 alone) being 5.5
+    objective = np.linspace(1, 10, count) if count > 1 else np.array([5.0])
+    for order in (objective, objective[::-1]):
+        archive = ThresholdArchive.empty(np.zeros(1, np.float32), GRID, None, 0.5, 0.0)
+        archive, _ = add(archive, order, np.zeros((count, 2)))
+        np.testing.assert_allclose(archive.thresholds.max(), expected, rtol=1e-6)
+
+
+def test_a_soft_archive_keeps_what_beats_the_threshold_and_the_result_archive_the_best():
+    soft = ThresholdArchive.empty(np.zeros(1, np.float32), GRID, None, 0.1, 0.0)
+    hard = GridArchive.empty(np.zeros(1, np.float32), GRID)
+    for objective in (10.0, 2.0, 0.5):
+        soft, insertion = add(soft, [objective], [[0.0, 0.0]])
+        hard, _ = add(hard, [objective], [[0.0, 0.0]])
+    # thresholds: 1, then 0.9 * 1 + 0.1 * 2 = 1.1, which 0.5 does not exceed
+    assert insertion.status.tolist() == [0]
+    np.testing.assert_allclose(insertion.value, [-0.6], rtol=1e-6)
+    assert (float(soft.objectives.max()), float(hard.objectives.max())) == (2.0, 10.0)
+
+
+def test_ties_go_to_the_first_and_extras_follow_their_elite():
+    archive = GridArchive.empty(
+        np.zeros(1, np.float32), GRID, {"layout": np.zeros((2, 2), np.int8)}
+    )
+    layouts = np.arange(12, dtype=np.int8).reshape(3, 2, 2)
+    archive, insertion = add(archive, [1.0, 3.0, 3.0], np.zeros((3, 2)), layout=layouts)
+    assert insertion.status.tolist() == [2, 2, 2]
+    cell = int(archive.best)
+    assert float(archive.genotypes[cell, 0]) == 1.0
+    np.testing.assert_array_equal(archive.extra_scores["layout"][cell], layouts[1])
+    assert archive.extra_scores["layout"].dtype == jnp.int8
+    with pytest.raises(InputError, match="layout"):
+        add(archive, [1.0], np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_rows_that_failed_or_are_not_finite_enter_nothing(soft):
+    make = ThresholdArchive if soft else GridArchive
+    archive = make.empty(np.zeros(1, np.float32), GRID, None, *((0.5, 0.0) if soft else ()))
+    objective = np.array([np.nan, np.inf, -np.inf, 5.0, 5.0, 5.0, 1.0], np.float32)
+    measures = np.zeros((7, 2), np.float32)
+    measures[3, 0], measures[4, 1] = np.nan, np.inf
+    success = np.array([True] * 5 + [False, True])
+    filled, insertion = add(archive, objective, measures, success)
+    assert insertion.status.tolist() == [0, 0, 0, 0, 0, 0, 2]
+    assert np.isneginf(insertion.value[:6]).all() and float(insertion.value[6]) == 1.0
+    assert float(filled.qd_score()) == 1.0 and int(filled.filled.sum()) == 1
+    alone, _ = add(archive, objective[6:], measures[6:])
+    for left, right in zip(jax.tree.leaves(filled), jax.tree.leaves(alone), strict=True):
+        if left is filled.genotypes:
+            continue  # solutions are named by their row
+        np.testing.assert_array_equal(left, right)
+    nothing, _ = add(archive, objective, measures, np.zeros(7, bool))
+    for left, right in zip(jax.tree.leaves(nothing), jax.tree.leaves(archive), strict=True):
+        np.testing.assert_array_equal(left, right)
+
+
+def test_scores_and_samples_of_an_empty_archive_are_defined():
+    archive = GridArchive.empty(np.zeros(3, np.float32), GRID)
+    numbers = archive.qd_score(), archive.coverage, archive.best
+    assert [float(number) for number in numbers] == [0, 0, 0]
+    key = jax.random.key(0)
+    assert archive.sample_cells(key, 4).tolist() == [0, 0, 0, 0]
+    assert archive.sample_solutions(key, 2, jnp.full(3, 7.0)).tolist() == [[7.0] * 3] * 2
+
+
+def test_elites_are_sampled_uniformly():
+    archive = GridArchive.empty(np.zeros(1, np.float32), GRID)
+    measures = np.array([[-1, 0], [-1, 2.9], [0.1, 1.5], [1, 0], [1, 2.9]])
+    archive, _ = add(archive, np.arange(5.0), measures)
+    drawn = archive.sample_solutions(jax.random.key(1), 10_000, jnp.zeros(1))
+    counts = np.bincount(np.asarray(drawn)[:, 0].astype(int), minlength=5)
+    # chi-square with 4 degrees of freedom: 18.5 is passed once in a thousand
+    assert len(counts) == 5 and (np.square(counts - 2000) / 2000).sum() < 18.5
+
+
+def test_qdax_metrics_and_selectors_accept_the_archive():
+    archive = GridArchive.empty(np.zeros(1, np.float32), GRID)
+    archive, _ = add(archive, [1.0, 2.5, 4.0], [[-1, 0], [0, 1.5], [0, 1.5]])
+    metrics = default_qd_metrics(archive, qd_offset=0.0)
+    assert [float(metrics[name]) for name in ("qd_score", "max_fitness")] == [5.0, 4.0]
+    assert float(metrics["qd_score"]) == float(archive.qd_score())
+    np.testing.assert_allclose(metrics["coverage"], 100 * archive.coverage)
+    assert float(archive.qd_score(offset=-1)) == float(default_qd_metrics(archive, 1.0)["qd_score"])
+    chosen = archive.select(jax.random.key(0), 6, UniformSelector())
+    assert set(np.asarray(chosen.genotypes).ravel().tolist()) <= {0.0, 2.0}
+    again = archive.add(np.ones((1, 1)), np.array([[1.0, 0.0]]), np.array([9.0]))
+    assert type(again) is GridArchive and again.measures == archive.measures
+
+
+def test_centroids_lie_in_their_own_cells_row_major():
+    archive = GridArchive.empty(np.zeros(1, np.float32), GRID)
+    assert archive.cells_of(archive.centroids).tolist() == list(range(12))
+    np.testing.assert_allclose(archive.centroids[1], [-0.75, 1.5])
+
+
+@pytest.mark.parametrize(
+    ("measures", "rates", "message"),
+    [
+        ((), (), "at least one measure"),
+        ((Measure("x", 1, 1, 4),), (), "'x'"),
+        ((Measure("x", 0, np.nan, 4),), (), "'x'"),
+        ((Measure("x", 0, 1, 0),), (), "one cell"),
+        (GRID, (1.5, 0.0), "learning rate"),
+        (GRID, (0.5, -np.inf), "learning rate of 1"),
+        (GRID, (0.5, np.nan), "threshold_min"),
+    ],
+)
+def test_bad_settings_give_one_clear_line(measures, rates, message):
+    with pytest.raises(InputError, match=message):
+        ThresholdArchive.empty(np.zeros(1), measures, None, *rates)
