@@ -93,10 +93,12 @@ class Goal(NamedTuple):
         weight: function layout int8 [H, W] -> float32 [H, W], the odds of each cell being drawn;
             0 where a cell is no goal of this kind.
         stay: timesteps an agent stays on the goal after arriving, blocking the cell.
+        name: how messages call it.
     """
 
     weight: Callable[[Array], Array]
     stay: int = 0
+    name: str = "goal"
 
 
 class TaskRule(NamedTuple):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from qdenv.repair.solver import RepairConfig
-from qdenv.types import Array, Measure, Rules
+from qdenv.types import Array, Measure, Rules, TaskRule
 
 
 class Simulator(NamedTuple):
@@ -77,6 +77,7 @@ class Domain:
         measures: axes of the archive.
         design: (rows, cols) -> hand-made layout int8 [rows, cols], the baseline of appendix D.2;
             raises `InputError` where nothing fits; None where people design none.
+        tasks: what a fleet does; None where no fleet drives.
     """
 
     name: str
@@ -91,3 +92,4 @@ class Domain:
     price: Callable[[Array], Array]
     measures: tuple[Measure, ...]
     design: Callable[[int, int], Array] | None = None
+    tasks: TaskRule | None = None

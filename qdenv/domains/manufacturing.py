@@ -36,6 +36,10 @@ def price(layout: Array) -> Array:
     return jnp.where(of_tiles(layout, STATIONS, TILES), 1.0, 1.0 / STATION_PRICE)
 
 
+TASKS = TaskRule(
+    TILES, ".e", tuple(beside_goal("e", kind, stay, TILES) for kind, stay in STAYS.items())
+)
+
 MANUFACTURING = Domain(
     name="manufacturing",
     tiles=TILES,
@@ -44,11 +48,7 @@ MANUFACTURING = Domain(
     margin=(0, 0),
     frame=lambda tiles: tiles,
     rules=rules,
-    simulator=fleet_simulator(
-        TaskRule(
-            TILES, ".e", tuple(beside_goal("e", kind, stay, TILES) for kind, stay in STAYS.items())
-        )
-    ),
+    simulator=fleet_simulator(TASKS),
     objective=lambda layout, runs: mean_throughput(runs),
     price=price,
     measures=(
@@ -61,4 +61,5 @@ MANUFACTURING = Domain(
     ),
     # As many stations of each kind as agents stay there, so that none is a bottleneck.
     design=lambda rows, cols: parse(designs.stations(rows, cols, tuple(STAYS.values())), TILES),
+    tasks=TASKS,
 )

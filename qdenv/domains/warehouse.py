@@ -73,6 +73,7 @@ def rules(rows: int, cols: int, shelves: int) -> Rules:
 def warehouse(name: str, left: float) -> Domain:
     """Make a warehouse whose left workstations are `left` times likelier than the others."""
     cycle = (tile_goal("e", TILES), favour_left(tile_goal("w", TILES), left))
+    tasks = TaskRule(TILES, ".ew", cycle)
     return Domain(
         name=name,
         tiles=TILES,
@@ -81,7 +82,7 @@ def warehouse(name: str, left: float) -> Domain:
         margin=MARGIN,
         frame=frame,
         rules=rules,
-        simulator=fleet_simulator(TaskRule(TILES, ".ew", cycle)),
+        simulator=fleet_simulator(tasks),
         objective=lambda layout, runs: mean_throughput(runs),
         price=lambda layout: jnp.ones(layout.shape, jnp.float32),
         measures=(
@@ -101,6 +102,7 @@ def warehouse(name: str, left: float) -> Domain:
             ),
         ),
         design=design,
+        tasks=tasks,
     )
 
 

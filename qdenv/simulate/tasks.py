@@ -5,9 +5,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import ndimage
 
 from qdenv.grid import count_neighbours, of_tiles
-from qdenv.types import Array, Goal, TaskRule
+from qdenv.types import Array, Goal, InputError, TaskRule
 
 
 class GoalTable(NamedTuple):
@@ -34,7 +35,9 @@ def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
         tiles: the alphabet of the layouts.
         stay: timesteps spent on the goal after arriving.
     """
-    return Goal(lambda layout: of_tiles(layout, symbol, tiles).astype(jnp.float32), stay)
+    return Goal(
+        lambda layout: of_tiles(layout, symbol, tiles).astype(jnp.float32), stay, f"{symbol!r}"
+    )
 
 
 def beside_goal(symbol: str, station: str, stay: int, tiles: str) -> Goal:
@@ -51,7 +54,7 @@ def beside_goal(symbol: str, station: str, stay: int, tiles: str) -> Goal:
         stations = count_neighbours(of_tiles(layout, station, tiles))
         return (of_tiles(layout, symbol, tiles) * stations).astype(jnp.float32)
 
-    return Goal(weight, stay)
+    return Goal(weight, stay, f"{symbol!r} beside {station!r}")
 
 
 def favour_left(goal: Goal, odds: float) -> Goal:
@@ -61,12 +64,38 @@ def favour_left(goal: Goal, odds: float) -> Goal:
         left = jnp.arange(layout.shape[1]) == 0
         return goal.weight(layout) * jnp.where(left, odds, 1.0)[None, :]
 
-    return Goal(weight, goal.stay)
+    return goal._replace(weight=weight)
 
 
 def stays(rule: TaskRule) -> np.ndarray:
     """List the timesteps spent on each kind of goal (int32 [n])."""
     return np.array([goal.stay for goal in rule.cycle], dtype=np.int32)
+
+
+def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:
+    """Refuse a layout (int8 [H, W]) on which the fleet could not work.
+
+    Raises:
+        InputError: there are fewer free cells than agents, a kind of goal has no cell, or some
+            free cells cannot be reached from the others.
+    """
+    free = np.asarray(of_tiles(layout, rule.traversable, rule.tiles))
+    if free.sum() < agents:
+        raise InputError(
+            f"{agents} agents need as many free cells, the layout has {free.sum()}: "
+            "simulate fewer agents"
+        )
+    for goal in rule.cycle:
+        if not (np.asarray(goal.weight(layout)) > 0).any():
+            raise InputError(f"no agent could work: the layout has no {goal.name}")
+    labels, parts = ndimage.label(free)
+    if parts > 1:
+        smallest = 1 + np.argmin(np.bincount(labels.ravel())[1:])
+        row, column = np.argwhere(labels == smallest)[0]
+        raise InputError(
+            f"the free cells fall into {parts} parts, row {row}, column {column} is cut off: "
+            "repair the layout first"
+        )
 
 
 def goal_table(layout: Array, rule: TaskRule, capacity: int) -> GoalTable:
