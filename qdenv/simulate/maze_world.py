@@ -85,7 +85,7 @@ def canvas(layout: Array, goal: Array) -> jax.Array:
     Returns:
         int8 [H + 8, W + 8] of view kinds.
     """
-    kinds = layout.reshape(-1).at[goal].set(GOAL).reshape(layout.shape)
+    kinds = jnp.asarray(layout).reshape(-1).at[goal].set(GOAL).reshape(layout.shape)
     return jnp.pad(kinds, REACH, constant_values=WALL)
 
 
