@@ -17,9 +17,19 @@ from qdenv.simulate.distances import UNREACHABLE, goal_distances
 from qdenv.simulate.planners.base import Planner, Problem, Situation
 from qdenv.simulate.planners.single_agent import LONGEST_STAY, REACH
 from qdenv.simulate.planners.windowed import LOW
+from qdenv.simulate.tally import (
+    MARGIN,
+    Block,
+    Recording,
+    Tape,
+    count_block,
+    empty_tally,
+    is_congested,
+    recording_of,
+    summarise,
+    walled,
+)
 from qdenv.types import Array, InputError, TaskRule, Traffic
-
-MARGIN = REACH  # rows and columns of walls around the grid
 
 
 @dataclass(frozen=True)
@@ -72,34 +82,6 @@ class Fleet(NamedTuple):
     previous: Array
 
 
-class Tally(NamedTuple):
-    """What was counted so far; T is rounded up to whole windows."""
-
-    time: Array  # int32
-    congested: Array  # bool
-    finished: Array  # int32 [T]
-    visits: Array  # int32 [H' * W']
-    moves: Array  # int32
-
-
-class Recording(NamedTuple):
-    """A whole run, for the audit and for pictures; positions on the layout without margin.
-
-    Attributes:
-        positions: int32 [T + 1, A]; after the end of the run the last position is repeated.
-        goals: int32 [T + 1, A], the goal cell each agent is heading for before the step.
-        serving: int32 [T + 1, A], timesteps it must still stay.
-        finished: bool [T, A], tasks finished by the step.
-        active: bool [A].
-    """
-
-    positions: Array
-    goals: Array
-    serving: Array
-    finished: Array
-    active: Array
-
-
 def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> Problem:
     """Build what all runs on `layout` (int8 [H, W]) share: goals, distances, walls.
 
@@ -123,17 +105,6 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> Problem:
         stays=jnp.asarray(tasks.stays(rule)),
         valid=goals.complete,
     )
-
-
-def walled(cells: Array, cols: int) -> jax.Array:
-    """Translate positions of the layout into positions of the walled grid."""
-    return (cells // cols + MARGIN) * (cols + 2 * MARGIN) + cells % cols + MARGIN
-
-
-def unwalled(cells: Array, cols: int) -> jax.Array:
-    """Translate positions of the walled grid into positions of the layout."""
-    width = cols + 2 * MARGIN
-    return (cells // width - MARGIN) * cols + cells % width - MARGIN
 
 
 def place(problem: Problem, config: FleetConfig, active: Array, key: Array) -> Fleet:
@@ -182,15 +153,6 @@ def situation_of(problem: Problem, fleet: Fleet, active: Array) -> Situation:
     )
 
 
-class Block(NamedTuple):
-    """What happened in the executed steps of one window, each [h, A]."""
-
-    positions: Array  # int32, after the step
-    serving: Array  # int32, after the step
-    finished: Array  # bool
-    goals: Array  # int32, goal cells before the step
-
-
 def run_window(
     problem: Problem, config: FleetConfig, fleet: Fleet, active: Array, key: Array
 ) -> tuple[Fleet, Block]:
@@ -210,49 +172,6 @@ def run_window(
     return fleet._replace(previous=jnp.concatenate([paths[config.horizon :], last])), block
 
 
-def is_congested(start: Array, block: Block, serving: Array, active: Array) -> jax.Array:
-    """Tell whether more than half of the agents are stuck.
-
-    Stuck: the same cell at all timesteps of the window but the last, and never serving.
-    """
-    path = jnp.concatenate([start[None], block.positions])[:-1]
-    at_work = jnp.concatenate([serving[None], block.serving])[:-1] > 0
-    stuck = (path == path[0]).all(0) & ~at_work.any(0) & active
-    return stuck.sum() > active.sum() // 2
-
-
-def count_block(tally: Tally, start: Array, block: Block, active: Array, timesteps: int) -> Tally:
-    """Add the driven steps to the tally; steps beyond T do not count."""
-    horizon = block.positions.shape[0]
-    counts = (tally.time + jnp.arange(horizon) < timesteps)[:, None] & active[None, :]
-    before = jnp.concatenate([start[None], block.positions[:-1]])
-    finished = (block.finished & counts).sum(1, dtype=jnp.int32)
-    return Tally(
-        time=jnp.minimum(tally.time + horizon, timesteps),
-        congested=tally.congested,
-        finished=jax.lax.dynamic_update_slice(tally.finished, finished, (tally.time,)),
-        visits=tally.visits.at[block.positions].add(counts.astype(jnp.int32)),
-        moves=tally.moves + ((block.positions != before) & counts).sum(dtype=jnp.int32),
-    )
-
-
-def summarise(problem: Problem, config: FleetConfig, tally: Tally, active: Array) -> Traffic:
-    """Turn the tally into the record that other stages read."""
-    finished = tally.finished[: config.timesteps]
-    visits = tally.visits.reshape(problem.traversable.shape)[MARGIN:-MARGIN, MARGIN:-MARGIN]
-    steps = jnp.maximum(tally.time * active.sum(), 1).astype(jnp.float32)
-    total = finished.sum()
-    return Traffic(
-        throughput=total / jnp.float32(config.timesteps),
-        congested=tally.congested | ~problem.valid,
-        end_timestep=tally.time,
-        finished=finished,
-        usage=visits / jnp.maximum(visits.sum(), 1).astype(jnp.float32),
-        waiting=1.0 - tally.moves / steps,
-        path_length=tally.moves / jnp.maximum(total, 1).astype(jnp.float32),
-    )
-
-
 def _run(
     problem: Problem, key: Array, config: FleetConfig, agents: Array | None, keep: bool
 ) -> tuple[Traffic, Recording | None]:
@@ -263,19 +182,9 @@ def _run(
     problem = problem._replace(valid=problem.valid & room & (asked <= config.agents))
     place_key, drive_key = jax.random.split(key)
     fleet = place(problem, config, active, place_key)
-    windows = -(-config.timesteps // config.horizon)
-    total = windows * config.horizon
-    tally = Tally(
-        time=jnp.int32(0),
-        congested=jnp.bool_(False),
-        finished=jnp.zeros((total,), jnp.int32),
-        visits=jnp.zeros((problem.traversable.size,), jnp.int32),
-        moves=jnp.int32(0),
-    )
-    tape = None
-    if keep:
-        tape = Block(*(jnp.zeros((total, config.agents), jnp.int32) for _ in Block._fields))
-    begin = fleet
+    blocks = -(-config.timesteps // config.horizon)
+    tally = empty_tally(problem, blocks * config.horizon)
+    tape = Tape.empty(fleet.position, blocks * config.horizon) if keep else None
 
     def going(carry: tuple) -> jax.Array:
         tally = carry[1]
@@ -288,48 +197,15 @@ def _run(
         step_key = jax.random.fold_in(drive_key, tally.time)
         after, block = run_window(problem, config, fleet, at_work, step_key)
         jam = is_congested(fleet.position, block, fleet.serving, active)
-        time = tally.time
+        tape = tape.store(block, tally.time) if keep else None
         tally = count_block(tally, fleet.position, block, active, config.timesteps)
-        if keep:
-            tape = jax.tree.map(
-                lambda roll, part: jax.lax.dynamic_update_slice(
-                    roll, part.astype(jnp.int32), (time, 0)
-                ),
-                tape,
-                block,
-            )
         return after, tally._replace(congested=tally.congested | jam), tape
 
     fleet, tally, tape = jax.lax.while_loop(going, window, (fleet, tally, tape))
-    traffic = summarise(problem, config, tally, active)
-    return traffic, _recording(problem, config, begin, fleet, tape, tally, active) if keep else None
-
-
-def _recording(
-    problem: Problem,
-    config: FleetConfig,
-    begin: Fleet,
-    end: Fleet,
-    tape: Block,
-    tally: Tally,
-    active: Array,
-) -> Recording:
-    """Cut the tape to T steps and translate its positions."""
-    cols = problem.traversable.shape[1] - 2 * MARGIN
-    steps = config.timesteps
-    driven = (jnp.arange(steps) < tally.time)[:, None]
-    positions = jnp.where(driven, tape.positions[:steps], end.position)
-    headings = jnp.where(driven, tape.goals[:steps], problem.goals.cells[end.goal[0]])
-    last = problem.goals.cells[end.goal[0]]
-    return Recording(
-        positions=unwalled(jnp.concatenate([begin.position[None], positions]), cols),
-        goals=unwalled(jnp.concatenate([headings, last[None]]), cols),
-        serving=jnp.concatenate(
-            [begin.serving[None], jnp.where(driven, tape.serving[:steps], end.serving)]
-        ),
-        finished=(tape.finished[:steps] > 0) & driven,
-        active=active,
-    )
+    traffic = summarise(problem, tally, active, config.timesteps)
+    last_goal = problem.goals.cells[fleet.goal[0]]
+    kept = recording_of(tape, tally, last_goal, active, problem, config.timesteps) if keep else None
+    return traffic, kept
 
 
 def simulate(

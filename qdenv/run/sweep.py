@@ -1,0 +1,119 @@
+"""What `qdenv sweep` does: throughput and success of one layout over numbers of agents."""
+
+import csv
+import io
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.files import write_atomically
+from qdenv.run.traffic import Outcome, Simulation
+from qdenv.simulate.fleet import FleetConfig
+from qdenv.types import InputError, TaskRule
+
+NORMAL_95 = 1.959964  # two-sided 95 % quantile of the normal distribution
+
+
+def parse_counts(text: str) -> tuple[int, ...]:
+    """Read numbers of agents: one ("200"), a list ("50,100") or a range ("50:400:50").
+
+    The end of a range belongs to it.
+
+    Raises:
+        InputError: none of the three, or a count below one.
+    """
+    try:
+        if ":" in text:
+            first, last, *step = (int(part) for part in text.split(":"))
+            counts = tuple(range(first, last + 1, *step))
+        else:
+            counts = tuple(int(part) for part in text.split(","))
+    except (ValueError, TypeError):
+        raise InputError(f"agents {text!r}: write 200, or 50,100, or 50:400:50") from None
+    if not counts or min(counts) < 1:
+        raise InputError(f"agents {text!r} holds no number of agents above zero")
+    return counts
+
+
+class SweepRow(NamedTuple):
+    """One number of agents of a sweep; throughput is over the runs that never congested."""
+
+    agents: int
+    runs: int
+    throughput: float
+    standard_error: float
+    success_rate: float
+    success_low: float
+    success_high: float
+    mean_of_all: float
+    cpu_seconds_per_run: float
+
+
+def wilson_interval(successes: int, runs: int) -> tuple[float, float]:
+    """Bound a success rate with 95 % confidence (Wilson 1927)."""
+    rate, spread = successes / runs, NORMAL_95**2 / runs
+    centre = (rate + spread / 2) / (1 + spread)
+    width = np.sqrt(rate * (1 - rate) * spread + spread**2 / 4) / (1 + spread)
+    return max(0.0, float(centre - width)), min(1.0, float(centre + width))
+
+
+def summarise(outcome: Outcome, agents: int) -> SweepRow:
+    """Condense the runs with one number of agents to a row of the table."""
+    good = outcome.runs.throughput[~outcome.runs.congested]
+    runs = len(outcome.seeds)
+    error = float(good.std(ddof=1) / np.sqrt(len(good))) if len(good) > 1 else float("nan")
+    return SweepRow(
+        agents,
+        runs,
+        float(good.mean()) if len(good) else float("nan"),
+        error,
+        len(good) / runs,
+        *wilson_interval(len(good), runs),
+        float(outcome.runs.throughput.mean()),
+        outcome.cpu_seconds,
+    )
+
+
+def sweep(
+    layout: np.ndarray,
+    rule: TaskRule,
+    config: FleetConfig,
+    counts: Iterable[int],
+    seeds: Sequence[int],
+    progress: Callable[[SweepRow], None] = lambda row: None,
+) -> list[SweepRow]:
+    """Simulate a layout with several numbers of agents; compiles once.
+
+    Args:
+        layout: int8 [H, W].
+        rule: what the agents do.
+        config: the numbers; its own number of agents does not matter.
+        counts: numbers of agents.
+        seeds: of the runs with each number.
+        progress: told every finished row.
+
+    Raises:
+        InputError: more agents than free cells.
+    """
+    counts = tuple(counts)
+    free = int(np.isin(layout, [rule.tiles.index(tile) for tile in rule.traversable]).sum())
+    if max(counts) > free:
+        raise InputError(f"{max(counts)} agents do not fit: the layout has {free} free cells")
+    simulation = Simulation(layout, rule, replace(config, agents=max(counts)))
+    rows = []
+    for agents in counts:
+        rows.append(summarise(simulation.outcome(seeds, agents), agents))
+        progress(rows[-1])
+    return rows
+
+
+def write_table(path: Path, rows: Sequence[SweepRow]) -> None:
+    """Write a sweep as CSV, one line per number of agents."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(SweepRow._fields)
+    writer.writerows(rows)
+    write_atomically(path, text.getvalue().encode())

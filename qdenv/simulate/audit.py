@@ -1,0 +1,174 @@
+"""An independent check of a recorded run: plain numpy, nothing shared with the simulator.
+
+It walks through the trajectory once and works out by itself what must have happened: who arrived,
+who served, which tasks were finished, when the traffic jammed. Everything that disagrees is named.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.types import TaskRule, Traffic
+
+
+class Trajectory(NamedTuple):
+    """A run as the audit reads it; positions are ``row * width + column`` of the layout.
+
+    Attributes:
+        positions: int [T + 1, A].
+        goals: int [T + 1, A], the goal cell an agent heads for before each step.
+        finished: bool [T, A], tasks the simulator says the step finished.
+    """
+
+    positions: np.ndarray
+    goals: np.ndarray
+    finished: np.ndarray
+
+
+def trajectory_of(recording: object) -> Trajectory:
+    """Take what the audit needs from a `Recording`, without padding agents."""
+    active = np.asarray(recording.active)
+    return Trajectory(
+        np.asarray(recording.positions)[:, active],
+        np.asarray(recording.goals)[:, active],
+        np.asarray(recording.finished)[:, active],
+    )
+
+
+def audit(
+    layout: np.ndarray, rule: TaskRule, trajectory: Trajectory, traffic: Traffic, horizon: int = 5
+) -> list[str]:
+    """Find everything a run did against the rules.
+
+    Args:
+        layout: int8 [H, W].
+        rule: what the agents do.
+        trajectory: the recorded run.
+        traffic: what the simulator reported of it.
+        horizon: timesteps between two plans, the length of the windows of the jam rule.
+
+    Returns:
+        messages, each with the timestep and an agent; empty when all is well.
+    """
+    layout = np.asarray(layout)
+    end = int(traffic.end_timestep)
+    positions = trajectory.positions[: end + 1]
+    broken = check_moves(layout, rule, positions)
+    finished, working, messages = replay_tasks(layout, rule, trajectory, end)
+    return broken + messages + check_report(layout, positions, finished, working, traffic, horizon)
+
+
+def check_moves(layout: np.ndarray, rule: TaskRule, positions: np.ndarray) -> list[str]:
+    """Check cells, steps, vertex conflicts and swaps (positions int [t + 1, A])."""
+    height, width = layout.shape
+    free = np.isin(layout, [rule.tiles.index(tile) for tile in rule.traversable]).reshape(-1)
+    outside = (positions < 0) | (positions >= height * width)
+    if outside.any():
+        return [_at("is outside the layout", outside)]
+    broken = [_at("stands on an obstacle", ~free[positions])] if not free[positions].all() else []
+    for time, cells in enumerate(positions):
+        where, counts = np.unique(cells, return_counts=True)
+        if (counts > 1).any():
+            broken.append(f"t={time}: {counts.max()} agents on cell {where[counts.argmax()]}")
+    before, after = positions[:-1], positions[1:]
+    rows = np.abs(before // width - after // width)
+    columns = np.abs(before % width - after % width)
+    if (rows + columns > 1).any():
+        broken.append(_at("makes more than one step at once", rows + columns > 1))
+    for time, (a, b) in enumerate(zip(before, after, strict=True)):
+        moved = a != b
+        edges = set(zip(a[moved].tolist(), b[moved].tolist(), strict=True))
+        swaps = [edge for edge in edges if edge[::-1] in edges]
+        if swaps:
+            broken.append(f"t={time}: agents swap cells {swaps[0]}")
+    return broken
+
+
+def replay_tasks(
+    layout: np.ndarray, rule: TaskRule, trajectory: Trajectory, end: int
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Work out arrivals, stays and finished tasks from positions and goals alone.
+
+    Returns:
+        finished bool [end, A], working bool [end + 1, A] (serving after the step), messages.
+    """
+    goal_cells = [np.asarray(goal.weight(layout)).reshape(-1) > 0 for goal in rule.cycle]
+    stay = np.array([goal.stay for goal in rule.cycle])
+    positions, goals = trajectory.positions, trajectory.goals
+    agents = positions.shape[1]
+    kind, left = np.zeros(agents, int), np.zeros(agents, int)
+    finished = np.zeros((end, agents), bool)
+    working = np.zeros((end + 1, agents), bool)
+    broken = []
+    for time in range(end):
+        goal, cell = goals[time], positions[time + 1]
+        proper = np.array([goal_cells[k][g] for k, g in zip(kind, goal, strict=True)])
+        if not proper.all():
+            broken.append(f"t={time}: agent {np.argmin(proper)} heads for a goal of another kind")
+        serving = left > 0
+        if (serving & (cell != goal)).any():
+            broken.append(
+                f"t={time}: agent {np.argmax(serving & (cell != goal))} cuts a stay short"
+            )
+        arrived = ~serving & (cell == goal)
+        left = np.where(serving, left - 1, np.where(arrived, stay[kind], 0))
+        done = (serving | arrived) & (left == 0)
+        finished[time], working[time + 1] = done, left > 0
+        kind = np.where(done, (kind + 1) % len(stay), kind)
+        changed = goals[time + 1] != goal
+        if (changed & ~done).any():
+            broken.append(f"t={time}: agent {np.argmax(changed & ~done)} skips its goal")
+    wrong = finished != trajectory.finished[:end]
+    if wrong.any():
+        broken.append(_at("has a task credited wrongly", wrong))
+    return finished, working, broken
+
+
+def check_report(
+    layout: np.ndarray,
+    positions: np.ndarray,
+    finished: np.ndarray,
+    working: np.ndarray,
+    traffic: Traffic,
+    horizon: int,
+) -> list[str]:
+    """Compare the reported figures with figures counted again."""
+    broken = []
+    timesteps = len(np.asarray(traffic.finished))
+    counts = np.zeros(timesteps, int)
+    counts[: len(finished)] = finished.sum(1)
+    if not np.array_equal(counts, np.asarray(traffic.finished)):
+        broken.append("finished tasks per timestep are miscounted")
+    if abs(float(traffic.throughput) - counts.sum() / timesteps) > 1e-5:
+        broken.append("throughput is not finished tasks over T")
+    visits = np.bincount(positions[1:].reshape(-1), minlength=layout.size).reshape(layout.shape)
+    if not np.allclose(np.asarray(traffic.usage), visits / visits.sum(), atol=1e-6):
+        broken.append("tile usage is miscounted")
+    moves = (positions[1:] != positions[:-1]).mean()
+    if abs(float(traffic.waiting) - (1 - moves)) > 1e-5:
+        broken.append("the share of waiting is miscounted")
+    jams = jammed_windows(positions, working, horizon)
+    if bool(traffic.congested) != bool(jams):
+        broken.append(f"jams at {jams}, but congested is {bool(traffic.congested)}")
+    return broken
+
+
+def jammed_windows(positions: np.ndarray, working: np.ndarray, horizon: int) -> list[int]:
+    """List the ends of all windows in which more than half of the agents were stuck.
+
+    An agent is stuck if it stands still from the window's start until one timestep before its end
+    and never serves meanwhile.
+    """
+    jams = []
+    for start in range(0, len(positions) - horizon, horizon):
+        path, at_work = positions[start : start + horizon], working[start : start + horizon]
+        stuck = (path == path[0]).all(0) & ~at_work.any(0)
+        if stuck.sum() > positions.shape[1] // 2:
+            jams.append(start + horizon)
+    return jams
+
+
+def _at(what: str, where: np.ndarray) -> str:
+    """Name the first timestep and agent at which something holds."""
+    time, agent = np.argwhere(where)[0]
+    return f"t={time}: agent {agent} {what}"
