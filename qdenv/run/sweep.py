@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.files import write_atomically
-from qdenv.run.traffic import Outcome, Simulation
+from qdenv.run.traffic import Simulated, run_seeds
 from qdenv.simulate.fleet import FleetConfig
+from qdenv.simulate.tasks import check_playable
 from qdenv.types import InputError, TaskRule
 
 NORMAL_95 = 1.959964  # two-sided 95 % quantile of the normal distribution
@@ -60,10 +61,10 @@ def wilson_interval(successes: int, runs: int) -> tuple[float, float]:
     return max(0.0, float(centre - width)), min(1.0, float(centre + width))
 
 
-def summarise(outcome: Outcome, agents: int) -> SweepRow:
+def summarise(done: Simulated, agents: int) -> SweepRow:
     """Condense the runs with one number of agents to a row of the table."""
-    good = outcome.runs.throughput[~outcome.runs.congested]
-    runs = len(outcome.seeds)
+    good = np.array([run.throughput for run in done.runs if not run.congested])
+    runs = len(done.seeds)
     error = float(good.std(ddof=1) / np.sqrt(len(good))) if len(good) > 1 else float("nan")
     return SweepRow(
         agents,
@@ -72,14 +73,14 @@ def summarise(outcome: Outcome, agents: int) -> SweepRow:
         error,
         len(good) / runs,
         *wilson_interval(len(good), runs),
-        float(outcome.runs.throughput.mean()),
-        outcome.cpu_seconds,
+        float(np.mean([run.throughput for run in done.runs])),
+        done.cpu_seconds / runs,
     )
 
 
 def sweep(
     layout: np.ndarray,
-    rule: TaskRule,
+    tasks: TaskRule | None,
     config: FleetConfig,
     counts: Iterable[int],
     seeds: Sequence[int],
@@ -89,23 +90,22 @@ def sweep(
 
     Args:
         layout: int8 [H, W].
-        rule: what the agents do.
+        tasks: what the agents do.
         config: the numbers; its own number of agents does not matter.
         counts: numbers of agents.
         seeds: of the runs with each number.
         progress: told every finished row.
 
     Raises:
-        InputError: more agents than free cells.
+        InputError: the fleet cannot work on this layout, or has no room on it.
     """
     counts = tuple(counts)
-    free = int(np.isin(layout, [rule.tiles.index(tile) for tile in rule.traversable]).sum())
-    if max(counts) > free:
-        raise InputError(f"{max(counts)} agents do not fit: the layout has {free} free cells")
-    simulation = Simulation(layout, rule, replace(config, agents=max(counts)))
+    config = replace(config, agents=max(counts))
+    if tasks is not None:
+        check_playable(layout, tasks, max(counts))
     rows = []
     for agents in counts:
-        rows.append(summarise(simulation.outcome(seeds, agents), agents))
+        rows.append(summarise(run_seeds(layout, tasks, config, seeds, agents), agents))
         progress(rows[-1])
     return rows
 

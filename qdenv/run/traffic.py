@@ -1,8 +1,6 @@
-"""What `qdenv simulate` does: many simulations of one layout, audited on demand.
+"""Studies of one layout's traffic: simulate it over seeds, audit what happened, report it."""
 
-Seeds are simulated in threads: a compiled call releases the interpreter lock.
-"""
-
+import functools
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -11,139 +9,198 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from qdenv.domains import find_domain
+from qdenv.simulate import fleet
 from qdenv.simulate.audit import audit, trajectory_of
-from qdenv.simulate.fleet import FleetConfig, prepare, record, simulate
+from qdenv.simulate.planners.windowed import EFFORTS
+from qdenv.simulate.tasks import check_playable
 from qdenv.types import InputError, TaskRule, Traffic
 
 
-class Outcome(NamedTuple):
-    """All runs of one layout with one number of agents.
+SMALL = 2000  # cells up to which every cell gets room in the distance table (8 MB)
+CAPACITY_STEP = 256
+
+
+class Simulated(NamedTuple):
+    """The runs of one layout.
 
     Attributes:
         seeds: one per run.
-        runs: `Traffic` with a leading axis S, on the host.
-        cpu_seconds: of the process, mean per run.
-        compile_seconds: of the process, spent on compiling.
-        broken: messages of the audit, with their seeds; None where it was not asked for.
+        runs: `Traffic` of numpy values.
+        recordings: trajectories where they were asked for, else empty.
+        cpu_seconds: of all runs together, compilation left out.
+        compile_seconds: CPU seconds of compiling; 0 where the program was at hand.
     """
 
     seeds: tuple[int, ...]
-    runs: Traffic
+    runs: list[Traffic]
+    recordings: list[fleet.Recording]
     cpu_seconds: float
     compile_seconds: float
-    broken: tuple[str, ...] | None
 
 
-def parse_seeds(text: str) -> tuple[int, ...]:
-    """Read seeds: a count ("3" is 0, 1, 2) or a list ("4,8,15").
+def parse_seeds(seeds: Sequence[int]) -> tuple[int, ...]:
+    """Read a count of seeds (one number) or a list of them.
 
     Raises:
-        InputError: neither of the two.
+        InputError: the count is not positive.
     """
-    try:
-        numbers = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"seeds {text!r} are neither a count nor a list like 4,8,15") from None
-    if "," not in text:
-        if numbers[0] < 1:
-            raise InputError("at least one seed is needed")
-        return tuple(range(numbers[0]))
-    if min(numbers) < 0 or len(set(numbers)) < len(numbers):
-        raise InputError(f"seeds {text!r} must be different and not negative")
-    return numbers
+    if len(seeds) != 1:
+        return tuple(seeds)
+    if seeds[0] < 1:
+        raise InputError("simulate at least one seed")
+    return tuple(range(seeds[0]))
 
 
-def with_capacity(layout: np.ndarray, rule: TaskRule, config: FleetConfig) -> FleetConfig:
-    """Size the distance tables of one known layout: its goals, rounded up to words of 32."""
-    goals = np.any([np.asarray(goal.weight(layout)) > 0 for goal in rule.cycle], axis=0).sum()
-    return replace(config, goal_capacity=int(-(-max(goals, 1) // 32) * 32))
+def run_seeds(
+    layout: np.ndarray,
+    tasks: TaskRule | None,
+    config: fleet.FleetConfig,
+    seeds: Sequence[int],
+    agents: int | None = None,
+    record: bool = False,
+) -> Simulated:
+    """Simulate a layout once per seed, on all cores.
+
+    Args:
+        layout: int8 [H, W].
+        tasks: what the agents do.
+        config: numbers of the simulation; every layout of one size shares its program.
+        seeds: each decides starts, goals and ties of its run.
+        agents: how many take part, at most ``config.agents``; None for all. Compiles nothing new.
+        record: keep the trajectories.
+
+    Raises:
+        InputError: no fleet drives in this domain, or not on this layout.
+    """
+    if tasks is None:
+        raise InputError("no fleet drives in this domain: there is no traffic to simulate")
+    count = config.agents if agents is None else agents
+    check_playable(layout, tasks, count)
+    config = with_capacity(layout, tasks, config)
+    begin = time.process_time()
+    prepare, simulate = _programs(tasks, config, layout.shape, record)
+    compiled = time.process_time()
+    problem = prepare(layout)
+
+    def one(seed: int) -> tuple:
+        return jax.tree.map(np.asarray, simulate(problem, jax.random.key(seed), np.int32(count)))
+
+    # A compiled call leaves the interpreter lock, so threads use all cores.
+    with ThreadPoolExecutor(os.cpu_count() or 1) as threads:
+        results = list(threads.map(one, seeds))
+    spent = time.process_time() - compiled
+    return Simulated(
+        tuple(seeds),
+        [traffic for traffic, _ in results],
+        [recording for _, recording in results if record],
+        spent,
+        compiled - begin,
+    )
 
 
-class Simulation:
-    """One layout, prepared and compiled once, to be run for any seed and number of agents."""
-
-    def __init__(
-        self, layout: np.ndarray, rule: TaskRule, config: FleetConfig, check: bool = False
-    ) -> None:
-        """Prepare and compile; with `check`, runs are recorded and audited."""
-        self.layout, self.rule, self.check = np.asarray(layout), rule, check
-        self.config = config = with_capacity(self.layout, rule, config)
-        before = time.process_time()
-        self.problem = jax.jit(lambda tiles: prepare(tiles, rule, config))(jnp.asarray(layout))
-        go = record if check else simulate
-        compiled = jax.jit(lambda problem, key, agents: go(problem, key, rule, config, agents))
-        key, agents = jax.random.key(0), jnp.int32(config.agents)
-        self._run = compiled.lower(self.problem, key, agents).compile()
-        self.compile_seconds = time.process_time() - before
-
-    def run(self, seed: int, agents: int) -> tuple[Traffic, list[str]]:
-        """Simulate once; returns the traffic and what the audit found."""
-        result = self._run(self.problem, jax.random.key(seed), jnp.int32(agents))
-        if not self.check:
-            return jax.tree.map(np.asarray, result), []
-        traffic, recording = jax.tree.map(np.asarray, result)
-        found = audit(
-            self.layout, self.rule, trajectory_of(recording), traffic, self.config.horizon
-        )
-        return traffic, [f"seed {seed}: {message}" for message in found]
-
-    def outcome(
-        self,
-        seeds: Sequence[int],
-        agents: int | None = None,
-        progress: Callable[[int], None] = lambda done: None,
-    ) -> Outcome:
-        """Simulate all seeds, as many at a time as there are cores."""
-        agents = self.config.agents if agents is None else agents
-        before = time.process_time()
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            results = []
-            for result in pool.map(lambda seed: self.run(seed, agents), seeds):
-                results.append(result)
-                progress(len(results))
-        return Outcome(
-            seeds=tuple(seeds),
-            runs=jax.tree.map(lambda *parts: np.stack(parts), *(run for run, _ in results)),
-            cpu_seconds=(time.process_time() - before) / len(seeds),
-            compile_seconds=self.compile_seconds,
-            broken=tuple(m for _, found in results for m in found) if self.check else None,
-        )
+def with_capacity(
+    layout: np.ndarray, tasks: TaskRule, config: fleet.FleetConfig
+) -> fleet.FleetConfig:
+    """Give a big layout tables for its own goals only; small ones share one program and size."""
+    if config.goal_capacity is not None or layout.size <= SMALL:
+        return config
+    goals = np.any([np.asarray(goal.weight(layout)) > 0 for goal in tasks.cycle], axis=0).sum()
+    return replace(config, goal_capacity=int(-(-goals // CAPACITY_STEP) * CAPACITY_STEP))
 
 
-def describe(
-    outcome: Outcome, layout: str, domain: str, planner: str, agents: int, timesteps: int
+@functools.lru_cache(maxsize=32)
+def _programs(
+    tasks: TaskRule, config: fleet.FleetConfig, shape: tuple[int, int], record: bool
+) -> tuple[Callable, Callable]:
+    """Compile the preparation and the simulation of layouts of one size."""
+
+    def run(problem: Any, key: Any, count: Any) -> tuple:
+        if record:
+            return fleet.record(problem, key, tasks, config, count)
+        return fleet.simulate(problem, key, tasks, config, count), None
+
+    layout = jax.ShapeDtypeStruct(shape, np.int8)
+    prepare = jax.jit(lambda layout: fleet.prepare(layout, tasks, config))
+    problem = jax.eval_shape(prepare, layout)
+    arguments = (problem, jax.random.key(0), jax.ShapeDtypeStruct((), np.int32))
+    return prepare.lower(layout).compile(), jax.jit(run).lower(*arguments).compile()
+
+
+def simulate_layout(
+    layout: np.ndarray,
+    domain: str = "warehouse-even",
+    agents: int = 200,
+    timesteps: int = 1000,
+    seeds: Sequence[int] = (3,),
+    effort: str = "low",
+    check: bool = False,
 ) -> dict[str, Any]:
-    """State an outcome as the JSON of `qdenv simulate`.
+    """Simulate a layout over seeds and report it in JSON-ready values.
 
-    ``mean_throughput`` is over all runs; ``valid`` is None where no audit was asked for.
+    Args:
+        layout: int8 [H, W].
+        domain: name of the domain.
+        agents: number of agents.
+        timesteps: horizon T.
+        seeds: how many, or a list of at least two.
+        effort: "low" or "high".
+        check: audit every trajectory; without it "valid" is None.
+
+    Returns:
+        domain, planner, agents, timesteps, runs (seed, throughput, congested, end_timestep,
+        finished_tasks), mean_throughput (over the runs that never congested; over all where
+        none is), success_rate, cpu_seconds_per_run, compile_seconds, valid, broken.
+
+    Raises:
+        InputError: a name is unknown, or the fleet cannot work on this layout.
     """
-    runs = outcome.runs
-    rows = [
-        {
-            "seed": seed,
-            "throughput": float(runs.throughput[index]),
-            "congested": bool(runs.congested[index]),
-            "end_timestep": int(runs.end_timestep[index]),
-            "finished_tasks": int(runs.finished[index].sum()),
-            "waiting": float(runs.waiting[index]),
-            "path_length": float(runs.path_length[index]),
-        }
-        for index, seed in enumerate(outcome.seeds)
-    ]
+    if effort not in EFFORTS:
+        raise InputError(f"unknown effort {effort!r}: choose one of {', '.join(EFFORTS)}")
+    tasks = find_domain(domain).tasks
+    config = fleet.FleetConfig(agents=agents, timesteps=timesteps, planner=EFFORTS[effort])
+    done = run_seeds(layout, tasks, config, parse_seeds(seeds), record=check)
+    wrong = broken_rules(layout, tasks, config, done) if check else []
     return {
-        "layout": layout,
         "domain": domain,
-        "planner": planner,
+        "planner": f"windowed, {effort} effort",
         "agents": agents,
         "timesteps": timesteps,
-        "runs": rows,
-        "mean_throughput": float(runs.throughput.mean()),
-        "success_rate": float(1 - runs.congested.mean()),
-        "cpu_seconds_per_run": outcome.cpu_seconds,
-        "compile_seconds": outcome.compile_seconds,
-        "valid": None if outcome.broken is None else not outcome.broken,
-        "broken": list(outcome.broken or ()),
+        "runs": [describe(seed, run) for seed, run in zip(done.seeds, done.runs, strict=True)],
+        "mean_throughput": mean_throughput(done.runs),
+        "success_rate": float(np.mean([not run.congested for run in done.runs])),
+        "cpu_seconds_per_run": round(done.cpu_seconds / len(done.runs), 4),
+        "compile_seconds": round(done.compile_seconds, 3),
+        "valid": not wrong if check else None,
+        "broken": wrong,
     }
+
+
+def broken_rules(
+    layout: np.ndarray, tasks: TaskRule, config: fleet.FleetConfig, done: Simulated
+) -> list[str]:
+    """Audit all recorded runs; returns what they did against the rules, with the seed."""
+    return [
+        f"seed {seed}: {found}"
+        for seed, run, tape in zip(done.seeds, done.runs, done.recordings, strict=True)
+        for found in audit(layout, tasks, trajectory_of(tape), run, config.horizon)
+    ]
+
+
+def describe(seed: int, run: Traffic) -> dict[str, Any]:
+    """Reduce one run to its JSON-ready numbers."""
+    return {
+        "seed": int(seed),
+        "throughput": float(run.throughput),
+        "congested": bool(run.congested),
+        "end_timestep": int(run.end_timestep),
+        "finished_tasks": int(run.finished.sum()),
+    }
+
+
+def mean_throughput(runs: Sequence[Traffic]) -> float:
+    """Average over the runs that never congested, as published tables do; else over all."""
+    smooth = [run.throughput for run in runs if not run.congested]
+    return float(np.mean(smooth or [run.throughput for run in runs]))
