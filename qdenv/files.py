@@ -1,10 +1,12 @@
 """Writing files so that a crash, a full disk or a kill never leaves half of one."""
 
+import csv
+import io
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from qdenv.types import InputError
 
@@ -39,6 +41,19 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
             f"{path}: cannot be written ({error.strerror or error}): free some space or choose "
             "another place; what was written before is intact"
         ) from error
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a table as CSV, atomically.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    write_atomically(path, text.getvalue().encode())
 
 
 # mkstemp makes private files; results are ordinary ones. The mask can only be read by setting it.

@@ -1,7 +1,5 @@
 """Layouts of other sizes: grown by one elite (E.3), designed by hand, tiled (E.4)."""
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain, EvaluationConfig
-from qdenv.files import write_atomically
+from qdenv.files import write_csv
 from qdenv.generate.decode import inside_frame
 from qdenv.repair.solver import RepairConfig
 from qdenv.run.elites import Grown, grow_elite, grow_series, repair_grown, scaled_shelves
@@ -43,11 +41,7 @@ def details(sized: Sized) -> dict[str, int | float | str]:
 
 def write_series(path: Path, series: Sequence[Sized]) -> None:
     """Write the table of a series as CSV, a row per layout."""
-    text = io.StringIO()
-    rows = csv.DictWriter(text, list(details(series[0])), lineterminator="\n")
-    rows.writeheader()
-    rows.writerows(details(sized) for sized in series)
-    write_atomically(path, text.getvalue().encode())
+    write_csv(path, list(details(series[0])), [list(details(sized).values()) for sized in series])
 
 
 def parse_size(text: str) -> tuple[int, int]:
