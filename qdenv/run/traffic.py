@@ -18,7 +18,6 @@ from qdenv.simulate.planners.windowed import EFFORTS
 from qdenv.simulate.tasks import check_playable
 from qdenv.types import InputError, TaskRule, Traffic
 
-
 SMALL = 2000  # cells up to which every cell gets room in the distance table (8 MB)
 CAPACITY_STEP = 256
 
