@@ -1,4 +1,4 @@
-"""Commands about traffic: simulate."""
+"""Commands about traffic: simulate, sweep."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,11 @@ import tyro
 from qdenv.domains import find_domain
 from qdenv.files import write_atomically
 from qdenv.formats.layouts import read_layout
-from qdenv.run.traffic import simulate_layout
+from qdenv.plots.traffic import save_sweep
+from qdenv.run import sweep as sweeping
+from qdenv.run.traffic import parse_seeds, simulate_layout
+from qdenv.simulate.fleet import FleetConfig
+from qdenv.simulate.planners.windowed import EFFORTS
 from qdenv.types import InputError
 
 
@@ -52,3 +56,43 @@ def simulate(
         f"compiled in {result['compile_seconds']:.1f} s"
         + (", every trajectory valid" if result["valid"] else "")
     )
+
+
+def sweep(
+    layout: tyro.conf.Positional[Path],
+    agents: str = "50:400:50",
+    domain: str = "warehouse-even",
+    timesteps: int = 1000,
+    seeds: tuple[int, ...] = (10,),
+    effort: Literal["low", "high"] = "high",
+    out: Path | None = None,
+) -> None:
+    """Simulate a layout with more and more agents: throughput and success rate.
+
+    Args:
+        layout: layout file.
+        agents: numbers of agents, as 50:400:50 or 50,100,200.
+        domain: whose tasks the agents do.
+        timesteps: how long to simulate.
+        seeds: how many seeds, or a list of them.
+        effort: low for a quick look, high for numbers to report.
+        out: CSV file to write, with a picture beside it; named after the layout unless given.
+    """
+    kind = find_domain(domain)
+    tiles = read_layout(layout, kind.tiles)
+    config = FleetConfig(timesteps=timesteps, planner=EFFORTS[effort])
+    print("agents  throughput  standard error  success rate (95 % interval)")
+
+    def show(row: sweeping.SweepRow) -> None:
+        print(
+            f"{row.agents:6}  {row.throughput:10.3f}  {row.standard_error:14.3f}  "
+            f"{row.success_rate:12.0%} ({row.success_low:.0%} to {row.success_high:.0%})",
+            flush=True,
+        )
+
+    counts = sweeping.parse_counts(agents)
+    rows = sweeping.sweep(tiles, kind.tasks, config, counts, parse_seeds(seeds), show)
+    table = out or Path(f"{layout.stem}_sweep.csv")
+    sweeping.write_table(table, rows)
+    save_sweep(table.with_suffix(".png"), rows, layout.stem)
+    print(f"{table}, {table.with_suffix('.png')}")

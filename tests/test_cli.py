@@ -1,0 +1,169 @@
+"""The command line: its promised forms, its files, one line and exit code 2 for every mistake."""
+
+import json
+
+import numpy as np
+import pytest
+
+from qdenv.cli import run
+from qdenv.formats.layouts import read_layout, write_layout
+from qdenv.grid import parse
+from qdenv.presets import PRESETS
+
+TILES = ".@ew"
+GOOD = [
+    "...........",
+    "w..@e.e@..w",
+    "...@e.e@...",
+    "...........",
+    "w..e@.@e..w",
+    "...........",
+    "...........",
+]
+
+
+def write(path, rows=GOOD):
+    write_layout(path, parse(rows, TILES), TILES)
+    return str(path)
+
+
+@pytest.fixture
+def layout(tmp_path):
+    return write(tmp_path / "layout.json")
+
+
+def test_check_names_every_broken_rule_and_a_cell(layout, tmp_path, capsys):
+    assert run(["check", layout]) == 0
+    assert run(["check", layout, "--shelves", "6"]) == 0
+    assert run(["check", layout, "--shelves", "7"]) == 1
+    assert "7" in capsys.readouterr().out
+    rows = [row.replace("w", ".") for row in GOOD]
+    rows[2] = "...@.......".replace("@", "e")
+    assert run(["check", write(tmp_path / "broken.json", rows)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert len(said) >= 3  # no workstations, an endpoint without a shelf, the summary
+    assert sum("row" in line and "column" in line for line in said) >= 2
+
+
+def test_repair_writes_what_it_promises(layout, tmp_path, capsys):
+    out, facts = tmp_path / "r.json", tmp_path / "f.json"
+    command = ["repair", layout, "--domain", "warehouse-even", "--shelves", "8", "--seed", "0"]
+    picture = tmp_path / "d.png"
+    assert run([*command, "--out", str(out), "--json", str(facts), "--diff", str(picture)]) == 0
+    content = json.loads(facts.read_text())
+    assert {"status", "hamming", "lower_bound", "cpu_seconds", "valid"} <= content.keys()
+    assert content["valid"] and content["lower_bound"] <= content["hamming"]
+    before, after = read_layout(layout, TILES), read_layout(out, TILES)
+    assert (before != after).sum() == content["hamming"]
+    assert run(["check", str(out), "--shelves", "8"]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_simulate_writes_what_it_promises(layout, tmp_path):
+    facts = tmp_path / "f.json"
+    command = ["simulate", layout, "--domain", "warehouse-even", "--agents", "4"]
+    command += ["--timesteps", "40", "--seeds", "2", "--effort", "low", "--json", str(facts)]
+    assert run(command) == 0
+    content = json.loads(facts.read_text())
+    assert content.keys() == {
+        "layout", "domain", "planner", "agents", "timesteps", "runs", "mean_throughput",
+        "success_rate", "cpu_seconds_per_run", "compile_seconds", "valid",
+    }  # fmt: skip
+    assert content["valid"] is True and content["layout"] == layout
+    assert [one["seed"] for one in content["runs"]] == [0, 1]
+    keys = {"seed", "throughput", "congested", "end_timestep", "finished_tasks"}
+    for one in content["runs"]:
+        assert one.keys() == keys
+        assert one["throughput"] == pytest.approx(one["finished_tasks"] / 40)
+    assert np.mean([one["throughput"] for one in content["runs"]]) > 0.2
+
+
+@pytest.mark.parametrize(
+    ("rows", "agents", "reason"),
+    [
+        ([row.replace("w", ".") for row in GOOD], 4, "no 'w'"),
+        ([row.replace("e", ".") for row in GOOD], 4, "no 'e'"),
+        (GOOD, 500, "500 agents need as many free cells"),
+        (["w@.e", "w@.@", ".@.e"], 2, "cut off"),
+    ],
+)
+def test_simulate_refuses_what_no_fleet_can_drive_on(rows, agents, reason, tmp_path, capsys):
+    path = write(tmp_path / "bad.json", rows)
+    assert run(["simulate", path, "--agents", str(agents), "--timesteps", "10"]) == 2
+    said = capsys.readouterr().err
+    assert reason in said and said.count("\n") == 1 and "Traceback" not in said
+
+
+@pytest.mark.parametrize("command", ["simulate", "repair", "check"])
+@pytest.mark.parametrize("content", ["", "{}", '{"layout": ["..", "."]}', '{"layout": ["?"]}'])
+def test_malformed_layouts_give_one_line(command, content, tmp_path, capsys):
+    path = tmp_path / "bad.json"
+    path.write_text(content)
+    assert run([command, str(path)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("qdenv: ") and said.count("\n") == 1
+
+
+def test_impossible_repair_says_so_at_once(layout, capsys):
+    assert run(["repair", layout, "--shelves", "70"]) == 2
+    assert "no repair exists" in capsys.readouterr().err
+
+
+def test_other_mistakes_give_one_line(layout, tmp_path, capsys):
+    for arguments, reason in [
+        (["train", "nothing"], "unknown preset"),
+        (["resume", str(tmp_path)], "no run here"),
+        (["generate", str(tmp_path)], "no run here"),
+        (["check", layout, "--domain", "moon"], "unknown domain"),
+        (["train", "quick", "--rows", "2", "--run-dir", str(tmp_path / "r")], "smaller than"),
+        (["train", "quick", "--kernel-sizes", "2", "--run-dir", str(tmp_path / "r")], "odd"),
+    ]:
+        assert run(arguments) == 2, arguments
+        said = capsys.readouterr().err
+        assert reason in said and said.count("\n") == 1
+
+
+def test_presets_hold_the_papers_numbers(capsys):
+    assert run(["presets"]) == 0
+    said = capsys.readouterr().out
+    assert all(name in said for name in PRESETS)
+    even = PRESETS["warehouse-even"]
+    numbers = even.evaluation
+    assert (numbers.rows, numbers.cols, numbers.shelves, numbers.agents) == (33, 36, 240, 200)
+    assert (numbers.timesteps, numbers.simulations, numbers.steps) == (1000, 5, 50)
+    assert (even.algorithm.emitters, even.algorithm.batch, even.evaluations) == (5, 10, 10_000)
+    assert (even.algorithm.sigma0, even.algorithm.learning_rate) == (0.2, 0.01)
+    assert [PRESETS[f"warehouse-uneven{a}"].evaluation.alpha for a in ("", "-a1", "-a0")] == [
+        5,
+        1,
+        0,
+    ]
+
+
+def test_train_generate_resume_end_to_end(tmp_path, capsys):
+    path = tmp_path / "run"
+    small = ["--rows", "9", "--cols", "10", "--shelves", "6", "--agents", "6", "--timesteps", "20"]
+    small += ["--steps", "6", "--hidden", "4", "--emitters", "2", "--batch", "3", "--no-progress"]
+    small += ["--evaluations", "12", "--seed", "1", "--simulations", "1"]
+    assert run(["train", "quick", "--run-dir", str(path), *small]) == 0
+    names = ["config.json", "manifest.json", "metrics.csv", "archive.npz", "best_layout.json"]
+    assert all((path / name).exists() for name in [*names, "archive.png", "best_layout.png"])
+    assert json.loads((path / "config.json").read_text())["evaluation"]["hidden"] == 4
+    assert run(["check", str(path / "best_layout.json"), "--shelves", "6"]) == 0
+
+    out = tmp_path / "grown.json"
+    command = ["generate", str(path), "--out", str(out)]
+    assert run([*command, "--elite", "best"]) == 0
+    # Grown again at the trained size, the elite is the layout that was evaluated.
+    again, best = read_layout(out, TILES), read_layout(path / "best_layout.json", TILES)
+    np.testing.assert_array_equal(again, best)
+    assert run([*command, "--elite", "best", "--rows", "14", "--cols", "15", "--steps", "9"]) == 0
+    assert read_layout(out, TILES).shape == (14, 15)
+    assert run(["check", str(out)]) == 0
+    assert run([*command, "--elite", "99,99"]) == 2
+    assert run([*command, "--elite", "nonsense"]) == 2
+    assert run(["train", "--run-dir", str(path), *small]) == 2
+
+    capsys.readouterr()
+    assert run(["resume", str(path), "--evaluations", "18", "--no-progress"]) == 0
+    assert "after 18 evaluations" in capsys.readouterr().out
