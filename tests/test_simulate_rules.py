@@ -1,0 +1,91 @@
+"""The movement rules: every drawing of the rules' page, run through the independent audit."""
+
+import re
+
+import numpy as np
+import pytest
+
+import qdenv.simulate
+from qdenv.simulate.audit import Trajectory, check_moves, jammed_windows, replay_tasks
+from qdenv.simulate.tasks import tile_goal
+from qdenv.types import TaskRule
+
+TILES = ".#12"
+BLOCK = re.compile(r"^ {4}(allowed|forbidden|tasks|jam|no jam): (.*)\n((?: {4}\S.*\n)+)", re.M)
+EXAMPLES = BLOCK.findall(qdenv.simulate.__doc__)
+
+
+def rule(stay: int = 0) -> TaskRule:
+    return TaskRule(TILES, ".12", tuple(tile_goal(goal, TILES, stay) for goal in "12"))
+
+
+def read(drawing: str) -> tuple[np.ndarray, np.ndarray]:
+    """Read (layout int8 [H, W], positions int [T + 1, A]) from pictures side by side."""
+    rows = [row.split() for row in drawing.strip("\n").splitlines()]
+    pictures = [["".join(part) for part in picture] for picture in zip(*rows, strict=True)]
+    cells = ["".join(picture) for picture in pictures]
+    agents = sorted(set(cells[0]) - set(".#"))
+    layout = [[TILES.index("#" if tile == "#" else ".") for tile in row] for row in pictures[0]]
+    positions = [[cell.find(agent) for agent in agents] for cell in cells]
+    return np.array(layout, np.int8), np.array(positions)
+
+
+def test_every_rule_is_drawn():
+    assert sorted(kind for kind, _, _ in EXAMPLES) == sorted(
+        ["allowed"] * 3 + ["forbidden"] * 4 + ["tasks"] * 2 + ["jam", "no jam"]
+    )
+
+
+@pytest.mark.parametrize("example", [e for e in EXAMPLES if e[0] in ("allowed", "forbidden")])
+def test_drawn_moves(example: tuple[str, str, str]):
+    kind, text, drawing = example
+    layout, positions = read(drawing)
+    if text == "agents on cell":  # the second picture can show only one of the two
+        positions[1] = positions[1].max()
+    broken = check_moves(layout, rule(), positions)
+    assert (broken == []) == (kind == "allowed")
+    assert kind == "allowed" or any(text.split()[-1] in message for message in broken)
+
+
+@pytest.mark.parametrize("example", [e for e in EXAMPLES if e[0] == "tasks"])
+def test_drawn_tasks(example: tuple[str, str, str]):
+    _, text, drawing = example
+    stay, cells, times = re.match(r"stay (\d+) on (\S+), finished at (.*)", text).groups()
+    expected = [int(time) for time in times.split()]
+    _, positions = read(drawing)
+    layout = np.array([[TILES.index(tile) for tile in cells]], np.int8)
+    end = len(positions) - 1
+    done = np.isin(np.arange(1, end + 1), expected)[:, None]
+    kind = np.concatenate([[0], np.cumsum(done)]) % 2
+    goals = np.array([cells.index("12"[k]) for k in kind])[:, None]
+    trajectory = Trajectory(positions, goals, done)
+    finished, _, broken = replay_tasks(layout, rule(int(stay)), trajectory, end)
+    assert broken == []
+    assert np.flatnonzero(finished).tolist() == [time - 1 for time in expected]
+
+
+@pytest.mark.parametrize("example", [e for e in EXAMPLES if e[0] in ("jam", "no jam")])
+def test_drawn_jams(example: tuple[str, str, str]):
+    kind, _, drawing = example
+    _, positions = read(drawing)
+    jams = jammed_windows(positions, np.zeros(positions.shape, bool), horizon=5)
+    assert jams == ([5] if kind == "jam" else [])
+
+
+def test_serving_agents_are_not_stuck():
+    positions = np.tile([0, 1, 3], (6, 1))
+    serving = np.zeros(positions.shape, bool)
+    serving[2, :2] = True
+    assert jammed_windows(positions, serving, horizon=5) == []
+
+
+def test_a_short_stay_and_a_skipped_goal_are_found():
+    layout = np.array([[TILES.index(tile) for tile in "1..2"]], np.int8)
+    positions = np.array([[1], [0], [1], [2]])
+    done = np.zeros((3, 1), bool)
+    stays = Trajectory(positions, np.zeros((4, 1), int), done)
+    assert any("stay short" in m for m in replay_tasks(layout, rule(2), stays, 3)[2])
+    skips = Trajectory(positions + 1, np.array([[0], [0], [3], [3]]), done)
+    assert any("skips its goal" in m for m in replay_tasks(layout, rule(), skips, 3)[2])
+    wrong = Trajectory(positions, np.zeros((4, 1), int), ~done)
+    assert any("credited wrongly" in m for m in replay_tasks(layout, rule(), wrong, 3)[2])
