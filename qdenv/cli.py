@@ -22,6 +22,8 @@ COMMANDS: dict[str, Callable] = {
     "presets": runs.presets,
     "generate": runs.generate,
     "series": sizes.series,
+    "compare": sizes.compare,
+    "scalability": sizes.scalability,
     "layout human": sizes.layout_human,
     "layout tile": sizes.layout_tile,
     "repair": layouts.repair,

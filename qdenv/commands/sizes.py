@@ -1,16 +1,26 @@
-"""Commands about other sizes and the baselines: layout human, layout tile, series."""
+"""Commands about other sizes and the baselines: layouts by hand and tiled, series, compare."""
 
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import tyro
 
 from qdenv.domains import find_domain
+from qdenv.domains.base import Domain
 from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.plots.layouts import save_layout
+from qdenv.plots.sizes import save_comparison, save_peaks
 from qdenv.repair.solver import RepairConfig
+from qdenv.run import compare as comparing
 from qdenv.run import sizes
 from qdenv.run.records import RunDirectory
+from qdenv.run.sweep import parse_counts
+from qdenv.run.traffic import parse_seeds
+from qdenv.simulate.fleet import FleetConfig
+from qdenv.simulate.planners.windowed import EFFORTS
+from qdenv.types import InputError
 
 
 def layout_human(
@@ -106,3 +116,102 @@ def series(
             path = out / f"human_{item.rows}x{item.cols}.json"
             layout_human(item.rows, item.cols, domain.name, path)
     sizes.write_series(out / "series.csv", grown)
+
+
+def compare(
+    layouts: tyro.conf.Positional[tuple[Path, ...]],
+    agents: str = "200",
+    domain: str = "warehouse-even",
+    timesteps: int = 1000,
+    seeds: tuple[int, ...] = (10,),
+    effort: Literal["low", "high"] = "high",
+    out: Path = Path("compare.csv"),
+) -> None:
+    """Put layouts side by side: success rate, and throughput over the runs that never congested.
+
+    Args:
+        layouts: layout files.
+        agents: numbers of agents, as 200 or 50,100 or 50:400:50.
+        domain: whose tasks the agents do.
+        timesteps: how long to simulate.
+        seeds: how many seeds, or a list of them.
+        effort: low for a quick look, high for numbers to report.
+        out: CSV file to write, with a picture beside it.
+    """
+    kind, tiles = read_layouts(layouts, domain)
+    config = FleetConfig(timesteps=timesteps, planner=EFFORTS[effort])
+    show = table_printer(tiles)
+    counts = parse_counts(agents)
+    rows = comparing.compare(tiles, kind.tasks, config, counts, parse_seeds(seeds), show)
+    comparing.write_comparison(out, rows)
+    save_comparison(out.with_suffix(".png"), rows)
+    print(f"{out}, {out.with_suffix('.png')}")
+
+
+def scalability(
+    layouts: tyro.conf.Positional[tuple[Path, ...]],
+    agents: str = "50:1000:50",
+    domain: str = "warehouse-even",
+    timesteps: int = 1000,
+    seeds: tuple[int, ...] = (5,),
+    effort: Literal["low", "high"] = "high",
+    out: Path = Path("scalability.csv"),
+) -> None:
+    """Add agents until the mean throughput drops; report the peak and where it is.
+
+    Args:
+        layouts: layout files, of one size or of several.
+        agents: numbers of agents to try in turn; those that do not fit are left out.
+        domain: whose tasks the agents do.
+        timesteps: how long to simulate.
+        seeds: how many seeds, or a list of them.
+        effort: low for a quick look, high for numbers to report.
+        out: CSV file to write, with a picture beside it.
+    """
+    kind, tiles = read_layouts(layouts, domain)
+    config = FleetConfig(timesteps=timesteps, planner=EFFORTS[effort])
+    show = table_printer(tiles)
+    counts, numbers = parse_counts(agents), parse_seeds(seeds)
+    ways = [
+        comparing.climb(name, layout, kind.tasks, config, counts, numbers, show)
+        for name, layout in tiles.items()
+    ]
+    peaks = [comparing.find_peak(way) for way in ways]
+    for peak in peaks:
+        end = "" if peak.dropped else ", still rising at the last number of agents"
+        print(f"{peak.layout}: peak {peak.throughput:.3f} at {peak.agents} agents{end}")
+    rows = [row for way in ways for row in way]
+    comparing.write_comparison(out, rows)
+    save_peaks(out.with_suffix(".png"), rows, peaks)
+    print(f"{out}, {out.with_suffix('.png')}")
+
+
+def read_layouts(paths: Sequence[Path], domain: str) -> tuple[Domain, dict[str, np.ndarray]]:
+    """Read layouts of one domain, by name.
+
+    Raises:
+        InputError: none is given, or one cannot be read.
+    """
+    if not paths:
+        raise InputError("give at least one layout file")
+    kind = find_domain(domain)
+    named = comparing.name_layouts(paths)
+    return kind, {name: read_layout(path, kind.tiles) for name, path in named.items()}
+
+
+def table_printer(names: Iterable[str]) -> Callable[[comparing.Compared], None]:
+    """Print a table's head now and each row as it comes; columns fit the names."""
+    width = max(6, *(len(name) for name in names))
+    print(f"{'layout':{width}}   size    agents  throughput (s.e.)  success (95 %)    mean of all")
+
+    def show(row: comparing.Compared) -> None:
+        found = row.traffic
+        size, spread = f"{row.rows}x{row.cols}", f"({found.standard_error:.3f})"
+        bounds = f"({found.success_low:.0%} to {found.success_high:.0%})"
+        print(
+            f"{row.layout:{width}}  {size:8} {found.agents:6}  {found.throughput:8.3f} {spread:8} "
+            f" {found.success_rate:4.0%} {bounds:14} {found.mean_of_all:9.3f}",
+            flush=True,
+        )
+
+    return show
