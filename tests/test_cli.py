@@ -38,7 +38,7 @@ def test_check_names_every_broken_rule_and_a_cell(layout, tmp_path, capsys):
     assert run(["check", layout, "--shelves", "7"]) == 1
     assert "7" in capsys.readouterr().out
     rows = [row.replace("w", ".") for row in GOOD]
-    rows[2] = "...@.......".replace("@", "e")
+    rows[5] = ".....e....."
     assert run(["check", write(tmp_path / "broken.json", rows)]) == 1
     said = capsys.readouterr().out.splitlines()
     assert len(said) >= 3  # no workstations, an endpoint without a shelf, the summary
@@ -65,7 +65,7 @@ def test_simulate_writes_what_it_promises(layout, tmp_path):
     command += ["--timesteps", "40", "--seeds", "2", "--effort", "low", "--json", str(facts)]
     assert run(command) == 0
     content = json.loads(facts.read_text())
-    assert content.keys() == {
+    assert content.keys() >= {
         "layout", "domain", "planner", "agents", "timesteps", "runs", "mean_throughput",
         "success_rate", "cpu_seconds_per_run", "compile_seconds", "valid",
     }  # fmt: skip

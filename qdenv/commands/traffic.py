@@ -56,6 +56,7 @@ def simulate(
         f"compiled in {result['compile_seconds']:.1f} s"
         + (", every trajectory valid" if result["valid"] else "")
     )
+    print("\n".join(result["broken"]), end="\n" if result["broken"] else "")
 
 
 def sweep(
