@@ -1,0 +1,62 @@
+"""Search with an objective of your own, in plain numpy, between ask and tell.
+
+    python experiments/own_objective.py --iterations 200
+
+Bends a chain of twelve links so that its tip reaches many different places while its joints are
+bent as evenly as possible. Saves the archive as a table for pandas and as a picture.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import tyro
+
+from qdenv.plots.archive import save_heatmap
+from qdenv.search.export import save_csv
+from qdenv.search.registry import ALGORITHMS, make_algorithm
+from qdenv.types import Measure, Score
+
+LINKS = 12
+MEASURES = (Measure("tip x", -LINKS, LINKS, 60), Measure("tip y", -LINKS, LINKS, 60))
+
+
+def evaluate(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Score joint angles [B, links]: objective [B] in [.., 1], place of the tip [B, 2]."""
+    directions = np.cumsum(angles, axis=1)
+    tip = np.stack([np.cos(directions).sum(axis=1), np.sin(directions).sum(axis=1)], axis=1)
+    return 1 - angles.var(axis=1), tip
+
+
+def main(
+    algorithm: str = "cma-mae", iterations: int = 200, seed: int = 0, out: Path = Path("chain")
+) -> None:
+    """Run the search.
+
+    Args:
+        algorithm: cma-mae, cma-me, map-elites, cma-es or random.
+        iterations: of ask, evaluate, tell.
+        seed: of the search.
+        out: files ``OUT.csv`` and ``OUT.png`` are written.
+    """
+    config = ALGORITHMS[algorithm].config()
+    search = make_algorithm(config, LINKS, MEASURES, extras={"tip": np.zeros(2, np.float32)})
+    ask, tell = jax.jit(search.ask), jax.jit(search.tell, donate_argnums=0)
+    state = search.init(jax.random.key(seed))
+    for _ in range(iterations):
+        solutions, state = ask(state)
+        objective, tip = evaluate(np.asarray(solutions))
+        success = np.isfinite(objective)  # rows that fail enter no archive
+        state = tell(state, solutions, Score(objective, objective, tip, success), {"tip": tip})
+    archive = search.archive(state)
+    print(f"{algorithm}: QD-score {archive.qd_score():.1f}, coverage {archive.coverage:.1%}")
+    save_csv(archive, out.with_suffix(".csv"))
+    save_heatmap(out.with_suffix(".png"), archive.objectives, MEASURES, "bent chain")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,66 @@
+"""The heat map: every elite is drawn, in its place, fast."""
+
+import time
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+from scipy import ndimage
+
+from qdenv.plots.archive import draw_heatmap, objective_grid, save_heatmap, scatter_objectives
+from qdenv.types import InputError, Measure
+
+GRID = (Measure("walls", 0, 4, 4), Measure("path length", 0, 30, 3))
+MAZE = (Measure("walls", 0, 256, 256), Measure("path length", 0, 648, 162))
+
+
+def test_cells_are_row_major_and_empty_ones_blank():
+    objectives = scatter_objectives([0, 5, 11], [1.0, 2.0, 3.0], GRID)
+    grid = objective_grid(np.where(np.isnan(objectives), -np.inf, objectives), GRID)
+    assert grid.shape == (4, 3) and np.isfinite(grid).sum() == 3
+    assert (grid[0, 0], grid[1, 2], grid[3, 2]) == (1, 2, 3)
+
+
+def test_axes_carry_names_and_ranges_and_the_first_measure_runs_right():
+    axes = Figure().add_subplot()
+    image = draw_heatmap(axes, scatter_objectives([5], [2.0], GRID), GRID)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("walls", "path length")
+    assert image.get_extent() == [0, 4, 0, 30] and image.origin == "lower"
+    assert image.get_cursor_data(_mouse(axes, 1.5, 25)) == 2.0
+    assert image.get_cursor_data(_mouse(axes, 2.5, 25)) is np.ma.masked
+
+
+def _mouse(axes, x, y):
+    """Make a mouse event over a point of the data."""
+    place = axes.transData.transform((x, y))
+    return type("Event", (), {"x": place[0], "y": place[1], "inaxes": axes})()
+
+
+def test_each_elite_of_a_sparse_maze_archive_shows_in_the_picture(tmp_path):
+    rng = np.random.default_rng(0)
+    # Every ninth cell of every ninth row: no two touch.
+    index = np.ravel_multi_index(np.mgrid[1:256:9, 1:162:9].reshape(2, -1), (256, 162))
+    objectives = scatter_objectives(index, rng.uniform(1, 2, len(index)), MAZE)
+    spent = []
+    for name in ("warm.png", "archive.png"):
+        start = time.process_time()
+        save_heatmap(tmp_path / name, objectives, MAZE, title="maze")
+        spent.append(time.process_time() - start)
+    assert spent[-1] < 1, f"{spent[-1]:.2f} CPU seconds"
+    image = np.asarray(Image.open(tmp_path / "archive.png").convert("RGB")).astype(int)
+    blobs, _ = ndimage.label(np.ptp(image, axis=-1) > 30, np.ones((3, 3)))
+    sizes = np.bincount(blobs.ravel())[1:]
+    assert (sizes < 100).sum() == len(index)
+    assert (sizes >= 100).sum() == 1  # the colour bar
+
+
+def test_an_empty_archive_and_a_single_measure_draw(tmp_path):
+    save_heatmap(tmp_path / "empty.png", np.full(12, -np.inf), GRID)
+    save_heatmap(tmp_path / "line.svg", np.arange(4.0), GRID[:1])
+    assert b"0.0% of 12 cells" not in (tmp_path / "empty.png").read_bytes()
+    assert (tmp_path / "line.svg").read_text().startswith("<?xml")
+    with pytest.raises(InputError, match="11 objectives"):
+        save_heatmap(tmp_path / "bad.png", np.zeros(11), GRID)
+    with pytest.raises(InputError, match="one or two measures"):
+        objective_grid(np.zeros(12), (*GRID, Measure("z", 0, 1, 1)))
