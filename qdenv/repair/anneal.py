@@ -14,7 +14,7 @@ def anneal(
     moves: int,
     start: np.ndarray | None = None,
     heats: tuple[float, float] = (0.3, 0.1),
-    pulls: tuple[float, float] = (0.8, 2.5),
+    pulls: tuple[float, float] = (0.6, 2.2),
 ) -> tuple[np.ndarray | None, float]:
     """Find a cheap layout that obeys every rule.
 

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.repair.kernels import ALWAYS, DRIVES
+from qdenv.repair.kernels import ALWAYS
+from qdenv.repair.moves import DRIVES, FAMILY, NEEDS, WORD
 from qdenv.repair.topology import join, ring_parts
 from qdenv.types import Rules
 
@@ -38,6 +39,8 @@ class State(NamedTuple):
     queue: np.ndarray
     sides: np.ndarray
     move: np.ndarray
+    changed: np.ndarray
+    place: np.ndarray
     best: np.ndarray
     cost: float
     broken: int
@@ -101,7 +104,7 @@ def _open_tiles(board: Board, kinds: int) -> np.ndarray:
     """Choose what to put on a cell that opens: its input tile, else the least demanding one."""
     choice = np.full(board.home.size, -1)
     drives = np.flatnonzero(board.kinds[:kinds, DRIVES])
-    demands = (board.kinds[:, DRIVES + 4 :] != ALWAYS).sum(1)
+    demands = (board.kinds[:, NEEDS:] != ALWAYS).sum(1)
     for kind in sorted(drives, key=lambda kind: -demands[kind]):
         choice[board.allowed >> kind & 1 == 1] = kind
     kept = (board.kinds[board.home, DRIVES] == 1) & (board.allowed >> board.home & 1 == 1)
@@ -139,14 +142,18 @@ def begin(board: Board, tile: np.ndarray) -> State:
     """Start a `State` at `tile` (int8 [N], settled)."""
     size, stride, shape = tile.size, board.walk[4], (-1, board.walk[4])
     facts, drive = board.kinds[tile], board.kinds[tile, DRIVES].astype(np.int8)
-    near = ALWAYS + sum(np.roll(facts[:, 1], step) for step in (1, -1, stride, -stride))
-    families = facts[:, 3, None] >> np.arange(len(board.limits)) & 1
+    near = ALWAYS + sum(np.roll(facts[:, WORD], step) for step in (1, -1, stride, -stride))
+    families = facts[:, FAMILY, None] >> np.arange(len(board.limits)) & 1
     counts = families.sum(0)
-    broken = ((near[:, None] & facts[:, 4:]) == 0).sum()
+    broken = ((near[:, None] & facts[:, NEEDS:]) == 0).sum()
     broken += np.maximum(board.limits[:, 0] - counts, counts - board.limits[:, 1]).clip(0).sum()
     blocked = board.aisle**2 - _squares(drive.reshape(shape), board.aisle)
     cover = _squares((blocked == 0)[::-1, ::-1], board.aisle)[::-1, ::-1].ravel()
     broken += ((drive == 1) & (cover == 0)).sum()
+    differs = np.flatnonzero(tile != board.home)
+    changed, place = np.zeros(1 + size, np.int64), np.zeros(size, np.int64)
+    changed[: 1 + differs.size] = [differs.size, *differs]
+    place[differs] = 1 + np.arange(differs.size)
     return State(
         tile=tile.copy(),
         drive=drive,
@@ -158,6 +165,8 @@ def begin(board: Board, tile: np.ndarray) -> State:
         queue=np.zeros((4, size), np.int64),
         sides=np.zeros((3, 4), np.int64),
         move=np.zeros((3, 3), np.int64),
+        changed=changed,
+        place=place,
         best=np.zeros(size, np.int8),
         cost=float((board.price * (tile != board.home)).sum()),
         broken=int(broken),

@@ -4,9 +4,11 @@ Threads suffice: the annealer and HiGHS both work outside the interpreter lock. 
 """
 
 import hashlib
+import logging
 import os
 import threading
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections import OrderedDict
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 
 import jax
 import numpy as np
@@ -15,10 +17,15 @@ from qdenv.repair.solver import RepairConfig, repair
 from qdenv.types import Array, Repair, RepairStatus, Rules
 
 
+LOG = logging.getLogger(__name__)
+WAITING_PER_WORKER = 64  # layouts that may queue before `submit` waits
+
+
 class RepairPool:
     """Repair layouts of one canvas on all cores; equal layouts are repaired once.
 
-    Use it as a context manager, or call `close`.
+    Use it as a context manager, or call `close`. Results depend on the layout, the seed and the
+    configuration only: not on batch size, order, number of workers or what was repaired before.
     """
 
     def __init__(self, rules: Rules, config: RepairConfig | None = None, remember: int = 4096):
@@ -27,47 +34,49 @@ class RepairPool:
         Args:
             rules: the constraints of the canvas.
             config: limits and number of workers.
-            remember: how many finished repairs to keep.
+            remember: how many repairs to keep.
         """
         self.rules, self.config = rules, config or RepairConfig()
-        self.workers = self.config.workers or len(os.sched_getaffinity(0))
+        self.workers = self.config.workers or count_cores()
         self._threads = ThreadPoolExecutor(self.workers, thread_name_prefix="repair")
-        self._slots = threading.BoundedSemaphore(64 * self.workers)
+        self._slots = threading.BoundedSemaphore(WAITING_PER_WORKER * self.workers)
         self._lock = threading.Lock()
-        self._memo: dict[bytes, Future] = {}
+        self._memo: OrderedDict[bytes, Future] = OrderedDict()
         self._remember = remember
 
     def submit(self, layout: np.ndarray, seed: int = 0) -> "Future[Repair]":
         """Queue one layout (int8 [H, W]); waits while the queue is full.
 
-        A worker that fails gives status `FAILED` and the layout as it came, and is not remembered.
+        A worker that fails answers with status `FAILED` and the layout as it came, and that answer
+        is not remembered. A remembered repair has cost 0 seconds. `cancel` on the future takes back
+        what has not begun.
         """
         layout = np.array(layout, np.int8)
-        digest = hashlib.blake2b(layout.tobytes(), digest_size=16)
-        digest.update(repr((layout.shape, int(seed))).encode())
-        key = digest.digest()
+        key = content_key(layout, seed)
         with self._lock:
             known = self._memo.get(key)
             if known is not None and not known.cancelled():
-                return known
+                self._memo.move_to_end(key)
+                return _for_free(known)
         self._slots.acquire()
-        future = self._threads.submit(self._work, layout, int(seed))
-        future.add_done_callback(lambda done: self._finish(key, done))
+        future = self._threads.submit(self._work, key, layout, int(seed))
+        future.add_done_callback(lambda done: self._slots.release())
         with self._lock:
             self._memo[key] = future
+            while len(self._memo) > self._remember:
+                self._memo.popitem(last=False)
         return future
 
-    def _work(self, layout: np.ndarray, seed: int) -> Repair:
+    def _work(self, key: bytes, layout: np.ndarray, seed: int) -> Repair:
         """Repair one layout; whatever happens, answer with a record."""
         try:
             return repair(layout, self.rules, seed, self.config)
         except Exception:
+            LOG.exception("a repair failed; its layout counts as not repairable")
+            with self._lock:
+                self._memo.pop(key, None)
             inf = np.float32(np.inf)
             return Repair(layout, np.int32(RepairStatus.FAILED), inf, np.float32(0), np.float32(0))
-
-    def _finish(self, key: bytes, done: Future) -> None:
-        """Free the slot and keep the memo within its size."""
-        self._slots.release()
 
     def repair(self, layouts: np.ndarray, seed: int = 0) -> Repair:
         """Repair a batch (int8 [B, H, W]) and wait for it; every field gets a leading axis B."""
@@ -76,7 +85,7 @@ class RepairPool:
         return Repair(*(np.stack(field) for field in zip(*records, strict=True)))
 
     def close(self) -> None:
-        """Cancel what waits and stop the threads."""
+        """Cancel what waits, let what runs finish, stop the threads."""
         self._threads.shutdown(wait=True, cancel_futures=True)
 
     def __enter__(self) -> "RepairPool":
@@ -86,6 +95,36 @@ class RepairPool:
     def __exit__(self, *exception: object) -> None:
         """Close the pool."""
         self.close()
+
+
+def count_cores() -> int:
+    """Count the cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def content_key(layout: np.ndarray, seed: int) -> bytes:
+    """Name a repair by what decides it: the layout's content and shape, and the seed."""
+    digest = hashlib.blake2b(layout.tobytes(), digest_size=16)
+    digest.update(repr((layout.shape, int(seed))).encode())
+    return digest.digest()
+
+
+def _for_free(known: "Future[Repair]") -> "Future[Repair]":
+    """Follow a repair that someone else pays for."""
+    mine: Future[Repair] = Future()
+
+    def hand_on(done: Future) -> None:
+        if not mine.set_running_or_notify_cancel():
+            return
+        if done.cancelled():
+            mine.set_exception(CancelledError())
+        else:
+            mine.set_result(done.result()._replace(seconds=np.float32(0)))
+
+    known.add_done_callback(hand_on)
+    return mine
 
 
 def repair_in_jit(pool: RepairPool, layouts: Array, seed: Array) -> Repair:

@@ -1,8 +1,9 @@
 """The annealer's inner loop, compiled by numba and free of the interpreter lock.
 
 Cells live on a grid padded by one ring of walls, so that no neighbour test needs a border case.
-Kernels take plain arrays: a record of arrays would count references at every access. All of them
-stay in this file, because numba's disk cache watches only the file of the function it caches.
+Kernels take plain arrays: a record of arrays would count references at every access. numba's disk
+cache watches only the file of the outermost function: after editing `moves` or `topology`, touch
+this file.
 
 Arrays, N padded cells, K + 1 tiles (the last is the wall):
 
@@ -16,26 +17,16 @@ Arrays, N padded cells, K + 1 tiles (the last is the wall):
     walk    int64 [8], steps to the eight neighbours, clockwise from the top
     parts   int64 [256], pieces that the open 4-neighbours of a ring pattern form
     move    int64 [3, 3], proposed (cell, new tile, old tile)
+    changed int64 [1 + N], how many cells differ from the input, then these cells
+    place   int64 [N], where in `changed` a cell stands, 0 for nowhere
 """
 
 import numpy as np
 
+from qdenv.repair.moves import DRIVES, FAMILY, NEEDS, WORD, draw, propose
 from qdenv.repair.topology import compiled, may_close, may_open
 
-DRIVES, WORD, ROLE, FAMILY, NEEDS = range(5)  # columns of `kinds`; needs fill the rest
 ALWAYS = 1 << 62  # a bit of every tally, so that a tile without needs has them met
-_U7, _U13, _U17, _U32 = (np.uint64(bits) for bits in (7, 13, 17, 32))
-
-
-@compiled
-def _draw(rng, bound):
-    """Draw from 0 .. bound - 1 (xorshift, high bits)."""
-    x = rng[0]
-    x ^= x << _U13
-    x ^= x >> _U7
-    x ^= x << _U17
-    rng[0] = x
-    return np.int64(((x >> _U32) * np.uint64(bound)) >> _U32)
 
 
 @compiled
@@ -103,67 +94,6 @@ def _widen(drive, blocked, cover, aisle, stride, cell, opens):
 
 
 @compiled
-def _other_tile(tile, home, allowed, kinds, cast, rng, cell, drives):
-    """Pick a tile for a cell, often its input tile, or -1; `drives` -1 asks for no area."""
-    old, own = tile[cell], home[cell]
-    fits = allowed[cell] >> own & 1 and (drives < 0 or kinds[own, DRIVES] == drives)
-    if old != own and fits and _draw(rng, 2):
-        return own
-    role = _draw(rng, cast.shape[0])
-    if drives >= 0 and kinds[cast[role, 1], DRIVES] != drives:
-        return -1
-    if role == kinds[old, ROLE] and (cast[role, 0] == 1 or _draw(rng, 4)):
-        return -1
-    if fits and kinds[own, ROLE] == role and own != old:
-        return own
-    new = cast[role, 1 + _draw(rng, cast[role, 0])]
-    return new if new != old and allowed[cell] >> new & 1 else -1
-
-
-@compiled
-def _partner(drive, allowed, free, rng, cell, drives, stride):
-    """Find a free cell on or off the driving area, near `cell` half the time, or -1."""
-    near = _draw(rng, 2)
-    for _ in range(6):
-        other = free[_draw(rng, free.size)]
-        if near:
-            other = cell + (_draw(rng, 5) - 2) * stride + _draw(rng, 5) - 2
-            if other < 0 or other >= drive.size:
-                continue
-        if other != cell and allowed[other] & (allowed[other] - 1) and drive[other] == drives:
-            return other
-    return -1
-
-
-@compiled
-def _propose(tile, drive, home, allowed, free, kinds, cast, walk, rng, move):
-    """Draw up to three changes into `move`; returns how many."""
-    changes, cell = 1, free[_draw(rng, free.size)]
-    new = _other_tile(tile, home, allowed, kinds, cast, rng, cell, -1)
-    if new < 0:
-        return 0
-    move[0, 0], move[0, 1] = cell, new
-    drives = drive[cell]
-    if kinds[new, DRIVES] != drives and _draw(rng, 10) < 7:
-        other = _partner(drive, allowed, free, rng, cell, kinds[new, DRIVES], walk[4])
-        swap = -1
-        if other >= 0:
-            swap = _other_tile(tile, home, allowed, kinds, cast, rng, other, drives)
-        if swap >= 0:
-            move[1, 0], move[1, 1] = other, swap
-            changes = 2
-    if _draw(rng, 3) == 0:
-        side = cell + walk[2 * _draw(rng, 4)]
-        several = allowed[side] & (allowed[side] - 1)
-        if several and drive[side] and (changes == 1 or side != move[1, 0]):
-            new = _other_tile(tile, home, allowed, kinds, cast, rng, side, 1)
-            if new >= 0:
-                move[changes, 0], move[changes, 1] = side, new
-                changes += 1
-    return changes
-
-
-@compiled
 def _stays_linked(drive, mark, queue, sides, kinds, walk, parts, move, changes):
     """Whether the proposed changes keep the driving area in one piece; opens before it closes."""
     for index in range(changes):
@@ -218,6 +148,22 @@ def _open_and_close(drive, blocked, cover, kinds, aisle, stride, move, changes, 
 
 
 @compiled
+def _track(changed, place, tile, home, move, changes):
+    """Keep the list of changed cells up to date after accepted changes."""
+    for index in range(changes):
+        cell = move[index, 0]
+        if tile[cell] != home[cell] and place[cell] == 0:
+            changed[0] += 1
+            changed[changed[0]] = cell
+            place[cell] = changed[0]
+        elif tile[cell] == home[cell] and place[cell] > 0:
+            last = changed[changed[0]]
+            changed[place[cell]], place[last] = last, place[cell]
+            place[cell] = 0
+            changed[0] -= 1
+
+
+@compiled
 def cool(board, state, rng, moves, heats, pulls):
     """Anneal for a fixed number of moves; returns the price of the best feasible layout.
 
@@ -225,7 +171,8 @@ def cool(board, state, rng, moves, heats, pulls):
     the cheapest layout that broke nothing; the price is infinite when there was none.
     """
     home, price, allowed, free, kinds, cast, limits, walk, parts, linked, aisle = board
-    tile, drive, near, counts, blocked, cover, mark, queue, sides, move, best, cost, broken = state
+    tile, drive, near, counts, blocked, cover, mark, queue, sides = state[:9]
+    move, changed, place, best, cost, broken = state[9:]
     lowest, heat, pull, stride = np.inf, heats[0], pulls[0], walk[4]
     for index in range(moves):
         if index & 1023 == 0:
@@ -235,12 +182,14 @@ def cool(board, state, rng, moves, heats, pulls):
         if broken == 0 and cost < lowest:
             lowest = cost
             best[:] = tile
-        changes = _propose(tile, drive, home, allowed, free, kinds, cast, walk, rng, move)
+        changes = propose(tile, drive, home, allowed, free, changed, kinds, cast, walk, rng, move)
         rise, breaks = _apply(tile, near, counts, home, price, kinds, limits, move, changes, stride)
         if aisle > 1:
             breaks += _open_and_close(drive, blocked, cover, kinds, aisle, stride, move, changes, 1)
         slope = rise + pull * breaks
-        accept = slope <= 0 or _draw(rng, 1 << 30) < np.exp(-slope / heat) * (1 << 30)
+        accept = slope <= 0 or (
+            slope < 20 * heat and draw(rng, 1 << 30) < np.exp(-slope / heat) * (1 << 30)
+        )
         if accept and linked:
             for change in range(changes):
                 drive[move[change, 0]] = kinds[move[change, 2], DRIVES]
@@ -250,6 +199,7 @@ def cool(board, state, rng, moves, heats, pulls):
         if accept:
             cost += rise
             broken += breaks
+            _track(changed, place, tile, home, move, changes)
         else:
             _undo(tile, near, counts, kinds, limits, move, changes, stride)
         _open_and_close(

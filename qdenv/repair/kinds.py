@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from qdenv.repair.audit import audit
 from qdenv.repair.board import group_roles
 from qdenv.types import Rules
 
@@ -26,9 +27,7 @@ def hand_out(
     members = group_roles(rules)
     layout = np.array([role[0] for role in members], np.int8)[roles]
     rows, cols = np.indices(home.shape)
-    role_of = np.argsort([kind for role in members for kind in role])
-    role_of = np.repeat(np.arange(len(members)), [len(role) for role in members])[role_of]
-    stays = rules.allowed[rows, cols, home] & (role_of[home] == roles)
+    stays = rules.allowed[rows, cols, home] & (role_of_kind(members)[home] == roles)
     layout = np.where(stays, home, layout)
     single = rules.allowed.sum(-1) == 1
     layout = np.where(single, rules.allowed.argmax(-1), layout).astype(np.int8)
@@ -37,6 +36,30 @@ def hand_out(
             mine = (roles == index) & ~single
             _share(layout, np.argwhere(mine & ~stays), np.argwhere(mine & stays), kinds, rules, rng)
     return layout
+
+
+def balance(
+    layout: np.ndarray, price: float, home: np.ndarray, rules: Rules, seed: int
+) -> tuple[np.ndarray, float]:
+    """Hand the kinds of a feasible `layout` out anew, where that costs no more.
+
+    Returns:
+        The layout (int8 [H, W]) and its price.
+    """
+    roles = group_roles(rules)
+    if max(map(len, roles)) == 1:
+        return layout, price
+    shared = hand_out(role_of_kind(roles)[layout], home, rules, np.random.default_rng(seed))
+    cost = float((rules.weights * (shared != home)).sum())
+    return (layout, price) if cost > price or audit(shared, rules) else (shared, cost)
+
+
+def role_of_kind(roles: list[list[int]]) -> np.ndarray:
+    """Turn groups of kinds around: the role of each kind (int64 [K])."""
+    table = np.zeros(sum(map(len, roles)), np.int64)
+    for role, kinds in enumerate(roles):
+        table[kinds] = role
+    return table
 
 
 def _share(

@@ -2,6 +2,7 @@
 
 import hashlib
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,7 +11,9 @@ import numpy as np
 from qdenv.repair.anneal import anneal
 from qdenv.repair.audit import audit
 from qdenv.repair.bounds import impossible, price_bound
+from qdenv.repair.kinds import balance
 from qdenv.repair.polish import Limits, polish
+from qdenv.repair.template import templates
 from qdenv.types import InputError, Repair, RepairStatus, Rules
 
 
@@ -56,12 +59,9 @@ class RepairConfig:
             raise InputError(f"polish {self.polish!r} must be one of {', '.join(LEVELS)}")
 
 
-# Later attempts, taken only when one found nothing: heats and pulls that insist on the rules.
-ATTEMPTS = (
-    {},
-    {"heats": (0.5, 0.1), "pulls": (2.0, 6.0)},
-    {"heats": (1.0, 0.1), "pulls": (4.0, 20.0)},
-)
+GENTLE = {}
+# No move may break a rule: from a start that obeys all of them, feasibility cannot be lost.
+STRICT = {"heats": (0.3, 0.1), "pulls": (20.0, 20.0)}
 
 
 def seed_of(layout: np.ndarray, seed: int) -> int:
@@ -115,14 +115,23 @@ def repair(
 def _feasible(
     layout: np.ndarray, rules: Rules, seed: int, config: RepairConfig
 ) -> tuple[np.ndarray | None, float]:
-    """Anneal until a layout passes the audit."""
+    """Anneal until a layout passes the audit: from the input, then from regular layouts."""
     cells = int((rules.allowed.sum(-1) > 1).sum())
     moves = cells * (config.moves_per_cell or LEVELS[config.polish].moves_per_cell)
-    for attempt, schedule in enumerate(ATTEMPTS):
-        found, price = anneal(layout, rules, seed + attempt, moves, **schedule)
+    for attempt, (start, schedule) in enumerate(_starts(layout, rules)):
+        found, price = anneal(layout, rules, seed + attempt, moves, start, **schedule)
         if found is not None and not audit(found, rules):
-            return found, price
+            return balance(found, price, layout, rules, seed)
     return None, np.inf
+
+
+def _starts(layout: np.ndarray, rules: Rules) -> Iterator[tuple[np.ndarray, dict]]:
+    """List where and how to anneal, the later ones for layouts that the earlier ones fail on."""
+    yield layout, GENTLE
+    yield layout, {"heats": (0.5, 0.1), "pulls": (2.0, 8.0)}
+    drawn = templates(layout, rules)
+    for start in sorted(drawn, key=lambda start: len(audit(start, rules)))[:4]:
+        yield start, STRICT
 
 
 def _record(
