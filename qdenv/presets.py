@@ -21,6 +21,24 @@ _QUICK = RunConfig(
 )
 
 
+# One agent, no repair, and a soft archive that learns fast (Table 1).
+_MAZE = RunConfig(
+    evaluation=EvaluationConfig(
+        domain="maze-walls",
+        rows=18,
+        cols=18,
+        shelves=0,
+        agents=1,
+        timesteps=648,
+        simulations=50,
+        alpha=0.0,
+    ),
+    algorithm=CmaMaeConfig(batch=30, learning_rate=0.5, ranker="2imp", selection="filter"),
+    evaluations=100_000,
+    checkpoint_every=20,
+)
+
+
 def _paper(domain: str, alpha: float) -> RunConfig:
     return replace(_PAPER, evaluation=replace(_WAREHOUSE, domain=domain, alpha=alpha))
 
@@ -39,6 +57,14 @@ PRESETS: dict[str, RunConfig] = {
         _QUICK,
         evaluation=replace(_QUICK.evaluation, domain="manufacturing"),
         archive=((0, 140, 20), (0, 1, 20)),
+    ),
+    "maze-walls": _MAZE,
+    "maze-entropy": replace(_MAZE, evaluation=replace(_MAZE.evaluation, domain="maze-entropy")),
+    "maze-quick": replace(
+        _MAZE,
+        evaluation=replace(_MAZE.evaluation, simulations=10, timesteps=250),
+        evaluations=3000,
+        archive=((0, 256, 32), (0, 250, 25)),
     ),
 }
 
