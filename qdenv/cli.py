@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 import tyro
 
-from qdenv.commands import layouts, runs, sizes, traffic
+from qdenv.commands import layouts, mazes, runs, sizes, traffic
 from qdenv.types import InputError
 
 COMMANDS: dict[str, Callable] = {
@@ -30,6 +30,9 @@ COMMANDS: dict[str, Callable] = {
     "check": layouts.check,
     "simulate": traffic.simulate,
     "sweep": traffic.sweep,
+    "train-agent": mazes.train_agent,
+    "convert-agent": mazes.convert_agent,
+    "evaluate-agent": mazes.evaluate_agent,
 }
 
 

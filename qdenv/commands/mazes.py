@@ -1,0 +1,87 @@
+"""Commands about mazes and their agent: train-agent, convert-agent, evaluate-agent."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import numpy as np
+import tyro
+
+from qdenv.agent import convert, train
+from qdenv.agent.evaluate import default_horizon
+from qdenv.agent.evaluate import evaluate_agent as measure_success
+from qdenv.agent.update import TrainConfig
+from qdenv.files import write_atomically
+from qdenv.formats.layouts import read_layout
+from qdenv.plots.maze import save_episode
+from qdenv.simulate.maze import prepare, trace_episode
+from qdenv.simulate.maze_world import TILES
+from qdenv.simulate.policy import load_weights
+
+
+def train_agent(
+    config: Annotated[TrainConfig, tyro.conf.arg(name="")],
+    out: Path = Path("runs/agent"),
+    resume: bool = False,
+    report_every: int = 50,
+    cpu_seconds: float = float("inf"),
+) -> None:
+    """Train an agent for mazes: PPO over a curriculum of random mazes.
+
+    Args:
+        config: the run.
+        out: folder of the run: log, checkpoint and agent.npz.
+        resume: go on from the folder's checkpoint.
+        report_every: updates between two lines of the log.
+        cpu_seconds: stop after about so many CPU seconds, ready to be resumed.
+    """
+    print(train.train_agent(config, out, resume, report_every, cpu_seconds))
+
+
+def convert_agent(checkpoint: tyro.conf.Positional[Path], out: Path = Path("agent.npz")) -> None:
+    """Convert the published agent's checkpoint (model_20000.tar) into an agent of ours.
+
+    Args:
+        checkpoint: your copy of the file; read without PyTorch, nothing in it is executed.
+        out: the agent to write.
+    """
+    print(convert.convert_agent(checkpoint, out))
+
+
+def evaluate_agent(
+    layout: tyro.conf.Positional[Path],
+    agent: str = "",
+    runs: int = 100,
+    horizon: int | None = None,
+    seed: int = 0,
+    gif: Path | None = None,
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
+) -> None:
+    """Let the agent solve a maze many times: success rate with its 95 % interval.
+
+    Args:
+        layout: layout file with ' ' for empty tiles and 'X' for walls.
+        agent: an agent.npz; the shipped one unless given.
+        runs: independent episodes.
+        horizon: actions per episode; twice the tiles of the ringed maze unless given.
+        seed: of headings and actions.
+        gif: draw one episode.
+        json_file: where to write the numbers.
+    """
+    maze, weights = read_layout(layout, TILES), load_weights(agent)
+    result = measure_success(weights, maze, seed, runs, horizon)
+    print(
+        f"success {result.rate:.1%} ({result.low:.1%} to {result.high:.1%}) in {runs} runs, "
+        f"{result.mean_length:.0f} actions on average, shortest path {result.shortest} moves"
+    )
+    if json_file:
+        write_atomically(json_file, (json.dumps(result._asdict(), indent=1) + "\n").encode())
+    if gif:
+        tables = prepare(weights, maze)
+        steps = horizon or default_horizon(maze)
+        episode, poses = trace_episode(weights, tables, jax.random.key(seed), steps)
+        shown = slice(0, int(episode.length) + 1)
+        cells, headings = (np.asarray(pose)[shown] for pose in poses)
+        save_episode(gif, maze, int(tables.course.goal), cells, headings)
+        print(gif)
