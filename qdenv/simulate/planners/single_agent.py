@@ -68,8 +68,8 @@ class Front(NamedTuple):
     Attributes:
         cells: uint32 [layers, 2, 21, K], reached by driving, goals included.
         served: uint32 [layers, 2, K], bit e: serving for e timesteps.
-        opened: uint32 [layers, 2, 1, K], all ones where service at the current goal just ended,
-            so that the path goes on from that goal in level 1.
+        opened: uint32 [layers, 2, 1, K], all ones where a path may go on from the current goal:
+            in level 1 when service there just ended.
     """
 
     cells: Array
@@ -137,7 +137,11 @@ def start(view: View, layers: int) -> Front:
     cells = jnp.zeros((layers, 2, SIDE, count), jnp.uint32).at[0, 0, REACH].set(middle)
     served = jnp.zeros((layers, 2, count), jnp.uint32)
     served = served.at[0, 0].set(jnp.where(driving, 0, jnp.uint32(1) << elapsed))
-    return Front(cells, served, jnp.zeros((layers, 2, 1, count), jnp.uint32))
+    # Standing on the goal is not arriving: the path leaves it like any other cell.
+    on_goal = driving & ((view.goal[0, REACH] >> REACH) & 1 == 1)
+    opened = jnp.zeros((layers, 2, 1, count), jnp.uint32)
+    opened = opened.at[0, 0, 0].set(jnp.where(on_goal, jnp.uint32(FULL), 0))
+    return Front(cells, served, opened)
 
 
 def cheapest_end(view: View, reached: Array, served: Array) -> tuple[Array, Array]:

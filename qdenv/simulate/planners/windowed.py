@@ -36,6 +36,7 @@ class WindowedPlanner:
         layers: how finely driven-over reservations are counted (1 + the count told apart).
         penalties: timesteps an agent would rather lose than drive over one reservation, by attempt.
         last_resort: joint plan for agents that found no reservation.
+        remember: let planners avoid, at no cost, where the others went in the last plan.
     """
 
     lanes: int = 16
@@ -43,11 +44,12 @@ class WindowedPlanner:
     layers: int = 3
     penalties: tuple[float, ...] = (0.5, 1.5, 2.5, 4.5, 8.0, 16.0)
     last_resort: Callable[[Problem, Situation, int, Array], Array] = pibt.rollout
+    remember: bool = True
 
     def __call__(self, problem: Problem, situation: Situation, horizon: int, key: Array) -> Array:
         """Plan a window for all agents (int32 [window + 1, A]); consumes the key."""
         bargain_key, resort_key = jax.random.split(key)
-        book = bargain(self, problem, situation, bargain_key)
+        book = bargain(self, problem, situation, horizon, bargain_key)
         return settle(self, problem, situation, horizon, book, resort_key)
 
 
@@ -58,7 +60,7 @@ class Book(NamedTuple):
         table: the packed reservations.
         owner: int32 [window + 1, H' * W'], the agent at each cell and time, or `NOBODY`.
         paths: int32 [window + 1, A], the latest path of every agent.
-        holds: bool [A], the path is reserved.
+        until: int32 [A], timesteps of the path that are reserved.
         attempts: int32 [A], how often the agent planned in this window.
         rounds: int32, rounds so far.
     """
@@ -66,9 +68,31 @@ class Book(NamedTuple):
     table: Array
     owner: Array
     paths: Array
-    holds: Array
+    until: Array
     attempts: Array
     rounds: Array
+
+    @property
+    def holds(self) -> Array:
+        """Mark the agents whose whole path is reserved (bool [A])."""
+        return self.until == self.paths.shape[0] - 1
+
+
+def remember(book: Book, situation: Situation, shape: tuple[int, int], steps: int) -> Book:
+    """Reserve the first steps of everybody's previous path until they plan themselves.
+
+    They bind nobody, but tell whom to avoid where avoiding costs nothing.
+    """
+    time = jnp.arange(book.paths.shape[0])[:, None]
+    live = (time <= steps) & situation.active
+    place = jnp.where(live, situation.previous, book.owner.shape[1])
+    agents = jnp.broadcast_to(jnp.arange(book.until.shape[0]), place.shape)
+    return book._replace(
+        table=reservation.reserve(book.table, situation.previous, live[1:], shape),
+        owner=book.owner.at[time, place].set(agents, mode="drop"),
+        paths=situation.previous,
+        until=jnp.where(situation.active, steps, book.until),
+    )
 
 
 def look(problem: Problem, situation: Situation, table: Array, walls: Array, who: Array) -> dict:
@@ -107,14 +131,19 @@ def look(problem: Problem, situation: Situation, table: Array, walls: Array, who
     }
 
 
-def bargain(planner: WindowedPlanner, problem: Problem, situation: Situation, key: Array) -> Book:
+def bargain(
+    planner: WindowedPlanner, problem: Problem, situation: Situation, horizon: int, key: Array
+) -> Book:
     """Run rounds of planning until everybody holds a reservation or the rounds are used up."""
     shape = problem.traversable.shape
     window = situation.previous.shape[0] - 1
     count = situation.position.shape[0]
     lanes = min(planner.lanes, count)
     order_key, noise_key = jax.random.split(key)
-    order = jax.random.permutation(order_key, count).astype(jnp.int32)
+    luck = jax.random.uniform(order_key, (count,))
+    # Agents that serve cannot give way: the others had better know of them first.
+    turn = jnp.argsort(luck - (situation.serving > 0))
+    order = jnp.zeros((count,), jnp.int32).at[turn].set(jnp.arange(count, dtype=jnp.int32))
     noise = jax.random.bits(noise_key, (count,), jnp.uint32).astype(jnp.int32) & 0xFFFFFF
     walls = reservation.pack(problem.traversable)
     penalties = jnp.array([round(single_agent.UNIT * p) for p in planner.penalties], jnp.int32)
@@ -124,10 +153,13 @@ def bargain(planner: WindowedPlanner, problem: Problem, situation: Situation, ke
         table=reservation.empty(window, *shape),
         owner=jnp.full((window + 1, problem.traversable.size), NOBODY, jnp.int32),
         paths=first,
-        holds=~situation.active,
+        until=jnp.where(situation.active, 0, window),
         attempts=jnp.zeros((count,), jnp.int32),
         rounds=jnp.int32(0),
     )
+
+    if planner.remember:
+        book = remember(book, situation, shape, window - horizon)
 
     def unfinished(book: Book) -> jax.Array:
         return (book.rounds < limit) & ~book.holds.all()
@@ -136,6 +168,8 @@ def bargain(planner: WindowedPlanner, problem: Problem, situation: Situation, ke
         urgency = book.attempts * count + order
         _, who = jax.lax.top_k(-jnp.where(book.holds, 2**30, urgency), lanes)
         asks = ~book.holds[who]
+        if planner.remember:
+            book = strike_out(book, shape, jnp.where(asks, who, count))
         penalty = penalties[jnp.minimum(book.attempts[who], len(planner.penalties) - 1)]
         table = book.table.reshape(window, reservation.PLANES, shape[0], -1)
         view = single_agent.View(
@@ -165,40 +199,43 @@ def enter(
     losers = jnp.where(accepted & (losers != NOBODY), losers, count).reshape(-1)
     evicted = jnp.zeros((count,), bool).at[losers].set(True, mode="drop")
 
-    table, owner = strike_out(book, shape, evicted, who.shape[0])
-    table = reservation.reserve(table, paths, accepted, shape)
-    place = jnp.where(accepted, paths, owner.shape[1])
-    owner = owner.at[time, place].set(jnp.broadcast_to(who, paths.shape), mode="drop")
+    book = strike_out_all(book, shape, evicted, who.shape[0])
+    place = jnp.where(accepted, paths, book.owner.shape[1])
     winners = jnp.where(accepted, who, count)
     return Book(
-        table=table,
-        owner=owner,
+        table=reservation.reserve(book.table, paths, accepted, shape),
+        owner=book.owner.at[time, place].set(jnp.broadcast_to(who, paths.shape), mode="drop"),
         paths=book.paths.at[:, winners].set(paths, mode="drop"),
-        holds=(book.holds & ~evicted).at[winners].set(True, mode="drop"),
+        until=book.until.at[winners].set(paths.shape[0] - 1, mode="drop"),
         attempts=book.attempts.at[jnp.where(asks, who, count)].add(1, mode="drop"),
         rounds=book.rounds + 1,
     )
 
 
-def strike_out(
-    book: Book, shape: tuple[int, int], evicted: Array, lanes: int
-) -> tuple[jax.Array, jax.Array]:
-    """Remove the evicted agents (bool [A]) from the table and from the owners, a few at a time."""
-    count = evicted.shape[0]
+def strike_out(book: Book, shape: tuple[int, int], who: Array) -> Book:
+    """Remove what the agents `who` (int32 [K], A for nobody) have reserved."""
+    count = book.until.shape[0]
     time = jnp.arange(book.paths.shape[0])[:, None]
+    safe = jnp.minimum(who, count - 1)
+    paths, until = book.paths[:, safe], jnp.where(who < count, book.until[safe], 0)
+    place = jnp.where((time <= until) & (until > 0), paths, book.owner.shape[1])
+    return book._replace(
+        table=reservation.reserve(book.table, paths, time[:-1] < until, shape, sign=-1),
+        owner=book.owner.at[time, place].set(NOBODY, mode="drop"),
+        until=book.until.at[who].set(0, mode="drop"),
+    )
 
-    def some(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        table, owner, evicted = carry
+
+def strike_out_all(book: Book, shape: tuple[int, int], evicted: Array, lanes: int) -> Book:
+    """Remove the evicted agents (bool [A]) from the book, a few at a time."""
+    count = evicted.shape[0]
+
+    def some(carry: tuple[Book, Array]) -> tuple[Book, Array]:
+        book, evicted = carry
         who = jnp.nonzero(evicted, size=lanes, fill_value=count)[0]
-        paths = book.paths[:, jnp.minimum(who, count - 1)]
-        table = reservation.reserve(table, paths, who < count, shape, sign=-1)
-        place = jnp.where(who < count, paths, owner.shape[1])
-        owner = owner.at[time, place].set(NOBODY, mode="drop")
-        return table, owner, evicted.at[who].set(False, mode="drop")
+        return strike_out(book, shape, who), evicted.at[who].set(False, mode="drop")
 
-    carry = (book.table, book.owner, evicted)
-    table, owner, _ = jax.lax.while_loop(lambda carry: carry[2].any(), some, carry)
-    return table, owner
+    return jax.lax.while_loop(lambda carry: carry[1].any(), some, (book, evicted))[0]
 
 
 def settle(
@@ -223,11 +260,14 @@ def settle(
             return more, (more != falls).any()
 
         falls, _ = jax.lax.while_loop(lambda c: c[1], spread, (~book.holds, jnp.bool_(True)))
-        return jnp.where(falls, resort, book.paths)
+        paths = jnp.where(falls, resort, book.paths)
+        # Beyond the horizon the two kinds of path may conflict: forget that part.
+        beyond = jnp.arange(paths.shape[0])[:, None] > horizon
+        return jnp.where(beyond, paths[horizon], paths)
 
     return jax.lax.cond(book.holds.all(), lambda _: book.paths, fall_back, None)
 
 
-LOW = WindowedPlanner(layers=2, rounds=3.0)
+LOW = WindowedPlanner(lanes=32, layers=2, rounds=3.0)
 HIGH = WindowedPlanner()
 EFFORTS = {"low": LOW, "high": HIGH}
