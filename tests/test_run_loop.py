@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import toy
 
-from qdenv.pipeline import PipelinedEvaluator, evaluate
+from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.run import loop
 from qdenv.run.records import RunDirectory
 from qdenv.types import InputError, RepairStatus
@@ -69,6 +69,21 @@ def test_an_evaluation_does_not_depend_on_its_batch():
     part = jax.jit(lambda some: evaluate(study.pipeline, some, key))(parameters[:3])
     for left, right in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
         np.testing.assert_array_equal(np.asarray(left)[:3], right)
+
+
+@pytest.mark.parametrize("lanes", [2, 5, 100])
+def test_lanes_change_nothing(lanes):
+    def in_lanes(config):
+        return toy.GARDEN.simulator(config)._replace(lanes=lanes)
+
+    layouts = np.random.default_rng(0).integers(0, 3, (4, 5, 6)).astype(np.int8)
+    indices, key = np.arange(4), jax.random.key(5)
+    seen = [
+        make_pipeline(domain, toy.CONFIG.evaluation).simulate(layouts, indices, key).seen
+        for domain in (toy.GARDEN, replace(toy.GARDEN, simulator=in_lanes))
+    ]
+    assert np.asarray(seen[0]).std() > 0
+    np.testing.assert_array_equal(*seen)
 
 
 def test_resumed_run_ends_at_the_same_bits(finished, tmp_path):

@@ -38,6 +38,7 @@ LINES = "#d9d9d9"
 CHANGED = "#e8590c"
 CELL = 0.14  # inches per cell, so that the tiles of a 33 x 36 layout are told apart at a glance
 LARGEST = 14.0  # inches
+LEGEND_ENTRY = 1.15  # inches that an entry of the legend takes
 
 
 def draw_layout(layout: np.ndarray, tiles: str, ax: Axes | None = None) -> Axes:
@@ -70,11 +71,12 @@ def draw_layout(layout: np.ndarray, tiles: str, ax: Axes | None = None) -> Axes:
         )
         for kind in present
     ]
+    inches = ax.get_window_extent().width / ax.figure.dpi
     ax.legend(
         handles=handles,
         loc="upper center",
         bbox_to_anchor=(0.5, -0.01),
-        ncols=min(len(handles), 5),
+        ncols=max(1, min(len(handles), int(inches / LEGEND_ENTRY))),
         frameon=False,
         fontsize=8,
         handlelength=1.0,
@@ -126,5 +128,5 @@ def _new_figure(shape: tuple[int, ...], panels: int) -> Figure:
 def _write(figure: Figure, path: str | Path) -> None:
     """Write the figure in one step: a reader never sees half a file."""
     picture, path = io.BytesIO(), Path(path)
-    figure.savefig(picture, format=path.suffix.lstrip(".") or "png", dpi=150)
+    figure.savefig(picture, format=path.suffix.lstrip(".") or "png", dpi=150, bbox_inches="tight")
     write_atomically(path, picture.getvalue())

@@ -41,6 +41,7 @@ def save_progress(path: Path, run: RunDirectory) -> None:
     panels = {"QD-score": "qd_score", "coverage": "coverage", "best objective": "best_objective"}
     for axes, (title, column) in zip(figure.subplots(1, 3), panels.items(), strict=True):
         axes.plot([row.evaluations for row in rows], [getattr(row, column) for row in rows])
-        axes.set(title=title, xlabel="evaluations", ylim=(0, None))
+        axes.set(title=title, xlabel="evaluations", ymargin=0.1)
+        axes.set_ylim(bottom=0)
         axes.spines[["top", "right"]].set_visible(False)
     write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=120))

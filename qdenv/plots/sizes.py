@@ -83,13 +83,15 @@ def draw_rates(
         above.bar(places, np.nan_to_num(mean), 0.6, yerr=error, capsize=3)
         for place, value in zip(places, mean, strict=True):
             text = "every run congested" if np.isnan(value) else f"{value:.2f}"
-            above.annotate(text, (place, np.nan_to_num(value)), ha="center", va="bottom")
+            colour = "black" if np.isnan(value) else "white"
+            above.annotate(text, (place, np.nan_to_num(value) / 2), ha="center", color=colour)
     else:
         above.errorbar(places, mean, error, marker="o", capsize=3, label=name)
     interval = np.maximum([rate - low, high - rate], 0)
     below.errorbar(places, rate, interval, marker="o", capsize=3, label=name)
     for axes in (above, below):
         axes.grid(alpha=0.3)
+        axes.set_axisbelow(True)
 
 
 def save_peaks(path: str | Path, rows: Sequence[Any], peaks: Sequence[Any]) -> None:
