@@ -22,6 +22,7 @@ from qdenv.types import InputError, Measure, Score
 
 DIM = 12
 GRID = (Measure("x", -1, 1, 8), Measure("y", -1, 1, 9))
+QUICK = {"xla_backend_optimization_level": 0}  # these searches compile longer than they run
 EXTRAS = {"layout": np.zeros((2, 3), np.int8), "runs": np.zeros(4, np.float32)}
 CONFIGS = {name: entry.config() for name, entry in ALGORITHMS.items()} | {
     f"cma-mae with {name}": CmaMaeConfig(emitters=2, batch=6, strategy=name)
@@ -48,7 +49,7 @@ def compiled(config):
             traced.append(name)
             return getattr(algorithm, name)(*args)
 
-        return jax.jit(call, donate_argnums=donate)
+        return jax.jit(call, donate_argnums=donate, compiler_options=QUICK)
 
     return Compiled(algorithm, jit("init"), jit("ask"), jit("tell", 0), traced)
 
@@ -156,7 +157,7 @@ def test_scan_and_vmap_over_seeds_equal_the_plain_loop(name):
 
         return algorithm.archive(jax.lax.scan(step, algorithm.init(key), None, 4)[0])
 
-    many = jax.jit(jax.vmap(run))(keys)
+    many = jax.jit(jax.vmap(run), compiler_options=QUICK)(keys)
     expected = jax.tree.map(lambda *rows: np.stack(rows), *looped)
     for one, other in zip(jax.tree.leaves(many), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-3)
@@ -186,7 +187,7 @@ def test_every_strategy_learns_from_the_order_it_is_given(name):
     target = jnp.full(dim, 2.0)
     strategy = STRATEGIES[name](dim, batch, 0.3)
 
-    @jax.jit
+    @functools.partial(jax.jit, compiler_options=QUICK)
     def distance(sign):
         start = jnp.zeros((1, dim)), jax.random.split(jax.random.key(0), 1)
 

@@ -81,6 +81,7 @@ def run_alone(weights: Weights, layout: Array, key: Array, episodes: int, horizo
     return jax.vmap(lambda k: run_episode(weights, tables, k, horizon, until_done))(keys)
 
 
+_longest_path = jax.jit(longest_path)
 _run_alone = jax.jit(run_alone, static_argnums=(3, 4))
 _run_batch = jax.jit(run_batch, static_argnums=(3, 4))
 
@@ -149,13 +150,12 @@ def random_mazes(
     if not 0 <= walls <= rows * cols:
         raise InputError(f"{walls} walls do not fit on {rows} x {cols} tiles")
     rng = np.random.default_rng(seed)
-    measure = jax.jit(lambda layout: longest_path(layout).length)
     kept = []
     for _ in range(tries):
         if len(kept) == count:
             break
         layout = random_layout(rng, rows, cols, walls)
-        if accept(int(measure(layout))):
+        if accept(int(_longest_path(layout).length)):
             kept.append(layout)
     if len(kept) < count:
         raise InputError(

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.agent.evaluate import random_mazes, run_batch
+from qdenv.agent.evaluate import default_horizon, random_mazes, run_batch
 from qdenv.agent.files import load_state, save_state, save_weights
 from qdenv.agent.update import TrainConfig, start, update
 from qdenv.files import write_atomically
@@ -18,20 +18,24 @@ from qdenv.simulate.policy import Weights
 from qdenv.types import InputError
 
 EXAM_WALLS = (60, 90)
-EXAM_MAZES, EXAM_EPISODES, EXAM_HORIZON = 32, 8, 648
+EXAM_EPISODES = 8
+
+
+_play = jax.jit(run_batch, static_argnums=(3, 4))
+_update = jax.jit(update, static_argnums=1)
 
 
 def _exam(config: TrainConfig) -> Callable[[Weights], dict[str, float]]:
     """Prepare the held-out mazes: weights -> success rate for each number of walls."""
     size = config.levels.size
     share = [walls * size * size // 256 for walls in EXAM_WALLS]
-    mazes = [random_mazes(12345 + walls, EXAM_MAZES, size, size, walls) for walls in share]
-    run = jax.jit(run_batch, static_argnums=(3, 4))
+    mazes = [random_mazes(12345 + walls, config.exam, size, size, walls) for walls in share]
+    horizon = default_horizon(mazes[0][0])
 
     def examine(weights: Weights) -> dict[str, float]:
         key = jax.random.key(99)
         rates = [
-            run(weights, jnp.asarray(batch), key, EXAM_EPISODES, EXAM_HORIZON).success.mean()
+            _play(weights, jnp.asarray(batch), key, EXAM_EPISODES, horizon).success.mean()
             for batch in mazes
         ]
         return {f"exam_{walls}": float(rate) for walls, rate in zip(EXAM_WALLS, rates, strict=True)}
@@ -72,10 +76,10 @@ def train_agent(
         raise InputError(f"{out} holds a run already: resume it or choose another folder")
     out.mkdir(parents=True, exist_ok=True)
     write_atomically(out / "config.json", json.dumps(asdict(config), indent=1).encode())
-    examine, go = _exam(config), jax.jit(update, static_argnums=1)
+    examine = _exam(config)
     began, logs = time.process_time() - used, []
     while int(state.update) < config.updates:
-        state, numbers = go(state, config)
+        state, numbers = _update(state, config)
         logs.append(numbers)
         done = int(state.update)
         spent = time.process_time() - began

@@ -32,6 +32,7 @@ class TrainConfig:
         entropy: first weight of the entropy bonus; falls linearly to a tenth.
         novelty_until: share of the training after which the novelty reward has faded to nothing;
             it begins to fade halfway there.
+        exam: held-out mazes of each kind, played for every line of the log.
         ppo: numbers of the algorithm.
         reward: what is rewarded beside the goal.
         levels: what levels look like.
@@ -48,6 +49,7 @@ class TrainConfig:
     rate: float = 1e-3
     entropy: float = 5e-3
     novelty_until: float = 1.0
+    exam: int = 32
     ppo: PPOConfig = field(default_factory=PPOConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     levels: LevelConfig = field(default_factory=LevelConfig)
@@ -67,6 +69,9 @@ class State(NamedTuple):
     bank: Bank
     key: Array  # raw key data, uint32 [2]
     update: Array  # int32
+
+
+_new_bank = jax.jit(new_bank, static_argnums=(1, 2))
 
 
 def _optimiser(config: TrainConfig) -> optax.GradientTransformation:
@@ -99,7 +104,7 @@ def start(config: TrainConfig) -> State:
         if any(a.shape != b.shape for a, b in zip(loaded, weights, strict=True)):
             raise InputError(f"{config.warm_start} has other units or actions than asked for")
         weights = Weights(*map(jnp.asarray, loaded))
-    bank = jax.jit(new_bank, static_argnums=(1, 2))(keys[1], config.bank, config.levels)
+    bank = _new_bank(keys[1], config.bank, config.levels)
     place = jax.random.randint(keys[2], (config.ppo.lanes,), 0, config.bank)
     heading = jax.random.randint(keys[3], (config.ppo.lanes,), 0, 4)
     level = jax.tree.map(lambda x: x[place], bank.level)

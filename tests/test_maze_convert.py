@@ -1,0 +1,180 @@
+"""The checkpoint converter: a home-made torch.save zip, and files that mean harm."""
+
+import io
+import pickle
+import struct
+import zipfile
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from qdenv.agent.convert import convert_agent, from_torch, read_checkpoint
+from qdenv.simulate.policy import Weights, load_weights
+from qdenv.types import InputError
+
+DATA = Path(__file__).parent / "data" / "maze"
+
+
+def text(value: str) -> bytes:
+    """Pickle a string."""
+    raw = value.encode()
+    return b"X" + struct.pack("<I", len(raw)) + raw
+
+
+def number(value: int) -> bytes:
+    """Pickle a 32-bit integer."""
+    return b"J" + struct.pack("<i", value)
+
+
+def numbers(values: tuple[int, ...]) -> bytes:
+    """Pickle a tuple of integers."""
+    return b"(" + b"".join(map(number, values)) + b"t"
+
+
+def tensor(key: str, count: int, size: tuple, stride: tuple, storage: str = "FloatStorage"):
+    """Pickle a tensor the way torch.save does: rebuild(storage, offset, size, stride, ...)."""
+    pid = b"(" + text("storage") + f"ctorch\n{storage}\n".encode()
+    pid += text(key) + text("cpu") + number(count) + b"tQ"
+    flags = b"\x89" + b"ccollections\nOrderedDict\n)R"
+    rebuild = b"ctorch._utils\n_rebuild_tensor_v2\n"
+    return rebuild + b"(" + pid + number(0) + numbers(size) + numbers(stride) + flags + b"tR"
+
+
+def steps(array: np.ndarray) -> tuple[int, ...]:
+    """List strides in elements."""
+    return tuple(stride // array.itemsize for stride in array.strides)
+
+
+def write(path: Path, pickled: bytes, storages: dict[str, bytes]) -> Path:
+    """Zip a description and its storages."""
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("model/data.pkl", pickled)
+        archive.writestr("model/version", "3\n")
+        for key, raw in storages.items():
+            archive.writestr(f"model/data/{key}", raw)
+    return path
+
+
+def checkpoint(path: Path, tensors: dict[str, np.ndarray], wrapper: str = "") -> Path:
+    """Write tensors as torch.save would."""
+    body = b"ccollections\nOrderedDict\n)R("
+    for key, (name, array) in enumerate(tensors.items()):
+        body += text(name) + tensor(str(key), array.size, array.shape, steps(array))
+    body += b"u"
+    if wrapper:
+        body = b"}" + text(wrapper) + body + b"s"
+    raws = {str(key): array.tobytes() for key, array in enumerate(tensors.values())}
+    return write(path, b"\x80\x02" + body + b".", raws)
+
+
+@pytest.fixture(scope="module")
+def tensors():
+    stored = np.load(DATA / "policy_random16_fixture.npz")
+    return {name[2:]: stored[name] for name in stored if name.startswith("w.")}
+
+
+@pytest.mark.parametrize("wrapper", ["", "model", "state_dict"])
+def test_a_checkpoint_is_converted_bit_for_bit(tmp_path, tensors, wrapper):
+    path = checkpoint(tmp_path / "model.tar", tensors, wrapper)
+    found = read_checkpoint(path)
+    assert found.keys() == tensors.keys()
+    for name in tensors:
+        np.testing.assert_array_equal(found[name], tensors[name])
+    said = convert_agent(path, tmp_path / "agent.npz")
+    assert "16 LSTM units, 7 actions" in said
+    jax.tree.map(
+        np.testing.assert_array_equal, load_weights(tmp_path / "agent.npz"), from_torch(tensors)
+    )
+
+
+def test_hostile_pickles_are_refused_and_run_nothing(tmp_path):
+    trap = tmp_path / "trap"
+    harmful = [
+        f'cbuiltins\nexec\n(S\'open("{trap}", "w")\'\ntR.'.encode(),
+        f"}}S'model'\ncbuiltins\neval\n(S'open(\"{trap}\", \"w\")'\ntRs.".encode(),
+        pickle.dumps(trap),
+        pickle.dumps({"model": np.ones(3)}),
+        f"cos\nsystem\n(S'touch {trap}'\ntR.".encode(),
+        b"cbuiltins\ngetattr\n(ctorch._utils\n_rebuild_tensor_v2\nS'__globals__'\ntR.",
+        b"ctorch\nload\n.",
+        b"ctorch._utils\n_rebuild_tensor_v2\n(K\x01K\x00)))tR.",
+        b"\x80\x02" + tensor("0", 1, (1,), (1,), "DoubleStorage") + b".",
+        b"ccollections\nOrderedDict\n)\x81}S'__class__'\ncos\nsystem\nsb.",
+    ]
+    pickle.loads(harmful[0])
+    trap.unlink()  # the trap works, where an unpickler trusts it
+    for pickled in harmful:
+        with pytest.raises(InputError):
+            read_checkpoint(write(tmp_path / "bad.tar", pickled, {"0": b"\0" * 4}))
+    assert not trap.exists()
+
+
+@pytest.mark.parametrize(
+    ("count", "size", "stride", "raw"),
+    [
+        (4, (5,), (1,), 16),
+        (4, (2, 2), (1, 9), 16),
+        (4, (2,), (-1,), 16),
+        (4, (2, 2), (1,), 16),
+        (4, (2**30, 2**30), (0, 0), 16),
+        (4, (4,), (1,), 12),
+        (-4, (4,), (1,), 16),
+    ],
+    ids=["long", "wide", "backwards", "ragged", "huge", "cut", "negative"],
+)
+def test_tensors_outside_their_storage_are_refused(tmp_path, count, size, stride, raw):
+    pickled = b"\x80\x02}" + text("a") + tensor("0", count, size, stride) + b"s."
+    with pytest.raises(InputError):
+        read_checkpoint(write(tmp_path / "bad.tar", pickled, {"0": b"\0" * raw}))
+
+
+def test_damaged_files_are_refused(tmp_path, tensors):
+    whole = checkpoint(tmp_path / "model.tar", tensors).read_bytes()
+    bad = tmp_path / "bad.tar"
+    rng = np.random.default_rng(0)
+    for cut in (0, 1, 30, len(whole) // 2, len(whole) - 1):
+        bad.write_bytes(whole[:cut])
+        with pytest.raises(InputError):
+            convert_agent(bad, tmp_path / "out.npz")
+    for _ in range(60):  # flipped bytes: refused, or harmless (a header field nobody reads)
+        broken = bytearray(whole)
+        broken[rng.integers(len(whole))] ^= 255
+        bad.write_bytes(broken)
+        try:
+            convert_agent(bad, tmp_path / "out.npz")
+        except InputError as error:
+            assert "\n" not in str(error)
+    with pytest.raises(InputError, match="there is no checkpoint"):
+        read_checkpoint(tmp_path / "none.tar")
+
+
+def test_other_networks_are_refused(tmp_path, tensors):
+    less = {name: array for name, array in tensors.items() if "critic" not in name}
+    with pytest.raises(InputError, match="it lacks critic"):
+        convert_agent(checkpoint(tmp_path / "a.tar", less), tmp_path / "out.npz")
+    wrong = {**tensors, "actor.0.0.bias": tensors["actor.0.0.bias"][:3]}
+    with pytest.raises(InputError, match="actor_bias is"):
+        convert_agent(checkpoint(tmp_path / "a.tar", wrong), tmp_path / "out.npz")
+    spoilt = {**tensors, "critic.1.bias": np.array([np.nan], np.float32)}
+    with pytest.raises(InputError, match="not finite"):
+        convert_agent(checkpoint(tmp_path / "a.tar", spoilt), tmp_path / "out.npz")
+    two = io.BytesIO(checkpoint(tmp_path / "a.tar", tensors).read_bytes())
+    with zipfile.ZipFile(two, "a") as archive:
+        archive.writestr("other/data.pkl", b"N.")
+    (tmp_path / "a.tar").write_bytes(two.getvalue())
+    with pytest.raises(InputError, match=r"no single data\.pkl"):
+        convert_agent(tmp_path / "a.tar", tmp_path / "out.npz")
+    with pytest.raises(InputError, match="no dictionary"):
+        read_checkpoint(write(tmp_path / "a.tar", b"N.", {}))
+    assert not (tmp_path / "out.npz").exists()
+
+
+def test_weights_keep_their_meaning(tensors):
+    weights = from_torch(tensors)
+    assert isinstance(weights, Weights)
+    theirs = tensors["image_conv.0.weight"]  # filter, channel, x, y
+    assert weights.kernel[0, 2, 1, 7] == theirs[7, 1, 0, 2]
+    total = tensors["rnn.rnn.bias_ih_l0"] + tensors["rnn.rnn.bias_hh_l0"]
+    np.testing.assert_array_equal(weights.gates_bias, total)

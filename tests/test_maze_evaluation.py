@@ -1,0 +1,86 @@
+"""Evaluating the agent: Wilson intervals, random mazes, the shipped agent, the picture."""
+
+import jax
+import jax.numpy as jnp
+import maze_oracle as oracle
+import numpy as np
+import pytest
+from PIL import Image
+
+from qdenv.agent.evaluate import (
+    default_horizon,
+    evaluate_agent,
+    mean_success,
+    random_mazes,
+    wilson_interval,
+)
+from qdenv.plots.maze import save_episode
+from qdenv.simulate.policy import load_weights
+from qdenv.types import InputError
+
+
+@pytest.mark.parametrize(
+    ("successes", "runs", "low", "high"),
+    [(93, 100, 0.8625, 0.9657), (0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (1, 1, 0.2065, 1.0)],
+)
+def test_wilson_interval(successes, runs, low, high):
+    np.testing.assert_allclose(wilson_interval(successes, runs), (low, high), atol=5e-5)
+
+
+def test_random_mazes_have_the_walls_and_the_path_asked_for():
+    mazes = random_mazes(0, 6, 8, 5, 12, lambda length: 10 <= length <= 12)
+    assert mazes.shape == (6, 8, 5)
+    assert (mazes.sum((1, 2)) == 12).all()
+    assert all(10 <= oracle.longest(maze)[0] <= 12 for maze in mazes)
+    np.testing.assert_array_equal(
+        mazes, random_mazes(0, 6, 8, 5, 12, lambda length: 10 <= length <= 12)
+    )
+    with pytest.raises(InputError, match="widen the bounds"):
+        random_mazes(0, 1, 4, 4, 2, lambda length: length > 99, tries=5)
+    with pytest.raises(InputError, match="do not fit"):
+        random_mazes(0, 1, 4, 4, 17)
+
+
+@pytest.fixture(scope="module")
+def agent():
+    return jax.tree.map(jnp.asarray, load_weights())
+
+
+def test_the_shipped_agent_solves_random_mazes(agent):
+    # 20 mazes x 10 episodes; the full figures are in the training report beside the weights.
+    for walls, least in ((60, 0.90), (90, 0.80)):
+        rates = mean_success(agent, random_mazes(walls, 20, 16, 16, walls), runs=10)
+        assert rates.shape == (20,)
+        assert rates.mean() >= least
+
+
+def test_evaluation_of_one_maze(agent):
+    layout = np.zeros((5, 9), np.int8)
+    assert default_horizon(layout) == 2 * 7 * 11
+    found = evaluate_agent(agent, layout, runs=40)
+    assert found.runs == 40 and found.shortest == 12
+    assert found.low <= found.rate <= found.high
+    assert found.shortest <= found.mean_length <= 154
+    with pytest.raises(InputError, match="nothing to solve"):
+        evaluate_agent(agent, np.ones((5, 9), np.int8), runs=40)
+    with pytest.raises(InputError, match="at least one run"):
+        evaluate_agent(agent, layout, runs=0)
+
+
+def test_picture_of_an_episode(tmp_path):
+    layout = np.array([[0, 0, 0], [1, 1, 0]], np.int8)
+    path, cells, turns = tmp_path / "episode.gif", np.array([0, 0, 1, 2]), np.array([3, 0, 0, 1])
+    save_episode(path, layout, 5, cells, turns, cell=20)
+    with Image.open(path) as film:
+        assert (film.n_frames, film.size) == (4, (60, 40))
+        film.seek(3)
+        last = np.asarray(film.convert("RGB"))
+    assert tuple(last[30, 30]) == (128, 128, 128)  # a wall
+    assert tuple(last[38, 50]) == (60, 170, 80)  # the goal
+    assert tuple(last[10, 50]) == (245, 200, 40)  # the agent, in the corner
+    assert tuple(last[16, 50]) == (245, 200, 40)  # pointing down
+    save_episode(path, layout, 5, np.zeros(50, int), np.arange(50) % 4, frames=5)
+    with Image.open(path) as film:
+        assert film.n_frames <= 6
+    with pytest.raises(InputError):
+        save_episode(path, layout, 5, np.zeros(0, int), np.zeros(0, int))

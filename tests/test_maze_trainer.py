@@ -1,0 +1,209 @@
+"""The agent's trainer: levels, bank, advantages, gradients, learning, resuming."""
+
+import json
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import maze_oracle as oracle
+import numpy as np
+import optax
+import pytest
+
+from qdenv.agent import curriculum, levels, ppo, rollout
+from qdenv.agent.train import _update as go
+from qdenv.agent.train import train_agent
+from qdenv.agent.update import TrainConfig, start
+from qdenv.simulate.maze_world import GOAL, WALL
+from qdenv.simulate.policy import Memory, draw_weights
+from qdenv.types import InputError
+
+SMALL = levels.LevelConfig(size=6, most_walls=20, horizon=(20, 40))
+CONFIG = TrainConfig(
+    steps=3 * 128, units=4, bank=16, fresh=4, exam=2, levels=SMALL,
+    ppo=ppo.PPOConfig(lanes=8, timesteps=16, minibatches=2),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return curriculum.new_bank(jax.random.key(0), 16, SMALL)
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """Play a few steps with an untrained agent."""
+    state = start(CONFIG)
+
+    def next_level(key, lane):
+        del key
+        return jax.tree.map(lambda x: x[lane], state.bank.level), lane, lane
+
+    _, steps, last = jax.jit(
+        lambda: rollout.roll(
+            jax.random.key(3), state.weights, state.lanes, next_level, 48, CONFIG.reward
+        )
+    )()
+    return state, steps, last
+
+
+def test_levels_are_solvable_and_half_are_longest_paths():
+    config = replace(SMALL, textured=0.5)
+    drawn = jax.jit(jax.vmap(lambda key: levels.draw_level(key, config)))(
+        jax.random.split(jax.random.key(0), 200)
+    )
+    edited = jax.jit(jax.vmap(lambda key, level: levels.vary_level(key, level, config)))(
+        jax.random.split(jax.random.key(1), 200), drawn
+    )
+    for batch in (drawn, edited):
+        for number in range(80):
+            level = jax.tree.map(lambda x, n=number: np.asarray(x)[n], batch)
+            assert (level.kinds == GOAL).sum() == 1
+            goal = int(np.flatnonzero(level.kinds.reshape(-1) == GOAL)[0])
+            layout = (level.kinds == WALL).astype(np.int8)
+            moves = oracle.bfs(layout, goal)
+            assert level.distance[int(level.start)] == moves[int(level.start)] > 0
+            if level.longest:
+                assert level.distance[level.start] == oracle.longest(layout[4:10, 4:10])[0]
+            assert 20 <= level.horizon <= 40
+    changed = (np.asarray(drawn.kinds == WALL) != np.asarray(edited.kinds == WALL)).sum((1, 2))
+    assert 1 < changed.mean() <= config.edits + 2
+    assert 70 < int(drawn.longest.sum()) < 130
+    walls = (np.asarray(drawn.kinds[:, 4:10, 4:10]) == WALL).sum((1, 2))
+    assert walls.min() <= 1 and walls.max() >= 19
+
+
+def test_bank_keeps_the_worthy_and_replaces_the_oldest(bank):
+    bank = jax.tree.map(lambda x: x[:8], bank)
+    fresh = jax.tree.map(lambda x: x[:3], bank.level)
+    plr, dr = curriculum.METHODS["plr"], curriculum.METHODS["dr"]
+    bank = bank._replace(score=jnp.arange(8.0))
+    new = curriculum.admit(bank, fresh, jnp.array([0.5, 9.0, -1.0]), jnp.int32(4), plr)
+    np.testing.assert_array_equal(np.sort(new.score), [1, 2, 3, 4, 5, 6, 7, 9])
+    assert int((new.seen == 4).sum()) == 1
+    new = curriculum.admit(bank, fresh, jnp.zeros(3), jnp.int32(4), dr)
+    np.testing.assert_array_equal(np.sort(new.serial), np.arange(3, 11))
+    odds = curriculum.replay_odds(bank, jnp.int32(0), plr, staleness=0.5)
+    np.testing.assert_allclose(odds, 0.5 * np.arange(8) / 28 + 0.5 / 8, atol=1e-6)
+    np.testing.assert_allclose(curriculum.replay_odds(bank, jnp.int32(0), dr), 1 / 8)
+
+
+def test_scores_are_mean_positive_advantages_of_levels_still_there(bank):
+    bank = jax.tree.map(lambda x: x[:4], bank)._replace(score=jnp.full(4, 7.0))
+    index = jnp.array([[0, 1], [0, 1], [2, 3]])
+    serial = jnp.array([[0, 1], [0, 99], [2, 98]])
+    gain = jnp.array([[3.0, 4.0], [-1.0, 50.0], [-2.0, 60.0]])
+    bank = curriculum.rescore(bank, jnp.int32(5), index, serial, gain)
+    np.testing.assert_allclose(bank.score, [1.5, 4.0, 0.0, 7.0])
+    np.testing.assert_array_equal(bank.seen, [5, 5, 5, 0])
+
+
+def test_advantages_agree_with_the_definition(recorded):
+    _, steps, last = recorded
+    config = ppo.PPOConfig(discount=0.9, trace=0.8)
+    found = np.asarray(ppo.advantages(steps, last, config))
+    reward, value, done = (np.asarray(x, float) for x in (steps.reward, steps.value, steps.done))
+    values = np.concatenate([value, np.asarray(last)[None]])
+    assert 0 < done.sum() < done.size
+    for lane in range(8):
+        for t in range(48):
+            total, weight = 0.0, 1.0
+            for s in range(t, 48):
+                after = 0.9 * values[s + 1, lane] * (1 - done[s, lane])
+                total += weight * (reward[s, lane] + after - value[s, lane])
+                weight *= 0.72
+                if done[s, lane]:
+                    break
+            np.testing.assert_allclose(found[t, lane], total, atol=1e-5)
+
+
+def test_replay_repeats_what_was_played_and_rewards_are_right(recorded):
+    state, steps, _ = recorded
+    hidden = ppo.replay(state.weights, steps, state.lanes.memory)
+    logs = jax.nn.log_softmax(ppo.act(state.weights, hidden))
+    taken = jnp.take_along_axis(logs, steps.action[..., None], -1)[..., 0]
+    np.testing.assert_allclose(taken, steps.log_prob, atol=1e-5)
+    np.testing.assert_allclose(ppo.assess(state.weights, hidden), steps.value, atol=1e-5)
+    won = np.asarray(steps.success)
+    reward = np.asarray(steps.reward)
+    assert won.any() and (reward[won] >= 0.1).all()
+    novelty = np.float32(CONFIG.reward.novelty)
+    assert set(np.unique(reward[~won])) <= {np.float32(0), novelty}
+
+
+def test_learning_raises_the_odds_of_rewarded_actions(recorded):
+    state, steps, _ = recorded
+    gain = jnp.where(steps.action == 2, 1.0, -1.0)
+    batch = ppo.Batch(steps, state.lanes.memory, gain, steps.value)
+    optimiser = optax.adam(3e-3)
+    weights, _, log = jax.jit(
+        lambda weights: ppo.learn(
+            jax.random.key(0), weights, optimiser, optimiser.init(weights), batch, CONFIG.ppo,
+            jnp.float32(0.0),
+        )
+    )(state.weights)  # fmt: skip
+    hidden = ppo.replay(weights, steps, state.lanes.memory)
+    forward = jax.nn.softmax(ppo.act(weights, hidden))[..., 2]
+    assert float(forward.mean()) > 0.34
+    assert np.isfinite(log).all()
+
+
+def test_methods_on_trial_fill_the_bank_with_scores():
+    config = replace(CONFIG, method="accel", ppo=replace(CONFIG.ppo, epochs=1, minibatches=1))
+    state = start(config)
+    for _ in range(3):
+        state, numbers = go(state, config)
+    assert int(state.update) == 3
+    assert int((state.bank.score > 0).sum()) > 0
+    assert int(state.bank.serial.max()) > 15  # new levels were admitted
+    assert np.isfinite(list(numbers.values())).all()
+
+
+def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
+    whole = np.load(train_agent(CONFIG, tmp_path / "whole", report_every=2))
+    part = tmp_path / "part"
+    train_agent(CONFIG, part, report_every=2, cpu_seconds=0)
+    assert len((part / "curve.jsonl").read_text().splitlines()) == 1
+    resumed = np.load(train_agent(CONFIG, part, resume=True, report_every=2))
+    for name in whole.files:
+        np.testing.assert_array_equal(whole[name], resumed[name])
+    rows = [json.loads(row) for row in (part / "curve.jsonl").read_text().splitlines()]
+    assert [row["update"] for row in rows] == [1, 2, 3]
+    assert all(0 <= row["exam_90"] <= 1 for row in rows)
+    with pytest.raises(InputError, match="holds a run already"):
+        train_agent(CONFIG, part)
+    with pytest.raises(InputError, match="other sizes"):
+        train_agent(replace(CONFIG, units=5), part, resume=True)
+    (part / "checkpoint.npz").write_bytes(b"no")
+    with pytest.raises(InputError, match="no readable checkpoint"):
+        train_agent(CONFIG, part, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"method": "magic"}, "choose one of dr, plr, accel"),
+        ({"actions": 2}, "at least 3 actions"),
+        ({"fresh": 17}, "fresh levels"),
+        ({"ppo": ppo.PPOConfig(lanes=8, minibatches=3)}, "divide"),
+        ({"warm_start": "/nowhere.npz"}, "there is no agent"),
+    ],
+)
+def test_impossible_runs_are_refused(tmp_path, change, reason):
+    with pytest.raises(InputError, match=reason):
+        train_agent(replace(CONFIG, **change), tmp_path)
+
+
+def test_gradients_flow_through_time(recorded):
+    # The reward of the last action must reach what was seen in the first step.
+    weights = draw_weights(jax.random.key(1), 4, 3)
+    _, steps, _ = recorded
+    steps = steps._replace(fresh=jnp.zeros_like(steps.fresh))
+    blank = Memory(jnp.zeros((8, 4)), jnp.zeros((8, 4)))
+
+    def late(scale):
+        moved = weights._replace(kernel=weights.kernel * scale)
+        return ppo.replay(moved, jax.tree.map(lambda x: x[:6], steps), blank)[-1].sum()
+
+    slope = (late(1.001) - late(0.999)) / 0.002
+    np.testing.assert_allclose(jax.grad(late)(1.0), slope, rtol=0.05, atol=1e-3)
