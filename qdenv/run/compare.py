@@ -130,9 +130,10 @@ def climb(
     fitting = [count for count in sorted(set(counts)) if count <= free]
     if not fitting:
         raise InputError(f"{name}: {min(counts)} agents do not fit on {free} free cells")
-    config = replace(config, agents=fitting[-1])
     way: list[Compared] = []
     for count in fitting:
+        # Programs for fleets that double in size: few to compile, none much too large.
+        config = replace(config, agents=min(1 << max(6, (count - 1).bit_length()), fitting[-1]))
         with named(name):
             row = summarise(run_seeds(layout, tasks, config, seeds, count), count)
         way.append(Compared(name, *layout.shape, row))
