@@ -5,7 +5,7 @@ from dataclasses import replace
 from qdenv.domains.base import EvaluationConfig
 from qdenv.run.config import RunConfig
 from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.types import InputError
+from qdenv.types import look_up
 
 _WAREHOUSE = EvaluationConfig()
 _PAPER = RunConfig()
@@ -75,6 +75,4 @@ def find_preset(name: str) -> RunConfig:
     Raises:
         InputError: no preset has this name.
     """
-    if name not in PRESETS:
-        raise InputError(f"unknown preset {name!r}: choose one of {', '.join(PRESETS)}")
-    return PRESETS[name]
+    return look_up(PRESETS, name, "preset")

@@ -12,7 +12,7 @@ A layout is an int8 array [H, W] of tile indices into its domain's alphabet (`Ru
 A position is ``row * width + column`` (int32). Records describe one item; batches add leading axes.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -23,6 +23,17 @@ Array = Any  # a numpy or jax array: stages run on either side of the host borde
 
 class InputError(ValueError):
     """A mistake the user can mend: one line that says what is wrong and what to do."""
+
+
+def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
+    """Look `name` up in a registry.
+
+    Raises:
+        InputError: nothing has this name; the line lists what there is.
+    """
+    if name not in table:
+        raise InputError(f"unknown {what} {name!r}: choose one of {', '.join(table)}")
+    return table[name]
 
 
 class Count(NamedTuple):

@@ -4,7 +4,7 @@ from qdenv.domains.base import Domain
 from qdenv.domains.manufacturing import MANUFACTURING
 from qdenv.domains.maze import MAZE_ENTROPY, MAZE_WALLS
 from qdenv.domains.warehouse import WAREHOUSE_EVEN, WAREHOUSE_UNEVEN
-from qdenv.types import InputError
+from qdenv.types import look_up
 
 _ALL = (WAREHOUSE_EVEN, WAREHOUSE_UNEVEN, MANUFACTURING, MAZE_WALLS, MAZE_ENTROPY)
 DOMAINS: dict[str, Domain] = {domain.name: domain for domain in _ALL}
@@ -16,6 +16,4 @@ def find_domain(name: str) -> Domain:
     Raises:
         InputError: no domain has this name.
     """
-    if name not in DOMAINS:
-        raise InputError(f"unknown domain {name!r}: choose one of {', '.join(DOMAINS)}")
-    return DOMAINS[name]
+    return look_up(DOMAINS, name, "domain")

@@ -7,7 +7,7 @@ import jax
 from qdenv.domains.base import EvaluationConfig, Simulator
 from qdenv.simulate import fleet
 from qdenv.simulate.planners.windowed import EFFORTS
-from qdenv.types import TaskRule
+from qdenv.types import TaskRule, look_up
 
 # On an accelerator many simulations run side by side; on a CPU one after the other, because
 # then a simulation pays only for its own conflicts.
@@ -26,7 +26,9 @@ def fleet_simulator(rule: TaskRule) -> Callable[[EvaluationConfig], Simulator]:
 
     def simulator(config: EvaluationConfig) -> Simulator:
         settings = fleet.FleetConfig(
-            agents=config.agents, timesteps=config.timesteps, planner=EFFORTS[config.effort]
+            agents=config.agents,
+            timesteps=config.timesteps,
+            planner=look_up(EFFORTS, config.effort, "effort"),
         )
         return Simulator(
             prepare=lambda layout: fleet.prepare(layout, rule, settings),

@@ -16,7 +16,7 @@ from qdenv.simulate import fleet
 from qdenv.simulate.audit import audit, trajectory_of
 from qdenv.simulate.planners.windowed import EFFORTS
 from qdenv.simulate.tasks import check_playable
-from qdenv.types import InputError, TaskRule, Traffic
+from qdenv.types import InputError, TaskRule, Traffic, look_up
 
 SMALL = 2000  # cells up to which every cell gets room in the distance table (8 MB)
 CAPACITY_STEP = 256
@@ -156,10 +156,9 @@ def simulate_layout(
     Raises:
         InputError: a name is unknown, or the fleet cannot work on this layout.
     """
-    if effort not in EFFORTS:
-        raise InputError(f"unknown effort {effort!r}: choose one of {', '.join(EFFORTS)}")
+    planner = look_up(EFFORTS, effort, "effort")
     tasks = find_domain(domain).tasks
-    config = fleet.FleetConfig(agents=agents, timesteps=timesteps, planner=EFFORTS[effort])
+    config = fleet.FleetConfig(agents=agents, timesteps=timesteps, planner=planner)
     done = run_seeds(layout, tasks, config, parse_seeds(seeds), record=check)
     wrong = broken_rules(layout, tasks, config, done) if check else []
     return {
