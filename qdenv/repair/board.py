@@ -17,6 +17,7 @@ class Board(NamedTuple):
     price: np.ndarray
     allowed: np.ndarray
     free: np.ndarray
+    calm: np.ndarray
     kinds: np.ndarray
     cast: np.ndarray
     limits: np.ndarray
@@ -83,12 +84,14 @@ def compile_board(layout: np.ndarray, rules: Rules) -> Board:
     cast = [[len(members), *members] + [-1] * (kinds - len(members)) for members in roles]
     highs = [layout.size if bound.high is None else bound.high for bound in rules.counts]
     bits = (rules.allowed * (1 << np.arange(kinds))).sum(-1).astype(np.int64)
+    table, allowed = _tabulate_kinds(rules, roles), np.pad(bits, 1).ravel()
     return Board(
         home=np.pad(layout.astype(np.int8), 1, constant_values=kinds).ravel(),
         price=np.pad(np.asarray(rules.weights, np.float64), 1).ravel(),
-        allowed=np.pad(bits, 1).ravel(),
+        allowed=allowed,
         free=np.flatnonzero(np.pad(rules.allowed.sum(-1) > 1, 1)),
-        kinds=_tabulate_kinds(rules, roles),
+        calm=_calm_tiles(allowed, table),
+        kinds=table,
         cast=np.array(cast, np.int64),
         limits=np.array(
             [(bound.low, high) for bound, high in zip(rules.counts, highs, strict=True)], np.int64
@@ -100,22 +103,21 @@ def compile_board(layout: np.ndarray, rules: Rules) -> Board:
     )
 
 
-def _open_tiles(board: Board, kinds: int) -> np.ndarray:
-    """Choose what to put on a cell that opens: its input tile, else the least demanding one."""
-    choice = np.full(board.home.size, -1)
-    drives = np.flatnonzero(board.kinds[:kinds, DRIVES])
-    demands = (board.kinds[:, NEEDS:] != ALWAYS).sum(1)
-    for kind in sorted(drives, key=lambda kind: -demands[kind]):
-        choice[board.allowed >> kind & 1 == 1] = kind
-    kept = (board.kinds[board.home, DRIVES] == 1) & (board.allowed >> board.home & 1 == 1)
-    return np.where(kept, board.home, choice)
+def _calm_tiles(allowed: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+    """Choose each cell's allowed driving tile with the fewest demands, or -1 (int8 [N])."""
+    choice = np.full(allowed.size, -1, np.int8)
+    demands = (kinds[:, NEEDS:] != ALWAYS).sum(1)
+    for kind in sorted(np.flatnonzero(kinds[:, DRIVES]), key=lambda kind: -demands[kind]):
+        choice[allowed >> kind & 1 == 1] = kind
+    return choice
 
 
 def settle(board: Board, layout: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Pad `layout`, make every tile an allowed one and the driving area one piece (int8 [N])."""
     kinds, drives = board.kinds.shape[0] - 1, board.kinds[:, DRIVES]
     tile = np.pad(layout.astype(np.int8), 1, constant_values=kinds).ravel()
-    opened, wall = _open_tiles(board, kinds), tile == kinds
+    wall, may = tile == kinds, board.allowed >> board.home & 1 == 1
+    opened = np.where(may & (drives[board.home] == 1), board.home, board.calm)
     every = board.allowed[:, None] >> np.arange(kinds) & 1
     kept = wall | (board.allowed >> tile & 1 == 1)
     tile = np.where(kept, tile, np.where(opened >= 0, opened, every.argmax(1))).astype(np.int8)
@@ -164,7 +166,7 @@ def begin(board: Board, tile: np.ndarray) -> State:
         mark=np.zeros(size + 1, np.int64),
         queue=np.zeros((4, size), np.int64),
         sides=np.zeros((3, 4), np.int64),
-        move=np.zeros((3, 3), np.int64),
+        move=np.zeros((5, 3), np.int64),
         changed=changed,
         place=place,
         best=np.zeros(size, np.int8),

@@ -16,7 +16,6 @@ import numpy as np
 from qdenv.repair.solver import RepairConfig, repair
 from qdenv.types import Array, Repair, RepairStatus, Rules
 
-
 LOG = logging.getLogger(__name__)
 WAITING_PER_WORKER = 64  # layouts that may queue before `submit` waits
 
@@ -53,18 +52,18 @@ class RepairPool:
         """
         layout = np.array(layout, np.int8)
         key = content_key(layout, seed)
+        self._slots.acquire()
         with self._lock:
             known = self._memo.get(key)
             if known is not None and not known.cancelled():
                 self._memo.move_to_end(key)
+                self._slots.release()
                 return _for_free(known)
-        self._slots.acquire()
-        future = self._threads.submit(self._work, key, layout, int(seed))
-        future.add_done_callback(lambda done: self._slots.release())
-        with self._lock:
+            future = self._threads.submit(self._work, key, layout, int(seed))
             self._memo[key] = future
             while len(self._memo) > self._remember:
                 self._memo.popitem(last=False)
+        future.add_done_callback(lambda done: self._slots.release())
         return future
 
     def _work(self, key: bytes, layout: np.ndarray, seed: int) -> Repair:

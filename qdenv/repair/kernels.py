@@ -12,11 +12,12 @@ Arrays, N padded cells, K + 1 tiles (the last is the wall):
     home    int8 [N], the input                allowed int64 [N], bit k: tile k may stand here
     kinds   int64 [K + 1, ...], facts about tiles; columns below
     free    int64 [F], cells that may change
+    calm    int8 [N], the driving tile with the fewest demands that may stand here, or -1
     cast    int64 [roles, 1 + K], how many tiles a role has, then these tiles
     limits  int64 [Q, 2], lowest and highest count of bound q; tiles count in bounds by FAMILY bits
     walk    int64 [8], steps to the eight neighbours, clockwise from the top
     parts   int64 [256], pieces that the open 4-neighbours of a ring pattern form
-    move    int64 [3, 3], proposed (cell, new tile, old tile)
+    move    int64 [5, 3], proposed (cell, new tile, old tile)
     changed int64 [1 + N], how many cells differ from the input, then these cells
     place   int64 [N], where in `changed` a cell stands, 0 for nowhere
 """
@@ -167,22 +168,32 @@ def _track(changed, place, tile, home, move, changes):
 def cool(board, state, rng, moves, heats, pulls):
     """Anneal for a fixed number of moves; returns the price of the best feasible layout.
 
-    Heat falls geometrically, the price of a broken demand rises linearly. `state.best` receives
+    Heat falls geometrically, the price of a broken demand rises linearly, and faster while no
+    feasible layout comes by. `state.best` receives
     the cheapest layout that broke nothing; the price is infinite when there was none.
     """
-    home, price, allowed, free, kinds, cast, limits, walk, parts, linked, aisle = board
+    home, price, allowed, free, calm, kinds, cast, limits, walk, parts, linked, aisle = board
     tile, drive, near, counts, blocked, cover, mark, queue, sides = state[:9]
     move, changed, place, best, cost, broken = state[9:]
     lowest, heat, pull, stride = np.inf, heats[0], pulls[0], walk[4]
+    boost, obeyed, period = 1.0, 0, max(moves // 1000, 1)
     for index in range(moves):
-        if index & 1023 == 0:
+        if index % period == 0:
             done = index / moves
+            # A demand may be worth more than the schedule pays, as where every shelf has four
+            # endpoints of its own: then the price rises until the demand is met.
+            if done > 0.85 and index - obeyed > 50 * period:
+                boost = min(1.05 * boost, 20.0)
             heat = heats[0] * (heats[1] / heats[0]) ** done
-            pull = pulls[0] + (pulls[1] - pulls[0]) * done
-        if broken == 0 and cost < lowest:
-            lowest = cost
-            best[:] = tile
-        changes = propose(tile, drive, home, allowed, free, changed, kinds, cast, walk, rng, move)
+            pull = boost * (pulls[0] + (pulls[1] - pulls[0]) * done)
+        if broken == 0:
+            obeyed = index
+            if cost < lowest:
+                lowest = cost
+                best[:] = tile
+        changes = propose(
+            tile, drive, near, home, allowed, free, calm, changed, kinds, cast, walk, rng, move
+        )
         rise, breaks = _apply(tile, near, counts, home, price, kinds, limits, move, changes, stride)
         if aisle > 1:
             breaks += _open_and_close(drive, blocked, cover, kinds, aisle, stride, move, changes, 1)

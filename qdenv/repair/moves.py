@@ -1,4 +1,4 @@
-"""How the annealer draws its moves: up to three cells that change together.
+"""How the annealer draws its moves: up to five cells that change together.
 
 Compiled by numba; `kernels` explains the arrays.
 """
@@ -71,8 +71,30 @@ def _pick(allowed, free, changed, rng, stride):
 
 
 @compiled
-def propose(tile, drive, home, allowed, free, changed, kinds, cast, walk, rng, move):
-    """Draw up to three changes into `move`; returns how many."""
+def _release(tile, near, allowed, calm, kinds, walk, move):
+    """Retile the driving neighbours that the first change would leave wanting; returns changes.
+
+    A shelf that goes may strand four endpoints: giving them up one by one would cost more at
+    each step than the annealer pays.
+    """
+    cell, new, changes = move[0, 0], move[0, 1], 1
+    change = kinds[new, WORD] - kinds[tile[cell], WORD]
+    for place in (0, 2, 4, 6):
+        side = cell + walk[place]
+        own, tally = tile[side], near[side]
+        if calm[side] < 0 or calm[side] == own or not kinds[own, DRIVES]:
+            continue
+        for need in range(NEEDS, kinds.shape[1]):
+            if tally & kinds[own, need] and not (tally + change) & kinds[own, need]:
+                move[changes, 0], move[changes, 1] = side, calm[side]
+                changes += 1
+                break
+    return changes
+
+
+@compiled
+def propose(tile, drive, near, home, allowed, free, calm, changed, kinds, cast, walk, rng, move):
+    """Draw up to five changes into `move`; returns how many."""
     changes, cell = 1, _pick(allowed, free, changed, rng, walk[4])
     if cell < 0:
         return 0
@@ -81,7 +103,9 @@ def propose(tile, drive, home, allowed, free, changed, kinds, cast, walk, rng, m
         return 0
     move[0, 0], move[0, 1] = cell, new
     drives = drive[cell]
-    if kinds[new, DRIVES] != drives and draw(rng, 100) < PAIR:
+    if kinds[new, DRIVES] != drives:
+        if draw(rng, 100) >= PAIR:
+            return _release(tile, near, allowed, calm, kinds, walk, move)
         other = _partner(drive, allowed, free, rng, cell, kinds[new, DRIVES], walk[4])
         swap = -1
         if other >= 0:

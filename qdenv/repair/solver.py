@@ -25,9 +25,9 @@ class Level(NamedTuple):
 
 
 LEVELS = {
-    "none": Level(800, None),
-    "quick": Level(800, Limits(gap=0.0, hope=0.07, nodes=1, checks=6, rounds=2, seconds=0)),
-    "full": Level(4000, Limits(gap=0.0, hope=0.2, nodes=1000, checks=40, rounds=8, seconds=0)),
+    "none": Level(600, None),
+    "quick": Level(600, Limits(gap=0.0, hope=0.03, nodes=1, checks=6, rounds=2, seconds=0)),
+    "full": Level(2500, Limits(gap=0.0, hope=0.08, nodes=1000, checks=100, rounds=8, seconds=0)),
 }
 
 

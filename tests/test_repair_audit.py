@@ -1,0 +1,148 @@
+"""The audit: golden drawings, and agreement with a slow plain-Python oracle."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from qdenv.domains import find_domain
+from qdenv.grid import parse
+from qdenv.repair.audit import audit
+from qdenv.repair.bounds import impossible, price_bound
+from qdenv.types import Adjacency, Count, Rules
+
+TILES = ".@ew"
+
+
+def yard(rows: int, cols: int, low: int, high: int | None, **changes) -> Rules:
+    """A warehouse without a frame."""
+    allowed = np.ones((rows, cols, 4), bool)
+    allowed[..., 3] = False
+    rules = Rules(
+        tiles=TILES,
+        counts=(Count("@", low, high),),
+        adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
+        connected=".ew",
+        allowed=allowed,
+        weights=np.ones((rows, cols)),
+    )
+    return rules._replace(**changes)
+
+
+def broken(drawing: list[str], rules: Rules) -> list[tuple[str, tuple[int, int]]]:
+    return [tuple(found) for found in audit(parse(drawing, TILES), rules)]
+
+
+def test_a_good_layout_breaks_nothing():
+    assert broken(["..@e", "e@..", "...."], yard(3, 4, 2, 2)) == []
+
+
+@pytest.mark.parametrize(
+    ("drawing", "start", "cell"),
+    [
+        (["..@e", "....", "...."], "1 tiles '@' where the rules ask for exactly 2", (0, 2)),
+        (["..@.", "e@..", "...."], "'@' without a neighbour of 'e' (1 cell)", (0, 2)),
+        (["..@e", "e@.e", "...."], "'e' without a neighbour of '@' (1 cell)", (1, 3)),
+        ([".e@.", ".@e.", "...."], None, None),
+        (["e@e.", "@...", "...."], "'.ew' in 2 unconnected parts, cut off (1 cell)", (0, 0)),
+        (["w@e.", "e@..", "...."], "'w' where only '.@e' may stand (1 cell)", (0, 0)),
+    ],
+)
+def test_each_rule_is_named_with_a_cell_that_breaks_it(drawing, start, cell):
+    found = broken(drawing, yard(3, 4, 2, 2))
+    if start is None:
+        assert found == []
+    else:
+        assert (start, cell) in found
+
+
+def test_count_messages_name_the_bound():
+    assert "at least 3" in broken(["@e.."], yard(1, 4, 3, None))[0][0]
+    assert "2 to 3" in broken(["@e.."], yard(1, 4, 2, 3))[0][0]
+
+
+def test_narrow_passages_are_found():
+    wide = ["......", "......", "..@@..", "..ee..", "......"]
+    rules = yard(5, 6, 2, 2, aisle=2)
+    assert broken(wide, rules) == []
+    slit = ["......", "......", "@@.@@@", "ee.eee", "......"]
+    assert broken(slit, yard(5, 6, 5, 5, aisle=2)) == [("passage narrower than 2 (1 cell)", (2, 2))]
+
+
+def test_a_wrong_shape_is_one_message():
+    assert len(audit(np.zeros((2, 2), np.int8), yard(3, 4, 2, 2))) == 1
+
+
+def slow_feasible(layout: np.ndarray, rules: Rules) -> bool:
+    """Check with loops and a flood fill."""
+    rows, cols = layout.shape
+    symbol = {(r, c): TILES[layout[r, c]] for r in range(rows) for c in range(cols)}
+
+    def around(cell):
+        r, c = cell
+        return [symbol[n] for n in ((r + 1, c), (r - 1, c), (r, c + 1), (r, c - 1)) if n in symbol]
+
+    for (r, c), tile in symbol.items():
+        if not rules.allowed[r, c, TILES.index(tile)]:
+            return False
+        for rule in rules.adjacency:
+            if tile in rule.tiles and not set(around((r, c))) & set(rule.needs):
+                return False
+    for bound in rules.counts:
+        count = sum(tile in bound.tiles for tile in symbol.values())
+        if count < bound.low or (bound.high is not None and count > bound.high):
+            return False
+    group = {cell for cell, tile in symbol.items() if tile in rules.connected}
+    front = [next(iter(group))] if group else []
+    seen = set(front)
+    while front:
+        r, c = front.pop()
+        for n in ((r + 1, c), (r - 1, c), (r, c + 1), (r, c - 1)):
+            if n in group and n not in seen:
+                seen.add(n)
+                front.append(n)
+    return seen == group
+
+
+def test_audit_agrees_with_the_slow_oracle_on_every_tiny_layout():
+    rules = yard(2, 4, 1, 2)
+    layouts = [
+        np.array(tiles, np.int8).reshape(2, 4) for tiles in itertools.product(range(3), repeat=8)
+    ]
+    agreed = [slow_feasible(layout, rules) == (not audit(layout, rules)) for layout in layouts[::7]]
+    assert all(agreed) and len(agreed) == 938
+    assert any(slow_feasible(layout, rules) for layout in layouts[::7])
+
+
+@pytest.mark.parametrize(
+    ("rules", "words"),
+    [
+        (yard(3, 4, 13, 13), "only 12 cells"),
+        (yard(3, 4, 5, 3), "at least 5 and at most 3"),
+        (yard(9, 9, 60, 60), "connected driving area can reach at most"),
+        (find_domain("warehouse-even").rules(33, 36, 800), "reach at most 726"),
+        (find_domain("warehouse-even").rules(33, 36, 5000), "only 1056 cells"),
+    ],
+)
+def test_impossible_rules_are_named(rules, words):
+    assert words in impossible(rules)
+
+
+def test_fixed_obstacles_that_cut_fixed_cells_apart_are_named():
+    allowed = np.ones((3, 5, 4), bool)
+    allowed[:, 2] = [False, True, False, False]
+    allowed[1, [0, 4]] = [False, False, False, True]
+    assert "cut row 1, column 4 off" in impossible(yard(3, 5, 3, 6, allowed=allowed))
+
+
+def test_possible_rules_are_not_called_impossible():
+    for shelves in (0, 240, 704):
+        assert impossible(find_domain("warehouse-even").rules(33, 36, shelves)) is None
+    assert impossible(find_domain("manufacturing").rules(33, 36, 0)) is None
+
+
+def test_price_bound_counts_missing_and_surplus_tiles():
+    layout = parse(["@@e.", "....", "...."], TILES)
+    weights = np.arange(1.0, 13.0).reshape(3, 4)
+    assert price_bound(layout, yard(3, 4, 4, 4, weights=weights)) == 3 + 4
+    assert price_bound(layout, yard(3, 4, 1, 1, weights=weights)) == 1
