@@ -60,6 +60,7 @@ def run_seeds(
     seeds: Sequence[int],
     agents: int | None = None,
     record: bool = False,
+    threads: int | None = None,
 ) -> Simulated:
     """Simulate a layout once per seed, on all cores.
 
@@ -70,6 +71,7 @@ def run_seeds(
         seeds: each decides starts, goals and ties of its run.
         agents: how many take part, at most ``config.agents``; None for all. Compiles nothing new.
         record: keep the trajectories.
+        threads: runs at a time; None for as many as there are cores.
 
     Raises:
         InputError: no fleet drives in this domain, or not on this layout.
@@ -88,8 +90,8 @@ def run_seeds(
         return jax.tree.map(np.asarray, simulate(problem, jax.random.key(seed), np.int32(count)))
 
     # A compiled call leaves the interpreter lock, so threads use all cores.
-    with ThreadPoolExecutor(os.cpu_count() or 1) as threads:
-        results = list(threads.map(one, seeds))
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        results = list(pool.map(one, seeds))
     spent = time.process_time() - compiled
     return Simulated(
         tuple(seeds),

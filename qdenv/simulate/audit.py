@@ -52,7 +52,7 @@ def audit(
     """
     layout = np.asarray(layout)
     end = int(traffic.end_timestep)
-    positions = trajectory.positions[: end + 1]
+    positions = trajectory.positions[: end + 1].astype(np.int64)
     broken = check_moves(layout, rule, positions)
     finished, working, messages = replay_tasks(layout, rule, trajectory, end)
     return broken + messages + check_report(layout, positions, finished, working, traffic, horizon)
@@ -66,21 +66,23 @@ def check_moves(layout: np.ndarray, rule: TaskRule, positions: np.ndarray) -> li
     if outside.any():
         return [_at("is outside the layout", outside)]
     broken = [_at("stands on an obstacle", ~free[positions])] if not free[positions].all() else []
-    for time, cells in enumerate(positions):
-        where, counts = np.unique(cells, return_counts=True)
-        if (counts > 1).any():
-            broken.append(f"t={time}: {counts.max()} agents on cell {where[counts.argmax()]}")
+    ordered = np.sort(positions, axis=1)
+    for time, index in np.argwhere(ordered[:, 1:] == ordered[:, :-1])[:1]:
+        broken.append(f"t={time}: two agents on cell {ordered[time, index]}")
     before, after = positions[:-1], positions[1:]
     rows = np.abs(before // width - after // width)
     columns = np.abs(before % width - after % width)
     if (rows + columns > 1).any():
         broken.append(_at("makes more than one step at once", rows + columns > 1))
-    for time, (a, b) in enumerate(zip(before, after, strict=True)):
-        moved = a != b
-        edges = set(zip(a[moved].tolist(), b[moved].tolist(), strict=True))
-        swaps = [edge for edge in edges if edge[::-1] in edges]
-        if swaps:
-            broken.append(f"t={time}: agents swap cells {swaps[0]}")
+    moved = before != after
+    cells = height * width
+    time = np.broadcast_to(np.arange(len(before))[:, None], before.shape)[moved]
+    there = (time * cells + before[moved]) * cells + after[moved]
+    back = (time * cells + after[moved]) * cells + before[moved]
+    for edge in np.intersect1d(there, back)[:1]:
+        broken.append(
+            f"t={edge // cells**2}: agents swap cells {edge % cells, edge // cells % cells}"
+        )
     return broken
 
 
@@ -92,7 +94,7 @@ def replay_tasks(
     Returns:
         finished bool [end, A], working bool [end + 1, A] (serving after the step), messages.
     """
-    goal_cells = [np.asarray(goal.weight(layout)).reshape(-1) > 0 for goal in rule.cycle]
+    goal_cells = np.array([np.asarray(goal.weight(layout)).reshape(-1) > 0 for goal in rule.cycle])
     stay = np.array([goal.stay for goal in rule.cycle])
     positions, goals = trajectory.positions, trajectory.goals
     agents = positions.shape[1]
@@ -102,7 +104,7 @@ def replay_tasks(
     broken = []
     for time in range(end):
         goal, cell = goals[time], positions[time + 1]
-        proper = np.array([goal_cells[k][g] for k, g in zip(kind, goal, strict=True)])
+        proper = goal_cells[kind, goal]
         if not proper.all():
             broken.append(f"t={time}: agent {np.argmin(proper)} heads for a goal of another kind")
         serving = left > 0

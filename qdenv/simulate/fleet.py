@@ -196,7 +196,8 @@ def _run(
         at_work = active & going(carry)  # a finished lane of a batch has nobody left to plan
         step_key = jax.random.fold_in(drive_key, tally.time)
         after, block = run_window(problem, config, fleet, at_work, step_key)
-        jam = is_congested(fleet.position, block, fleet.serving, active)
+        whole = tally.time + config.horizon <= config.timesteps
+        jam = whole & is_congested(fleet.position, block, fleet.serving, active)
         tape = tape.store(block, tally.time) if keep else None
         tally = count_block(tally, fleet.position, block, active, config.timesteps)
         return after, tally._replace(congested=tally.congested | jam), tape
