@@ -17,6 +17,7 @@ from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.emitters import is_flat, rank, restart_rule
 from qdenv.search.registry import ALGORITHMS, Entry, make_algorithm
 from qdenv.search.strategies.evosax import EVOSAX_NAMES
+from qdenv.search.strategies.full import full
 from qdenv.search.strategies.registry import STRATEGIES
 from qdenv.types import InputError, Measure, Score
 
@@ -137,7 +138,7 @@ def test_nothing_is_traced_twice(name):
     assert sorted(search.traced) == ["ask", "init", "tell"]
 
 
-@pytest.mark.parametrize("name", ["cma-mae", "cma-mae with full"])
+@pytest.mark.parametrize("name", ["cma-mae", "map-elites"])
 def test_scan_and_vmap_over_seeds_equal_the_plain_loop(name):
     search = compiled(CONFIGS[name])
     algorithm = search.algorithm
@@ -161,6 +162,25 @@ def test_scan_and_vmap_over_seeds_equal_the_plain_loop(name):
     expected = jax.tree.map(lambda *rows: np.stack(rows), *looped)
     for one, other in zip(jax.tree.leaves(many), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-3)
+
+
+def test_only_emitters_that_are_due_renew_their_eigensystem_also_under_vmap():
+    strategy = full(6, 4, 0.3)
+    factors = np.random.default_rng(0).normal(size=(2, 3, 6, 6)).astype(np.float32)
+    covariance = factors @ factors.swapaxes(-1, -2)
+    keys = jax.random.split(jax.random.key(0), (2, 3))
+    fresh = jax.vmap(jax.vmap(strategy.init))(jnp.zeros((2, 3, 6)), keys)
+    evaluations = jnp.array([[0, 1000, 0], [0, 0, 0]], jnp.int32)
+    states = fresh._replace(covariance=covariance, evaluations=evaluations)
+    together = jax.jit(jax.vmap(strategy.refresh))(states)
+    alone = jax.jit(strategy.refresh)
+    apart = [alone(jax.tree.map(lambda leaf, row=row: leaf[row], states)) for row in range(2)]
+    for renewed in (together, jax.tree.map(lambda *rows: jnp.stack(rows), *apart)):
+        np.testing.assert_array_equal(renewed.refreshed, evaluations)
+        scaled = renewed.basis * renewed.eigenvalues[..., None, :]
+        rebuilt = np.asarray(scaled @ renewed.basis.swapaxes(-1, -2))
+        expected = np.where(evaluations[..., None, None] > 0, covariance, np.eye(6))
+        np.testing.assert_allclose(rebuilt, expected, atol=1e-4)
 
 
 def test_the_elite_carries_its_own_extras_and_both_objectives_go_their_ways():
