@@ -12,13 +12,16 @@ from qdenv.repair.kinds import hand_out
 from qdenv.repair.program import Program, build, decode, encode, group_tiles
 from qdenv.types import RepairStatus, Rules
 
+SMALL = 500  # variables of a program that the solver closes in a second whatever its gap
+
 
 class Limits(NamedTuple):
     """When the solver stops; all but `seconds` are deterministic.
 
     Attributes:
         gap: relative gap.
-        hope: skip branching when the relaxation's gap is larger than this: it would not pay.
+        hope: skip branching when the relaxation's gap is larger than this: it would not pay on
+            programs of more than `SMALL` variables.
         nodes: branch-and-bound nodes of one solve.
         checks: times the solver may ask whether to go on, which it does once per round of work.
         rounds: solves, each with more connectivity cuts.
@@ -116,7 +119,7 @@ def polish(
     )
     if best.bound >= price * (1 - limits.gap) - 1e-6:
         return best._replace(status=RepairStatus.OPTIMAL)
-    if best.bound < price * (1 - limits.hope):
+    if program.cost.size > SMALL and best.bound < price * (1 - limits.hope):
         return best
     solver = load(program, seed)
     always = ~(rules.allowed & ~_drives_tile(rules)).any(-1)
@@ -133,7 +136,9 @@ def polish(
             found, _ = anneal(
                 layout, rules, seed, 300 * layout.size, found, (0.15, 0.1), (2.5, 2.5)
             )
-        best = _better(best, found, layout, rules)._replace(status=stopped)
+        # The solver's optimum is one of the program without the connectivity still to be cut in.
+        unproven = RepairStatus.NODE_LIMIT if stopped == RepairStatus.OPTIMAL else stopped
+        best = _better(best, found, layout, rules)._replace(status=unproven)
         if best.bound >= best.price * (1 - limits.gap) - 1e-6:
             return best._replace(status=RepairStatus.OPTIMAL)
         if not cuts or stopped == RepairStatus.TIME_LIMIT:

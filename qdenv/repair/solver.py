@@ -25,9 +25,9 @@ class Level(NamedTuple):
 
 
 LEVELS = {
-    "none": Level(600, None),
-    "quick": Level(600, Limits(gap=0.0, hope=0.03, nodes=1, checks=6, rounds=2, seconds=0)),
-    "full": Level(2500, Limits(gap=0.0, hope=0.08, nodes=1000, checks=100, rounds=8, seconds=0)),
+    "none": Level(800, None),
+    "quick": Level(800, Limits(gap=0.0, hope=0.03, nodes=1, checks=6, rounds=2, seconds=0)),
+    "full": Level(2500, Limits(gap=0.0, hope=0.08, nodes=1000, checks=100, rounds=4, seconds=0)),
 }
 
 
@@ -59,6 +59,7 @@ class RepairConfig:
             raise InputError(f"polish {self.polish!r} must be one of {', '.join(LEVELS)}")
 
 
+FEWEST_MOVES = 20_000  # a few milliseconds, which tiny layouts need as well
 GENTLE = {}
 # No move may break a rule: from a start that obeys all of them, feasibility cannot be lost.
 STRICT = {"heats": (0.3, 0.1), "pulls": (20.0, 20.0)}
@@ -117,7 +118,8 @@ def _feasible(
 ) -> tuple[np.ndarray | None, float]:
     """Anneal until a layout passes the audit: from the input, then from regular layouts."""
     cells = int((rules.allowed.sum(-1) > 1).sum())
-    moves = cells * (config.moves_per_cell or LEVELS[config.polish].moves_per_cell)
+    per_cell = config.moves_per_cell or LEVELS[config.polish].moves_per_cell
+    moves = max(cells * per_cell, FEWEST_MOVES)
     for attempt, (start, schedule) in enumerate(_starts(layout, rules)):
         found, price = anneal(layout, rules, seed + attempt, moves, start, **schedule)
         if found is not None and not audit(found, rules):

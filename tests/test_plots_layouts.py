@@ -1,0 +1,51 @@
+"""Pictures of layouts: the right colour in the right place, nothing left behind."""
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib._pylab_helpers import Gcf
+from matplotlib.colors import to_rgb
+from matplotlib.image import imread
+
+from qdenv.grid import parse
+from qdenv.plots.layouts import CHANGED, COLOURS, draw_layout, save_difference, save_layout
+
+DRAWING = [".@ew", "e@..", "...."]
+LAYOUT = parse(DRAWING, ".@ew")
+
+
+def test_every_tile_has_its_colour():
+    image = draw_layout(LAYOUT, ".@ew").images[0]
+    shown = image.cmap(image.norm(image.get_array()))[..., :3]
+    for row, line in enumerate(DRAWING):
+        for col, tile in enumerate(line):
+            assert np.allclose(shown[row, col], to_rgb(COLOURS[tile]), atol=1 / 255), tile
+
+
+def test_the_legend_counts_the_tiles_that_are_there():
+    texts = [text.get_text() for text in draw_layout(LAYOUT, ".@ew").get_legend().get_texts()]
+    assert texts == ["empty 7", "shelf 2", "endpoint 2", "workstation 1"]
+    strange = draw_layout(np.array([[0, 1]]), "?!").get_legend().get_texts()
+    assert [text.get_text() for text in strange] == ["'?' 1", "'!' 1"]
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_saving_writes_one_file_and_leaves_no_state(tmp_path, ending):
+    backend = matplotlib.get_backend()
+    save_layout(tmp_path / f"layout.{ending}", LAYOUT, ".@ew")
+    assert [path.name for path in tmp_path.iterdir()] == [f"layout.{ending}"]
+    assert not Gcf.figs and matplotlib.get_backend() == backend
+
+
+def test_the_difference_frames_what_changed(tmp_path):
+    after = LAYOUT.copy()
+    save_difference(tmp_path / "none.png", LAYOUT, after, ".@ew")
+    after[2, 1] = 2
+    save_difference(tmp_path / "one.png", LAYOUT, after, ".@ew")
+
+    def framed(name):
+        pixels = imread(tmp_path / name)[..., :3]
+        return (np.abs(pixels - to_rgb(CHANGED)).max(-1) < 0.02).sum()
+
+    assert framed("none.png") == 0
+    assert framed("one.png") >= 4
