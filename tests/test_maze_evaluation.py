@@ -8,10 +8,11 @@ import pytest
 from PIL import Image
 
 from qdenv.agent.evaluate import (
+    compare_with_random,
     default_horizon,
     evaluate_agent,
-    mean_success,
     random_mazes,
+    success_rates,
     wilson_interval,
 )
 from qdenv.plots.maze import save_episode
@@ -49,7 +50,7 @@ def agent():
 def test_the_shipped_agent_solves_random_mazes(agent):
     # 20 mazes x 10 episodes; the full figures are in the training report beside the weights.
     for walls, least in ((60, 0.90), (90, 0.80)):
-        rates = mean_success(agent, random_mazes(walls, 20, 16, 16, walls), runs=10)
+        rates = success_rates(agent, random_mazes(walls, 20, 16, 16, walls), runs=10)
         assert rates.shape == (20,)
         assert rates.mean() >= least
 
@@ -65,6 +66,23 @@ def test_evaluation_of_one_maze(agent):
         evaluate_agent(agent, np.ones((5, 9), np.int8), runs=40)
     with pytest.raises(InputError, match="at least one run"):
         evaluate_agent(agent, layout, runs=0)
+
+
+def test_the_published_loop_is_an_option(agent):
+    layout = np.zeros((5, 9), np.int8)
+    quirky = evaluate_agent(agent, layout, runs=40, reference_batching=True)
+    assert quirky.runs == 40 and quirky.shortest == 12
+    assert quirky.low <= quirky.rate <= quirky.high
+
+
+def test_comparison_with_random_mazes_of_like_path_length(agent):
+    layout = random_mazes(7, 1, 6, 6, 9)[0]
+    found = compare_with_random(agent, layout, mazes=4, runs=10)
+    assert (found.walls, found.shortest) == (9, oracle.longest(layout)[0])
+    np.testing.assert_allclose(found.mean, np.mean(found.rates))
+    np.testing.assert_allclose(found.standard_error, np.std(found.rates, ddof=1) / 2)
+    with pytest.raises(InputError, match="two mazes"):
+        compare_with_random(agent, layout, mazes=1)
 
 
 def test_picture_of_an_episode(tmp_path):

@@ -13,13 +13,14 @@ import pytest
 from qdenv.agent import curriculum, levels, ppo, rollout
 from qdenv.agent.train import _update as go
 from qdenv.agent.train import train_agent
-from qdenv.agent.update import TrainConfig, start
+from qdenv.agent.update import TrainConfig, start, update
 from qdenv.simulate.maze_world import GOAL, WALL
 from qdenv.simulate.policy import Memory, draw_weights
 from qdenv.types import InputError
 
 SMALL = levels.LevelConfig(size=6, most_walls=20, horizon=(20, 40))
 CONFIG = TrainConfig(
+    method="accel",
     steps=3 * 128, units=4, bank=16, fresh=4, exam=2, levels=SMALL,
     ppo=ppo.PPOConfig(lanes=8, timesteps=16, minibatches=2),
 )  # fmt: skip
@@ -35,8 +36,8 @@ def recorded():
     """Play a few steps with an untrained agent."""
     state = start(CONFIG)
 
-    def next_level(key, lane):
-        del key
+    def next_level(draw, lane):
+        del draw
         return jax.tree.map(lambda x: x[lane], state.bank.level), lane, lane
 
     _, steps, last = jax.jit(
@@ -148,15 +149,23 @@ def test_learning_raises_the_odds_of_rewarded_actions(recorded):
     assert np.isfinite(log).all()
 
 
-def test_methods_on_trial_fill_the_bank_with_scores():
-    config = replace(CONFIG, method="accel", ppo=replace(CONFIG.ppo, epochs=1, minibatches=1))
-    state = start(config)
+def test_trials_fill_the_bank_with_scores():
+    state = start(CONFIG)
     for _ in range(3):
-        state, numbers = go(state, config)
+        state, numbers = go(state, CONFIG)
     assert int(state.update) == 3
     assert int((state.bank.score > 0).sum()) > 0
     assert int(state.bank.serial.max()) > 15  # new levels were admitted
     assert np.isfinite(list(numbers.values())).all()
+
+
+@pytest.mark.parametrize("method", curriculum.METHODS)
+def test_a_run_may_change_its_method(method):
+    state = jax.eval_shape(lambda: start(CONFIG))
+    later, _ = jax.eval_shape(lambda state: update(state, replace(CONFIG, method=method)), state)
+    assert jax.tree.map(lambda x: (x.shape, x.dtype), later) == jax.tree.map(
+        lambda x: (x.shape, x.dtype), state
+    )
 
 
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):

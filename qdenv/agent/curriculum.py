@@ -71,7 +71,9 @@ def find_method(name: str) -> Method:
 
 def new_bank(key: Array, size: int, config: LevelConfig) -> Bank:
     """Fill a bank with drawn levels, a few at a time; consumes the key."""
-    level = jax.lax.map(lambda k: draw_level(k, config), jax.random.split(key, size), batch_size=64)
+    level = jax.lax.map(
+        lambda k: draw_level(k, config), jax.random.split(key, size), batch_size=min(size, 64)
+    )
     zeros = jnp.zeros(size, jnp.int32)
     return Bank(level, jnp.zeros(size), zeros, jnp.arange(size, dtype=jnp.int32))
 

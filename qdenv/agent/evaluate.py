@@ -15,7 +15,8 @@ from qdenv.simulate.maze import (
     until_done,
     whole_horizon,
 )
-from qdenv.simulate.maze_world import longest_path
+from qdenv.simulate.maze_reference import reference_episodes
+from qdenv.simulate.maze_world import WALL, longest_path
 from qdenv.simulate.policy import Weights
 from qdenv.types import Array, InputError
 
@@ -83,11 +84,16 @@ def run_alone(weights: Weights, layout: Array, key: Array, episodes: int, horizo
 
 _longest_path = jax.jit(longest_path)
 _run_alone = jax.jit(run_alone, static_argnums=(3, 4))
-_run_batch = jax.jit(run_batch, static_argnums=(3, 4))
+_run_published = jax.jit(reference_episodes, static_argnums=(3, 4))
 
 
 def evaluate_agent(
-    weights: Weights, layout: Array, seed: int = 0, runs: int = 100, horizon: int | None = None
+    weights: Weights,
+    layout: Array,
+    seed: int = 0,
+    runs: int = 100,
+    horizon: int | None = None,
+    reference_batching: bool = False,
 ) -> Success:
     """Measure how often the agent reaches the goal of one maze of any size (host side).
 
@@ -97,12 +103,15 @@ def evaluate_agent(
         seed: of headings and actions.
         runs: independent episodes.
         horizon: actions per episode; twice the tiles of the ringed maze by default.
+        reference_batching: run the published loop with its quirks (see `maze_reference`)
+            instead of independent episodes.
 
     Raises:
         InputError: no runs, or a maze in which no two empty tiles touch.
     """
     wilson_interval(0, runs)
-    episodes = _run_alone(
+    play = _run_published if reference_batching else _run_alone
+    episodes = play(
         weights, jnp.asarray(layout), jax.random.key(seed), runs, horizon or default_horizon(layout)
     )
     shortest = int(episodes.shortest[0])
@@ -164,10 +173,74 @@ def random_mazes(
     return np.array(kept, np.int8).reshape(count, rows, cols)
 
 
-def mean_success(
+def success_rates(
     weights: Weights, layouts: Array, seed: int = 0, runs: int = 50, horizon: int | None = None
 ) -> np.ndarray:
-    """Measure the success rate on each maze of a batch (host side) -> float [B]."""
+    """Measure the success rate on each of some mazes of one size (host side).
+
+    Args:
+        weights: the agent.
+        layouts: int8 [B, H, W].
+        seed: of headings and actions.
+        runs: independent episodes per maze.
+        horizon: actions per episode; twice the tiles of the ringed maze by default.
+
+    Returns:
+        float [B].
+    """
     horizon = horizon or default_horizon(layouts[0])
-    episodes = _run_batch(weights, jnp.asarray(layouts), jax.random.key(seed), runs, horizon)
-    return np.asarray(episodes.success.mean(1))
+    keys = jax.random.split(jax.random.key(seed), len(layouts))
+    return np.array(
+        [
+            _run_alone(weights, jnp.asarray(layout), key, runs, horizon).success.mean()
+            for layout, key in zip(layouts, keys, strict=True)
+        ]
+    )
+
+
+class Comparison(NamedTuple):
+    """Success on random mazes that resemble one maze (section E.3 of the paper)."""
+
+    mean: float
+    standard_error: float  # over mazes
+    mazes: int
+    walls: int
+    shortest: int  # of the maze that was given
+    rates: list[float]
+
+
+def compare_with_random(
+    weights: Weights,
+    layout: Array,
+    low: float = 0.8,
+    high: float = 1.2,
+    mazes: int = 100,
+    runs: int = 50,
+    seed: int = 0,
+) -> Comparison:
+    """Measure the agent on random mazes of like size, walls and path length (host side).
+
+    Args:
+        weights: the agent.
+        layout: int8 [H, W], the maze to compare with.
+        low: least length of the longest shortest path, as a share of the given maze's.
+        high: largest length, as a share.
+        mazes: random mazes.
+        runs: independent episodes per maze.
+        seed: of walls, headings and actions.
+
+    Raises:
+        InputError: fewer than two mazes, or no such mazes within 100,000 tries.
+    """
+    if mazes < 2:
+        raise InputError("a spread needs at least two mazes")
+    walls = int((np.asarray(layout) == WALL).sum())
+    shortest = int(_longest_path(jnp.asarray(layout)).length)
+
+    def accept(length: int) -> bool:
+        return low * shortest <= length <= high * shortest
+
+    drawn = random_mazes(seed, mazes, *layout.shape, walls, accept)
+    rates = success_rates(weights, drawn, seed, runs)
+    spread = float(rates.std(ddof=1) / mazes**0.5)
+    return Comparison(float(rates.mean()), spread, mazes, walls, shortest, rates.tolist())

@@ -21,6 +21,7 @@ from qdenv.simulate.maze_world import (
 )
 from qdenv.types import Array
 
+LONGEST_PERIOD = 12  # of textures
 UNSEEN = 10_000  # distance of tiles that cannot reach the goal
 
 
@@ -57,8 +58,8 @@ class Level(NamedTuple):
 
 def _walls(noise: Array, count: Array) -> jax.Array:
     """Put `count` walls where the noise (float32 [n, n]) is largest -> int8 [n, n]."""
-    rank = jnp.argsort(jnp.argsort(-noise.reshape(-1)))
-    return (rank < count).astype(jnp.int8).reshape(noise.shape)
+    ladder = jnp.append(jnp.sort(noise.reshape(-1)), jnp.inf)
+    return (noise >= ladder[noise.size - count]).astype(jnp.int8)
 
 
 def draw_layout(key: Array, config: LevelConfig) -> jax.Array:
@@ -70,16 +71,15 @@ def draw_layout(key: Array, config: LevelConfig) -> jax.Array:
     Returns:
         int8 [size, size].
     """
-    keys = jax.random.split(key, 6)
     n = config.size
-    noise = jax.random.uniform(keys[0], (n, n))
+    draws = jax.random.uniform(key, (n * n + LONGEST_PERIOD + 6,))
+    noise, pattern = draws[: n * n].reshape(n, n), draws[n * n : -6]
+    amount, kind, rough, period, down, right = draws[-6:]
     row, col = jnp.meshgrid(jnp.arange(n), jnp.arange(n), indexing="ij")
-    period = jax.random.randint(keys[1], (), 3, 13)
-    a, b = jax.random.randint(keys[2], (2,), 0, 12)
-    pattern = jax.random.uniform(keys[3], (16,))[(a * row + b * col) % period]
-    rough = jax.random.uniform(keys[4], (), minval=0.02, maxval=0.6)
-    kind, amount = jax.random.uniform(keys[5], (2,))
-    field = jnp.where(kind < config.textured, pattern + rough * noise, noise)
+    period = 3 + (period * (LONGEST_PERIOD - 2)).astype(jnp.int32)
+    down, right = (down * period).astype(jnp.int32), (right * period).astype(jnp.int32)
+    texture = pattern[(down * row + right * col) % period] + (0.02 + 0.6 * rough) * noise
+    field = jnp.where(kind < config.textured, texture, noise)
     return _walls(field, (amount * (config.most_walls + 1)).astype(jnp.int32))
 
 
@@ -113,8 +113,9 @@ def _pair_up(key: Array, layout: Array, horizon: Array, longest: Array) -> Level
     place = on_canvas(goal, n)
     gap = distances(far, place)
     # A random pair lies in the component of the longest path, where a partner is sure to exist.
-    odds = jnp.where((gap < UNSEEN) & (there == EMPTY), 0.0, -jnp.inf)
-    one, two = jax.random.categorical(key, odds, shape=(2,))
+    ladder = jnp.cumsum((gap < UNSEEN) & (there == EMPTY))
+    rank = (jax.random.uniform(key, (2,)) * ladder[-1]).astype(jnp.int32)
+    one, two = jnp.searchsorted(ladder, rank, side="right")
     swap = ~longest & (one != two)
     place = jnp.where(swap, one, place)
     begin = jnp.where(swap, two, on_canvas(start, n)).astype(jnp.int32)
@@ -124,11 +125,11 @@ def _pair_up(key: Array, layout: Array, horizon: Array, longest: Array) -> Level
 
 def draw_level(key: Array, config: LevelConfig) -> Level:
     """Draw a new level (domain randomisation); consumes the key."""
-    keys = jax.random.split(key, 4)
+    layout_key, pair_key, key = jax.random.split(key, 3)
     low, high = config.horizon
-    horizon = jax.random.randint(keys[1], (), low, high + 1)
-    longest = jax.random.bernoulli(keys[2], config.longest)
-    return _pair_up(keys[3], draw_layout(keys[0], config), horizon, longest)
+    span, kind = jax.random.uniform(key, (2,))
+    horizon = low + (span * (high + 1 - low)).astype(jnp.int32)
+    return _pair_up(pair_key, draw_layout(layout_key, config), horizon, kind < config.longest)
 
 
 def vary_level(key: Array, level: Level, config: LevelConfig) -> Level:

@@ -117,7 +117,7 @@ def roll(
     key: Array,
     weights: Weights,
     lanes: Lane,
-    next_level: Callable[[Array], tuple[Level, Array, Array]],
+    next_level: Callable[[Array, Array], tuple[Level, Array, Array]],
     timesteps: int,
     reward: RewardConfig,
 ) -> tuple[Lane, Step, Array]:
@@ -127,7 +127,7 @@ def roll(
         key: draws actions, levels and first headings.
         weights: the agent.
         lanes: `Lane` with a leading axis.
-        next_level: (key, lane number) -> level, place in the bank, serial; consumes its key.
+        next_level: (number in [0, 1), lane) -> level, place in the bank, serial.
         timesteps: T.
         reward: what is rewarded.
 
@@ -137,18 +137,15 @@ def roll(
     count = lanes.elapsed.shape[0]
     everywhere = jax.vmap(lambda lane, draw: advance(weights, lane, draw, reward))
 
-    def restart(lane: Lane, done: Array, key: Array, number: Array) -> Lane:
-        level_key, turn_key = jax.random.split(key)
-        heading = jax.random.randint(turn_key, (), 0, 4)
-        new = begin(weights, *next_level(level_key, number), heading)
+    def restart(lane: Lane, done: Array, draws: Array, number: Array) -> Lane:
+        heading = (4 * draws[1]).astype(jnp.int32)
+        new = begin(weights, *next_level(draws[0], number), heading)
         return jax.tree.map(lambda a, b: jnp.where(done, a, b), new, lane)
 
     def one(lanes: Lane, key: Array) -> tuple[Lane, Step]:
-        draw_key, restart_key = jax.random.split(key)
-        draws = jax.random.uniform(draw_key, (count,))
-        lanes, steps = everywhere(lanes, draws)
-        keys = jax.random.split(restart_key, count)
-        return jax.vmap(restart)(lanes, steps.done, keys, jnp.arange(count)), steps
+        draws = jax.random.uniform(key, (count, 3))
+        lanes, steps = everywhere(lanes, draws[:, 0])
+        return jax.vmap(restart)(lanes, steps.done, draws[:, 1:], jnp.arange(count)), steps
 
     lanes, steps = jax.lax.scan(one, lanes, jax.random.split(key, timesteps))
     _, after = everywhere(lanes, jnp.zeros(count))

@@ -134,8 +134,8 @@ def _try_out(
     heading = jax.random.randint(keys[0], (config.fresh,), 0, 4)
     lanes = jax.vmap(begin, (None, 0, 0, 0, 0))(weights, levels, number, number, heading)
 
-    def again(key: Array, lane: Array) -> tuple[Level, Array, Array]:
-        del key
+    def again(draw: Array, lane: Array) -> tuple[Level, Array, Array]:
+        del draw
         return jax.tree.map(lambda x: x[lane], levels), lane, lane
 
     _, steps, last = roll(keys[1], weights, lanes, again, config.ppo.timesteps, reward)
@@ -182,9 +182,9 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, Array]]:
     bank = _renew(keys[0], state, config, method, reward)
     ladder = jnp.cumsum(replay_odds(bank, state.update, method))
 
-    def next_level(key: Array, lane: Array) -> tuple[Level, Array, Array]:
+    def next_level(draw: Array, lane: Array) -> tuple[Level, Array, Array]:
         del lane
-        place = jnp.searchsorted(ladder, jax.random.uniform(key) * ladder[-1])
+        place = jnp.searchsorted(ladder, draw * ladder[-1], side="right")
         place = jnp.minimum(place, config.bank - 1)
         return jax.tree.map(lambda x: x[place], bank.level), place, bank.serial[place]
 
