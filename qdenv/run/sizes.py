@@ -132,7 +132,7 @@ def finish(grown: Grown, config: RepairConfig, seed: int) -> Sized:
         rows=before.shape[0],
         cols=before.shape[1],
         steps=grown.steps,
-        shelves=grown.shelves,
+        shelves=count_shelves(domain, after),
         repair=status_name(repaired),
         changed=int((before != after).sum()),
         similarity=float(similarity(before, after, domain.price(before))),
@@ -143,6 +143,11 @@ def finish(grown: Grown, config: RepairConfig, seed: int) -> Sized:
 def status_name(repaired: Repair | None) -> str:
     """Name how a repair ended, in small letters; "none" where there was no repair."""
     return "none" if repaired is None else RepairStatus(int(repaired.status)).name.lower()
+
+
+def count_shelves(domain: Domain, layout: np.ndarray) -> int:
+    """Count the shelves of a layout (int8 [H, W]); 0 where the domain has none."""
+    return int((layout == domain.tiles.find("@")).sum())
 
 
 def human_layout(domain: Domain, rows: int, cols: int) -> np.ndarray:
@@ -204,7 +209,7 @@ def tile(
     """
     if shelves is None:
         rows, cols = layout.shape
-        own = int((layout == domain.tiles.find("@")).sum())
+        own = count_shelves(domain, layout)
         small = replace(EvaluationConfig(), rows=rows, cols=cols, shelves=own)
         shelves = scaled_shelves(domain, small, *shape)
     tiled = tile_layout(domain, layout, shape)
