@@ -165,6 +165,29 @@ def _track(changed, place, tile, home, move, changes):
 
 
 @compiled
+def _paint(drive, kinds, move, changes, side):
+    """Set the driving area to the old (`side` 2) or new (1) tiles, without the aisles."""
+    for index in range(changes):
+        drive[move[index, 0]] = kinds[move[index, side], DRIVES]
+
+
+@compiled
+def _dares(rng, slope):
+    """Accept a worse layout with probability exp(-slope)."""
+    return draw(rng, 1 << 30) < np.exp(-slope) * (1 << 30)
+
+
+@compiled
+def _insist(boost, done, waited):
+    """Raise the price of broken demands when no feasible layout came by for 5 % of the moves.
+
+    A demand may be worth more than the schedule pays, as where every shelf has four endpoints of
+    its own. Earlier in the run breaches are welcome: they are the way over the hills.
+    """
+    return min(1.05 * boost, 20.0) if done > 0.85 and waited > 50 else boost
+
+
+@compiled
 def cool(board, state, rng, moves, heats, pulls):
     """Anneal for a fixed number of moves; returns the price of the best feasible layout.
 
@@ -180,10 +203,7 @@ def cool(board, state, rng, moves, heats, pulls):
     for index in range(moves):
         if index % period == 0:
             done = index / moves
-            # A demand may be worth more than the schedule pays, as where every shelf has four
-            # endpoints of its own: then the price rises until the demand is met.
-            if done > 0.85 and index - obeyed > 50 * period:
-                boost = min(1.05 * boost, 20.0)
+            boost = _insist(boost, done, (index - obeyed) // period)
             heat = heats[0] * (heats[1] / heats[0]) ** done
             pull = boost * (pulls[0] + (pulls[1] - pulls[0]) * done)
         if broken == 0:
@@ -198,15 +218,11 @@ def cool(board, state, rng, moves, heats, pulls):
         if aisle > 1:
             breaks += _open_and_close(drive, blocked, cover, kinds, aisle, stride, move, changes, 1)
         slope = rise + pull * breaks
-        accept = slope <= 0 or (
-            slope < 20 * heat and draw(rng, 1 << 30) < np.exp(-slope / heat) * (1 << 30)
-        )
+        accept = slope <= 0 or (slope < 20 * heat and _dares(rng, slope / heat))
         if accept and linked:
-            for change in range(changes):
-                drive[move[change, 0]] = kinds[move[change, 2], DRIVES]
+            _paint(drive, kinds, move, changes, 2)
             accept = _stays_linked(drive, mark, queue, sides, kinds, walk, parts, move, changes)
-            for change in range(changes):
-                drive[move[change, 0]] = kinds[move[change, 1], DRIVES]
+            _paint(drive, kinds, move, changes, 1)
         if accept:
             cost += rise
             broken += breaks

@@ -7,7 +7,7 @@ import numpy as np
 
 from qdenv.repair.anneal import anneal
 from qdenv.repair.audit import audit
-from qdenv.repair.cuts import separate
+from qdenv.repair.cuts import Cut, separate
 from qdenv.repair.kinds import hand_out
 from qdenv.repair.program import Program, build, decode, encode, group_tiles
 from qdenv.types import RepairStatus, Rules
@@ -113,38 +113,53 @@ def polish(
         The best layout found, never worse than `start`, with the status of the last solve.
     """
     program = build(layout, rules)
-    whole = bool((np.asarray(rules.weights) % 1 == 0).all())
-    best = Polished(
-        start, price, max(bound, relaxation_bound(program, whole)), RepairStatus.ANNEALED
-    )
+    relaxed = relaxation_bound(program, _whole_prices(rules))
+    best = Polished(start, price, max(bound, relaxed), RepairStatus.ANNEALED)
     if best.bound >= price * (1 - limits.gap) - 1e-6:
         return best._replace(status=RepairStatus.OPTIMAL)
     if program.cost.size > SMALL and best.bound < price * (1 - limits.hope):
         return best
-    solver = load(program, seed)
-    always = ~(rules.allowed & ~_drives_tile(rules)).any(-1)
-    rng = np.random.default_rng(seed)
+    solver, rng = load(program, seed), np.random.default_rng(seed)
     for _ in range(limits.rounds):
         stopped = _solve(solver, encode(program, best.layout, rules, layout), limits)
-        info = solver.getInfo()
-        best = best._replace(bound=max(best.bound, _round_up(info.mip_dual_bound, whole)))
-        values = np.array(solver.getSolution().col_value)
-        roles = decode(program, values, layout.shape)
-        found = hand_out(roles, layout, rules, rng)
-        cuts = separate(_drives_tile(rules)[found], always) if rules.connected else []
-        if cuts:
-            found, _ = anneal(
-                layout, rules, seed, 300 * layout.size, found, (0.15, 0.1), (2.5, 2.5)
-            )
-        # The solver's optimum is one of the program without the connectivity still to be cut in.
-        unproven = RepairStatus.NODE_LIMIT if stopped == RepairStatus.OPTIMAL else stopped
-        best = _better(best, found, layout, rules)._replace(status=unproven)
+        best, cuts = _learn(solver, program, best, layout, rules, rng)
         if best.bound >= best.price * (1 - limits.gap) - 1e-6:
             return best._replace(status=RepairStatus.OPTIMAL)
+        # The solver's optimum is one of the program without the connectivity still to be cut in.
+        unproven = RepairStatus.NODE_LIMIT if stopped == RepairStatus.OPTIMAL else stopped
+        best = best._replace(status=unproven)
         if not cuts or stopped == RepairStatus.TIME_LIMIT:
             break
         _add_cuts(solver, program, rules, cuts)
     return best
+
+
+def _learn(
+    solver: highspy.Highs,
+    program: Program,
+    best: Polished,
+    layout: np.ndarray,
+    rules: Rules,
+    rng: np.random.Generator,
+) -> tuple[Polished, list[Cut]]:
+    """Take the bound and the layout from a solve; returns cuts where that layout falls apart."""
+    whole = _whole_prices(rules)
+    bound = _round_up(solver.getInfo().mip_dual_bound, whole)
+    roles = decode(program, np.array(solver.getSolution().col_value), layout.shape)
+    found = hand_out(roles, layout, rules, rng)
+    drives = _drives_tile(rules)
+    always = ~(rules.allowed & ~drives).any(-1)
+    cuts = separate(drives[found], always) if rules.connected else []
+    if cuts:
+        # A short cold run from there mends the connections nearby.
+        moves, seed = 300 * layout.size, int(rng.integers(1 << 62))
+        found, _ = anneal(layout, rules, seed, moves, found, (0.15, 0.1), (2.5, 2.5))
+    return _better(best._replace(bound=max(best.bound, bound)), found, layout, rules), cuts
+
+
+def _whole_prices(rules: Rules) -> bool:
+    """Whether every price is an integer, so that bounds round up."""
+    return bool((np.asarray(rules.weights) % 1 == 0).all())
 
 
 def _drives_tile(rules: Rules) -> np.ndarray:
@@ -184,7 +199,7 @@ def _better(best: Polished, found: np.ndarray | None, layout: np.ndarray, rules:
     return best._replace(layout=found, price=price) if price < best.price - 1e-9 else best
 
 
-def _add_cuts(solver: highspy.Highs, program: Program, rules: Rules, cuts: list) -> None:
+def _add_cuts(solver: highspy.Highs, program: Program, rules: Rules, cuts: list[Cut]) -> None:
     """Add connectivity cuts as rows."""
     drives = group_tiles(rules, program.roles, program.holds, rules.connected)
     for cut in cuts:
