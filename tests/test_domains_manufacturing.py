@@ -18,7 +18,6 @@ from qdenv.repair.anneal import anneal
 from qdenv.repair.audit import audit
 from qdenv.score.layout import similarity
 from qdenv.simulate import tasks
-from qdenv.types import TaskRule
 
 DOMAIN = find_domain("manufacturing")
 PUBLISHED = Path(__file__).parents[2] / "shared/reference/layouts"
@@ -27,13 +26,6 @@ GOOD = ["..e..", ".e0e.", "..e..", "e1.2e", ".e.e."]
 needs_published = pytest.mark.skipif(
     not PUBLISHED.is_dir(), reason="the published layouts are not beside this checkout"
 )
-
-
-def task_rule() -> TaskRule:
-    """Build the domain's task rule anew from the appendix: visit 0, 1, 2; stay 2, 5, 10."""
-    stays = {"0": 2, "1": 5, "2": 10}
-    cycle = tuple(tasks.beside_goal("e", kind, stay, TILES) for kind, stay in stays.items())
-    return TaskRule(TILES, ".e", cycle)
 
 
 def broken(drawing: list[str]) -> list[str]:
@@ -100,15 +92,14 @@ def oracle_weights(layout: np.ndarray, kind: int) -> np.ndarray:
 
 def test_goals_are_endpoints_weighed_by_their_stations():
     layout = np.random.default_rng(5).integers(0, 5, (8, 9)).astype(np.int8)
-    for kind, goal in enumerate(task_rule().cycle):
+    for kind, goal in enumerate(DOMAIN.tasks.cycle):
         np.testing.assert_array_equal(goal.weight(layout), oracle_weights(layout, kind))
-    assert tasks.stays(task_rule()).tolist() == [2, 5, 10]
+    assert tasks.stays(DOMAIN.tasks).tolist() == [2, 5, 10]
 
 
 def test_an_endpoint_between_two_stations_is_drawn_twice_as_often():
     layout = grid.parse(["0e0.e0", "1e.2e."], TILES)
-    rule = task_rule()
-    table = tasks.goal_table(layout, rule, 8)
+    table = tasks.goal_table(layout, DOMAIN.tasks, 8)
     assert bool(table.complete)
     draws = tasks.draw_goals(table, np.zeros(6000, np.int32), jax.random.key(0))
     cells = Counter(np.asarray(table.cells)[np.asarray(draws)].tolist())
