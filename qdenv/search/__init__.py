@@ -1,1 +1,15 @@
-"""The search: archives, evolution strategies and quality-diversity algorithms."""
+"""The search: archives, evolution strategies and quality-diversity algorithms.
+
+    axes                 measures to cells
+    archive              the elitist grid archive (a qdax repertoire)
+    threshold_archive    the soft archive of CMA-MAE
+    strategies/          evolution strategies behind one face, ours and evosax'
+    emitters             strategies that rank by an archive's verdict and restart from its elites
+    base                 `Algorithm`: init, ask, tell
+    cma_mae, map_elites, cma_es, random_search    the algorithms
+    registry             algorithms by name
+    qdax_emitter         CMA-MAE for qdax' own driver
+    export               archives as tables and files
+
+Nothing here knows what a layout is.
+"""

@@ -112,7 +112,7 @@ def full(dim: int, batch: int, sigma0: float) -> Strategy:
 def decompose(state: FullState) -> FullState:
     """Renew the eigensystem of the covariance matrix."""
     covariance = jnp.maximum(state.covariance, state.covariance.T)
-    eigenvalues, basis = jnp.linalg.eigh(covariance)
+    eigenvalues, basis = jnp.linalg.eigh(covariance, symmetrize_input=False)
     # Rounding may leave tiny negative values.
     eigenvalues = jnp.maximum(jnp.abs(eigenvalues), jnp.finfo(eigenvalues.dtype).tiny)
     return state._replace(
