@@ -13,7 +13,7 @@ from qdenv.repair.kernels import cool
 from qdenv.repair.moves import DRIVES
 from qdenv.repair.template import templates
 from qdenv.repair.topology import ring_parts
-from qdenv.types import Adjacency, Count, Rules
+from qdenv.types import Adjacency, Count, InputError, Rules
 
 CROSS = ndimage.generate_binary_structure(2, 1)
 
@@ -105,3 +105,15 @@ def test_one_of_the_templates_obeys_the_rules_at_any_number_of_shelves(shelves):
     rules = find_domain("warehouse-even").rules(33, 36, shelves)
     layout = np.where(rules.allowed[..., 0], 0, 3).astype(np.int8)
     assert min(len(audit(drawn, rules)) for drawn in templates(layout, rules)) == 0
+
+
+def test_too_many_kinds_are_refused_in_one_line():
+    rules = mixed_rules()._replace(tiles="abcdefghijklmnopqrstu", counts=(), adjacency=())
+    with pytest.raises(InputError, match="at most 20 kinds of tile"):
+        compile_board(np.zeros((9, 10), np.int8), rules)
+
+
+def test_free_changes_are_no_division_by_zero():
+    rules = mixed_rules()._replace(weights=np.zeros((9, 10)))
+    found, price = anneal(np.full((9, 10), 4, np.int8), rules, 0, 20000)
+    assert price == 0 and audit(found, rules) == []

@@ -33,7 +33,7 @@ def anneal(
     board, rng = compile_board(layout, rules), np.random.default_rng(abs(seed))
     state = begin(board, settle(board, layout if start is None else start, rng))
     prices = board.price[board.free]
-    mean, top = (float(prices.mean()), float(prices.max())) if prices.size else (1.0, 1.0)
+    mean, top = (prices.mean(), prices.max()) if prices.any() else (1.0, 1.0)
     price = cool(
         board,
         state,

@@ -7,7 +7,9 @@ import numpy as np
 from qdenv.repair.kernels import ALWAYS
 from qdenv.repair.moves import DRIVES, FAMILY, NEEDS, WORD
 from qdenv.repair.topology import join, ring_parts
-from qdenv.types import Rules
+from qdenv.types import InputError, Rules
+
+MOST_KINDS = 20  # three bits each in one 64-bit tally
 
 
 class Board(NamedTuple):
@@ -79,7 +81,16 @@ def _tabulate_kinds(rules: Rules, roles: list[list[int]]) -> np.ndarray:
 
 
 def compile_board(layout: np.ndarray, rules: Rules) -> Board:
-    """Compile `rules` and the input `layout` (int8 [H, W]) for the kernels."""
+    """Compile `rules` and the input `layout` (int8 [H, W]) for the kernels.
+
+    Raises:
+        InputError: there are more kinds of tile than a tally of neighbours can tell apart.
+    """
+    if len(rules.tiles) > MOST_KINDS:
+        raise InputError(
+            f"the repair knows at most {MOST_KINDS} kinds of tile, these rules have "
+            f"{len(rules.tiles)}: merge tiles that obey the same rules"
+        )
     kinds, stride, roles = len(rules.tiles), layout.shape[1] + 2, group_roles(rules)
     cast = [[len(members), *members] + [-1] * (kinds - len(members)) for members in roles]
     highs = [layout.size if bound.high is None else bound.high for bound in rules.counts]
