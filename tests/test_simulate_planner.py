@@ -127,7 +127,8 @@ def view_of(start: int, goals: tuple[int, int], stays: tuple[int, int], serving:
     table = table.reshape(WINDOW, reservation.PLANES, WALLED[0], -1)
     free = reservation.pack(jnp.pad(jnp.asarray(FREE), MARGIN))
     position = walled(jnp.array([start]), WIDTH)
-    side, reach = single_agent.SIDE, single_agent.REACH
+    reach = single_agent.REACH
+    side = 2 * reach + 1
     price = np.full((2, side, side, 1), 10**5, np.int32)
     bits = np.zeros((2, side, 1), np.uint32)
     distance = [numpy_distances(FREE, goal) for goal in goals]

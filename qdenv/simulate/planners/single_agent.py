@@ -21,9 +21,7 @@ import jax.numpy as jnp
 
 from qdenv.types import Array
 
-REACH = 10  # cells in sight to each side: the longest window
-SIDE = 2 * REACH + 1
-FULL = (1 << SIDE) - 1
+REACH = 10  # most cells in sight to each side: the longest window
 UNIT = 4  # prices are counted in quarters of a timestep
 CODE_BITS = 12  # room for the end of a path: level, layer, row, column
 NEVER = 2**30
@@ -31,15 +29,15 @@ LONGEST_STAY = 20  # elapsed service is one bit of a word, for a whole window lo
 
 
 class View(NamedTuple):
-    """What K agents see around them.
+    """What K agents see around them: squares of side E = 2 * reach + 1, at most 21.
 
     Attributes:
-        taken: uint32 [window, 5, 21, K], reserved cells and moves (`reservation`).
-        free: uint32 [21, K], cells without walls.
-        goal: uint32 [2, 21, K], the current and the next goal, where they end a level.
+        taken: uint32 [window, 5, E, K], reserved cells and moves (`reservation`).
+        free: uint32 [E, K], cells without walls.
+        goal: uint32 [2, E, K], the current and the next goal, where they end a level.
         goal_row: int32 [2, K], their rows in sight (0 where out of sight).
         goal_column: int32 [2, K], likewise.
-        price: int32 [2, 21, 21, K], quarter steps to go from each cell, per level.
+        price: int32 [2, E, E, K], quarter steps to go from each cell, per level.
         tail: int32 [K], quarter steps to go once the current goal is done.
         stay: int32 [2, K], timesteps to serve at each goal.
         serving: int32 [K], timesteps still to serve where the agent stands; 0 while driving.
@@ -59,6 +57,16 @@ class View(NamedTuple):
     penalty: Array
     noise: Array
 
+    @property
+    def side(self) -> int:
+        """Rows and columns in sight (E)."""
+        return self.free.shape[0]
+
+    @property
+    def middle(self) -> int:
+        """Row and column of the agent itself."""
+        return self.free.shape[0] // 2
+
 
 class Front(NamedTuple):
     """What can be reached at one timestep; the axes are layer, level, row, agent.
@@ -66,7 +74,7 @@ class Front(NamedTuple):
     The order matters for speed: whole layers and rows move as blocks, agents lie side by side.
 
     Attributes:
-        cells: uint32 [layers, 2, 21, K], reached by driving, goals included.
+        cells: uint32 [layers, 2, E, K], reached by driving, goals included.
         served: uint32 [layers, 2, K], bit e: serving for e timesteps.
         opened: uint32 [layers, 2, 1, K], all ones where a path may go on from the current goal:
             in level 1 when service there just ended.
@@ -100,7 +108,7 @@ def serve(view: View, cells: Array, served: Array, disturbed: Array) -> Front:
 
     Args:
         view: what the agents see.
-        cells: uint32 [layers, 2, 21, K], cells just reached.
+        cells: uint32 [layers, 2, E, K], cells just reached.
         served: uint32 [layers, 2, K], service until one timestep ago.
         disturbed: bool [2, K], another agent has reserved the goal now.
     """
@@ -116,7 +124,7 @@ def serve(view: View, cells: Array, served: Array, disturbed: Array) -> Front:
 
 
 def advance(view: View, front: Front, taken: Array, disturbed: Array) -> Front:
-    """Take one timestep past the reservations `taken` (uint32 [5, 21, K])."""
+    """Take one timestep past the reservations `taken` (uint32 [5, E, K])."""
     here = departures(view, front)
     edge = jnp.zeros_like(here[:, :, :1])
     down = jnp.concatenate([edge, here[:, :, :-1]], axis=2)
@@ -132,28 +140,28 @@ def start(view: View, layers: int) -> Front:
     """Set what is reached before the first step: the middle, or the service under way."""
     count = view.penalty.shape[0]
     driving = view.serving == 0
-    middle = jnp.where(driving, jnp.uint32(1 << REACH), 0)
+    middle = jnp.where(driving, jnp.uint32(1 << view.middle), 0)
     elapsed = (view.stay[0] - view.serving).astype(jnp.uint32)
-    cells = jnp.zeros((layers, 2, SIDE, count), jnp.uint32).at[0, 0, REACH].set(middle)
+    cells = jnp.zeros((layers, 2, view.side, count), jnp.uint32).at[0, 0, view.middle].set(middle)
     served = jnp.zeros((layers, 2, count), jnp.uint32)
     served = served.at[0, 0].set(jnp.where(driving, 0, jnp.uint32(1) << elapsed))
     # Standing on the goal is not arriving: the path leaves it like any other cell.
-    on_goal = driving & ((view.goal[0, REACH] >> REACH) & 1 == 1)
+    on_goal = driving & ((view.goal[0, view.middle] >> view.middle) & 1 == 1)
     opened = jnp.zeros((layers, 2, 1, count), jnp.uint32)
-    opened = opened.at[0, 0, 0].set(jnp.where(on_goal, jnp.uint32(FULL), 0))
+    opened = opened.at[0, 0, 0].set(jnp.where(on_goal, jnp.uint32((1 << view.side) - 1), 0))
     return Front(cells, served, opened)
 
 
 def cheapest_end(view: View, reached: Array, served: Array) -> tuple[Array, Array]:
     """Choose where to be after the window (price, code), both int32 [K]."""
     layers, count = reached.shape[0], reached.shape[-1]
-    column = jnp.arange(SIDE, dtype=jnp.uint32)[:, None]
+    column = jnp.arange(view.side, dtype=jnp.uint32)[:, None]
     noise = view.noise & ((1 << CODE_BITS) - 1)
     best = jnp.full((count,), NEVER, jnp.int32)
     for level in range(2):
         for layer in range(layers):
             block = level * layers + layer
-            code = block * SIDE**2 + jnp.arange(SIDE**2).reshape(SIDE, SIDE, 1)
+            code = block * view.side**2 + jnp.arange(view.side**2).reshape(view.side, view.side, 1)
             here = (reached[layer, level][:, None] >> column) & 1
             price = view.price[level] + layer * view.penalty
             key = jnp.where(here == 1, (price << CODE_BITS) | (code ^ noise), NEVER)
@@ -166,7 +174,7 @@ def serving_end(view: View, served: Array, level: int, layer: int, noise: Array)
     """Find the cheapest way to end the window while serving (key int32 [K])."""
     layers = served.shape[0]
     elapsed = jnp.arange(32)[:, None]
-    code = 2 * layers * SIDE**2 + (level * layers + layer) * 32 + elapsed
+    code = 2 * layers * view.side**2 + (level * layers + layer) * 32 + elapsed
     here = (served[layer, level] >> elapsed.astype(jnp.uint32)) & 1
     todo = UNIT * jnp.maximum(view.stay[level] - elapsed, 0)
     price = todo + (1 - level) * view.tail + layer * view.penalty
@@ -185,13 +193,13 @@ class Trail(NamedTuple):
 
 def decode(view: View, code: Array, layers: int) -> Trail:
     """Find the end of the path that `cheapest_end` chose."""
-    cells = 2 * layers * SIDE**2
+    cells = 2 * layers * view.side**2
     serving = code >= cells
-    block = jnp.where(serving, (code - cells) // 32, code // SIDE**2)
+    block = jnp.where(serving, (code - cells) // 32, code // view.side**2)
     level, layer = block // layers, block % layers
     lane = jnp.arange(code.shape[0])
-    row = jnp.where(serving, view.goal_row[level, lane], code % SIDE**2 // SIDE)
-    column = jnp.where(serving, view.goal_column[level, lane], code % SIDE)
+    row = jnp.where(serving, view.goal_row[level, lane], code % view.side**2 // view.side)
+    column = jnp.where(serving, view.goal_column[level, lane], code % view.side)
     return Trail(level, layer, row, column, jnp.where(serving, (code - cells) % 32, -1))
 
 
@@ -203,8 +211,8 @@ def step_back(
     Args:
         view: what the agents see.
         trail: where the paths are at time t + 1.
-        taken: uint32 [5, 21, K], reservations between t and t + 1.
-        reached: uint32 [layers, 2, 21, K] at time t, where paths go on from.
+        taken: uint32 [5, E, K], reservations between t and t + 1.
+        reached: uint32 [layers, 2, E, K] at time t, where paths go on from.
         served: uint32 [layers, 2, K] at time t.
         now: the same at time t + 1.
     """
@@ -219,7 +227,7 @@ def step_back(
     elapsed = jnp.where(entered, view.stay[0], elapsed)
 
     def bit(words: Array, column: Array) -> jax.Array:
-        inside = (column >= 0) & (column < SIDE)
+        inside = (column >= 0) & (column < view.side)
         return inside & ((words >> jnp.clip(column, 0, 31).astype(jnp.uint32)) & 1 == 1)
 
     fewer = jnp.maximum(layer - 1, 0)
@@ -238,7 +246,7 @@ def step_back(
     flip = (view.noise >> CODE_BITS) & 1
     for way, (down, right) in enumerate(((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))):
         i, j = row - down, column - right
-        safe = jnp.clip(i, 0, SIDE - 1)
+        safe = jnp.clip(i, 0, view.side - 1)
         same = bit(reached[layer, level, safe, lane], j) & (i == safe)
         less = bit(reached[fewer, level, safe, lane], j) & (i == safe) & (layer > 0)
         ok = jnp.where(clash[way], less | (same & last), same)
@@ -287,4 +295,4 @@ def plan(view: View, layers: int) -> tuple[jax.Array, jax.Array]:
     trail = decode(view, code, layers)
     first, cells = jax.lax.scan(back, trail, (view.taken, *history, now), reverse=True)
     begin = jnp.stack([first.row, first.column])
-    return jnp.concatenate([begin[None], cells]).swapaxes(0, 1) - REACH, price
+    return jnp.concatenate([begin[None], cells]).swapaxes(0, 1) - view.middle, price

@@ -14,16 +14,14 @@ so the outcome never has any.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from qdenv.simulate.planners import pibt, reservation, single_agent
 from qdenv.simulate.planners.base import Problem, Situation, conflicts, first_of_each_clash
+from qdenv.simulate.planners.book import Book, empty_book, enter, remember, strike_out
 from qdenv.types import Array
-
-NOBODY = -1
 
 
 @dataclass(frozen=True)
@@ -31,6 +29,7 @@ class WindowedPlanner:
     """Plan windows by bargaining; every setting of the planner.
 
     Attributes:
+        lookahead: timesteps planned without conflict, at most the simulation's window.
         lanes: agents that plan side by side in one round.
         rounds: most rounds per agent-lane ratio, in units of ``agents / lanes``.
         layers: how finely driven-over reservations are counted (1 + the count told apart).
@@ -39,6 +38,7 @@ class WindowedPlanner:
         remember: let planners avoid, at no cost, where the others went in the last plan.
     """
 
+    lookahead: int = 10
     lanes: int = 16
     rounds: float = 4.0
     layers: int = 3
@@ -49,56 +49,21 @@ class WindowedPlanner:
     def __call__(self, problem: Problem, situation: Situation, horizon: int, key: Array) -> Array:
         """Plan a window for all agents (int32 [window + 1, A]); consumes the key."""
         bargain_key, resort_key = jax.random.split(key)
-        book = bargain(self, problem, situation, horizon, bargain_key)
-        return settle(self, problem, situation, horizon, book, resort_key)
+        window = situation.previous.shape[0] - 1
+        ahead = max(horizon, min(self.lookahead, window))
+        near = situation._replace(previous=situation.previous[: ahead + 1])
+        book = bargain(self, problem, near, horizon, bargain_key)
+        paths = settle(self, problem, near, horizon, book, resort_key)
+        rest = jnp.broadcast_to(paths[-1], (window - ahead, paths.shape[1]))
+        return jnp.concatenate([paths, rest])
 
 
-class Book(NamedTuple):
-    """Who has reserved what.
-
-    Attributes:
-        table: the packed reservations.
-        owner: int32 [window + 1, H' * W'], the agent at each cell and time, or `NOBODY`.
-        paths: int32 [window + 1, A], the latest path of every agent.
-        until: int32 [A], timesteps of the path that are reserved.
-        attempts: int32 [A], how often the agent planned in this window.
-        rounds: int32, rounds so far.
-    """
-
-    table: Array
-    owner: Array
-    paths: Array
-    until: Array
-    attempts: Array
-    rounds: Array
-
-    @property
-    def holds(self) -> Array:
-        """Mark the agents whose whole path is reserved (bool [A])."""
-        return self.until == self.paths.shape[0] - 1
-
-
-def remember(book: Book, situation: Situation, shape: tuple[int, int], steps: int) -> Book:
-    """Reserve the first steps of everybody's previous path until they plan themselves.
-
-    They bind nobody, but tell whom to avoid where avoiding costs nothing.
-    """
-    time = jnp.arange(book.paths.shape[0])[:, None]
-    live = (time <= steps) & situation.active
-    place = jnp.where(live, situation.previous, book.owner.shape[1])
-    agents = jnp.broadcast_to(jnp.arange(book.until.shape[0]), place.shape)
-    return book._replace(
-        table=reservation.reserve(book.table, situation.previous, live[1:], shape),
-        owner=book.owner.at[time, place].set(agents, mode="drop"),
-        paths=situation.previous,
-        until=jnp.where(situation.active, steps, book.until),
-    )
-
-
-def look(problem: Problem, situation: Situation, table: Array, walls: Array, who: Array) -> dict:
+def look(
+    problem: Problem, situation: Situation, table: Array, walls: Array, who: Array, reach: int
+) -> dict:
     """Cut out what the agents `who` (int32 [K]) see around them (fields of a `View`)."""
     width = problem.traversable.shape[1]
-    reach, side = single_agent.REACH, single_agent.SIDE
+    side = 2 * reach + 1
     position, slots, stay = situation.position[who], situation.goal[:, who], situation.stay[:, who]
     cells = problem.goals.cells[slots]
     row = cells // width - position // width + reach
@@ -108,6 +73,7 @@ def look(problem: Problem, situation: Situation, table: Array, walls: Array, who
     row, column = jnp.where(seen, row, 0), jnp.where(seen, column, 0)
     bit = jnp.where(seen, jnp.uint32(1) << column.astype(jnp.uint32), 0)
     goal = jnp.where(jnp.arange(side)[:, None] == row[:, None], bit[:, None], 0)
+    shaped = table.reshape(-1, reservation.PLANES, *walls.shape)
     step = jnp.arange(side) - reach
     cell = position + (step[:, None] * width + step)[:, :, None]
     cell = jnp.clip(cell, 0, problem.traversable.size - 1)
@@ -119,7 +85,7 @@ def look(problem: Problem, situation: Situation, table: Array, walls: Array, who
     price = single_agent.UNIT * (to_go + stay[:, None, None])
     price = price.at[0].add(tail)
     return {
-        "taken": reservation.around(table, position, width, reach),
+        "taken": reservation.around(shaped, position, width, reach),
         "free": reservation.around(walls, position, width, reach),
         "goal": goal.astype(jnp.uint32),
         "goal_row": row,
@@ -137,6 +103,7 @@ def bargain(
     """Run rounds of planning until everybody holds a reservation or the rounds are used up."""
     shape = problem.traversable.shape
     window = situation.previous.shape[0] - 1
+    reach = window  # nobody gets farther
     count = situation.position.shape[0]
     lanes = min(planner.lanes, count)
     order_key, noise_key = jax.random.split(key)
@@ -148,18 +115,18 @@ def bargain(
     walls = reservation.pack(problem.traversable)
     penalties = jnp.array([round(single_agent.UNIT * p) for p in planner.penalties], jnp.int32)
     limit = int(planner.rounds * -(-count // lanes))
-    first = jnp.broadcast_to(situation.position, situation.previous.shape)
-    book = Book(
-        table=reservation.empty(window, *shape),
-        owner=jnp.full((window + 1, problem.traversable.size), NOBODY, jnp.int32),
-        paths=first,
-        until=jnp.where(situation.active, 0, window),
-        attempts=jnp.zeros((count,), jnp.int32),
-        rounds=jnp.int32(0),
-    )
-
+    book = empty_book(situation, shape)
     if planner.remember:
         book = remember(book, situation, shape, window - horizon)
+
+    def best_paths(book: Book, who: Array) -> tuple[Array, Array]:
+        penalty = penalties[jnp.minimum(book.attempts[who], len(planner.penalties) - 1)]
+        fields = look(problem, situation, book.table, walls, who, reach)
+        luck = noise[who] ^ (book.rounds * 0x5851)
+        view = single_agent.View(**fields, penalty=penalty, noise=luck)
+        steps, price = single_agent.plan(view, planner.layers)
+        able = price < single_agent.NEVER >> single_agent.CODE_BITS
+        return situation.position[who] + steps[0] * shape[1] + steps[1], able
 
     def unfinished(book: Book) -> jax.Array:
         return (book.rounds < limit) & ~book.holds.all()
@@ -170,72 +137,11 @@ def bargain(
         asks = ~book.holds[who]
         if planner.remember:
             book = strike_out(book, shape, jnp.where(asks, who, count))
-        penalty = penalties[jnp.minimum(book.attempts[who], len(planner.penalties) - 1)]
-        table = book.table.reshape(window, reservation.PLANES, shape[0], -1)
-        view = single_agent.View(
-            **look(problem, situation, table, walls, who),
-            penalty=penalty,
-            noise=noise[who] ^ (book.rounds * 0x5851),
-        )
-        steps, price = single_agent.plan(view, planner.layers)
-        paths = situation.position[who] + steps[0] * shape[1] + steps[1]
-        able = asks & (price < single_agent.NEVER >> single_agent.CODE_BITS)
-        accepted = first_of_each_clash(conflicts(paths, paths), able)
+        paths, able = best_paths(book, who)
+        accepted = first_of_each_clash(conflicts(paths, paths), asks & able)
         return enter(book, shape, who, paths, accepted, asks)
 
     return jax.lax.while_loop(unfinished, plan_round, book)
-
-
-def enter(
-    book: Book, shape: tuple[int, int], who: Array, paths: Array, accepted: Array, asks: Array
-) -> Book:
-    """Write accepted paths into the book and strike out whatever they drive over."""
-    count = book.holds.shape[0]
-    time = jnp.arange(paths.shape[0])[:, None]
-    met = book.owner[time[1:], paths[1:]]
-    there = book.owner[time[:-1], paths[1:]]
-    swapped = (there != NOBODY) & (book.owner[time[1:], paths[:-1]] == there)
-    losers = jnp.stack([met, jnp.where(swapped, there, NOBODY)])
-    losers = jnp.where(accepted & (losers != NOBODY), losers, count).reshape(-1)
-    evicted = jnp.zeros((count,), bool).at[losers].set(True, mode="drop")
-
-    book = strike_out_all(book, shape, evicted, who.shape[0])
-    place = jnp.where(accepted, paths, book.owner.shape[1])
-    winners = jnp.where(accepted, who, count)
-    return Book(
-        table=reservation.reserve(book.table, paths, accepted, shape),
-        owner=book.owner.at[time, place].set(jnp.broadcast_to(who, paths.shape), mode="drop"),
-        paths=book.paths.at[:, winners].set(paths, mode="drop"),
-        until=book.until.at[winners].set(paths.shape[0] - 1, mode="drop"),
-        attempts=book.attempts.at[jnp.where(asks, who, count)].add(1, mode="drop"),
-        rounds=book.rounds + 1,
-    )
-
-
-def strike_out(book: Book, shape: tuple[int, int], who: Array) -> Book:
-    """Remove what the agents `who` (int32 [K], A for nobody) have reserved."""
-    count = book.until.shape[0]
-    time = jnp.arange(book.paths.shape[0])[:, None]
-    safe = jnp.minimum(who, count - 1)
-    paths, until = book.paths[:, safe], jnp.where(who < count, book.until[safe], 0)
-    place = jnp.where((time <= until) & (until > 0), paths, book.owner.shape[1])
-    return book._replace(
-        table=reservation.reserve(book.table, paths, time[:-1] < until, shape, sign=-1),
-        owner=book.owner.at[time, place].set(NOBODY, mode="drop"),
-        until=book.until.at[who].set(0, mode="drop"),
-    )
-
-
-def strike_out_all(book: Book, shape: tuple[int, int], evicted: Array, lanes: int) -> Book:
-    """Remove the evicted agents (bool [A]) from the book, a few at a time."""
-    count = evicted.shape[0]
-
-    def some(carry: tuple[Book, Array]) -> tuple[Book, Array]:
-        book, evicted = carry
-        who = jnp.nonzero(evicted, size=lanes, fill_value=count)[0]
-        return strike_out(book, shape, who), evicted.at[who].set(False, mode="drop")
-
-    return jax.lax.while_loop(lambda carry: carry[1].any(), some, (book, evicted))[0]
 
 
 def settle(
@@ -268,6 +174,6 @@ def settle(
     return jax.lax.cond(book.holds.all(), lambda _: book.paths, fall_back, None)
 
 
-LOW = WindowedPlanner(lanes=32, layers=2, rounds=3.0)
+LOW = WindowedPlanner(lookahead=7, penalties=(0.5, 2.5, 8.0, 16.0), rounds=3.0)
 HIGH = WindowedPlanner()
 EFFORTS = {"low": LOW, "high": HIGH}
