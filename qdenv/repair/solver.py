@@ -18,16 +18,26 @@ from qdenv.types import InputError, Repair, RepairStatus, Rules
 
 
 class Level(NamedTuple):
-    """What a named polish means."""
+    """What a named polish means.
+
+    Attributes:
+        moves_per_cell: annealing moves per free cell.
+        limits: of the solver; None where it is not asked.
+        largest: free cells up to which the solver branches; beyond, where one round of its work
+            takes seconds, the annealer makes twice as many moves instead.
+    """
 
     moves_per_cell: int
     limits: Limits | None
+    largest: int
 
 
 LEVELS = {
-    "none": Level(800, None),
-    "quick": Level(800, Limits(gap=0.0, hope=0.03, nodes=1, checks=6, rounds=2, seconds=0)),
-    "full": Level(2500, Limits(gap=0.0, hope=0.08, nodes=1000, checks=100, rounds=4, seconds=0)),
+    "none": Level(800, None, 10**9),
+    "quick": Level(800, Limits(gap=0.0, hope=0.03, nodes=1, checks=6, rounds=2, seconds=0), 3000),
+    "full": Level(
+        2500, Limits(gap=0.0, hope=0.08, nodes=1000, checks=100, rounds=4, seconds=0), 10**9
+    ),
 }
 
 
@@ -101,14 +111,11 @@ def repair(
     found, price = _feasible(layout, rules, seed, config)
     if found is None:
         return _record(layout, RepairStatus.FAILED, np.inf, bound, begin)
-    limits = LEVELS[config.polish].limits
+    limits = _limits(rules, config)
     if price <= bound + 1e-6:
         return _record(found, RepairStatus.OPTIMAL, price, bound, begin)
     if limits is None:
         return _record(found, RepairStatus.ANNEALED, price, bound, begin)
-    limits = limits._replace(
-        gap=config.gap, nodes=config.node_limit or limits.nodes, seconds=config.time_limit
-    )
     best = polish(layout, rules, found, price, bound, seed, limits)
     return _record(best.layout, best.status, best.price, best.bound, begin)
 
@@ -117,14 +124,32 @@ def _feasible(
     layout: np.ndarray, rules: Rules, seed: int, config: RepairConfig
 ) -> tuple[np.ndarray | None, float]:
     """Anneal until a layout passes the audit: from the input, then from regular layouts."""
-    cells = int((rules.allowed.sum(-1) > 1).sum())
-    per_cell = config.moves_per_cell or LEVELS[config.polish].moves_per_cell
+    level, cells = LEVELS[config.polish], _free_cells(rules)
+    per_cell = config.moves_per_cell or level.moves_per_cell * (1 + (cells > level.largest))
     moves = max(cells * per_cell, FEWEST_MOVES)
     for attempt, (start, schedule) in enumerate(_starts(layout, rules)):
         found, price = anneal(layout, rules, seed + attempt, moves, start, **schedule)
         if found is not None and not audit(found, rules):
             return balance(found, price, layout, rules, seed)
     return None, np.inf
+
+
+def _free_cells(rules: Rules) -> int:
+    """Count the cells that may change."""
+    return int((rules.allowed.sum(-1) > 1).sum())
+
+
+def _limits(rules: Rules, config: RepairConfig) -> Limits | None:
+    """Fill the limits of a polish with what the configuration says."""
+    level = LEVELS[config.polish]
+    if level.limits is None:
+        return None
+    return level.limits._replace(
+        gap=config.gap,
+        hope=level.limits.hope if _free_cells(rules) <= level.largest else 0.0,
+        nodes=config.node_limit or level.limits.nodes,
+        seconds=config.time_limit,
+    )
 
 
 def _starts(layout: np.ndarray, rules: Rules) -> Iterator[tuple[np.ndarray, dict]]:
