@@ -12,9 +12,11 @@ from qdenv.agent.evaluate import (
     default_horizon,
     evaluate_agent,
     random_mazes,
+    run_batch,
     success_rates,
     wilson_interval,
 )
+from qdenv.bench.maze import pad_units
 from qdenv.plots.maze import save_episode
 from qdenv.simulate.policy import load_weights
 from qdenv.types import InputError
@@ -83,6 +85,16 @@ def test_comparison_with_random_mazes_of_like_path_length(agent):
     np.testing.assert_allclose(found.standard_error, np.std(found.rates, ddof=1) / 2)
     with pytest.raises(InputError, match="two mazes"):
         compare_with_random(agent, layout, mazes=1)
+
+
+def test_padded_units_change_no_decision(agent):
+    # The benchmark's agent of 256 units is the shipped one in disguise.
+    mazes = jnp.asarray(random_mazes(3, 2, 6, 6, 9))
+    key = jax.random.key(0)
+    ours, theirs = (
+        run_batch(weights, mazes, key, 5, 60) for weights in (agent, pad_units(agent, 80))
+    )
+    jax.tree.map(np.testing.assert_array_equal, ours, theirs)
 
 
 def test_picture_of_an_episode(tmp_path):

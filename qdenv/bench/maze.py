@@ -1,7 +1,9 @@
 """Benchmark of the maze: CPU seconds per evaluated maze, longest paths, one small search batch.
 
-The agent's weights do not matter for the time of the full-horizon rows, so those are drawn. All
-times are CPU seconds of the process; run with one thread to compare (see `THREADS`).
+An untrained agent runs to the horizon nearly always: its rows are the most that an evaluation can
+cost. The shipped agent with its LSTM padded to `units` decides as it always does and costs what a
+trained agent of that size costs. All times are CPU seconds of the process; run with one thread to
+compare (see `THREADS`).
 """
 
 import json
@@ -15,10 +17,18 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from qdenv.agent.evaluate import default_horizon, random_layout, random_mazes, run_alone, run_batch
+from qdenv.agent.evaluate import (
+    default_horizon,
+    random_layout,
+    random_mazes,
+    run_alone,
+    run_batch,
+    success_rates,
+)
 from qdenv.files import write_atomically
 from qdenv.simulate.maze_world import longest_path
 from qdenv.simulate.policy import Weights, draw_weights, load_weights, units_of
+from qdenv.types import InputError
 
 THREADS = "XLA_FLAGS='--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'"
 
@@ -43,16 +53,20 @@ def run(
     """
     drawn = draw_weights(jax.random.key(seed), units, 7)
     shipped = jax.tree.map(jnp.asarray, load_weights())
+    padded = pad_units(shipped, units)
     batch = jnp.asarray(random_mazes(seed, mazes, 16, 16, 90))
     result: dict[str, Any] = {
         "units": units,
         "single_thread": THREADS,
         "backend": jax.default_backend(),
-        "batch": _per_maze(run_batch, drawn, batch, repeats),
-        "one_by_one": _per_maze(_in_line, drawn, batch, repeats),
+        "untrained_batch": _per_maze(run_batch, drawn, batch, repeats),
+        "untrained_one_by_one": _per_maze(_in_line, drawn, batch, repeats),
+        "trained_batch": _per_maze(run_batch, padded, batch, repeats),
+        "trained_one_by_one": _per_maze(_in_line, padded, batch, repeats),
         "shipped_units": units_of(shipped),
         "shipped_batch": _per_maze(run_batch, shipped, batch, repeats),
         "shipped_one_by_one": _per_maze(_in_line, shipped, batch, repeats),
+        "success": {walls: _success(shipped, seed + walls, walls) for walls in (60, 90)},
         "longest_path": _timed(jax.jit(jax.vmap(longest_path)), (batch,), repeats, mazes),
     }
     if large:
@@ -60,12 +74,39 @@ def run(
         horizon = default_horizon(maze)
         key = jax.random.key(seed)
         alone = jax.jit(lambda weights, maze: run_alone(weights, maze, key, 100, horizon))
-        result["large"] = _timed(alone, (drawn, maze), 1, 1)
+        result["untrained_large"] = _timed(alone, (drawn, maze), 1, 1)
+        result["trained_large"] = _timed(alone, (padded, maze), 1, 1)
         result["shipped_large"] = _timed(alone, (shipped, maze), 1, 1)
     print(json.dumps(result, indent=1))
     if json_file:
         write_atomically(json_file, json.dumps(result, indent=1).encode())
     return result
+
+
+def pad_units(weights: Weights, units: int) -> Weights:
+    """Add LSTM units that stay at zero, so that the agent decides as before.
+
+    Raises:
+        InputError: the agent has more units already.
+    """
+    own = units_of(weights)
+    if units < own:
+        raise InputError(f"the shipped agent has {own} units: ask for as many or more")
+    more = ((0, 0), (0, units - own))
+
+    def gates(matrix: jax.Array) -> jax.Array:
+        """Pad each of the four gates (float32 [n, 4 L])."""
+        parts = [jnp.pad(part, more) for part in jnp.split(matrix, 4, axis=1)]
+        return jnp.concatenate(parts, axis=1)
+
+    rows = ((0, units - own), (0, 0))
+    return weights._replace(
+        gates_in=gates(weights.gates_in),
+        gates_back=jnp.pad(gates(weights.gates_back), rows),
+        gates_bias=gates(weights.gates_bias[None])[0],
+        actor=jnp.pad(weights.actor, rows),
+        critic=jnp.pad(weights.critic, rows),
+    )
 
 
 def _in_line(weights: Weights, layouts: jax.Array, key: jax.Array, runs: int, horizon: int) -> Any:
@@ -74,6 +115,16 @@ def _in_line(weights: Weights, layouts: jax.Array, key: jax.Array, runs: int, ho
     return jax.lax.map(
         lambda item: run_alone(weights, item[0], item[1], runs, horizon), (layouts, keys)
     )
+
+
+def _success(weights: Weights, seed: int, walls: int) -> dict[str, float]:
+    """Measure the agent on 100 random 16x16 mazes of so many walls, 50 episodes each."""
+    rates = success_rates(weights, random_mazes(seed, 100, 16, 16, walls))
+    return {
+        "mean": round(float(rates.mean()), 4),
+        "standard_error": round(float(rates.std(ddof=1) / 10), 4),
+        "worst_maze": round(float(rates.min()), 2),
+    }
 
 
 def _per_maze(
