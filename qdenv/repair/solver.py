@@ -60,7 +60,7 @@ class RepairConfig:
     moves_per_cell: int = 0
     gap: float = 0.0
     node_limit: int = 0
-    time_limit: float = 300.0
+    time_limit: float = 1800.0
     workers: int = 0
 
     def __post_init__(self) -> None:
