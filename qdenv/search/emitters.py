@@ -97,6 +97,15 @@ def lookup(table: dict[str, Any], name: str, what: str) -> Any:
     return table[name]
 
 
+def choose(which: Array, new: Any, old: Any) -> Any:
+    """Take the emitters marked by `which` (bool [E]) from `new`, the others from `old`."""
+
+    def pick(one: Array, other: Array) -> jax.Array:
+        return jnp.where(which.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+
+    return jax.tree.map(pick, new, old)
+
+
 def make_emitters(
     strategy: Strategy,
     x0: Array,
@@ -154,11 +163,7 @@ def make_emitters(
 
         def renew(old: Any) -> Any:
             fresh = jax.vmap(strategy.init)(means, jax.random.split(fresh_key, emitters))
-            return jax.tree.map(
-                lambda new, kept: jnp.where(again.reshape(-1, *[1] * (kept.ndim - 1)), new, kept),
-                fresh,
-                old,
-            )
+            return choose(again, fresh, old)
 
         states = jax.lax.cond(again.any(), renew, lambda old: old, states)
         return EmittersState(states, iterations, state.restarts + again)

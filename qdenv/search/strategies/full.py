@@ -91,22 +91,25 @@ def full(dim: int, batch: int, sigma0: float) -> Strategy:
             covariance=covariance,
         )
 
-    def due(state: FullState) -> jax.Array:
-        return state.evaluations > state.refreshed + gap
-
     def exhausted(state: FullState) -> jax.Array:
         return degenerate(state.sigma, state.eigenvalues)
 
-    def refresh(states: FullState) -> FullState:
-        def one(state: FullState) -> FullState:
-            return jax.lax.cond(due(state), decompose, lambda same: same, state)
+    return Strategy(init, ask, tell, exhausted, lambda states: refresh(states, gap))
 
-        # Not a vmap: under it each branch would be taken and every ask would decompose.
-        return jax.lax.cond(
-            jax.vmap(due)(states).any(), lambda s: jax.lax.map(one, s), lambda s: s, states
-        )
 
-    return Strategy(init, ask, tell, exhausted, refresh)
+def refresh(states: FullState, gap: float) -> FullState:
+    """Renew the eigensystems that are due, of emitters with a leading axis E."""
+
+    def due(state: FullState) -> jax.Array:
+        return state.evaluations > state.refreshed + gap
+
+    def one(state: FullState) -> FullState:
+        return jax.lax.cond(due(state), decompose, lambda same: same, state)
+
+    # Not a vmap: under it each branch would be taken and every ask would decompose.
+    return jax.lax.cond(
+        jax.vmap(due)(states).any(), lambda s: jax.lax.map(one, s), lambda s: s, states
+    )
 
 
 def decompose(state: FullState) -> FullState:

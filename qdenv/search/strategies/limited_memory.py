@@ -22,6 +22,17 @@ class LimitedMemoryState(NamedTuple):
     noise: Array  # float [b, P], the standard normal draws of the last ask
 
 
+def bend(rows: Array, memory: Array, rates: Array) -> jax.Array:
+    """Stretch rows [b, P] along the vectors of `memory` [V, P], one after the other."""
+
+    def along(rows: Array, vector_rate: tuple[Array, Array]) -> tuple[Array, None]:
+        vector, rate = vector_rate
+        projected = matmul(rows, vector)[:, None] * vector
+        return (1 - rate) * rows + rate * projected, None
+
+    return jax.lax.scan(along, rows, (memory, rates))[0]
+
+
 def limited_memory(dim: int, batch: int, sigma0: float) -> Strategy:
     """Make LM-MA-ES with pyribs' rules (as many direction vectors as the batch), O(b^2 P).
 
@@ -46,18 +57,10 @@ def limited_memory(dim: int, batch: int, sigma0: float) -> Strategy:
 
     def ask(state: LimitedMemoryState, key: Array) -> tuple[Array, LimitedMemoryState]:
         noise = jax.random.normal(key, (batch, dim), state.mean.dtype)
-        return state.mean + state.sigma * transform(state, noise), state._replace(noise=noise)
-
-    def transform(state: LimitedMemoryState, noise: Array) -> jax.Array:
         used = jnp.arange(batch) < state.generations
         rates = jnp.where(used, jnp.asarray(blend, noise.dtype), 0)
-
-        def bend(rows: Array, vector_rate: tuple[Array, Array]) -> tuple[Array, None]:
-            vector, rate = vector_rate
-            along = matmul(rows, vector)[:, None] * vector
-            return (1 - rate) * rows + rate * along, None
-
-        return jax.lax.scan(bend, noise, (state.memory, rates))[0]
+        bent = bend(noise, state.memory, rates)
+        return state.mean + state.sigma * bent, state._replace(noise=noise)
 
     def tell(
         state: LimitedMemoryState, solutions: Array, order: Array, parents: Array, evaluated: Array
