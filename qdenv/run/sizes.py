@@ -13,7 +13,6 @@ from qdenv.generate.decode import inside_frame
 from qdenv.repair.solver import RepairConfig
 from qdenv.run.elites import Grown, grow_elite, grow_series, repair_grown, scaled_shelves
 from qdenv.run.records import RunDirectory
-from qdenv.score.layout import similarity
 from qdenv.types import InputError, Repair, RepairStatus
 
 # Rows and columns of Figure 18, from S to S_eval.
@@ -30,7 +29,6 @@ class Sized(NamedTuple):
     shelves: int
     repair: str  # a RepairStatus by name, "none" where nothing was repaired
     changed: int  # cells that the repair changed
-    similarity: float
     cpu_seconds: float  # of the repair
 
 
@@ -135,7 +133,6 @@ def finish(grown: Grown, config: RepairConfig, seed: int) -> Sized:
         shelves=count_shelves(domain, after),
         repair=status_name(repaired),
         changed=int((before != after).sum()),
-        similarity=float(similarity(before, after, domain.price(before))),
         cpu_seconds=0.0 if repaired is None else float(repaired.seconds),
     )
 
