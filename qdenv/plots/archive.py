@@ -121,6 +121,5 @@ def save_heatmap(
     finite = np.isfinite(np.asarray(objectives, dtype=float))
     share = f"{finite.mean():.1%} of {finite.size:,} cells filled"
     axes.set_title(f"{title} ({share})" if title else share, fontsize="medium")
-    target = Path(path)
-    form = target.suffix.removeprefix(".") or "png"
-    write_atomically(target, lambda file: figure.savefig(file, format=form))
+    suffix = Path(path).suffix.lstrip(".") or "png"
+    write_atomically(Path(path), lambda file: figure.savefig(file, format=suffix))

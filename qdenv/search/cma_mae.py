@@ -15,13 +15,12 @@ from qdenv.search.emitters import (
     SELECTIONS,
     Emitters,
     EmittersState,
-    lookup,
     make_emitters,
     restart_rule,
 )
 from qdenv.search.strategies.registry import STRATEGIES
 from qdenv.search.threshold_archive import ThresholdArchive
-from qdenv.types import Array, Score
+from qdenv.types import Array, Score, look_up
 
 
 @dataclass(frozen=True)
@@ -79,14 +78,14 @@ def make_team(config: CmaMaeConfig, start: Array) -> Emitters:
     """
     positive(emitters=config.emitters, batch=config.batch, sigma0=config.sigma0)
     ThresholdArchive.check(config.learning_rate, config.threshold_min)
-    make_strategy = lookup(STRATEGIES, config.strategy, "strategy")
+    make_strategy = look_up(STRATEGIES, config.strategy, "strategy")
     return make_emitters(
         make_strategy(start.shape[0], config.batch, config.sigma0),
         start,
         config.emitters,
         config.batch,
-        lookup(RANKERS, config.ranker, "ranker"),
-        lookup(SELECTIONS, config.selection, "selection"),
+        look_up(RANKERS, config.ranker, "ranker"),
+        look_up(SELECTIONS, config.selection, "selection"),
         restart_rule(config.restart),
     )
 

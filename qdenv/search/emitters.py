@@ -86,17 +86,6 @@ def restart_rule(rule: str | int) -> Callable[[Array, Array], Array]:
     )
 
 
-def lookup(table: dict[str, Any], name: str, what: str) -> Any:
-    """Take an entry of a registry.
-
-    Raises:
-        InputError: there is no such entry; the line lists those there are.
-    """
-    if name not in table:
-        raise InputError(f"unknown {what} {name!r}: choose from {', '.join(table)}")
-    return table[name]
-
-
 def choose(which: Array, new: Any, old: Any) -> Any:
     """Take the emitters marked by `which` (bool [E]) from `new`, the others from `old`."""
 
