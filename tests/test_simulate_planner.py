@@ -12,6 +12,7 @@ from qdenv.grid import parse
 from qdenv.simulate.distances import UNREACHABLE, goal_distances
 from qdenv.simulate.planners import reservation, single_agent
 from qdenv.simulate.planners.base import first_of_each_clash
+from qdenv.simulate.planners.view import REACH, UNIT, View
 from qdenv.simulate.tally import MARGIN, walled
 
 WINDOW = 6
@@ -102,7 +103,7 @@ def cheapest(
             if todo is None:
                 todo = int(distance[level][cell]) + stays[level]
             price = todo + (between + stays[1] if level == 0 else 0)
-            best = min(best, single_agent.UNIT * price + layer * penalty)
+            best = min(best, UNIT * price + layer * penalty)
             continue
         ways = [cell] if elapsed >= 0 else [cell + d * WIDTH + r for d, r in MOVES]
         for there in ways:
@@ -127,17 +128,17 @@ def view_of(start: int, goals: tuple[int, int], stays: tuple[int, int], serving:
     table = table.reshape(WINDOW, reservation.PLANES, WALLED[0], -1)
     free = reservation.pack(jnp.pad(jnp.asarray(FREE), MARGIN))
     position = walled(jnp.array([start]), WIDTH)
-    reach = single_agent.REACH
+    reach = REACH
     side = 2 * reach + 1
     price = np.full((2, side, side, 1), 10**5, np.int32)
     bits = np.zeros((2, side, 1), np.uint32)
     distance = [numpy_distances(FREE, goal) for goal in goals]
-    tail = single_agent.UNIT * (int(distance[1][goals[0]]) + stays[1])
+    tail = UNIT * (int(distance[1][goals[0]]) + stays[1])
     spot = np.zeros((2, 2, 1), np.int32)
     for level in range(2):
         for cell in range(HEIGHT * WIDTH):
             row, column = cell // WIDTH - start // WIDTH, cell % WIDTH - start % WIDTH
-            todo = single_agent.UNIT * (int(distance[level][cell]) + stays[level])
+            todo = UNIT * (int(distance[level][cell]) + stays[level])
             price[level, row + reach, column + reach] = todo + (tail if level == 0 else 0)
         if level == 0 or stays[1] > 0:
             row = goals[level] // WIDTH - start // WIDTH + reach
@@ -175,7 +176,7 @@ def test_one_agent_agrees_with_uniform_cost_search(stays: tuple[int, int]):
         penalty, layers = int(rng.choice([2, 6, 40])), 3
         fields = view_of(start, goals, stays, serving, others)
         extra = {"penalty": jnp.array([penalty]), "noise": jnp.array([case * 977])}
-        steps, price = PLAN(single_agent.View(**fields, **extra), layers)
+        steps, price = PLAN(View(**fields, **extra), layers)
         assert int(price[0]) == cheapest(start, goals, stays, serving, others, penalty, layers)
         path = start + np.asarray(steps)[0, :, 0] * WIDTH + np.asarray(steps)[1, :, 0]
         assert path[0] == start
@@ -201,7 +202,7 @@ def check_path_price(path, goals, stays, serving, others, penalty, layers, price
     todo += [distance[1][path[-1]] + stays[1], 0]
     if left > 0:
         todo = [left + distance[1][goals[0]] + stays[1], left]
-    assert price == single_agent.UNIT * int(todo[level]) + over * penalty
+    assert price == UNIT * int(todo[level]) + over * penalty
 
 
 def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
@@ -210,7 +211,7 @@ def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
     paths = walled(jnp.asarray(others), WIDTH).astype(jnp.int32)
     mask = jnp.ones(10, bool)
     table = reservation.reserve(reservation.empty(WINDOW, *WALLED), paths, mask, WALLED)
-    reach = single_agent.REACH
+    reach = REACH
     for cell in np.flatnonzero(FREE):
         shaped = table.reshape(WINDOW, reservation.PLANES, WALLED[0], -1)
         seen = reservation.around(shaped, walled(jnp.array([cell]), WIDTH), WALLED[1], reach)

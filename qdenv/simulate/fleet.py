@@ -15,7 +15,7 @@ from qdenv.grid import of_tiles
 from qdenv.simulate import tasks
 from qdenv.simulate.distances import UNREACHABLE, goal_distances
 from qdenv.simulate.planners.base import Planner, Problem, Situation
-from qdenv.simulate.planners.single_agent import LONGEST_STAY, REACH
+from qdenv.simulate.planners.view import LONGEST_STAY, REACH
 from qdenv.simulate.planners.windowed import LOW
 from qdenv.simulate.tally import (
     MARGIN,

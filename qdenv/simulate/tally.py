@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.simulate.planners.base import Problem
-from qdenv.simulate.planners.single_agent import REACH
+from qdenv.simulate.planners.view import REACH
 from qdenv.types import Array, Traffic
 
 MARGIN = REACH  # rows and columns of walls around the grid

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 from qdenv.simulate.planners import pibt, reservation, single_agent
 from qdenv.simulate.planners.base import Problem, Situation, conflicts, first_of_each_clash
 from qdenv.simulate.planners.book import Book, empty_book, enter, remember, strike_out
+from qdenv.simulate.planners.view import CODE_BITS, NEVER, UNIT, View
 from qdenv.types import Array
 
 
@@ -81,8 +82,8 @@ def look(
     size = problem.traversable.size
     to_go = flat[slots[:, None, None] * size + cell].astype(jnp.int32)
     between = problem.distance[slots[1], cells[0]].astype(jnp.int32)
-    tail = single_agent.UNIT * (between + stay[1])
-    price = single_agent.UNIT * (to_go + stay[:, None, None])
+    tail = UNIT * (between + stay[1])
+    price = UNIT * (to_go + stay[:, None, None])
     price = price.at[0].add(tail)
     return {
         "taken": reservation.around(shaped, position, width, reach),
@@ -113,7 +114,7 @@ def bargain(
     order = jnp.zeros((count,), jnp.int32).at[turn].set(jnp.arange(count, dtype=jnp.int32))
     noise = jax.random.bits(noise_key, (count,), jnp.uint32).astype(jnp.int32) & 0xFFFFFF
     walls = reservation.pack(problem.traversable)
-    penalties = jnp.array([round(single_agent.UNIT * p) for p in planner.penalties], jnp.int32)
+    penalties = jnp.array([round(UNIT * p) for p in planner.penalties], jnp.int32)
     limit = int(planner.rounds * -(-count // lanes))
     book = empty_book(situation, shape)
     if planner.remember:
@@ -123,9 +124,9 @@ def bargain(
         penalty = penalties[jnp.minimum(book.attempts[who], len(planner.penalties) - 1)]
         fields = look(problem, situation, book.table, walls, who, reach)
         luck = noise[who] ^ (book.rounds * 0x5851)
-        view = single_agent.View(**fields, penalty=penalty, noise=luck)
-        steps, price = single_agent.plan(view, planner.layers)
-        able = price < single_agent.NEVER >> single_agent.CODE_BITS
+        sight = View(**fields, penalty=penalty, noise=luck)
+        steps, price = single_agent.plan(sight, planner.layers)
+        able = price < NEVER >> CODE_BITS
         return situation.position[who] + steps[0] * shape[1] + steps[1], able
 
     def unfinished(book: Book) -> jax.Array:
