@@ -21,6 +21,7 @@ prepare = jax.jit(maze.prepare)
 run = jax.jit(maze.run_episode, static_argnums=(3, 4))
 run_many = jax.jit(jax.vmap(maze.run_episode, (None, None, 0, None, None)), static_argnums=(3, 4))
 trace = jax.jit(maze.trace_episode, static_argnums=3)
+run_dropping = jax.jit(maze.run_episodes, static_argnums=3)
 publish = jax.jit(reference_episodes, static_argnums=(3, 4, 5))
 
 
@@ -89,7 +90,8 @@ def test_loops_batches_and_traces_give_the_same_episodes(mild, level):
     early = run_many(mild, tables, keys, HORIZON, maze.until_done)
     alone = [run(mild, tables, key, HORIZON, maze.whole_horizon) for key in keys]
     assert 0 < int(whole.success.sum()) < 24
-    for runs in (early, jax.tree.map(lambda *x: jnp.stack(x), *alone)):
+    dropping = run_dropping(mild, tables, keys, HORIZON)
+    for runs in (early, dropping, jax.tree.map(lambda *x: jnp.stack(x), *alone)):
         jax.tree.map(np.testing.assert_array_equal, whole, runs)
 
 

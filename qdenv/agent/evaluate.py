@@ -12,7 +12,7 @@ from qdenv.simulate.maze import (
     Episode,
     prepare,
     run_episode,
-    until_done,
+    run_episodes,
     whole_horizon,
 )
 from qdenv.simulate.maze_reference import reference_episodes
@@ -76,10 +76,9 @@ def run_batch(weights: Weights, layouts: Array, key: Array, episodes: int, horiz
 
 
 def run_alone(weights: Weights, layout: Array, key: Array, episodes: int, horizon: int) -> Episode:
-    """Run one maze, stopping when its last episode ends; traceable, arguments of `run_batch`."""
-    tables = prepare(weights, layout)
+    """Run one maze, dropping episodes that are over; traceable, arguments of `run_batch`."""
     keys = jax.random.split(key, episodes)
-    return jax.vmap(lambda k: run_episode(weights, tables, k, horizon, until_done))(keys)
+    return run_episodes(weights, prepare(weights, layout), keys, horizon)
 
 
 _longest_path = jax.jit(longest_path)
