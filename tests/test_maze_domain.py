@@ -31,7 +31,9 @@ def agent(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def domain(agent):
-    return replace(MAZE_WALLS, simulator=maze_simulator(agent))
+    return replace(
+        MAZE_WALLS, simulator=lambda config: maze_simulator(replace(config, agent=str(agent)))
+    )
 
 
 def judge(domain, areas):

@@ -14,10 +14,10 @@ from qdenv.agent.evaluate import (
     random_mazes,
     run_batch,
     success_rates,
-    wilson_interval,
 )
 from qdenv.bench.maze import pad_units
 from qdenv.plots.maze import save_episode
+from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.policy import load_weights
 from qdenv.types import InputError
 

@@ -10,8 +10,9 @@ from qdenv import cli, grid
 from qdenv.domains import find_domain
 from qdenv.formats.layouts import write_layout
 from qdenv.run.compare import Compared, climb, compare, find_peak, name_layouts, write_comparison
-from qdenv.run.sweep import SweepRow, wilson_interval
+from qdenv.run.sweep import SweepRow
 from qdenv.run.traffic import Simulated, run_seeds
+from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.fleet import FleetConfig
 from qdenv.simulate.planners import pibt
 from qdenv.simulate.planners.windowed import EFFORTS

@@ -8,7 +8,8 @@ import pytest
 
 from qdenv.grid import parse
 from qdenv.plots.traffic import save_sweep
-from qdenv.run.sweep import parse_counts, sweep, wilson_interval, write_table
+from qdenv.run.sweep import parse_counts, sweep, write_table
+from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.fleet import FleetConfig
 from qdenv.simulate.planners import pibt
 from qdenv.simulate.tasks import tile_goal

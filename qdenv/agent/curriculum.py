@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.agent.levels import Level, LevelConfig, draw_level, vary_level
-from qdenv.types import Array, InputError
+from qdenv.types import Array, look_up
 
 
 class Bank(NamedTuple):
@@ -64,9 +64,7 @@ def find_method(name: str) -> Method:
     Raises:
         InputError: no method has this name.
     """
-    if name not in METHODS:
-        raise InputError(f"unknown method {name!r}: choose one of {', '.join(METHODS)}")
-    return METHODS[name]
+    return look_up(METHODS, name, "method")
 
 
 def new_bank(key: Array, size: int, config: LevelConfig) -> Bank:

@@ -1,6 +1,5 @@
 """Evaluate the maze agent: success over many runs, random mazes of a given path length."""
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -8,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.maze import (
     Episode,
     prepare,
@@ -30,21 +30,6 @@ class Success(NamedTuple):
     runs: int
     mean_length: float  # actions, failures counted with the horizon
     shortest: int  # moves of the shortest path
-
-
-def wilson_interval(successes: int, runs: int, z: float = 1.96) -> tuple[float, float]:
-    """Bound a success probability (Wilson 1927); exact 0 and 1 get a width too.
-
-    Raises:
-        InputError: no runs.
-    """
-    if runs < 1:
-        raise InputError("a success rate needs at least one run")
-    share = successes / runs
-    centre = (share + z * z / (2 * runs)) / (1 + z * z / runs)
-    half = z * math.sqrt(share * (1 - share) / runs + z * z / (4 * runs * runs))
-    half /= 1 + z * z / runs
-    return max(0.0, centre - half), min(1.0, centre + half)
 
 
 def default_horizon(layout: Array) -> int:

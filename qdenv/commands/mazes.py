@@ -9,7 +9,7 @@ import numpy as np
 import tyro
 
 from qdenv.agent import convert, train
-from qdenv.agent.evaluate import default_horizon
+from qdenv.agent.evaluate import compare_with_random, default_horizon
 from qdenv.agent.evaluate import evaluate_agent as measure_success
 from qdenv.agent.update import TrainConfig
 from qdenv.files import write_atomically
@@ -55,6 +55,8 @@ def evaluate_agent(
     runs: int = 100,
     horizon: int | None = None,
     seed: int = 0,
+    reference_batching: bool = False,
+    random_mazes: int = 0,
     gif: Path | None = None,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
 ) -> None:
@@ -66,15 +68,21 @@ def evaluate_agent(
         runs: independent episodes.
         horizon: actions per episode; twice the tiles of the ringed maze unless given.
         seed: of headings and actions.
+        reference_batching: repeat the published evaluation's two quirks, for comparison.
+        random_mazes: also solve so many random mazes with as many walls and a path length within
+            0.8 to 1.2 of this one's.
         gif: draw one episode.
         json_file: where to write the numbers.
     """
     maze, weights = read_layout(layout, TILES), load_weights(agent)
-    result = measure_success(weights, maze, seed, runs, horizon)
+    result = measure_success(weights, maze, seed, runs, horizon, reference_batching)
     print(
         f"success {result.rate:.1%} ({result.low:.1%} to {result.high:.1%}) in {runs} runs, "
         f"{result.mean_length:.0f} actions on average, shortest path {result.shortest} moves"
     )
+    if random_mazes:
+        others = compare_with_random(weights, maze, mazes=random_mazes, seed=seed)
+        print(f"{others.mazes} random mazes: {others.mean:.1%} +- {others.standard_error:.1%}")
     if json_file:
         write_atomically(json_file, (json.dumps(result._asdict(), indent=1) + "\n").encode())
     if gif:

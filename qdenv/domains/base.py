@@ -40,6 +40,7 @@ class EvaluationConfig:
         simulations: simulations per layout N_e.
         effort: planner effort, "low" inside a search, "high" for reported numbers.
         alpha: weight of the similarity score in the objective.
+        agent: an .npz agent for mazes; the shipped one unless given.
         repair: limits of the repair.
     """
 
@@ -55,6 +56,7 @@ class EvaluationConfig:
     simulations: int = 5
     effort: str = "low"
     alpha: float = 5.0
+    agent: str = ""
     repair: RepairConfig = field(default_factory=RepairConfig)
 
 

@@ -1,8 +1,6 @@
 """Maze: one trained agent looks for the goal at the far end of the longest path (appendix B.3)."""
 
 import functools
-from collections.abc import Callable
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -25,24 +23,16 @@ def frame(area: Array) -> Array:
     return jnp.pad(area, 1, constant_values=maze_world.WALL)
 
 
-def maze_simulator(agent: str | Path = "") -> Callable[[EvaluationConfig], Simulator]:
-    """Make the maze's simulator, whose runs are `maze.Episode`.
-
-    Args:
-        agent: an .npz agent; the shipped one by default. It is read when the simulator is made.
-    """
-
-    def simulator(config: EvaluationConfig) -> Simulator:
-        weights = jax.tree.map(jnp.asarray, load_weights(agent))
-        on_cpu = jax.default_backend() == "cpu"
-        loop = maze.until_done if on_cpu else maze.whole_horizon
-        return Simulator(
-            prepare=functools.partial(maze.prepare, weights),
-            run=lambda tables, key: maze.run_episode(weights, tables, key, config.timesteps, loop),
-            lanes=config.simulations if on_cpu else ACCELERATOR_LANES,
-        )
-
-    return simulator
+def maze_simulator(config: EvaluationConfig) -> Simulator:
+    """Make the maze's simulator, whose runs are `maze.Episode`; the agent is read at once."""
+    weights = jax.tree.map(jnp.asarray, load_weights(config.agent))
+    on_cpu = jax.default_backend() == "cpu"
+    loop = maze.until_done if on_cpu else maze.whole_horizon
+    return Simulator(
+        prepare=functools.partial(maze.prepare, weights),
+        run=lambda tables, key: maze.run_episode(weights, tables, key, config.timesteps, loop),
+        lanes=config.simulations if on_cpu else ACCELERATOR_LANES,
+    )
 
 
 def walls(layout: Array, runs: maze.Episode) -> Array:
@@ -77,7 +67,7 @@ def _maze(name: str, measure: Measure) -> Domain:
         margin=MARGIN,
         frame=frame,
         rules=None,
-        simulator=maze_simulator(),
+        simulator=maze_simulator,
         objective=lambda layout, runs: maze_world.is_solvable(layout).astype(jnp.float32),
         price=lambda layout: jnp.ones(layout.shape, jnp.float32),
         measures=(measure, PATH_LENGTH),

@@ -11,11 +11,10 @@ import numpy as np
 
 from qdenv.files import write_atomically
 from qdenv.run.traffic import Simulated, run_seeds
+from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.fleet import FleetConfig
 from qdenv.simulate.tasks import check_playable
 from qdenv.types import InputError, TaskRule
-
-NORMAL_95 = 1.959964  # two-sided 95 % quantile of the normal distribution
 
 
 def parse_counts(text: str) -> tuple[int, ...]:
@@ -51,14 +50,6 @@ class SweepRow(NamedTuple):
     success_high: float
     mean_of_all: float
     cpu_seconds_per_run: float
-
-
-def wilson_interval(successes: int, runs: int) -> tuple[float, float]:
-    """Bound a success rate with 95 % confidence (Wilson 1927)."""
-    rate, spread = successes / runs, NORMAL_95**2 / runs
-    centre = (rate + spread / 2) / (1 + spread)
-    width = np.sqrt(rate * (1 - rate) * spread + spread**2 / 4) / (1 + spread)
-    return max(0.0, float(centre - width)), min(1.0, float(centre + width))
 
 
 def summarise(done: Simulated, agents: int) -> SweepRow:
