@@ -339,7 +339,7 @@ def test_a_users_strategy_plugs_in_by_name(monkeypatch):
     [
         ({"emitters": 0}, "emitters must be a positive"),
         ({"sigma0": float("nan")}, "sigma0"),
-        ({"ranker": "best"}, "unknown ranker 'best': choose from imp"),
+        ({"ranker": "best"}, "unknown ranker 'best': choose one of imp"),
         ({"selection": "all"}, "unknown selection"),
         ({"strategy": "LM_MA_ES"}, "unknown strategy"),
         ({"restart": 0}, "restart"),
