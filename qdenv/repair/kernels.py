@@ -24,8 +24,9 @@ Arrays, N padded cells, K + 1 tiles (the last is the wall):
 
 import numpy as np
 
+from qdenv.native import compiled
 from qdenv.repair.moves import DRIVES, FAMILY, NEEDS, WORD, draw, propose
-from qdenv.repair.topology import compiled, may_close, may_open
+from qdenv.repair.topology import may_close, may_open
 
 ALWAYS = 1 << 62  # a bit of every tally, so that a tile without needs has them met
 

@@ -5,7 +5,7 @@ Compiled by numba; `kernels` explains the arrays.
 
 import numpy as np
 
-from qdenv.repair.topology import compiled
+from qdenv.native import compiled
 
 DRIVES, WORD, ROLE, FAMILY, NEEDS = range(5)  # columns of `kinds`; needs fill the rest
 # How moves are drawn, in per cent; measured on published and random layouts at equal numbers of

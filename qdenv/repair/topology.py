@@ -4,18 +4,11 @@ Compiled by numba and free of the interpreter lock. Cells live on a grid padded 
 walls, so that no neighbour test needs a border case; `kernels` explains the arrays.
 """
 
-import numba
 import numpy as np
 
+from qdenv.native import compiled
+
 SEARCH = 4000  # cells a connectivity search may visit before the move is refused
-
-
-def compiled(function):
-    """Compile with a disk cache where there is a writable place for one."""
-    try:
-        return numba.njit(cache=True, nogil=True)(function)
-    except RuntimeError:  # numba finds no writable cache folder
-        return numba.njit(nogil=True)(function)
 
 
 def ring_parts() -> np.ndarray:

@@ -10,6 +10,7 @@ REACH = 10  # most cells in sight to each side: the longest window
 UNIT = 4  # prices are counted in quarters of a timestep
 CODE_BITS = 12  # room for the end of a path: level, layer, row, column
 NEVER = 2**30
+NOISE_STEP = 0x5851  # times the round: other ties are settled in every round
 LONGEST_STAY = 20  # elapsed service is one bit of a word, for a whole window longer
 
 

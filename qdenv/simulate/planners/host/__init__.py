@@ -1,0 +1,1 @@
+"""The windowed planner's bargaining, compiled for one core of the host."""
