@@ -12,7 +12,9 @@ import pytest
 from qdenv.grid import parse
 from qdenv.simulate import fleet
 from qdenv.simulate.audit import audit, trajectory_of
+from qdenv.simulate.planners import bargain as bargain_in_xla
 from qdenv.simulate.planners import pibt
+from qdenv.simulate.planners.host import bargain as bargain_on_host
 from qdenv.simulate.planners.windowed import WindowedPlanner
 from qdenv.simulate.tasks import beside_goal, check_playable, draw_goals, goal_table, tile_goal
 from qdenv.types import InputError, TaskRule, Traffic
@@ -92,6 +94,34 @@ def test_other_planners_break_no_rule(planner):
         traffic, _ = run_audited(compiled, STAYS, config, layout, seed, 12)
         finished += int(traffic.finished.sum())
     assert finished > 12 * 12  # a plan that obeys by standing still would pass the audit alone
+
+
+@pytest.mark.parametrize(
+    ("rule", "settings"),
+    [
+        (STAYS, {}),
+        (STAYS, {"layers": 1, "remember": False, "lanes": 5, "penalties": (0.5, 3.0)}),
+        (PLAIN, {"layers": 4, "lookahead": 7, "rounds": 2.0}),
+    ],
+    ids=["stays", "one layer, no memory", "no stays, seven steps ahead"],
+)
+def test_the_host_bargains_as_xla_does(rule, settings):
+    outcomes = []
+    for bargain in (bargain_on_host.bargain, bargain_in_xla.bargain):
+        planner = WindowedPlanner(bargain=bargain, **settings)
+        config = fleet.FleetConfig(
+            agents=AGENTS, timesteps=100, planner=planner, stop_when_congested=False
+        )
+        prepare, run = programs(rule, config)
+        outcomes.append([])
+        for seed in range(8):
+            layout = random_layout(np.random.default_rng(seed), 0.3 * (seed % 2))
+            agents = int((0.3 + 0.05 * seed) * min(AGENTS, (layout != 1).sum()))
+            key, count = jax.random.key(seed), jnp.int32(agents)
+            result = run(prepare(jnp.asarray(layout)), key, count)
+            outcomes[-1].append(jax.tree.map(np.asarray, result))
+            assert result[0].finished.sum() > 0
+    jax.tree.map(np.testing.assert_array_equal, *outcomes)
 
 
 def stand(problem, situation, horizon, key):
