@@ -33,7 +33,7 @@ DOMAINS = {
 def run(
     reference: Path = Path("../shared/reference/rhcr_baseline.json"),
     layouts: Path = Path("../shared/reference/layouts"),
-    efforts: tuple[Literal["low", "medium", "high"], ...] = ("low", "medium", "high"),
+    efforts: tuple[Literal["low", "high"], ...] = ("low", "high"),
     seeds: int = 3,
     longest: int = 1000,
     match: str = "",

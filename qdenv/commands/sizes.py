@@ -124,7 +124,7 @@ def compare(
     domain: str = "warehouse-even",
     timesteps: int = 1000,
     seeds: tuple[int, ...] = (10,),
-    effort: Literal["low", "medium", "high"] = "high",
+    effort: Literal["low", "high"] = "high",
     out: Path = Path("compare.csv"),
 ) -> None:
     """Put layouts side by side: success rate, and throughput over the runs that never congested.
@@ -154,7 +154,7 @@ def scalability(
     domain: str = "warehouse-even",
     timesteps: int = 1000,
     seeds: tuple[int, ...] = (5,),
-    effort: Literal["low", "medium", "high"] = "high",
+    effort: Literal["low", "high"] = "high",
     out: Path = Path("scalability.csv"),
 ) -> None:
     """Add agents until the mean throughput drops; report the peak and where it is.

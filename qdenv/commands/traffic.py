@@ -23,7 +23,7 @@ def simulate(
     agents: int = 200,
     timesteps: int = 1000,
     seeds: tuple[int, ...] = (3,),
-    effort: Literal["low", "medium", "high"] = "low",
+    effort: Literal["low", "high"] = "low",
     audit: bool = True,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
 ) -> None:
@@ -65,7 +65,7 @@ def sweep(
     domain: str = "warehouse-even",
     timesteps: int = 1000,
     seeds: tuple[int, ...] = (10,),
-    effort: Literal["low", "medium", "high"] = "high",
+    effort: Literal["low", "high"] = "high",
     out: Path | None = None,
 ) -> None:
     """Simulate a layout with more and more agents: throughput and success rate.

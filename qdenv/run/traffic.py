@@ -147,7 +147,7 @@ def simulate_layout(
         agents: number of agents.
         timesteps: horizon T.
         seeds: how many, or a list of at least two.
-        effort: "low", "medium" or "high".
+        effort: "low" or "high".
         check: audit every trajectory; without it "valid" is None.
 
     Returns:
