@@ -15,6 +15,7 @@ from qdenv.simulate.audit import audit, trajectory_of
 from qdenv.simulate.planners import bargain as bargain_in_xla
 from qdenv.simulate.planners import pibt
 from qdenv.simulate.planners.host import bargain as bargain_on_host
+from qdenv.simulate.planners.host import pibt as pibt_on_host
 from qdenv.simulate.planners.windowed import WindowedPlanner
 from qdenv.simulate.tasks import beside_goal, check_playable, draw_goals, goal_table, tile_goal
 from qdenv.types import InputError, TaskRule, Traffic
@@ -122,6 +123,37 @@ def test_the_host_bargains_as_xla_does(rule, settings):
             outcomes[-1].append(jax.tree.map(np.asarray, result))
             assert result[0].finished.sum() > 0
     jax.tree.map(np.testing.assert_array_equal, *outcomes)
+
+
+def test_the_host_pushes_as_xla_does():
+    size, count = SHAPE[0] * SHAPE[1], 70
+
+    @jax.jit
+    def both(*situation):
+        return [step(*situation, size) for step in (pibt.one_step, pibt_on_host.one_step)]
+
+    moved = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        position = rng.permutation(size)[:count].astype(np.int32)
+        row, column = position // SHAPE[1], position % SHAPE[1]
+        ways = [(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)]
+        near = np.stack(
+            [
+                np.clip(row + down, 0, SHAPE[0] - 1) * SHAPE[1]
+                + np.clip(column + right, 0, SHAPE[1] - 1)
+                for down, right in ways
+            ],
+            axis=1,
+        )
+        candidates = rng.permuted(near, axis=1).astype(np.int32)
+        allowed = rng.integers(1, 6, count).astype(np.int32)
+        order = rng.permutation(count).astype(np.int32)
+        xla, host = both(candidates, position, allowed, order)
+        np.testing.assert_array_equal(xla, host)
+        assert len(set(host.tolist())) == count
+        moved += int((np.asarray(host) != position).sum())
+    assert moved > 200 * count / 4
 
 
 def stand(problem, situation, horizon, key):

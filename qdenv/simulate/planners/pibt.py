@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.simulate.planners.base import Problem, Situation
+from qdenv.simulate.planners.book import NOBODY
+from qdenv.simulate.planners.host import pibt as on_host
 from qdenv.types import Array
 
-NOBODY = -1
 WAYS = 5  # wait, right, left, down, up
 
 
@@ -40,7 +41,7 @@ class Chain(NamedTuple):
 def one_step(
     candidates: Array, position: Array, allowed: Array, order: Array, cells: int
 ) -> jax.Array:
-    """Move all agents by one step without conflict.
+    """Move all agents by one step without conflict, in XLA; `host` has the same for a CPU.
 
     Args:
         candidates: int32 [A, 5], cells from best to worst; the agent's own is among them.
@@ -133,6 +134,7 @@ def rollout(problem: Problem, situation: Situation, horizon: int, key: Array) ->
     # Padding agents are lifted off the grid: they stand on no cell and want none.
     situation_age = jnp.where(situation.active, situation.age, -1)
     noise = jax.random.randint(key_noise, (horizon, count, WAYS), 0, 32)
+    move = on_host.one_step if jax.default_backend() == "cpu" else one_step
 
     def step(carry: tuple, noise: Array) -> tuple[tuple, Array]:
         position, level, serving, age = carry
@@ -141,7 +143,7 @@ def rollout(problem: Problem, situation: Situation, horizon: int, key: Array) ->
         urgency = jnp.where(fixed, -jnp.inf, luck - age)
         order = jnp.argsort(urgency).astype(jnp.int32)
         candidates, allowed = preferences(problem, position, slots, fixed, noise)
-        position = one_step(candidates, position, allowed, order, size)
+        position = move(candidates, position, allowed, order, size)
         stay = jnp.take_along_axis(situation.stay, level[None], axis=0)[0]
         arrived = (serving == 0) & (position == problem.goals.cells[slots]) & situation.active
         left = jnp.where(arrived, stay, serving - 1)
