@@ -110,6 +110,6 @@ def settle(
 # Low for the inside of a search: half of high's time for 3 to 4 % less throughput.
 HIGH = WindowedPlanner()
 LOW = WindowedPlanner(
-    lookahead=7, lanes=16, rounds=8.0, layers=3, penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0)
+    lookahead=7, lanes=16, rounds=4.0, layers=3, penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0)
 )
 EFFORTS = {"low": LOW, "high": HIGH}
