@@ -17,6 +17,7 @@ from qdenv.simulate.planners.bargain import Outcome, draw_lots, most_rounds, qua
 from qdenv.simulate.planners.base import Problem, Situation
 from qdenv.simulate.planners.book import NOBODY
 from qdenv.simulate.planners.host.book import PLANES, evict, pack, reserve, strike_out
+from qdenv.simulate.planners.host.front import make_room
 from qdenv.simulate.planners.host.path import find_path
 from qdenv.simulate.planners.view import NOISE_STEP
 from qdenv.types import Array
@@ -161,13 +162,7 @@ def run_rounds(
             reserve(table, paths[agent], steps, width)
             for t in range(steps + 1 if steps else 0):
                 owner[t, paths[agent, t]] = agent
-    side = 2 * window + 1
-    free = np.zeros(side + 2, np.int32)
-    shut = np.zeros((window, 5, side + 2), np.int32)
-    leave = np.zeros((layers, 2, window + 1, side + 2), np.int32)
-    dirty = np.zeros_like(leave)
-    served = np.zeros((layers, 2, window + 1), np.int64)
-    trail = np.zeros((window + 1, 2), np.int64)
+    room = make_room(window, layers)
     who = np.zeros(lanes, np.int64)
     found = np.zeros((lanes, window + 1), np.int64)
     able = np.zeros(lanes, np.bool_)
@@ -192,12 +187,7 @@ def run_rounds(
                 np.int64(penalties[min(attempts[agent], penalties.size - 1)]),
                 np.int64(noise[agent]) ^ (turn * NOISE_STEP),
                 layers,
-                free,
-                shut,
-                leave,
-                dirty,
-                served,
-                trail,
+                room,
                 found[lane],
             )
             attempts[agent] += 1
