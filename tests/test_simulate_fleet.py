@@ -171,6 +171,44 @@ def test_a_planner_plugs_in_from_outside_and_a_jam_ends_the_run():
     assert traffic.waiting == 1.0
 
 
+# Every second goal is one of four workstations, and every second free cell holds an agent.
+HALL = parse(
+    [
+        "....eeeeeee.eeeeeee.eeee",
+        "....#######.#######.####",
+        "....eeeeeee.eeeeeee.eeee",
+        "....eeeeeee.eeeeeee.eeee",
+        "....#######.#######.####",
+        "w...eeeeeee.eeeeeee.eeee",
+        "w...eeeeeee.eeeeeee.eeee",
+        "w...#######.#######.####",
+        "w...eeeeeee.eeeeeee.eeee",
+        "....eeeeeee.eeeeeee.eeee",
+        "....#######.#######.####",
+        "....eeeeeee.eeeeeee.eeee",
+    ],
+    TILES,
+)
+
+
+@pytest.mark.parametrize("resort", [pibt.rollout, pibt.wait], ids=["rollout", "waiting"])
+def test_the_last_resort_decides_whether_a_hot_spot_congests(resort):
+    agents = int((HALL != 1).sum()) // 2
+    config = fleet.FleetConfig(
+        agents=agents, timesteps=300, planner=WindowedPlanner(last_resort=resort)
+    )
+    compiled = programs(PLAIN, config)
+    runs = [
+        run_audited(compiled, PLAIN, config, HALL.astype(np.int8), seed, agents)[0]
+        for seed in range(3)
+    ]
+    if resort is pibt.rollout:
+        assert not any(run.congested for run in runs)
+        assert min(float(run.throughput) for run in runs) > 2.0
+    else:
+        assert all(run.congested for run in runs)
+
+
 def test_one_agent_drives_shortest_ways():
     """Alone, every leg takes its distance and its stay: the times of tasks have a closed form."""
     layout = np.full(SHAPE, TILES.index("#"), np.int8)
