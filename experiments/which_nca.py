@@ -6,6 +6,7 @@ Compares kernels (3,3,3) of the appendix with (3,1,1) of the published code, and
 with the separable evolution strategy. Finished runs are kept, so it can be stopped and continued.
 """
 
+import itertools
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -17,41 +18,61 @@ import numpy as np
 import tyro
 
 import qdenv
+from qdenv.run.config import RunConfig
+from qdenv.run.records import RunDirectory
 
 KERNELS = ((3, 3, 3), (3, 1, 1))
-STRATEGIES = ("iso", "sep")
 
 
-def main(preset: str = "quick", seeds: int = 3, out: Path = Path("runs/which_nca")) -> None:
+def final(config: RunConfig, path: Path, evaluations: int) -> list[float]:
+    """Read QD-score, coverage and best objective after so many evaluations; run what is missing."""
+    if not (path / "config.json").exists():
+        run = qdenv.train(replace(config, evaluations=evaluations), path)
+    else:
+        run = RunDirectory.open(path)
+        if run.read_metrics()[-1].evaluations < evaluations:
+            run = qdenv.resume(path)
+    last = [row for row in run.read_metrics() if row.evaluations <= evaluations][-1]
+    if last.evaluations < evaluations:
+        raise qdenv.InputError(f"{path}: a run of {last.evaluations} evaluations; remove it")
+    return [last.qd_score, last.coverage, last.best_objective]
+
+
+def main(
+    preset: str = "quick",
+    seeds: int = 3,
+    evaluations: int | None = None,
+    strategies: tuple[str, ...] = ("iso", "sep"),
+    out: Path = Path("runs/which_nca"),
+) -> None:
     """Run all combinations and print mean and standard error of their final metrics.
 
     Args:
         preset: the configuration they share.
         seeds: runs per combination.
+        evaluations: compare after so many; as many as the preset has unless given.
+        strategies: evolution strategies to compare.
         out: folder of the runs.
     """
     base = qdenv.find_preset(preset)
-    print(f"{preset}, {base.evaluations} evaluations, {seeds} seeds: mean (standard error)")
+    evaluations = evaluations or base.evaluations
+    print(f"{preset}, {evaluations} evaluations, {seeds} seeds: mean (standard error)")
     print("kernels   strategy  QD-score          coverage          best objective")
-    for kernels in KERNELS:
-        for strategy in STRATEGIES:
-            finals = []
-            for seed in range(seeds):
-                path = out / f"{preset}-{''.join(map(str, kernels))}-{strategy}-{seed}"
-                config = replace(
-                    base,
-                    seed=seed,
-                    evaluation=replace(base.evaluation, kernel_sizes=kernels),
-                    algorithm=replace(base.algorithm, strategy=strategy),
-                )
-                new = not (path / "config.json").exists()
-                run = qdenv.train(config, path) if new else qdenv.resume(path)
-                last = run.read_metrics()[-1]
-                finals.append([last.qd_score, last.coverage, last.best_objective])
-            mean = np.mean(finals, axis=0)
-            error = np.std(finals, axis=0, ddof=1) / np.sqrt(seeds) if seeds > 1 else mean * np.nan
-            cells = [f"{m:.3f} ({e:.3f})" for m, e in zip(mean, error, strict=True)]
-            print(f"{kernels!s:9} {strategy:8}  " + "".join(f"{cell:18}" for cell in cells))
+    for kernels, strategy in itertools.product(KERNELS, strategies):
+        finals = []
+        for seed in range(seeds):
+            path = out / f"{preset}-{''.join(map(str, kernels))}-{strategy}-{seed}"
+            config = replace(
+                base,
+                seed=seed,
+                evaluation=replace(base.evaluation, kernel_sizes=kernels),
+                algorithm=replace(base.algorithm, strategy=strategy),
+            )
+            finals.append(final(config, path, evaluations))
+        mean = np.mean(finals, axis=0)
+        error = np.std(finals, axis=0, ddof=1) / np.sqrt(seeds) if seeds > 1 else mean * np.nan
+        cells = [f"{m:.3f} ({e:.3f})" for m, e in zip(mean, error, strict=True)]
+        print(f"{kernels!s:9} {strategy:8}  " + "".join(f"{cell:18}" for cell in cells))
 
 
 if __name__ == "__main__":
