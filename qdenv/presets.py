@@ -1,4 +1,4 @@
-"""Named configurations: quick looks, a laptop's night, the paper's rows (Table 1)."""
+"""Named configurations: quick looks, a laptop's half hour, the paper's rows (Table 1)."""
 
 from dataclasses import replace
 
