@@ -34,7 +34,7 @@ class Level(NamedTuple):
 
 LEVELS = {
     "none": Level(800, None, 10**9),
-    "quick": Level(700, Limits(gap=0.0, hope=0.03, nodes=1, checks=6, rounds=2, seconds=0), 3000),
+    "quick": Level(600, Limits(gap=0.0, hope=0.03, nodes=1, checks=6, rounds=2, seconds=0), 3000),
     "full": Level(
         2500, Limits(gap=0.0, hope=0.08, nodes=1000, checks=100, rounds=4, seconds=0), 10**9
     ),
