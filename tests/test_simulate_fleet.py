@@ -1,5 +1,6 @@
 """Whole simulations: no rule is ever broken, whatever the layout, the fleet and the planner."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import hypothesis
@@ -16,7 +17,7 @@ from qdenv.simulate.planners import bargain as bargain_in_xla
 from qdenv.simulate.planners import pibt
 from qdenv.simulate.planners.host import bargain as bargain_on_host
 from qdenv.simulate.planners.host import pibt as pibt_on_host
-from qdenv.simulate.planners.windowed import WindowedPlanner
+from qdenv.simulate.planners.windowed import LOW, WindowedPlanner
 from qdenv.simulate.tasks import beside_goal, check_playable, draw_goals, goal_table, tile_goal
 from qdenv.types import InputError, TaskRule, Traffic
 
@@ -302,3 +303,20 @@ def test_published_layouts_reach_their_throughput():
     assert result["valid"]
     assert result["success_rate"] == 1
     assert result["mean_throughput"] >= 6.2
+
+
+def test_waiting_as_the_last_resort_congests_where_the_published_planner_does():
+    """At 200 agents PBS congests on the hand-made warehouse and on no other of its domain."""
+    folder = Path(__file__).parents[2] / "shared/reference/layouts"
+    if not folder.exists():
+        pytest.skip("the published layouts are not at hand")
+    from qdenv.domains.warehouse import WAREHOUSE_EVEN
+    from qdenv.formats.layouts import read_layout
+    from qdenv.run.traffic import run_seeds
+
+    planner = replace(LOW, last_resort=pibt.wait)
+    config = fleet.FleetConfig(agents=200, timesteps=600, planner=planner)
+    for name, congests in (("human", True), ("even_dsage", False), ("even_nca_a5", False)):
+        layout = read_layout(folder / f"warehouse_{name}.json", WAREHOUSE_EVEN.tiles)
+        runs = run_seeds(layout, WAREHOUSE_EVEN.tasks, config, range(3)).runs
+        assert [bool(run.congested) for run in runs] == [congests] * 3
