@@ -16,7 +16,7 @@ from qdenv.native import compiled
 from qdenv.simulate.planners.bargain import Outcome, draw_lots, most_rounds, quarter_steps
 from qdenv.simulate.planners.base import Problem, Situation
 from qdenv.simulate.planners.book import NOBODY
-from qdenv.simulate.planners.host.book import PLANES, evict, pack, reserve, strike_out
+from qdenv.simulate.planners.host.book import PLANES, enter, evict, pack, strike_out
 from qdenv.simulate.planners.host.front import make_room
 from qdenv.simulate.planners.host.path import find_path
 from qdenv.simulate.planners.view import NOISE_STEP
@@ -158,10 +158,7 @@ def run_rounds(
     for agent in range(count):
         paths[agent] = previous[:, agent]
         if active[agent]:
-            until[agent] = steps
-            reserve(table, paths[agent], steps, width)
-            for t in range(steps + 1 if steps else 0):
-                owner[t, paths[agent, t]] = agent
+            enter(table, owner, paths, until, agent, paths[agent], steps, width)
     room = make_room(window, layers)
     who = np.zeros(lanes, np.int64)
     found = np.zeros((lanes, window + 1), np.int64)
@@ -198,13 +195,6 @@ def run_rounds(
                 evict(table, owner, paths, until, found[lane], width)
         for lane in range(asking):
             if accepted[lane]:
-                agent = who[lane]
-                paths[agent] = found[lane]
-                until[agent] = window
-                reserve(table, found[lane], window, width)
-                for t in range(window + 1):
-                    owner[t, found[lane, t]] = agent
-    for agent in range(count):
-        holds[agent] = until[agent] == window
-        for t in range(window + 1):
-            shown[t, agent] = paths[agent, t]
+                enter(table, owner, paths, until, who[lane], found[lane], window, width)
+    shown[:] = paths.T
+    holds[:] = until == window

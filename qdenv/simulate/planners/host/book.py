@@ -23,26 +23,17 @@ PLANES = 5
 def pack(traversable):
     """Pack a map of cells into words of 64 columns that start every 32 (int64 [H', words])."""
     rows, width = traversable.shape
-    words = np.zeros((rows, width // STRIDE + 2), np.int64)
+    words = np.zeros((rows, width // STRIDE + 2, 1), np.int64)
     for row in range(rows):
         for column in range(width):
             if traversable[row, column]:
-                flip(words[row], column)
-    return words
+                flip(words, row, column, 0)
+    return words.reshape(words.shape[:2])
 
 
 @compiled
-def flip(words, column):
-    """Flip one column in the words that hold it."""
-    word, bit = column // STRIDE, column % STRIDE
-    words[word] ^= 1 << bit
-    if word:
-        words[word - 1] ^= 1 << (bit + STRIDE)
-
-
-@compiled
-def flip_plane(planes, row, column, plane):
-    """Flip one cell in one plane of a timestep (int64 [H', words, 5])."""
+def flip(planes, row, column, plane):
+    """Flip one cell in one plane (int64 [H', words, planes]), in the words that hold it."""
     word, bit = column // STRIDE, column % STRIDE
     planes[row, word, plane] ^= 1 << bit
     if word:
@@ -51,14 +42,24 @@ def flip_plane(planes, row, column, plane):
 
 @compiled
 def reserve(table, path, steps, width):
-    """Enter the first steps of a path, or strike them out: every bit has one owner."""
+    """Flip the first steps of a path: enter them, or strike them out."""
     for t in range(steps):
         before, after = path[t], path[t + 1]
-        flip_plane(table[t], after // width, after % width, 0)
+        flip(table[t], after // width, after % width, 0)
         change = after - before
         if change:
             plane = 1 if change == 1 else 2 if change == -1 else 3 if change == width else 4
-            flip_plane(table[t], before // width, before % width, plane)
+            flip(table[t], before // width, before % width, plane)
+
+
+@compiled
+def enter(table, owner, paths, until, agent, path, steps, width):
+    """Write the path of an agent who holds nothing into the book and reserve its first steps."""
+    paths[agent] = path
+    until[agent] = steps
+    reserve(table, path, steps, width)
+    for t in range(steps + 1 if steps else 0):
+        owner[t, path[t]] = agent
 
 
 @compiled

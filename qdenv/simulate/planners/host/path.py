@@ -15,23 +15,7 @@ CODES = (1 << CODE_BITS) - 1
 
 
 @compiled
-def price_ends(
-    layer,
-    layers,
-    rows,
-    leave,
-    served,
-    distance,
-    slots,
-    corner,
-    width,
-    base,
-    tail,
-    stay,
-    charge,
-    tie,
-    best,
-):
+def price_ends(layer, layers, rows, leave, served, prices, stay, charge, tie, best):
     """Find the cheapest end of a path within one layer; returns it, or `best` if that is cheaper.
 
     Args:
@@ -40,17 +24,15 @@ def price_ends(
         rows: see `front`.
         leave: see `front`.
         served: see `front`.
-        distance: int16 [G, N], steps to go to every goal.
-        slots: both goals.
-        corner: the cell in sight farthest up and left.
-        width: cells per row of the grid.
-        base: quarter steps to add on either level.
-        tail: quarter steps to go once the first goal is done.
+        prices: the steps to go to every goal (int16 [G, N]), the slots of both goals, the cell in
+            sight farthest up and left, cells per row of the grid, the quarter steps to add on
+            either level, and those to go once the first goal is done.
         stay: timesteps served at both goals.
         charge: quarter steps this layer costs.
         tie: bits that settle ties.
         best: price and code of the best end so far, in one number.
     """
+    distance, slots, corner, width, base, tail = prices
     side = rows.shape[0]
     for level in range(2):
         block = level * layers + layer
@@ -137,6 +119,16 @@ def trace(code, flip, layers, rows, shut, leave, served, spots, stay, corner, wi
 
 
 @compiled
+def see_goal(cell, row, column, width, rows):
+    """Find a goal: its (row, column) in sight and its (word, bit); (-1, -1), (0, 0) if not seen."""
+    side = rows.shape[0]
+    i, j = cell // width - row + side // 2, cell % width - column + side // 2
+    if 0 <= i < side and 0 <= j < side:
+        return (i, j), (rows[i, 0], 1 << (rows[i, 1] + j))
+    return (-1, -1), (0, 0)
+
+
+@compiled
 def find_path(
     table,
     walls,
@@ -172,19 +164,17 @@ def find_path(
         path: int64 [w + 1], receives the path.
     """
     rows, free, shut, leave, dirty, served = room
-    window, side = shut.shape[0], rows.shape[0]
+    window = shut.shape[0]
     row, column = position // width, position % width
     look(table, walls, row, column, rows, free, shut)
     corner = position - window * width - window
-    spots, goals = ((-1, -1), (-1, -1)), ((0, 0), (0, 0))
-    i, j = cells[slots[0]] // width - row + window, cells[slots[0]] % width - column + window
-    if 0 <= i < side and 0 <= j < side:
-        spots, goals = ((i, j), spots[1]), ((rows[i, 0], 1 << (rows[i, 1] + j)), goals[1])
-    i, j = cells[slots[1]] // width - row + window, cells[slots[1]] % width - column + window
-    if stay[1] > 0 and 0 <= i < side and 0 <= j < side:
-        spots, goals = (spots[0], (i, j)), (goals[0], (rows[i, 0], 1 << (rows[i, 1] + j)))
+    spot, goal = see_goal(cells[slots[0]], row, column, width, rows)
+    next_spot, next_goal = (-1, -1), (0, 0)
+    if stay[1] > 0:  # else it is driven over like any other cell
+        next_spot, next_goal = see_goal(cells[slots[1]], row, column, width, rows)
+    spots, goals = (spot, next_spot), (goal, next_goal)
     tail = UNIT * (np.int64(distance[slots[1], cells[slots[0]]]) + stay[1])
-    base = (UNIT * stay[0] + tail, UNIT * stay[1])
+    prices = (distance, slots, corner, width, (UNIT * stay[0] + tail, UNIT * stay[1]), tail)
     soonest = serving if serving else np.int64(distance[slots[0], position]) + stay[0]
     least = UNIT * (soonest - window) + tail  # no path can get more done
     tie = noise & CODES
@@ -198,24 +188,9 @@ def find_path(
             leave[0, 0, 0, rows[window, 0]] = 1 << (rows[window, 1] + window)
         last = layer == layers - 1
         spread(layer, last, rows, free, shut, leave, dirty, served, goals, stay, soonest)
-        best = price_ends(
-            layer,
-            layers,
-            rows,
-            leave,
-            served,
-            distance,
-            slots,
-            corner,
-            width,
-            base,
-            tail,
-            stay,
-            layer * penalty,
-            tie,
-            best,
-        )
-        if best >> CODE_BITS < least + (layer + 1) * penalty:
+        charge = layer * penalty
+        best = price_ends(layer, layers, rows, leave, served, prices, stay, charge, tie, best)
+        if best >> CODE_BITS < least + charge + penalty:
             break  # a path with more conflicts costs more, whatever it is
     code = (best ^ tie) & CODES if best < NEVER else 0
     flip = (noise >> CODE_BITS) & 1

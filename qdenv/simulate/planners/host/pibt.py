@@ -28,13 +28,7 @@ def one_step(
 def push_along(candidates, position, allowed, order, cells, out):
     """Move all agents by one step: the most urgent first, and whoever stands in the way before.
 
-    Args:
-        candidates: int32 [A, 5], cells from best to worst; the agent's own is among them.
-        position: int32 [A], distinct.
-        allowed: int32 [A], how many candidates count.
-        order: int32 [A], agents by falling priority.
-        cells: number of cells.
-        out: int32 [A], receives where they go.
+    The arguments are those of `pibt.one_step`; `out` (int32 [A]) receives where the agents go.
     """
     count = position.size
     standing = np.full(cells, NOBODY, np.int32)
