@@ -20,11 +20,11 @@ import tyro
 from qdenv.domains import find_domain
 from qdenv.formats.layouts import write_layout
 from qdenv.plots.sizes import save_peaks
-from qdenv.run import compare, sizes
-from qdenv.run.records import RunDirectory
-from qdenv.run.traffic import parse_seeds
-from qdenv.simulate.fleet import FleetConfig
-from qdenv.simulate.planners.windowed import EFFORTS
+from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.study import compare, sizes
+from qdenv.study.traffic import parse_seeds
+from qdenv.train.records import RunDirectory
 
 # Throughput and success rate, T = 5000: S with 200 agents; S_eval with 1,400, 1,000 and 1,800.
 PUBLISHED = {

@@ -18,8 +18,8 @@ import numpy as np
 import tyro
 
 import qdenv
-from qdenv.run.config import RunConfig
-from qdenv.run.records import RunDirectory
+from qdenv.train.config import RunConfig
+from qdenv.train.records import RunDirectory
 
 KERNELS = ((3, 3, 3), (3, 1, 1))
 

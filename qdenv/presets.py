@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from qdenv.domains.base import EvaluationConfig
-from qdenv.run.config import RunConfig
 from qdenv.search.cma_mae import CmaMaeConfig
+from qdenv.train.config import RunConfig
 from qdenv.types import look_up
 
 _WAREHOUSE = EvaluationConfig()

@@ -14,11 +14,14 @@ A position is ``row * width + column`` (int32). Records describe one item; batch
 
 from collections.abc import Callable, Mapping
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
+import jax
 import numpy as np
 
-Array = Any  # a numpy or jax array: stages run on either side of the host border
+# What crosses a stage's border: stages run on either side of the host. Code that only ever runs
+# traced says `jax.Array`, code that only ever runs on the host `np.ndarray`.
+Array: TypeAlias = jax.Array | np.ndarray
 
 
 class InputError(ValueError):
@@ -52,7 +55,7 @@ class Adjacency(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Hard constraints of one domain on one canvas, and the price of changing a cell.
+    """Hard constraints of one domain on one canvas, and what changing a cell costs.
 
     The model builder, the annealer and the audit all read this one record.
 
@@ -63,7 +66,7 @@ class Rules(NamedTuple):
         connected: symbols whose cells must form one 4-connected component ("" for none).
         allowed: bool [H, W, K], the tiles each cell may hold. A fixed cell allows one tile, a
             keep-out cell every tile but obstacles.
-        weights: float [H, W], the price of changing a cell; 1 for the Hamming distance.
+        change_cost: float [H, W], the cost of changing each cell; 1 for the Hamming distance.
         aisle: every connected cell lies in an ``aisle x aisle`` square of connected cells.
     """
 
@@ -72,7 +75,7 @@ class Rules(NamedTuple):
     adjacency: tuple[Adjacency, ...]
     connected: str
     allowed: np.ndarray
-    weights: np.ndarray
+    change_cost: np.ndarray
     aisle: int = 1
 
 
@@ -92,8 +95,8 @@ class Repair(NamedTuple):
 
     layout: Array  # int8 [H, W]
     status: Array  # int32, a RepairStatus
-    hamming: Array  # float32, summed weights of the changed cells
-    lower_bound: Array  # float32, proven bound on `hamming`
+    cost: Array  # float32, summed change costs of the changed cells
+    lower_bound: Array  # float32, proven bound on `cost`
     seconds: Array  # float32, CPU seconds spent (0 when remembered)
 
 

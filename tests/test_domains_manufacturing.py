@@ -17,7 +17,7 @@ from qdenv.presets import find_preset
 from qdenv.repair.anneal import anneal
 from qdenv.repair.audit import audit
 from qdenv.score.layout import similarity
-from qdenv.simulate import tasks
+from qdenv.simulate.mapf import tasks
 
 DOMAIN = find_domain("manufacturing")
 PUBLISHED = Path(__file__).parents[2] / "shared/reference/layouts"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from qdenv.agent.convert import convert_agent, from_torch, read_checkpoint
-from qdenv.simulate.policy import Weights, load_weights
+from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.types import InputError
 
 DATA = Path(__file__).parent / "data" / "maze"

@@ -13,7 +13,7 @@ from qdenv.domains.maze import MAZE_ENTROPY, MAZE_WALLS, maze_simulator
 from qdenv.grid import parse
 from qdenv.pipeline import evaluate, make_pipeline, score_layout, simulate_layouts
 from qdenv.score.layout import entropy
-from qdenv.simulate.policy import draw_weights
+from qdenv.simulate.maze.policy import draw_weights
 from qdenv.types import RepairStatus
 
 CONFIG = EvaluationConfig(

@@ -11,8 +11,9 @@ import pytest
 from qdenv.agent.convert import from_torch
 from qdenv.agent.files import save_weights
 from qdenv.grid import parse
-from qdenv.simulate import maze, policy
-from qdenv.simulate.maze_reference import FIRST_HEADINGS, reference_episodes
+from qdenv.simulate.maze import episode as maze
+from qdenv.simulate.maze import policy
+from qdenv.simulate.maze.published import FIRST_HEADINGS, reference_episodes
 from qdenv.types import InputError
 
 DATA = Path(__file__).parent / "data" / "maze"

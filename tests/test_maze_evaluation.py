@@ -18,7 +18,7 @@ from qdenv.agent.evaluate import (
 from qdenv.bench.maze import pad_units
 from qdenv.plots.maze import save_episode
 from qdenv.score.traffic import wilson_interval
-from qdenv.simulate.policy import load_weights
+from qdenv.simulate.maze.policy import load_weights
 from qdenv.types import InputError
 
 

@@ -14,8 +14,8 @@ from qdenv.agent import curriculum, levels, ppo, rollout
 from qdenv.agent.train import _update as go
 from qdenv.agent.train import train_agent
 from qdenv.agent.update import TrainConfig, start, update
-from qdenv.simulate.maze_world import GOAL, WALL
-from qdenv.simulate.policy import Memory, draw_weights
+from qdenv.simulate.maze.policy import Memory, draw_weights
+from qdenv.simulate.maze.world import GOAL, WALL
 from qdenv.types import InputError
 
 SMALL = levels.LevelConfig(size=6, most_walls=20, horizon=(20, 40))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from qdenv.grid import parse
 from qdenv.score.layout import entropy
-from qdenv.simulate import maze_world as world
+from qdenv.simulate.maze import world
 
 DATA = Path(__file__).parent / "data" / "maze"
 measure = jax.jit(world.longest_path)

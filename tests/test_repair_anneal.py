@@ -31,7 +31,7 @@ def mixed_rules(rows: int = 9, cols: int = 10, aisle: int = 1) -> Rules:
         adjacency=(Adjacency("012", "e"), Adjacency("e", "012")),
         connected=".e",
         allowed=allowed,
-        weights=weights,
+        change_cost=weights,
         aisle=aisle,
     )
 
@@ -88,7 +88,7 @@ def test_same_seed_same_layout_and_price():
     one, price = anneal(layout, rules, 7, 20000)
     two, _ = anneal(layout, rules, 7, 20000)
     assert (one == two).all()
-    assert price == (rules.weights * (one != layout)).sum()
+    assert price == (rules.change_cost * (one != layout)).sum()
     assert audit(one, rules) == []
 
 
@@ -114,6 +114,6 @@ def test_too_many_kinds_are_refused_in_one_line():
 
 
 def test_free_changes_are_no_division_by_zero():
-    rules = mixed_rules()._replace(weights=np.zeros((9, 10)))
+    rules = mixed_rules()._replace(change_cost=np.zeros((9, 10)))
     found, price = anneal(np.full((9, 10), 4, np.int8), rules, 0, 20000)
     assert price == 0 and audit(found, rules) == []

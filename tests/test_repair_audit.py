@@ -24,7 +24,7 @@ def yard(rows: int, cols: int, low: int, high: int | None, **changes) -> Rules:
         adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
         connected=".ew",
         allowed=allowed,
-        weights=np.ones((rows, cols)),
+        change_cost=np.ones((rows, cols)),
     )
     return rules._replace(**changes)
 
@@ -144,5 +144,5 @@ def test_possible_rules_are_not_called_impossible():
 def test_price_bound_counts_missing_and_surplus_tiles():
     layout = parse(["@@e.", "....", "...."], TILES)
     weights = np.arange(1.0, 13.0).reshape(3, 4)
-    assert price_bound(layout, yard(3, 4, 4, 4, weights=weights)) == 3 + 4
-    assert price_bound(layout, yard(3, 4, 1, 1, weights=weights)) == 1
+    assert price_bound(layout, yard(3, 4, 4, 4, change_cost=weights)) == 3 + 4
+    assert price_bound(layout, yard(3, 4, 1, 1, change_cost=weights)) == 1

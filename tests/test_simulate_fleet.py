@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from qdenv.grid import parse
-from qdenv.simulate import fleet
-from qdenv.simulate.audit import audit, trajectory_of
-from qdenv.simulate.planners import bargain as bargain_in_xla
-from qdenv.simulate.planners import pibt
-from qdenv.simulate.planners.host import bargain as bargain_on_host
-from qdenv.simulate.planners.host import pibt as pibt_on_host
-from qdenv.simulate.planners.windowed import LOW, WindowedPlanner
-from qdenv.simulate.tasks import beside_goal, check_playable, draw_goals, goal_table, tile_goal
+from qdenv.simulate.mapf import fleet
+from qdenv.simulate.mapf.audit import audit, trajectory_of
+from qdenv.simulate.mapf.negotiated.numba import rounds as bargain_on_host
+from qdenv.simulate.mapf.negotiated.planner import LOW, WindowedPlanner
+from qdenv.simulate.mapf.negotiated.xla import rounds as bargain_in_xla
+from qdenv.simulate.mapf.pibt import numba as pibt_on_host
+from qdenv.simulate.mapf.pibt import planner as pibt
+from qdenv.simulate.mapf.tasks import beside_goal, check_playable, draw_goals, goal_table, tile_goal
 from qdenv.types import InputError, TaskRule, Traffic
 
 TILES = ".#ew"
@@ -296,7 +296,7 @@ def test_published_layouts_reach_their_throughput():
         pytest.skip("the published layouts are not at hand")
     from qdenv.domains.warehouse import WAREHOUSE_EVEN
     from qdenv.formats.layouts import read_layout
-    from qdenv.run.traffic import simulate_layout
+    from qdenv.study.traffic import simulate_layout
 
     layout = read_layout(file, WAREHOUSE_EVEN.tiles)
     result = simulate_layout(layout, "warehouse-even", 200, 400, (2,), "low", True)
@@ -312,7 +312,7 @@ def test_waiting_as_the_last_resort_congests_where_the_published_planner_does():
         pytest.skip("the published layouts are not at hand")
     from qdenv.domains.warehouse import WAREHOUSE_EVEN
     from qdenv.formats.layouts import read_layout
-    from qdenv.run.traffic import run_seeds
+    from qdenv.study.traffic import run_seeds
 
     planner = replace(LOW, last_resort=pibt.wait)
     config = fleet.FleetConfig(agents=200, timesteps=600, planner=planner)

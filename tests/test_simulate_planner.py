@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from qdenv.grid import parse
-from qdenv.simulate.distances import UNREACHABLE, goal_distances
-from qdenv.simulate.planners import reservation, single_agent
-from qdenv.simulate.planners.base import first_of_each_clash
-from qdenv.simulate.planners.view import REACH, UNIT, View
-from qdenv.simulate.tally import MARGIN, walled
+from qdenv.simulate.mapf.distances import UNREACHABLE, goal_distances
+from qdenv.simulate.mapf.metrics import MARGIN, walled
+from qdenv.simulate.mapf.negotiated.xla import bitplanes as reservation
+from qdenv.simulate.mapf.negotiated.xla import search as single_agent
+from qdenv.simulate.mapf.negotiated.xla.window import REACH, UNIT, View
+from qdenv.simulate.mapf.planner import first_of_each_clash
 
 WINDOW = 6
 MOVES = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))

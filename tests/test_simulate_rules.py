@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import qdenv.simulate
-from qdenv.simulate.audit import Trajectory, check_moves, jammed_windows, replay_tasks
-from qdenv.simulate.tasks import tile_goal
+from qdenv.simulate.mapf.audit import Trajectory, check_moves, jammed_windows, replay_tasks
+from qdenv.simulate.mapf.tasks import tile_goal
 from qdenv.types import TaskRule
 
 TILES = ".#12"

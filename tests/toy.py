@@ -8,8 +8,8 @@ import numpy as np
 
 from qdenv.domains.base import Domain, EvaluationConfig, Simulator
 from qdenv.grid import of_tiles
-from qdenv.run.config import RunConfig
 from qdenv.search.cma_mae import CmaMaeConfig
+from qdenv.train.config import RunConfig
 from qdenv.types import Adjacency, Array, Count, Measure, Rules
 
 TILES = ".*#"  # path, flower, hedge
@@ -29,7 +29,7 @@ def rules(rows: int, cols: int, hedges: int) -> Rules:
         adjacency=(Adjacency("*", "."),),
         connected=".*",
         allowed=np.ones((rows, cols, len(TILES)), bool),
-        weights=np.ones((rows, cols), np.float32),
+        change_cost=np.ones((rows, cols), np.float32),
     )
 
 

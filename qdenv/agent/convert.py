@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from qdenv.agent.files import save_weights
-from qdenv.simulate.policy import (
+from qdenv.simulate.maze.policy import (
     FILTERS,
     PATCHES,
     Weights,

@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.score.traffic import wilson_interval
-from qdenv.simulate.maze import (
+from qdenv.simulate.maze.episode import (
     Episode,
     prepare,
     run_episode,
     run_episodes,
     whole_horizon,
 )
-from qdenv.simulate.maze_reference import reference_episodes
-from qdenv.simulate.maze_world import WALL, longest_path
-from qdenv.simulate.policy import Weights
+from qdenv.simulate.maze.policy import Weights
+from qdenv.simulate.maze.published import reference_episodes
+from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.types import Array, InputError
 
 

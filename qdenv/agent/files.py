@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from qdenv.files import write_atomically
-from qdenv.simulate.policy import Weights
+from qdenv.simulate.maze.policy import Weights
 from qdenv.types import InputError
 
 SCHEMA = 1

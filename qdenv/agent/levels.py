@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulate.maze_world import (
+from qdenv.simulate.maze.world import (
     EMPTY,
     GOAL,
     HEADINGS,

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import optax
 
 from qdenv.agent.rollout import Step
-from qdenv.simulate.maze_world import image
-from qdenv.simulate.policy import Memory, Weights, act, assess, encode, recur
+from qdenv.simulate.maze.policy import Memory, Weights, act, assess, encode, recur
+from qdenv.simulate.maze.world import image
 from qdenv.types import Array
 
 

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.agent.levels import Level
-from qdenv.simulate.maze import choose
-from qdenv.simulate.maze_world import Pose, image, step, view
-from qdenv.simulate.policy import Memory, Weights, act, assess, blank_memory, encode, recur
+from qdenv.simulate.maze.episode import choose
+from qdenv.simulate.maze.policy import Memory, Weights, act, assess, blank_memory, encode, recur
+from qdenv.simulate.maze.world import Pose, image, step, view
 from qdenv.types import Array
 
 

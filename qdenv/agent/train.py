@@ -14,7 +14,7 @@ from qdenv.agent.evaluate import default_horizon, random_mazes, run_batch
 from qdenv.agent.files import load_state, save_state, save_weights
 from qdenv.agent.update import TrainConfig, start, update
 from qdenv.files import write_atomically
-from qdenv.simulate.policy import Weights
+from qdenv.simulate.maze.policy import Weights
 from qdenv.types import InputError
 
 EXAM_WALLS = (60, 90)

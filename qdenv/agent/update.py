@@ -11,7 +11,7 @@ from qdenv.agent.curriculum import Bank, Method, admit, find_method, new_bank, r
 from qdenv.agent.levels import Level, LevelConfig
 from qdenv.agent.ppo import Batch, PPOConfig, advantages, learn
 from qdenv.agent.rollout import Lane, RewardConfig, Step, begin, roll
-from qdenv.simulate.policy import Weights, draw_weights, load_weights
+from qdenv.simulate.maze.policy import Weights, draw_weights, load_weights
 from qdenv.types import Array, InputError
 
 

@@ -26,8 +26,8 @@ from qdenv.agent.evaluate import (
     success_rates,
 )
 from qdenv.files import write_atomically
-from qdenv.simulate.maze_world import longest_path
-from qdenv.simulate.policy import Weights, draw_weights, load_weights, units_of
+from qdenv.simulate.maze.policy import Weights, draw_weights, load_weights, units_of
+from qdenv.simulate.maze.world import longest_path
 from qdenv.types import InputError
 
 THREADS = "XLA_FLAGS='--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'"

@@ -16,7 +16,7 @@ import tyro
 from qdenv.files import write_atomically
 from qdenv.pipeline import PipelinedEvaluator
 from qdenv.presets import find_preset
-from qdenv.run.loop import Study, kept, make_study
+from qdenv.train.loop import Study, kept, make_study
 
 
 def run(

@@ -17,8 +17,8 @@ from qdenv.formats.layouts import read_layout
 from qdenv.generate.decode import choose_tiles
 from qdenv.generate.nca import grow_population, make_generator, seed_canvas
 from qdenv.repair.audit import audit
-from qdenv.repair.callback import RepairPool
-from qdenv.repair.solver import RepairConfig, repair
+from qdenv.repair.pool import RepairPool
+from qdenv.repair.recipe import RepairConfig, repair
 from qdenv.types import RepairStatus, Rules
 
 DOMAINS = ("warehouse-even", "manufacturing")
@@ -135,7 +135,7 @@ def measure(
     row = {
         "layout": name,
         "polish": config.polish,
-        "hamming": [float(record.hamming) for record in records],
+        "hamming": [float(record.cost) for record in records],
         "lower_bound": max(float(record.lower_bound) for record in records),
         "status": [RepairStatus(int(record.status)).name for record in records],
         "cpu_seconds": [round(float(record.seconds), 2) for record in records],

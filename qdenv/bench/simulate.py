@@ -18,9 +18,9 @@ import tyro
 from qdenv.domains import find_domain
 from qdenv.files import write_atomically
 from qdenv.formats.layouts import read_layout
-from qdenv.run.traffic import Simulated, broken_rules, run_seeds
-from qdenv.simulate.fleet import FleetConfig
-from qdenv.simulate.planners.windowed import EFFORTS
+from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.study.traffic import Simulated, broken_rules, run_seeds
 from qdenv.types import InputError
 
 DOMAINS = {

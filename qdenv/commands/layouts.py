@@ -14,8 +14,8 @@ from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.plots.layouts import save_difference
 from qdenv.repair.audit import audit
 from qdenv.repair.bounds import impossible
-from qdenv.repair.solver import RepairConfig
-from qdenv.repair.solver import repair as repair_layout
+from qdenv.repair.recipe import RepairConfig
+from qdenv.repair.recipe import repair as repair_layout
 from qdenv.score.layout import similarity
 from qdenv.types import InputError, RepairStatus, Rules
 
@@ -67,9 +67,9 @@ def repair(
     broken = audit(result.layout, rules)
     facts = {
         "status": RepairStatus(int(result.status)).name.lower(),
-        "hamming": float(result.hamming),
+        "hamming": float(result.cost),
         "lower_bound": float(result.lower_bound),
-        "gap": float((result.hamming - result.lower_bound) / max(result.hamming, 1.0)),
+        "gap": float((result.cost - result.lower_bound) / max(result.cost, 1.0)),
         "similarity": float(similarity(before, result.layout, kind.price(before))),
         "cpu_seconds": round(float(result.seconds), 3),
         "broken_before": len(audit(before, rules)),

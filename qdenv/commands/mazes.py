@@ -15,9 +15,9 @@ from qdenv.agent.update import TrainConfig
 from qdenv.files import write_atomically
 from qdenv.formats.layouts import read_layout
 from qdenv.plots.maze import save_episode
-from qdenv.simulate.maze import prepare, trace_episode
-from qdenv.simulate.maze_world import TILES
-from qdenv.simulate.policy import load_weights
+from qdenv.simulate.maze.episode import prepare, trace_episode
+from qdenv.simulate.maze.policy import load_weights
+from qdenv.simulate.maze.world import TILES
 
 
 def train_agent(

@@ -11,11 +11,11 @@ from qdenv.plots.layouts import save_layout
 from qdenv.plots.run import plot_run
 from qdenv.plots.sizes import save_frames
 from qdenv.presets import PRESETS, find_preset
-from qdenv.run import loop
-from qdenv.run.config import RunConfig
-from qdenv.run.elites import grow_elite, repair_grown
-from qdenv.run.records import RunDirectory
-from qdenv.run.sizes import grow_frames
+from qdenv.study.elites import grow_elite, repair_grown
+from qdenv.study.sizes import grow_frames
+from qdenv.train import loop
+from qdenv.train.config import RunConfig
+from qdenv.train.records import RunDirectory
 from qdenv.types import RepairStatus
 
 
@@ -136,7 +136,7 @@ def generate(
     if repaired is not None:
         details |= {
             "repair": RepairStatus(int(repaired.status)).name.lower(),
-            "changed": float(repaired.hamming),
+            "changed": float(repaired.cost),
         }
     write_layout(out, layout, grown.domain.tiles, **details)
     save_layout(out.with_suffix(".png"), layout, grown.domain.tiles)

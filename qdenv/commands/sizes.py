@@ -12,14 +12,14 @@ from qdenv.domains.base import Domain
 from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.plots.layouts import save_layout
 from qdenv.plots.sizes import save_comparison, save_peaks
-from qdenv.repair.solver import RepairConfig
-from qdenv.run import compare as comparing
-from qdenv.run import sizes
-from qdenv.run.records import RunDirectory
-from qdenv.run.sweep import parse_counts
-from qdenv.run.traffic import parse_seeds
-from qdenv.simulate.fleet import FleetConfig
-from qdenv.simulate.planners.windowed import EFFORTS
+from qdenv.repair.recipe import RepairConfig
+from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.study import compare as comparing
+from qdenv.study import sizes
+from qdenv.study.sweep import parse_counts
+from qdenv.study.traffic import parse_seeds
+from qdenv.train.records import RunDirectory
 from qdenv.types import InputError
 
 

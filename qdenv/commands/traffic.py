@@ -10,10 +10,10 @@ from qdenv.domains import find_domain
 from qdenv.files import write_atomically
 from qdenv.formats.layouts import read_layout
 from qdenv.plots.traffic import save_sweep
-from qdenv.run import sweep as sweeping
-from qdenv.run.traffic import parse_seeds, simulate_layout
-from qdenv.simulate.fleet import FleetConfig
-from qdenv.simulate.planners.windowed import EFFORTS
+from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.study import sweep as sweeping
+from qdenv.study.traffic import parse_seeds, simulate_layout
 from qdenv.types import InputError
 
 

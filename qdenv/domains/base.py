@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from qdenv.repair.solver import RepairConfig
+from qdenv.repair.recipe import RepairConfig
 from qdenv.types import Array, Measure, Rules, TaskRule
 
 

@@ -9,7 +9,7 @@ from qdenv.domains.fleet import fleet_simulator
 from qdenv.grid import of_tiles, parse
 from qdenv.score import layout as score
 from qdenv.score.traffic import mean_throughput
-from qdenv.simulate.tasks import beside_goal
+from qdenv.simulate.mapf.tasks import beside_goal
 from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule
 
 TILES = ".012e"
@@ -27,7 +27,7 @@ def rules(rows: int, cols: int, shelves: int = 0) -> Rules:
         adjacency=(Adjacency(STATIONS, "e"), Adjacency("e", STATIONS)),
         connected=".e",
         allowed=np.ones((rows, cols, len(TILES)), bool),
-        weights=np.ones((rows, cols), np.float32),
+        change_cost=np.ones((rows, cols), np.float32),
     )
 
 

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from qdenv.domains.base import Domain, EvaluationConfig, Simulator
 from qdenv.generate.decode import inside_frame
 from qdenv.score import layout as score
-from qdenv.simulate import maze, maze_world
-from qdenv.simulate.policy import load_weights
+from qdenv.simulate.maze import episode as maze
+from qdenv.simulate.maze import world as maze_world
+from qdenv.simulate.maze.policy import load_weights
 from qdenv.types import Array, Measure
 
 MARGIN = (1, 1)

@@ -14,7 +14,7 @@ from qdenv.generate.decode import inside_frame, put_in_frame
 from qdenv.grid import parse
 from qdenv.score import layout as score
 from qdenv.score.traffic import mean_throughput
-from qdenv.simulate.tasks import favour_left, tile_goal
+from qdenv.simulate.mapf.tasks import favour_left, tile_goal
 from qdenv.types import Adjacency, Array, Count, InputError, Measure, Rules, TaskRule
 
 TILES = ".@ew"
@@ -66,7 +66,7 @@ def rules(rows: int, cols: int, shelves: int) -> Rules:
         adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
         connected=".ew",
         allowed=allowed,
-        weights=np.ones((rows, cols), np.float32),
+        change_cost=np.ones((rows, cols), np.float32),
     )
 
 

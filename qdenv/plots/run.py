@@ -9,7 +9,7 @@ from qdenv.files import write_atomically
 from qdenv.grid import parse
 from qdenv.plots.archive import save_heatmap, scatter_objectives
 from qdenv.plots.layouts import save_layout
-from qdenv.run.records import RunDirectory
+from qdenv.train.records import RunDirectory
 
 
 def plot_run(run: RunDirectory) -> list[Path]:

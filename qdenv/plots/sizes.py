@@ -50,7 +50,7 @@ def save_comparison(path: str | Path, rows: Sequence[Any]) -> None:
 
     Args:
         path: the picture; its ending chooses the format.
-        rows: `qdenv.run.compare.Compared` records.
+        rows: `qdenv.study.compare.Compared` records.
     """
     figure = Figure(figsize=(7, 5.5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
@@ -99,8 +99,8 @@ def save_peaks(path: str | Path, rows: Sequence[Any], peaks: Sequence[Any]) -> N
 
     Args:
         path: the picture; its ending chooses the format.
-        rows: `qdenv.run.compare.Compared` records of all layouts.
-        peaks: a `qdenv.run.compare.Peak` of each layout.
+        rows: `qdenv.study.compare.Compared` records of all layouts.
+        peaks: a `qdenv.study.compare.Peak` of each layout.
     """
     figure = Figure(figsize=(11, 4.5), layout="constrained")
     left, right = figure.subplots(1, 2)

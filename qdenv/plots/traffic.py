@@ -17,7 +17,7 @@ def save_sweep(path: Path, rows: Sequence[Any], title: str = "") -> None:
     Args:
         path: picture to write.
         rows: records with `agents`, `throughput`, `standard_error`, `success_rate`,
-            `success_low`, `success_high` (`qdenv.run.sweep.SweepRow`).
+            `success_low`, `success_high` (`qdenv.study.sweep.SweepRow`).
         title: heading.
     """
     agents = [row.agents for row in rows]

@@ -98,7 +98,7 @@ def compile_board(layout: np.ndarray, rules: Rules) -> Board:
     table, allowed = _tabulate_kinds(rules, roles), np.pad(bits, 1).ravel()
     return Board(
         home=np.pad(layout.astype(np.int8), 1, constant_values=kinds).ravel(),
-        price=np.pad(np.asarray(rules.weights, np.float64), 1).ravel(),
+        price=np.pad(np.asarray(rules.change_cost, np.float64), 1).ravel(),
         allowed=allowed,
         free=np.flatnonzero(np.pad(rules.allowed.sum(-1) > 1, 1)),
         calm=_calm_tiles(allowed, table),

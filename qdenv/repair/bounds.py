@@ -84,7 +84,7 @@ def price_bound(layout: np.ndarray, rules: Rules) -> float:
         holds = np.isin(np.array(list(rules.tiles))[layout], list(bound.tiles))
         count = int(holds.sum())
         if count < bound.low:
-            best = max(best, np.sort(rules.weights[~holds])[: bound.low - count].sum())
+            best = max(best, np.sort(rules.change_cost[~holds])[: bound.low - count].sum())
         elif bound.high is not None and count > bound.high:
-            best = max(best, np.sort(rules.weights[holds])[: count - bound.high].sum())
+            best = max(best, np.sort(rules.change_cost[holds])[: count - bound.high].sum())
     return float(best)

@@ -50,7 +50,7 @@ def balance(
     if max(map(len, roles)) == 1:
         return layout, price
     shared = hand_out(role_of_kind(roles)[layout], home, rules, np.random.default_rng(seed))
-    cost = float((rules.weights * (shared != home)).sum())
+    cost = float((rules.change_cost * (shared != home)).sum())
     return (layout, price) if cost > price or audit(shared, rules) else (shared, cost)
 
 

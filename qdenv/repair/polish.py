@@ -159,7 +159,7 @@ def _learn(
 
 def _whole_prices(rules: Rules) -> bool:
     """Whether every price is an integer, so that bounds round up."""
-    return bool((np.asarray(rules.weights) % 1 == 0).all())
+    return bool((np.asarray(rules.change_cost) % 1 == 0).all())
 
 
 def _drives_tile(rules: Rules) -> np.ndarray:
@@ -195,7 +195,7 @@ def _better(best: Polished, found: np.ndarray | None, layout: np.ndarray, rules:
     """Keep the cheaper of two layouts; an audit guards against whatever the solver returned."""
     if found is None or audit(found, rules):
         return best
-    price = float((rules.weights * (found != layout)).sum())
+    price = float((rules.change_cost * (found != layout)).sum())
     return best._replace(layout=found, price=price) if price < best.price - 1e-9 else best
 
 

@@ -171,7 +171,7 @@ def _aisles(rules, roles, holds, squares, total) -> list:
 
 def _price(rules, layout, roles, holds, retype, kept, total) -> Affine:
     """Price what is not kept; a kind that leaves its cell to another costs its cheapest cell."""
-    home, weights = layout.ravel(), np.asarray(rules.weights, np.float64).ravel()
+    home, weights = layout.ravel(), np.asarray(rules.change_cost, np.float64).ravel()
     price = Affine(sparse.csr_array((1, total)), np.zeros(1))
     for members, hold in zip(roles, holds, strict=True):
         price = price + hold.combined(weights * ~(kept & np.isin(home, members)))

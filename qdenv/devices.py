@@ -1,0 +1,41 @@
+"""What jax computes on, and what follows from it: asked here and nowhere else."""
+
+import os
+from typing import Literal
+
+import jax
+
+from qdenv.types import InputError
+
+Backend = Literal["auto", "xla", "host"]  # where a planner runs; auto: host on a CPU, else xla
+
+# Runs of a simulator that an accelerator computes side by side. On a CPU runs go one after the
+# other, because then each pays only for its own work.
+ACCELERATOR_LANES = 128
+ACCELERATOR_CHUNK = 10  # layouts simulated by one call on an accelerator
+
+
+def on_cpu() -> bool:
+    """Tell whether jax computes on the host's own cores."""
+    return jax.default_backend() == "cpu"
+
+
+def runs_on_host(backend: Backend) -> bool:
+    """Resolve a planner's backend: whether it runs in compiled host code.
+
+    Raises:
+        InputError: `backend` is none.
+    """
+    if backend not in ("auto", "xla", "host"):
+        raise InputError(f"unknown backend {backend!r}: choose one of auto, xla, host")
+    return backend == "host" or (backend == "auto" and on_cpu())
+
+
+def lanes(on_accelerator: int = ACCELERATOR_LANES, on_host: int = 1) -> int:
+    """Choose how many items to compute side by side (vmap); the rest wait in line (scan)."""
+    return on_host if on_cpu() else on_accelerator
+
+
+def threads() -> int:
+    """Count the host threads that feed the device: one per core where the cores are the device."""
+    return (os.cpu_count() or 1) if on_cpu() else 1

@@ -1,0 +1,125 @@
+"""One way to find a domain, a planner, an algorithm: by its settings record or by its name.
+
+A choice is a settings record: a frozen dataclass with defaults for all its fields, whose *type*
+says what is chosen and whose values are its own numbers. A `Registry` pairs each type with a name
+(for command lines and JSON) and with the function that makes the thing.
+
+Three ways in, all equal: the package's own (named as ``module:attribute``, imported when asked
+for), entry points of installed packages, and `Registry.register` in a notebook. An entry point
+names an `Entry`::
+
+    [project.entry-points."qdenv.planners"]
+    greedy = "my_package:GREEDY"        # GREEDY = qdenv.Entry(GreedyConfig, make_greedy)
+"""
+
+import importlib
+from collections.abc import Callable, Mapping
+from importlib import metadata
+from typing import Any, NamedTuple
+
+from qdenv.types import InputError
+
+
+class Entry(NamedTuple):
+    """One choice.
+
+    Attributes:
+        config: frozen dataclass of its settings, with defaults for all of them.
+        make: (settings, ...) -> the thing; each registry says what else it passes.
+    """
+
+    config: type
+    make: Callable[..., Any]
+
+
+class Registry:
+    """Choices of one kind, by name and by the type of their settings."""
+
+    def __init__(self, what: str, group: str, builtin: Mapping[str, str]) -> None:
+        """Import nothing yet.
+
+        Args:
+            what: how messages call a choice, like "planner".
+            group: entry points of installed packages that add choices, like "qdenv.planners".
+            builtin: name -> ``module:attribute`` of an `Entry`.
+        """
+        self._what = what
+        self._group = group
+        self._references = dict(builtin)
+        self._entries: dict[str, Entry] = {}
+        self._looked = False
+
+    def register(self, name: str, entry: Entry) -> None:
+        """Add a choice, or replace the one of this name."""
+        self._entries[name] = entry
+
+    def names(self) -> tuple[str, ...]:
+        """List the names: the package's own, then those of plug-ins."""
+        self._look_for_plugins()
+        return tuple(dict.fromkeys((*self._references, *self._entries)))
+
+    def entry(self, name: str) -> Entry:
+        """Look a choice up by name.
+
+        Raises:
+            InputError: nothing has this name, or the plug-in behind it cannot be imported.
+        """
+        if name not in self.names():
+            raise InputError(
+                f"unknown {self._what} {name!r}: choose one of {', '.join(self.names())}"
+            )
+        if name not in self._entries:
+            self._entries[name] = self._load(name)
+        return self._entries[name]
+
+    def config(self, name: str) -> Any:
+        """Make the settings of a choice with all defaults.
+
+        Raises:
+            InputError: nothing has this name.
+        """
+        return self.entry(name).config()
+
+    def name_of(self, config: Any) -> str:
+        """Find the name under which the type of `config` is registered.
+
+        Raises:
+            InputError: the type is not registered.
+        """
+        for name in self.names():
+            if type(config) is self.entry(name).config:
+                return name
+        raise InputError(
+            f"no {self._what} is registered for {type(config).__name__}: choose from "
+            f"{', '.join(self.names())}"
+        )
+
+    def make(self, config: Any, *details: Any) -> Any:
+        """Make what `config` chooses; `details` follow the settings as arguments of its maker.
+
+        Raises:
+            InputError: the type of `config` is not registered.
+        """
+        return self.entry(self.name_of(config)).make(config, *details)
+
+    def _look_for_plugins(self) -> None:
+        if self._looked:
+            return
+        self._looked = True
+        for point in metadata.entry_points(group=self._group):
+            self._references.setdefault(point.name, point.value)
+
+    def _load(self, name: str) -> Entry:
+        module, _, attribute = self._references[name].partition(":")
+        try:
+            found = getattr(importlib.import_module(module), attribute)
+        except (ImportError, AttributeError) as error:
+            raise InputError(
+                f"{self._what} {name!r} cannot be loaded from {module}:{attribute} ({error}): "
+                "mend or uninstall the package it comes from"
+            ) from error
+        if not isinstance(found, Entry):
+            raise InputError(
+                f"{self._what} {name!r}: {module}:{attribute} is no qdenv.Entry(settings, make)"
+            )
+        return found

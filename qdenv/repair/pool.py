@@ -1,0 +1,150 @@
+"""Batches of repairs: a pool of threads, a memo by content, and the host callback for jit.
+
+Threads suffice: the annealer and HiGHS both work outside the interpreter lock. Nothing forks.
+"""
+
+import hashlib
+import logging
+import os
+import threading
+from collections import OrderedDict
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+
+import jax
+import numpy as np
+
+from qdenv.repair.recipe import RepairConfig, repair
+from qdenv.types import Array, Repair, RepairStatus, Rules
+
+LOG = logging.getLogger(__name__)
+WAITING_PER_WORKER = 64  # layouts that may queue before `submit` waits
+
+
+class RepairPool:
+    """Repair layouts of one canvas on all cores; equal layouts are repaired once.
+
+    Use it as a context manager, or call `close`. Results depend on the layout, the seed and the
+    configuration only: not on batch size, order, number of workers or what was repaired before.
+    """
+
+    def __init__(self, rules: Rules, config: RepairConfig | None = None, remember: int = 4096):
+        """Start the threads.
+
+        Args:
+            rules: the constraints of the canvas.
+            config: limits and number of workers.
+            remember: how many repairs to keep.
+        """
+        self.rules, self.config = rules, config or RepairConfig()
+        self.workers = self.config.workers or count_cores()
+        self._threads = ThreadPoolExecutor(self.workers, thread_name_prefix="repair")
+        self._slots = threading.BoundedSemaphore(WAITING_PER_WORKER * self.workers)
+        self._lock = threading.Lock()
+        self._memo: OrderedDict[bytes, Future] = OrderedDict()
+        self._remember = remember
+
+    def submit(self, layout: np.ndarray, seed: int = 0) -> "Future[Repair]":
+        """Queue one layout (int8 [H, W]); waits while the queue is full.
+
+        A worker that fails answers with status `FAILED` and the layout as it came, and that answer
+        is not remembered. A remembered repair has cost 0 seconds. `cancel` on the future takes back
+        what has not begun.
+        """
+        layout = np.array(layout, np.int8)
+        key = content_key(layout, seed)
+        self._slots.acquire()
+        with self._lock:
+            known = self._memo.get(key)
+            if known is not None and not known.cancelled():
+                self._memo.move_to_end(key)
+                self._slots.release()
+                return _for_free(known)
+            future = self._threads.submit(self._work, key, layout, int(seed))
+            self._memo[key] = future
+            while len(self._memo) > self._remember:
+                self._memo.popitem(last=False)
+        future.add_done_callback(lambda done: self._slots.release())
+        return future
+
+    def _work(self, key: bytes, layout: np.ndarray, seed: int) -> Repair:
+        """Repair one layout; whatever happens, answer with a record."""
+        try:
+            return repair(layout, self.rules, seed, self.config)
+        except Exception:
+            LOG.exception("a repair failed; its layout counts as not repairable")
+            with self._lock:
+                self._memo.pop(key, None)
+            inf = np.float32(np.inf)
+            return Repair(layout, np.int32(RepairStatus.FAILED), inf, np.float32(0), np.float32(0))
+
+    def repair(self, layouts: np.ndarray, seed: int = 0) -> Repair:
+        """Repair a batch (int8 [B, H, W]) and wait for it; every field gets a leading axis B."""
+        waiting = [self.submit(layout, seed) for layout in np.asarray(layouts)]
+        records = [future.result() for future in waiting]
+        return Repair(*(np.stack(field) for field in zip(*records, strict=True)))
+
+    def close(self) -> None:
+        """Cancel what waits, let what runs finish, stop the threads."""
+        self._threads.shutdown(wait=True, cancel_futures=True)
+
+    def __enter__(self) -> "RepairPool":
+        """Return the pool itself."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Close the pool."""
+        self.close()
+
+
+def count_cores() -> int:
+    """Count the cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def content_key(layout: np.ndarray, seed: int) -> bytes:
+    """Name a repair by what decides it: the layout's content and shape, and the seed."""
+    digest = hashlib.blake2b(layout.tobytes(), digest_size=16)
+    digest.update(repr((layout.shape, int(seed))).encode())
+    return digest.digest()
+
+
+def _for_free(known: "Future[Repair]") -> "Future[Repair]":
+    """Follow a repair that someone else pays for."""
+    mine: Future[Repair] = Future()
+
+    def hand_on(done: Future) -> None:
+        if not mine.set_running_or_notify_cancel():
+            return
+        if done.cancelled():
+            mine.set_exception(CancelledError())
+        else:
+            mine.set_result(done.result()._replace(seconds=np.float32(0)))
+
+    known.add_done_callback(hand_on)
+    return mine
+
+
+def repair_in_jit(pool: RepairPool, layouts: Array, seed: Array) -> Repair:
+    """Repair a batch from inside jit or scan: one host callback for the whole population.
+
+    Args:
+        pool: where to repair.
+        layouts: int8 [B, H, W].
+        seed: int32 or uint32 scalar, the base seed.
+    """
+    batch = layouts.shape[:1]
+
+    def on_host(layouts: Array, seed: Array) -> Repair:
+        # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
+        return pool.repair(np.asarray(layouts), int(np.asarray(seed)))
+
+    shapes = Repair(
+        layout=jax.ShapeDtypeStruct(layouts.shape, np.int8),
+        status=jax.ShapeDtypeStruct(batch, np.int32),
+        cost=jax.ShapeDtypeStruct(batch, np.float32),
+        lower_bound=jax.ShapeDtypeStruct(batch, np.float32),
+        seconds=jax.ShapeDtypeStruct(batch, np.float32),
+    )
+    return jax.pure_callback(on_host, shapes, layouts, seed, vmap_method="sequential")

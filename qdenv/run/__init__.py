@@ -1,1 +1,0 @@
-"""Runs: the loop, the run directory and its checkpoints."""

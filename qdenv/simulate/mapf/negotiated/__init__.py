@@ -1,0 +1,1 @@
+"""The negotiated planner: settings, rules shared by both backends, and the backends."""

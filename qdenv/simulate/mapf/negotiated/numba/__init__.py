@@ -1,0 +1,1 @@
+"""The negotiated planner compiled by numba, one agent at a time."""

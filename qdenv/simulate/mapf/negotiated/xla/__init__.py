@@ -1,0 +1,1 @@
+"""The negotiated planner in XLA, a few agents side by side."""

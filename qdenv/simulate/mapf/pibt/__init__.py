@@ -1,0 +1,1 @@
+"""PIBT: priority inheritance with backtracking, one timestep at a time."""

@@ -1,0 +1,1 @@
+"""The single agent of the maze: its world, its episodes, its policy."""

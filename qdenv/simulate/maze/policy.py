@@ -1,0 +1,191 @@
+"""The maze agent's network: convolution, compass, LSTM, actor and critic; load and save.
+
+The architecture is the published one (433,953 parameters with 256 units and 7 actions), with the
+number of units and of actions read off the weights.
+"""
+
+import zipfile
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.types import Array, InputError
+
+VIEW, WINDOW, CHANNELS, FILTERS, COMPASS, HEAD = 5, 3, 3, 16, 5, 32
+PATCHES = VIEW - WINDOW + 1
+FEATURES = FILTERS * PATCHES * PATCHES + COMPASS
+
+
+class Weights(NamedTuple):
+    """The agent, float32; L LSTM units, N actions. Gates lie in the order i, f, g, o."""
+
+    kernel: Array  # [3, 3, 3, 16]: x, y, channel, filter
+    kernel_bias: Array  # [16]
+    compass: Array  # [4, 5]
+    compass_bias: Array  # [5]
+    gates_in: Array  # [149, 4 L], rows: 16 filters x 3 x 3, then the compass
+    gates_back: Array  # [L, 4 L]
+    gates_bias: Array  # [4 L]
+    actor: Array  # [L, 32]
+    actor_bias: Array  # [32]
+    logits: Array  # [32, N]
+    logits_bias: Array  # [N]
+    critic: Array  # [L, 32]
+    critic_bias: Array  # [32]
+    value: Array  # [32, 1]
+    value_bias: Array  # [1]
+
+
+class Memory(NamedTuple):
+    """State of the LSTM."""
+
+    hidden: Array  # float32 [..., L]
+    cell: Array  # float32 [..., L]
+
+
+def units_of(weights: Weights) -> int:
+    """Tell the number of LSTM units L."""
+    return weights.gates_back.shape[0]
+
+
+def blank_memory(weights: Weights, lanes: tuple[int, ...] = ()) -> Memory:
+    """Make the memory with which an episode starts, zeros [*lanes, L]."""
+    zeros = jnp.zeros((*lanes, units_of(weights)), jnp.float32)
+    return Memory(zeros, zeros)
+
+
+def _dense_kernel(kernel: Array) -> jax.Array:
+    """Write the valid convolution as one matrix [75, 144] (rows x, y, channel; columns o, x, y)."""
+    dense = jnp.zeros((VIEW, VIEW, CHANNELS, FILTERS, PATCHES, PATCHES), kernel.dtype)
+    for x in range(PATCHES):
+        for y in range(PATCHES):
+            dense = dense.at[x : x + WINDOW, y : y + WINDOW, :, :, x, y].set(kernel)
+    return dense.reshape(VIEW * VIEW * CHANNELS, FILTERS * PATCHES * PATCHES)
+
+
+def encode(weights: Weights, image: Array, compass: Array) -> jax.Array:
+    """Turn observations into the input of the LSTM's gates.
+
+    Args:
+        weights: the agent.
+        image: float32 [..., 5, 5, 3], indexed [x, y, channel].
+        compass: float32 [..., 4], one-hot heading.
+
+    Returns:
+        float32 [..., 4 L].
+    """
+    flat = image.reshape(*image.shape[:-3], -1)
+    seen = flat @ _dense_kernel(weights.kernel) + jnp.repeat(weights.kernel_bias, PATCHES**2)
+    facing = compass @ weights.compass + weights.compass_bias
+    split = seen.shape[-1]
+    gates = jax.nn.relu(seen) @ weights.gates_in[:split] + facing @ weights.gates_in[split:]
+    return gates + weights.gates_bias
+
+
+def recur(weights: Weights, gates: Array, memory: Memory) -> Memory:
+    """Advance the LSTM by one step (gates float32 [..., 4 L] from `encode`)."""
+    joined = gates + memory.hidden @ weights.gates_back
+    enter, forget, update, leave = jnp.split(joined, 4, axis=-1)
+    cell = jax.nn.sigmoid(forget) * memory.cell + jax.nn.sigmoid(enter) * jnp.tanh(update)
+    return Memory(jax.nn.sigmoid(leave) * jnp.tanh(cell), cell)
+
+
+def act(weights: Weights, hidden: Array) -> jax.Array:
+    """Score the actions (float32 [..., L] -> logits float32 [..., N])."""
+    inner = jnp.tanh(hidden @ weights.actor + weights.actor_bias)
+    return inner @ weights.logits + weights.logits_bias
+
+
+def assess(weights: Weights, hidden: Array) -> jax.Array:
+    """Estimate the return (float32 [..., L] -> float32 [...])."""
+    inner = jnp.tanh(hidden @ weights.critic + weights.critic_bias)
+    return (inner @ weights.value + weights.value_bias)[..., 0]
+
+
+def shapes(units: int, actions: int) -> Weights:
+    """List the shape of every weight."""
+    return Weights(
+        kernel=(WINDOW, WINDOW, CHANNELS, FILTERS),
+        kernel_bias=(FILTERS,),
+        compass=(4, COMPASS),
+        compass_bias=(COMPASS,),
+        gates_in=(FEATURES, 4 * units),
+        gates_back=(units, 4 * units),
+        gates_bias=(4 * units,),
+        actor=(units, HEAD),
+        actor_bias=(HEAD,),
+        logits=(HEAD, actions),
+        logits_bias=(actions,),
+        critic=(units, HEAD),
+        critic_bias=(HEAD,),
+        value=(HEAD, 1),
+        value_bias=(1,),
+    )
+
+
+def draw_weights(key: Array, units: int, actions: int) -> Weights:
+    """Draw an untrained agent: orthogonal matrices, a timid actor; consumes the key."""
+    wanted = shapes(units, actions)
+    gains = Weights(*([1.0] * len(wanted)))._replace(kernel=2**0.5, gates_in=1.4, logits=0.01)
+    keys = jax.random.split(key, len(wanted))
+
+    def one(key: Array, shape: tuple[int, ...], gain: float) -> Array:
+        if len(shape) == 1:
+            return jnp.zeros(shape, jnp.float32)
+        return jax.nn.initializers.orthogonal(gain)(key, shape, jnp.float32)
+
+    drawn = Weights(*map(one, keys, wanted, gains))
+    remember = jnp.arange(4 * units) // units == 1  # a forget gate that starts open
+    return drawn._replace(gates_bias=remember.astype(jnp.float32))
+
+
+def check_weights(weights: Weights, source: str) -> Weights:
+    """Refuse weights that are not an agent (host side).
+
+    Raises:
+        InputError: a wrong number of dimensions, shape or kind, or a number that is not finite.
+    """
+    if weights.gates_back.ndim != 2 or weights.logits.ndim != 2:
+        raise InputError(f"{source} is no agent: gates_back and logits must be matrices")
+    wanted = shapes(weights.gates_back.shape[0], weights.logits.shape[1])
+    if weights.logits.shape[1] < 3:
+        raise InputError(f"{source} is no agent: it needs at least 3 actions")
+    for name, array, shape in zip(Weights._fields, weights, wanted, strict=True):
+        if array.shape != shape or not np.issubdtype(array.dtype, np.floating):
+            raise InputError(
+                f"{source} is no agent: {name} is {array.dtype} {array.shape}, not float {shape}"
+            )
+        if not np.isfinite(array).all():
+            raise InputError(f"{source} is damaged: {name} holds numbers that are not finite")
+    return Weights(*(np.asarray(array, np.float32) for array in weights))
+
+
+def shipped_agent() -> Path:
+    """Name the file of the agent that comes with the package."""
+    return Path(str(resources.files("qdenv") / "simulate" / "maze" / "agent.npz"))
+
+
+def load_weights(path: str | Path = "") -> Weights:
+    """Read an agent from an .npz file (host side), by default the shipped one.
+
+    Raises:
+        InputError: no such file, or not an agent.
+    """
+    path = Path(path) if path else shipped_agent()
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            missing = sorted(set(Weights._fields) - set(stored.files))
+            if missing:
+                raise InputError(f"{path} is no agent: it lacks {', '.join(missing)}")
+            weights = Weights(*(stored[name] for name in Weights._fields))
+    except FileNotFoundError:
+        raise InputError(f"there is no agent {path}: train or convert one first") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is no agent (.npz): {error}") from None
+    return check_weights(weights, str(path))

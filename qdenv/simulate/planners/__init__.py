@@ -1,1 +1,0 @@
-"""Planners: a block of timesteps for all agents."""

@@ -1,1 +1,0 @@
-"""The windowed planner's bargaining, compiled for one core of the host."""

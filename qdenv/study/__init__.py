@@ -1,0 +1,1 @@
+"""Studies of saved layouts and runs: traffic, sweeps, comparisons, sizes, elites."""

@@ -1,0 +1,206 @@
+"""Studies of one layout's traffic: simulate it over seeds, audit what happened, report it."""
+
+import functools
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from qdenv.domains import find_domain
+from qdenv.simulate.mapf import fleet
+from qdenv.simulate.mapf.audit import audit, trajectory_of
+from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.simulate.mapf.tasks import check_playable
+from qdenv.types import InputError, TaskRule, Traffic, look_up
+
+SMALL = 2000  # cells up to which every cell gets room in the distance table (8 MB)
+CAPACITY_STEP = 256
+
+
+class Simulated(NamedTuple):
+    """The runs of one layout.
+
+    Attributes:
+        seeds: one per run.
+        runs: `Traffic` of numpy values.
+        recordings: trajectories where they were asked for, else empty.
+        cpu_seconds: of all runs together, compilation left out.
+        compile_seconds: CPU seconds of compiling; 0 where the program was at hand.
+    """
+
+    seeds: tuple[int, ...]
+    runs: list[Traffic]
+    recordings: list[fleet.Recording]
+    cpu_seconds: float
+    compile_seconds: float
+
+
+def parse_seeds(seeds: Sequence[int]) -> tuple[int, ...]:
+    """Read a count of seeds (one number) or a list of them.
+
+    Raises:
+        InputError: the count is not positive.
+    """
+    if len(seeds) != 1:
+        return tuple(seeds)
+    if seeds[0] < 1:
+        raise InputError("simulate at least one seed")
+    return tuple(range(seeds[0]))
+
+
+def run_seeds(
+    layout: np.ndarray,
+    tasks: TaskRule | None,
+    config: fleet.FleetConfig,
+    seeds: Sequence[int],
+    agents: int | None = None,
+    record: bool = False,
+    threads: int | None = None,
+) -> Simulated:
+    """Simulate a layout once per seed, on all cores.
+
+    Args:
+        layout: int8 [H, W].
+        tasks: what the agents do.
+        config: numbers of the simulation; every layout of one size shares its program.
+        seeds: each decides starts, goals and ties of its run.
+        agents: how many take part, at most ``config.agents``; None for all. Compiles nothing new.
+        record: keep the trajectories.
+        threads: runs at a time; None for as many as there are cores.
+
+    Raises:
+        InputError: no fleet drives in this domain, or not on this layout.
+    """
+    if tasks is None:
+        raise InputError("no fleet drives in this domain: there is no traffic to simulate")
+    count = config.agents if agents is None else agents
+    check_playable(layout, tasks, count)
+    config = with_capacity(layout, tasks, config)
+    begin = time.process_time()
+    prepare, simulate = _programs(tasks, config, layout.shape, record)
+    compiled = time.process_time()
+    problem = prepare(layout)
+
+    def one(seed: int) -> tuple:
+        return jax.tree.map(np.asarray, simulate(problem, jax.random.key(seed), np.int32(count)))
+
+    # A compiled call leaves the interpreter lock, so threads use all cores.
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        results = list(pool.map(one, seeds))
+    spent = time.process_time() - compiled
+    return Simulated(
+        tuple(seeds),
+        [traffic for traffic, _ in results],
+        [recording for _, recording in results if record],
+        spent,
+        compiled - begin,
+    )
+
+
+def with_capacity(
+    layout: np.ndarray, tasks: TaskRule, config: fleet.FleetConfig
+) -> fleet.FleetConfig:
+    """Give a big layout tables for its own goals only; small ones share one program and size."""
+    if config.goal_capacity is not None or layout.size <= SMALL:
+        return config
+    goals = np.any([np.asarray(goal.weight(layout)) > 0 for goal in tasks.cycle], axis=0).sum()
+    return replace(config, goal_capacity=int(-(-goals // CAPACITY_STEP) * CAPACITY_STEP))
+
+
+@functools.lru_cache(maxsize=32)
+def _programs(
+    tasks: TaskRule, config: fleet.FleetConfig, shape: tuple[int, int], record: bool
+) -> tuple[Callable, Callable]:
+    """Compile the preparation and the simulation of layouts of one size."""
+
+    def run(problem: Any, key: Any, count: Any) -> tuple:
+        if record:
+            return fleet.record(problem, key, tasks, config, count)
+        return fleet.simulate(problem, key, tasks, config, count), None
+
+    layout = jax.ShapeDtypeStruct(shape, np.int8)
+    prepare = jax.jit(lambda layout: fleet.prepare(layout, tasks, config))
+    problem = jax.eval_shape(prepare, layout)
+    arguments = (problem, jax.random.key(0), jax.ShapeDtypeStruct((), np.int32))
+    return prepare.lower(layout).compile(), jax.jit(run).lower(*arguments).compile()
+
+
+def simulate_layout(
+    layout: np.ndarray,
+    domain: str = "warehouse-even",
+    agents: int = 200,
+    timesteps: int = 1000,
+    seeds: Sequence[int] = (3,),
+    effort: str = "low",
+    check: bool = False,
+) -> dict[str, Any]:
+    """Simulate a layout over seeds and report it in JSON-ready values.
+
+    Args:
+        layout: int8 [H, W].
+        domain: name of the domain.
+        agents: number of agents.
+        timesteps: horizon T.
+        seeds: how many, or a list of at least two.
+        effort: "low" or "high".
+        check: audit every trajectory; without it "valid" is None.
+
+    Returns:
+        domain, planner, agents, timesteps, runs (seed, throughput, congested, end_timestep,
+        finished_tasks), mean_throughput (over the runs that never congested; over all where
+        none is), success_rate, cpu_seconds_per_run, compile_seconds, valid, broken.
+
+    Raises:
+        InputError: a name is unknown, or the fleet cannot work on this layout.
+    """
+    planner = look_up(EFFORTS, effort, "effort")
+    tasks = find_domain(domain).tasks
+    config = fleet.FleetConfig(agents=agents, timesteps=timesteps, planner=planner)
+    done = run_seeds(layout, tasks, config, parse_seeds(seeds), record=check)
+    wrong = broken_rules(layout, tasks, config, done) if check else []
+    return {
+        "domain": domain,
+        "planner": f"windowed, {effort} effort",
+        "agents": agents,
+        "timesteps": timesteps,
+        "runs": [describe(seed, run) for seed, run in zip(done.seeds, done.runs, strict=True)],
+        "mean_throughput": mean_throughput(done.runs),
+        "success_rate": float(np.mean([not run.congested for run in done.runs])),
+        "cpu_seconds_per_run": round(done.cpu_seconds / len(done.runs), 4),
+        "compile_seconds": round(done.compile_seconds, 3),
+        "valid": not wrong if check else None,
+        "broken": wrong,
+    }
+
+
+def broken_rules(
+    layout: np.ndarray, tasks: TaskRule, config: fleet.FleetConfig, done: Simulated
+) -> list[str]:
+    """Audit all recorded runs; returns what they did against the rules, with the seed."""
+    return [
+        f"seed {seed}: {found}"
+        for seed, run, tape in zip(done.seeds, done.runs, done.recordings, strict=True)
+        for found in audit(layout, tasks, trajectory_of(tape), run, config.horizon)
+    ]
+
+
+def describe(seed: int, run: Traffic) -> dict[str, Any]:
+    """Reduce one run to its JSON-ready numbers."""
+    return {
+        "seed": int(seed),
+        "throughput": float(run.throughput),
+        "congested": bool(run.congested),
+        "end_timestep": int(run.end_timestep),
+        "finished_tasks": int(run.finished.sum()),
+    }
+
+
+def mean_throughput(runs: Sequence[Traffic]) -> float:
+    """Average over the runs that never congested, as published tables do; else over all."""
+    smooth = [run.throughput for run in runs if not run.congested]
+    return float(np.mean(smooth or [run.throughput for run in runs]))

@@ -1,0 +1,1 @@
+"""Training: the loop of a search, its configuration, its run directory."""

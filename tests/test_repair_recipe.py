@@ -1,0 +1,182 @@
+"""The whole repair: optimal where enumeration can tell, feasible for every kind of rule."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from qdenv.bench.repair import rules_at_size
+from qdenv.domains import find_domain
+from qdenv.formats.layouts import read_layout
+from qdenv.repair.audit import audit
+from qdenv.repair.bounds import impossible
+from qdenv.repair.cuts import separate
+from qdenv.repair.program import build, decode, encode
+from qdenv.repair.recipe import RepairConfig, repair
+from qdenv.types import Adjacency, Count, InputError, RepairStatus, Rules
+
+LAYOUTS = Path(__file__).parents[2] / "shared" / "reference" / "layouts"
+FULL = RepairConfig("full", moves_per_cell=300)
+
+
+def yard(rows: int, cols: int, low: int, high: int | None, **changes) -> Rules:
+    """A warehouse without a frame."""
+    rules = Rules(
+        tiles=".@e",
+        counts=(Count("@", low, high),),
+        adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
+        connected=".e",
+        allowed=np.ones((rows, cols, 3), bool),
+        change_cost=np.ones((rows, cols)),
+    )
+    return rules._replace(**changes)
+
+
+def factory(rows: int, cols: int, **changes) -> Rules:
+    rules = find_domain("manufacturing").rules(rows, cols, 0)
+    return rules._replace(**changes)
+
+
+def feasible_layouts(rules: Rules) -> np.ndarray:
+    """List every layout that obeys the rules, by enumeration (int8 [n, H, W])."""
+    rows, cols, kinds = rules.allowed.shape
+    everything = itertools.product(range(kinds), repeat=rows * cols)
+    drawn = (np.array(tiles, np.int8).reshape(rows, cols) for tiles in everything)
+    low, high = rules.counts[0].low, rules.counts[0].high
+    counted = (layout for layout in drawn if low <= (layout == 1).sum() <= high)
+    return np.array([layout for layout in counted if not audit(layout, rules)])
+
+
+@pytest.mark.parametrize("changes", [{}, {"change_cost": np.arange(1.0, 10.0).reshape(3, 3)}])
+def test_full_repair_is_optimal_on_every_tried_tiny_layout(changes):
+    rules = yard(3, 3, 2, 2, **changes)
+    candidates, rng = feasible_layouts(rules), np.random.default_rng(0)
+    assert len(candidates) > 50
+    for _ in range(12):
+        layout = rng.integers(0, 3, (3, 3)).astype(np.int8)
+        best = ((candidates != layout) * rules.change_cost).sum((1, 2)).min()
+        found = repair(layout, rules, 0, FULL)
+        assert found.cost == best
+        assert found.lower_bound <= best
+        assert audit(found.layout, rules) == []
+
+
+def test_program_prices_and_accepts_exactly_what_the_rules_do():
+    """Every constraint but connectivity, over all layouts of a tiny canvas."""
+    home = np.array([[0, 1], [2, 2], [1, 0]], np.int8)
+    rules = yard(3, 2, 1, 2, aisle=2)
+    program = build(home, rules)
+    free = rules._replace(connected=".e")
+    for tiles in itertools.product(range(3), repeat=6):
+        layout = np.array(tiles, np.int8).reshape(3, 2)
+        values = encode(program, layout, rules, home)
+        accepted = (program.rows @ values >= program.low - 1e-9).all()
+        accepted &= (program.rows @ values <= program.high + 1e-9).all()
+        others = [found for found in audit(layout, free) if "unconnected" not in found.message]
+        assert accepted == (not others), layout
+        assert program.cost @ values + program.constant == (layout != home).sum()
+        assert (decode(program, values, home.shape) == layout).all()
+
+
+def test_kinds_counted_apart_are_priced_when_they_must_change():
+    """Four stations of one kind, two kinds missing: two of them change their kind."""
+    layout = np.array([[1, 4, 1, 0], [0, 0, 0, 0], [1, 4, 1, 0]], np.int8)
+    found = repair(layout, factory(3, 4), 0, FULL)
+    assert (found.cost, found.status) == (2, RepairStatus.OPTIMAL)
+
+
+def test_cuts_forbid_the_pocket_and_no_connected_layout():
+    drives = np.ones((4, 4), bool)
+    drives[[0, 1, 1], [1, 0, 1]] = False  # the corner is cut off
+    always = np.zeros((4, 4), bool)
+    cuts = separate(drives, always)
+    assert cuts
+    rng = np.random.default_rng(0)
+
+    def holds(cut, area):
+        flat = area.ravel()
+        return flat[cut.ends].sum() - flat[cut.gates].sum() <= len(cut.ends) - 1
+
+    assert not any(holds(cut, drives) for cut in cuts)
+    for _ in range(300):
+        area = rng.random((4, 4)) < 0.7
+        if not separate(area, always):
+            assert all(holds(cut, area) for cut in cuts)
+
+
+def test_engineers_rules_are_kept():
+    """Keep-out, a fixed door, a fixed column, a count range and an aisle at once."""
+    allowed = np.ones((10, 12, 3), bool)
+    allowed[4:6, :, 1] = False  # keep-out: no shelf on the main lane
+    allowed[0, 5] = [True, False, False]  # door
+    allowed[7:9, 9] = [False, True, False]  # column
+    rules = yard(10, 12, 8, 12, allowed=allowed, aisle=2)
+    for seed in range(3):
+        layout = np.random.default_rng(seed).integers(0, 3, (10, 12)).astype(np.int8)
+        found = repair(layout, rules, seed, RepairConfig("quick"))
+        assert audit(found.layout, rules) == []
+        assert 0 < found.lower_bound <= found.cost
+
+
+def test_rules_without_connectivity_or_adjacency():
+    rules = yard(4, 5, 3, 3, connected="", adjacency=())
+    found = repair(np.full((4, 5), 1, np.int8), rules)
+    assert (found.cost, found.status) == (17, RepairStatus.OPTIMAL)
+
+
+def test_a_feasible_layout_stays_as_it_is():
+    rules = yard(3, 4, 2, 2)
+    layout = np.array([[0, 0, 1, 2], [2, 1, 0, 0], [0, 0, 0, 0]], np.int8)
+    found = repair(layout, rules)
+    assert (found.layout == layout).all()
+    assert (found.cost, found.status) == (0, RepairStatus.OPTIMAL)
+
+
+def test_seeds_and_batches():
+    rules = yard(8, 9, 14, 14)
+    layout = np.full((8, 9), 2, np.int8)
+    one, again, other = (repair(layout, rules, seed, FULL) for seed in (1, 1, 2))
+    assert (one.layout == again.layout).all()
+    assert (one.layout != other.layout).any()
+    assert one.cost == other.cost
+
+
+@pytest.mark.parametrize("shelves", [0, 1, 8, 16])
+def test_any_possible_number_of_shelves_is_reached(shelves):
+    rules = find_domain("warehouse-even").rules(6, 9, shelves)
+    assert impossible(rules) is None
+    for tile in range(3):
+        layout = np.where(rules.allowed[..., tile], tile, rules.allowed.argmax(-1)).astype(np.int8)
+        found = repair(layout, rules, 0, RepairConfig("none"))
+        assert audit(found.layout, rules) == []
+
+
+def test_impossible_rules_return_at_once():
+    layout = np.zeros((3, 3), np.int8)
+    found = repair(layout, yard(3, 3, 9, 9))
+    assert found.status == RepairStatus.IMPOSSIBLE
+    assert (found.layout == layout).all() and np.isinf(found.cost)
+
+
+def test_unknown_polish_is_refused():
+    with pytest.raises(InputError, match="none, quick, full"):
+        RepairConfig("thorough")
+
+
+@pytest.mark.skipif(not LAYOUTS.exists(), reason="the published layouts are not beside the project")
+@pytest.mark.parametrize(
+    ("name", "domain", "best"),
+    [
+        ("warehouse_even_nca_a5_unrepaired", "warehouse-even", 32),
+        ("warehouse_uneven_nca_a5_unrepaired", "warehouse-even", 147),
+        ("manufacturing_nca_a5_unrepaired", "manufacturing", 147),
+    ],
+)
+def test_published_layouts_are_repaired_to_the_proven_optimum(name, domain, best):
+    rules = rules_at_size(domain)
+    layout = read_layout(LAYOUTS / f"{name}.json", rules.tiles)
+    found = repair(layout, rules, 0, RepairConfig("full", moves_per_cell=500))
+    assert (found.cost, found.lower_bound) == (best, best)
+    assert found.status == RepairStatus.OPTIMAL
+    assert audit(found.layout, rules) == []

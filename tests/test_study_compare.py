@@ -1,0 +1,150 @@
+"""Layouts side by side and up to their peaks: oracles, closed forms, one line per mistake."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from qdenv import cli, grid
+from qdenv.domains import find_domain
+from qdenv.formats.layouts import write_layout
+from qdenv.score.traffic import wilson_interval
+from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.simulate.mapf.pibt import planner as pibt
+from qdenv.study.compare import Compared, climb, compare, find_peak, name_layouts, write_comparison
+from qdenv.study.sweep import SweepRow
+from qdenv.study.traffic import Simulated, run_seeds
+from qdenv.types import InputError, Traffic
+
+WAREHOUSE = find_domain("warehouse-even")
+# The plainest planner compiles fast; layouts of one size and one largest fleet share a program.
+CONFIG = FleetConfig(agents=60, timesteps=60, planner=pibt.rollout)
+SEEDS = (0, 1, 2)
+PUBLISHED = Path(__file__).parents[2] / "shared/reference/layouts"
+
+
+def row(agents: int, mean: float, name: str = "a") -> Compared:
+    return Compared(name, 9, 12, SweepRow(agents, 3, mean, 0.1, 1.0, 0.4, 1.0, mean, 0.0))
+
+
+@pytest.fixture(scope="module")
+def layouts() -> dict[str, np.ndarray]:
+    human = WAREHOUSE.design(9, 12)
+    narrow = grid.parse(
+        [
+            "............",
+            "w..........w",
+            *["..@@@@@@@@..", "..eeeeeeee.."] * 3,
+            "............",
+        ],
+        WAREHOUSE.tiles,
+    )
+    return {"human": human, "narrow": narrow}
+
+
+def test_rows_agree_with_the_runs_they_summarise(layouts):
+    told = []
+    rows = compare(layouts, WAREHOUSE.tasks, CONFIG, (12, 60), SEEDS, told.append)
+    names = [(found.layout, found.traffic.agents) for found in rows]
+    assert names == [("human", 12), ("human", 60), ("narrow", 12), ("narrow", 60)]
+    assert told == rows
+    for found in rows:
+        assert (found.rows, found.cols) == (9, 12)
+        layout, agents = layouts[found.layout], found.traffic.agents
+        runs = run_seeds(layout, WAREHOUSE.tasks, CONFIG, SEEDS, agents).runs
+        every = np.array([run.throughput for run in runs])
+        good = np.array([not run.congested for run in runs])
+        traffic = found.traffic
+        assert traffic.mean_of_all == pytest.approx(every.mean())
+        assert traffic.success_rate == pytest.approx(good.mean())
+        low, high = wilson_interval(int(good.sum()), 3)
+        assert (traffic.success_low, traffic.success_high) == (low, high)
+        if good.any():
+            assert traffic.throughput == pytest.approx(every[good].mean())
+        if good.sum() > 1:
+            error = every[good].std(ddof=1) / np.sqrt(good.sum())
+            assert traffic.standard_error == pytest.approx(error)
+
+
+def test_a_climb_stops_at_the_first_drop(layouts, monkeypatch):
+    throughput = {10: 1.0, 20: 1.9, 30: 2.4, 40: 2.3, 50: 9.0}
+
+    def runs_of(layout, tasks, config, seeds, agents):
+        assert config.agents == 50  # one program for all numbers
+        runs = [Traffic(throughput[agents] + seed, False, *[None] * 5) for seed in seeds]
+        return Simulated(tuple(seeds), runs, [], 0.0, 0.0)
+
+    monkeypatch.setattr("qdenv.study.compare.run_seeds", runs_of)
+    told = []
+    counts = [30, 10, 20, 40, 50, 5000]
+    way = climb("a", layouts["human"], WAREHOUSE.tasks, CONFIG, counts, (0, 1), told.append)
+    assert [found.traffic.agents for found in way] == [10, 20, 30, 40]
+    assert told == way
+    assert find_peak(way)[3:] == (30, pytest.approx(2.9), 1.0, True)
+
+
+def test_numbers_that_do_not_fit_are_left_out(layouts):
+    way = climb("human", layouts["human"], WAREHOUSE.tasks, CONFIG, (12, 60, 5000), (0,))
+    assert {found.traffic.agents for found in way} <= {12, 60}
+    with pytest.raises(InputError, match="human: 500 agents do not fit"):
+        climb("human", layouts["human"], WAREHOUSE.tasks, CONFIG, (500,), (0,))
+
+
+def test_peaks_of_made_up_ways():
+    assert find_peak([row(50, 1.0), row(100, 3.0), row(150, 2.0)])[3:5] == (100, 3.0)
+    assert find_peak([row(50, 1.0), row(100, 3.0)]).dropped is False
+
+
+def test_names_are_short_where_they_can_be():
+    one, other, third = Path("runs/a/best.json"), Path("runs/b/best.json"), Path("x/human.json")
+    names = name_layouts([one, other, third])
+    assert names == {str(one): one, str(other): other, "human": third}
+
+
+def test_the_table_holds_every_number(tmp_path):
+    write_comparison(tmp_path / "a.csv", [row(50, 1.5), row(50, 2.5, "b")])
+    table = list(csv.DictReader((tmp_path / "a.csv").open()))
+    assert [(line["layout"], line["throughput"]) for line in table] == [("a", "1.5"), ("b", "2.5")]
+    assert list(table[0]) == ["layout", "rows", "cols", *SweepRow._fields]
+
+
+def test_commands_compare_and_climb(layouts, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(EFFORTS, "low", pibt.rollout)
+    paths = []
+    for name, layout in layouts.items():
+        paths.append(str(tmp_path / f"{name}.json"))
+        write_layout(tmp_path / f"{name}.json", layout, WAREHOUSE.tiles)
+    out = ["--timesteps", "60", "--seeds", "1", "--effort", "low", "--out", str(tmp_path / "t.csv")]
+    assert cli.run(["compare", *paths, "--agents", "2,60", *out]) == 0
+    lines = [line.split()[:3] for line in capsys.readouterr().out.splitlines()[1:-1]]
+    assert lines == [[n, "9x12", a] for n in ("human", "narrow") for a in ("2", "60")]
+    assert (tmp_path / "t.png").stat().st_size > 5000
+    assert cli.run(["scalability", *paths, "--agents", "2,60", *out]) == 0
+    assert "human: peak " in capsys.readouterr().out
+    assert len((tmp_path / "t.csv").read_text().splitlines()) == 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "at least one layout"),
+        (["missing.json"], "missing.json: cannot be read"),
+        (["FILE", "--agents", "900"], "human: 900 agents"),
+        (["FILE", "--agents", "many"], "write 200, or 50,100"),
+        (["FILE", "--domain", "manufacturing"], "unknown tile"),
+        (["FILE", "--domain", "garden"], "unknown domain"),
+        (["FILE", "--seeds", "0"], "at least one seed"),
+        (["FILE", "--timesteps", "0"], "at least one agent and one timestep"),
+    ],
+)
+@pytest.mark.parametrize("command", ["compare", "scalability"])
+def test_mistakes_get_one_line(layouts, tmp_path, capsys, command, arguments, said):
+    path = tmp_path / "human.json"
+    write_layout(path, layouts["human"], WAREHOUSE.tiles)
+    given = [str(path) if part == "FILE" else part for part in arguments]
+    assert cli.run([command, *given, "--out", str(tmp_path / "t.csv")]) == 2
+    line = capsys.readouterr().err.strip()
+    assert said in line
+    assert "\n" not in line

@@ -1,0 +1,247 @@
+"""Layouts of other sizes: growing, tiling, series, reproducibility, and one line per mistake."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from qdenv import cli, grid
+from qdenv.domains import find_domain
+from qdenv.domains.base import EvaluationConfig
+from qdenv.formats.layouts import read_layout, write_layout
+from qdenv.generate.nca import make_generator
+from qdenv.pipeline import make_pipeline
+from qdenv.repair.audit import audit
+from qdenv.repair.pool import RepairPool
+from qdenv.repair.recipe import RepairConfig
+from qdenv.study import sizes
+from qdenv.study.elites import grow_elite, grow_series, repair_grown
+from qdenv.train.config import RunConfig
+from qdenv.train.records import RunDirectory
+from qdenv.types import InputError
+
+SMALL = EvaluationConfig(
+    rows=11, cols=12, steps=8, kernel_sizes=(3, 1, 1), hidden=8, shelves=12, agents=4, timesteps=20
+)
+WAREHOUSE, MANUFACTURING = find_domain("warehouse-even"), find_domain("manufacturing")
+
+
+def make_run(path: Path, domain: str = "warehouse-even") -> RunDirectory:
+    """Write a run with three random elites, in cells (1, 2), (3, 0) and (3, 4) of 5 x 5."""
+    config = RunConfig(evaluation=replace(SMALL, domain=domain), seed=7)
+    kind = find_domain(domain)
+    measures = [measure._replace(cells=5) for measure in kind.measures]
+    run = RunDirectory.create(path, config, measures, kind.tiles)
+    size = make_generator(len(kind.generated), SMALL.kernel_sizes, SMALL.hidden).size
+    solutions = np.random.default_rng(1).normal(0, 0.6, (3, size)).astype(np.float32)
+    objective = np.array([1.0, 3.0, 2.0], np.float32)
+    run.save_archive(
+        {"index": np.array([7, 15, 19]), "solution": solutions, "objective": objective}
+    )
+    return run
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> RunDirectory:
+    return make_run(tmp_path_factory.mktemp("runs") / "warehouse")
+
+
+def shelves(layout: np.ndarray) -> int:
+    return int((layout == WAREHOUSE.tiles.index("@")).sum())
+
+
+def test_a_series_scales_shelves_with_the_generated_area_and_obeys_the_rules(run):
+    series = list(sizes.grow_sizes(run, "best", [(11, 12), (14, 13), (9, 9)]))
+    # 12 shelves on 11 x 8 generated cells: one per 7.33.
+    assert [item.shelves for item in series] == [12, round(14 * 9 * 12 / 88), round(45 * 12 / 88)]
+    for item in series:
+        assert item.layout.shape == (item.rows, item.cols)
+        assert shelves(item.layout) == item.shelves
+        assert audit(item.layout, WAREHOUSE.rules(item.rows, item.cols, item.shelves)) == []
+    assert series[0].steps == 8
+    assert series[1].steps == round(8 * 14 / 11)
+    assert series[2].steps == 8
+
+
+def test_figure_18_scales_to_the_published_designs_numbers(run):
+    paper = replace(run.config.evaluation, rows=33, cols=36, shelves=240)
+    scaled = [sizes.scaled_shelves(WAREHOUSE, paper, *shape) for shape in sizes.SIZES]
+    designed = [shelves(sizes.human_layout(WAREHOUSE, *shape)) for shape in sizes.SIZES]
+    assert scaled[0] == designed[0] == 240
+    assert scaled[-1] == designed[-1] == 2250
+    assert scaled == pytest.approx(designed, rel=0.02)
+
+
+@pytest.mark.parametrize("shape", [(9, 9), (60, 61)])
+def test_any_canvas_grows(run, shape):
+    grown = grow_elite(run, "best", shape)
+    assert grown.layout.shape == shape
+    assert audit(repair_grown(grown, RepairConfig("none")).layout, rules_of(grown)) == []
+
+
+def rules_of(grown):
+    return grown.domain.rules(*grown.layout.shape, grown.shelves)
+
+
+def test_frames_end_with_the_layout_that_is_repaired(run):
+    grown = grow_elite(run)
+    steps, frames = sizes.grow_frames(run, grown, 3)
+    assert steps == [0, 3, 6, 8]
+    np.testing.assert_array_equal(frames[-1], grown.layout)
+    block = frames[0][:, 2:-2] != 0
+    assert int(block.sum()) == 6  # nothing but the seed block before the first step
+
+
+def test_tiling_repeats_the_inside_and_renews_the_frame():
+    rows = ["..........", "w.ee.e.e.w", "..@@.@.@..", "w.ee.e.e.w", ".........."]
+    small = grid.parse(rows, WAREHOUSE.tiles)
+    large = grid.draw(sizes.tile_layout(WAREHOUSE, small, (9, 14)), WAREHOUSE.tiles)
+    assert large == [
+        "..............",
+        "w.ee.e.eee.e.w",
+        "..@@.@.@@@.@..",
+        "..ee.e.eee.e..",
+        "w............w",
+        "..............",
+        "..ee.e.eee.e..",
+        "w.@@.@.@@@.@.w",
+        "..ee.e.eee.e..",
+    ]
+
+
+def test_a_tiled_layout_obeys_the_rules_with_shelves_scaled():
+    small = sizes.human_layout(WAREHOUSE, 9, 14)
+    tiled = sizes.tile(WAREHOUSE, small, (20, 23), config=RepairConfig("none"))
+    assert tiled.shelves == round(20 * 19 * shelves(small) / 90) == shelves(tiled.layout)
+    assert audit(tiled.layout, WAREHOUSE.rules(20, 23, tiled.shelves)) == []
+
+
+def test_a_tiled_factory_keeps_its_pattern_where_the_copies_meet_well():
+    small = sizes.human_layout(MANUFACTURING, 17, 18)
+    tiled = sizes.tile(MANUFACTURING, small, (34, 36), config=RepairConfig("none"))
+    assert tiled.changed == 0
+    np.testing.assert_array_equal(tiled.layout, np.tile(small, (2, 2)))
+
+
+@pytest.mark.parametrize("domain", [WAREHOUSE, MANUFACTURING], ids=lambda domain: domain.name)
+def test_the_same_seed_gives_the_same_layouts_whatever_the_batch(domain):
+    config = replace(SMALL, domain=domain.name, repair=RepairConfig("none", workers=2))
+    pipeline = make_pipeline(domain, config)
+    solutions = np.random.default_rng(4).normal(0, 0.6, (6, pipeline.solution_size))
+    solutions = solutions.astype(np.float32)
+    together = np.asarray(jax.jit(pipeline.grow)(solutions))
+    rules = domain.rules(11, 12, 12)
+    threads = pipeline.pool.repair(together, 3).layout
+    for index, one in enumerate(solutions):
+        alone = np.asarray(jax.jit(pipeline.grow)(one[None]))[0]
+        later = grow_series(domain, config, one, (11, 12), [config.steps])[0]
+        np.testing.assert_array_equal(alone, together[index])
+        np.testing.assert_array_equal(later, together[index])
+    with RepairPool(rules, replace(config.repair, workers=1)) as single:
+        backwards = single.repair(together[::-1], 3).layout[::-1]
+        np.testing.assert_array_equal(backwards, threads)
+    pipeline.pool.close()
+    assert len({layout.tobytes() for layout in together}) > 1
+
+
+def test_other_repair_seeds_give_other_layouts(run):
+    first, again, other = (
+        next(sizes.grow_sizes(run, "best", [(14, 15)], seed=seed)).layout for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()
+
+
+def test_commands_write_layouts_pictures_and_a_table(run, tmp_path, capsys):
+    out = tmp_path / "series"
+    sized = ["--sizes", "11x12", "14x15"]
+    assert cli.run(["series", str(run.path), *sized, "--human", "--out", str(out)]) == 0
+    table = list(csv.DictReader((out / "series.csv").open()))
+    assert [(row["rows"], row["cols"]) for row in table] == [("11", "12"), ("14", "15")]
+    for row in table:
+        layout = read_layout(out / f"nca_{row['rows']}x{row['cols']}.json", WAREHOUSE.tiles)
+        assert shelves(layout) == int(row["shelves"])
+    assert (out / "human_14x15.png").stat().st_size > 1000
+    target = tmp_path / "frames.json"
+    frames = ["generate", str(run.path), "--frames", "4", "--out", str(target)]
+    assert cli.run([*frames, "--rows", "9", "--cols", "9"]) == 0
+    assert (tmp_path / "frames_frames.png").stat().st_size > 1000
+    tiled = ["layout", "tile", str(target), "--rows", "13", "--cols", "14", "--out", str(target)]
+    assert cli.run(tiled) == 0
+    assert "tiled_from frames.json" in capsys.readouterr().out
+    design = ["--domain", "manufacturing", "--rows", "13", "--cols", "14", "--out", str(target)]
+    assert cli.run(["layout", "human", *design]) == 0
+    layout = json.loads(target.read_text())["layout"]
+    assert layout == grid.draw(MANUFACTURING.design(13, 14), MANUFACTURING.tiles)
+
+
+def refusal(arguments: list[str], capsys) -> str:
+    """Run a command that must fail, and give the one line it says."""
+    assert cli.run(arguments) == 2
+    said = capsys.readouterr().err.strip()
+    assert said.startswith("qdenv: ")
+    assert "\n" not in said
+    return said
+
+
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        (["--elite", "0,0"], "the nearest elite is"),
+        (["--elite", "9,9"], 'give "best" or indices below (5, 5)'),
+        (["--elite", "worst"], 'give "best"'),
+        (["--rows", "2"], "smaller than the seed block of 3 x 2"),
+        (["--cols", "5"], "smaller than the seed block"),
+        (["--cols", "3"], "smaller than the seed block"),
+        (["--shelves", "88"], "shelves"),
+        (["--frames", "0"], "give 1 or more"),
+    ],
+)
+def test_generate_refuses_in_one_line(run, tmp_path, capsys, extra, said):
+    out = ["--out", str(tmp_path / "layout.json")]
+    assert said in refusal(["generate", str(run.path), *extra, *out], capsys)
+    assert not (tmp_path / "layout.json").exists()
+
+
+def test_series_refuses_in_one_line(run, tmp_path, capsys):
+    base = ["series", str(run.path), "--out", str(tmp_path)]
+    assert "like 57x58" in refusal([*base, "--sizes", "57"], capsys)
+    assert "like 57x58" in refusal([*base, "--sizes", "0x9"], capsys)
+    assert "2 numbers of steps for 1 sizes" in refusal(
+        [*base, "--sizes", "9x9", "--steps", "5", "6"], capsys
+    )
+
+
+def test_runs_that_do_not_fit_are_refused_in_one_line(tmp_path, capsys):
+    assert "no run here" in refusal(["generate", str(tmp_path / "nothing")], capsys)
+    for name, file, change, said in [
+        ("newer", "manifest.json", {"schema": 99}, "newer qdenv"),
+        ("foreign", "config.json", {"domain": "garden"}, "unknown domain 'garden'"),
+        ("other", "config.json", {"domain": "manufacturing"}, "parameters given, this NCA has"),
+    ]:
+        path = make_run(tmp_path / name).path
+        content = json.loads((path / file).read_text())
+        inner = content["evaluation"] if file == "config.json" else content
+        inner.update(change)
+        (path / file).write_text(json.dumps(content))
+        assert said in refusal(["generate", str(path)], capsys)
+        assert said in refusal(["series", str(path), "--sizes", "9x9"], capsys)
+
+
+def test_baselines_refuse_in_one_line(tmp_path, capsys):
+    size = ["--rows", "4", "--cols", "4", "--out", str(tmp_path / "a.json")]
+    assert "too small" in refusal(["layout", "human", *size], capsys)
+    said = refusal(["layout", "human", "--domain", "manufacturing", *size], capsys)
+    assert "too few for every kind" in said
+    factory = tmp_path / "factory.json"
+    write_layout(factory, MANUFACTURING.design(9, 9), MANUFACTURING.tiles)
+    assert "unknown tile" in refusal(["layout", "tile", str(factory), *size], capsys)
+    with pytest.raises(InputError, match="nobody designs layouts"):
+        sizes.human_layout(replace(WAREHOUSE, design=None), 9, 9)
+    small = WAREHOUSE.design(9, 9)
+    with pytest.raises(InputError, match="no room inside the frame"):
+        sizes.tile_layout(WAREHOUSE, small, (9, 4))
