@@ -37,7 +37,7 @@ AGENT_STEPS = 1_000_000
 
 def programs(rule: TaskRule, config: fleet.FleetConfig):
     prepare = jax.jit(lambda layout: fleet.prepare(layout, rule, config))
-    run = jax.jit(lambda problem, key, agents: fleet.record(problem, key, rule, config, agents))
+    run = jax.jit(lambda world, key, agents: fleet.record(world, key, rule, config, agents))
     return prepare, run
 
 
@@ -130,8 +130,8 @@ def test_the_host_pushes_as_xla_does():
     size, count = SHAPE[0] * SHAPE[1], 70
 
     @jax.jit
-    def both(*situation):
-        return [step(*situation, size) for step in (pibt.one_step, pibt_on_host.one_step)]
+    def both(*state):
+        return [step(*state, size) for step in (pibt.one_step, pibt_on_host.one_step)]
 
     moved = 0
     for seed in range(200):
@@ -157,10 +157,10 @@ def test_the_host_pushes_as_xla_does():
     assert moved > 200 * count / 4
 
 
-def stand(problem, situation, horizon, key):
+def stand(world, state, horizon, key):
     """A user's own planner: nobody ever moves."""
-    del problem, horizon, key
-    return jnp.broadcast_to(situation.position, situation.previous.shape)
+    del world, horizon, key
+    return jnp.broadcast_to(state.position, state.previous.shape)
 
 
 def test_a_planner_plugs_in_from_outside_and_a_jam_ends_the_run():
@@ -227,24 +227,24 @@ def test_one_agent_drives_shortest_ways():
 def test_padding_agents_change_nothing_and_nothing_is_traced_twice():
     traced = 0
 
-    def counted(problem, situation, horizon, key):
+    def counted(world, state, horizon, key):
         nonlocal traced
         traced += 1
-        return pibt.rollout(problem, situation, horizon, key)
+        return pibt.rollout(world, state, horizon, key)
 
     layouts = [random_layout(np.random.default_rng(seed), 0.2) for seed in range(2)]
     wide = fleet.FleetConfig(agents=30, timesteps=40, planner=counted)
     prepare, run = programs(PLAIN, wide)
     for layout in layouts:
-        problem = prepare(jnp.asarray(layout))
+        world = prepare(jnp.asarray(layout))
         for agents in (10, 20, 30):
-            traffic, tape = run(problem, jax.random.key(agents), jnp.int32(agents))
+            traffic, tape = run(world, jax.random.key(agents), jnp.int32(agents))
             assert np.isclose(traffic.usage.sum(), 1)
             assert int(tape.active.sum()) == agents
     compiled_once = traced
     exact = fleet.FleetConfig(agents=10, timesteps=40, planner=pibt.rollout)
-    ours = programs(PLAIN, exact)[1](problem, jax.random.key(10), jnp.int32(10))[1]
-    theirs = run(problem, jax.random.key(10), jnp.int32(10))[1]
+    ours = programs(PLAIN, exact)[1](world, jax.random.key(10), jnp.int32(10))[1]
+    theirs = run(world, jax.random.key(10), jnp.int32(10))[1]
     np.testing.assert_array_equal(ours.positions[0], theirs.positions[0, :10])
     np.testing.assert_array_equal(ours.goals[0], theirs.goals[0, :10])
     assert traced == compiled_once <= 2
@@ -252,10 +252,10 @@ def test_padding_agents_change_nothing_and_nothing_is_traced_twice():
 
 def test_same_key_same_run_whatever_the_batch():
     prepare, run = WINDOWED
-    problem = prepare(jnp.asarray(random_layout(np.random.default_rng(5), 0.25)))
+    world = prepare(jnp.asarray(random_layout(np.random.default_rng(5), 0.25)))
     keys = jax.random.split(jax.random.key(1), 3)
-    batch = jax.jit(jax.vmap(lambda key: run(problem, key, jnp.int32(40))))(keys)
-    alone = [run(problem, key, jnp.int32(40)) for key in keys]
+    batch = jax.jit(jax.vmap(lambda key: run(world, key, jnp.int32(40))))(keys)
+    alone = [run(world, key, jnp.int32(40)) for key in keys]
     for index, single in enumerate(alone):
         jax.tree.map(
             lambda one, many, index=index: np.testing.assert_allclose(one, many[index], atol=1e-6),

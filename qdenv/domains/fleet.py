@@ -32,7 +32,7 @@ def fleet_simulator(rule: TaskRule) -> Callable[[EvaluationConfig], Simulator]:
         )
         return Simulator(
             prepare=lambda layout: fleet.prepare(layout, rule, settings),
-            run=lambda problem, key: fleet.simulate(problem, key, rule, settings),
+            run=lambda world, key: fleet.simulate(world, key, rule, settings),
             lanes=1 if jax.default_backend() == "cpu" else ACCELERATOR_LANES,
         )
 

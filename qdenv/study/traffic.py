@@ -84,10 +84,10 @@ def run_seeds(
     begin = time.process_time()
     prepare, simulate = _programs(tasks, config, layout.shape, record)
     compiled = time.process_time()
-    problem = prepare(layout)
+    world = prepare(layout)
 
     def one(seed: int) -> tuple:
-        return jax.tree.map(np.asarray, simulate(problem, jax.random.key(seed), np.int32(count)))
+        return jax.tree.map(np.asarray, simulate(world, jax.random.key(seed), np.int32(count)))
 
     # A compiled call leaves the interpreter lock, so threads use all cores.
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
@@ -118,15 +118,15 @@ def _programs(
 ) -> tuple[Callable, Callable]:
     """Compile the preparation and the simulation of layouts of one size."""
 
-    def run(problem: Any, key: Any, count: Any) -> tuple:
+    def run(world: Any, key: Any, count: Any) -> tuple:
         if record:
-            return fleet.record(problem, key, tasks, config, count)
-        return fleet.simulate(problem, key, tasks, config, count), None
+            return fleet.record(world, key, tasks, config, count)
+        return fleet.simulate(world, key, tasks, config, count), None
 
     layout = jax.ShapeDtypeStruct(shape, np.int8)
     prepare = jax.jit(lambda layout: fleet.prepare(layout, tasks, config))
-    problem = jax.eval_shape(prepare, layout)
-    arguments = (problem, jax.random.key(0), jax.ShapeDtypeStruct((), np.int32))
+    world = jax.eval_shape(prepare, layout)
+    arguments = (world, jax.random.key(0), jax.ShapeDtypeStruct((), np.int32))
     return prepare.lower(layout).compile(), jax.jit(run).lower(*arguments).compile()
 
 

@@ -5,6 +5,7 @@ Plan a window, drive its first steps, hand out new goals, plan again (RHCR; the 
 share one compiled program.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ from qdenv.simulate.mapf.metrics import (
 )
 from qdenv.simulate.mapf.negotiated.planner import LOW
 from qdenv.simulate.mapf.negotiated.xla.window import LONGEST_STAY, REACH
-from qdenv.simulate.mapf.planner import Planner, Problem, Situation
+from qdenv.simulate.mapf.planner import AgentState, World
 from qdenv.types import Array, InputError, TaskRule, Traffic
 
 
@@ -50,7 +51,7 @@ class FleetConfig:
     timesteps: int = 1000
     window: int = 10
     horizon: int = 5
-    planner: Planner = field(default=LOW)
+    planner: Callable = field(default=LOW)
     stop_when_congested: bool = True
     goal_capacity: int | None = None
 
@@ -82,7 +83,7 @@ class Fleet(NamedTuple):
     previous: Array
 
 
-def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> Problem:
+def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     """Build what all runs on `layout` (int8 [H, W]) share: goals, distances, walls.
 
     Raises:
@@ -98,27 +99,28 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> Problem:
     distance = goal_distances(traversable, goals.cells, used)
     margins = ((0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN))
     distance = jnp.pad(distance.reshape(capacity, rows, cols), margins, constant_values=UNREACHABLE)
-    return Problem(
+    return World(
         traversable=jnp.pad(traversable, MARGIN),
         goals=goals._replace(cells=walled(goals.cells, cols)),
         distance=distance.reshape(capacity, -1),
-        stays=jnp.asarray(tasks.stays(rule)),
+        service_time=jnp.asarray(tasks.stays(rule)),
         valid=goals.complete,
+        margin=MARGIN,
     )
 
 
-def place(problem: Problem, config: FleetConfig, active: Array, key: Array) -> Fleet:
+def place(world: World, config: FleetConfig, active: Array, key: Array) -> Fleet:
     """Put the agents on distinct random cells and draw their first goals; consumes the key."""
     start_key, *goal_keys = jax.random.split(key, 3)
     count = config.agents
-    luck = jax.random.uniform(start_key, (problem.traversable.size,))
-    luck = jnp.where(problem.traversable.reshape(-1), luck, -1.0)
+    luck = jax.random.uniform(start_key, (world.traversable.size,))
+    luck = jnp.where(world.traversable.reshape(-1), luck, -1.0)
     _, cells = jax.lax.top_k(luck, count)
     position = jnp.where(active, cells.astype(jnp.int32), 0)
     kind = jnp.zeros((count,), jnp.int32)
-    cycle = problem.stays.shape[0]
+    cycle = world.service_time.shape[0]
     goal = [
-        tasks.draw_goals(problem.goals, (kind + ahead) % cycle, goal_key)
+        tasks.draw_goals(world.goals, (kind + ahead) % cycle, goal_key)
         for ahead, goal_key in enumerate(goal_keys)
     ]
     still = jnp.broadcast_to(position, (config.window + 1, count))
@@ -126,15 +128,15 @@ def place(problem: Problem, config: FleetConfig, active: Array, key: Array) -> F
 
 
 def drive(
-    problem: Problem, fleet: Fleet, cell: Array, active: Array, key: Array
+    world: World, fleet: Fleet, cell: Array, active: Array, key: Array
 ) -> tuple[Fleet, Array]:
     """Move every agent to `cell` (int32 [A]) and serve goals; returns who finished (bool [A])."""
-    cycle = problem.stays.shape[0]
-    arrived = (fleet.serving == 0) & (cell == problem.goals.cells[fleet.goal[0]]) & active
-    left = jnp.where(arrived, problem.stays[fleet.kind], fleet.serving - 1)
+    cycle = world.service_time.shape[0]
+    arrived = (fleet.serving == 0) & (cell == world.goals.cells[fleet.goal[0]]) & active
+    left = jnp.where(arrived, world.service_time[fleet.kind], fleet.serving - 1)
     finished = (arrived | (fleet.serving > 0)) & (left <= 0)
     kind = jnp.where(finished, (fleet.kind + 1) % cycle, fleet.kind)
-    drawn = tasks.draw_goals(problem.goals, (kind + 1) % cycle, key)
+    drawn = tasks.draw_goals(world.goals, (kind + 1) % cycle, key)
     return fleet._replace(
         position=cell,
         kind=kind,
@@ -144,25 +146,25 @@ def drive(
     ), finished
 
 
-def situation_of(problem: Problem, fleet: Fleet, active: Array) -> Situation:
+def agent_state(world: World, fleet: Fleet, active: Array) -> AgentState:
     """Tell the planner what it needs to know."""
-    cycle = problem.stays.shape[0]
-    stay = problem.stays[jnp.stack([fleet.kind, (fleet.kind + 1) % cycle])]
-    return Situation(
+    cycle = world.service_time.shape[0]
+    stay = world.service_time[jnp.stack([fleet.kind, (fleet.kind + 1) % cycle])]
+    return AgentState(
         fleet.position, active, fleet.goal, stay, fleet.serving, fleet.age, fleet.previous
     )
 
 
 def run_window(
-    problem: Problem, config: FleetConfig, fleet: Fleet, active: Array, key: Array
+    world: World, config: FleetConfig, fleet: Fleet, active: Array, key: Array
 ) -> tuple[Fleet, Block]:
     """Plan a window and drive its first steps; consumes the key."""
     plan_key, goal_key = jax.random.split(key)
-    paths = config.planner(problem, situation_of(problem, fleet, active), config.horizon, plan_key)
+    paths = config.planner(world, agent_state(world, fleet, active), config.horizon, plan_key)
 
     def step(fleet: Fleet, inputs: tuple[Array, Array]) -> tuple[Fleet, Block]:
-        heading = problem.goals.cells[fleet.goal[0]]
-        fleet, finished = drive(problem, fleet, inputs[0], active, inputs[1])
+        heading = world.goals.cells[fleet.goal[0]]
+        fleet, finished = drive(world, fleet, inputs[0], active, inputs[1])
         return fleet, Block(fleet.position, fleet.serving, finished, heading)
 
     executed = paths[1 : config.horizon + 1]
@@ -173,29 +175,29 @@ def run_window(
 
 
 def _run(
-    problem: Problem, key: Array, config: FleetConfig, agents: Array | None, keep: bool
+    world: World, key: Array, config: FleetConfig, agents: Array | None, keep: bool
 ) -> tuple[Traffic, Recording | None]:
     """Simulate until T or congestion, keeping every step if asked."""
     asked = config.agents if agents is None else agents
     active = jnp.arange(config.agents) < asked
-    room = problem.traversable.sum() >= asked
-    problem = problem._replace(valid=problem.valid & room & (asked <= config.agents))
+    room = world.traversable.sum() >= asked
+    world = world.replace(valid=world.valid & room & (asked <= config.agents))
     place_key, drive_key = jax.random.split(key)
-    fleet = place(problem, config, active, place_key)
+    fleet = place(world, config, active, place_key)
     blocks = -(-config.timesteps // config.horizon)
-    tally = empty_tally(problem, blocks * config.horizon)
+    tally = empty_tally(world, blocks * config.horizon)
     tape = Tape.empty(fleet.position, blocks * config.horizon) if keep else None
 
     def going(carry: tuple) -> jax.Array:
         tally = carry[1]
         halted = tally.congested & config.stop_when_congested
-        return problem.valid & (tally.time < config.timesteps) & ~halted
+        return world.valid & (tally.time < config.timesteps) & ~halted
 
     def window(carry: tuple) -> tuple:
         fleet, tally, tape = carry
         at_work = active & going(carry)  # a finished lane of a batch has nobody left to plan
         step_key = jax.random.fold_in(drive_key, tally.time)
-        after, block = run_window(problem, config, fleet, at_work, step_key)
+        after, block = run_window(world, config, fleet, at_work, step_key)
         whole = tally.time + config.horizon <= config.timesteps
         jam = whole & is_congested(fleet.position, block, fleet.serving, active)
         tape = tape.store(block, tally.time) if keep else None
@@ -203,19 +205,19 @@ def _run(
         return after, tally._replace(congested=tally.congested | jam), tape
 
     fleet, tally, tape = jax.lax.while_loop(going, window, (fleet, tally, tape))
-    traffic = summarise(problem, tally, active, config.timesteps)
-    last_goal = problem.goals.cells[fleet.goal[0]]
-    kept = recording_of(tape, tally, last_goal, active, problem, config.timesteps) if keep else None
+    traffic = summarise(world, tally, active, config.timesteps)
+    last_goal = world.goals.cells[fleet.goal[0]]
+    kept = recording_of(tape, tally, last_goal, active, world, config.timesteps) if keep else None
     return traffic, kept
 
 
 def simulate(
-    problem: Problem, key: Array, rule: TaskRule, config: FleetConfig, agents: Array | None = None
+    world: World, key: Array, rule: TaskRule, config: FleetConfig, agents: Array | None = None
 ) -> Traffic:
     """Run one simulation until T, or until it congests.
 
     Args:
-        problem: from `prepare`, with the same rule and config.
+        world: from `prepare`, with the same rule and config.
         key: consumed; decides starts, goals and ties.
         rule: what the agents do.
         config: the numbers.
@@ -224,13 +226,13 @@ def simulate(
     Returns:
         `Traffic`. A layout with too few free cells or without goals counts as congested at once.
     """
-    del rule  # the problem holds all of it that a run needs
-    return _run(problem, key, config, agents, keep=False)[0]
+    del rule  # the world holds all of it that a run needs
+    return _run(world, key, config, agents, keep=False)[0]
 
 
 def record(
-    problem: Problem, key: Array, rule: TaskRule, config: FleetConfig, agents: Array | None = None
+    world: World, key: Array, rule: TaskRule, config: FleetConfig, agents: Array | None = None
 ) -> tuple[Traffic, Recording]:
     """Run the same simulation as `simulate` and keep every step of it."""
     del rule
-    return _run(problem, key, config, agents, keep=True)
+    return _run(world, key, config, agents, keep=True)

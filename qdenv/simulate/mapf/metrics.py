@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.simulate.mapf.negotiated.xla.window import REACH
-from qdenv.simulate.mapf.planner import Problem
+from qdenv.simulate.mapf.planner import World
 from qdenv.types import Array, Traffic
 
 MARGIN = REACH  # rows and columns of walls around the grid
@@ -42,13 +42,13 @@ class Tally(NamedTuple):
     moves: Array  # int32
 
 
-def empty_tally(problem: Problem, timesteps: int) -> Tally:
+def empty_tally(world: World, timesteps: int) -> Tally:
     """Begin to count."""
     return Tally(
         time=jnp.int32(0),
         congested=jnp.bool_(False),
         finished=jnp.zeros((timesteps,), jnp.int32),
-        visits=jnp.zeros((problem.traversable.size,), jnp.int32),
+        visits=jnp.zeros((world.traversable.size,), jnp.int32),
         moves=jnp.int32(0),
     )
 
@@ -97,15 +97,15 @@ def count_block(tally: Tally, start: Array, block: Block, active: Array, timeste
     )
 
 
-def summarise(problem: Problem, tally: Tally, active: Array, timesteps: int) -> Traffic:
+def summarise(world: World, tally: Tally, active: Array, timesteps: int) -> Traffic:
     """Turn the tally into the record that other stages read."""
     finished = tally.finished[:timesteps]
-    visits = tally.visits.reshape(problem.traversable.shape)[MARGIN:-MARGIN, MARGIN:-MARGIN]
+    visits = tally.visits.reshape(world.traversable.shape)[MARGIN:-MARGIN, MARGIN:-MARGIN]
     steps = jnp.maximum(tally.time * active.sum(), 1).astype(jnp.float32)
     total = finished.sum()
     return Traffic(
         throughput=total / jnp.float32(timesteps),
-        congested=tally.congested | ~problem.valid,
+        congested=tally.congested | ~world.valid,
         end_timestep=tally.time,
         finished=finished,
         usage=visits / jnp.maximum(visits.sum(), 1).astype(jnp.float32),
@@ -136,10 +136,10 @@ class Tape(NamedTuple):
 
 
 def recording_of(
-    tape: Tape, tally: Tally, last_goal: Array, active: Array, problem: Problem, timesteps: int
+    tape: Tape, tally: Tally, last_goal: Array, active: Array, world: World, timesteps: int
 ) -> Recording:
     """Cut the tape to T steps and translate its positions; nothing moves after the end."""
-    cols = problem.traversable.shape[1] - 2 * MARGIN
+    cols = world.traversable.shape[1] - 2 * MARGIN
     last = jnp.maximum(tally.time - 1, 0)
     row = jnp.minimum(jnp.arange(timesteps), last)
     driven = (jnp.arange(timesteps) < tally.time)[:, None]

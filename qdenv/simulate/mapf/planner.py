@@ -1,67 +1,99 @@
-"""The face of a planner: what it is told, and what it answers.
+"""The face of a planner: what it is told, what it answers, what it can do.
 
-A planner is a hashable function ``(problem, situation, horizon, key) -> paths``. It gives every
-agent a path of `window` steps, of which the next `horizon` are driven before it is asked again.
-Those must obey the movement rules (`qdenv.simulate`); the rest is a plan the planner gets back.
+A planner gives every agent a path of `window` steps, of which the next `horizon` are driven before
+it is asked again (RHCR, Li et al. 2021, https://arxiv.org/abs/2005.07371). Those must obey the
+movement rules (`qdenv.simulate`); the rest is a plan the planner gets back.
+
+A planner is chosen by the type of its settings: `PLANNERS.make(settings)` gives a `Planner`.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
+import flax.struct
 import jax
 import jax.numpy as jnp
 
+from qdenv.registry import Registry
 from qdenv.simulate.mapf.tasks import GoalTable
-from qdenv.types import Array
 
 
-class Problem(NamedTuple):
+@flax.struct.dataclass
+class World:
     """One layout made ready to be simulated, shared by all its runs.
 
     The grid is surrounded by `margin` rows and columns of walls, so that planners look around
-    without testing for the border. Positions are ``row * width + column`` of this walled grid.
+    without testing for the border. Positions are ``row * width + column`` of this padded grid.
 
     Attributes:
         traversable: bool [H', W'], cells agents may drive on.
-        goals: the goal table; its cells are positions of the walled grid.
+        goals: the goal table; its cells are positions of the padded grid.
         distance: int16 [G, H' * W'], steps from every cell to every goal.
-        stays: int32 [n], timesteps served at each kind of goal.
+        service_time: int32 [n], timesteps served at each kind of goal.
         valid: bool, agents and goals fit the layout.
+        margin: rows and columns of walls on each side; compile-time.
     """
 
-    traversable: Array
+    traversable: jax.Array
     goals: GoalTable
-    distance: Array
-    stays: Array
-    valid: Array
+    distance: jax.Array
+    service_time: jax.Array
+    valid: jax.Array
+    margin: int = flax.struct.field(pytree_node=False)
 
 
-class Situation(NamedTuple):
+class AgentState(NamedTuple):
     """Where the agents are and where they want to go.
 
     Attributes:
         position: int32 [A]. Padding agents are somewhere too, but do not count.
         active: bool [A], False for padding.
         goal: int32 [2, A], slots of the current and of the next goal.
-        stay: int32 [2, A], timesteps to serve at each of them.
-        serving: int32 [A], timesteps the agent must still remain on its goal; 0 while driving.
+        service_time: int32 [2, A], timesteps to serve at each of them.
+        remaining_service: int32 [A], timesteps the agent must still remain on its goal; 0 while
+            driving.
         age: int32 [A], timesteps since the agent last finished a task.
         previous: int32 [window + 1, A], the last paths from here on; their last cell is repeated.
     """
 
-    position: Array
-    active: Array
-    goal: Array
-    stay: Array
-    serving: Array
-    age: Array
-    previous: Array
+    position: jax.Array
+    active: jax.Array
+    goal: jax.Array
+    service_time: jax.Array
+    remaining_service: jax.Array
+    age: jax.Array
+    previous: jax.Array
 
 
-Planner = Callable[[Problem, Situation, int, Array], Array]
+class Planner(NamedTuple):
+    """A planner and its limits.
+
+    Attributes:
+        plan: (world, state, horizon, key) -> paths int32 [window + 1, A]; traceable, consumes the
+            key. The window is the length of ``state.previous`` less one.
+        max_window: most timesteps it plans ahead.
+        max_service: longest service at a goal that it understands.
+        margin: rows and columns of walls it wants around the grid.
+    """
+
+    plan: Callable[[World, AgentState, int, jax.Array], jax.Array]
+    max_window: int = 1000
+    max_service: int = 1000
+    margin: int = 1
 
 
-def conflicts(ours: Array, theirs: Array) -> jax.Array:
+# An entry's maker is called as make(settings) and returns a `Planner`.
+PLANNERS = Registry(
+    "planner",
+    "qdenv.planners",
+    {
+        "negotiated": "qdenv.simulate.mapf.negotiated.planner:NEGOTIATED",
+        "pibt": "qdenv.simulate.mapf.pibt.planner:PIBT",
+    },
+)
+
+
+def conflicts(ours: jax.Array, theirs: jax.Array) -> jax.Array:
     """Find pairs of paths with a vertex or swap conflict (int32 [t+1, A], [t+1, B] -> bool [A, B]).
 
     The common first row is where the agents stand and is not tested.
@@ -72,7 +104,7 @@ def conflicts(ours: Array, theirs: Array) -> jax.Array:
     return met | swapped
 
 
-def first_of_each_clash(clash: Array, candidates: Array) -> jax.Array:
+def first_of_each_clash(clash: jax.Array, candidates: jax.Array) -> jax.Array:
     """Choose candidates (bool [K]) none of which clashes (bool [K, K]) with an earlier chosen one.
 
     Three sweeps of the greedy rule; an odd number of sweeps errs towards choosing too few.

@@ -9,7 +9,7 @@ counterpart of priority-based search choosing the cheaper child (RHCR, Li et al.
 
 Agents left without a reservation after the last round fall back to a path from `last_resort`, as
 do those in conflict with one that fell back. The last resort is a joint plan without conflicts,
-so the outcome never has any.
+so the result never has any.
 """
 
 from collections.abc import Callable
@@ -20,18 +20,18 @@ import jax.numpy as jnp
 
 from qdenv.simulate.mapf.negotiated.numba import rounds as bargain_on_host
 from qdenv.simulate.mapf.negotiated.xla import rounds as bargain
-from qdenv.simulate.mapf.negotiated.xla.rounds import Outcome
+from qdenv.simulate.mapf.negotiated.xla.rounds import PlanResult
 from qdenv.simulate.mapf.pibt import planner as pibt
-from qdenv.simulate.mapf.planner import Problem, Situation, conflicts
+from qdenv.simulate.mapf.planner import AgentState, World, conflicts
 from qdenv.types import Array, InputError
 
 
 def by_backend(
-    settings: "WindowedPlanner", problem: Problem, situation: Situation, horizon: int, key: Array
-) -> Outcome:
-    """Bargain in compiled host code where jax computes on a CPU, else in XLA: the same outcome."""
+    settings: "WindowedPlanner", world: World, state: AgentState, horizon: int, key: Array
+) -> PlanResult:
+    """Bargain in compiled host code where jax computes on a CPU, else in XLA: the same result."""
     where = bargain_on_host if jax.default_backend() == "cpu" else bargain
-    return where.bargain(settings, problem, situation, horizon, key)
+    return where.bargain(settings, world, state, horizon, key)
 
 
 @dataclass(frozen=True)
@@ -57,55 +57,55 @@ class WindowedPlanner:
         *(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5),
         *(4.5, 5.5, 6.5, 8.5, 11.0, 16.0),
     )
-    last_resort: Callable[[Problem, Situation, int, Array], Array] = pibt.rollout
+    last_resort: Callable[[World, AgentState, int, Array], Array] = pibt.rollout
     remember: bool = True
-    bargain: Callable[["WindowedPlanner", Problem, Situation, int, Array], Outcome] = by_backend
+    bargain: Callable[["WindowedPlanner", World, AgentState, int, Array], PlanResult] = by_backend
 
     def __post_init__(self) -> None:
         """Refuse layers whose counts would overflow a path's price."""
         if not 1 <= self.layers <= 4:
             raise InputError(f"a windowed planner tells 1 to 4 layers apart, not {self.layers}")
 
-    def __call__(self, problem: Problem, situation: Situation, horizon: int, key: Array) -> Array:
+    def __call__(self, world: World, state: AgentState, horizon: int, key: Array) -> Array:
         """Plan a window for all agents (int32 [window + 1, A]); consumes the key."""
         bargain_key, resort_key = jax.random.split(key)
-        window = situation.previous.shape[0] - 1
+        window = state.previous.shape[0] - 1
         ahead = max(horizon, min(self.lookahead, window))
-        near = situation._replace(previous=situation.previous[: ahead + 1])
-        outcome = self.bargain(self, problem, near, horizon, bargain_key)
-        paths = settle(self, problem, near, horizon, outcome, resort_key)
+        near = state._replace(previous=state.previous[: ahead + 1])
+        result = self.bargain(self, world, near, horizon, bargain_key)
+        paths = settle(self, world, near, horizon, result, resort_key)
         rest = jnp.broadcast_to(paths[-1], (window - ahead, paths.shape[1]))
         return jnp.concatenate([paths, rest])
 
 
 def settle(
     planner: WindowedPlanner,
-    problem: Problem,
-    situation: Situation,
+    world: World,
+    state: AgentState,
     horizon: int,
-    outcome: Outcome,
+    result: PlanResult,
     key: Array,
 ) -> jax.Array:
     """Give agents without a reservation the last resort, and everybody in their way too."""
 
     def fall_back(_: None) -> jax.Array:
-        resort = planner.last_resort(problem, situation, horizon, key)
-        clash = conflicts(outcome.paths[: horizon + 1], resort[: horizon + 1])
+        resort = planner.last_resort(world, state, horizon, key)
+        clash = conflicts(result.paths[: horizon + 1], resort[: horizon + 1])
         clash = clash & ~jnp.eye(clash.shape[0], dtype=bool)
-        clash = clash & situation.active[:, None] & situation.active[None, :]
+        clash = clash & state.active[:, None] & state.active[None, :]
 
         def spread(carry: tuple[Array, Array]) -> tuple[Array, Array]:
             falls, _ = carry
             more = falls | (clash & falls[None, :]).any(1)
             return more, (more != falls).any()
 
-        falls, _ = jax.lax.while_loop(lambda c: c[1], spread, (~outcome.holds, jnp.bool_(True)))
-        paths = jnp.where(falls, resort, outcome.paths)
+        falls, _ = jax.lax.while_loop(lambda c: c[1], spread, (~result.holds, jnp.bool_(True)))
+        paths = jnp.where(falls, resort, result.paths)
         # Beyond the horizon the two kinds of path may conflict: forget that part.
         beyond = jnp.arange(paths.shape[0])[:, None] > horizon
         return jnp.where(beyond, paths[horizon], paths)
 
-    return jax.lax.cond(outcome.holds.all(), lambda _: outcome.paths, fall_back, None)
+    return jax.lax.cond(result.holds.all(), lambda _: result.paths, fall_back, None)
 
 
 # Low for the inside of a search: half of high's time for 3 to 4 % less throughput.

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from qdenv.simulate.mapf.negotiated.xla.reservations import NOBODY
 from qdenv.simulate.mapf.pibt import numba as on_host
-from qdenv.simulate.mapf.planner import Problem, Situation
+from qdenv.simulate.mapf.planner import AgentState, World
 from qdenv.types import Array
 
 WAYS = 5  # wait, right, left, down, up
@@ -104,48 +104,48 @@ def one_step(
 
 
 def preferences(
-    problem: Problem, position: Array, slots: Array, fixed: Array, noise: Array
+    world: World, position: Array, slots: Array, fixed: Array, noise: Array
 ) -> tuple[jax.Array, jax.Array]:
     """Sort the five ways of every agent (candidates int32 [A, 5], number of them int32 [A]).
 
     Agents in `fixed` (bool [A]) can only stay.
     """
-    width = problem.traversable.shape[1]
-    size = problem.traversable.size
+    width = world.traversable.shape[1]
+    size = world.traversable.size
     cells = position[:, None] + jnp.array([0, 1, -1, width, -width])
     standing = jnp.zeros((size,), bool).at[position].set(True)
     crowded = standing[cells] & (jnp.arange(WAYS) > 0)
-    to_go = problem.distance.reshape(-1)[slots[:, None] * size + cells].astype(jnp.int32)
-    open_cell = problem.traversable.reshape(-1)[cells] & (~fixed[:, None] | (jnp.arange(WAYS) == 0))
+    to_go = world.distance.reshape(-1)[slots[:, None] * size + cells].astype(jnp.int32)
+    open_cell = world.traversable.reshape(-1)[cells] & (~fixed[:, None] | (jnp.arange(WAYS) == 0))
     key = jnp.where(open_cell, (to_go << 6) | (crowded << 5) | noise, 2**28)
     best_first = jnp.argsort(key, axis=1)
     return jnp.take_along_axis(cells, best_first, axis=1), open_cell.sum(1, dtype=jnp.int32)
 
 
-def rollout(problem: Problem, situation: Situation, horizon: int, key: Array) -> jax.Array:
+def rollout(world: World, state: AgentState, horizon: int, key: Array) -> jax.Array:
     """Drive all agents for `horizon` steps; afterwards they wait (int32 [window + 1, A]).
 
     Agents that serve come first and stay; then the longer without a finished task, the earlier.
     """
-    size = problem.traversable.size
-    count = situation.position.shape[0]
+    size = world.traversable.size
+    count = state.position.shape[0]
     key_order, key_noise = jax.random.split(key)
     luck = jax.random.uniform(key_order, (count,))
     # Padding agents are lifted off the grid: they stand on no cell and want none.
-    situation_age = jnp.where(situation.active, situation.age, -1)
+    state_age = jnp.where(state.active, state.age, -1)
     noise = jax.random.randint(key_noise, (horizon, count, WAYS), 0, 32)
     move = on_host.one_step if jax.default_backend() == "cpu" else one_step
 
     def step(carry: tuple, noise: Array) -> tuple[tuple, Array]:
         position, level, serving, age = carry
-        fixed = (serving > 0) | ~situation.active
-        slots = jnp.take_along_axis(situation.goal, level[None], axis=0)[0]
+        fixed = (serving > 0) | ~state.active
+        slots = jnp.take_along_axis(state.goal, level[None], axis=0)[0]
         urgency = jnp.where(fixed, -jnp.inf, luck - age)
         order = jnp.argsort(urgency).astype(jnp.int32)
-        candidates, allowed = preferences(problem, position, slots, fixed, noise)
+        candidates, allowed = preferences(world, position, slots, fixed, noise)
         position = move(candidates, position, allowed, order, size)
-        stay = jnp.take_along_axis(situation.stay, level[None], axis=0)[0]
-        arrived = (serving == 0) & (position == problem.goals.cells[slots]) & situation.active
+        stay = jnp.take_along_axis(state.service_time, level[None], axis=0)[0]
+        arrived = (serving == 0) & (position == world.goals.cells[slots]) & state.active
         left = jnp.where(arrived, stay, serving - 1)
         done = (arrived | (serving > 0)) & (left <= 0)
         # The goal after the next is not known here: an agent that has done both drives on freely.
@@ -153,14 +153,14 @@ def rollout(problem: Problem, situation: Situation, horizon: int, key: Array) ->
         return (position, level, jnp.maximum(left, 0), jnp.where(done, 0, age + 1)), position
 
     level = jnp.zeros((count,), jnp.int32)
-    begin = (situation.position, level, situation.serving, situation_age)
+    begin = (state.position, level, state.remaining_service, state_age)
     _, cells = jax.lax.scan(step, begin, noise)
-    window = situation.previous.shape[0] - 1
+    window = state.previous.shape[0] - 1
     still = jnp.broadcast_to(cells[-1], (window - horizon, count))
-    return jnp.concatenate([situation.position[None], cells, still])
+    return jnp.concatenate([state.position[None], cells, still])
 
 
-def wait(problem: Problem, situation: Situation, horizon: int, key: Array) -> jax.Array:
+def wait(world: World, state: AgentState, horizon: int, key: Array) -> jax.Array:
     """Let everybody stand still, the last resort that congests as PBS does."""
-    del problem, horizon, key
-    return jnp.broadcast_to(situation.position, situation.previous.shape)
+    del world, horizon, key
+    return jnp.broadcast_to(state.position, state.previous.shape)

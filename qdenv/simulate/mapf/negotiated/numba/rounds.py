@@ -17,9 +17,14 @@ from qdenv.simulate.mapf.negotiated.numba.backtrack import find_path
 from qdenv.simulate.mapf.negotiated.numba.reservations import PLANES, enter, evict, pack, strike_out
 from qdenv.simulate.mapf.negotiated.numba.search import make_room
 from qdenv.simulate.mapf.negotiated.xla.reservations import NOBODY
-from qdenv.simulate.mapf.negotiated.xla.rounds import Outcome, draw_lots, most_rounds, quarter_steps
+from qdenv.simulate.mapf.negotiated.xla.rounds import (
+    PlanResult,
+    draw_lots,
+    most_rounds,
+    quarter_steps,
+)
 from qdenv.simulate.mapf.negotiated.xla.window import NOISE_STEP
-from qdenv.simulate.mapf.planner import Problem, Situation
+from qdenv.simulate.mapf.planner import AgentState, World
 from qdenv.types import Array
 
 if TYPE_CHECKING:
@@ -27,35 +32,35 @@ if TYPE_CHECKING:
 
 
 def bargain(
-    settings: "WindowedPlanner", problem: Problem, situation: Situation, horizon: int, key: Array
-) -> Outcome:
+    settings: "WindowedPlanner", world: World, state: AgentState, horizon: int, key: Array
+) -> PlanResult:
     """Do what `bargain.bargain` does, in a callback that works on jax's own buffers."""
-    window, count = situation.previous.shape[0] - 1, situation.position.shape[0]
+    window, count = state.previous.shape[0] - 1, state.position.shape[0]
     lanes, penalties = min(settings.lanes, count), quarter_steps(settings)
     steps = window - horizon if settings.remember else 0
 
-    def on_host(_: Any, outcome: Outcome, limit: Any, *arrays: Any) -> None:
+    def on_host(_: Any, result: PlanResult, limit: Any, *arrays: Any) -> None:
         # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
         plain = [np.asarray(array) for array in arrays]
         numbers = (penalties, lanes, int(np.asarray(limit)), settings.layers, steps)
-        run_rounds(*plain, *numbers, np.asarray(outcome.paths), np.asarray(outcome.holds))
+        run_rounds(*plain, *numbers, np.asarray(result.paths), np.asarray(result.holds))
 
-    outcome = Outcome(
+    result = PlanResult(
         jax.ShapeDtypeStruct((window + 1, count), np.int32), jax.ShapeDtypeStruct((count,), bool)
     )
-    call = buffer_callback(on_host, outcome, vmap_method="sequential")
+    call = buffer_callback(on_host, result, vmap_method="sequential")
     return call(
-        most_rounds(settings, situation),
-        problem.traversable,
-        problem.goals.cells,
-        problem.distance,
-        situation.position,
-        situation.active,
-        situation.goal,
-        situation.stay,
-        situation.serving,
-        situation.previous,
-        *draw_lots(situation, key),
+        most_rounds(settings, state),
+        world.traversable,
+        world.goals.cells,
+        world.distance,
+        state.position,
+        state.active,
+        state.goal,
+        state.service_time,
+        state.remaining_service,
+        state.previous,
+        *draw_lots(state, key),
     )
 
 
@@ -127,10 +132,10 @@ def run_rounds(
     """Run rounds of planning until everybody holds a reservation or the rounds are used up.
 
     Args:
-        traversable: `Problem.traversable`.
-        cells: the goal cells of `Problem.goals`.
-        distance: `Problem.distance`.
-        position: as the next five, of `Situation`.
+        traversable: `World.traversable`.
+        cells: the goal cells of `World.goals`.
+        distance: `World.distance`.
+        position: as the next five, of `AgentState`.
         active: see there.
         slots: its goals.
         stay: see there.

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.simulate.mapf.negotiated.xla import bitplanes as reservation
-from qdenv.simulate.mapf.planner import Situation
+from qdenv.simulate.mapf.planner import AgentState
 from qdenv.types import Array
 
 NOBODY = -1
@@ -37,33 +37,33 @@ class Book(NamedTuple):
         return self.until == self.paths.shape[0] - 1
 
 
-def empty_book(situation: Situation, shape: tuple[int, int]) -> Book:
+def empty_book(state: AgentState, shape: tuple[int, int]) -> Book:
     """Open a book for a grid of `shape` (H', W')."""
-    window, count = situation.previous.shape[0] - 1, situation.position.shape[0]
+    window, count = state.previous.shape[0] - 1, state.position.shape[0]
     return Book(
         table=reservation.empty(window, *shape),
         owner=jnp.full((window + 1, shape[0] * shape[1]), NOBODY, jnp.int32),
-        paths=jnp.broadcast_to(situation.position, situation.previous.shape),
-        until=jnp.where(situation.active, 0, window),
+        paths=jnp.broadcast_to(state.position, state.previous.shape),
+        until=jnp.where(state.active, 0, window),
         attempts=jnp.zeros((count,), jnp.int32),
         rounds=jnp.int32(0),
     )
 
 
-def remember(book: Book, situation: Situation, shape: tuple[int, int], steps: int) -> Book:
+def remember(book: Book, state: AgentState, shape: tuple[int, int], steps: int) -> Book:
     """Reserve the first steps of everybody's previous path until they plan themselves.
 
     They bind nobody, but tell whom to avoid where avoiding costs nothing.
     """
     time = jnp.arange(book.paths.shape[0])[:, None]
-    live = (time <= steps) & situation.active
-    place = jnp.where(live, situation.previous, book.owner.shape[1])
+    live = (time <= steps) & state.active
+    place = jnp.where(live, state.previous, book.owner.shape[1])
     agents = jnp.broadcast_to(jnp.arange(book.until.shape[0]), place.shape)
     return book._replace(
-        table=reservation.reserve(book.table, situation.previous, live[1:], shape),
+        table=reservation.reserve(book.table, state.previous, live[1:], shape),
         owner=book.owner.at[time, place].set(agents, mode="drop"),
-        paths=situation.previous,
-        until=jnp.where(situation.active, steps, book.until),
+        paths=state.previous,
+        until=jnp.where(state.active, steps, book.until),
     )
 
 

@@ -1,6 +1,6 @@
 """Bargaining for a window in XLA, for accelerators: a few agents plan side by side in each round.
 
-`host` does the same on one core of the host, with the same outcome to the bit.
+`host` does the same on one core of the host, with the same result to the bit.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -19,14 +19,14 @@ from qdenv.simulate.mapf.negotiated.xla.reservations import (
     strike_out,
 )
 from qdenv.simulate.mapf.negotiated.xla.window import CODE_BITS, NEVER, NOISE_STEP, UNIT, View
-from qdenv.simulate.mapf.planner import Problem, Situation, conflicts, first_of_each_clash
+from qdenv.simulate.mapf.planner import AgentState, World, conflicts, first_of_each_clash
 from qdenv.types import Array
 
 if TYPE_CHECKING:
     from qdenv.simulate.mapf.negotiated.planner import WindowedPlanner
 
 
-class Outcome(NamedTuple):
+class PlanResult(NamedTuple):
     """What bargaining ends with.
 
     Attributes:
@@ -50,13 +50,13 @@ class Lots(NamedTuple):
     noise: Array
 
 
-def draw_lots(situation: Situation, key: Array) -> Lots:
+def draw_lots(state: AgentState, key: Array) -> Lots:
     """Draw the agents' order and the bits that settle ties; consumes the key."""
     order_key, noise_key = jax.random.split(key)
-    count = situation.position.shape[0]
+    count = state.position.shape[0]
     luck = jax.random.uniform(order_key, (count,))
     # Agents that serve cannot give way: the others had better know of them first.
-    turn = jnp.argsort(luck - (situation.serving > 0))
+    turn = jnp.argsort(luck - (state.remaining_service > 0))
     order = jnp.zeros((count,), jnp.int32).at[turn].set(jnp.arange(count, dtype=jnp.int32))
     noise = jax.random.bits(noise_key, (count,), jnp.uint32).astype(jnp.int32) & 0xFFFFFF
     return Lots(order, noise)
@@ -67,44 +67,44 @@ def quarter_steps(settings: "WindowedPlanner") -> np.ndarray:
     return np.array([round(UNIT * penalty) for penalty in settings.penalties], np.int32)
 
 
-def most_rounds(settings: "WindowedPlanner", situation: Situation) -> jax.Array:
+def most_rounds(settings: "WindowedPlanner", state: AgentState) -> jax.Array:
     """Limit the rounds (int32). Padding takes no part: it must not change what others get."""
-    lanes = min(settings.lanes, situation.position.shape[0])
-    crowd = -(-situation.active.sum() // lanes)
+    lanes = min(settings.lanes, state.position.shape[0])
+    crowd = -(-state.active.sum() // lanes)
     return (settings.rounds * crowd).astype(jnp.int32)
 
 
 def bargain(
-    settings: "WindowedPlanner", problem: Problem, situation: Situation, horizon: int, key: Array
-) -> Outcome:
+    settings: "WindowedPlanner", world: World, state: AgentState, horizon: int, key: Array
+) -> PlanResult:
     """Run rounds of planning until everybody holds a reservation or the rounds are used up.
 
     Args:
         settings: of the planner.
-        problem: the layout.
-        situation: the agents; the length of its previous paths is the window.
+        world: the layout.
+        state: the agents; the length of its previous paths is the window.
         horizon: timesteps that will be driven.
         key: consumed.
     """
-    shape = problem.traversable.shape
-    window = situation.previous.shape[0] - 1
-    count = situation.position.shape[0]
+    shape = world.traversable.shape
+    window = state.previous.shape[0] - 1
+    count = state.position.shape[0]
     lanes = min(settings.lanes, count)
-    lots = draw_lots(situation, key)
-    walls = reservation.pack(problem.traversable)
+    lots = draw_lots(state, key)
+    walls = reservation.pack(world.traversable)
     penalties = jnp.asarray(quarter_steps(settings))
-    limit = most_rounds(settings, situation)
-    book = empty_book(situation, shape)
+    limit = most_rounds(settings, state)
+    book = empty_book(state, shape)
     if settings.remember:
-        book = remember(book, situation, shape, window - horizon)
+        book = remember(book, state, shape, window - horizon)
 
     def best_paths(book: Book, who: Array) -> tuple[Array, Array]:
         penalty = penalties[jnp.minimum(book.attempts[who], penalties.size - 1)]
-        fields = look(problem, situation, book.table, walls, who, window)
+        fields = look(world, state, book.table, walls, who, window)
         sight = View(**fields, penalty=penalty, noise=lots.noise[who] ^ (book.rounds * NOISE_STEP))
         steps, price = single_agent.plan(sight, settings.layers)
         able = price < NEVER >> CODE_BITS
-        return situation.position[who] + steps[0] * shape[1] + steps[1], able
+        return state.position[who] + steps[0] * shape[1] + steps[1], able
 
     def unfinished(book: Book) -> jax.Array:
         return (book.rounds < limit) & ~book.holds.all()
@@ -120,17 +120,17 @@ def bargain(
         return enter(book, shape, who, paths, accepted, asks)
 
     book = jax.lax.while_loop(unfinished, plan_round, book)
-    return Outcome(book.paths, book.holds)
+    return PlanResult(book.paths, book.holds)
 
 
 def look(
-    problem: Problem, situation: Situation, table: Array, walls: Array, who: Array, reach: int
+    world: World, state: AgentState, table: Array, walls: Array, who: Array, reach: int
 ) -> dict:
     """Cut out what the agents `who` (int32 [K]) see around them (fields of a `View`)."""
-    width = problem.traversable.shape[1]
+    width = world.traversable.shape[1]
     side = 2 * reach + 1
-    position, slots, stay = situation.position[who], situation.goal[:, who], situation.stay[:, who]
-    cells = problem.goals.cells[slots]
+    position, slots, stay = state.position[who], state.goal[:, who], state.service_time[:, who]
+    cells = world.goals.cells[slots]
     row = cells // width - position // width + reach
     column = cells % width - position % width + reach
     ends = jnp.stack([jnp.ones_like(stay[0], bool), stay[1] > 0])
@@ -141,11 +141,11 @@ def look(
     shaped = table.reshape(-1, reservation.PLANES, *walls.shape)
     step = jnp.arange(side) - reach
     cell = position + (step[:, None] * width + step)[:, :, None]
-    cell = jnp.clip(cell, 0, problem.traversable.size - 1)
-    flat = problem.distance.reshape(-1)
-    size = problem.traversable.size
+    cell = jnp.clip(cell, 0, world.traversable.size - 1)
+    flat = world.distance.reshape(-1)
+    size = world.traversable.size
     to_go = flat[slots[:, None, None] * size + cell].astype(jnp.int32)
-    between = problem.distance[slots[1], cells[0]].astype(jnp.int32)
+    between = world.distance[slots[1], cells[0]].astype(jnp.int32)
     tail = UNIT * (between + stay[1])
     price = UNIT * (to_go + stay[:, None, None])
     price = price.at[0].add(tail)
@@ -158,7 +158,7 @@ def look(
         "price": price,
         "tail": tail,
         "stay": stay,
-        "serving": situation.serving[who],
+        "serving": state.remaining_service[who],
     }
 
 
