@@ -43,7 +43,7 @@ def main(
         seed: of the search.
         out: files ``OUT.csv`` and ``OUT.png`` are written.
     """
-    config = ALGORITHMS[algorithm].config()
+    config = ALGORITHMS.config(algorithm)
     search = make_algorithm(config, LINKS, MEASURES, extras={"tip": np.zeros(2, np.float32)})
     ask, tell = jax.jit(search.ask), jax.jit(search.tell, donate_argnums=0)
     state = search.init(jax.random.key(seed))

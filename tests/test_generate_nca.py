@@ -1,5 +1,7 @@
 """The automaton against a plain-numpy oracle, its flat parameters, canvases and frames."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -55,6 +57,27 @@ def test_flat_vector_fills_every_weight_once():
     leaves = jax.tree.leaves(generator.unravel(jnp.arange(float(generator.size))))
     values = np.sort(np.concatenate([np.ravel(leaf) for leaf in leaves]))
     np.testing.assert_array_equal(values, np.arange(generator.size))
+
+
+@pytest.mark.parametrize("wrap", [jax.jit, lambda function: function], ids=["jit", "plain"])
+def test_one_cell_grown_by_hand(wrap):
+    # One layer of 1 x 1: sigmoid(x W + b) twice; b = (0, 1) and W swaps the two channels.
+    generator = make_generator(2, (1,))
+    flat = jnp.array([0, 1, 0, 1, 1, 0], jnp.float32)
+    start = np.zeros((1, 1, 2), np.float32)
+    grown = wrap(lambda population: grow_population(generator, population, start, 2))(flat[None])
+
+    def sigmoid(x: float) -> float:
+        return 1 / (1 + math.exp(-x))
+
+    expected = [sigmoid(sigmoid(1)), sigmoid(sigmoid(0) + 1)]
+    np.testing.assert_allclose(grown, np.reshape(expected, (1, 1, 1, 2)), rtol=1e-6)
+
+
+def test_solutions_of_a_wrong_length_are_refused_while_tracing():
+    generator = make_generator(2, (1,))
+    with pytest.raises(AssertionError):
+        grow_population(generator, jnp.zeros((3, 5)), np.zeros((1, 1, 2), np.float32), 2)
 
 
 def test_growth_continues_where_it_stopped():

@@ -59,7 +59,7 @@ def test_network_agrees_over_40_steps(fixture, weights):
         gates = policy.encode(weights, image / 10.0, jax.nn.one_hot(heading, 4))
         memory = policy.recur(weights, gates, memory)
         h = memory.hidden
-        return memory, (policy.act(weights, h), policy.assess(weights, h), h, memory.cell)
+        return memory, (policy.act(weights, h), policy.estimate_value(weights, h), h, memory.cell)
 
     steps = (fixture["image"].astype(np.float32), fixture["direction"], fixture["mask"])
     _, found = jax.lax.scan(body, policy.Memory(fixture["h0"], fixture["c0"]), steps)

@@ -1,8 +1,9 @@
-"""The agent's trainer: levels, bank, advantages, gradients, learning, resuming."""
+"""The agent's trainer: levels, buffer, advantages, gradients, learning, resuming."""
 
 import json
 from dataclasses import replace
 
+import chex
 import jax
 import jax.numpy as jnp
 import maze_oracle as oracle
@@ -11,7 +12,6 @@ import optax
 import pytest
 
 from qdenv.agent import curriculum, levels, ppo, rollout
-from qdenv.agent.train import _update as go
 from qdenv.agent.train import train_agent
 from qdenv.agent.update import TrainConfig, start, update
 from qdenv.simulate.maze.policy import Memory, draw_weights
@@ -24,11 +24,12 @@ CONFIG = TrainConfig(
     steps=3 * 128, units=4, bank=16, fresh=4, exam=2, levels=SMALL,
     ppo=ppo.PPOConfig(lanes=8, timesteps=16, minibatches=2),
 )  # fmt: skip
+REWARDS = rollout.Rewards(CONFIG.reward.novelty, CONFIG.reward.progress)
 
 
 @pytest.fixture(scope="module")
-def bank():
-    return curriculum.new_bank(jax.random.key(0), 16, SMALL)
+def buffer():
+    return curriculum.new_buffer(jax.random.key(0), 16, SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -36,13 +37,13 @@ def recorded():
     """Play a few steps with an untrained agent."""
     state = start(CONFIG)
 
-    def next_level(draw, lane):
+    def next_level(draw, env):
         del draw
-        return jax.tree.map(lambda x: x[lane], state.bank.level), lane, lane
+        return jax.tree.map(lambda x: x[env], state.buffer.level), env, env
 
     _, steps, last = jax.jit(
-        lambda: rollout.roll(
-            jax.random.key(3), state.weights, state.lanes, next_level, 48, CONFIG.reward
+        lambda: rollout.collect(
+            jax.random.key(3), state.weights, state.envs, next_level, 48, REWARDS
         )
     )()
     return state, steps, last
@@ -74,29 +75,29 @@ def test_levels_are_solvable_and_half_are_longest_paths():
     assert walls.min() <= 1 and walls.max() >= 19
 
 
-def test_bank_keeps_the_worthy_and_replaces_the_oldest(bank):
-    bank = jax.tree.map(lambda x: x[:8], bank)
-    fresh = jax.tree.map(lambda x: x[:3], bank.level)
+def test_the_buffer_keeps_the_worthy_and_replaces_the_oldest(buffer):
+    buffer = jax.tree.map(lambda x: x[:8], buffer)
+    fresh = jax.tree.map(lambda x: x[:3], buffer.level)
     plr, dr = curriculum.METHODS["plr"], curriculum.METHODS["dr"]
-    bank = bank._replace(score=jnp.arange(8.0))
-    new = curriculum.admit(bank, fresh, jnp.array([0.5, 9.0, -1.0]), jnp.int32(4), plr)
+    buffer = buffer._replace(score=jnp.arange(8.0))
+    new = curriculum.insert(buffer, fresh, jnp.array([0.5, 9.0, -1.0]), jnp.int32(4), plr)
     np.testing.assert_array_equal(np.sort(new.score), [1, 2, 3, 4, 5, 6, 7, 9])
-    assert int((new.seen == 4).sum()) == 1
-    new = curriculum.admit(bank, fresh, jnp.zeros(3), jnp.int32(4), dr)
+    assert int((new.last_seen == 4).sum()) == 1
+    new = curriculum.insert(buffer, fresh, jnp.zeros(3), jnp.int32(4), dr)
     np.testing.assert_array_equal(np.sort(new.serial), np.arange(3, 11))
-    odds = curriculum.replay_odds(bank, jnp.int32(0), plr, staleness=0.5)
-    np.testing.assert_allclose(odds, 0.5 * np.arange(8) / 28 + 0.5 / 8, atol=1e-6)
-    np.testing.assert_allclose(curriculum.replay_odds(bank, jnp.int32(0), dr), 1 / 8)
+    probabilities = curriculum.replay_probabilities(buffer, jnp.int32(0), plr, staleness=0.5)
+    np.testing.assert_allclose(probabilities, 0.5 * np.arange(8) / 28 + 0.5 / 8, atol=1e-6)
+    np.testing.assert_allclose(curriculum.replay_probabilities(buffer, jnp.int32(0), dr), 1 / 8)
 
 
-def test_scores_are_mean_positive_advantages_of_levels_still_there(bank):
-    bank = jax.tree.map(lambda x: x[:4], bank)._replace(score=jnp.full(4, 7.0))
-    index = jnp.array([[0, 1], [0, 1], [2, 3]])
+def test_scores_are_mean_positive_advantages_of_levels_still_there(buffer):
+    buffer = jax.tree.map(lambda x: x[:4], buffer)._replace(score=jnp.full(4, 7.0))
+    slot = jnp.array([[0, 1], [0, 1], [2, 3]])
     serial = jnp.array([[0, 1], [0, 99], [2, 98]])
-    gain = jnp.array([[3.0, 4.0], [-1.0, 50.0], [-2.0, 60.0]])
-    bank = curriculum.rescore(bank, jnp.int32(5), index, serial, gain)
-    np.testing.assert_allclose(bank.score, [1.5, 4.0, 0.0, 7.0])
-    np.testing.assert_array_equal(bank.seen, [5, 5, 5, 0])
+    advantage = jnp.array([[3.0, 4.0], [-1.0, 50.0], [-2.0, 60.0]])
+    buffer = curriculum.update_scores(buffer, jnp.int32(5), slot, serial, advantage)
+    np.testing.assert_allclose(buffer.score, [1.5, 4.0, 0.0, 7.0])
+    np.testing.assert_array_equal(buffer.last_seen, [5, 5, 5, 0])
 
 
 def test_advantages_agree_with_the_definition(recorded):
@@ -106,25 +107,25 @@ def test_advantages_agree_with_the_definition(recorded):
     reward, value, done = (np.asarray(x, float) for x in (steps.reward, steps.value, steps.done))
     values = np.concatenate([value, np.asarray(last)[None]])
     assert 0 < done.sum() < done.size
-    for lane in range(8):
+    for env in range(8):
         for t in range(48):
             total, weight = 0.0, 1.0
             for s in range(t, 48):
-                after = 0.9 * values[s + 1, lane] * (1 - done[s, lane])
-                total += weight * (reward[s, lane] + after - value[s, lane])
+                after = 0.9 * values[s + 1, env] * (1 - done[s, env])
+                total += weight * (reward[s, env] + after - value[s, env])
                 weight *= 0.72
-                if done[s, lane]:
+                if done[s, env]:
                     break
-            np.testing.assert_allclose(found[t, lane], total, atol=1e-5)
+            np.testing.assert_allclose(found[t, env], total, atol=1e-5)
 
 
 def test_replay_repeats_what_was_played_and_rewards_are_right(recorded):
     state, steps, _ = recorded
-    hidden = ppo.replay(state.weights, steps, state.lanes.memory)
+    hidden = ppo.unroll(state.weights, steps, state.envs.memory)
     logs = jax.nn.log_softmax(ppo.act(state.weights, hidden))
     taken = jnp.take_along_axis(logs, steps.action[..., None], -1)[..., 0]
     np.testing.assert_allclose(taken, steps.log_prob, atol=1e-5)
-    np.testing.assert_allclose(ppo.assess(state.weights, hidden), steps.value, atol=1e-5)
+    np.testing.assert_allclose(ppo.estimate_value(state.weights, hidden), steps.value, atol=1e-5)
     won = np.asarray(steps.success)
     reward = np.asarray(steps.reward)
     assert won.any() and (reward[won] >= 0.1).all()
@@ -134,8 +135,8 @@ def test_replay_repeats_what_was_played_and_rewards_are_right(recorded):
 
 def test_learning_raises_the_odds_of_rewarded_actions(recorded):
     state, steps, _ = recorded
-    gain = jnp.where(steps.action == 2, 1.0, -1.0)
-    batch = ppo.Batch(steps, state.lanes.memory, gain, steps.value)
+    advantage = jnp.where(steps.action == 2, 1.0, -1.0)
+    batch = ppo.Batch(steps, state.envs.memory, advantage, steps.value)
     optimiser = optax.adam(3e-3)
     weights, _, log = jax.jit(
         lambda weights: ppo.learn(
@@ -143,19 +144,19 @@ def test_learning_raises_the_odds_of_rewarded_actions(recorded):
             jnp.float32(0.0),
         )
     )(state.weights)  # fmt: skip
-    hidden = ppo.replay(weights, steps, state.lanes.memory)
+    hidden = ppo.unroll(weights, steps, state.envs.memory)
     forward = jax.nn.softmax(ppo.act(weights, hidden))[..., 2]
     assert float(forward.mean()) > 0.34
-    assert np.isfinite(log).all()
+    chex.assert_tree_all_finite((weights, log))
 
 
-def test_trials_fill_the_bank_with_scores():
-    state = start(CONFIG)
+def test_trials_fill_the_buffer_with_scores():
+    state, go = start(CONFIG), jax.jit(update, static_argnums=1)
     for _ in range(3):
         state, numbers = go(state, CONFIG)
     assert int(state.update) == 3
-    assert int((state.bank.score > 0).sum()) > 0
-    assert int(state.bank.serial.max()) > 15  # new levels were admitted
+    assert int((state.buffer.score > 0).sum()) > 0
+    assert int(state.buffer.serial.max()) > 15  # new levels were admitted
     assert np.isfinite(list(numbers.values())).all()
 
 
@@ -212,7 +213,7 @@ def test_gradients_flow_through_time(recorded):
 
     def late(scale):
         moved = weights._replace(kernel=weights.kernel * scale)
-        return ppo.replay(moved, jax.tree.map(lambda x: x[:6], steps), blank)[-1].sum()
+        return ppo.unroll(moved, jax.tree.map(lambda x: x[:6], steps), blank)[-1].sum()
 
     slope = (late(1.001) - late(0.999)) / 0.002
     np.testing.assert_allclose(jax.grad(late)(1.0), slope, rtol=0.05, atol=1e-3)

@@ -1,82 +1,22 @@
-"""One conformance suite over all registered algorithms and strategies, and CMA-MAE's own rules."""
+"""One conformance suite over all registered algorithms, and CMA-MAE's own rules."""
 
-import dataclasses
-import functools
 import io
-from collections.abc import Callable
-from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-from qdenv.search.archive import GridArchive, Insertion
-from qdenv.search.base import Algorithm
-from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
-from qdenv.search.emitters import is_flat, rank, restart_rule
-from qdenv.search.registry import ALGORITHMS, Entry, make_algorithm
-from qdenv.search.strategies.evosax import EVOSAX_NAMES
-from qdenv.search.strategies.full import full
-from qdenv.search.strategies.registry import STRATEGIES
-from qdenv.types import InputError, Measure, Score
-
-DIM = 12
-GRID = (Measure("x", -1, 1, 8), Measure("y", -1, 1, 9))
-QUICK = {"xla_backend_optimization_level": 0}  # these searches compile longer than they run
-EXTRAS = {"layout": np.zeros((2, 3), np.int8), "runs": np.zeros(4, np.float32)}
-CONFIGS = {name: entry.config() for name, entry in ALGORITHMS.items()} | {
-    f"cma-mae with {name}": CmaMaeConfig(emitters=2, batch=6, strategy=name)
-    for name in ("full", "lm_ma", "SNES")
-}
-
-
-class Compiled(NamedTuple):
-    """An algorithm with jitted functions and the names of those that were traced."""
-
-    algorithm: Algorithm
-    init: Callable
-    ask: Callable
-    tell: Callable
-    traced: list
-
-
-@functools.cache
-def compiled(config):
-    algorithm, traced = make_algorithm(config, DIM, GRID, EXTRAS), []
-
-    def jit(name, donate=()):
-        def call(*args):
-            traced.append(name)
-            return getattr(algorithm, name)(*args)
-
-        return jax.jit(call, donate_argnums=donate, compiler_options=QUICK)
-
-    return Compiled(algorithm, jit("init"), jit("ask"), jit("tell", 0), traced)
-
-
-def score_of(solutions, success=None, numbers=np):
-    """Score the negative sphere around 0.3 over the first two parameters."""
-    objective = 5 - numbers.square(solutions - 0.3).sum(axis=-1)
-    success = numbers.ones(len(solutions), bool) if success is None else success
-    return Score(objective, objective - 1, solutions[:, :2], success)
-
-
-def extras_of(solutions, numbers=np):
-    layouts = (numbers.abs(solutions[:, :6]) * 10).astype(np.int8).reshape(-1, 2, 3)
-    return {"layout": layouts, "runs": solutions[:, :4]}
-
-
-def iterate(search, state, change=lambda score: score):
-    """Run one iteration with the evaluation on the host."""
-    solutions, state = search.ask(state)
-    solutions = np.asarray(solutions)
-    return search.tell(state, solutions, change(score_of(solutions)), extras_of(solutions))
-
-
-def on_host(tree):
-    """Copy a state off the device: the original may be donated."""
-    return jax.tree.map(lambda leaf: np.array(leaf), tree)
+from search_harness import (
+    CONFIGS,
+    DIM,
+    QUICK,
+    compiled,
+    extras_of,
+    iterate,
+    on_host,
+    score_of,
+)
 
 
 def assert_same(left, right):
@@ -164,25 +104,6 @@ def test_scan_and_vmap_over_seeds_equal_the_plain_loop(name):
         np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-3)
 
 
-def test_only_emitters_that_are_due_renew_their_eigensystem_also_under_vmap():
-    strategy = full(6, 4, 0.3)
-    factors = np.random.default_rng(0).normal(size=(2, 3, 6, 6)).astype(np.float32)
-    covariance = factors @ factors.swapaxes(-1, -2)
-    keys = jax.random.split(jax.random.key(0), (2, 3))
-    fresh = jax.vmap(jax.vmap(strategy.init))(jnp.zeros((2, 3, 6)), keys)
-    evaluations = jnp.array([[0, 1000, 0], [0, 0, 0]], jnp.int32)
-    states = fresh._replace(covariance=covariance, evaluations=evaluations)
-    together = jax.jit(jax.vmap(strategy.refresh))(states)
-    alone = jax.jit(strategy.refresh)
-    apart = [alone(jax.tree.map(lambda leaf, row=row: leaf[row], states)) for row in range(2)]
-    for renewed in (together, jax.tree.map(lambda *rows: jnp.stack(rows), *apart)):
-        np.testing.assert_array_equal(renewed.refreshed, evaluations)
-        scaled = renewed.basis * renewed.eigenvalues[..., None, :]
-        rebuilt = np.asarray(scaled @ renewed.basis.swapaxes(-1, -2))
-        expected = np.where(evaluations[..., None, None] > 0, covariance, np.eye(6))
-        np.testing.assert_allclose(rebuilt, expected, atol=1e-4)
-
-
 def test_the_elite_carries_its_own_extras_and_both_objectives_go_their_ways():
     search = compiled(CONFIGS["cma-mae"])
     state = search.init(jax.random.key(0))
@@ -200,162 +121,33 @@ def test_the_elite_carries_its_own_extras_and_both_objectives_go_their_ways():
     np.testing.assert_allclose(learning.objectives[learnt], expected, rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", EVOSAX_NAMES)  # our own follow pyribs step by step
-def test_every_strategy_learns_from_the_order_it_is_given(name):
-    # Ranked by the distance to a far point, the mean comes nearer; told the reverse, it flees.
-    dim, batch = 20, 10
-    target = jnp.full(dim, 2.0)
-    strategy = STRATEGIES[name](dim, batch, 0.3)
-
-    @functools.partial(jax.jit, compiler_options=QUICK)
-    def distance(sign):
-        start = jnp.zeros((1, dim)), jax.random.split(jax.random.key(0), 1)
-
-        def step(state, key):
-            state = strategy.refresh(state)
-            solutions, state = jax.vmap(strategy.ask)(state, key[None])
-            order = jnp.argsort(sign * jnp.square(solutions - target).sum(-1), axis=-1)
-            told = solutions, order, jnp.full(1, batch // 2), jnp.full(1, batch)
-            return jax.vmap(strategy.tell)(state, *told), None
-
-        state = jax.vmap(strategy.init)(*start)
-        state, _ = jax.lax.scan(step, state, jax.random.split(jax.random.key(1), 25))
-        means, _ = jax.vmap(strategy.ask)(state, jax.random.split(jax.random.key(2), 1))
-        return jnp.linalg.norm(means.mean(axis=1) - target)
-
-    away = float(jnp.linalg.norm(target))
-    assert float(distance(1.0)) < 0.85 * away
-    assert float(distance(-1.0)) > 1.1 * away
+@pytest.mark.parametrize("name", CONFIGS)
+def test_the_states_of_a_search_stay_finite(name):
+    search = compiled(CONFIGS[name])
+    state = search.init(jax.random.key(7))
+    for _ in range(5):
+        state = iterate(search, state)
+    archive = search.algorithm.archive(state)
+    filled = np.asarray(archive.filled)
+    assert filled.any()
+    elites = jax.tree.map(lambda leaf: np.asarray(leaf)[filled], archive)
+    chex.assert_tree_all_finite(elites.replace(centroids=archive.centroids))
+    if hasattr(state, "emitters"):
+        chex.assert_tree_all_finite(state.emitters)
 
 
-def test_a_masked_row_changes_nobodys_rank():
-    rng = np.random.default_rng(0)
-    values, status = rng.normal(size=12), rng.integers(0, 3, 12)
-    values[5] = values[7]  # a tie
-    for masked in range(12):
-        usable = np.arange(12) != masked
-        poisoned = np.where(usable, values, -np.inf)
-        for keys, kept in (
-            ((poisoned,), (values[usable],)),
-            ((np.where(usable, status, 0), poisoned), (status[usable], values[usable])),
-        ):
-            order = np.asarray(rank(keys, jnp.asarray(usable)))
-            assert order[-1] == masked
-            alone = np.flatnonzero(usable)[np.asarray(rank(kept, jnp.ones(11, bool)))]
-            np.testing.assert_array_equal(order[:-1], alone)
-
-
-def test_flat_rankings_are_noticed_among_successes_only():
-    order = jnp.arange(4)
-    flat = jnp.array([1.0, 1.0, 1.0, -jnp.inf])
-    assert bool(is_flat((flat,), order, jnp.int32(3)))
-    assert not bool(is_flat((flat,), order, jnp.int32(4)))
-    assert not bool(is_flat((flat,), order, jnp.int32(1)))
-    assert not bool(is_flat((jnp.array([2, 1, 1, 1]), jnp.ones(4)), order, jnp.int32(4)))
-
-
-def test_failed_rows_that_were_no_parents_anyway_do_not_move_the_search():
+def test_arrays_of_a_wrong_shape_are_refused_while_tracing():
     search = compiled(CONFIGS["cma-mae"])
     solutions, state = search.ask(search.init(jax.random.key(0)))
-    solutions, state = np.asarray(solutions), on_host(state)
-    score = score_of(solutions)
-    ranks = score.objective.reshape(5, 10).argsort(axis=1).argsort(axis=1)
-    success = (ranks >= 4).reshape(-1)  # the worst four of each emitter fail
-    means = [
-        np.asarray(search.tell(state, solutions, which, extras_of(solutions)).emitters.strategy[0])
-        for which in (score, score._replace(success=success))
-    ]
-    np.testing.assert_array_equal(*means)
-
-
-def test_one_emitter_of_batch_one_restarts_from_x0_while_there_is_no_elite():
-    search = compiled(CmaMaeConfig(emitters=1, batch=1))
-    state = search.init(jax.random.key(0))
-    for _ in range(4):
-        state = iterate(search, state, lambda score: score._replace(success=np.zeros(1, bool)))
-        np.testing.assert_array_equal(state.emitters.strategy.mean[0], np.zeros(DIM))
-    assert state.emitters.restarts.tolist() == [4]
-    state = iterate(search, state)
-    assert int(state.result.filled.sum()) == 1
-
-
-def test_restart_rules():
-    accepted = np.array([0, 3])
-    rules = [(restart_rule(rule), rule) for rule in ("no_improvement", "basic", 4)]
-    for iteration in (3, 4, 8):
-        got = {rule: decide(accepted, iteration).tolist() for decide, rule in rules}
-        due = iteration % 4 == 0
-        expected = {"no_improvement": [True, False], "basic": [False] * 2, 4: [due] * 2}
-        assert got == expected
-
-
-def test_restarts_stand_on_an_elite_with_a_fresh_distribution():
-    search = compiled(CmaMaeConfig(emitters=3, batch=4, restart=3))
-    state = search.init(jax.random.key(5))
-    for _ in range(3):
-        state = iterate(search, state)
-    state = on_host(state)
-    elites = state.learning.genotypes[state.learning.fitnesses[:, 0] > -np.inf]
-    for mean in state.emitters.strategy.mean:
-        assert (elites == mean).all(axis=1).any()
-    np.testing.assert_allclose(state.emitters.strategy.sigma, 0.2)
-    assert not state.emitters.strategy.path.any()
-
-
-def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
-    @dataclasses.dataclass(frozen=True)
-    class RingConfig:
-        radius: float = 0.5
-
-    def ring(config, solution_dim, measures, extras=None):
-        def init(key):
-            return GridArchive.empty(jnp.zeros(solution_dim), measures, extras)
-
-        def ask(archive):
-            angle = jnp.linspace(0, 6, 4)[:, None] + jnp.arange(solution_dim)
-            return config.radius * jnp.sin(angle), archive
-
-        def tell(archive, solutions, score, extras):
-            place = solutions, score.result_objective, score.measures
-            return archive.insert(*place, extras, score.success)[0]
-
-        return Algorithm(init, ask, tell, lambda archive: archive, 4)
-
-    monkeypatch.setitem(ALGORITHMS, "ring", Entry(RingConfig, ring))
-    search = compiled(RingConfig(radius=0.7))
-    state = iterate(search, search.init(jax.random.key(0)))
-    assert int(search.algorithm.archive(state).filled.sum()) == 4
-
-
-def test_a_users_strategy_plugs_in_by_name(monkeypatch):
-    monkeypatch.setitem(STRATEGIES, "mine", lambda dim, batch, s: STRATEGIES["iso"](dim, batch, 1))
-    algorithm = make_algorithm(CmaMaeConfig(strategy="mine"), DIM, GRID)
-    solutions, _ = algorithm.ask(algorithm.init(jax.random.key(0)))
-    assert 0.9 < float(solutions.std()) < 1.1
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"emitters": 0}, "emitters must be a positive"),
-        ({"sigma0": float("nan")}, "sigma0"),
-        ({"ranker": "best"}, "unknown ranker 'best': choose one of imp"),
-        ({"selection": "all"}, "unknown selection"),
-        ({"strategy": "LM_MA_ES"}, "unknown strategy"),
-        ({"restart": 0}, "restart"),
-        ({"restart": "sometimes"}, "restart"),
-        ({"learning_rate": 2.0}, "learning rate"),
-        ({"strategy": "lm_ma", "batch": 99}, "batch of at most 12"),
-        ({"strategy": "Open_ES", "batch": 5}, "even batch"),
-    ],
-)
-def test_bad_settings_give_one_clear_line(change, message):
-    with pytest.raises(InputError, match=message):
-        make_algorithm(dataclasses.replace(CmaMaeConfig(), **change), DIM, GRID)
-
-
-def test_an_unregistered_config_and_a_wrong_start_give_one_clear_line():
-    with pytest.raises(InputError, match="choose from cma-mae"):
-        make_algorithm(Insertion(0, 0), DIM, GRID)
-    with pytest.raises(InputError, match="x0"):
-        cma_mae(CmaMaeConfig(), DIM, GRID, x0=np.zeros(3))
+    solutions = np.asarray(solutions)
+    score, extras = score_of(solutions), extras_of(solutions)
+    tell = search.algorithm.tell
+    for wrong in (
+        score._replace(objective=score.objective[:, None]),
+        score._replace(success=score.success[:-1]),
+        score._replace(measures=score.measures[:, :1]),
+    ):
+        with pytest.raises(AssertionError):
+            tell(state, solutions, wrong, extras)
+    with pytest.raises(AssertionError):
+        tell(state, solutions[:-1], jax.tree.map(lambda leaf: leaf[:-1], score), extras)

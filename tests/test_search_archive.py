@@ -118,6 +118,27 @@ def test_ties_go_to_the_first_and_extras_follow_their_elite():
         add(archive, [1.0], np.zeros((1, 2)))
 
 
+@pytest.mark.parametrize("wrap", [jax.jit, lambda function: function], ids=["jit", "plain"])
+def test_one_batch_into_a_soft_archive_by_hand(wrap):
+    # Two cells. In the first, 4 and 2 beat the threshold 1 and raise it with a = 0.5 to
+    # 0.25 * 1 + 0.75 * 3 = 2.5; 1 does not beat it. In the second, -5 fails.
+    archive = ThresholdArchive.empty(
+        np.zeros(1, np.float32), (Measure("x", 0, 2, 2),), None, 0.5, 1.0
+    )
+    batch = (
+        np.arange(4, dtype=np.float32)[:, None],
+        np.array([2, 4, 1, -5], np.float32),
+        np.array([[0.1], [0.2], [0.9], [1.5]], np.float32),
+    )
+    archive, insertion = wrap(lambda archive, *batch: archive.insert(*batch))(archive, *batch)
+    assert insertion.status.tolist() == [2, 2, 0, 0]
+    assert insertion.value.tolist() == [1, 3, 0, -6]
+    assert archive.thresholds.tolist() == [2.5, 1]
+    assert archive.objectives.tolist() == [4, -np.inf]
+    assert archive.genotypes[0].tolist() == [1]
+    assert float(archive.qd_score()) == 4 and float(archive.coverage) == 0.5
+
+
 @pytest.mark.parametrize("soft", [False, True])
 def test_rows_that_failed_or_are_not_finite_enter_nothing(soft):
     make = ThresholdArchive if soft else GridArchive

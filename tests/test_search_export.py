@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib import pyplot
 
 from qdenv.search.archive import GridArchive
 from qdenv.search.export import elites, load_npz, save_csv, save_npz, to_pandas
@@ -46,10 +47,9 @@ def test_the_table_has_pyribs_columns_and_one_row_per_elite():
         to_pandas(example(), ["tiles"])
 
 
-def test_pyribs_draws_the_table(tmp_path):
-    visualize = pytest.importorskip("ribs.visualize", reason="needs ribs[visualize]")
+def test_pyribs_draws_the_table():
+    visualize = pytest.importorskip("ribs.visualize", reason="needs pip install 'qdenv[pyribs]'")
     ribs = pytest.importorskip("ribs.archives")
-    pyplot = pytest.importorskip("matplotlib.pyplot")
     pyplot.switch_backend("Agg")
     grid = ribs.GridArchive(solution_dim=2, dims=[4, 3], ranges=[(0, 4), (0, 3)])
     figure, axes = pyplot.subplots()
@@ -75,6 +75,29 @@ def test_npz_reads_back_to_the_same_archive(tmp_path):
         assert values.dtype == elites(again)[name].dtype
     np.testing.assert_array_equal(again.fitnesses, archive.fitnesses)
     assert [path.name for path in tmp_path.iterdir()] == ["archive.npz"]
+
+
+def test_a_runs_archive_reads_back_with_the_measures_of_its_run(tmp_path):
+    # What `train` leaves: the columns without the axes, which are in the run's manifest.
+    archive = example()
+    np.savez_compressed(tmp_path / "archive.npz", **elites(archive))
+    again = load_npz(tmp_path / "archive.npz", GRID)
+    np.testing.assert_array_equal(again.fitnesses, archive.fitnesses)
+    np.testing.assert_array_equal(again.extra_scores["tiles"], archive.extra_scores["tiles"])
+    with pytest.raises(InputError, match="hand them in"):
+        load_npz(tmp_path / "archive.npz")
+    for wrong in (GRID[:1], (Measure("x", 0, 4, 2), GRID[1])):
+        with pytest.raises(InputError, match="other measures"):
+            load_npz(tmp_path / "archive.npz", wrong)
+
+
+def test_columns_of_a_run_and_of_a_soft_archive():
+    rows = elites(example())
+    columns = ["index", "solution", "objective", "measures"]
+    assert list(rows) == [*columns, "runs", "similarity", "tiles"]
+    assert rows["index"].tolist() == [0, 5, 10]
+    soft = elites(example(ThresholdArchive, learning_rate=0.5, threshold_min=0.0))
+    assert soft["threshold"].tolist() == [1.5, 0.5, 1]
 
 
 def test_an_empty_archive_is_an_empty_table(tmp_path):

@@ -1,11 +1,14 @@
 """CMA-MAE on the sphere benchmark against pyribs, a short run of experiments/sphere.py."""
 
+import runpy
+from pathlib import Path
+
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
-from qdenv.types import Measure, Score
+from qdenv.search.cma_mae import CmaMaeConfig
+
+SPHERE = runpy.run_path(str(Path(__file__).parents[1] / "experiments" / "sphere.py"))
 
 # pyribs 0.12, cma_es, 15 x 36, sigma0 0.5, learning rate 0.01, imp, mu, basic; 100 iterations,
 # eight seeds: normalised QD-score and coverage in per cent.
@@ -23,32 +26,19 @@ PYRIBS = np.array(
 )
 
 
-def sphere(solutions):
-    bound, shift = 5.12, 0.4 * 5.12
-    dim = solutions.shape[1]
-    loss = jnp.square(solutions - shift).sum(axis=1) / (dim * (bound + shift) ** 2)
-    inside = jnp.abs(solutions) <= bound
-    folded = jnp.where(inside, solutions, bound / jnp.where(inside, 1, solutions))
-    measures = folded.reshape(-1, 2, dim // 2).sum(axis=2)
-    objective = 100 * (1 - loss)
-    return Score(objective, objective, measures, jnp.ones(len(solutions), bool))
-
-
 def test_a_hundred_iterations_score_as_pyribs_does():
-    reach = 5.12 * 50
-    grid = [Measure(name, -reach, reach, 100) for name in ("x", "y")]
     config = CmaMaeConfig(15, 36, sigma0=0.5, restart="basic", strategy="iso")
-    algorithm = cma_mae(config, 100, grid)
-
-    @jax.jit
-    def run(key):
-        def step(state, _):
-            solutions, state = algorithm.ask(state)
-            return algorithm.tell(state, solutions, sphere(solutions), {}), None
-
-        archive = algorithm.archive(jax.lax.scan(step, algorithm.init(key), None, 100)[0])
-        return archive.qd_score() / 10_000, 100 * archive.coverage
-
-    ours = np.array([run(jax.random.key(seed)) for seed in range(8)])
+    search = SPHERE["search_sphere"](config, 100, 100)
+    archives = [search(jax.random.key(seed)) for seed in range(8)]
+    ours = np.array([(a.qd_score() / a.objectives.size, 100 * a.coverage) for a in archives])
     error = np.sqrt(ours.var(axis=0, ddof=1) / 8 + PYRIBS.var(axis=0, ddof=1) / 8)
     assert (np.abs(ours.mean(axis=0) - PYRIBS.mean(axis=0)) < 2 * error).all(), ours.mean(axis=0)
+
+
+def test_the_sphere_is_100_at_its_optimum_and_0_in_the_far_corner():
+    bound, shift = 5.12, 0.4 * 5.12
+    score = SPHERE["sphere"](np.array([[shift] * 6, [-bound] * 6, [2 * bound] * 6], np.float32))
+    np.testing.assert_allclose(score.objective[:2], [100, 0], atol=1e-4)
+    # Inside the box the halves are summed; a parameter x outside of it counts bound / x.
+    expected = [[3 * shift] * 2, [-3 * bound] * 2, [1.5] * 2]
+    np.testing.assert_allclose(score.measures, expected, rtol=1e-6)

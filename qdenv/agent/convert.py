@@ -12,6 +12,8 @@ from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from qdenv.agent.files import save_weights
@@ -20,8 +22,9 @@ from qdenv.simulate.maze.policy import (
     PATCHES,
     Weights,
     check_weights,
+    units_of,
 )
-from qdenv.types import InputError
+from qdenv.types import Array, InputError
 
 LARGEST = 64 * 2**20  # bytes of one member; the published checkpoint has 2 MB in all
 TENSORS = {
@@ -176,3 +179,31 @@ def convert_agent(checkpoint: Path, out: Path) -> str:
     save_weights(weights, out)
     units, actions = weights.gates_back.shape[0], weights.logits.shape[1]
     return f"wrote {out}: {units} LSTM units, {actions} actions, {FILTERS * PATCHES**2} features"
+
+
+def pad_units(weights: Weights, units: int) -> Weights:
+    """Add LSTM units that stay at zero, so that the agent decides as before.
+
+    A trained agent of any size without training: what a benchmark of the cost needs.
+
+    Raises:
+        InputError: the agent has more units already.
+    """
+    own = units_of(weights)
+    if units < own:
+        raise InputError(f"the agent has {own} units: ask for as many or more")
+    more = ((0, 0), (0, units - own))
+
+    def gates(matrix: Array) -> jax.Array:
+        """Pad each of the four gates (float32 [n, 4 L])."""
+        parts = [jnp.pad(part, more) for part in jnp.split(matrix, 4, axis=1)]
+        return jnp.concatenate(parts, axis=1)
+
+    rows = ((0, units - own), (0, 0))
+    return weights._replace(
+        gates_in=gates(weights.gates_in),
+        gates_back=jnp.pad(gates(weights.gates_back), rows),
+        gates_bias=gates(weights.gates_bias[None])[0],
+        actor=jnp.pad(weights.actor, rows),
+        critic=jnp.pad(weights.critic, rows),
+    )

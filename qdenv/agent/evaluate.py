@@ -38,7 +38,9 @@ def default_horizon(layout: Array) -> int:
     return 2 * (rows + 2) * (cols + 2)
 
 
-def run_batch(weights: Weights, layouts: Array, key: Array, episodes: int, horizon: int) -> Episode:
+def run_batch(
+    weights: Weights, layouts: Array, key: jax.Array, episodes: int, horizon: int
+) -> Episode:
     """Run every maze of a batch side by side; traceable.
 
     Args:
@@ -52,7 +54,7 @@ def run_batch(weights: Weights, layouts: Array, key: Array, episodes: int, horiz
         `Episode` with leading axes [B, episodes].
     """
 
-    def one(layout: Array, key: Array) -> Episode:
+    def one(layout: Array, key: jax.Array) -> Episode:
         tables = prepare(weights, layout)
         keys = jax.random.split(key, episodes)
         return jax.vmap(lambda k: run_episode(weights, tables, k, horizon, whole_horizon))(keys)
@@ -60,7 +62,9 @@ def run_batch(weights: Weights, layouts: Array, key: Array, episodes: int, horiz
     return jax.vmap(one)(layouts, jax.random.split(key, layouts.shape[0]))
 
 
-def run_alone(weights: Weights, layout: Array, key: Array, episodes: int, horizon: int) -> Episode:
+def run_alone(
+    weights: Weights, layout: Array, key: jax.Array, episodes: int, horizon: int
+) -> Episode:
     """Run one maze, dropping episodes that are over; traceable, arguments of `run_batch`."""
     keys = jax.random.split(key, episodes)
     return run_episodes(weights, prepare(weights, layout), keys, horizon)
@@ -87,7 +91,7 @@ def evaluate_agent(
         seed: of headings and actions.
         runs: independent episodes.
         horizon: actions per episode; twice the tiles of the ringed maze by default.
-        reference_batching: run the published loop with its quirks (see `maze_reference`)
+        reference_batching: run the published loop with its quirks (`qdenv.simulate.maze.published`)
             instead of independent episodes.
 
     Raises:
@@ -143,7 +147,7 @@ def random_mazes(
     if not 0 <= walls <= rows * cols:
         raise InputError(f"{walls} walls do not fit on {rows} x {cols} tiles")
     rng = np.random.default_rng(seed)
-    kept = []
+    kept: list[np.ndarray] = []
     for _ in range(tries):
         if len(kept) == count:
             break
@@ -217,14 +221,15 @@ def compare_with_random(
         InputError: fewer than two mazes, or no such mazes within 100,000 tries.
     """
     if mazes < 2:
-        raise InputError("a spread needs at least two mazes")
+        raise InputError("a standard error needs at least two mazes")
     walls = int((np.asarray(layout) == WALL).sum())
     shortest = int(_longest_path(jnp.asarray(layout)).length)
 
     def accept(length: int) -> bool:
         return low * shortest <= length <= high * shortest
 
-    drawn = random_mazes(seed, mazes, *layout.shape, walls, accept)
+    rows, cols = layout.shape
+    drawn = random_mazes(seed, mazes, rows, cols, walls, accept)
     rates = success_rates(weights, drawn, seed, runs)
-    spread = float(rates.std(ddof=1) / mazes**0.5)
-    return Comparison(float(rates.mean()), spread, mazes, walls, shortest, rates.tolist())
+    error = float(rates.std(ddof=1) / mazes**0.5)
+    return Comparison(float(rates.mean()), error, mazes, walls, shortest, rates.tolist())

@@ -19,7 +19,6 @@ from qdenv.simulate.maze.world import (
     longest_path,
     on_canvas,
 )
-from qdenv.types import Array
 
 LONGEST_PERIOD = 12  # of textures
 UNSEEN = 10_000  # distance of tiles that cannot reach the goal
@@ -49,20 +48,21 @@ class LevelConfig:
 class Level(NamedTuple):
     """One training level; places are flat indices of its canvas."""
 
-    kinds: Array  # int8 [size + 8, size + 8]
-    start: Array  # int32
-    distance: Array  # int32 [(size + 8)^2], moves to the goal
-    horizon: Array  # int32
-    longest: Array  # bool, the pair is the longest path's
+    kinds: jax.Array  # int8 [size + 8, size + 8]
+    start: jax.Array  # int32
+    distance: jax.Array  # int32 [(size + 8)^2], moves to the goal
+    horizon: jax.Array  # int32
+    longest: jax.Array  # bool, the pair is the longest path's
 
 
-def _walls(noise: Array, count: Array) -> jax.Array:
+def _walls(noise: jax.Array, count: jax.Array) -> jax.Array:
     """Put `count` walls where the noise (float32 [n, n]) is largest -> int8 [n, n]."""
-    ladder = jnp.append(jnp.sort(noise.reshape(-1)), jnp.inf)
-    return (noise >= ladder[noise.size - count]).astype(jnp.int8)
+    # The threshold lies above all noise for a count of 0.
+    thresholds = jnp.append(jnp.sort(noise.reshape(-1)), jnp.inf)
+    return (noise >= thresholds[noise.size - count]).astype(jnp.int8)
 
 
-def draw_layout(key: Array, config: LevelConfig) -> jax.Array:
+def draw_layout(key: jax.Array, config: LevelConfig) -> jax.Array:
     """Draw a layout of random walls, or of a noisy linear texture (consumes the key).
 
     A texture repeats a random row of m values along a random lattice direction, which yields the
@@ -72,6 +72,7 @@ def draw_layout(key: Array, config: LevelConfig) -> jax.Array:
         int8 [size, size].
     """
     n = config.size
+    # One call for all random numbers: levels are drawn by the thousand.
     draws = jax.random.uniform(key, (n * n + LONGEST_PERIOD + 6,))
     noise, pattern = draws[: n * n].reshape(n, n), draws[n * n : -6]
     amount, kind, rough, period, down, right = draws[-6:]
@@ -83,23 +84,24 @@ def draw_layout(key: Array, config: LevelConfig) -> jax.Array:
     return _walls(field, (amount * (config.most_walls + 1)).astype(jnp.int32))
 
 
-def distances(kinds: Array, goal: Array) -> jax.Array:
+def distances(kinds: jax.Array, goal: jax.Array) -> jax.Array:
     """Count the moves from every place of a canvas to the goal (int32 [(H + 8) (W + 8)])."""
     width = kinds.shape[1]
     free = (kinds != WALL).reshape(-1)
     strides = [int(row) * width + int(col) for row, col in HEADINGS]
     far = jnp.full(free.shape, UNSEEN, jnp.int32).at[goal].set(0)
 
-    def spread(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+    def relax(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         old, _ = carry
+        # The ring of walls around a canvas keeps what rolls over its edge out.
         near = jnp.stack([jnp.roll(old, stride) for stride in strides]).min(0) + 1
         new = jnp.where(free, jnp.minimum(old, near), UNSEEN)
         return new, (new != old).any()
 
-    return jax.lax.while_loop(lambda carry: carry[1], spread, (far, jnp.bool_(True)))[0]
+    return jax.lax.while_loop(lambda carry: carry[1], relax, (far, jnp.bool_(True)))[0]
 
 
-def _pair_up(key: Array, layout: Array, horizon: Array, longest: Array) -> Level:
+def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax.Array) -> Level:
     """Choose start and goal; a level without any pair gets one carved into its first corner."""
     course = longest_path(layout)
     broken = course.length < 1
@@ -113,9 +115,9 @@ def _pair_up(key: Array, layout: Array, horizon: Array, longest: Array) -> Level
     place = on_canvas(goal, n)
     gap = distances(far, place)
     # A random pair lies in the component of the longest path, where a partner is sure to exist.
-    ladder = jnp.cumsum((gap < UNSEEN) & (there == EMPTY))
-    rank = (jax.random.uniform(key, (2,)) * ladder[-1]).astype(jnp.int32)
-    one, two = jnp.searchsorted(ladder, rank, side="right")
+    reachable = jnp.cumsum((gap < UNSEEN) & (there == EMPTY))
+    rank = (jax.random.uniform(key, (2,)) * reachable[-1]).astype(jnp.int32)
+    one, two = jnp.searchsorted(reachable, rank, side="right")
     swap = ~longest & (one != two)
     place = jnp.where(swap, one, place)
     begin = jnp.where(swap, two, on_canvas(start, n)).astype(jnp.int32)
@@ -123,7 +125,7 @@ def _pair_up(key: Array, layout: Array, horizon: Array, longest: Array) -> Level
     return Level(kinds, begin, distances(kinds, place), horizon, longest)
 
 
-def draw_level(key: Array, config: LevelConfig) -> Level:
+def draw_level(key: jax.Array, config: LevelConfig) -> Level:
     """Draw a new level (domain randomisation); consumes the key."""
     layout_key, pair_key, key = jax.random.split(key, 3)
     low, high = config.horizon
@@ -132,8 +134,11 @@ def draw_level(key: Array, config: LevelConfig) -> Level:
     return _pair_up(pair_key, draw_layout(layout_key, config), horizon, kind < config.longest)
 
 
-def vary_level(key: Array, level: Level, config: LevelConfig) -> Level:
-    """Flip a few tiles of a level and pair it anew, the edit of ACCEL; consumes the key."""
+def vary_level(key: jax.Array, level: Level, config: LevelConfig) -> Level:
+    """Flip a few tiles of a level and pair it anew, the edit of ACCEL; consumes the key.
+
+    Parker-Holder et al. 2022, https://arxiv.org/abs/2203.01302.
+    """
     keys = jax.random.split(key, 2)
     n = config.size
     inner = level.kinds[4 : 4 + n, 4 : 4 + n]

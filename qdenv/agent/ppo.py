@@ -1,16 +1,21 @@
-"""Proximal policy optimisation of the recurrent maze agent (Schulman et al. 2017)."""
+"""Proximal policy optimisation of the recurrent maze agent.
+
+Schulman et al. 2017, "Proximal policy optimization algorithms", https://arxiv.org/abs/1707.06347;
+advantages by Schulman et al. 2016, "High-dimensional continuous control using generalized advantage
+estimation", https://arxiv.org/abs/1506.02438.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import optax
 
-from qdenv.agent.rollout import Step
-from qdenv.simulate.maze.policy import Memory, Weights, act, assess, encode, recur
+from qdenv.agent.rollout import Transition
+from qdenv.simulate.maze.policy import Memory, Weights, act, encode, estimate_value, recur
 from qdenv.simulate.maze.world import image
-from qdenv.types import Array
 
 
 @dataclass(frozen=True)
@@ -18,13 +23,13 @@ class PPOConfig:
     """Numbers of the algorithm.
 
     Attributes:
-        lanes: environments that run side by side.
-        timesteps: steps of one rollout; gradients flow through all of them.
+        lanes: environments that run side by side, E.
+        timesteps: steps T of one rollout; gradients flow through all of them.
         epochs: passes over a rollout.
-        minibatches: groups of lanes per pass.
-        clip: range of the probability ratio.
+        minibatches: groups of environments per pass.
+        clip: epsilon, range of the probability ratio.
         discount: gamma.
-        trace: lambda of the advantage estimate.
+        trace: lambda of generalized advantage estimation.
         critic: weight of the value loss.
     """
 
@@ -39,87 +44,108 @@ class PPOConfig:
 
 
 class Batch(NamedTuple):
-    """A rollout ready for learning; leading axes [T, lanes] but for the memory."""
+    """A rollout ready for learning; leading axes [T, E] but for the memory."""
 
-    steps: Step
-    memory: Memory  # before the first step, [lanes, L]
-    gain: Array  # float32, advantages
-    target: Array  # float32, returns
+    steps: Transition
+    memory: Memory  # before the first step, [E, L]
+    advantage: jax.Array  # float32
+    returns: jax.Array  # float32, targets of the value
 
 
-def advantages(steps: Step, last_value: Array, config: PPOConfig) -> jax.Array:
-    """Estimate advantages backwards in time (GAE); steps [T, lanes] -> float32 [T, lanes]."""
+class LearningLog(NamedTuple):
+    """What one pass of learning tells, float32 each."""
 
-    def back(carry: tuple[Array, Array], now: Step) -> tuple[tuple[Array, Array], Array]:
-        later, value = carry
+    policy_entropy: jax.Array  # mean over steps, in nats
+    approx_kl: jax.Array  # estimate of the divergence of the new policy from the old one
+    value_loss: jax.Array  # mean squared error of the value
+
+
+def advantages(steps: Transition, last_value: jax.Array, config: PPOConfig) -> jax.Array:
+    """Estimate advantages backwards in time (GAE); steps [T, E] -> float32 [T, E]."""
+    chex.assert_shape(last_value, steps.reward.shape[1:])
+    gae_lambda = config.trace
+
+    def back(
+        carry: tuple[jax.Array, jax.Array], now: Transition
+    ) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+        next_advantage, next_value = carry
         alive = 1.0 - now.done
-        surprise = now.reward + config.discount * alive * value - now.value
-        estimate = surprise + config.discount * config.trace * alive * later
-        return (estimate, now.value), estimate
+        td_error = now.reward + config.discount * alive * next_value - now.value
+        advantage = td_error + config.discount * gae_lambda * alive * next_advantage
+        return (advantage, now.value), advantage
 
-    zero = jnp.zeros_like(last_value)
-    return jax.lax.scan(back, (zero, last_value), steps, reverse=True)[1]
+    start = jnp.zeros_like(last_value), last_value
+    return jax.lax.scan(back, start, steps, reverse=True)[1]
 
 
-def replay(weights: Weights, steps: Step, memory: Memory) -> Array:
-    """Run the network over recorded steps [T, lanes] -> hidden states [T, lanes, L]."""
+def unroll(weights: Weights, steps: Transition, memory: Memory) -> jax.Array:
+    """Run the network over recorded steps [T, E] -> hidden states [T, E, L]."""
+    # All observations are known: only the recurrence itself has to wait for the step before.
     gates = encode(weights, image(steps.view), jax.nn.one_hot(steps.heading, 4))
 
-    def one(memory: Memory, now: tuple[Array, Array]) -> tuple[Memory, Array]:
+    def one(memory: Memory, now: tuple[jax.Array, jax.Array]) -> tuple[Memory, jax.Array]:
         gates, fresh = now
         keep = 1.0 - fresh[:, None]
         memory = recur(weights, gates, Memory(memory.hidden * keep, memory.cell * keep))
-        return memory, memory.hidden
+        return memory, jnp.asarray(memory.hidden)
 
     return jax.lax.scan(one, memory, (gates, steps.fresh))[1]
 
 
 def loss(
-    weights: Weights, batch: Batch, clip: float, critic: float, entropy: Array
-) -> tuple[Array, Array]:
-    """Compute the clipped surrogate loss, and (entropy, divergence, value error) for the log."""
-    hidden = replay(weights, batch.steps, batch.memory)
-    logs = jax.nn.log_softmax(act(weights, hidden))
-    taken = jnp.take_along_axis(logs, batch.steps.action[..., None], -1)[..., 0]
-    change = taken - batch.steps.log_prob
-    ratio = jnp.exp(change)
-    bounded = jnp.clip(ratio, 1 - clip, 1 + clip)
-    surrogate = -jnp.minimum(ratio * batch.gain, bounded * batch.gain).mean()
-    miss = jnp.square(assess(weights, hidden) - batch.target).mean()
-    spread = -(jnp.exp(logs) * logs).sum(-1).mean()
-    total = surrogate + critic * miss - entropy * spread
-    return total, jnp.stack([spread, ((ratio - 1) - change).mean(), miss])
+    weights: Weights, batch: Batch, clip: float, critic: float, entropy: jax.Array
+) -> tuple[jax.Array, LearningLog]:
+    """Compute the clipped surrogate loss of PPO, and numbers for the log."""
+    hidden = unroll(weights, batch.steps, batch.memory)
+    log_probs = jax.nn.log_softmax(act(weights, hidden))
+    taken = jnp.take_along_axis(log_probs, batch.steps.action[..., None], -1)[..., 0]
+    log_ratio = taken - batch.steps.log_prob
+    ratio = jnp.exp(log_ratio)
+    clipped = jnp.clip(ratio, 1 - clip, 1 + clip)
+    # The smaller of both: an action may lose its advantage without bound but gain only so much.
+    surrogate = -jnp.minimum(ratio * batch.advantage, clipped * batch.advantage).mean()
+    value_loss = jnp.square(estimate_value(weights, hidden) - batch.returns).mean()
+    policy_entropy = -(jnp.exp(log_probs) * log_probs).sum(-1).mean()
+    total = surrogate + critic * value_loss - entropy * policy_entropy
+    # (r - 1) - log r is never negative and has the divergence as its mean.
+    return total, LearningLog(policy_entropy, ((ratio - 1) - log_ratio).mean(), value_loss)
 
 
 def learn(
-    key: Array,
+    key: jax.Array,
     weights: Weights,
     optimiser: optax.GradientTransformation,
     state: optax.OptState,
     batch: Batch,
     config: PPOConfig,
-    entropy: Array,
-) -> tuple[Weights, optax.OptState, Array]:
+    entropy: jax.Array,
+) -> tuple[Weights, optax.OptState, LearningLog]:
     """Improve the weights on one rollout; consumes the key.
 
     Returns:
-        weights, optimiser state, log (entropy, divergence, value error).
+        weights, optimiser state, log (means over the minibatches).
     """
-    gain = (batch.gain - batch.gain.mean()) / (batch.gain.std() + 1e-8)
-    batch = batch._replace(gain=gain)
+    advantage = (batch.advantage - batch.advantage.mean()) / (batch.advantage.std() + 1e-8)
+    batch = batch._replace(advantage=advantage)
 
-    def one(carry: tuple[Weights, optax.OptState], lanes: Array):
+    def one(
+        carry: tuple[Weights, optax.OptState], envs: jax.Array
+    ) -> tuple[tuple[Weights, optax.OptState], LearningLog]:
         weights, state = carry
-        part = jax.tree.map(lambda x: x[:, lanes], batch._replace(memory=()))
-        part = part._replace(memory=jax.tree.map(lambda x: x[lanes], batch.memory))
+        steps, advantage, returns = jax.tree.map(
+            lambda x: x[:, envs], (batch.steps, batch.advantage, batch.returns)
+        )
+        memory = jax.tree.map(lambda x: x[envs], batch.memory)
+        part = Batch(steps, memory, advantage, returns)
         grads, log = jax.grad(loss, has_aux=True)(
             weights, part, config.clip, config.critic, entropy
         )
         updates, state = optimiser.update(grads, state, weights)
         return (optax.apply_updates(weights, updates), state), log
 
+    # Minibatches of whole environments: the recurrent state must run through every rollout.
     keys = jax.random.split(key, config.epochs)
     order = jax.vmap(lambda k: jax.random.permutation(k, config.lanes))(keys)
     order = order.reshape(config.epochs * config.minibatches, -1)
     (weights, state), log = jax.lax.scan(one, (weights, state), order)
-    return weights, state, log.mean(0)
+    return weights, state, jax.tree.map(lambda numbers: numbers.mean(0), log)

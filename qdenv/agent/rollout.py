@@ -9,9 +9,16 @@ import jax.numpy as jnp
 
 from qdenv.agent.levels import Level
 from qdenv.simulate.maze.episode import choose
-from qdenv.simulate.maze.policy import Memory, Weights, act, assess, blank_memory, encode, recur
+from qdenv.simulate.maze.policy import (
+    Memory,
+    Weights,
+    act,
+    blank_memory,
+    encode,
+    estimate_value,
+    recur,
+)
 from qdenv.simulate.maze.world import Pose, image, step, view
-from qdenv.types import Array
 
 
 @dataclass(frozen=True)
@@ -27,40 +34,49 @@ class RewardConfig:
     progress: float = 0.0
 
 
-class Lane(NamedTuple):
+class Rewards(NamedTuple):
+    """`RewardConfig` at one moment of the training."""
+
+    novelty: jax.Array | float
+    progress: float
+
+
+class EnvState(NamedTuple):
     """One environment under way."""
 
     level: Level
-    index: Array  # int32, the level's place in the bank
-    serial: Array  # int32, tells whether the bank still holds this level
+    slot: jax.Array  # int32, the level's place in the buffer
+    serial: jax.Array  # int32, tells whether the buffer still holds this level
     pose: Pose
     memory: Memory
-    visited: Array  # bool, tiles trodden in this episode
-    elapsed: Array  # int32, actions taken
+    visited: jax.Array  # bool, tiles trodden in this episode
+    elapsed: jax.Array  # int32, actions taken
 
 
-class Step(NamedTuple):
+class Transition(NamedTuple):
     """What one step leaves behind for learning."""
 
-    view: Array  # int8 [5, 5]
-    heading: Array  # int32
-    fresh: Array  # bool, the memory was blank before this step
-    action: Array  # int32
-    log_prob: Array  # float32
-    value: Array  # float32
-    reward: Array  # float32
-    done: Array  # bool, the episode ended with this step
-    success: Array  # bool, at the goal
-    longest: Array  # bool, on a longest-path pair
-    index: Array  # int32, the level's place in the bank
-    serial: Array  # int32, the level's number
+    view: jax.Array  # int8 [5, 5]
+    heading: jax.Array  # int32
+    fresh: jax.Array  # bool, the memory was blank before this step
+    action: jax.Array  # int32
+    log_prob: jax.Array  # float32
+    value: jax.Array  # float32
+    reward: jax.Array  # float32
+    done: jax.Array  # bool, the episode ended with this step
+    success: jax.Array  # bool, at the goal
+    longest: jax.Array  # bool, on a longest-path pair
+    slot: jax.Array  # int32, the level's place in the buffer
+    serial: jax.Array  # int32, the level's number
 
 
-def begin(weights: Weights, level: Level, index: Array, serial: Array, heading: Array) -> Lane:
+def reset_env(
+    weights: Weights, level: Level, slot: jax.Array, serial: jax.Array, heading: jax.Array
+) -> EnvState:
     """Put the agent at the start of a level."""
-    return Lane(
+    return EnvState(
         level=level,
-        index=index,
+        slot=slot,
         serial=serial,
         pose=Pose(level.start, heading),
         memory=blank_memory(weights),
@@ -69,84 +85,90 @@ def begin(weights: Weights, level: Level, index: Array, serial: Array, heading: 
     )
 
 
-def advance(weights: Weights, lane: Lane, draw: Array, reward: RewardConfig) -> tuple[Lane, Step]:
-    """Act once in one lane, without starting over when the episode ends.
+def step_env(
+    weights: Weights, env: EnvState, draw: jax.Array, rewards: Rewards
+) -> tuple[EnvState, Transition]:
+    """Act once in one environment, without starting over when the episode ends.
 
     Args:
         weights: the agent.
-        lane: the environment.
+        env: the environment.
         draw: float32 in [0, 1), decides the action.
-        reward: what is rewarded.
+        rewards: what is rewarded beside the goal.
     """
-    level, here = lane.level, lane.pose.position
-    seen = view(level.kinds, here, lane.pose.heading)
-    facing = jax.nn.one_hot(lane.pose.heading, 4)
-    memory = recur(weights, encode(weights, image(seen), facing), lane.memory)
+    level, heading = env.level, jnp.asarray(env.pose.heading)
+    seen = view(level.kinds, env.pose.position, heading)
+    facing = jax.nn.one_hot(heading, 4)
+    memory = recur(weights, encode(weights, image(seen), facing), env.memory)
     logits = act(weights, memory.hidden)
     action = choose(logits, draw)
-    pose, success = step(level.kinds, lane.pose, action)
-    elapsed = lane.elapsed + 1
-    left = Step(
+    pose, success = step(level.kinds, env.pose, action)
+    elapsed = env.elapsed + 1
+    taken = Transition(
         view=seen,
-        heading=lane.pose.heading,
-        fresh=lane.elapsed == 0,
+        heading=heading,
+        fresh=env.elapsed == 0,
         action=action,
         log_prob=jax.nn.log_softmax(logits)[action],
-        value=assess(weights, memory.hidden),
-        reward=_reward(lane, pose, success, reward),
+        value=estimate_value(weights, memory.hidden),
+        reward=_reward(env, pose, success, rewards),
         done=success | (elapsed >= level.horizon),
         success=success,
         longest=level.longest,
-        index=lane.index,
-        serial=lane.serial,
+        slot=env.slot,
+        serial=env.serial,
     )
-    visited = lane.visited.at[pose.position].set(True)
-    return lane._replace(pose=pose, memory=memory, visited=visited, elapsed=elapsed), left
+    visited = env.visited.at[pose.position].set(True)
+    return env._replace(pose=pose, memory=memory, visited=visited, elapsed=elapsed), taken
 
 
-def _reward(lane: Lane, pose: Pose, success: Array, config: RewardConfig) -> jax.Array:
-    """Reward the goal, the sooner the more, and first visits and progress as configured."""
-    distance, here = lane.level.distance, lane.pose.position
+def _reward(env: EnvState, pose: Pose, success: jax.Array, rewards: Rewards) -> jax.Array:
+    """Reward the goal, the sooner the more, and first visits and progress as configured.
+
+    The goal's part is that of MiniGrid, 1 - 0.9 t / T, which is positive up to the last step.
+    """
+    distance, here = env.level.distance, env.pose.position
     nearer = distance[here] - jnp.where(success, 0, distance[pose.position])
-    new = ~lane.visited[pose.position]
-    goal = jnp.where(success, 1 - 0.9 * (lane.elapsed + 1) / lane.level.horizon, 0.0)
-    return goal + config.novelty * new + config.progress * nearer
+    new = ~env.visited[pose.position]
+    goal = jnp.where(success, 1 - 0.9 * (env.elapsed + 1) / env.level.horizon, 0.0)
+    return goal + rewards.novelty * new + rewards.progress * nearer
 
 
-def roll(
-    key: Array,
+def collect(
+    key: jax.Array,
     weights: Weights,
-    lanes: Lane,
-    next_level: Callable[[Array, Array], tuple[Level, Array, Array]],
+    envs: EnvState,
+    next_level: Callable[[jax.Array, jax.Array], tuple[Level, jax.Array, jax.Array]],
     timesteps: int,
-    reward: RewardConfig,
-) -> tuple[Lane, Step, Array]:
-    """Let all lanes act, each starting a new episode when one ends; consumes the key.
+    rewards: Rewards,
+) -> tuple[EnvState, Transition, jax.Array]:
+    """Let all environments act, each starting a new episode when one ends; consumes the key.
 
     Args:
         key: draws actions, levels and first headings.
         weights: the agent.
-        lanes: `Lane` with a leading axis.
-        next_level: (number in [0, 1), lane) -> level, place in the bank, serial.
+        envs: `EnvState` with a leading axis E.
+        next_level: (number in [0, 1), environment) -> level, slot of the buffer, serial.
         timesteps: T.
-        reward: what is rewarded.
+        rewards: what is rewarded beside the goal.
 
     Returns:
-        lanes, steps with leading axes [T, lanes], value of the last states float32 [lanes].
+        envs, steps with leading axes [T, E], value of the last states float32 [E].
     """
-    count = lanes.elapsed.shape[0]
-    everywhere = jax.vmap(lambda lane, draw: advance(weights, lane, draw, reward))
+    count = envs.elapsed.shape[0]
+    everyone = jax.vmap(lambda env, draw: step_env(weights, env, draw, rewards))
 
-    def restart(lane: Lane, done: Array, draws: Array, number: Array) -> Lane:
+    def restart(env: EnvState, done: jax.Array, draws: jax.Array, number: jax.Array) -> EnvState:
         heading = (4 * draws[1]).astype(jnp.int32)
-        new = begin(weights, *next_level(draws[0], number), heading)
-        return jax.tree.map(lambda a, b: jnp.where(done, a, b), new, lane)
+        new = reset_env(weights, *next_level(draws[0], number), heading)
+        return jax.tree.map(lambda a, b: jnp.where(done, a, b), new, env)
 
-    def one(lanes: Lane, key: Array) -> tuple[Lane, Step]:
+    def one(envs: EnvState, key: jax.Array) -> tuple[EnvState, Transition]:
         draws = jax.random.uniform(key, (count, 3))
-        lanes, steps = everywhere(lanes, draws[:, 0])
-        return jax.vmap(restart)(lanes, steps.done, draws[:, 1:], jnp.arange(count)), steps
+        envs, steps = everyone(envs, draws[:, 0])
+        return jax.vmap(restart)(envs, steps.done, draws[:, 1:], jnp.arange(count)), steps
 
-    lanes, steps = jax.lax.scan(one, lanes, jax.random.split(key, timesteps))
-    _, after = everywhere(lanes, jnp.zeros(count))
-    return lanes, steps, after.value
+    envs, steps = jax.lax.scan(one, envs, jax.random.split(key, timesteps))
+    # Learning needs the value of the states after the last step: one more step tells it.
+    _, after = everyone(envs, jnp.zeros(count))
+    return envs, steps, after.value

@@ -1,18 +1,27 @@
 """One update of the agent's training: propose levels, play, learn."""
 
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 
-from qdenv.agent.curriculum import Bank, Method, admit, find_method, new_bank, replay_odds, rescore
+from qdenv.agent.curriculum import (
+    METHODS,
+    LevelBuffer,
+    Method,
+    insert,
+    new_buffer,
+    replay_probabilities,
+    update_scores,
+)
 from qdenv.agent.levels import Level, LevelConfig
-from qdenv.agent.ppo import Batch, PPOConfig, advantages, learn
-from qdenv.agent.rollout import Lane, RewardConfig, Step, begin, roll
+from qdenv.agent.ppo import Batch, LearningLog, PPOConfig, advantages, learn
+from qdenv.agent.rollout import EnvState, RewardConfig, Rewards, Transition, collect, reset_env
 from qdenv.simulate.maze.policy import Weights, draw_weights, load_weights
-from qdenv.types import Array, InputError
+from qdenv.types import InputError, look_up
 
 
 @dataclass(frozen=True)
@@ -26,7 +35,7 @@ class TrainConfig:
         units: LSTM units of the agent.
         actions: 3 (turn left, turn right, forward) or 7 (the published set, 4 do nothing).
         warm_start: an .npz agent to start from; "" for fresh weights.
-        bank: levels under replay.
+        bank: levels C of the buffer under replay.
         fresh: new levels per update.
         rate: first learning rate; falls linearly to a twentieth.
         entropy: first weight of the entropy bonus; falls linearly to a tenth.
@@ -64,14 +73,14 @@ class State(NamedTuple):
     """Everything a training run carries from update to update."""
 
     weights: Weights
-    optimiser: Any
-    lanes: Lane
-    bank: Bank
-    key: Array  # raw key data, uint32 [2]
-    update: Array  # int32
+    optimiser: optax.OptState
+    envs: EnvState  # leading axis E
+    buffer: LevelBuffer
+    key: jax.Array  # raw key data, uint32 [2]
+    update: jax.Array  # int32
 
 
-_new_bank = jax.jit(new_bank, static_argnums=(1, 2))
+_new_buffer = jax.jit(new_buffer, static_argnums=(1, 2))
 
 
 def _optimiser(config: TrainConfig) -> optax.GradientTransformation:
@@ -80,8 +89,14 @@ def _optimiser(config: TrainConfig) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(1.0), adam)
 
 
+def _with_rate(state: optax.OptState, rate: jax.Array) -> optax.OptState:
+    """Give the state of `_optimiser` another learning rate."""
+    clipping, adam = state
+    return clipping, adam._replace(hyperparams={**adam.hyperparams, "learning_rate": rate})
+
+
 def _check(config: TrainConfig) -> None:
-    find_method(config.method)
+    look_up(METHODS, config.method, "method")
     if config.actions < 3 or config.units < 1 or config.steps < 1:
         raise InputError("the agent needs at least 3 actions, 1 unit and 1 step")
     if config.ppo.lanes % config.ppo.minibatches:
@@ -104,102 +119,119 @@ def start(config: TrainConfig) -> State:
         if any(a.shape != b.shape for a, b in zip(loaded, weights, strict=True)):
             raise InputError(f"{config.warm_start} has other units or actions than asked for")
         weights = Weights(*map(jnp.asarray, loaded))
-    bank = _new_bank(keys[1], config.bank, config.levels)
-    place = jax.random.randint(keys[2], (config.ppo.lanes,), 0, config.bank)
+    buffer = _new_buffer(keys[1], config.bank, config.levels)
+    slot = jax.random.randint(keys[2], (config.ppo.lanes,), 0, config.bank)
     heading = jax.random.randint(keys[3], (config.ppo.lanes,), 0, 4)
-    level = jax.tree.map(lambda x: x[place], bank.level)
-    lanes = jax.vmap(begin, (None, 0, 0, 0, 0))(weights, level, place, bank.serial[place], heading)
+    level = jax.tree.map(lambda x: x[slot], buffer.level)
+    reset = jax.vmap(reset_env, (None, 0, 0, 0, 0))
+    envs = reset(weights, level, slot, buffer.serial[slot], heading)
     optimiser = _optimiser(config).init(weights)
-    return State(weights, optimiser, lanes, bank, jax.random.key_data(keys[4]), jnp.int32(0))
+    return State(weights, optimiser, envs, buffer, jax.random.key_data(keys[4]), jnp.int32(0))
 
 
-def _schedules(config: TrainConfig, update: Array) -> tuple[Array, Array, RewardConfig]:
-    """Give the learning rate, the entropy weight and the rewards of an update."""
+class Schedule(NamedTuple):
+    """What changes in the course of the training."""
+
+    learning_rate: jax.Array
+    entropy: jax.Array  # weight of the entropy bonus
+    rewards: Rewards
+
+
+def _schedule(config: TrainConfig, update: jax.Array) -> Schedule:
     done = jnp.minimum(update / config.updates, 1.0)
-    novelty = config.reward.novelty
+    novelty: jax.Array | float = config.reward.novelty
     if config.novelty_until < 1:
-        fade = jnp.clip(2 - 2 * done / config.novelty_until, 0.0, 1.0)
-        novelty = novelty * fade
-    rate = config.rate * (1 - 0.95 * done)
-    entropy = config.entropy * (1 - 0.9 * done)
-    return rate, entropy, replace(config.reward, novelty=novelty)
+        novelty = novelty * jnp.clip(2 - 2 * done / config.novelty_until, 0.0, 1.0)
+    rewards = Rewards(novelty, config.reward.progress)
+    return Schedule(config.rate * (1 - 0.95 * done), config.entropy * (1 - 0.9 * done), rewards)
 
 
-def _try_out(
-    key: Array, weights: Weights, levels: Level, config: TrainConfig, reward: RewardConfig
-) -> Array:
+def _score_unseen(
+    key: jax.Array, weights: Weights, levels: Level, config: TrainConfig, rewards: Rewards
+) -> jax.Array:
     """Score new levels by one rollout without learning (float32 [fresh]); consumes the key."""
     keys = jax.random.split(key)
     number = jnp.arange(config.fresh)
     heading = jax.random.randint(keys[0], (config.fresh,), 0, 4)
-    lanes = jax.vmap(begin, (None, 0, 0, 0, 0))(weights, levels, number, number, heading)
+    reset = jax.vmap(reset_env, (None, 0, 0, 0, 0))
+    envs = reset(weights, levels, number, number, heading)
 
-    def again(draw: Array, lane: Array) -> tuple[Level, Array, Array]:
+    def same_level(draw: jax.Array, env: jax.Array) -> tuple[Level, jax.Array, jax.Array]:
         del draw
-        return jax.tree.map(lambda x: x[lane], levels), lane, lane
+        return jax.tree.map(lambda x: x[env], levels), env, env
 
-    _, steps, last = roll(keys[1], weights, lanes, again, config.ppo.timesteps, reward)
-    return jnp.maximum(advantages(steps, last, config.ppo), 0).mean(0)
+    _, steps, last_value = collect(
+        keys[1], weights, envs, same_level, config.ppo.timesteps, rewards
+    )
+    return jnp.maximum(advantages(steps, last_value, config.ppo), 0).mean(0)
 
 
 def _renew(
-    key: Array, state: State, config: TrainConfig, method: Method, reward: RewardConfig
-) -> Bank:
+    key: jax.Array, state: State, config: TrainConfig, method: Method, rewards: Rewards
+) -> LevelBuffer:
     """Propose new levels, try them out if the method asks for it, let them in."""
     keys = jax.random.split(key)
-    odds = replay_odds(state.bank, state.update, method)
-    levels = jax.vmap(lambda key: method.propose(key, state.bank, odds, config.levels))(
+    probabilities = replay_probabilities(state.buffer, state.update, method)
+    levels = jax.vmap(lambda key: method.propose(key, state.buffer, probabilities, config.levels))(
         jax.random.split(keys[0], config.fresh)
     )
     score = jnp.zeros(config.fresh)
     if method.on_trial:
-        score = _try_out(keys[1], state.weights, levels, config, reward)
-    return admit(state.bank, levels, score, state.update, method)
+        score = _score_unseen(keys[1], state.weights, levels, config, rewards)
+    return insert(state.buffer, levels, score, state.update, method)
 
 
-def _numbers(steps: Step, log: Array, bank: Bank) -> dict[str, Array]:
+def _replayed(
+    buffer: LevelBuffer, probabilities: jax.Array
+) -> Callable[[jax.Array, jax.Array], tuple[Level, jax.Array, jax.Array]]:
+    """Make the function that draws the next level of an environment from the buffer."""
+    cumulative = jnp.cumsum(probabilities)
+
+    def next_level(draw: jax.Array, env: jax.Array) -> tuple[Level, jax.Array, jax.Array]:
+        del env
+        # Inverse transform sampling; the sum may miss 1 by a rounding, the slot the last level.
+        slot = jnp.searchsorted(cumulative, draw * cumulative[-1], side="right")
+        slot = jnp.minimum(slot, probabilities.size - 1)
+        return jax.tree.map(lambda x: x[slot], buffer.level), slot, buffer.serial[slot]
+
+    return next_level
+
+
+def _metrics(steps: Transition, log: LearningLog, buffer: LevelBuffer) -> dict[str, jax.Array]:
     """Sum an update up for the log."""
     ended, longest = steps.done.sum(), (steps.done & steps.longest).sum()
     return {
         "success": steps.success.sum() / jnp.maximum(ended, 1),
         "success_longest": (steps.success & steps.longest).sum() / jnp.maximum(longest, 1),
-        "entropy": log[0],
-        "divergence": log[1],
-        "value_error": log[2],
-        "bank_score": bank.score.mean(),
+        "entropy": log.policy_entropy,
+        "divergence": log.approx_kl,
+        "value_error": log.value_loss,
+        "bank_score": buffer.score.mean(),
     }
 
 
-def update(state: State, config: TrainConfig) -> tuple[State, dict[str, Array]]:
-    """Renew the bank, play its levels, learn; traceable.
+def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Array]]:
+    """Renew the buffer, play its levels, learn; traceable.
 
     Returns:
         the new state, and numbers for the log.
     """
-    method = find_method(config.method)
+    method = look_up(METHODS, config.method, "method")
     keys = jax.random.split(jax.random.wrap_key_data(state.key), 4)
-    rate, entropy, reward = _schedules(config, state.update)
-    bank = _renew(keys[0], state, config, method, reward)
-    ladder = jnp.cumsum(replay_odds(bank, state.update, method))
-
-    def next_level(draw: Array, lane: Array) -> tuple[Level, Array, Array]:
-        del lane
-        place = jnp.searchsorted(ladder, draw * ladder[-1], side="right")
-        place = jnp.minimum(place, config.bank - 1)
-        return jax.tree.map(lambda x: x[place], bank.level), place, bank.serial[place]
-
-    lanes, steps, last = roll(
-        keys[1], state.weights, state.lanes, next_level, config.ppo.timesteps, reward
+    now = _schedule(config, state.update)
+    buffer = _renew(keys[0], state, config, method, now.rewards)
+    next_level = _replayed(buffer, replay_probabilities(buffer, state.update, method))
+    envs, steps, last_value = collect(
+        keys[1], state.weights, state.envs, next_level, config.ppo.timesteps, now.rewards
     )
-    gain = advantages(steps, last, config.ppo)
+    advantage = advantages(steps, last_value, config.ppo)
     if method.on_trial:
-        bank = rescore(bank, state.update, steps.index, steps.serial, gain)
-    optimiser = state.optimiser
-    optimiser[1].hyperparams["learning_rate"] = rate
-    batch = Batch(steps, state.lanes.memory, gain, gain + steps.value)
+        buffer = update_scores(buffer, state.update, steps.slot, steps.serial, advantage)
+    batch = Batch(steps, state.envs.memory, advantage, returns=advantage + steps.value)
+    optimiser = _with_rate(state.optimiser, now.learning_rate)
     weights, optimiser, log = learn(
-        keys[2], state.weights, _optimiser(config), optimiser, batch, config.ppo, entropy
+        keys[2], state.weights, _optimiser(config), optimiser, batch, config.ppo, now.entropy
     )
     key = jax.random.key_data(keys[3])
-    new = State(weights, optimiser, lanes, bank, key, state.update + 1)
-    return new, _numbers(steps, log, bank)
+    new = State(weights, optimiser, envs, buffer, key, state.update + 1)
+    return new, _metrics(steps, log, buffer)

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from qdenv.agent.convert import pad_units
 from qdenv.agent.evaluate import (
     default_horizon,
     random_layout,
@@ -28,7 +29,6 @@ from qdenv.agent.evaluate import (
 from qdenv.files import write_atomically
 from qdenv.simulate.maze.policy import Weights, draw_weights, load_weights, units_of
 from qdenv.simulate.maze.world import longest_path
-from qdenv.types import InputError
 
 THREADS = "XLA_FLAGS='--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'"
 
@@ -81,32 +81,6 @@ def run(
     if json_file:
         write_atomically(json_file, json.dumps(result, indent=1).encode())
     return result
-
-
-def pad_units(weights: Weights, units: int) -> Weights:
-    """Add LSTM units that stay at zero, so that the agent decides as before.
-
-    Raises:
-        InputError: the agent has more units already.
-    """
-    own = units_of(weights)
-    if units < own:
-        raise InputError(f"the shipped agent has {own} units: ask for as many or more")
-    more = ((0, 0), (0, units - own))
-
-    def gates(matrix: jax.Array) -> jax.Array:
-        """Pad each of the four gates (float32 [n, 4 L])."""
-        parts = [jnp.pad(part, more) for part in jnp.split(matrix, 4, axis=1)]
-        return jnp.concatenate(parts, axis=1)
-
-    rows = ((0, units - own), (0, 0))
-    return weights._replace(
-        gates_in=gates(weights.gates_in),
-        gates_back=jnp.pad(gates(weights.gates_back), rows),
-        gates_bias=gates(weights.gates_bias[None])[0],
-        actor=jnp.pad(weights.actor, rows),
-        critic=jnp.pad(weights.critic, rows),
-    )
 
 
 def _in_line(weights: Weights, layouts: jax.Array, key: jax.Array, runs: int, horizon: int) -> Any:

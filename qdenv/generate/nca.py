@@ -1,12 +1,15 @@
 """The neural cellular automaton: a small convolutional network applied again and again.
 
-One step is three convolutions with zero padding, ReLU, ReLU, sigmoid (appendix C.1.1). The
-real-valued output is fed back; tiles are chosen only after the last step.
+One step is three convolutions with zero padding, ReLU, ReLU, sigmoid (Zhang et al. 2023,
+"Arbitrarily scalable environment generators via neural cellular automata", appendix C.1.1,
+https://arxiv.org/abs/2310.18622). The real-valued output is fed back; tiles are chosen only
+after the last step.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -57,8 +60,8 @@ class Generator(NamedTuple):
     """
 
     size: int
-    unravel: Callable[[Array], dict]
-    grow: Callable[[Array, Array, int], Array]
+    unravel: Callable[[jax.Array], Any]
+    grow: Callable[[jax.Array, Array, int], jax.Array]
 
 
 def make_generator(
@@ -78,9 +81,12 @@ def make_generator(
         lambda leaf: np.zeros(leaf.shape, leaf.dtype),
         jax.eval_shape(module.init, jax.random.key(0), canvas),
     )
+    # The shapes alone say how a flat vector is cut up: no random weights are ever drawn.
     flat, unravel = ravel_pytree(variables)
 
-    def grow(parameters: Array, start: Array, steps: int) -> Array:
+    def grow(parameters: jax.Array, start: Array, steps: int) -> jax.Array:
+        chex.assert_shape(parameters, (flat.size,))
+        chex.assert_shape(start, (None, None, kinds))
         weights = unravel(parameters)
         return jax.lax.fori_loop(0, steps, lambda _, cells: module.apply(weights, cells), start)
 

@@ -2,6 +2,7 @@
 
 import math
 
+import chex
 import jax
 import jax.numpy as jnp
 
@@ -22,8 +23,10 @@ def entropy(area: Array, kinds: int) -> jax.Array:
     Returns:
         float32; 0 for an area without a 2x2 window.
     """
+    chex.assert_rank(area, 2)
     tiles = area.astype(jnp.int32)
     corners = (tiles[:-1, :-1], tiles[:-1, 1:], tiles[1:, :-1], tiles[1:, 1:])
+    # A pattern is a number of four digits in base `kinds`.
     codes = sum(corner * kinds**power for power, corner in enumerate(corners))
     if codes.size == 0:
         return jnp.float32(0)
@@ -42,15 +45,16 @@ def count(layout: Array, symbols: str, tiles: str) -> jax.Array:
     return of_tiles(layout, symbols, tiles).sum().astype(jnp.float32)
 
 
-def similarity(unrepaired: Array, repaired: Array, price: Array) -> jax.Array:
+def similarity(unrepaired: Array, repaired: Array, weight: Array) -> jax.Array:
     """Score how little the repair changed: Delta of the paper's section 4.
 
     Args:
         unrepaired: int8 [H, W].
         repaired: int8 [H, W].
-        price: float32 [H, W], p_i / max p of each cell, in [0, 1].
+        weight: float32 [H, W], p_i / max p of each cell, in [0, 1].
 
     Returns:
-        float32 in [0, 1], the summed price of the unchanged cells per cell.
+        float32 in [0, 1], the summed weight of the unchanged cells per cell.
     """
-    return ((unrepaired == repaired) * price).mean(dtype=jnp.float32)
+    chex.assert_equal_shape([unrepaired, repaired, weight])
+    return ((unrepaired == repaired) * weight).mean(dtype=jnp.float32)

@@ -1,53 +1,44 @@
-"""Scores of simulated traffic: throughput, success, usage, over the runs of one layout."""
+"""Scores of simulated traffic over the runs of one layout."""
 
 import math
 
+import chex
 import jax
 import jax.numpy as jnp
 
-from qdenv.types import Array, InputError, Traffic
+from qdenv.types import InputError, Traffic
 
 NORMAL_95 = 1.959964  # two-sided 95 % quantile of the normal distribution
 
 
 def mean_throughput(runs: Traffic) -> jax.Array:
-    """Average finished tasks per timestep over all runs, congested ones too (f_res, float32).
+    """Average the throughput over *all* runs, congested ones too: the search's objective f_res.
+
+    A run that congests ends early and counts with what it had finished, so a layout is paid for
+    every run it spoils. Studies of single layouts report the mean of successful runs instead.
 
     Args:
         runs: `Traffic` with a leading axis S.
+
+    Returns:
+        float32, finished tasks per timestep.
     """
-    return runs.throughput.mean()
-
-
-def success_rate(runs: Traffic) -> jax.Array:
-    """Share of the runs that never congested (float32 in [0, 1])."""
-    return 1.0 - runs.congested.mean(dtype=jnp.float32)
-
-
-def mean_usage(runs: Traffic) -> jax.Array:
-    """Share of all agent-steps spent on each cell (float32 [H, W], sums to 1; Figure 19)."""
-    return runs.usage.mean(axis=0)
-
-
-def mean_finished(runs: Traffic) -> jax.Array:
-    """Tasks finished at each timestep, averaged over the runs (float32 [T]; Figure 17)."""
-    return runs.finished.mean(axis=0, dtype=jnp.float32)
-
-
-def mean_waiting(runs: Traffic) -> Array:
-    """Share of agent-steps without a move, averaged over the runs (float32)."""
-    return runs.waiting.mean()
+    chex.assert_rank(runs.throughput, 1)
+    return jnp.asarray(runs.throughput).mean()
 
 
 def wilson_interval(successes: int, runs: int) -> tuple[float, float]:
-    """Bound a success rate with 95 % confidence (Wilson 1927); 0 and 1 get a width too.
+    """Bound a success rate with 95 % confidence; 0 and 1 get a width too.
+
+    The score interval of Wilson 1927, "Probable inference, the law of succession, and statistical
+    inference", https://doi.org/10.1080/01621459.1927.10502953.
 
     Raises:
         InputError: no runs.
     """
     if runs < 1:
         raise InputError("a success rate needs at least one run")
-    rate, spread = successes / runs, NORMAL_95**2 / runs
-    centre = (rate + spread / 2) / (1 + spread)
-    width = math.sqrt(rate * (1 - rate) * spread + spread**2 / 4) / (1 + spread)
+    rate, shrinkage = successes / runs, NORMAL_95**2 / runs
+    centre = (rate + shrinkage / 2) / (1 + shrinkage)
+    width = math.sqrt(rate * (1 - rate) * shrinkage + shrinkage**2 / 4) / (1 + shrinkage)
     return max(0.0, centre - width), min(1.0, centre + width)

@@ -2,6 +2,7 @@
 
     axes                 measures to cells
     archive              the elitist grid archive (a qdax repertoire)
+    insertion            what an archive says of a batch
     threshold_archive    the soft archive of CMA-MAE
     strategies/          evolution strategies behind one face, ours and evosax'
     emitters             strategies that rank by an archive's verdict and restart from its elites

@@ -1,43 +1,22 @@
-"""Grid archives: a qdax repertoire with direct indexing, and its soft-threshold form (CMA-MAE)."""
+"""The grid archive of MAP-Elites: a qdax repertoire with direct indexing.
+
+Mouret and Clune 2015, "Illuminating search spaces by mapping elites",
+https://arxiv.org/abs/1504.04909.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
+import chex
 import flax.struct
 import jax
 import jax.numpy as jnp
 from qdax.core.containers.mapelites_repertoire import MapElitesRepertoire
 
 from qdenv.search.axes import cell_index, check_measures, grid_centroids
+from qdenv.search.insertion import Insertion, first_of_best, put
 from qdenv.types import Array, InputError, Measure
-
-
-class Insertion(NamedTuple):
-    """What an archive says of each solution of a batch, seen against the archive before it.
-
-    Attributes:
-        status: int32 [B], 2 found a new cell, 1 improved a filled one, 0 was not accepted.
-        value: float [B], objective minus the cell's threshold; -inf for a failed solution.
-    """
-
-    status: Array
-    value: Array
-
-
-def first_of_best(objective: Array, candidates: Array, same_cell: Array) -> jax.Array:
-    """Mark the best candidate of each cell, the first of the batch on a tie.
-
-    Args:
-        objective: float [B].
-        candidates: bool [B].
-        same_cell: bool [B, B].
-    """
-    index = jnp.arange(objective.shape[0])
-    above = objective[None, :] > objective[:, None]
-    tied_before = (objective[None, :] == objective[:, None]) & (index[None, :] < index[:, None])
-    beaten = (same_cell & candidates[None, :] & (above | tied_before)).any(axis=1)
-    return candidates & ~beaten
 
 
 class GridArchive(MapElitesRepertoire):
@@ -59,13 +38,13 @@ class GridArchive(MapElitesRepertoire):
 
     @classmethod
     def empty(
-        cls, solution: Any, measures: Sequence[Any], extras: Mapping[str, Any] | None = None
+        cls, solution: Any, measures: Sequence[Measure], extras: Mapping[str, Any] | None = None
     ) -> Self:
         """Make an archive without elites.
 
         Args:
             solution: one example solution (shapes and dtypes are read, not values).
-            measures: records with ``name, low, high, cells``.
+            measures: the axes.
             extras: one example of what is stored beside each elite.
 
         Raises:
@@ -97,7 +76,7 @@ class GridArchive(MapElitesRepertoire):
         descriptors: Array,
         centroids: Array | None = None,
         *args: Any,
-        measures: Sequence[Any],
+        measures: Sequence[Measure],
         extra_scores: Mapping[str, Array] | None = None,
         keys_extra_scores: tuple[str, ...] = (),
     ) -> Self:
@@ -143,9 +122,14 @@ class GridArchive(MapElitesRepertoire):
 
         Raises:
             InputError: a declared extra is missing (when tracing, not inside jit).
+            AssertionError: a shape is wrong (when tracing).
         """
         objective = jnp.asarray(objective, self.fitnesses.dtype)
         measures = jnp.asarray(measures, self.descriptors.dtype)
+        chex.assert_rank(objective, 1)
+        chex.assert_shape(measures, (*objective.shape, len(self.measures)))
+        chex.assert_tree_shape_prefix(solutions, objective.shape)
+        # A failed row gets the objective that beats no threshold: it needs no case of its own.
         valid = success & jnp.isfinite(objective) & jnp.isfinite(measures).all(axis=-1)
         objective = jnp.where(valid, objective, -jnp.inf)
         cells = self.cells_of(measures)
@@ -155,18 +139,20 @@ class GridArchive(MapElitesRepertoire):
         status = jnp.where(accepted, jnp.where(filled, 1, 2), 0).astype(jnp.int32)
         value = objective - jnp.where(jnp.isneginf(threshold), 0, threshold)
 
+        # Every row was judged against the archive before the batch, so the order of the rows
+        # decides nothing but ties; only the winners are written.
         same_cell = cells[:, None] == cells[None, :]
         winner = first_of_best(objective, accepted, same_cell)
-        target = jnp.where(winner, cells, self.fitnesses.shape[0])  # out of bounds: dropped
+        target = jnp.where(winner, cells, self.fitnesses.shape[0])  # others: out of bounds
         kept = self._wanted(extras or {})
         archive = self._raise_thresholds(
             target, threshold, objective, same_cell & accepted[None, :]
         )
         archive = archive.replace(
-            genotypes=_put(self.genotypes, target, solutions),
-            fitnesses=_put(self.fitnesses, target, objective[:, None]),
-            descriptors=_put(self.descriptors, target, measures),
-            extra_scores=_put(self.extra_scores, target, kept),
+            genotypes=put(self.genotypes, target, solutions),
+            fitnesses=put(self.fitnesses, target, objective[:, None]),
+            descriptors=put(self.descriptors, target, measures),
+            extra_scores=put(self.extra_scores, target, kept),
         )
         return archive, Insertion(status, value)
 
@@ -176,12 +162,16 @@ class GridArchive(MapElitesRepertoire):
                 raise InputError(f"this archive stores {key!r} beside each elite: hand it in")
         return {key: extras[key] for key in self.keys_extra_scores}
 
-    def threshold_of(self, cells: Array) -> jax.Array:
+    def threshold_of(self, cells: jax.Array) -> jax.Array:
         """Look up what a solution must exceed to enter each of `cells` (int32 [B] -> [B])."""
         return self.fitnesses[cells, 0]
 
     def _raise_thresholds(
-        self, target: Array, threshold: Array, objective: Array, accepted: Array
+        self,
+        target: jax.Array,
+        threshold: jax.Array,
+        objective: jax.Array,
+        accepted: jax.Array,
     ) -> Self:
         return self  # the threshold of an elitist archive is the objective itself
 
@@ -208,7 +198,11 @@ class GridArchive(MapElitesRepertoire):
         return self.objectives > -jnp.inf
 
     def qd_score(self, offset: float = 0.0) -> jax.Array:
-        """Sum the objectives minus `offset` over the filled cells; 0 when empty."""
+        """Sum the objectives minus `offset` over the filled cells; 0 when empty.
+
+        The QD-score of Pugh, Soros and Stanley 2016, "Quality diversity: a new frontier for
+        evolutionary computation", https://doi.org/10.3389/frobt.2016.00040.
+        """
         return jnp.sum(self.objectives - offset, where=self.filled)
 
     @property
@@ -221,17 +215,19 @@ class GridArchive(MapElitesRepertoire):
         """Give the cell of the best elite, int32; the first on a tie, 0 when empty."""
         return jnp.argmax(self.objectives).astype(jnp.int32)
 
-    def sample_cells(self, key: Array, count: int) -> jax.Array:
+    def sample_cells(self, key: jax.Array, count: int) -> jax.Array:
         """Draw filled cells uniformly with replacement, int32 [count]; 0 when there is none.
 
         Consumes `key`.
         """
+        # The r-th filled cell is where the running count first exceeds r: uniform without a list
+        # of filled cells, whose length would not be static.
         ranks = jnp.cumsum(self.filled)
         draws = jax.random.randint(key, (count,), 0, jnp.maximum(ranks[-1], 1))
         cells = jnp.searchsorted(ranks, draws, side="right")
         return jnp.where(ranks[-1] > 0, cells, 0).astype(jnp.int32)
 
-    def sample_solutions(self, key: Array, count: int, fallback: Any) -> Any:
+    def sample_solutions(self, key: jax.Array, count: int, fallback: Any) -> Any:
         """Draw elites' solutions, pytree of [count, ...]; copies of `fallback` when empty.
 
         Consumes `key`.
@@ -241,9 +237,3 @@ class GridArchive(MapElitesRepertoire):
         return jax.tree.map(
             lambda stored, other: jnp.where(some, stored[cells], other), self.genotypes, fallback
         )
-
-
-def _put(stored: Any, target: Array, rows: Any) -> Any:
-    return jax.tree.map(
-        lambda old, new: old.at[target].set(jnp.asarray(new, old.dtype), mode="drop"), stored, rows
-    )

@@ -3,7 +3,6 @@
 import functools
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +13,8 @@ from qdenv.types import Array, InputError, Measure
 EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
 
 
-def check_measures(measures: Sequence[Any]) -> tuple[Measure, ...]:
-    """Turn records with ``name, low, high, cells`` into `Measure`s.
+def check_measures(measures: Sequence[Measure]) -> tuple[Measure, ...]:
+    """Reduce measures to their axes, which are compared and hashed as static fields of an archive.
 
     Raises:
         InputError: there is no measure, a range is empty or infinite, or an axis has no cell.
@@ -46,7 +45,7 @@ def inner_edges(axis: Measure, dtype: np.dtype) -> np.ndarray:
     return np.where(edges < exact, np.nextafter(edges, dtype.type(np.inf)), edges)
 
 
-def grid_centroids(measures: Sequence[Any]) -> jax.Array:
+def grid_centroids(measures: Sequence[Measure]) -> jax.Array:
     """Compute the centres of all cells, float [C, M], the last measure varying fastest."""
     centres = [
         axis.low + (np.arange(axis.cells) + 0.5) * (axis.high - axis.low) / axis.cells
@@ -65,6 +64,7 @@ def cell_index(measures: Array, axes: tuple[Measure, ...]) -> jax.Array:
     for position, axis in enumerate(axes):
         values = measures[..., position]
         edges = inner_edges(axis, np.dtype(values.dtype))
+        # Counting the edges at or below a value clips it to the grid and puts NaN first.
         along = (values[..., None] >= edges).sum(axis=-1, dtype=jnp.int32)
         index = index * axis.cells + along
     return index

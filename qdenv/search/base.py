@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,25 +25,41 @@ class Algorithm(NamedTuple):
         batch_size: B, the number of solutions of every ask.
     """
 
-    init: Callable[[Array], Any]
-    ask: Callable[[Any], tuple[Array, Any]]
+    init: Callable[[jax.Array], Any]
+    ask: Callable[[Any], tuple[jax.Array, Any]]
     tell: Callable[[Any, Array, Score, Mapping[str, Array]], Any]
     archive: Callable[[Any], GridArchive]
     batch_size: int
 
 
-def usable(solutions: Array, score: Score) -> jax.Array:
-    """Mark the rows an algorithm may learn from, bool [B]: a success, everything finite."""
-    return (
-        jnp.asarray(score.success)
+def received(solutions: Array, score: Score) -> tuple[jax.Array, Score]:
+    """Take in what `tell` is handed; only rows an algorithm may learn from stay a success.
+
+    Args:
+        solutions: float [B, P].
+        score: `Score` with a leading axis B; rows that hold anything not finite count as failed.
+
+    Raises:
+        AssertionError: a shape is wrong (when tracing).
+    """
+    solutions = jnp.asarray(solutions)
+    score = Score(*(jnp.asarray(column) for column in score))
+    chex.assert_rank([solutions, score.measures], 2)
+    chex.assert_shape(
+        [score.objective, score.result_objective, score.success], (solutions.shape[0],)
+    )
+    chex.assert_equal_shape_prefix([solutions, score.measures], 1)
+    usable = (
+        score.success
         & jnp.isfinite(score.objective)
         & jnp.isfinite(score.result_objective)
         & jnp.isfinite(score.measures).all(axis=-1)
         & jnp.isfinite(solutions).all(axis=-1)
     )
+    return solutions, score._replace(success=usable)
 
 
-def start_solution(x0: Any, solution_dim: int) -> jax.Array:
+def start_solution(x0: Array | None, solution_dim: int) -> jax.Array:
     """Give the solution the search starts from, float [P]: `x0`, or zeros where it is None.
 
     Raises:
@@ -58,7 +75,7 @@ def start_solution(x0: Any, solution_dim: int) -> jax.Array:
     return jnp.asarray(x0, jnp.result_type(float))
 
 
-def plain_key(key: Array) -> jax.Array:
+def plain_key(key: jax.Array) -> jax.Array:
     """Give the words of a random key, uint32 [2], so that a state is plain arrays throughout."""
     return jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
 

@@ -1,11 +1,16 @@
-"""CMA-ES on the objective alone, with an archive kept passively."""
+"""CMA-ES on the objective alone, with an archive kept passively.
+
+Hansen 2016, "The CMA evolution strategy: a tutorial", https://arxiv.org/abs/1604.00772.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from qdenv.registry import Entry
 from qdenv.search.base import Algorithm
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
+from qdenv.types import Array, Measure
 
 
 @dataclass(frozen=True)
@@ -31,16 +36,16 @@ class CmaEsConfig:
 def cma_es(
     config: CmaEsConfig,
     solution_dim: int,
-    measures: Sequence[Any],
+    measures: Sequence[Measure],
     extras: Mapping[str, Any] | None = None,
-    x0: Any = None,
+    x0: Array | None = None,
 ) -> Algorithm:
     """Make CMA-ES: emitters that rank by the objective and recombine the better half.
 
     Args:
         config: the settings.
         solution_dim: P.
-        measures: records with ``name, low, high, cells``, for the archive only.
+        measures: axes of the archive, which steers nothing here.
         extras: one example of what the archive stores beside each elite.
         x0: where all strategies start, float [P]; zeros where None.
 
@@ -59,3 +64,6 @@ def cma_es(
         strategy=config.strategy,
     )
     return cma_mae(settings, solution_dim, measures, extras, x0)
+
+
+CMA_ES = Entry(CmaEsConfig, cma_es)

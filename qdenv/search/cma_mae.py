@@ -1,4 +1,9 @@
-"""CMA-MAE, its special case CMA-ME, and the search of evolution strategies that both are."""
+"""CMA-MAE, its special case CMA-ME, and the search of evolution strategies that both are.
+
+Fontaine and Nikolaidis 2023, "Covariance matrix adaptation MAP-annealing",
+https://arxiv.org/abs/2205.10752; Fontaine, Togelius, Nikolaidis and Hoover 2020, "Covariance matrix
+adaptation for the rapid illumination of behavior space", https://arxiv.org/abs/1912.02400.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,10 +11,10 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
+from qdenv.registry import Entry
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm, plain_key, positive, start_solution, usable
+from qdenv.search.base import Algorithm, plain_key, positive, received, start_solution
 from qdenv.search.emitters import (
     RANKERS,
     SELECTIONS,
@@ -20,7 +25,7 @@ from qdenv.search.emitters import (
 )
 from qdenv.search.strategies.registry import STRATEGIES
 from qdenv.search.threshold_archive import ThresholdArchive
-from qdenv.types import Array, Score, look_up
+from qdenv.types import Array, Measure, Score, look_up
 
 
 @dataclass(frozen=True)
@@ -64,13 +69,13 @@ class CmaMeConfig(CmaMaeConfig):
 class CmaMaeState(NamedTuple):
     """State of CMA-MAE; one pytree."""
 
-    key: Array
+    key: jax.Array
     emitters: EmittersState
     learning: ThresholdArchive  # judged by `Score.objective`; steers the emitters
     result: GridArchive  # the best by `Score.result_objective`
 
 
-def make_team(config: CmaMaeConfig, start: Array) -> Emitters:
+def make_team(config: CmaMaeConfig, start: jax.Array) -> Emitters:
     """Make the emitters a config describes, all starting at `start` (float [P]).
 
     Raises:
@@ -90,12 +95,46 @@ def make_team(config: CmaMaeConfig, start: Array) -> Emitters:
     )
 
 
+def new_learning_archive(
+    config: CmaMaeConfig, start: jax.Array, measures: Sequence[Measure]
+) -> ThresholdArchive:
+    """Make the empty soft archive that steers the emitters (`start`: one solution, float [P])."""
+    return ThresholdArchive.empty(start, measures, None, config.learning_rate, config.threshold_min)
+
+
+def steer(
+    team: Emitters,
+    state: EmittersState,
+    key: jax.Array,
+    learning: ThresholdArchive,
+    solutions: jax.Array,
+    score: Score,
+) -> tuple[EmittersState, ThresholdArchive]:
+    """Judge a batch by the learning archive and let the emitters adapt to the verdict.
+
+    Args:
+        team: from `make_team`.
+        state: of the emitters, as their `ask` left it.
+        key: consumed.
+        learning: the soft archive before the batch.
+        solutions: float [E * b, P].
+        score: from `received`; only its objective and measures steer.
+    """
+    learning, insertion = learning.insert(
+        solutions, score.objective, score.measures, success=score.success
+    )
+    # All verdicts are older than the batch, but restarts draw from the archive that holds it:
+    # the order of pyribs' scheduler.
+    told = solutions, insertion, score.objective, score.success
+    return team.tell(state, key, *told, learning), learning
+
+
 def cma_mae(
     config: CmaMaeConfig,
     solution_dim: int,
-    measures: Sequence[Any],
+    measures: Sequence[Measure],
     extras: Mapping[str, Any] | None = None,
-    x0: Any = None,
+    x0: Array | None = None,
 ) -> Algorithm:
     """Make CMA-MAE (Fontaine and Nikolaidis 2023), as pyribs' scheduler runs it.
 
@@ -105,7 +144,7 @@ def cma_mae(
     Args:
         config: the settings.
         solution_dim: P.
-        measures: records with ``name, low, high, cells``.
+        measures: axes of the archives.
         extras: one example of what the result archive stores beside each elite.
         x0: where all emitters start, float [P]; zeros where None.
 
@@ -113,36 +152,34 @@ def cma_mae(
         InputError: a setting is out of range or unknown.
     """
     start = start_solution(x0, solution_dim)
-    emitters = make_team(config, start)
-    soft = {"learning_rate": config.learning_rate, "threshold_min": config.threshold_min}
+    team = make_team(config, start)
 
-    def init(key: Array) -> CmaMaeState:
-        key, emitters_key = jax.random.split(plain_key(key))
-        learning = ThresholdArchive.empty(start, measures, **soft)
+    def init(key: jax.Array) -> CmaMaeState:
+        key, team_key = jax.random.split(plain_key(key))
+        learning = new_learning_archive(config, start, measures)
         result = GridArchive.empty(start, measures, extras)
-        return CmaMaeState(key, emitters.init(emitters_key), learning, result)
+        return CmaMaeState(key, team.init(team_key), learning, result)
 
-    def ask(state: CmaMaeState) -> tuple[Array, CmaMaeState]:
+    def ask(state: CmaMaeState) -> tuple[jax.Array, CmaMaeState]:
         key, ask_key = jax.random.split(state.key)
-        solutions, emitters_state = emitters.ask(state.emitters, ask_key)
-        return solutions, state._replace(key=key, emitters=emitters_state)
+        solutions, emitters = team.ask(state.emitters, ask_key)
+        return solutions, state._replace(key=key, emitters=emitters)
 
     def tell(
         state: CmaMaeState, solutions: Array, score: Score, extras: Mapping[str, Array]
     ) -> CmaMaeState:
-        score, solutions = jax.tree.map(jnp.asarray, (score, solutions))
+        solutions, score = received(solutions, score)
         key, tell_key = jax.random.split(state.key)
-        valid = usable(solutions, score)
-        learning, insertion = state.learning.insert(
-            solutions, score.objective, score.measures, success=valid
-        )
+        emitters, learning = steer(team, state.emitters, tell_key, state.learning, solutions, score)
+        # The learning archive may replace a better elite by a worse one: results need their own.
         result, _ = state.result.insert(
-            solutions, score.result_objective, score.measures, extras, valid
+            solutions, score.result_objective, score.measures, extras, score.success
         )
-        emitters_state = emitters.tell(
-            state.emitters, tell_key, solutions, insertion, score.objective, valid, learning
-        )
-        return CmaMaeState(key, emitters_state, learning, result)
+        return CmaMaeState(key, emitters, learning, result)
 
     batch_size = config.emitters * config.batch
     return Algorithm(init, ask, tell, lambda state: state.result, batch_size)
+
+
+CMA_MAE = Entry(CmaMaeConfig, cma_mae)
+CMA_ME = Entry(CmaMeConfig, cma_mae)

@@ -1,55 +1,60 @@
-"""Archives as tables and files: pandas with pyribs' column names, CSV and npz."""
+"""Archives as tables and files: one column layout for npz, CSV and pandas (pyribs' names)."""
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
 
+from qdenv.checkpoints import write_arrays
 from qdenv.files import write_atomically
 from qdenv.search.archive import GridArchive
+from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import InputError, Measure
+
+if TYPE_CHECKING:
+    import pandas
 
 
 def elites(archive: GridArchive) -> dict[str, np.ndarray]:
     """Collect the filled cells as numpy arrays with a leading axis of elites.
 
     Returns:
-        pyribs' fields ``solution, objective, measures, threshold, index`` (the threshold of an
-        elitist archive is the objective) and one more for every extra.
+        ``index`` (int64, the cells), ``solution``, ``objective``, ``measures``, for a soft archive
+        ``threshold``, and one more column for every extra. A run's archive.npz holds these names.
 
     Raises:
-        InputError: the solutions are no single array [C, P], or an extra takes a field's name.
+        InputError: the solutions are no single array [C, P], or an extra takes a column's name.
     """
     if not hasattr(archive.genotypes, "shape"):
         raise InputError("only an archive whose solutions are one array [C, P] can be exported")
-    index = np.flatnonzero(np.asarray(archive.filled))
-    thresholds = getattr(archive, "thresholds", archive.objectives)
-    fields = {
+    columns = {
         "solution": archive.genotypes,
         "objective": archive.objectives,
         "measures": archive.descriptors,
-        "threshold": thresholds,
     }
-    taken = (fields.keys() | {"index"}) & archive.extra_scores.keys()
+    if isinstance(archive, ThresholdArchive):
+        columns["threshold"] = archive.thresholds
+    taken = {*columns, "index", "threshold"} & archive.extra_scores.keys()
     if taken:
         raise InputError(f"rename the extra {sorted(taken)[0]!r}: an archive has that field")
-    rows = {name: np.asarray(values)[index] for name, values in fields.items()}
-    extras = {name: np.asarray(archive.extra_scores[name])[index] for name in archive.extra_scores}
-    return {**rows, **extras, "index": index.astype(np.int32)}
+    index = np.flatnonzero(np.asarray(archive.filled))
+    rows = {**columns, **archive.extra_scores}
+    return {"index": index} | {name: np.asarray(values)[index] for name, values in rows.items()}
 
 
-def to_pandas(archive: GridArchive, fields: Sequence[str] | None = None) -> Any:
+def to_pandas(archive: GridArchive, fields: Sequence[str] | None = None) -> "pandas.DataFrame":
     """Make a pandas data frame with one row per elite and pyribs' column names.
 
     pyribs' ``ribs.visualize`` functions accept it as their ``df``.
 
     Args:
         archive: the archive.
-        fields: which fields of `elites`; by default all that hold at most one axis per elite
-            (a table has no place for whole layouts).
+        fields: which columns of `elites` or ``threshold`` (of an elitist archive the objective);
+            by default all with at most one axis per elite (a table has no place for whole
+            layouts).
 
     Raises:
         InputError: pandas is not installed, or a field does not exist or has more axes.
@@ -59,8 +64,11 @@ def to_pandas(archive: GridArchive, fields: Sequence[str] | None = None) -> Any:
     except ImportError as error:
         raise InputError("tables need pandas: pip install 'qdenv[data]'") from error
     rows = elites(archive)
+    rows = {"threshold": rows["objective"]} | rows
     if fields is None:
-        fields = [name for name, values in rows.items() if values.ndim <= 2]
+        first = ("solution", "objective", "measures", "threshold")
+        order = dict.fromkeys((*first, *(name for name in rows if name != "index"), "index"))
+        fields = [name for name in order if rows[name].ndim <= 2]
     columns: dict[str, np.ndarray] = {}
     for name in fields:
         if name not in rows or rows[name].ndim > 2:
@@ -81,7 +89,7 @@ def save_csv(archive: GridArchive, path: str | os.PathLike) -> None:
 def save_npz(archive: GridArchive, path: str | os.PathLike) -> None:
     """Write the filled cells and the axes as npz, atomically; `load_npz` reads it back.
 
-    The file holds the fields of `elites` and ``measure_names, measure_lows, measure_highs,
+    The file holds the columns of `elites` and ``measure_names, measure_lows, measure_highs,
     measure_cells``.
     """
     axes = archive.measures
@@ -91,35 +99,42 @@ def save_npz(archive: GridArchive, path: str | os.PathLike) -> None:
         "measure_highs": np.array([axis.high for axis in axes]),
         "measure_cells": np.array([axis.cells for axis in axes]),
     }
-    rows = elites(archive)
-    write_atomically(Path(path), lambda file: np.savez_compressed(file, **rows, **grid))
+    write_arrays(Path(path), {**elites(archive), **grid}, compressed=True)
 
 
-def load_npz(path: str | os.PathLike) -> GridArchive:
-    """Read what `save_npz` wrote into an elitist archive with the same cells.
+def load_npz(path: str | os.PathLike, measures: Sequence[Measure] | None = None) -> GridArchive:
+    """Read a saved archive into an elitist archive with the same cells.
+
+    Args:
+        path: a file of `save_npz`, or the archive.npz of a run.
+        measures: the axes; needed for the archive of a run, whose manifest.json holds them
+            (`RunDirectory.measures`).
 
     Raises:
-        InputError: the file is missing or no archive.
+        InputError: the file is missing, no archive, or has no axes and none were given.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
             rows = dict(file)
-        grid = [rows.pop(f"measure_{part}") for part in ("names", "lows", "highs", "cells")]
-        measures = [
-            Measure(str(name), float(low), float(high), int(cells))
-            for name, low, high, cells in zip(*grid, strict=True)
-        ]
-        index = rows.pop("index")
-        solution, objective = rows.pop("solution"), rows.pop("objective")
-        places = rows.pop("measures")
+        index, solution = rows.pop("index"), rows.pop("solution")
+        objective, places = rows.pop("objective"), rows.pop("measures")
+        stored = _pop_axes(rows)
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise InputError(f"{path} is no saved archive ({error})") from error
-    rows.pop("threshold", None)
+    axes = measures or stored
+    if not axes:
+        raise InputError(
+            f"{path} does not hold its axes: hand them in, load_npz(path, measures) with the "
+            "measures of its RunDirectory"
+        )
+    rows.pop("threshold", None)  # what is read back is elitist
     blank = GridArchive.empty(
         jax.ShapeDtypeStruct(solution.shape[1:], solution.dtype),
-        measures,
+        axes,
         {name: jax.ShapeDtypeStruct(rows[name].shape[1:], rows[name].dtype) for name in rows},
     )
+    if places.shape[1:] != (len(axes),) or index.max(initial=0) >= len(blank.fitnesses):
+        raise InputError(f"{path} is an archive over other measures: hand in those of its run")
     return blank.replace(
         genotypes=blank.genotypes.at[index].set(solution),
         fitnesses=blank.fitnesses.at[index, 0].set(objective),
@@ -127,4 +142,15 @@ def load_npz(path: str | os.PathLike) -> GridArchive:
         extra_scores={
             name: blank.extra_scores[name].at[index].set(values) for name, values in rows.items()
         },
+    )
+
+
+def _pop_axes(rows: dict[str, np.ndarray]) -> tuple[Measure, ...]:
+    """Take the axes out of the arrays of a file; none where it has none."""
+    if "measure_names" not in rows:
+        return ()
+    grid = [rows.pop(f"measure_{part}") for part in ("names", "lows", "highs", "cells")]
+    return tuple(
+        Measure(str(name), float(low), float(high), int(cells))
+        for name, low, high, cells in zip(*grid, strict=True)
     )

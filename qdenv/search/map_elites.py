@@ -1,4 +1,9 @@
-"""MAP-Elites with the Iso+LineDD variation, on an elitist or a soft archive."""
+"""MAP-Elites with the Iso+LineDD variation, on an elitist or a soft archive.
+
+Mouret and Clune 2015, "Illuminating search spaces by mapping elites",
+https://arxiv.org/abs/1504.04909; Vassiliades and Mouret 2018, "Discovering the elite hypervolume
+by leveraging interspecies correlation", https://arxiv.org/abs/1804.03906.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,13 +11,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 from qdax.core.emitters.mutation_operators import isoline_variation
 
+from qdenv.registry import Entry
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm, plain_key, positive, start_solution, usable
+from qdenv.search.base import Algorithm, plain_key, positive, received, start_solution
 from qdenv.search.threshold_archive import ThresholdArchive
-from qdenv.types import Array, Score
+from qdenv.types import Array, Measure, Score
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,7 @@ class MapElitesConfig:
 class MapElitesState(NamedTuple):
     """State of MAP-Elites; one pytree."""
 
-    key: Array
+    key: jax.Array
     parents: ThresholdArchive  # judged by `Score.objective`
     result: GridArchive  # the best by `Score.result_objective`
 
@@ -49,11 +54,11 @@ class MapElitesState(NamedTuple):
 def map_elites(
     config: MapElitesConfig,
     solution_dim: int,
-    measures: Sequence[Any],
+    measures: Sequence[Measure],
     extras: Mapping[str, Any] | None = None,
-    x0: Any = None,
+    x0: Array | None = None,
 ) -> Algorithm:
-    """Make MAP-Elites (Mouret and Clune 2015; Vassiliades and Mouret 2018).
+    """Make MAP-Elites (Mouret and Clune 2015) with Iso+LineDD (Vassiliades and Mouret 2018).
 
     A child is x_i + sigma_iso N(0, I) + sigma_line (x_j - x_i) N(0, 1) of two random elites;
     while there are none, both parents are `x0`.
@@ -61,7 +66,7 @@ def map_elites(
     Args:
         config: the settings.
         solution_dim: P.
-        measures: records with ``name, low, high, cells``.
+        measures: axes of the archives.
         extras: one example of what the result archive stores beside each elite.
         x0: the parent while there is none, float [P]; zeros where None.
 
@@ -71,14 +76,14 @@ def map_elites(
     positive(emitters=config.emitters, batch=config.batch, sigma_iso=config.sigma_iso)
     start = start_solution(x0, solution_dim)
     batch_size = config.emitters * config.batch
-    soft = {"learning_rate": config.learning_rate, "threshold_min": config.threshold_min}
-    ThresholdArchive.check(**soft)
+    soft = config.learning_rate, config.threshold_min
+    ThresholdArchive.check(*soft)
 
-    def init(key: Array) -> MapElitesState:
-        parents = ThresholdArchive.empty(start, measures, **soft)
+    def init(key: jax.Array) -> MapElitesState:
+        parents = ThresholdArchive.empty(start, measures, None, *soft)
         return MapElitesState(plain_key(key), parents, GridArchive.empty(start, measures, extras))
 
-    def ask(state: MapElitesState) -> tuple[Array, MapElitesState]:
+    def ask(state: MapElitesState) -> tuple[jax.Array, MapElitesState]:
         key, pair_key, noise_key = jax.random.split(state.key, 3)
         pairs = state.parents.sample_solutions(pair_key, 2 * batch_size, start)
         first, second = pairs[:batch_size], pairs[batch_size:]
@@ -88,12 +93,16 @@ def map_elites(
     def tell(
         state: MapElitesState, solutions: Array, score: Score, extras: Mapping[str, Array]
     ) -> MapElitesState:
-        score, solutions = jax.tree.map(jnp.asarray, (score, solutions))
-        valid = usable(solutions, score)
-        parents, _ = state.parents.insert(solutions, score.objective, score.measures, success=valid)
+        solutions, score = received(solutions, score)
+        parents, _ = state.parents.insert(
+            solutions, score.objective, score.measures, success=score.success
+        )
         result, _ = state.result.insert(
-            solutions, score.result_objective, score.measures, extras, valid
+            solutions, score.result_objective, score.measures, extras, score.success
         )
         return MapElitesState(state.key, parents, result)
 
     return Algorithm(init, ask, tell, lambda state: state.result, batch_size)
+
+
+MAP_ELITES = Entry(MapElitesConfig, map_elites)

@@ -1,4 +1,8 @@
-"""CMA-MAE as a qdax emitter, for users of qdax' `MAPElites` driver."""
+"""CMA-MAE as a qdax emitter, for users of qdax' `MAPElites` driver.
+
+qdax (https://github.com/adaptive-intelligent-robotics/QDax) is not type-checked here: what its
+driver hands over is `Any`.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,11 +11,11 @@ import jax
 import jax.numpy as jnp
 from qdax.core.emitters.emitter import Emitter, EmitterState
 
-from qdenv.search.base import plain_key, start_solution
-from qdenv.search.cma_mae import CmaMaeConfig, make_team
+from qdenv.search.base import plain_key, received, start_solution
+from qdenv.search.cma_mae import CmaMaeConfig, make_team, new_learning_archive, steer
 from qdenv.search.emitters import EmittersState
 from qdenv.search.threshold_archive import ThresholdArchive
-from qdenv.types import Array
+from qdenv.types import Array, Measure, Score
 
 
 class CmaMaeEmitterState(EmitterState):
@@ -23,7 +27,7 @@ class CmaMaeEmitterState(EmitterState):
         learning: the soft archive that ranks solutions.
     """
 
-    key: Array
+    key: jax.Array
     emitters: EmittersState
     learning: ThresholdArchive
 
@@ -37,9 +41,13 @@ class CmaMaeEmitter(Emitter):
     """
 
     def __init__(
-        self, config: CmaMaeConfig, solution_dim: int, measures: Sequence[Any], x0: Any = None
+        self,
+        config: CmaMaeConfig,
+        solution_dim: int,
+        measures: Sequence[Measure],
+        x0: Array | None = None,
     ) -> None:
-        """Set the emitter up (see `qdenv.search.cma_mae.cma_mae` for the arguments)."""
+        """Set the emitter up; the arguments are those of `qdenv.search.cma_mae.cma_mae`."""
         self._config = config
         self._measures = measures
         self._start = start_solution(x0, solution_dim)
@@ -52,7 +60,7 @@ class CmaMaeEmitter(Emitter):
 
     def init(
         self,
-        key: Array,
+        key: jax.Array,
         repertoire: Any,
         genotypes: Array,
         fitnesses: Array,
@@ -61,19 +69,14 @@ class CmaMaeEmitter(Emitter):
     ) -> CmaMaeEmitterState:
         """Start all strategies at x0; the first population enters the learning archive."""
         key, team_key = jax.random.split(plain_key(key))
-        learning = ThresholdArchive.empty(
-            self._start,
-            self._measures,
-            learning_rate=self._config.learning_rate,
-            threshold_min=self._config.threshold_min,
-        )
+        learning = new_learning_archive(self._config, self._start, self._measures)
         objective = _objective(fitnesses, extra_scores)
         learning, _ = learning.insert(genotypes, objective, descriptors)
         return CmaMaeEmitterState(key=key, emitters=self._team.init(team_key), learning=learning)
 
     def emit(
-        self, repertoire: Any, emitter_state: CmaMaeEmitterState, key: Array
-    ) -> tuple[Array, dict[str, Any]]:
+        self, repertoire: Any, emitter_state: CmaMaeEmitterState, key: jax.Array
+    ) -> tuple[jax.Array, dict[str, Any]]:
         """Sample a batch, float [B, P]; consumes `key`.
 
         qdax gives an emitter no way to keep what it drew, so the sampled state travels with the
@@ -94,13 +97,10 @@ class CmaMaeEmitter(Emitter):
         """Judge the batch by the learning archive, adapt and restart."""
         key, tell_key = jax.random.split(emitter_state.key)
         objective = _objective(fitnesses, extra_scores)
-        finite = jnp.isfinite(objective) & jnp.isfinite(descriptors).all(axis=-1)
-        usable = finite & jnp.isfinite(genotypes).all(axis=-1)
-        learning, insertion = emitter_state.learning.insert(
-            genotypes, objective, descriptors, success=usable
-        )
-        emitters = self._team.tell(
-            extra_scores["emitters"], tell_key, genotypes, insertion, objective, usable, learning
+        everyone = jnp.ones_like(objective, bool)
+        solutions, score = received(genotypes, Score(objective, objective, descriptors, everyone))
+        emitters, learning = steer(
+            self._team, extra_scores["emitters"], tell_key, emitter_state.learning, solutions, score
         )
         return CmaMaeEmitterState(key=key, emitters=emitters, learning=learning)
 

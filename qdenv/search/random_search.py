@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
+from qdenv.registry import Entry
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm, plain_key, positive, start_solution, usable
-from qdenv.types import Array, Score
+from qdenv.search.base import Algorithm, plain_key, positive, received, start_solution
+from qdenv.types import Array, Measure, Score
 
 
 @dataclass(frozen=True)
@@ -28,23 +28,23 @@ class RandomSearchConfig:
 class RandomSearchState(NamedTuple):
     """State of random search; one pytree."""
 
-    key: Array
+    key: jax.Array
     result: GridArchive
 
 
 def random_search(
     config: RandomSearchConfig,
     solution_dim: int,
-    measures: Sequence[Any],
+    measures: Sequence[Measure],
     extras: Mapping[str, Any] | None = None,
-    x0: Any = None,
+    x0: Array | None = None,
 ) -> Algorithm:
     """Make random search: every solution is drawn from N(x0, sigma^2 I).
 
     Args:
         config: the settings.
         solution_dim: P.
-        measures: records with ``name, low, high, cells``.
+        measures: axes of the archives.
         extras: one example of what the result archive stores beside each elite.
         x0: the centre, float [P]; zeros where None.
 
@@ -54,10 +54,10 @@ def random_search(
     positive(batch=config.batch, sigma=config.sigma)
     start = start_solution(x0, solution_dim)
 
-    def init(key: Array) -> RandomSearchState:
+    def init(key: jax.Array) -> RandomSearchState:
         return RandomSearchState(plain_key(key), GridArchive.empty(start, measures, extras))
 
-    def ask(state: RandomSearchState) -> tuple[Array, RandomSearchState]:
+    def ask(state: RandomSearchState) -> tuple[jax.Array, RandomSearchState]:
         key, noise_key = jax.random.split(state.key)
         noise = jax.random.normal(noise_key, (config.batch, solution_dim), start.dtype)
         return start + config.sigma * noise, state._replace(key=key)
@@ -65,14 +65,13 @@ def random_search(
     def tell(
         state: RandomSearchState, solutions: Array, score: Score, extras: Mapping[str, Array]
     ) -> RandomSearchState:
-        score, solutions = jax.tree.map(jnp.asarray, (score, solutions))
+        solutions, score = received(solutions, score)
         result, _ = state.result.insert(
-            solutions,
-            score.result_objective,
-            score.measures,
-            extras,
-            usable(solutions, score),
+            solutions, score.result_objective, score.measures, extras, score.success
         )
         return state._replace(result=result)
 
     return Algorithm(init, ask, tell, lambda state: state.result, config.batch)
+
+
+RANDOM_SEARCH = Entry(RandomSearchConfig, random_search)

@@ -1,52 +1,41 @@
-"""The algorithms by name; a user's own is one more entry of `ALGORITHMS`."""
+"""The algorithms by name and by the type of their settings."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
+from qdenv.registry import Registry
 from qdenv.search.base import Algorithm
-from qdenv.search.cma_es import CmaEsConfig, cma_es
-from qdenv.search.cma_mae import CmaMaeConfig, CmaMeConfig, cma_mae
-from qdenv.search.map_elites import MapElitesConfig, map_elites
-from qdenv.search.random_search import RandomSearchConfig, random_search
-from qdenv.types import InputError
+from qdenv.types import Measure
 
-
-class Entry(NamedTuple):
-    """One registered algorithm.
-
-    Attributes:
-        config: frozen dataclass of its settings, with defaults for all of them.
-        make: (config, solution_dim, measures, extras) -> `Algorithm`.
-    """
-
-    config: type
-    make: Callable[..., Algorithm]
-
-
-ALGORITHMS: dict[str, Entry] = {
-    "cma-mae": Entry(CmaMaeConfig, cma_mae),
-    "cma-me": Entry(CmaMeConfig, cma_mae),
-    "map-elites": Entry(MapElitesConfig, map_elites),
-    "cma-es": Entry(CmaEsConfig, cma_es),
-    "random": Entry(RandomSearchConfig, random_search),
-}
+# Makers are called as make(config, solution_dim, measures, extras) and return an `Algorithm`.
+ALGORITHMS = Registry(
+    "algorithm",
+    "qdenv.algorithms",
+    {
+        "cma-mae": "qdenv.search.cma_mae:CMA_MAE",
+        "cma-me": "qdenv.search.cma_mae:CMA_ME",
+        "map-elites": "qdenv.search.map_elites:MAP_ELITES",
+        "cma-es": "qdenv.search.cma_es:CMA_ES",
+        "random": "qdenv.search.random_search:RANDOM_SEARCH",
+    },
+)
 
 
 def make_algorithm(
     config: Any,
     solution_dim: int,
-    measures: Sequence[Any],
+    measures: Sequence[Measure],
     extras: Mapping[str, Any] | None = None,
 ) -> Algorithm:
-    """Make the algorithm that a config object belongs to.
+    """Make the algorithm that `config` chooses.
+
+    Args:
+        config: settings of a registered algorithm, like `CmaMaeConfig`.
+        solution_dim: P.
+        measures: axes of the archives.
+        extras: one example (shapes and dtypes) of what is stored beside each elite.
 
     Raises:
-        InputError: no registered algorithm has this type of config.
+        InputError: no algorithm is registered for this type of config, or a setting is impossible.
     """
-    for entry in ALGORITHMS.values():
-        if type(config) is entry.config:
-            return entry.make(config, solution_dim, measures, extras)
-    raise InputError(
-        f"no algorithm is registered for {type(config).__name__}: choose from "
-        f"{', '.join(ALGORITHMS)}"
-    )
+    return ALGORITHMS.make(config, solution_dim, measures, extras)

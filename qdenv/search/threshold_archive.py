@@ -1,4 +1,8 @@
-"""The soft archive of CMA-MAE: a cell's threshold follows the objectives it accepted."""
+"""The soft archive of CMA-MAE: a cell's threshold follows the objectives it accepted.
+
+Fontaine and Nikolaidis 2023, "Covariance matrix adaptation MAP-annealing",
+https://arxiv.org/abs/2205.10752.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.search.archive import GridArchive
-from qdenv.types import Array, InputError
+from qdenv.types import InputError, Measure
 
 
 class ThresholdArchive(GridArchive):
@@ -22,11 +26,9 @@ class ThresholdArchive(GridArchive):
         thresholds: float [C].
         learning_rate: how far a threshold moves towards what it accepted, in [0, 1] (static).
         threshold_min: threshold of an empty cell; -inf gives the archive of CMA-ME (static).
-
-    Source: Fontaine and Nikolaidis 2023, "Covariance Matrix Adaptation MAP-Annealing".
     """
 
-    thresholds: Array
+    thresholds: jax.Array
     learning_rate: float = flax.struct.field(pytree_node=False)
     threshold_min: float = flax.struct.field(pytree_node=False)
 
@@ -44,7 +46,7 @@ class ThresholdArchive(GridArchive):
     def empty(
         cls,
         solution: Any,
-        measures: Sequence[Any],
+        measures: Sequence[Measure],
         extras: Mapping[str, Any] | None = None,
         learning_rate: float = 1.0,
         threshold_min: float = -math.inf,
@@ -53,7 +55,7 @@ class ThresholdArchive(GridArchive):
 
         Args:
             solution: one example solution.
-            measures: records with ``name, low, high, cells``.
+            measures: the axes.
             extras: one example of what is stored beside each elite.
             learning_rate: in [0, 1]; must be 1 where `threshold_min` is -inf.
             threshold_min: threshold of an empty cell.
@@ -72,21 +74,29 @@ class ThresholdArchive(GridArchive):
             threshold_min=float(threshold_min),
         )
 
-    def threshold_of(self, cells: Array) -> jax.Array:
+    def threshold_of(self, cells: jax.Array) -> jax.Array:
         """Look up what a solution must exceed to enter each of `cells` (int32 [B] -> [B])."""
         return self.thresholds[cells]
 
     def _raise_thresholds(
-        self, target: Array, threshold: Array, objective: Array, accepted: Array
+        self,
+        target: jax.Array,
+        threshold: jax.Array,
+        objective: jax.Array,
+        accepted: jax.Array,
     ) -> Self:
         """Apply the batch rule: t' = (1 - a)^k t + mean(f_accepted) (1 - (1 - a)^k).
 
-        The closed form of Fontaine and Nikolaidis 2023 (appendix), free of the batch's order.
-        With threshold_min = -inf the threshold is the best accepted objective.
+        k solutions of a batch beat the threshold t of one cell. One solution gives the paper's
+        t' = (1 - a) t + a f; applied k times with the mean of the accepted objectives it sums up
+        to this form, which no order of the batch can change (pyribs'). With threshold_min = -inf
+        (CMA-ME) the threshold is the best accepted objective.
         """
         if self.threshold_min == -math.inf:
             raised = objective
         else:
+            # Only the rows of winners are kept below; a row that shares a cell with no accepted
+            # one divides by one instead of by zero.
             count = jnp.maximum(accepted.sum(axis=1), 1).astype(objective.dtype)
             total = jnp.where(accepted, objective[None, :], 0).sum(axis=1)
             ratio = jnp.asarray(1 - self.learning_rate, objective.dtype) ** count

@@ -4,17 +4,16 @@ Only what changed since the initial state is stored: an archive of 10,000 cells 
 parameters is 440 MB of which a young search has filled a few rows.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from qdenv.files import write_atomically
+from qdenv.checkpoints import read_state, write_state
 from qdenv.types import InputError
 
-SCHEMA = 1
 _MANIFEST = "manifest"
 
 
@@ -40,9 +39,7 @@ def save_checkpoint(path: Path, state: Any, initial: Any, manifest: dict[str, An
         changed = np.flatnonzero((leaf != base).reshape(len(leaf), -1).any(axis=1))
         arrays[f"{number}.changed"] = changed.astype(np.int32)
         arrays[f"{number}.rows"] = leaf[changed]
-    facts = {"schema": SCHEMA, "leaves": len(leaves), **manifest}
-    arrays[_MANIFEST] = np.frombuffer(json.dumps(facts).encode(), np.uint8)
-    write_atomically(path, lambda file: np.savez(file, **arrays))
+    write_state(path, arrays, {"leaves": len(leaves), **manifest}, _MANIFEST)
 
 
 def load_checkpoint(path: Path, initial: Any) -> tuple[Any, dict[str, Any]]:
@@ -58,14 +55,7 @@ def load_checkpoint(path: Path, initial: Any) -> tuple[Any, dict[str, Any]]:
     Raises:
         InputError: the file is damaged, of a newer schema, or of another configuration.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = dict(file)
-        manifest = json.loads(arrays[_MANIFEST].tobytes())
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        raise InputError(f"{path}: not a readable checkpoint ({error})") from error
-    if manifest["schema"] > SCHEMA:
-        raise InputError(f"{path}: written by a newer qdenv, please upgrade")
+    arrays, manifest = read_state(path, _MANIFEST)
     leaves, structure = jax.tree.flatten(initial)
     if manifest["leaves"] != len(leaves):
         raise InputError(f"{path}: belongs to another configuration")
@@ -83,7 +73,7 @@ def _restore(base: Any, arrays: dict[str, np.ndarray], number: int, path: Path) 
     else:
         bits[arrays[f"{number}.changed"]] = rows
     if _is_key(base):
-        return jax.random.wrap_key_data(bits)
+        return jax.random.wrap_key_data(jnp.asarray(bits))
     return bits.view(np.asarray(base).dtype)
 
 

@@ -53,7 +53,7 @@ def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
     )  # JSON itself tells a number from a word
     try:
         algorithm = dict(content["algorithm"])
-        settings = ALGORITHMS[algorithm.pop("name")].config
+        settings = ALGORITHMS.entry(algorithm.pop("name")).config
         rest = {key: value for key, value in content.items() if key != "algorithm"}
         config = converter.structure(rest, RunConfig)
         return dataclasses.replace(config, algorithm=converter.structure(algorithm, settings))
@@ -68,7 +68,4 @@ def algorithm_name(settings: Any) -> str:
     Raises:
         InputError: the class is not registered.
     """
-    for name, entry in ALGORITHMS.items():
-        if type(settings) is entry.config:
-            return name
-    raise InputError(f"{type(settings).__name__} is not the configuration of a known algorithm")
+    return ALGORITHMS.name_of(settings)

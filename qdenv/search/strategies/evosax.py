@@ -1,4 +1,7 @@
-"""Evolution strategies of evosax behind the same face, fed ranks instead of objectives."""
+"""Evolution strategies of evosax behind the same face, fed ranks instead of objectives.
+
+evosax (https://github.com/RobertTLange/evosax) ships no types: its objects are `Any` in this file.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -7,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.search.strategies.base import SMALLEST_STEP, Strategy
-from qdenv.types import Array, InputError
+from qdenv.types import InputError
 
 EVOSAX_NAMES = ("CMA_ES", "CR_FM_NES", "Open_ES", "SNES")
 ADAM_RATE = 0.1  # of Open_ES, in initial step sizes; evosax' plain SGD at 1e-3 stands still
@@ -26,7 +29,7 @@ class EvosaxState(NamedTuple):
     """State of one emitter that runs an evosax strategy."""
 
     inner: Any
-    key: Array  # uint32 [2], for the next tell
+    key: jax.Array  # uint32 [2], for the next tell
 
 
 def evosax_strategy(name: str, **settings: Any) -> Callable[[int, int, float], Strategy]:
@@ -83,18 +86,22 @@ def wrap(algorithm: Any, sigma0: float) -> Strategy:
         params = params.replace(std_init=jnp.full_like(jnp.asarray(params.std_init), sigma0))
     batch = algorithm.population_size
 
-    def init(mean: Array, key: Array) -> EvosaxState:
+    def init(mean: jax.Array, key: jax.Array) -> EvosaxState:
         inner = algorithm.init(key, mean, params)
         inner = inner.replace(best_solution=mean)  # evosax puts NaN there
         return EvosaxState(jax.tree.map(strong, inner), key)
 
-    def ask(state: EvosaxState, key: Array) -> tuple[Array, EvosaxState]:
+    def ask(state: EvosaxState, key: jax.Array) -> tuple[jax.Array, EvosaxState]:
         ask_key, tell_key = jax.random.split(key)
         solutions, inner = algorithm.ask(ask_key, state.inner, params)
         return solutions, EvosaxState(inner, tell_key)
 
     def tell(
-        state: EvosaxState, solutions: Array, order: Array, parents: Array, evaluated: Array
+        state: EvosaxState,
+        solutions: jax.Array,
+        order: jax.Array,
+        parents: jax.Array,
+        evaluated: jax.Array,
     ) -> EvosaxState:
         ranks = jnp.zeros(batch, jnp.int32).at[order].set(jnp.arange(batch, dtype=jnp.int32))
         rows = jnp.where((ranks < evaluated)[:, None], solutions, state.inner.mean)

@@ -1,4 +1,8 @@
-"""The isotropic strategy: one step size for all directions."""
+"""The isotropic strategy: one step size for all directions.
+
+Numbers in brackets are equations of Hansen 2016, "The CMA evolution strategy: a tutorial",
+https://arxiv.org/abs/1604.00772v1.
+"""
 
 from typing import NamedTuple
 
@@ -13,15 +17,14 @@ from qdenv.search.strategies.base import (
     ranked_parents,
 )
 from qdenv.search.strategies.rates import full_rates, pick, rates_table
-from qdenv.types import Array
 
 
 class IsotropicState(NamedTuple):
     """State of `isotropic` for one emitter."""
 
-    mean: Array  # float [P]
-    sigma: Array  # float
-    path: Array  # float [P]
+    mean: jax.Array  # float [P]
+    sigma: jax.Array  # float
+    path: jax.Array  # float [P]
 
 
 def isotropic(dim: int, batch: int, sigma0: float) -> Strategy:
@@ -33,19 +36,23 @@ def isotropic(dim: int, batch: int, sigma0: float) -> Strategy:
     """
     table = rates_table(batch, dim, full_rates)
 
-    def init(mean: Array, key: Array) -> IsotropicState:
+    def init(mean: jax.Array, key: jax.Array) -> IsotropicState:
         return IsotropicState(mean, jnp.asarray(sigma0, mean.dtype), jnp.zeros_like(mean))
 
-    def ask(state: IsotropicState, key: Array) -> tuple[Array, IsotropicState]:
+    def ask(state: IsotropicState, key: jax.Array) -> tuple[jax.Array, IsotropicState]:
         noise = jax.random.normal(key, (batch, dim), state.mean.dtype)
-        return state.mean + state.sigma * noise, state
+        return state.mean + state.sigma * noise, state  # (38) to (40), C = I
 
     def tell(
-        state: IsotropicState, solutions: Array, order: Array, parents: Array, evaluated: Array
+        state: IsotropicState,
+        solutions: jax.Array,
+        order: jax.Array,
+        parents: jax.Array,
+        evaluated: jax.Array,
     ) -> IsotropicState:
         rates = pick(table, parents)
         rows = ranked_parents(solutions, order, parents, state.mean)
-        mean = (rates.weights[:, None] * rows).sum(axis=0)
+        mean = (rates.weights[:, None] * rows).sum(axis=0)  # (41) and (42)
         path = follow_path(state.path, mean - state.mean, state.sigma, rates)
         return IsotropicState(mean, adapt_step_size(state.sigma, path, rates), path)
 

@@ -100,7 +100,7 @@ def act(weights: Weights, hidden: Array) -> jax.Array:
     return inner @ weights.logits + weights.logits_bias
 
 
-def assess(weights: Weights, hidden: Array) -> jax.Array:
+def estimate_value(weights: Weights, hidden: Array) -> jax.Array:
     """Estimate the return (float32 [..., L] -> float32 [...])."""
     inner = jnp.tanh(hidden @ weights.critic + weights.critic_bias)
     return (inner @ weights.value + weights.value_bias)[..., 0]
@@ -128,7 +128,7 @@ def shapes(units: int, actions: int) -> Weights:
 
 
 def draw_weights(key: Array, units: int, actions: int) -> Weights:
-    """Draw an untrained agent: orthogonal matrices, a timid actor; consumes the key."""
+    """Draw an untrained agent: orthogonal matrices, small action logits; consumes the key."""
     wanted = shapes(units, actions)
     gains = Weights(*([1.0] * len(wanted)))._replace(kernel=2**0.5, gates_in=1.4, logits=0.01)
     keys = jax.random.split(key, len(wanted))

@@ -1,0 +1,70 @@
+"""A small search problem, and every algorithm compiled once for all tests that run it."""
+
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from qdenv.search.base import Algorithm
+from qdenv.search.cma_mae import CmaMaeConfig
+from qdenv.search.registry import ALGORITHMS, make_algorithm
+from qdenv.types import Measure, Score
+
+DIM = 12
+GRID = (Measure("x", -1, 1, 8), Measure("y", -1, 1, 9))
+QUICK = {"xla_backend_optimization_level": 0}  # these searches compile longer than they run
+EXTRAS = {"layout": np.zeros((2, 3), np.int8), "runs": np.zeros(4, np.float32)}
+CONFIGS = {name: ALGORITHMS.config(name) for name in ALGORITHMS.names()} | {
+    f"cma-mae with {name}": CmaMaeConfig(emitters=2, batch=6, strategy=name)
+    for name in ("full", "lm_ma", "SNES")
+}
+
+
+class Compiled(NamedTuple):
+    """An algorithm with jitted functions and the names of those that were traced."""
+
+    algorithm: Algorithm
+    init: Callable
+    ask: Callable
+    tell: Callable
+    traced: list
+
+
+@functools.cache
+def compiled(config):
+    algorithm, traced = make_algorithm(config, DIM, GRID, EXTRAS), []
+
+    def jit(name, donate=()):
+        def call(*args):
+            traced.append(name)
+            return getattr(algorithm, name)(*args)
+
+        return jax.jit(call, donate_argnums=donate, compiler_options=QUICK)
+
+    return Compiled(algorithm, jit("init"), jit("ask"), jit("tell", 0), traced)
+
+
+def score_of(solutions, success=None, numbers=np):
+    """Score the negative sphere around 0.3 over the first two parameters."""
+    objective = 5 - numbers.square(solutions - 0.3).sum(axis=-1)
+    success = numbers.ones(len(solutions), bool) if success is None else success
+    return Score(objective, objective - 1, solutions[:, :2], success)
+
+
+def extras_of(solutions, numbers=np):
+    layouts = (numbers.abs(solutions[:, :6]) * 10).astype(np.int8).reshape(-1, 2, 3)
+    return {"layout": layouts, "runs": solutions[:, :4]}
+
+
+def iterate(search, state, change=lambda score: score):
+    """Run one iteration with the evaluation on the host."""
+    solutions, state = search.ask(state)
+    solutions = np.asarray(solutions)
+    return search.tell(state, solutions, change(score_of(solutions)), extras_of(solutions))
+
+
+def on_host(tree):
+    """Copy a state off the device: the original may be donated."""
+    return jax.tree.map(lambda leaf: np.array(leaf), tree)

@@ -1,0 +1,94 @@
+"""Algorithms and strategies by name, a user's own among them; settings that are impossible."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from search_harness import DIM, GRID, compiled, iterate
+
+from qdenv.registry import Entry, Registry
+from qdenv.search import registry
+from qdenv.search.archive import GridArchive
+from qdenv.search.base import Algorithm
+from qdenv.search.cma_mae import CmaMaeConfig, CmaMeConfig, cma_mae
+from qdenv.search.insertion import Insertion
+from qdenv.search.registry import ALGORITHMS, make_algorithm
+from qdenv.search.strategies.registry import STRATEGIES
+from qdenv.types import InputError
+
+BUILTIN = "qdenv.search.cma_mae:CMA_MAE"
+
+
+def test_names_and_settings_find_each_other():
+    assert ALGORITHMS.names()[:5] == ("cma-mae", "cma-me", "map-elites", "cma-es", "random")
+    for name in ALGORITHMS.names():
+        assert ALGORITHMS.name_of(ALGORITHMS.config(name)) == name
+    # The settings of CMA-ME are those of CMA-MAE with other defaults, but a type of their own.
+    assert isinstance(CmaMeConfig(), CmaMaeConfig)
+    assert ALGORITHMS.name_of(CmaMeConfig()) == "cma-me"
+
+
+def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
+    @dataclasses.dataclass(frozen=True)
+    class RingConfig:
+        radius: float = 0.5
+
+    def ring(config, solution_dim, measures, extras=None):
+        def init(key):
+            return GridArchive.empty(jnp.zeros(solution_dim), measures, extras)
+
+        def ask(archive):
+            angle = jnp.linspace(0, 6, 4)[:, None] + jnp.arange(solution_dim)
+            return config.radius * jnp.sin(angle), archive
+
+        def tell(archive, solutions, score, extras):
+            place = solutions, score.result_objective, score.measures
+            return archive.insert(*place, extras, score.success)[0]
+
+        return Algorithm(init, ask, tell, lambda archive: archive, 4)
+
+    algorithms = Registry("algorithm", "qdenv.algorithms", {"cma-mae": BUILTIN})
+    algorithms.register("ring", Entry(RingConfig, ring))
+    monkeypatch.setattr(registry, "ALGORITHMS", algorithms)
+    search = compiled(RingConfig(radius=0.7))
+    assert algorithms.name_of(RingConfig(radius=0.7)) == "ring"
+    state = iterate(search, search.init(jax.random.key(0)))
+    assert int(search.algorithm.archive(state).filled.sum()) == 4
+
+
+def test_a_users_strategy_plugs_in_by_name(monkeypatch):
+    monkeypatch.setitem(STRATEGIES, "mine", lambda dim, batch, s: STRATEGIES["iso"](dim, batch, 1))
+    algorithm = make_algorithm(CmaMaeConfig(strategy="mine"), DIM, GRID)
+    solutions, _ = algorithm.ask(algorithm.init(jax.random.key(0)))
+    assert 0.9 < float(solutions.std()) < 1.1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"emitters": 0}, "emitters must be a positive"),
+        ({"sigma0": float("nan")}, "sigma0"),
+        ({"ranker": "best"}, "unknown ranker 'best': choose one of imp"),
+        ({"selection": "all"}, "unknown selection"),
+        ({"strategy": "LM_MA_ES"}, "unknown strategy"),
+        ({"restart": 0}, "restart"),
+        ({"restart": "sometimes"}, "restart"),
+        ({"learning_rate": 2.0}, "learning rate"),
+        ({"strategy": "lm_ma", "batch": 99}, "batch of at most 12"),
+        ({"strategy": "Open_ES", "batch": 5}, "even batch"),
+    ],
+)
+def test_bad_settings_give_one_clear_line(change, message):
+    with pytest.raises(InputError, match=message):
+        make_algorithm(dataclasses.replace(CmaMaeConfig(), **change), DIM, GRID)
+
+
+def test_an_unregistered_config_and_a_wrong_start_give_one_clear_line():
+    with pytest.raises(InputError, match="choose from cma-mae"):
+        make_algorithm(Insertion(0, 0), DIM, GRID)
+    with pytest.raises(InputError, match="unknown algorithm 'cmamae': choose one of cma-mae"):
+        ALGORITHMS.entry("cmamae")
+    with pytest.raises(InputError, match="x0"):
+        cma_mae(CmaMaeConfig(), DIM, GRID, x0=np.zeros(3))
