@@ -19,7 +19,8 @@ import numpy as np
 from qdenv.domains.base import Domain, EvaluationConfig, Simulator
 from qdenv.generate.decode import choose_tiles
 from qdenv.generate.nca import grow_population, make_generator, seed_canvas
-from qdenv.repair.pool import RepairPool, repair_in_jit
+from qdenv.repair.callback import repair_in_jit
+from qdenv.repair.pool import RepairPool
 from qdenv.score.layout import similarity
 from qdenv.types import Array, Evaluation, Repair, RepairStatus, Score
 

@@ -2,17 +2,19 @@
 
 import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 from scipy import ndimage
 
-from qdenv.bench.repair import hard_layouts, rules_at_size
 from qdenv.domains import find_domain
-from qdenv.repair.anneal import anneal
+from qdenv.repair.anneal.annealer import anneal
+from qdenv.repair.anneal.connectivity import tabulate_ring_pieces
+from qdenv.repair.anneal.kernel import kernel
+from qdenv.repair.anneal.loop import anneal_loop
+from qdenv.repair.anneal.start import compile_board, initial_state, project
+from qdenv.repair.anneal.state import Column, no_move
+from qdenv.repair.anneal.templates import draw_templates
 from qdenv.repair.audit import audit
-from qdenv.repair.board import begin, compile_board, group_roles, settle
-from qdenv.repair.kernels import cool
-from qdenv.repair.moves import DRIVES
-from qdenv.repair.template import templates
-from qdenv.repair.topology import ring_parts
+from qdenv.repair.facts import Facts
 from qdenv.types import Adjacency, Count, InputError, Rules
 
 CROSS = ndimage.generate_binary_structure(2, 1)
@@ -38,18 +40,30 @@ def mixed_rules(rows: int = 9, cols: int = 10, aisle: int = 1) -> Rules:
 
 def test_ring_table_agrees_with_labelling():
     places = [(0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0)]
-    for pattern, parts in enumerate(ring_parts()):
+    for pattern, pieces in enumerate(tabulate_ring_pieces()):
         ring = np.zeros((3, 3), bool)
         for bit, place in enumerate(places):
             ring[place] = pattern >> bit & 1
         labels, _ = ndimage.label(ring, CROSS)
         sides = {labels[place] for place in places[::2] if ring[place]}
-        assert parts == len(sides), pattern
+        assert pieces == len(sides), pattern
 
 
 def test_tiles_alike_share_a_role():
-    assert group_roles(find_domain("manufacturing").rules(5, 5, 0)) == [[0], [1, 2, 3], [4]]
-    assert group_roles(find_domain("warehouse-even").rules(5, 9, 2)) == [[0], [1], [2], [3]]
+    assert Facts(find_domain("manufacturing").rules(5, 5, 0)).roles == [[0], [1, 2, 3], [4]]
+    assert Facts(find_domain("warehouse-even").rules(5, 9, 2)).roles == [[0], [1], [2], [3]]
+
+
+def test_facts_follow_from_the_rules():
+    facts = Facts(mixed_rules())
+    assert facts.driving.tolist() == [True, False, False, False, True]
+    assert facts.demands.tolist() == [0, 1, 1, 1, 1]
+    assert facts.needs == [[], ["e"], ["e"], ["e"], ["012"]]
+    assert facts.count_bounds.tolist() == [[2, 4], [3, 90], [1, 40]]
+    assert (facts.free_cells, int(facts.fixed.sum())) == (89, 1)
+    assert np.argwhere(~facts.may("012")).tolist() == [[0, 0], [4, 4], [4, 5], [4, 6]]
+    assert np.argwhere(facts.must(".e")).tolist() == [[0, 0], [4, 4], [4, 5], [4, 6]]
+    assert facts.cost(np.ones((9, 10), np.int8), np.zeros((9, 10), np.int8)) == 90 + 27
 
 
 @pytest.mark.parametrize("aisle", [1, 2])
@@ -58,62 +72,91 @@ def test_bookkeeping_and_connectivity_survive_thousands_of_moves(aisle):
     rng = np.random.default_rng(0)
     for seed in range(4):
         layout = rng.integers(0, 5, (9, 10)).astype(np.int8)
-        board = compile_board(layout, rules)
-        tile = settle(board, layout, rng)
+        board = compile_board(layout, Facts(rules))
+        candidate = project(board, layout, rng)
         for moves in (0, 3000):
-            state = begin(board, tile)
+            state = initial_state(board, candidate)
             draws = np.array([seed + 1], np.uint64)
-            cool(board, state, draws, moves, (2.0, 1.0), (0.5, 0.5))
-            fresh = begin(board, state.tile)
-            for field in ("drive", "near", "counts", "blocked", "cover")[: 3 if aisle == 1 else 5]:
+            anneal_loop(board, state, no_move(), draws, moves, (2.0, 1.0), (0.5, 0.5))
+            fresh = initial_state(board, state.candidate)
+            for field in ("driving", "tally", "counts", "closed", "cover")[
+                : 3 if aisle == 1 else 5
+            ]:
                 assert (getattr(state, field) == getattr(fresh, field)).all(), field
-            drive = board.kinds[state.tile, DRIVES].reshape(11, 12) == 1
-            assert ndimage.label(drive, CROSS)[1] == 1
-            differs = np.flatnonzero(state.tile != board.home)
+            driving = board.tile_table[state.candidate, Column.DRIVES].reshape(11, 12) == 1
+            assert ndimage.label(driving, CROSS)[1] == 1
+            differs = np.flatnonzero(state.candidate != board.layout)
             assert sorted(state.changed[1 : 1 + state.changed[0]]) == differs.tolist()
 
 
-def test_begin_counts_the_same_breaches_as_the_audit_finds():
-    rules = mixed_rules()
+def test_the_initial_state_counts_the_same_breaches_as_the_audit_finds():
     layout = np.zeros((9, 10), np.int8)
     layout[2, 2:5] = [1, 4, 2]
     layout[6, 6] = 4  # an endpoint without a station; one 0 and two of 1 and 2 are missing
-    board = compile_board(layout, rules)
-    assert begin(board, settle(board, layout, np.random.default_rng(0))).broken == 1 + 1 + 2
+    board = compile_board(layout, Facts(mixed_rules()))
+    start = project(board, layout, np.random.default_rng(0))
+    assert initial_state(board, start).broken == 1 + 1 + 2
 
 
-def test_same_seed_same_layout_and_price():
+def test_same_seed_same_layout_and_cost():
     rules = mixed_rules()
     layout = np.full((9, 10), 4, np.int8)
-    one, price = anneal(layout, rules, 7, 20000)
-    two, _ = anneal(layout, rules, 7, 20000)
+    one, cost = anneal(layout, Facts(rules), 7, 20000, layout)
+    two, _ = anneal(layout, Facts(rules), 7, 20000, layout)
     assert (one == two).all()
-    assert price == (rules.change_cost * (one != layout)).sum()
+    assert cost == (rules.change_cost * (one != layout)).sum()
     assert audit(one, rules) == []
 
 
-@pytest.mark.parametrize("kind", ["warehouse-even", "manufacturing"])
-def test_hard_layouts_become_feasible_with_few_moves(kind):
-    rules = rules_at_size(kind)
-    for layout in hard_layouts(kind, 8, seed=5):
-        found, _ = anneal(layout, rules, 0, 200_000)
-        assert found is not None and audit(found, rules) == []
+def hard_layouts(domain, rows: int, cols: int) -> list[np.ndarray]:
+    """Draw layouts that are far from any rule, for each pair of neighbouring tiles."""
+    down, right = np.indices((rows - 2 * domain.margin[0], cols - 2 * domain.margin[1]))
+    rng, kinds, drawn = np.random.default_rng(5), len(domain.generated), []
+    for first in range(kinds):
+        second = (first + 1) % kinds
+        pockets = (down % 3 == 0) | (right % 3 == 0)
+        slanted = (down + 2 * right) % 5 < 2
+        specks = rng.random(down.shape) < 0.01
+        drawn += [np.where(mask, first, second) for mask in (pockets, slanted, specks)]
+        drawn.append(rng.integers(0, kinds, down.shape))
+    return [np.asarray(domain.frame(inside.astype(np.int8))) for inside in drawn]
+
+
+@pytest.mark.parametrize("name", ["warehouse-even", "manufacturing"])
+def test_hard_layouts_become_feasible_with_few_moves(name):
+    domain = find_domain(name)
+    facts = Facts(domain.rules(33, 36, 240))
+    layouts = hard_layouts(domain, 33, 36)
+    assert len(layouts) >= 12
+    for layout in layouts:
+        found, _ = anneal(layout, facts, 0, 200_000, layout)
+        assert found is not None and audit(found, facts.rules) == []
 
 
 @pytest.mark.parametrize("shelves", [0, 1, 240, 600, 704])
 def test_one_of_the_templates_obeys_the_rules_at_any_number_of_shelves(shelves):
     rules = find_domain("warehouse-even").rules(33, 36, shelves)
     layout = np.where(rules.allowed[..., 0], 0, 3).astype(np.int8)
-    assert min(len(audit(drawn, rules)) for drawn in templates(layout, rules)) == 0
+    assert min(len(audit(drawn, rules)) for drawn in draw_templates(layout, Facts(rules))) == 0
+
+
+def test_a_kernel_that_makes_an_array_is_refused():
+    @kernel
+    def makes_one():
+        return np.zeros(3).sum()
+
+    with pytest.raises(NumbaError):
+        makes_one()
 
 
 def test_too_many_kinds_are_refused_in_one_line():
     rules = mixed_rules()._replace(tiles="abcdefghijklmnopqrstu", counts=(), adjacency=())
     with pytest.raises(InputError, match="at most 20 kinds of tile"):
-        compile_board(np.zeros((9, 10), np.int8), rules)
+        compile_board(np.zeros((9, 10), np.int8), Facts(rules))
 
 
 def test_free_changes_are_no_division_by_zero():
     rules = mixed_rules()._replace(change_cost=np.zeros((9, 10)))
-    found, price = anneal(np.full((9, 10), 4, np.int8), rules, 0, 20000)
-    assert price == 0 and audit(found, rules) == []
+    layout = np.full((9, 10), 4, np.int8)
+    found, cost = anneal(layout, Facts(rules), 0, 20000, layout)
+    assert cost == 0 and audit(found, rules) == []

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from qdenv.domains import find_domain
-from qdenv.repair import pool as callback
+from qdenv.repair import pool as pools
 from qdenv.repair.audit import audit
-from qdenv.repair.pool import RepairPool, repair_in_jit
+from qdenv.repair.callback import repair_in_jit
+from qdenv.repair.pool import RepairPool
 from qdenv.repair.recipe import RepairConfig, repair
 from qdenv.types import RepairStatus
 
@@ -79,10 +80,10 @@ def test_a_failing_worker_loses_nothing_and_is_not_remembered(monkeypatch):
             raise RuntimeError("solver died")
         return repair(layout, rules, seed, config)
 
-    monkeypatch.setattr(callback, "repair", fragile)
+    monkeypatch.setattr(pools, "repair", fragile)
     with RepairPool(RULES, CONFIG) as pool:
         records = pool.repair(layouts)
-        monkeypatch.setattr(callback, "repair", repair)
+        monkeypatch.setattr(pools, "repair", repair)
         healed = pool.submit(broken).result()
     assert (records.status == RepairStatus.FAILED).tolist() == [False, False, True, False]
     assert (records.layout[2] == broken).all()
@@ -98,7 +99,7 @@ def gate(monkeypatch):
         assert opened.wait(20)
         return repair(layout, rules, seed, config)
 
-    monkeypatch.setattr(callback, "repair", slow)
+    monkeypatch.setattr(pools, "repair", slow)
     yield opened
     opened.set()
 
@@ -114,7 +115,7 @@ def test_what_has_not_begun_can_be_cancelled(gate):
 
 
 def test_a_full_queue_makes_submit_wait(gate, monkeypatch):
-    monkeypatch.setattr(callback, "WAITING_PER_WORKER", 2)
+    monkeypatch.setattr(pools, "WAITING_PER_WORKER", 2)
     layouts, queued = batch(4), []
     with RepairPool(RULES, RepairConfig("none", moves_per_cell=60, workers=1)) as pool:
         feeder = threading.Thread(

@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from qdenv.bench.repair import rules_at_size
 from qdenv.domains import find_domain
 from qdenv.formats.layouts import read_layout
+from qdenv.grid import parse
 from qdenv.repair.audit import audit
 from qdenv.repair.bounds import impossible
-from qdenv.repair.cuts import separate
-from qdenv.repair.program import build, decode, encode
+from qdenv.repair.facts import Facts
+from qdenv.repair.milp.cuts import separate
+from qdenv.repair.milp.program import build, decode, encode
 from qdenv.repair.recipe import RepairConfig, repair
 from qdenv.types import Adjacency, Count, InputError, RepairStatus, Rules
 
@@ -64,19 +65,19 @@ def test_full_repair_is_optimal_on_every_tried_tiny_layout(changes):
 
 def test_program_prices_and_accepts_exactly_what_the_rules_do():
     """Every constraint but connectivity, over all layouts of a tiny canvas."""
-    home = np.array([[0, 1], [2, 2], [1, 0]], np.int8)
-    rules = yard(3, 2, 1, 2, aisle=2)
-    program = build(home, rules)
-    free = rules._replace(connected=".e")
+    layout = np.array([[0, 1], [2, 2], [1, 0]], np.int8)
+    facts = Facts(yard(3, 2, 1, 2, aisle=2))
+    program = build(layout, facts)
     for tiles in itertools.product(range(3), repeat=6):
-        layout = np.array(tiles, np.int8).reshape(3, 2)
-        values = encode(program, layout, rules, home)
+        candidate = np.array(tiles, np.int8).reshape(3, 2)
+        values = encode(program, candidate, layout, facts)
         accepted = (program.rows @ values >= program.low - 1e-9).all()
         accepted &= (program.rows @ values <= program.high + 1e-9).all()
-        others = [found for found in audit(layout, free) if "unconnected" not in found.message]
-        assert accepted == (not others), layout
-        assert program.cost @ values + program.constant == (layout != home).sum()
-        assert (decode(program, values, home.shape) == layout).all()
+        breaches = audit(candidate, facts.rules)
+        others = [found for found in breaches if "unconnected" not in found.message]
+        assert accepted == (not others), candidate
+        assert program.cost @ values + program.constant == (candidate != layout).sum()
+        assert (decode(program, values, layout.shape) == candidate).all()
 
 
 def test_kinds_counted_apart_are_priced_when_they_must_change():
@@ -164,6 +165,59 @@ def test_unknown_polish_is_refused():
         RepairConfig("thorough")
 
 
+@pytest.mark.parametrize("name", ["moves_per_cell", "node_limit", "workers"])
+def test_a_limit_is_a_positive_number_or_left_out(name):
+    with pytest.raises(InputError, match=f"{name} -1 must be a positive whole number"):
+        RepairConfig(**{name: -1})
+    assert RepairConfig(**{name: 0}) == RepairConfig()  # as runs of the first version say it
+
+
+def test_the_annealer_gets_the_solvers_time_only_where_the_solver_may_not_branch():
+    assert RepairConfig("quick").count_moves(3000) == 3000 * 600
+    assert RepairConfig("quick").count_moves(3001) == 3001 * 600 * 2
+    assert RepairConfig("quick", moves_per_cell=7).count_moves(4000) == 4000 * 7
+    assert RepairConfig("none").count_moves(4000) == 4000 * 800
+    assert RepairConfig("full").count_moves(4000) == 4000 * 2500
+    assert RepairConfig("full").count_moves(1) == 20_000
+    assert RepairConfig("full", node_limit=3).effort.milp.node_limit == 3
+
+
+SLANTED_SHELVES = """
+..@ee@e@ee@e@e..
+w.@.@e.@e@.e@..w
+..e.@e@.e@.@....
+..e@ee@e@ee@e@..
+w.e@.@..@.@e.@.w
+..@..@.@e.@e@...
+..@e@ee@e@ee@e..
+w.e.@e@.e@.@...w
+..e@.e@.@..@.@..
+"""
+SLANTED_STATIONS = """
+2eeee2eeee
+e.2e..e2.e
+e..e2.e..2
+e2eeee2eee
+e..2..e.2e
+2..e.2e..e
+ee2eeee2ee
+"""
+
+
+@pytest.mark.parametrize(
+    ("drawing", "domain", "shelves", "best"),
+    [(SLANTED_SHELVES, "warehouse-even", 20, 26), (SLANTED_STATIONS, "manufacturing", 0, 5)],
+)
+def test_layouts_of_our_own_are_repaired_to_the_proven_optimum(drawing, domain, shelves, best):
+    kind = find_domain(domain)
+    layout = parse(drawing.split(), kind.tiles)
+    rules = kind.rules(*layout.shape, shelves)
+    found = repair(layout, rules, 0, RepairConfig("full", moves_per_cell=500))
+    assert (found.cost, found.lower_bound) == (best, best)
+    assert found.status == RepairStatus.OPTIMAL
+    assert audit(found.layout, rules) == []
+
+
 @pytest.mark.skipif(not LAYOUTS.exists(), reason="the published layouts are not beside the project")
 @pytest.mark.parametrize(
     ("name", "domain", "best"),
@@ -174,7 +228,7 @@ def test_unknown_polish_is_refused():
     ],
 )
 def test_published_layouts_are_repaired_to_the_proven_optimum(name, domain, best):
-    rules = rules_at_size(domain)
+    rules = find_domain(domain).rules(33, 36, 240)
     layout = read_layout(LAYOUTS / f"{name}.json", rules.tiles)
     found = repair(layout, rules, 0, RepairConfig("full", moves_per_cell=500))
     assert (found.cost, found.lower_bound) == (best, best)

@@ -3,12 +3,11 @@
 import numpy as np
 
 from qdenv.repair.audit import audit
-from qdenv.repair.board import group_roles
-from qdenv.types import Rules
+from qdenv.repair.facts import Facts
 
 
 def hand_out(
-    roles: np.ndarray, home: np.ndarray, rules: Rules, rng: np.random.Generator
+    roles: np.ndarray, layout: np.ndarray, facts: Facts, rng: np.random.Generator
 ) -> np.ndarray:
     """Turn roles into tiles: kept tiles stay, new ones take the kind that is most wanting.
 
@@ -16,98 +15,103 @@ def hand_out(
     of their role only where the bounds cannot be met otherwise.
 
     Args:
-        roles: int64 [H, W], index into `group_roles(rules)`.
-        home: int8 [H, W], the input.
-        rules: the constraints.
+        roles: int64 [H, W], index into `facts.roles`.
+        layout: int8 [H, W], the input.
+        facts: the constraints.
         rng: breaks ties.
 
     Returns:
         int8 [H, W].
     """
-    members = group_roles(rules)
-    layout = np.array([role[0] for role in members], np.int8)[roles]
-    rows, cols = np.indices(home.shape)
-    stays = rules.allowed[rows, cols, home] & (role_of_kind(members)[home] == roles)
-    layout = np.where(stays, home, layout)
-    single = rules.allowed.sum(-1) == 1
-    layout = np.where(single, rules.allowed.argmax(-1), layout).astype(np.int8)
-    for index, kinds in enumerate(members):
-        if len(kinds) > 1:
-            mine = (roles == index) & ~single
-            _share(layout, np.argwhere(mine & ~stays), np.argwhere(mine & stays), kinds, rules, rng)
-    return layout
+    candidate = np.array([members[0] for members in facts.roles], np.int8)[roles]
+    stays = facts.keeps(layout) & (facts.role_of[layout] == roles)
+    candidate = np.where(stays, layout, candidate)
+    only = facts.rules.allowed.argmax(-1)
+    candidate = np.where(facts.fixed, only, candidate).astype(np.int8)
+    for role, members in enumerate(facts.roles):
+        if len(members) > 1:
+            mine = (roles == role) & ~facts.fixed
+            new, kept = np.argwhere(mine & ~stays), np.argwhere(mine & stays)
+            counts = _choose_kinds(candidate, new, members, facts, rng)
+            _turn_kinds(candidate, kept, members, counts, facts, rng)
+    return candidate
 
 
 def balance(
-    layout: np.ndarray, price: float, home: np.ndarray, rules: Rules, seed: int
+    best: np.ndarray, cost: float, layout: np.ndarray, facts: Facts, seed: int
 ) -> tuple[np.ndarray, float]:
-    """Hand the kinds of a feasible `layout` out anew, where that costs no more.
+    """Hand the kinds of the feasible layout `best` out anew, where that costs no more.
 
     Returns:
-        The layout (int8 [H, W]) and its price.
+        The layout (int8 [H, W]) and its cost.
     """
-    roles = group_roles(rules)
-    if max(map(len, roles)) == 1:
-        return layout, price
-    shared = hand_out(role_of_kind(roles)[layout], home, rules, np.random.default_rng(seed))
-    cost = float((rules.change_cost * (shared != home)).sum())
-    return (layout, price) if cost > price or audit(shared, rules) else (shared, cost)
+    if max(map(len, facts.roles)) == 1:
+        return best, cost
+    rng = np.random.default_rng(seed)
+    candidate = hand_out(facts.role_of[best], layout, facts, rng)
+    new_cost = facts.cost(candidate, layout)
+    if new_cost > cost or audit(candidate, facts.rules):
+        return best, cost
+    return candidate, new_cost
 
 
-def role_of_kind(roles: list[list[int]]) -> np.ndarray:
-    """Turn groups of kinds around: the role of each kind (int64 [K])."""
-    table = np.zeros(sum(map(len, roles)), np.int64)
-    for role, kinds in enumerate(roles):
-        table[kinds] = role
-    return table
+def _choose_kinds(
+    candidate: np.ndarray,
+    new: np.ndarray,
+    members: list[int],
+    facts: Facts,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Choose among `members` for the cells `new` (int64 [n, 2]); returns the counts (int [K])."""
+    counts = np.bincount(candidate.ravel(), minlength=len(facts.rules.tiles))
+    for cell in new:
+        counts[candidate[tuple(cell)]] -= 1
+    for cell in rng.permutation(new):
+        kind = min(
+            members, key=lambda kind: (_excess_of_one_more(counts, kind, facts), counts[kind])
+        )
+        candidate[tuple(cell)] = kind
+        counts[kind] += 1
+    return counts
 
 
-def _share(
-    layout: np.ndarray,
-    fresh: np.ndarray,
-    settled: np.ndarray,
-    kinds: list[int],
-    rules: Rules,
+def _turn_kinds(
+    candidate: np.ndarray,
+    kept: np.ndarray,
+    members: list[int],
+    counts: np.ndarray,
+    facts: Facts,
     rng: np.random.Generator,
 ) -> None:
-    """Choose among `kinds` for the cells `fresh`, then turn cells of `settled` while it helps."""
-    counts = np.bincount(layout.ravel(), minlength=len(rules.tiles))
-    for cell in fresh:
-        counts[layout[tuple(cell)]] -= 1
-    for cell in rng.permutation(fresh):
-        kind = min(kinds, key=lambda kind: (_need(counts, kind, 1, rules), counts[kind]))
-        layout[tuple(cell)] = kind
-        counts[kind] += 1
-    for cell in rng.permutation(settled):
-        if _excess(counts, rules) == 0:
+    """Turn cells of `kept` (int64 [n, 2]) into other kinds while that brings a bound nearer."""
+    for cell in rng.permutation(kept):
+        if _excess(counts, facts) == 0:
             break
-        old = layout[tuple(cell)]
-        best = min(kinds, key=lambda kind: _swap_need(counts, old, kind, rules))
-        if _swap_need(counts, old, best, rules) < 0:
-            layout[tuple(cell)] = best
+        old = candidate[tuple(cell)]
+        best = min(members, key=lambda kind: _excess_of_swap(counts, old, kind, facts))
+        if _excess_of_swap(counts, old, best, facts) < 0:
+            candidate[tuple(cell)] = best
             counts[old] -= 1
             counts[best] += 1
 
 
-def _excess(counts: np.ndarray, rules: Rules) -> int:
+def _excess(counts: np.ndarray, facts: Facts) -> int:
     """Sum how far the counts (int [K]) are outside their bounds."""
-    total = 0
-    for bound in rules.counts:
-        count = sum(counts[rules.tiles.index(tile)] for tile in bound.tiles)
-        high = count if bound.high is None else bound.high
-        total += max(bound.low - count, 0) + max(count - high, 0)
-    return int(total)
+    low, high = facts.count_bounds.T
+    held = facts.counting @ counts
+    return int(np.maximum(low - held, held - high).clip(0).sum())
 
 
-def _need(counts: np.ndarray, kind: int, step: int, rules: Rules) -> int:
-    """Change of the excess when one more tile of `kind` (or one less) is there."""
+def _excess_of_one_more(counts: np.ndarray, kind: int, facts: Facts) -> int:
+    """Change of the excess when one more tile of `kind` is there."""
     after = counts.copy()
-    after[kind] += step
-    return _excess(after, rules) - _excess(counts, rules)
+    after[kind] += 1
+    return _excess(after, facts) - _excess(counts, facts)
 
 
-def _swap_need(counts: np.ndarray, old: int, new: int, rules: Rules) -> int:
+def _excess_of_swap(counts: np.ndarray, old: int, new: int, facts: Facts) -> int:
     """Change of the excess when a tile `old` turns into `new`."""
     after = counts.copy()
     after[old] -= 1
-    return _need(after, new, 1, rules) + _need(counts, old, -1, rules)
+    after[new] += 1
+    return _excess(after, facts) - _excess(counts, facts)

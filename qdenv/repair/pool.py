@@ -1,4 +1,4 @@
-"""Batches of repairs: a pool of threads, a memo by content, and the host callback for jit.
+"""Batches of repairs: a pool of threads and a memo by content.
 
 Threads suffice: the annealer and HiGHS both work outside the interpreter lock. Nothing forks.
 """
@@ -9,12 +9,14 @@ import os
 import threading
 from collections import OrderedDict
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from typing import Any
 
-import jax
 import numpy as np
 
-from qdenv.repair.recipe import RepairConfig, repair
-from qdenv.types import Array, Repair, RepairStatus, Rules
+from qdenv.repair.recipe import repair
+from qdenv.repair.result import Result
+from qdenv.repair.settings import RepairConfig
+from qdenv.types import Repair, RepairStatus, Rules
 
 LOG = logging.getLogger(__name__)
 WAITING_PER_WORKER = 64  # layouts that may queue before `submit` waits
@@ -40,7 +42,7 @@ class RepairPool:
         self._threads = ThreadPoolExecutor(self.workers, thread_name_prefix="repair")
         self._slots = threading.BoundedSemaphore(WAITING_PER_WORKER * self.workers)
         self._lock = threading.Lock()
-        self._memo: OrderedDict[bytes, Future] = OrderedDict()
+        self._memo: OrderedDict[bytes, Future[Repair]] = OrderedDict()
         self._remember = remember
 
     def submit(self, layout: np.ndarray, seed: int = 0) -> "Future[Repair]":
@@ -74,8 +76,7 @@ class RepairPool:
             LOG.exception("a repair failed; its layout counts as not repairable")
             with self._lock:
                 self._memo.pop(key, None)
-            inf = np.float32(np.inf)
-            return Repair(layout, np.int32(RepairStatus.FAILED), inf, np.float32(0), np.float32(0))
+            return Result(layout, np.inf, 0.0, RepairStatus.FAILED).record(0.0)
 
     def repair(self, layouts: np.ndarray, seed: int = 0) -> Repair:
         """Repair a batch (int8 [B, H, W]) and wait for it; every field gets a leading axis B."""
@@ -114,37 +115,14 @@ def _for_free(known: "Future[Repair]") -> "Future[Repair]":
     """Follow a repair that someone else pays for."""
     mine: Future[Repair] = Future()
 
-    def hand_on(done: Future) -> None:
+    def hand_on(done: Future[Repair]) -> None:
         if not mine.set_running_or_notify_cancel():
             return
         if done.cancelled():
             mine.set_exception(CancelledError())
         else:
-            mine.set_result(done.result()._replace(seconds=np.float32(0)))
+            nothing: Any = np.float32(0)
+            mine.set_result(done.result()._replace(seconds=nothing))
 
     known.add_done_callback(hand_on)
     return mine
-
-
-def repair_in_jit(pool: RepairPool, layouts: Array, seed: Array) -> Repair:
-    """Repair a batch from inside jit or scan: one host callback for the whole population.
-
-    Args:
-        pool: where to repair.
-        layouts: int8 [B, H, W].
-        seed: int32 or uint32 scalar, the base seed.
-    """
-    batch = layouts.shape[:1]
-
-    def on_host(layouts: Array, seed: Array) -> Repair:
-        # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
-        return pool.repair(np.asarray(layouts), int(np.asarray(seed)))
-
-    shapes = Repair(
-        layout=jax.ShapeDtypeStruct(layouts.shape, np.int8),
-        status=jax.ShapeDtypeStruct(batch, np.int32),
-        cost=jax.ShapeDtypeStruct(batch, np.float32),
-        lower_bound=jax.ShapeDtypeStruct(batch, np.float32),
-        seconds=jax.ShapeDtypeStruct(batch, np.float32),
-    )
-    return jax.pure_callback(on_host, shapes, layouts, seed, vmap_method="sequential")

@@ -1,0 +1,1 @@
+"""The annealer: fast feasible layouts whose driving area never falls apart."""

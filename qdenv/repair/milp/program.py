@@ -1,0 +1,217 @@
+"""The repair as an integer program, built from the same rules the annealer and the audit read.
+
+One binary per cell and role (tiles that no rule tells apart share a role: the three kinds of
+station are one); a cell's first role is what is left when no binary is set. Which kind a new tile
+of a role becomes is a handful of integers here, and is handed out afterwards (`kinds`).
+Connectivity is not in the program: `cuts` adds it where a solution breaks it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from qdenv.repair.facts import Facts
+from qdenv.repair.milp.variables import Affine, Variables, number_variables
+
+
+class Program(NamedTuple):
+    """Minimise ``cost @ v + constant`` over ``0 <= v <= upper`` with ``low <= rows @ v <= high``.
+
+    Attributes:
+        variables: where each variable v stands.
+        cost: float64 [variables].
+        constant: cost when all variables are 0.
+        upper: float64 [variables].
+        integer: bool [variables].
+        rows: float64 [rows, variables], sparse.
+        low: float64 [rows].
+        high: float64 [rows].
+    """
+
+    variables: Variables
+    cost: np.ndarray
+    constant: float
+    upper: np.ndarray
+    integer: np.ndarray
+    rows: sparse.csr_array
+    low: np.ndarray
+    high: np.ndarray
+
+
+class Block(NamedTuple):
+    """Rows ``low <= expressions <= high``."""
+
+    expressions: Affine
+    low: float
+    high: float
+
+
+def build(layout: np.ndarray, facts: Facts) -> Program:
+    """Build the program that repairs `layout` (int8 [H, W]), connectivity left out."""
+    variables = number_variables(facts)
+    blocks = [
+        _one_role(variables),
+        *_adjacency(facts, variables),
+        *_counts(facts, variables, layout),
+        *_aisles(facts, variables),
+    ]
+    cost = _cost(facts, variables, layout)
+    upper, integer = np.ones(variables.total), np.ones(variables.total, bool)
+    upper[[column for pair in variables.retypes.values() for column in pair]] = layout.size
+    # A square is open when its cells are: no need to branch on it.
+    integer[variables.squares[variables.squares >= 0]] = False
+    rows = sparse.csr_array(sparse.vstack([block.expressions.matrix for block in blocks]))
+    low, high = (
+        np.concatenate([side - expressions.offset for expressions, side in pairs])
+        for pairs in (
+            [(block.expressions, block.low) for block in blocks],
+            [(block.expressions, block.high) for block in blocks],
+        )
+    )
+    used = np.diff(rows.indptr) > 0  # a row without variables is the audit's business
+    return Program(
+        variables=variables,
+        cost=cost.matrix.toarray()[0],
+        constant=float(cost.offset[0]),
+        upper=upper,
+        integer=integer,
+        rows=rows[used],
+        low=low[used],
+        high=high[used],
+    )
+
+
+def _one_role(variables: Variables) -> Block:
+    """At most one binary of a cell is set."""
+    cells = np.flatnonzero((variables.binaries >= 0).sum(0) > 1)
+    first = variables.first_role[cells]
+    left = [hold.at(cells[first == role]) for role, hold in enumerate(variables.holds)]
+    matrix = sparse.csr_array(sparse.vstack([hold.matrix for hold in left]))
+    return Block(Affine(matrix, np.concatenate([hold.offset for hold in left])), 0.0, np.inf)
+
+
+def _neighbours(height: int, width: int) -> sparse.csr_array:
+    """Build the 4-neighbourhood of a grid (float64 [cells, cells])."""
+    down, right = (sparse.eye_array(n, k=1) + sparse.eye_array(n, k=-1) for n in (height, width))
+    along_columns = sparse.kron(down, sparse.eye_array(width))
+    return sparse.csr_array(along_columns + sparse.kron(sparse.eye_array(height), right))
+
+
+def _adjacency(facts: Facts, variables: Variables) -> list[Block]:
+    """A tile is at most as often in a cell as what it needs is around it."""
+    around = _neighbours(*facts.free.shape)
+    blocks = []
+    for rule in facts.rules.adjacency:
+        tiles = variables.group(facts, rule.tiles)
+        may = np.flatnonzero((np.diff(tiles.matrix.indptr) > 0) | (tiles.offset > 0))
+        needs = variables.group(facts, rule.needs).combined(around)
+        blocks.append(Block(needs.minus(tiles).at(may), 0.0, np.inf))
+    return blocks
+
+
+def _retyped_amounts(
+    facts: Facts, variables: Variables, layout: np.ndarray
+) -> tuple[dict[int, Affine], list[Block]]:
+    """Express the amount of each kind counted apart: those kept, less those lost, plus the new.
+
+    Returns:
+        kind -> amount, and the rows that make the amounts of a role add up.
+    """
+    kept, layout = facts.keeps(layout).ravel(), layout.ravel()
+    amounts: dict[int, Affine] = {}
+    blocks = []
+    for members, hold in zip(facts.roles, variables.holds, strict=True):
+        if members[0] not in variables.retypes:
+            continue
+        difference = hold.combined(np.ones(layout.size))
+        for kind in members:
+            gained, lost = (variables.unit(column) for column in variables.retypes[kind])
+            staying = hold.combined((kept & (layout == kind)).astype(float))
+            amounts[kind] = staying.plus(gained).minus(lost)
+            blocks.append(Block(staying.minus(lost), 0.0, np.inf))
+            difference = difference.minus(amounts[kind])
+        blocks.append(Block(difference, 0.0, 0.0))
+    return amounts, blocks
+
+
+def _counts(facts: Facts, variables: Variables, layout: np.ndarray) -> list[Block]:
+    """Bound the counts: of whole roles, or of kinds that are counted apart."""
+    amounts, blocks = _retyped_amounts(facts, variables, layout)
+    for bound, counting in zip(facts.rules.counts, facts.counting, strict=True):
+        amount = variables.zero()
+        for members, hold in zip(facts.roles, variables.holds, strict=True):
+            if counting[members].all():
+                amount = amount.plus(hold.combined(np.ones(layout.size)))
+                continue
+            for kind in members:
+                if counting[kind]:
+                    amount = amount.plus(amounts[kind])
+        blocks.append(Block(amount, bound.low, np.inf if bound.high is None else bound.high))
+    return blocks
+
+
+def _aisles(facts: Facts, variables: Variables) -> list[Block]:
+    """A driving cell needs an aisle square over it; a square needs all its cells to drive."""
+    side, squares = facts.rules.aisle, variables.squares
+    if side <= 1:
+        return []
+    driving = variables.group(facts, facts.rules.connected)
+    cells = np.arange(squares.size).reshape(squares.shape)
+    pairs = np.array(
+        [
+            (squares[row, col], cells[row + down, col + right])
+            for row, col in np.argwhere(squares >= 0)
+            for down in range(side)
+            for right in range(side)
+        ]
+    )
+    ones, shape = np.ones(len(pairs)), (len(pairs), variables.total)
+    square = sparse.csr_array((ones, (np.arange(len(pairs)), pairs[:, 0])), shape=shape)
+    shape = (squares.size, variables.total)
+    over = sparse.csr_array((ones, (pairs[:, 1], pairs[:, 0])), shape=shape)
+    return [
+        Block(driving.at(pairs[:, 1]).minus(Affine(square, np.zeros(len(pairs)))), 0.0, np.inf),
+        Block(Affine(over, np.zeros(squares.size)).minus(driving), 0.0, np.inf),
+    ]
+
+
+def _cost(facts: Facts, variables: Variables, layout: np.ndarray) -> Affine:
+    """Price what is not kept; a kind that leaves its cell to another costs its cheapest cell."""
+    kept, layout = facts.keeps(layout).ravel(), layout.ravel()
+    change_cost = np.asarray(facts.rules.change_cost, np.float64).ravel()
+    cost = variables.zero()
+    for members, hold in zip(facts.roles, variables.holds, strict=True):
+        cost = cost.plus(hold.combined(change_cost * ~(kept & np.isin(layout, members))))
+    for kind, (_, lost) in variables.retypes.items():
+        costs = change_cost[kept & (layout == kind)]
+        cheapest = float(costs.min()) if costs.size else 0.0
+        cost = cost.plus(variables.unit(lost).combined(np.array([cheapest])))
+    return cost
+
+
+def encode(program: Program, candidate: np.ndarray, layout: np.ndarray, facts: Facts) -> np.ndarray:
+    """Express a feasible `candidate` (int8 [H, W]) for the input `layout` as variables' values."""
+    variables, driving = program.variables, facts.driving[candidate]
+    kept, layout, candidate = facts.keeps(layout).ravel(), layout.ravel(), candidate.ravel()
+    values = np.zeros(variables.total)
+    for members, hold in zip(facts.roles, variables.holds, strict=True):
+        plus = sparse.coo_array(hold.matrix)
+        chosen = np.isin(candidate, members)[plus.row] & (plus.data > 0)
+        values[plus.col[chosen]] = 1.0
+    for kind, (gained, lost) in variables.retypes.items():
+        members = facts.roles[facts.role_of[kind]]
+        retyped = np.isin(candidate, members) & (candidate != kind)
+        values[gained] = ((candidate == kind) & ~(kept & (candidate == layout))).sum()
+        values[lost] = (kept & (layout == kind) & retyped).sum()
+    side = facts.rules.aisle
+    if side > 1:
+        whole = np.lib.stride_tricks.sliding_window_view(driving, (side, side)).all((-1, -2))
+        values[variables.squares[: 1 - side, : 1 - side][whole]] = 1.0
+    return values
+
+
+def decode(program: Program, values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Read each cell's role from a solution (int64 [H, W])."""
+    holds = [hold.matrix @ values + hold.offset for hold in program.variables.holds]
+    return np.argmax(holds, axis=0).reshape(shape)

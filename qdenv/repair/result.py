@@ -1,0 +1,39 @@
+"""What a repair has found so far."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from qdenv.types import Repair, RepairStatus
+
+TOLERANCE = 1e-6  # how far a bound may miss a cost that it proves
+
+
+class Result(NamedTuple):
+    """The best layout so far, and what is known of it.
+
+    Attributes:
+        layout: int8 [H, W].
+        cost: summed costs of its changed cells.
+        bound: no layout costs less.
+        status: how the repair stands.
+    """
+
+    layout: np.ndarray
+    cost: float
+    bound: float
+    status: RepairStatus
+
+    def proven(self, gap: float = 0.0) -> bool:
+        """Whether the bound proves the cost within a relative gap."""
+        return self.bound >= self.cost * (1 - gap) - TOLERANCE
+
+    def record(self, seconds: float) -> Repair:
+        """Fill a `Repair` with numpy values of the promised types."""
+        numbers: list[Any] = [
+            np.int32(self.status),
+            np.float32(self.cost),
+            np.float32(self.bound),
+            np.float32(seconds),
+        ]
+        return Repair(self.layout.astype(np.int8), *numbers)
