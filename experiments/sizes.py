@@ -21,7 +21,7 @@ from qdenv.domains import find_domain
 from qdenv.formats.layouts import write_layout
 from qdenv.plots.sizes import save_peaks
 from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.study import compare, sizes
 from qdenv.study.traffic import parse_seeds
 from qdenv.train.records import RunDirectory

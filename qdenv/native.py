@@ -1,15 +1,107 @@
-"""Functions compiled by numba for one core of the host, free of the interpreter lock."""
+"""Functions compiled by numba for one core of the host, free of the interpreter lock.
+
+Machine code is kept on disk between processes, in a folder of the user's cache that is named by
+the hash of the package's sources. numba itself watches only the file of the outermost function;
+with any source changed, the folder is another one, so stale code cannot run.
+"""
+
+import contextlib
+import functools
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numba
+from numba.extending import register_jitable
+
+KEPT_FOLDERS = 8  # of sources as they were: other branches, other installations
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def compiled(function):
-    """Compile with a disk cache where there is a writable place for one.
+def compiled(function: Function) -> Function:
+    """Compile `function`, with a disk cache where there is a writable place for one."""
+    return _compile(function, forceinline=False)
 
-    The cache watches only the file of the outermost function: after editing a function that is
-    called from another file, touch that file.
+
+def inlined(function: Function) -> Function:
+    """Compile `function` as `compiled` does, and into every kernel that calls it.
+
+    For small steps that take records: a real call counts references to all arrays of a record,
+    which made the search of a path take twice the time.
     """
+    return _compile(function, forceinline=True)
+
+
+def shared(rule: Function) -> Function:
+    """Let compiled functions call `rule`, which stays the plain Python function that it is."""
+    made: Function = register_jitable(rule)
+    return made
+
+
+def _compile(function: Function, forceinline: bool) -> Function:
+    folder = cache_folder()
+    with _numba_caches_in(folder):
+        options = {"cache": folder is not None, "nogil": True, "forceinline": forceinline}
+        made: Function = numba.njit(**options)(function)
+    return made
+
+
+@functools.cache
+def cache_folder() -> Path | None:
+    """Find the folder for the machine code of these very sources; None where none is writable.
+
+    It lies in NUMBA_CACHE_DIR where that is set, else in the user's cache.
+    """
+    package = Path(__file__).parent
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
+    for path in sorted(package.rglob("*.py")):
+        digest.update(str(path.relative_to(package)).encode())
+        digest.update(path.read_bytes())
+    home = Path(numba.config.CACHE_DIR or _user_cache()) / "qdenv"
+    folder = home / digest.hexdigest()[:16]
     try:
-        return numba.njit(cache=True, nogil=True)(function)
-    except RuntimeError:  # numba finds no writable cache folder
-        return numba.njit(nogil=True)(function)
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+        os.utime(folder)  # in use: the last to be thrown out
+    except (OSError, RuntimeError):
+        return None
+    _forget_old(home)
+    return folder
+
+
+def _user_cache() -> Path:
+    """Find where programs of this user keep what they can make again."""
+    if sys.platform == "darwin":
+        return Path.home() / "Library/Caches"
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData/Local")
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def _forget_old(home: Path) -> None:
+    """Remove all folders but the last used ones; other processes may be doing the same."""
+    with contextlib.suppress(OSError):
+        by_age = sorted(home.iterdir(), key=lambda folder: folder.stat().st_mtime)
+        for folder in by_age[:-KEPT_FOLDERS]:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _numba_caches_in(folder: Path | None) -> Iterator[None]:
+    """Tell numba where to cache what is declared meanwhile, and leave its own setting alone.
+
+    numba reads it when a function is declared. A changed environment would reach other packages,
+    and processes started from here that may run other sources.
+    """
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(folder or "")
+    try:
+        yield
+    finally:
+        numba.config.CACHE_DIR = before

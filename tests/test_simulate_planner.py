@@ -1,235 +1,162 @@
-"""The windowed planner: one agent against a slow oracle, reservations, joint plans."""
+"""The negotiated planner: one agent against a slow oracle, reservations, joint plans."""
 
-import heapq
-import itertools
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import export
+from mapf_oracle import (
+    FREE,
+    HEIGHT,
+    MOVES,
+    WIDTH,
+    WINDOW,
+    Case,
+    cheapest,
+    cost_of,
+    numpy_distances,
+    random_case,
+    random_walks,
+)
 
 from qdenv.grid import parse
 from qdenv.simulate.mapf.distances import UNREACHABLE, goal_distances
-from qdenv.simulate.mapf.metrics import MARGIN, walled
-from qdenv.simulate.mapf.negotiated.xla import bitplanes as reservation
-from qdenv.simulate.mapf.negotiated.xla import search as single_agent
-from qdenv.simulate.mapf.negotiated.xla.window import REACH, UNIT, View
-from qdenv.simulate.mapf.planner import first_of_each_clash
+from qdenv.simulate.mapf.negotiated.numba import observation, reservations
+from qdenv.simulate.mapf.negotiated.numba.search import find_path
+from qdenv.simulate.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
+from qdenv.simulate.mapf.negotiated.xla import bitplanes
+from qdenv.simulate.mapf.negotiated.xla.observation import Planning, gather
+from qdenv.simulate.mapf.negotiated.xla.rounds import choose
+from qdenv.simulate.mapf.negotiated.xla.search import find_paths
+from qdenv.simulate.mapf.planner import PLANNERS, AgentState, World
+from qdenv.simulate.mapf.tasks import GoalTable
+from qdenv.types import InputError
 
-WINDOW = 6
-MOVES = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
-MAZE = parse(
-    [
-        "....#....",
-        ".##...##.",
-        ".#..#..#.",
-        "...###...",
-        ".#..#..#.",
-        ".##...##.",
-        "....#....",
-    ],
-    ".#",
-)
-FREE = MAZE == 0
-HEIGHT, WIDTH = FREE.shape
-WALLED = (HEIGHT + 2 * MARGIN, WIDTH + 2 * MARGIN)
+SHAPE = (HEIGHT + 2 * MARGIN, WIDTH + 2 * MARGIN)
+PADDED = np.pad(FREE, MARGIN)
 
 
-def numpy_distances(free: np.ndarray, goal: int) -> np.ndarray:
-    """Breadth-first search, one cell at a time."""
-    height, width = free.shape
-    distance = np.full(height * width, UNREACHABLE)
-    distance[goal] = 0
-    queue = [goal]
-    for cell in queue:
-        for down, right in MOVES[1:]:
-            row, column = cell // width + down, cell % width + right
-            if 0 <= row < height and 0 <= column < width and free[row, column]:
-                other = row * width + column
-                if distance[other] == UNREACHABLE:
-                    distance[other] = distance[cell] + 1
-                    queue.append(other)
-    return distance
+def padded(cells):
+    """Translate cells of the maze into positions of the padded grid."""
+    cells = np.asarray(cells)
+    return ((cells // WIDTH + MARGIN) * SHAPE[1] + cells % WIDTH + MARGIN).astype(np.int32)
 
 
-def random_walks(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Draw paths that never conflict, one after the other (int [WINDOW + 1, count])."""
-    paths: list[list[int]] = []
-    while len(paths) < count:
-        path = [int(rng.choice(np.flatnonzero(FREE)))]
-        for _ in range(WINDOW):
-            ways = [path[-1] + down * WIDTH + right for down, right in MOVES]
-            ways = [w for w in ways if _is_step(path[-1], w)]
-            path.append(int(rng.choice(ways)))
-        others = np.array(paths, int).reshape(-1, WINDOW + 1).T
-        steps = enumerate(itertools.pairwise(path))
-        if path[0] not in others[0] and not any(hits(others, t, a, b) for t, (a, b) in steps):
-            paths.append(path)
-    return np.array(paths).T
+def unpadded(positions: np.ndarray) -> np.ndarray:
+    """Translate positions of the padded grid into cells of the maze."""
+    return (positions // SHAPE[1] - MARGIN) * WIDTH + positions % SHAPE[1] - MARGIN
 
 
-def _is_step(a: int, b: int) -> bool:
-    near = abs(a // WIDTH - b // WIDTH) + abs(a % WIDTH - b % WIDTH) <= 1
-    return 0 <= b < HEIGHT * WIDTH and near and bool(FREE.reshape(-1)[b])
+def world_of(goals) -> World:
+    """Build the world of the maze with these goal cells, by the slow distances."""
+    distance = np.stack([numpy_distances(FREE, goal) for goal in goals]).astype(np.int16)
+    margins = ((0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN))
+    far = np.pad(distance.reshape(-1, HEIGHT, WIDTH), margins, constant_values=UNREACHABLE)
+    count = len(goals)
+    odds = jnp.ones((1, count))
+    table = GoalTable(jnp.asarray(padded(goals)), jnp.ones(count, bool), odds, jnp.bool_(True))
+    return World(
+        traversable=jnp.asarray(PADDED),
+        goals=table,
+        distance=jnp.asarray(far.reshape(count, -1)),
+        service_time=jnp.zeros(2, jnp.int32),
+        valid=jnp.bool_(True),
+        margin=MARGIN,
+    )
 
 
-def hits(others: np.ndarray, time: int, here: int, there: int) -> bool:
-    """Tell whether the step from `here` to `there` conflicts with one of the paths."""
-    met = (others[time + 1] == there).any()
-    swapped = ((others[time] == there) & (others[time + 1] == here)).any() and here != there
-    return bool(met or swapped)
+def state_of(case: Case) -> AgentState:
+    """Describe the one agent of a case."""
+    position = jnp.asarray(padded([case.start]))
+    return AgentState(
+        position=position,
+        active=jnp.ones(1, bool),
+        goal=jnp.array([[0], [1]]),
+        service_time=jnp.array(case.services)[:, None],
+        remaining_service=jnp.array([case.serving]),
+        age=jnp.zeros(1, jnp.int32),
+        previous=jnp.broadcast_to(position, (WINDOW + 1, 1)),
+    )
 
 
-def cheapest(
-    start: int,
-    goals: tuple[int, int],
-    stays: tuple[int, int],
-    serving: int,
-    others: np.ndarray,
-    penalty: int,
-    layers: int,
-) -> int:
-    """Find the price of the best path by uniform-cost search over every state there is."""
-    distance = [numpy_distances(FREE, goal) for goal in goals]
-    between = int(distance[1][goals[0]])
-    seen, queue, best = set(), [(0, 0, start, 0, stays[0] - serving if serving else -1)], 10**9
-    while queue:
-        state = heapq.heappop(queue)
-        if state in seen:
-            continue
-        seen.add(state)
-        time, layer, cell, level, elapsed = state
-        if time == WINDOW:
-            todo = max(stays[level] - elapsed, 0) if elapsed >= 0 else None
-            if todo is None:
-                todo = int(distance[level][cell]) + stays[level]
-            price = todo + (between + stays[1] if level == 0 else 0)
-            best = min(best, UNIT * price + layer * penalty)
-            continue
-        ways = [cell] if elapsed >= 0 else [cell + d * WIDTH + r for d, r in MOVES]
-        for there in ways:
-            if not _is_step(cell, there):
-                continue
-            worse = min(layer + hits(others, time, cell, there), layers - 1)
-            now, at = level, elapsed + 1 if elapsed >= 0 else -1
-            if at < 0 and there == goals[now] and (now == 0 or stays[1] > 0):
-                at = 0
-            if now == 0 and at == stays[0]:
-                now, at = 1, -1
-            heapq.heappush(queue, (time + 1, worse, there, now, at))
-    return best
-
-
-def view_of(start: int, goals: tuple[int, int], stays: tuple[int, int], serving: int, others):
-    """Build what one agent sees, by hand."""
-    table = reservation.empty(WINDOW, *WALLED)
-    paths = jnp.asarray(walled(jnp.asarray(others), WIDTH), jnp.int32)
+@partial(jax.jit, static_argnums=5)
+def search_in_xla(world, state, others, penalty, noise, levels):
     mask = jnp.ones(others.shape[1], bool)
-    table = reservation.reserve(table, paths, mask, WALLED)
-    table = table.reshape(WINDOW, reservation.PLANES, WALLED[0], -1)
-    free = reservation.pack(jnp.pad(jnp.asarray(FREE), MARGIN))
-    position = walled(jnp.array([start]), WIDTH)
-    reach = REACH
-    side = 2 * reach + 1
-    price = np.full((2, side, side, 1), 10**5, np.int32)
-    bits = np.zeros((2, side, 1), np.uint32)
-    distance = [numpy_distances(FREE, goal) for goal in goals]
-    tail = UNIT * (int(distance[1][goals[0]]) + stays[1])
-    spot = np.zeros((2, 2, 1), np.int32)
-    for level in range(2):
-        for cell in range(HEIGHT * WIDTH):
-            row, column = cell // WIDTH - start // WIDTH, cell % WIDTH - start % WIDTH
-            todo = UNIT * (int(distance[level][cell]) + stays[level])
-            price[level, row + reach, column + reach] = todo + (tail if level == 0 else 0)
-        if level == 0 or stays[1] > 0:
-            row = goals[level] // WIDTH - start // WIDTH + reach
-            column = goals[level] % WIDTH - start % WIDTH + reach
-            bits[level, row, 0] = 1 << column
-            spot[:, level, 0] = row, column
-    return {
-        "taken": reservation.around(table, position, WALLED[1], reach),
-        "free": reservation.around(free, position, WALLED[1], reach),
-        "goal": jnp.asarray(bits),
-        "goal_row": jnp.asarray(spot[0]),
-        "goal_column": jnp.asarray(spot[1]),
-        "price": jnp.asarray(price),
-        "tail": jnp.array([tail]),
-        "stay": jnp.array(stays)[:, None],
-        "serving": jnp.array([serving]),
-    }
+    table = bitplanes.add_paths(bitplanes.empty(WINDOW, *SHAPE), others, mask, SHAPE)
+    who = Planning(jnp.array([0]), penalty[None], noise[None])
+    local = gather(world, state, table, bitplanes.pack(world.traversable), who)
+    steps, cost = find_paths(local, levels)
+    return state.position[0] + steps[0, :, 0] * SHAPE[1] + steps[1, :, 0], cost[0]
 
 
-PLAN = jax.jit(single_agent.plan, static_argnums=1)
+def search_on_host(world: World, case: Case, noise: int) -> np.ndarray:
+    others = padded(case.others)
+    walls = reservations.pack(PADDED)
+    table = reservations.no_reservations(walls, SHAPE[1], others)
+    for agent in range(others.shape[1]):
+        reservations.reserve(table, agent, others[:, agent].astype(np.int64), WINDOW)
+    distance, cells = np.asarray(world.distance), np.asarray(world.goals.cells)
+    grid = observation.Grid(walls, distance, cells, SHAPE[1])
+    start = int(padded(case.start))
+    agent = observation.Agent(start, (0, 1), case.services, case.serving, case.penalty, noise)
+    path = np.zeros(WINDOW + 1, np.int64)
+    work = observation.make_workspace(WINDOW, case.levels)
+    assert find_path(work, table, grid, agent, path)
+    return path
 
 
-@pytest.mark.parametrize("stays", [(0, 0), (2, 3), (0, 2), (3, 0)])
-def test_one_agent_agrees_with_uniform_cost_search(stays: tuple[int, int]):
-    rng = np.random.default_rng(sum(stays))
-    cells = np.flatnonzero(FREE)
-    for case in range(25):
-        others = random_walks(rng, 12)
-        start = int(rng.choice(np.setdiff1d(cells, others[0])))
-        goals = tuple(int(goal) for goal in rng.choice(cells, 2))
-        goals = (start, goals[1]) if case % 5 == 0 else goals
-        serving = int(rng.integers(1, stays[0] + 1)) if stays[0] and case % 3 == 0 else 0
-        if serving:
-            goals = (start, goals[1])
-        penalty, layers = int(rng.choice([2, 6, 40])), 3
-        fields = view_of(start, goals, stays, serving, others)
-        extra = {"penalty": jnp.array([penalty]), "noise": jnp.array([case * 977])}
-        steps, price = PLAN(View(**fields, **extra), layers)
-        assert int(price[0]) == cheapest(start, goals, stays, serving, others, penalty, layers)
-        path = start + np.asarray(steps)[0, :, 0] * WIDTH + np.asarray(steps)[1, :, 0]
-        assert path[0] == start
-        assert all(_is_step(a, b) for a, b in itertools.pairwise(path))
-        check_path_price(path, goals, stays, serving, others, penalty, layers, int(price[0]))
-
-
-def check_path_price(path, goals, stays, serving, others, penalty, layers, price):
-    """Drive the path and see that it is worth what the planner said."""
-    distance = [numpy_distances(FREE, goal) for goal in goals]
-    level, left, over = 0, serving, 0
-    for time in range(WINDOW):
-        here, there = int(path[time]), int(path[time + 1])
-        over = min(over + hits(others, time, here, there), layers - 1)
-        if left > 0:
-            assert here == there, "a stay is cut short"
-            left -= 1
-            level += left == 0
-        elif level < 2 and there == goals[level] and (level == 0 or stays[1]):
-            left = stays[level]
-            level += left == 0
-    todo = [distance[0][path[-1]] + stays[0] + distance[1][goals[0]] + stays[1]]
-    todo += [distance[1][path[-1]] + stays[1], 0]
-    if left > 0:
-        todo = [left + distance[1][goals[0]] + stays[1], left]
-    assert price == UNIT * int(todo[level]) + over * penalty
+@pytest.mark.parametrize("services", [(0, 0), (2, 3), (0, 2), (3, 0)])
+def test_one_agent_agrees_with_uniform_cost_search_in_both_backends(services: tuple[int, int]):
+    rng = np.random.default_rng(sum(services))
+    for number in range(25):
+        case, noise = random_case(rng, number, services), number * 977
+        world, best = world_of(case.goals), cheapest(case)
+        others, numbers = jnp.asarray(padded(case.others)), (case.penalty, noise)
+        xla, cost = search_in_xla(
+            world, state_of(case), others, *map(jnp.int32, numbers), case.levels
+        )
+        host = search_on_host(world, case, noise)
+        assert int(cost) == best
+        assert cost_of(case, unpadded(np.asarray(xla))) == best
+        assert cost_of(case, unpadded(host)) == best
+        np.testing.assert_array_equal(xla, host)
 
 
 def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
-    rng = np.random.default_rng(3)
-    others = random_walks(rng, 10)
-    paths = walled(jnp.asarray(others), WIDTH).astype(jnp.int32)
-    mask = jnp.ones(10, bool)
-    table = reservation.reserve(reservation.empty(WINDOW, *WALLED), paths, mask, WALLED)
-    reach = REACH
+    others = random_walks(np.random.default_rng(3), 10)
+    paths, mask = jnp.asarray(padded(others)), jnp.ones(10, bool)
+    table = bitplanes.add_paths(bitplanes.empty(WINDOW, *SHAPE), paths, mask, SHAPE)
+    planes = table.reshape(WINDOW, 5, SHAPE[0], -1)
+    host = reservations.no_reservations(reservations.pack(PADDED), SHAPE[1], padded(others))
+    for agent in range(10):
+        reservations.reserve(host, agent, padded(others[:, agent]).astype(np.int64), WINDOW)
     for cell in np.flatnonzero(FREE):
-        shaped = table.reshape(WINDOW, reservation.PLANES, WALLED[0], -1)
-        seen = reservation.around(shaped, walled(jnp.array([cell]), WIDTH), WALLED[1], reach)
-        centre = (np.asarray(seen)[:, :, reach, 0] >> reach) & 1
-        taken = (others[1:] == cell).any(1)
-        assert (centre[:, 0] == taken).all()
-        for plane, (down, right) in enumerate(MOVES[1:], start=1):
-            leaving = (others[:-1] == cell) & (others[1:] == cell + down * WIDTH + right)
-            assert (centre[:, plane] == leaving.any(1)).all()
-    assert not reservation.reserve(table, paths, mask, WALLED, sign=-1).any()
+        position = padded(cell)
+        seen = bitplanes.around(planes, jnp.asarray(position)[None], SHAPE[1], WINDOW)
+        centre = (np.asarray(seen)[:, :, WINDOW, 0] >> WINDOW) & 1
+        row, column = divmod(int(position), SHAPE[1])
+        on_host = (host.table[:, row, column // 32] >> (column % 32)) & 1
+        leaving = [
+            (others[:-1] == cell) & (others[1:] == cell + down * WIDTH + right)
+            for down, right in MOVES[1:]
+        ]
+        expected = np.stack([(others[1:] == cell).any(1), *(left.any(1) for left in leaving)], 1)
+        np.testing.assert_array_equal(centre, expected)
+        np.testing.assert_array_equal(on_host, expected)
+    assert not bitplanes.add_paths(table, paths, mask, SHAPE, sign=-1).any()
+    for agent in range(10):
+        reservations.release(host, agent)
+    assert not host.table.any()
+    assert (host.owner == -1).all()
 
 
 def test_distances_agree_with_plain_search():
     free = jnp.asarray(FREE).at[3, 3].set(False)
     cells = np.flatnonzero(np.asarray(free))[:40]
-    padded = jnp.zeros(64, jnp.int32).at[:40].set(cells)
-    distance = np.asarray(jax.jit(goal_distances)(free, padded, jnp.arange(64) < 40))
+    slots = jnp.zeros(64, jnp.int32).at[:40].set(cells)
+    distance = np.asarray(jax.jit(goal_distances)(free, slots, jnp.arange(64) < 40))
     for slot, cell in enumerate(cells):
         np.testing.assert_array_equal(distance[slot], numpy_distances(np.asarray(free), cell))
     assert (distance[40:] == UNREACHABLE).all()
@@ -245,13 +172,43 @@ def test_long_ways_are_counted_in_full():
     np.testing.assert_array_equal(np.asarray(measured)[0], expected)
 
 
-def test_chosen_candidates_never_clash():
+def test_chosen_candidates_never_conflict():
     rng = np.random.default_rng(0)
     for _ in range(20):
-        clash = rng.random((12, 12)) < 0.2
-        clash |= clash.T
+        conflicts = rng.random((12, 12)) < 0.2
+        conflicts |= conflicts.T
         candidates = rng.random(12) < 0.8
-        chosen = np.asarray(first_of_each_clash(jnp.asarray(clash), jnp.asarray(candidates)))
+        chosen = np.asarray(choose(jnp.asarray(conflicts), jnp.asarray(candidates)))
         assert not (chosen & ~candidates).any()
-        assert not (clash & ~np.eye(12, dtype=bool))[np.ix_(chosen, chosen)].any()
+        assert not (conflicts & ~np.eye(12, dtype=bool))[np.ix_(chosen, chosen)].any()
         assert chosen.any() or not candidates.any()
+
+
+@pytest.mark.parametrize("last_resort", ["pibt", "wait"])
+def test_the_xla_backend_can_be_exported_on_a_cpu(last_resort: str):
+    planner = PLANNERS.make(NegotiatedConfig(backend="xla", last_resort=last_resort))
+    case = random_case(np.random.default_rng(0), 1, (2, 3))
+    plan = jax.jit(lambda world, state, key: planner.plan(world, state, 3, key))
+    exported = export.export(plan)(world_of(case.goals), state_of(case), jax.random.key(0))
+    assert "callback" not in exported.mlir_module()
+    assert exported.out_avals[0].shape == (WINDOW + 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"conflict_levels": 5}, "1 to 4 levels, not 5"),
+        ({"penalties": ()}, "penalties above nothing"),
+        ({"last_resort": "hope"}, "choose one of pibt, wait"),
+        ({"backend": "gpu"}, "choose one of auto, xla, host"),
+    ],
+)
+def test_numbers_that_make_no_planner_are_refused_in_one_line(settings, message):
+    with pytest.raises(InputError, match=message) as error:
+        NegotiatedConfig(**settings)
+    assert "\n" not in str(error.value)
+
+
+def test_the_planner_is_found_by_its_settings_and_says_its_limits():
+    assert PLANNERS.name_of(LOW) == "negotiated"
+    assert PLANNERS.make(LOW)[1:] == (10, 20, 10)

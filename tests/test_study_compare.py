@@ -11,7 +11,7 @@ from qdenv.domains import find_domain
 from qdenv.formats.layouts import write_layout
 from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.pibt import planner as pibt
 from qdenv.study.compare import Compared, climb, compare, find_peak, name_layouts, write_comparison
 from qdenv.study.sweep import SweepRow

@@ -19,7 +19,7 @@ from qdenv.domains import find_domain
 from qdenv.files import write_atomically
 from qdenv.formats.layouts import read_layout
 from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.study.traffic import Simulated, broken_rules, run_seeds
 from qdenv.types import InputError
 

@@ -14,7 +14,7 @@ from qdenv.plots.layouts import save_layout
 from qdenv.plots.sizes import save_comparison, save_peaks
 from qdenv.repair.recipe import RepairConfig
 from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.study import compare as comparing
 from qdenv.study import sizes
 from qdenv.study.sweep import parse_counts

@@ -11,7 +11,7 @@ from qdenv.files import write_atomically
 from qdenv.formats.layouts import read_layout
 from qdenv.plots.traffic import save_sweep
 from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.study import sweep as sweeping
 from qdenv.study.traffic import parse_seeds, simulate_layout
 from qdenv.types import InputError

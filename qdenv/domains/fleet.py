@@ -6,7 +6,7 @@ import jax
 
 from qdenv.domains.base import EvaluationConfig, Simulator
 from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.types import TaskRule, look_up
 
 # On an accelerator many simulations run side by side; on a CPU one after the other, because

@@ -14,7 +14,7 @@ import numpy as np
 from qdenv.domains import find_domain
 from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.audit import audit, trajectory_of
-from qdenv.simulate.mapf.negotiated.planner import EFFORTS
+from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.tasks import check_playable
 from qdenv.types import InputError, TaskRule, Traffic, look_up
 

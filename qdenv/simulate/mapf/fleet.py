@@ -5,9 +5,8 @@ Plan a window, drive its first steps, hand out new goals, plan again (RHCR; the 
 share one compiled program.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,9 +26,8 @@ from qdenv.simulate.mapf.metrics import (
     summarise,
     walled,
 )
-from qdenv.simulate.mapf.negotiated.planner import LOW
-from qdenv.simulate.mapf.negotiated.xla.window import LONGEST_STAY, REACH
-from qdenv.simulate.mapf.planner import AgentState, World
+from qdenv.simulate.mapf.negotiated.settings import LOW, MAX_SERVICE, MAX_WINDOW
+from qdenv.simulate.mapf.planner import PLANNERS, AgentState, World
 from qdenv.types import Array, InputError, TaskRule, Traffic
 
 
@@ -51,7 +49,7 @@ class FleetConfig:
     timesteps: int = 1000
     window: int = 10
     horizon: int = 5
-    planner: Callable = field(default=LOW)
+    planner: Any = LOW
     stop_when_congested: bool = True
     goal_capacity: int | None = None
 
@@ -59,8 +57,8 @@ class FleetConfig:
         """Refuse numbers that make no simulation."""
         if self.agents < 1 or self.timesteps < 1:
             raise InputError("a simulation needs at least one agent and one timestep")
-        if not 1 <= self.horizon <= self.window <= REACH:
-            raise InputError(f"need 1 <= horizon <= window <= {REACH}")
+        if not 1 <= self.horizon <= self.window <= MAX_WINDOW:
+            raise InputError(f"need 1 <= horizon <= window <= {MAX_WINDOW}")
 
 
 class Fleet(NamedTuple):
@@ -89,8 +87,8 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     Raises:
         InputError: a goal keeps its agents for more than 20 timesteps.
     """
-    if max(goal.stay for goal in rule.cycle) > LONGEST_STAY:
-        raise InputError(f"agents can stay at a goal for at most {LONGEST_STAY} timesteps")
+    if max(goal.stay for goal in rule.cycle) > MAX_SERVICE:
+        raise InputError(f"agents can stay at a goal for at most {MAX_SERVICE} timesteps")
     rows, cols = layout.shape
     capacity = config.goal_capacity or rows * cols
     traversable = of_tiles(layout, rule.traversable, rule.tiles)
@@ -160,7 +158,8 @@ def run_window(
 ) -> tuple[Fleet, Block]:
     """Plan a window and drive its first steps; consumes the key."""
     plan_key, goal_key = jax.random.split(key)
-    paths = config.planner(world, agent_state(world, fleet, active), config.horizon, plan_key)
+    plan = PLANNERS.make(config.planner).plan
+    paths = plan(world, agent_state(world, fleet, active), config.horizon, plan_key)
 
     def step(fleet: Fleet, inputs: tuple[Array, Array]) -> tuple[Fleet, Block]:
         heading = world.goals.cells[fleet.goal[0]]

@@ -5,11 +5,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulate.mapf.negotiated.xla.window import REACH
+from qdenv.simulate.mapf.negotiated.settings import MARGIN
 from qdenv.simulate.mapf.planner import World
 from qdenv.types import Array, Traffic
-
-MARGIN = REACH  # rows and columns of walls around the grid
 
 
 def walled(cells: Array, cols: int) -> jax.Array:

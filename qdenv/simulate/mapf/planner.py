@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import flax.struct
 import jax
-import jax.numpy as jnp
 
 from qdenv.registry import Registry
 from qdenv.simulate.mapf.tasks import GoalTable
@@ -91,27 +90,3 @@ PLANNERS = Registry(
         "pibt": "qdenv.simulate.mapf.pibt.planner:PIBT",
     },
 )
-
-
-def conflicts(ours: jax.Array, theirs: jax.Array) -> jax.Array:
-    """Find pairs of paths with a vertex or swap conflict (int32 [t+1, A], [t+1, B] -> bool [A, B]).
-
-    The common first row is where the agents stand and is not tested.
-    """
-    a, b = ours[:, :, None], theirs[:, None, :]
-    met = (a[1:] == b[1:]).any(0)
-    swapped = ((a[1:] == b[:-1]) & (a[:-1] == b[1:])).any(0)
-    return met | swapped
-
-
-def first_of_each_clash(clash: jax.Array, candidates: jax.Array) -> jax.Array:
-    """Choose candidates (bool [K]) none of which clashes (bool [K, K]) with an earlier chosen one.
-
-    Three sweeps of the greedy rule; an odd number of sweeps errs towards choosing too few.
-    """
-    count = candidates.shape[0]
-    earlier = clash & (jnp.arange(count)[:, None] > jnp.arange(count)[None, :])
-    chosen = candidates
-    for _ in range(3):
-        chosen = candidates & ~(earlier & chosen[None, :]).any(1)
-    return chosen

@@ -1,1 +1,16 @@
-"""The negotiated planner: settings, rules shared by both backends, and the backends."""
+"""The negotiated planner: agents bargain for reservations until nobody is in conflict.
+
+How to read it:
+
+1. `planner` says what it does and where the ideas come from; `settings` has its numbers.
+2. `rules` and `path_rules` hold every rule of the search, once. What they are to compute, the best
+   path of one agent past the reservations of the others, is specified by the uniform-cost search
+   over all states in the tests (`tests/mapf_oracle.py`).
+3. `numba` computes it for one agent at a time and is the easier half to read: `observation` (what
+   an agent sees), `search` (what it can reach, and the cheapest end), `backtrack` (the way there),
+   `reservations` (who holds which cells), `rounds` (who plans when, and who wins).
+4. `xla` does the same for several agents side by side, file by file, without a branch or a host
+   callback; `bitplanes` is its memory layout.
+
+The backends hold memory layout and control flow only, and give the same paths to the bit.
+"""

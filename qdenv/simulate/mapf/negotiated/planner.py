@@ -1,116 +1,91 @@
-"""The windowed planner: prioritised planning in which agents bargain over who gives way.
+"""The negotiated planner: prioritised planning in which agents bargain over who gives way.
 
 A set of agents holds reservations that never conflict. Round after round, a few agents without a
 reservation plan against it. A path may drive over reservations, at a penalty for each: if that is
 cheaper than stepping aside, the path is taken and the owners lose their reservations and plan
 again. The penalty grows with every attempt of an agent within the window. So at first everybody
-asks for the shortest way, and then whoever can step aside most cheaply does: the parallel
-counterpart of priority-based search choosing the cheaper child (RHCR, Li et al. 2021).
+asks for the shortest way, and then whoever can step aside most cheaply does.
 
-Agents left without a reservation after the last round fall back to a path from `last_resort`, as
-do those in conflict with one that fell back. The last resort is a joint plan without conflicts,
-so the result never has any.
+This is negotiated congestion, as routers of circuits do it (PathFinder, McMurchie & Ebeling 1995,
+https://doi.org/10.1145/201310.201328), with reservations as soft obstacles (SIPPS in MAPF-LNS2, Li
+et al. 2022, https://doi.org/10.1609/aaai.v36i9.21266), for the windows of lifelong planning (RHCR,
+Li et al. 2021, https://arxiv.org/abs/2005.07371). There priority-based search takes the cheaper of
+two children; here many agents look for the cheaper way at the same time.
+
+Agents left without a reservation after the last round fall back to a path of the last resort, as
+do those in conflict with one that fell back. The last resort is a joint plan without conflicts
+(PIBT, Okumura et al. 2022, https://arxiv.org/abs/1901.11282), so the result never has any.
 """
-
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulate.mapf.negotiated.numba import rounds as bargain_on_host
-from qdenv.simulate.mapf.negotiated.xla import rounds as bargain
-from qdenv.simulate.mapf.negotiated.xla.rounds import PlanResult
+from qdenv.devices import runs_on_host
+from qdenv.registry import Entry
+from qdenv.simulate.mapf.negotiated.numba import rounds as on_host
+from qdenv.simulate.mapf.negotiated.records import PlanResult
+from qdenv.simulate.mapf.negotiated.settings import (
+    MARGIN,
+    MAX_SERVICE,
+    MAX_WINDOW,
+    NegotiatedConfig,
+)
+from qdenv.simulate.mapf.negotiated.xla import rounds as in_xla
 from qdenv.simulate.mapf.pibt import planner as pibt
-from qdenv.simulate.mapf.planner import AgentState, World, conflicts
-from qdenv.types import Array, InputError
+from qdenv.simulate.mapf.planner import AgentState, Planner, World
 
 
-def by_backend(
-    settings: "WindowedPlanner", world: World, state: AgentState, horizon: int, key: Array
-) -> PlanResult:
-    """Bargain in compiled host code where jax computes on a CPU, else in XLA: the same result."""
-    where = bargain_on_host if jax.default_backend() == "cpu" else bargain
-    return where.bargain(settings, world, state, horizon, key)
+def negotiated(config: NegotiatedConfig) -> Planner:
+    """Make the planner; both backends give the same paths to the bit."""
+    negotiate = (on_host if runs_on_host(config.backend) else in_xla).negotiate
 
-
-@dataclass(frozen=True)
-class WindowedPlanner:
-    """Plan windows by bargaining; every setting of the planner.
-
-    Attributes:
-        lookahead: timesteps planned without conflict, at most the simulation's window.
-        lanes: agents that plan side by side in one round.
-        rounds: most rounds per agent-lane ratio, in units of ``agents / lanes``.
-        layers: how finely driven-over reservations are counted (1 + the count told apart).
-        penalties: timesteps an agent would rather lose than drive over one reservation, by attempt.
-        last_resort: joint plan for agents that found no reservation.
-        remember: let planners avoid, at no cost, where the others went in the last plan.
-        bargain: how agents get their reservations: `host` on a CPU, `bargain` elsewhere.
-    """
-
-    lookahead: int = 10
-    lanes: int = 8
-    rounds: float = 12.0
-    layers: int = 4
-    penalties: tuple[float, ...] = (
-        *(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5),
-        *(4.5, 5.5, 6.5, 8.5, 11.0, 16.0),
-    )
-    last_resort: Callable[[World, AgentState, int, Array], Array] = pibt.rollout
-    remember: bool = True
-    bargain: Callable[["WindowedPlanner", World, AgentState, int, Array], PlanResult] = by_backend
-
-    def __post_init__(self) -> None:
-        """Refuse layers whose counts would overflow a path's price."""
-        if not 1 <= self.layers <= 4:
-            raise InputError(f"a windowed planner tells 1 to 4 layers apart, not {self.layers}")
-
-    def __call__(self, world: World, state: AgentState, horizon: int, key: Array) -> Array:
-        """Plan a window for all agents (int32 [window + 1, A]); consumes the key."""
-        bargain_key, resort_key = jax.random.split(key)
+    def plan(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:
+        negotiation_key, resort_key = jax.random.split(key)
         window = state.previous.shape[0] - 1
-        ahead = max(horizon, min(self.lookahead, window))
+        ahead = max(horizon, min(config.lookahead, window))
         near = state._replace(previous=state.previous[: ahead + 1])
-        result = self.bargain(self, world, near, horizon, bargain_key)
-        paths = settle(self, world, near, horizon, result, resort_key)
+        result = negotiate(config, world, near, horizon, negotiation_key)
+        paths = fall_back(config, world, near, horizon, result, resort_key)
         rest = jnp.broadcast_to(paths[-1], (window - ahead, paths.shape[1]))
         return jnp.concatenate([paths, rest])
 
+    return Planner(plan, MAX_WINDOW, MAX_SERVICE, MARGIN)
 
-def settle(
-    planner: WindowedPlanner,
+
+def fall_back(
+    config: NegotiatedConfig,
     world: World,
     state: AgentState,
     horizon: int,
     result: PlanResult,
-    key: Array,
+    key: jax.Array,
 ) -> jax.Array:
     """Give agents without a reservation the last resort, and everybody in their way too."""
 
-    def fall_back(_: None) -> jax.Array:
-        resort = planner.last_resort(world, state, horizon, key)
-        clash = conflicts(result.paths[: horizon + 1], resort[: horizon + 1])
-        clash = clash & ~jnp.eye(clash.shape[0], dtype=bool)
-        clash = clash & state.active[:, None] & state.active[None, :]
+    def joint_plan() -> jax.Array:
+        if config.last_resort == "wait":
+            return pibt.wait(world, state, horizon, key)
+        return pibt.rollout(world, state, horizon, key, config.backend)
 
-        def spread(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+    def mix(_: None) -> jax.Array:
+        resort = joint_plan()
+        conflicts = in_xla.path_conflicts(result.paths[: horizon + 1], resort[: horizon + 1])
+        conflicts = conflicts & ~jnp.eye(conflicts.shape[0], dtype=bool)
+        conflicts = conflicts & state.active[:, None] & state.active[None, :]
+
+        def widen(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             falls, _ = carry
-            more = falls | (clash & falls[None, :]).any(1)
+            more = falls | (conflicts & falls[None, :]).any(1)
             return more, (more != falls).any()
 
-        falls, _ = jax.lax.while_loop(lambda c: c[1], spread, (~result.holds, jnp.bool_(True)))
+        begin = (~result.is_reserved, jnp.bool_(True))
+        falls, _ = jax.lax.while_loop(lambda carry: carry[1], widen, begin)
         paths = jnp.where(falls, resort, result.paths)
         # Beyond the horizon the two kinds of path may conflict: forget that part.
         beyond = jnp.arange(paths.shape[0])[:, None] > horizon
         return jnp.where(beyond, paths[horizon], paths)
 
-    return jax.lax.cond(result.holds.all(), lambda _: result.paths, fall_back, None)
+    return jax.lax.cond(result.is_reserved.all(), lambda _: result.paths, mix, None)
 
 
-# Low for the inside of a search: half of high's time for 3 to 4 % less throughput.
-HIGH = WindowedPlanner()
-LOW = WindowedPlanner(
-    lookahead=7, lanes=16, rounds=4.0, layers=3, penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0)
-)
-EFFORTS = {"low": LOW, "high": HIGH}
+NEGOTIATED = Entry(NegotiatedConfig, negotiated)

@@ -7,7 +7,7 @@ import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 
 from qdenv.native import compiled
-from qdenv.simulate.mapf.negotiated.xla.reservations import NOBODY
+from qdenv.simulate.mapf.negotiated.rules import NOBODY
 from qdenv.types import Array
 
 

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulate.mapf.negotiated.xla.reservations import NOBODY
+from qdenv.devices import Backend, runs_on_host
+from qdenv.simulate.mapf.negotiated.rules import NOBODY
 from qdenv.simulate.mapf.pibt import numba as on_host
 from qdenv.simulate.mapf.planner import AgentState, World
 from qdenv.types import Array
@@ -122,7 +123,9 @@ def preferences(
     return jnp.take_along_axis(cells, best_first, axis=1), open_cell.sum(1, dtype=jnp.int32)
 
 
-def rollout(world: World, state: AgentState, horizon: int, key: Array) -> jax.Array:
+def rollout(
+    world: World, state: AgentState, horizon: int, key: Array, backend: Backend = "auto"
+) -> jax.Array:
     """Drive all agents for `horizon` steps; afterwards they wait (int32 [window + 1, A]).
 
     Agents that serve come first and stay; then the longer without a finished task, the earlier.
@@ -134,7 +137,7 @@ def rollout(world: World, state: AgentState, horizon: int, key: Array) -> jax.Ar
     # Padding agents are lifted off the grid: they stand on no cell and want none.
     state_age = jnp.where(state.active, state.age, -1)
     noise = jax.random.randint(key_noise, (horizon, count, WAYS), 0, 32)
-    move = on_host.one_step if jax.default_backend() == "cpu" else one_step
+    move = on_host.one_step if runs_on_host(backend) else one_step
 
     def step(carry: tuple, noise: Array) -> tuple[tuple, Array]:
         position, level, serving, age = carry

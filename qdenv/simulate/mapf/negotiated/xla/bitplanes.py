@@ -13,13 +13,11 @@ and subtracting words.
 import jax
 import jax.numpy as jnp
 
-from qdenv.types import Array
+from qdenv.simulate.mapf.negotiated import rules
 
 STRIDE = 11  # columns between the starts of neighbouring words
 WORD = 32
 COPIES = 3  # words that hold one cell
-PLANES = 5
-SIGHT = WORD - STRIDE  # columns that any aligned word shows from every start: 21
 
 
 def words_per_row(width: int) -> int:
@@ -27,7 +25,7 @@ def words_per_row(width: int) -> int:
     return -(-width // STRIDE)
 
 
-def pack(mask: Array) -> jax.Array:
+def pack(mask: jax.Array) -> jax.Array:
     """Pack a map of cells (bool [H', W']) into overlapping words (uint32 [H', words])."""
     width = mask.shape[1]
     columns = STRIDE * jnp.arange(words_per_row(width))[:, None] + jnp.arange(WORD)[None, :]
@@ -37,26 +35,17 @@ def pack(mask: Array) -> jax.Array:
 
 def empty(window: int, rows: int, width: int) -> jax.Array:
     """Make a table without reservations (uint32 [window * 5 * H' * words], flat)."""
-    return jnp.zeros((window * PLANES * rows * words_per_row(width),), jnp.uint32)
+    return jnp.zeros((window * rules.MOVES * rows * words_per_row(width),), jnp.uint32)
 
 
-def move_plane(paths: Array, width: int) -> jax.Array:
-    """Name the plane of every step of `paths` (int32 [t+1, K] -> int32 [t, K]); 0 for waiting."""
-    change = paths[1:] - paths[:-1]
-    moving = jnp.where(change == width, 3, 4)
-    moving = jnp.where(change == -1, 2, moving)
-    moving = jnp.where(change == 1, 1, moving)
-    return jnp.where(change == 0, 0, moving)
-
-
-def reserve(
-    table: Array, paths: Array, mask: Array, shape: tuple[int, int], sign: int = 1
+def add_paths(
+    table: jax.Array, paths: jax.Array, mask: jax.Array, shape: tuple[int, int], sign: int = 1
 ) -> jax.Array:
     """Add (or with ``sign=-1`` remove) the reservations of some paths.
 
     Args:
         table: from `empty`.
-        paths: int32 [window + 1, K], positions of the walled grid.
+        paths: int32 [window + 1, K], positions of the padded grid.
         mask: bool [K], which of them.
         shape: (H', W').
         sign: 1 or -1.
@@ -64,12 +53,12 @@ def reserve(
     rows, width = shape
     words = words_per_row(width)
     window = paths.shape[0] - 1
-    plane = move_plane(paths, width)
+    plane = rules.move_plane(paths[1:] - paths[:-1], width)
     time = jnp.arange(window)[:, None]
 
-    def updates(cells: Array, plane: Array, mask: Array) -> tuple[Array, Array]:
+    def updates(cells: jax.Array, plane: jax.Array, mask: jax.Array) -> tuple[jax.Array, jax.Array]:
         row, column = cells // width, cells % width
-        base = ((time * PLANES + plane) * rows + row) * words
+        base = ((time * rules.MOVES + plane) * rows + row) * words
         places, values = [], []
         for copy in range(COPIES):
             word = column // STRIDE - copy
@@ -88,7 +77,7 @@ def reserve(
     return table.at[places].add(values, mode="promise_in_bounds")
 
 
-def around(packed: Array, position: Array, width: int, reach: int) -> jax.Array:
+def around(packed: jax.Array, position: jax.Array, width: int, reach: int) -> jax.Array:
     """Cut the square of ``2 * reach + 1`` cells around every agent.
 
     Args:

@@ -1,119 +1,134 @@
-"""The book of a window: who has reserved which cells and moves, entered and struck out."""
+"""The reservation table of a window: who holds which cells and moves."""
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulate.mapf.negotiated.xla import bitplanes as reservation
+from qdenv.simulate.mapf.negotiated import rules
+from qdenv.simulate.mapf.negotiated.rules import NOBODY
+from qdenv.simulate.mapf.negotiated.xla import bitplanes
 from qdenv.simulate.mapf.planner import AgentState
-from qdenv.types import Array
 
-NOBODY = -1
+Shape = tuple[int, int]  # (H', W') of the padded grid
 
 
-class Book(NamedTuple):
+class Reservations(NamedTuple):
     """Who has reserved what.
 
     Attributes:
-        table: the packed reservations.
+        table: uint32, flat, the packed reservations (`bitplanes`).
         owner: int32 [window + 1, H' * W'], the agent at each cell and time, or `NOBODY`.
         paths: int32 [window + 1, A], the latest path of every agent.
-        until: int32 [A], timesteps of the path that are reserved.
-        attempts: int32 [A], how often the agent planned in this window.
-        rounds: int32, rounds so far.
+        reserved_steps: int32 [A], steps of that path that are reserved.
     """
 
-    table: Array
-    owner: Array
-    paths: Array
-    until: Array
-    attempts: Array
-    rounds: Array
+    table: jax.Array
+    owner: jax.Array
+    paths: jax.Array
+    reserved_steps: jax.Array
 
     @property
-    def holds(self) -> Array:
+    def is_reserved(self) -> jax.Array:
         """Mark the agents whose whole path is reserved (bool [A])."""
-        return self.until == self.paths.shape[0] - 1
+        return self.reserved_steps == self.paths.shape[0] - 1
 
 
-def empty_book(state: AgentState, shape: tuple[int, int]) -> Book:
-    """Open a book for a grid of `shape` (H', W')."""
-    window, count = state.previous.shape[0] - 1, state.position.shape[0]
-    return Book(
-        table=reservation.empty(window, *shape),
+class Accepted(NamedTuple):
+    """New paths that do not conflict with one another.
+
+    Attributes:
+        agent: int32 [K].
+        paths: int32 [window + 1, K].
+        mask: bool [K], which of them count.
+    """
+
+    agent: jax.Array
+    paths: jax.Array
+    mask: jax.Array
+
+
+def no_reservations(state: AgentState, shape: Shape) -> Reservations:
+    """Begin without any; padding agents count as if they had their path."""
+    window = state.previous.shape[0] - 1
+    return Reservations(
+        table=bitplanes.empty(window, *shape),
         owner=jnp.full((window + 1, shape[0] * shape[1]), NOBODY, jnp.int32),
         paths=jnp.broadcast_to(state.position, state.previous.shape),
-        until=jnp.where(state.active, 0, window),
-        attempts=jnp.zeros((count,), jnp.int32),
-        rounds=jnp.int32(0),
+        reserved_steps=jnp.where(state.active, 0, window),
     )
 
 
-def remember(book: Book, state: AgentState, shape: tuple[int, int], steps: int) -> Book:
+def remember(
+    reservations: Reservations, state: AgentState, shape: Shape, steps: int
+) -> Reservations:
     """Reserve the first steps of everybody's previous path until they plan themselves.
 
     They bind nobody, but tell whom to avoid where avoiding costs nothing.
     """
-    time = jnp.arange(book.paths.shape[0])[:, None]
+    count = state.position.shape[0]
+    time = jnp.arange(state.previous.shape[0])[:, None]
     live = (time <= steps) & state.active
-    place = jnp.where(live, state.previous, book.owner.shape[1])
-    agents = jnp.broadcast_to(jnp.arange(book.until.shape[0]), place.shape)
-    return book._replace(
-        table=reservation.reserve(book.table, state.previous, live[1:], shape),
-        owner=book.owner.at[time, place].set(agents, mode="drop"),
+    place = jnp.where(live, state.previous, reservations.owner.shape[1])
+    agents = jnp.broadcast_to(jnp.arange(count), place.shape)
+    return Reservations(
+        table=bitplanes.add_paths(reservations.table, state.previous, live[1:], shape),
+        owner=reservations.owner.at[time, place].set(agents, mode="drop"),
         paths=state.previous,
-        until=jnp.where(state.active, steps, book.until),
+        reserved_steps=jnp.where(state.active, steps, reservations.reserved_steps),
     )
 
 
-def enter(
-    book: Book, shape: tuple[int, int], who: Array, paths: Array, accepted: Array, asks: Array
-) -> Book:
-    """Write accepted paths into the book and strike out whatever they drive over."""
-    count = book.holds.shape[0]
+def reserve(reservations: Reservations, shape: Shape, accepted: Accepted) -> Reservations:
+    """Reserve accepted paths, which conflict with no reservation any more."""
+    count, (agent, paths, mask) = reservations.reserved_steps.shape[0], accepted
     time = jnp.arange(paths.shape[0])[:, None]
-    met = book.owner[time[1:], paths[1:]]
-    there = book.owner[time[:-1], paths[1:]]
-    swapped = (there != NOBODY) & (book.owner[time[1:], paths[:-1]] == there)
-    losers = jnp.stack([met, jnp.where(swapped, there, NOBODY)])
-    losers = jnp.where(accepted & (losers != NOBODY), losers, count).reshape(-1)
-    evicted = jnp.zeros((count,), bool).at[losers].set(True, mode="drop")
-
-    book = strike_out_all(book, shape, evicted, who.shape[0])
-    place = jnp.where(accepted, paths, book.owner.shape[1])
-    winners = jnp.where(accepted, who, count)
-    return Book(
-        table=reservation.reserve(book.table, paths, accepted, shape),
-        owner=book.owner.at[time, place].set(jnp.broadcast_to(who, paths.shape), mode="drop"),
-        paths=book.paths.at[:, winners].set(paths, mode="drop"),
-        until=book.until.at[winners].set(paths.shape[0] - 1, mode="drop"),
-        attempts=book.attempts.at[jnp.where(asks, who, count)].add(1, mode="drop"),
-        rounds=book.rounds + 1,
+    place = jnp.where(mask, paths, reservations.owner.shape[1])
+    winners = jnp.where(mask, agent, count)
+    owners = jnp.broadcast_to(agent, paths.shape)
+    return Reservations(
+        table=bitplanes.add_paths(reservations.table, paths, mask, shape),
+        owner=reservations.owner.at[time, place].set(owners, mode="drop"),
+        paths=reservations.paths.at[:, winners].set(paths, mode="drop"),
+        reserved_steps=reservations.reserved_steps.at[winners].set(paths.shape[0] - 1, mode="drop"),
     )
 
 
-def strike_out(book: Book, shape: tuple[int, int], who: Array) -> Book:
-    """Remove what the agents `who` (int32 [K], A for nobody) have reserved."""
-    count = book.until.shape[0]
-    time = jnp.arange(book.paths.shape[0])[:, None]
-    safe = jnp.minimum(who, count - 1)
-    paths, until = book.paths[:, safe], jnp.where(who < count, book.until[safe], 0)
-    place = jnp.where((time <= until) & (until > 0), paths, book.owner.shape[1])
-    return book._replace(
-        table=reservation.reserve(book.table, paths, time[:-1] < until, shape, sign=-1),
-        owner=book.owner.at[time, place].set(NOBODY, mode="drop"),
-        until=book.until.at[who].set(0, mode="drop"),
+def release(reservations: Reservations, shape: Shape, agents: jax.Array) -> Reservations:
+    """Remove what some agents have reserved (int32 [K], A for nobody)."""
+    count = reservations.reserved_steps.shape[0]
+    time = jnp.arange(reservations.paths.shape[0])[:, None]
+    safe = jnp.minimum(agents, count - 1)
+    paths = reservations.paths[:, safe]
+    steps = jnp.where(agents < count, reservations.reserved_steps[safe], 0)
+    place = jnp.where((time <= steps) & (steps > 0), paths, reservations.owner.shape[1])
+    return reservations._replace(
+        table=bitplanes.add_paths(reservations.table, paths, time[:-1] < steps, shape, sign=-1),
+        owner=reservations.owner.at[time, place].set(NOBODY, mode="drop"),
+        reserved_steps=reservations.reserved_steps.at[agents].set(0, mode="drop"),
     )
 
 
-def strike_out_all(book: Book, shape: tuple[int, int], evicted: Array, lanes: int) -> Book:
-    """Remove the evicted agents (bool [A]) from the book, a few at a time."""
-    count = evicted.shape[0]
+def evict(reservations: Reservations, shape: Shape, accepted: Accepted) -> Reservations:
+    """Release the agents whose reservations accepted paths drive over, a few at a time."""
+    count, lanes = reservations.reserved_steps.shape[0], accepted.agent.shape[0]
 
-    def some(carry: tuple[Book, Array]) -> tuple[Book, Array]:
-        book, evicted = carry
-        who = jnp.nonzero(evicted, size=lanes, fill_value=count)[0]
-        return strike_out(book, shape, who), evicted.at[who].set(False, mode="drop")
+    def some(carry: tuple[Reservations, jax.Array]) -> tuple[Reservations, jax.Array]:
+        reservations, losers = carry
+        agents = jnp.nonzero(losers, size=lanes, fill_value=count)[0]
+        return release(reservations, shape, agents), losers.at[agents].set(False, mode="drop")
 
-    return jax.lax.while_loop(lambda carry: carry[1].any(), some, (book, evicted))[0]
+    losers = find_losers(reservations, accepted)
+    return jax.lax.while_loop(lambda carry: carry[1].any(), some, (reservations, losers))[0]
+
+
+def find_losers(reservations: Reservations, accepted: Accepted) -> jax.Array:
+    """Mark the agents whose reservations accepted paths drive over (bool [A])."""
+    count, (_, paths, mask) = reservations.reserved_steps.shape[0], accepted
+    time = jnp.arange(paths.shape[0])[:, None]
+    met = reservations.owner[time[1:], paths[1:]]
+    ahead = reservations.owner[time[:-1], paths[1:]]
+    swapped = rules.is_swapped(ahead, reservations.owner[time[1:], paths[:-1]])
+    losers = jnp.stack([met, jnp.where(swapped, ahead, NOBODY)])
+    losers = jnp.where(mask & (losers != NOBODY), losers, count).reshape(-1)
+    return jnp.zeros((count,), bool).at[losers].set(True, mode="drop")

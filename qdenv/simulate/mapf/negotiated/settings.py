@@ -1,0 +1,72 @@
+"""The negotiated planner's numbers: its settings, the two efforts in use, its limits."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from qdenv.devices import Backend, runs_on_host
+from qdenv.types import InputError
+
+MAX_WINDOW = 10  # a square of 2 * 10 + 1 columns around any cell lies within one packed word
+MAX_SERVICE = 20  # timesteps served so far are one bit of a 32-bit word, a whole window longer
+MARGIN = MAX_WINDOW  # so that no agent sees beyond the border
+MAX_CONFLICT_LEVELS = 4  # more would not fit into the code of a path's end
+
+
+@dataclass(frozen=True)
+class NegotiatedConfig:
+    """Settings of the negotiated planner.
+
+    Attributes:
+        lookahead: timesteps planned without conflict, at most the simulation's window.
+        lanes: agents that plan against the same reservations in one round.
+        rounds: most rounds, in units of ``agents / lanes``.
+        conflict_levels: how finely the soft conflicts of a path are counted: the numbers 0, 1, ...
+            told apart, the last of which stands for all larger ones; 1 to 4.
+        penalties: timesteps an agent would rather lose than drive over one reservation, at its
+            first, second, ... attempt within a window; the last is used from then on.
+        remember: let agents avoid, where that costs nothing, where the others went in the last
+            plan.
+        last_resort: what agents without a reservation do: the joint plan of PIBT, or standing
+            still, which congests as priority-based search does.
+        backend: where to run: compiled host code, XLA, or the former on a CPU and else the latter
+            ("auto").
+    """
+
+    lookahead: int = 10
+    lanes: int = 8
+    rounds: float = 12.0
+    conflict_levels: int = 4
+    penalties: tuple[float, ...] = (
+        *(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5),
+        *(4.5, 5.5, 6.5, 8.5, 11.0, 16.0),
+    )
+    remember: bool = True
+    last_resort: Literal["pibt", "wait"] = "pibt"
+    backend: Backend = "auto"
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no planner."""
+        if not 1 <= self.conflict_levels <= MAX_CONFLICT_LEVELS:
+            raise InputError(
+                f"a negotiated planner counts conflicts in 1 to {MAX_CONFLICT_LEVELS} levels, "
+                f"not {self.conflict_levels}"
+            )
+        if self.lookahead < 1 or self.lanes < 1 or self.rounds <= 0 or not self.penalties:
+            raise InputError(
+                "a negotiated planner needs a lookahead, lanes, rounds and penalties above nothing"
+            )
+        if self.last_resort not in ("pibt", "wait"):
+            raise InputError(f"unknown last resort {self.last_resort!r}: choose one of pibt, wait")
+        runs_on_host(self.backend)  # refuses an unknown one
+
+
+# Low for the inside of a search: half of high's time for 3 to 4 % less throughput.
+HIGH = NegotiatedConfig()
+LOW = NegotiatedConfig(
+    lookahead=7,
+    lanes=16,
+    rounds=4.0,
+    conflict_levels=3,
+    penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0),
+)
+EFFORTS = {"low": LOW, "high": HIGH}

@@ -1,0 +1,128 @@
+"""What planning agents see around them, as words of bits."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from qdenv.simulate.mapf.negotiated import path_rules, rules
+from qdenv.simulate.mapf.negotiated.xla import bitplanes
+from qdenv.simulate.mapf.planner import AgentState, World
+
+
+class LocalWindow(NamedTuple):
+    """What K agents see around them: squares of side E = 2 * window + 1, at most 21.
+
+    Attributes:
+        reserved: uint32 [window, 5, E, K], reserved cells and moves (`bitplanes`).
+        traversable: uint32 [E, K], cells without walls.
+        goal: uint32 [2, E, K], the current and the next goal, where they end a leg.
+        goal_row: int32 [2, K], their rows in sight (0 where out of sight).
+        goal_column: int32 [2, K], likewise.
+        cost_to_go: int32 [2, E, E, K], cost of what is left from each cell on, per leg.
+        cost_after_goal: int32 [K], cost of what is left once the current goal is done.
+        service_time: int32 [2, K], timesteps to serve at each goal.
+        remaining_service: int32 [K], timesteps still to serve where the agent is; 0 while driving.
+        penalty: int32 [K], cost of a conflict.
+        noise: int32 [K], random bits that settle ties.
+    """
+
+    reserved: jax.Array
+    traversable: jax.Array
+    goal: jax.Array
+    goal_row: jax.Array
+    goal_column: jax.Array
+    cost_to_go: jax.Array
+    cost_after_goal: jax.Array
+    service_time: jax.Array
+    remaining_service: jax.Array
+    penalty: jax.Array
+    noise: jax.Array
+
+    @property
+    def side(self) -> int:
+        """Rows and columns in sight (E)."""
+        return self.traversable.shape[0]
+
+    @property
+    def middle(self) -> int:
+        """Row and column of the agent itself."""
+        return self.side // 2
+
+
+class Planning(NamedTuple):
+    """Who plans in one round.
+
+    Attributes:
+        agent: int32 [K].
+        penalty: int32 [K], cost of a conflict.
+        noise: int32 [K], random bits that settle ties.
+    """
+
+    agent: jax.Array
+    penalty: jax.Array
+    noise: jax.Array
+
+
+def gather(
+    world: World, state: AgentState, table: jax.Array, walls: jax.Array, who: Planning
+) -> LocalWindow:
+    """Cut out what agents see.
+
+    Args:
+        world: the layout.
+        state: all agents; the length of its previous paths is the window.
+        table: uint32, flat, the packed reservations (`bitplanes.empty`).
+        walls: uint32 [H', words], the packed traversable cells.
+        who: the agents that look.
+    """
+    width = world.traversable.shape[1]
+    window = state.previous.shape[0] - 1
+    side = 2 * window + 1
+    position, slots = state.position[who.agent], state.goal[:, who.agent]
+    service_time = state.service_time[:, who.agent]
+    cells = world.goals.cells[slots]
+    row = rules.goal_row(cells, position, width, window)
+    column = rules.goal_column(cells, position, width, window)
+    ends = jnp.stack([rules.ends_leg(leg, service_time[leg]) for leg in range(2)])
+    seen = ends & rules.is_visible(row, column, side)
+    row, column = jnp.where(seen, row, 0), jnp.where(seen, column, 0)
+    bit = jnp.where(seen, jnp.uint32(1) << column.astype(jnp.uint32), 0)
+    goal = jnp.where(jnp.arange(side)[:, None] == row[:, None], bit[:, None], 0)
+    after = path_rules.cost_after_goal(
+        world.distance[slots[1], cells[0]].astype(jnp.int32), service_time[1]
+    )
+    to_go = distance_to_go(world, position, slots, window)
+    after_leg = jnp.stack([after, jnp.zeros_like(after)])
+    planes = table.reshape(-1, rules.MOVES, *walls.shape)
+    return LocalWindow(
+        reserved=bitplanes.around(planes, position, width, window),
+        traversable=bitplanes.around(walls, position, width, window),
+        goal=goal.astype(jnp.uint32),
+        goal_row=row,
+        goal_column=column,
+        cost_to_go=path_rules.driving_cost(
+            to_go, service_time[:, None, None], after_leg[:, None, None]
+        ),
+        cost_after_goal=after,
+        service_time=service_time,
+        remaining_service=state.remaining_service[who.agent],
+        penalty=who.penalty,
+        noise=who.noise,
+    )
+
+
+def distance_to_go(world: World, position: jax.Array, slots: jax.Array, window: int) -> jax.Array:
+    """Look up the steps from every cell in sight to both goals (int32 [2, E, E, K])."""
+    width, size = world.traversable.shape[1], world.traversable.size
+    step = jnp.arange(-window, window + 1)
+    cell = position + (step[:, None] * width + step)[:, :, None]
+    cell = jnp.clip(cell, 0, size - 1)
+    place = slots[:, None, None] * size + cell
+    return world.distance.reshape(-1)[place].astype(jnp.int32)
+
+
+def conflicting_cells(reserved: jax.Array) -> rules.ByMove[jax.Array]:
+    """Find where arriving by each move conflicts with the planes of one step (uint32 [5, ...])."""
+    cell, right, left, down, up = reserved
+    return rules.conflicting_cells((cell, right, left, down, up))

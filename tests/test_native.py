@@ -1,0 +1,91 @@
+"""Compiled host code: kept between processes, and never stale."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from qdenv import native
+
+OUTER = """
+from qdenv.inner import plus
+from qdenv.native import compiled
+
+@compiled
+def answer(x):
+    return plus(x)
+
+print(answer(40), sum(answer.stats.cache_hits.values()))
+"""
+INNER = """
+from qdenv.native import shared
+
+@shared
+def plus(x):
+    return x + {}
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """Make a package of three files around a copy of `qdenv.native`."""
+    folder = tmp_path / "qdenv"
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    shutil.copy(native.__file__, folder)
+    (folder / "outer.py").write_text(OUTER)
+    (folder / "inner.py").write_text(INNER.format(2))
+    return folder
+
+
+def run(package: Path, cache: Path, **variables: str) -> list[int]:
+    """Import `outer` in a fresh process; returns the answer and how often the cache served."""
+    environment = dict(os.environ, PYTHONPATH=str(package.parent), XDG_CACHE_HOME=str(cache))
+    environment.pop("NUMBA_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-c", "import qdenv.outer"],
+        env=environment | variables,
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=package.parent,
+    )
+    return [int(word) for word in done.stdout.split()]
+
+
+def test_an_edit_in_another_file_is_seen_by_the_next_process(package: Path, tmp_path: Path):
+    cache = tmp_path / "cache"
+    assert run(package, cache) == [42, 0]
+    assert run(package, cache) == [42, 1]
+    (package / "inner.py").write_text(INNER.format(3))
+    assert run(package, cache) == [43, 0]
+    (package / "inner.py").write_text(INNER.format(2))
+    assert run(package, cache) == [42, 1]
+    assert len(list((cache / "qdenv").iterdir())) == 2
+
+
+def test_the_users_own_cache_folder_is_respected(package: Path, tmp_path: Path):
+    own = tmp_path / "own"
+    assert run(package, tmp_path / "cache", NUMBA_CACHE_DIR=str(own)) == [42, 0]
+    assert run(package, tmp_path / "cache", NUMBA_CACHE_DIR=str(own)) == [42, 1]
+    assert not (tmp_path / "cache").exists()
+
+
+def test_without_a_place_to_write_it_works_without_a_cache(package: Path, tmp_path: Path):
+    blocked = tmp_path / "file"
+    blocked.touch()  # a folder in it can be made by nobody, not even by root
+    assert run(package, blocked) == [42, 0]
+    assert run(package, blocked) == [42, 0]
+
+
+def test_only_the_last_used_folders_are_kept(tmp_path: Path):
+    for age in range(native.KEPT_FOLDERS + 3):
+        folder = tmp_path / f"{age}"
+        folder.mkdir()
+        os.utime(folder, (10**9 - age, 10**9 - age))
+    native._forget_old(tmp_path)
+    kept = {int(folder.name) for folder in tmp_path.iterdir()}
+    assert kept == set(range(native.KEPT_FOLDERS))

@@ -1,0 +1,202 @@
+"""The rules of the negotiated planner: both backends compute the same, and it is what they say."""
+
+import inspect
+
+import jax.numpy as jnp
+import numba
+import numpy as np
+import pytest
+
+from qdenv.simulate.mapf.negotiated import path_rules, rules
+
+CASES = 40
+SIDE, LEVELS = 21, 3
+# What each rule is given: sets, masks, truths, numbers from a range, or a constant.
+SET, MASK, TRUTH = "set", "mask", "truth"
+CELL, TIME, CODE = range(60 * 60), range(31), range(1 << path_rules.CODE_BITS)
+MOVES = (SET,) * rules.MOVES
+GIVEN = {
+    rules.move_plane: (range(-60, 61), 57),
+    rules.steps_conflict: (range(3),) * 4,
+    rules.is_swapped: (range(-1, 2),) * 2,
+    rules.conflicting_cells: (MOVES,),
+    rules.arrivals: (MOVES, MOVES, SET),
+    rules.count_conflict: (SET, SET, SET, MASK),
+    rules.continue_service: (SET, SET, MASK, MASK),
+    rules.begin_service: (SET, range(2)),
+    rules.has_served: (SET, TIME),
+    rules.expandable: (SET, SET, MASK, SET),
+    rules.goal_row: (CELL, CELL, 57, 10),
+    rules.goal_column: (CELL, CELL, 57, 10),
+    rules.is_visible: (range(-3, 25), range(-3, 25), SIDE),
+    rules.ends_leg: (1, range(2)),
+    path_rules.cost_after_goal: (range(8192), range(21)),
+    path_rules.driving_cost: (range(8192), range(21), range(9999)),
+    path_rules.serving_cost: (range(21), TIME, range(9999)),
+    path_rules.f_cost: (range(9999), 2, range(65)),
+    path_rules.driving_end: (1, 2, LEVELS, range(SIDE), range(SIDE), SIDE),
+    path_rules.serving_end: (1, 2, LEVELS, TIME, SIDE),
+    path_rules.unpack_end: (range(2 * LEVELS * (SIDE**2 + 32)), LEVELS, SIDE),
+    path_rules.end_key: (range(9999), CODE, CODE),
+    rules.noise_of_round: (range(1 << 24), range(300)),
+    path_rules.tie_breaker: (range(1 << 24),),
+    path_rules.is_flipped: (range(1 << 24),),
+    rules.urgency: (range(200), range(99), 200),
+    rules.penalty_index: (range(30), 13),
+    path_rules.service_conflict: (range(3), TRUTH, TRUTH),
+    path_rules.move_at: (3, range(2)),
+    path_rules.row_before: (range(SIDE), rules.UP),
+    path_rules.column_before: (range(SIDE), rules.LEFT),
+    path_rules.is_predecessor: (TRUTH,) * 4,
+}
+
+
+def draw(rng: np.random.Generator, kind) -> tuple:
+    """Draw an argument: arrays for jnp, and the same numbers one by one for numba."""
+    if kind is MOVES:
+        parts = [draw(rng, part) for part in kind]
+        return tuple(part[0] for part in parts), list(zip(*(p[1] for p in parts), strict=True))
+    if isinstance(kind, int):
+        return kind, [kind] * CASES
+    if kind == SET:
+        words = rng.integers(0, 1 << 30, CASES)
+        return jnp.asarray(words, jnp.uint32), words.tolist()
+    if kind == MASK:
+        masks = -rng.integers(0, 2, CASES)
+        return jnp.asarray(masks & 0xFFFFFFFF, jnp.uint32), masks.tolist()
+    if kind == TRUTH:
+        truths = rng.integers(0, 2, CASES)
+        return jnp.asarray(truths, bool), truths.tolist()
+    numbers = rng.integers(kind.start, kind.stop, CASES)
+    return jnp.asarray(numbers, jnp.int32), numbers.tolist()
+
+
+def parts(result) -> list:
+    return list(result) if isinstance(result, tuple) else [result]
+
+
+@pytest.mark.parametrize("rule", GIVEN, ids=lambda rule: rule.__name__)
+def test_traced_and_compiled_rules_agree(rule):
+    drawn = [draw(np.random.default_rng(len(rule.__name__)), kind) for kind in GIVEN[rule]]
+    arrays = [argument[0] for argument in drawn]
+    if rule is rules.has_served:
+        arrays[1] = arrays[1].astype(jnp.uint32)
+    if rule is rules.begin_service:
+        arrays[1] = arrays[1].astype(jnp.uint32)
+    kernel = numba.njit(lambda *given: rule(*given))
+    traced = [np.broadcast_to(np.asarray(part), CASES) for part in parts(rule(*arrays))]
+    for index, given in enumerate(zip(*(argument[1] for argument in drawn), strict=True)):
+        for one, many in zip(parts(kernel(*given)), traced, strict=True):
+            assert int(one) & 0xFFFFFFFF == int(many[index]) & 0xFFFFFFFF
+
+
+def test_every_rule_is_tried():
+    found = {
+        function
+        for module in (rules, path_rules)
+        for _, function in inspect.getmembers(module, inspect.isfunction)
+        if function.__module__ == module.__name__
+    }
+    assert found - set(GIVEN) == {path_rules.is_entry}  # takes a record, tried below
+
+
+def test_a_leg_begins_where_the_service_at_the_first_goal_ended():
+    for leg in range(2):
+        for elapsed in (-1, 0, 3):
+            for on_goal in (False, True):
+                for served in (0, 1):
+                    state = path_rules.PathState(leg, 0, 4, 5, elapsed)
+                    expected = leg == 1 and elapsed < 0 and on_goal and served == 1
+                    assert bool(path_rules.is_entry(state, on_goal, served)) == expected
+
+
+def cells(drawing: str) -> int:
+    """Read a row of cells as a set; column 0 is the lowest bit."""
+    return sum(1 << column for column, cell in enumerate(drawing) if cell == "x")
+
+
+def test_going_against_a_reserved_move_is_a_swap_and_following_it_is_not():
+    # Another agent goes from column 3 to column 2.
+    occupied, leaves_left = cells("..x....."), cells("...x....")
+    wait, right, left, _, _ = rules.conflicting_cells((occupied, 0, leaves_left, 0, 0))
+    assert wait == cells("..x.....")  # standing where it arrives
+    assert right == cells("..xx....")  # and going where it came from, past it
+    assert left == cells("..x.....")  # column 3 may be entered from behind it
+
+
+def test_one_timestep_on_a_row():
+    here = cells("...x....")
+    moved = (here, here << 1, here >> 1, 0, 0)
+    reserved = rules.conflicting_cells((cells("..x....."), 0, cells("...x...."), 0, 0))
+    clean, clashing = rules.arrivals(moved, reserved, cells("xxxx.xxx"))
+    assert clean == cells("...x....")  # the other one leaves; column 4 is a wall
+    assert clashing == cells("..x.....")
+
+
+def test_a_disturbed_service_counts_one_conflict_more_up_to_the_cap():
+    served = [0b101, 0b010, 0]  # timesteps served with 0, 1, 2 or more conflicts
+    after = [
+        rules.continue_service(served[c], served[c - 1] if c else 0, -1, -(c == 2))
+        for c in range(3)
+    ]
+    assert after == [0, 0b1010, 0b100]
+    calm = [rules.continue_service(served[c], 0, 0, -(c == 2)) for c in range(3)]
+    assert calm == [0b1010, 0b100, 0]
+
+
+def test_every_end_has_a_code_of_its_own_that_is_read_back():
+    codes = set()
+    for leg in range(path_rules.LEGS):
+        for conflicts in range(LEVELS):
+            for row, column in np.ndindex(SIDE, SIDE):
+                code = path_rules.driving_end(leg, conflicts, LEVELS, row, column, SIDE)
+                codes.add(code)
+                assert path_rules.unpack_end(code, LEVELS, SIDE) == (
+                    leg,
+                    conflicts,
+                    row,
+                    column,
+                    -1,
+                )
+            for elapsed in range(path_rules.SERVED_BITS):
+                code = path_rules.serving_end(leg, conflicts, LEVELS, elapsed, SIDE)
+                codes.add(code)
+                state = path_rules.unpack_end(code, LEVELS, SIDE)
+                assert (state.leg, state.conflicts, state.elapsed) == (leg, conflicts, elapsed)
+    assert len(codes) == path_rules.LEGS * LEVELS * (SIDE**2 + path_rules.SERVED_BITS)
+    assert max(codes) <= path_rules.CODES
+
+
+def test_the_cheaper_end_wins_whatever_the_tie_breaker():
+    assert path_rules.end_key(7, 0, path_rules.CODES) < path_rules.end_key(
+        8, path_rules.CODES, path_rules.CODES
+    )
+
+
+def test_moves_are_tried_in_one_of_two_orders_each_its_own_inverse():
+    orders = [[path_rules.move_at(rank, flipped) for rank in range(5)] for flipped in (0, 1)]
+    assert orders == [[0, 1, 2, 3, 4], [0, 4, 3, 2, 1]]
+
+
+def test_steps_conflict_when_they_meet_or_swap_but_not_when_they_follow():
+    assert rules.steps_conflict(1, 2, 3, 2)
+    assert rules.steps_conflict(1, 2, 2, 1)
+    assert not rules.steps_conflict(1, 2, 2, 3)
+
+
+def test_a_move_and_its_plane_belong_together():
+    changes = [0, 1, -1, 9, -9]
+    assert [rules.move_plane(change, 9) for change in changes] == [0, 1, 2, 3, 4]
+    before = [
+        (path_rules.row_before(5, move), path_rules.column_before(5, move)) for move in range(5)
+    ]
+    assert [(5 - row) * 9 + 5 - column for row, column in before] == changes
+
+
+def test_costs_count_quarters_of_timesteps():
+    after = path_rules.cost_after_goal(10, 2)
+    assert after == 48
+    assert path_rules.driving_cost(3, 5, after) == 4 * (3 + 5 + 10 + 2)
+    assert [path_rules.serving_cost(5, elapsed, after) for elapsed in (0, 3, 9)] == [68, 56, 48]
+    assert path_rules.f_cost(20, 3, 2) == 26
+    assert [rules.penalty_index(attempt, 3) for attempt in range(5)] == [0, 1, 2, 2, 2]
