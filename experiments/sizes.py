@@ -17,14 +17,16 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from qdenv.domains import find_domain
+from qdenv.domains.base import make_domain
 from qdenv.formats.layouts import write_layout
-from qdenv.plots.sizes import save_peaks
+from qdenv.plots.studies import save_peaks
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
-from qdenv.study import compare, sizes
+from qdenv.study import sizes
+from qdenv.study.sweep import climb
+from qdenv.study.table import find_peak, write_rows
 from qdenv.study.traffic import parse_seeds
-from qdenv.train.records import RunDirectory
+from qdenv.training.records import RunDirectory
 
 # Throughput and success rate, T = 5000: S with 200 agents; S_eval with 1,400, 1,000 and 1,800.
 PUBLISHED = {
@@ -39,12 +41,12 @@ def layouts_of(
     run: RunDirectory, elite: str, shapes: list[tuple[int, int]]
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Make the elite's layout, the hand-made and the tiled one of each size, by name."""
-    domain = find_domain(run.config.evaluation.domain)
+    domain = make_domain(run.config.evaluation.domain)
     small = None
     for grown in sizes.grow_sizes(run, elite, shapes):
-        shape = (grown.rows, grown.cols)
+        shape = grown.layout.shape
         yield "nca", grown.layout
-        yield "human", sizes.human_layout(domain, *shape)
+        yield "human", sizes.human_layout(domain.resized(*shape))
         if small is not None:
             yield "tiled", sizes.tile(domain, small, shape).layout
         small = grown.layout if small is None else small
@@ -73,7 +75,7 @@ def main(
         out: folder to write to.
     """
     run = RunDirectory.open(run_dir)
-    domain = find_domain(run.config.evaluation.domain)
+    domain = make_domain(run.config.evaluation.domain)
     config = FleetConfig(timesteps=timesteps, planner=EFFORTS[effort])
     rows, peaks = [], []
     for kind, layout in layouts_of(run, elite, [sizes.parse_size(size) for size in asked]):
@@ -81,10 +83,10 @@ def main(
         write_layout(out / f"{name}.json", layout, domain.tiles, domain=domain.name)
         step = max(1, round(STEP * layout.size))
         counts = range(step, layout.size, step)
-        rows += compare.climb(name, layout, domain.tasks, config, counts, parse_seeds(seeds))
-        peaks.append(compare.find_peak([row for row in rows if row.layout == name]))
+        rows += climb(name, layout, domain.simulator.tasks, config, counts, parse_seeds(seeds))
+        peaks.append(find_peak([row for row in rows if row.layout == name]))
         print(f"{name}: peak {peaks[-1].throughput:.3f} at {peaks[-1].agents} agents", flush=True)
-    compare.write_comparison(out / "scalability.csv", rows)
+    write_rows(out / "scalability.csv", rows)
     save_peaks(out / "scalability.png", rows, peaks)
     print(f"paper: {PUBLISHED.get(domain.name, 'no figures')}")
 

@@ -18,8 +18,8 @@ import numpy as np
 import tyro
 
 import qdenv
-from qdenv.train.config import RunConfig
-from qdenv.train.records import RunDirectory
+from qdenv.training.config import RunConfig
+from qdenv.training.records import RunDirectory
 
 KERNELS = ((3, 3, 3), (3, 1, 1))
 
@@ -65,7 +65,10 @@ def main(
             config = replace(
                 base,
                 seed=seed,
-                evaluation=replace(base.evaluation, kernel_sizes=kernels),
+                evaluation=replace(
+                    base.evaluation,
+                    generator=replace(base.evaluation.generator, kernel_sizes=kernels),
+                ),
                 algorithm=replace(base.algorithm, strategy=strategy),
             )
             finals.append(final(config, path, evaluations))

@@ -9,11 +9,16 @@ One loop, one folder per stage:
 A neural cellular automaton draws a floor plan, a mixed-integer program changes as little as
 possible until every rule holds, a fleet of robots is simulated in it, and CMA-MAE keeps an
 archive of different good automata. `domains` says what differs between warehouse, manufacturing
-and maze; `pipeline` is the chain on one screen; `run` is the loop with its run directory.
+and maze; `pipeline` is the chain on one screen; `train` is the loop with its run directory, and
+`study` what is asked of saved layouts and runs.
 
     >>> import qdenv
     >>> run = qdenv.train(qdenv.find_preset("quick"), "runs/first")
     >>> qdenv.plot_run(run)
+
+A domain, planner, generator or algorithm of your own is a settings record and a function that
+makes it, paired in an `Entry`: register it (`qdenv.DOMAINS.register(name, entry)`), or name it as
+an entry point of your package, so that the `qdenv` command knows it too.
 """
 
 import importlib
@@ -21,21 +26,61 @@ from typing import Any
 
 # Public name -> (module, name there).
 _HOMES = {
-    "DOMAINS": ("qdenv.domains", "DOMAINS"),
+    # Use it.
+    "EvaluationConfig": ("qdenv.pipeline", "EvaluationConfig"),
     "InputError": ("qdenv.types", "InputError"),
     "PRESETS": ("qdenv.presets", "PRESETS"),
-    "RunConfig": ("qdenv.train.config", "RunConfig"),
-    "RunDirectory": ("qdenv.train.records", "RunDirectory"),
+    "RunConfig": ("qdenv.training.config", "RunConfig"),
+    "RunDirectory": ("qdenv.training.records", "RunDirectory"),
     "audit": ("qdenv.repair.audit", "audit"),
+    "evaluate": ("qdenv.pipeline", "evaluate"),
+    "find_domain": ("qdenv.domains.base", "find_domain"),
     "find_preset": ("qdenv.presets", "find_preset"),
     "grow_elite": ("qdenv.study.elites", "grow_elite"),
+    "make_domain": ("qdenv.domains.base", "make_domain"),
+    "make_experiment": ("qdenv.training.loop", "make_experiment"),
+    "make_iteration": ("qdenv.training.loop", "make_iteration"),
+    "make_pipeline": ("qdenv.pipeline", "make_pipeline"),
     "plot_run": ("qdenv.plots.run", "plot_run"),
     "read_layout": ("qdenv.formats.layouts", "read_layout"),
     "repair_layout": ("qdenv.repair.recipe", "repair"),
-    "resume": ("qdenv.train.loop", "resume"),
+    "resume": ("qdenv.training.loop", "resume"),
     "simulate_layout": ("qdenv.study.traffic", "simulate_layout"),
-    "train": ("qdenv.train.loop", "train"),
+    "train": ("qdenv.training.loop", "train"),
     "write_layout": ("qdenv.formats.layouts", "write_layout"),
+    # Extend it: any of the four.
+    "Entry": ("qdenv.registry", "Entry"),
+    # A domain.
+    "DOMAINS": ("qdenv.domains.base", "DOMAINS"),
+    "Adjacency": ("qdenv.types", "Adjacency"),
+    "Count": ("qdenv.types", "Count"),
+    "Domain": ("qdenv.domains.base", "Domain"),
+    "DomainConfig": ("qdenv.domains.base", "DomainConfig"),
+    "FleetConfig": ("qdenv.simulate.mapf.fleet", "FleetConfig"),
+    "Goal": ("qdenv.types", "Goal"),
+    "Measure": ("qdenv.types", "Measure"),
+    "Rules": ("qdenv.types", "Rules"),
+    "Simulator": ("qdenv.domains.base", "Simulator"),
+    "TaskRule": ("qdenv.types", "TaskRule"),
+    "Traffic": ("qdenv.types", "Traffic"),
+    "beside_goal": ("qdenv.simulate.mapf.tasks", "beside_goal"),
+    "fleet_simulator": ("qdenv.domains.fleet", "fleet_simulator"),
+    "tile_goal": ("qdenv.simulate.mapf.tasks", "tile_goal"),
+    # A planner.
+    "PLANNERS": ("qdenv.simulate.mapf.planner", "PLANNERS"),
+    "AgentState": ("qdenv.simulate.mapf.planner", "AgentState"),
+    "Planner": ("qdenv.simulate.mapf.planner", "Planner"),
+    "World": ("qdenv.simulate.mapf.planner", "World"),
+    # A generator.
+    "GENERATORS": ("qdenv.generate.generator", "GENERATORS"),
+    "Canvas": ("qdenv.generate.generator", "Canvas"),
+    "Generator": ("qdenv.generate.generator", "Generator"),
+    "NcaConfig": ("qdenv.generate.nca", "NcaConfig"),
+    # An algorithm.
+    "ALGORITHMS": ("qdenv.search.registry", "ALGORITHMS"),
+    "Algorithm": ("qdenv.search.base", "Algorithm"),
+    "GridArchive": ("qdenv.search.archive", "GridArchive"),
+    "Score": ("qdenv.types", "Score"),
 }
 
 __all__ = sorted(_HOMES)

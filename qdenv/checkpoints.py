@@ -58,7 +58,7 @@ def read_state(path: Path, member: str) -> tuple[dict[str, np.ndarray], dict[str
         InputError: there is no such file, or it is damaged or of a newer schema.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = dict(file)
         facts = json.loads(arrays.pop(member).tobytes())
         schema = facts["schema"]

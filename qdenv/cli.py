@@ -13,6 +13,7 @@ import jax
 import tyro
 
 from qdenv.commands import layouts, mazes, runs, sizes, traffic
+from qdenv.commands.choices import bind
 from qdenv.types import InputError
 
 COMMANDS: dict[str, Callable] = {
@@ -22,8 +23,8 @@ COMMANDS: dict[str, Callable] = {
     "presets": runs.presets,
     "generate": runs.generate,
     "series": sizes.series,
-    "compare": sizes.compare,
-    "scalability": sizes.scalability,
+    "compare": traffic.compare,
+    "scalability": traffic.scalability,
     "layout human": sizes.layout_human,
     "layout tile": sizes.layout_tile,
     "repair": layouts.repair,
@@ -48,7 +49,11 @@ def run(arguments: list[str]) -> int:
             return 0
         if " ".join(arguments[:2]) in COMMANDS:
             arguments = [" ".join(arguments[:2]), *arguments[2:]]
-        code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="qdenv", args=arguments)
+        chosen = {
+            name: bind(command, arguments[1:] if [name] == arguments[:1] else ())
+            for name, command in COMMANDS.items()
+        }
+        code = tyro.extras.subcommand_cli_from_dict(chosen, prog="qdenv", args=arguments)
         return code if isinstance(code, int) else 0
     except InputError as error:
         print(f"qdenv: {error}", file=sys.stderr)
@@ -59,7 +64,7 @@ def run(arguments: list[str]) -> int:
 
 
 def main() -> None:
-    """Run the command line with compiled programs kept between calls."""
+    """Run the command line; programs are kept between calls where they hold no host callback."""
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "qdenv" / "jax"
     jax.config.update("jax_compilation_cache_dir", str(cache))
     sys.exit(run(sys.argv[1:]))

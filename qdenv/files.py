@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
@@ -41,6 +42,15 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
             f"{path}: cannot be written ({error.strerror or error}): free some space or choose "
             "another place; what was written before is intact"
         ) from error
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON-ready values with one entry a line, atomically.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    write_atomically(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

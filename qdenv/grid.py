@@ -31,7 +31,7 @@ def shift(values: Array, move: tuple[int, int], fill: object = 0) -> jax.Array:
 
 def count_neighbours(mask: Array) -> jax.Array:
     """Count each cell's 4-neighbours inside `mask` (bool [H, W] -> int32 [H, W])."""
-    return sum(shift(mask.astype(jnp.int32), move) for move in MOVES)
+    return functools.reduce(jnp.add, [shift(mask.astype(jnp.int32), move) for move in MOVES])
 
 
 def count_components(mask: Array) -> jax.Array:
@@ -39,7 +39,7 @@ def count_components(mask: Array) -> jax.Array:
     rows, cols = mask.shape
     labels = jnp.where(mask, jnp.arange(rows * cols, dtype=jnp.int32).reshape(rows, cols), -1)
 
-    def spread(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+    def pass_on(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         old, _ = carry
         new = functools.reduce(jnp.maximum, [shift(old, move, -1) for move in MOVES], old)
         new = jnp.where(mask, new, -1)
@@ -47,7 +47,7 @@ def count_components(mask: Array) -> jax.Array:
         new = jnp.where(mask, jnp.maximum(new, new.reshape(-1)[new]), -1)
         return new, (new != old).any()
 
-    final, _ = jax.lax.while_loop(lambda carry: carry[1], spread, (labels, jnp.bool_(True)))
+    final, _ = jax.lax.while_loop(lambda carry: carry[1], pass_on, (labels, jnp.bool_(True)))
     roots = final.reshape(-1) == jnp.arange(rows * cols)
     return (roots & mask.reshape(-1)).sum(dtype=jnp.int32)
 

@@ -1,34 +1,55 @@
 """The chain on one screen: parameters, grow, repair, simulate, score.
 
 The only vmaps over layouts and simulations are here. `evaluate` is one traceable function with
-the repair as a host callback; `evaluate_pipelined` runs the same chain as jitted parts around
+the repair as a host callback; `PipelinedEvaluator` runs the same chain as jitted parts around
 explicit repairs, so that one layout is repaired while another is simulated. Both give the same
 numbers for the same key.
 """
 
 import math
-import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.domains.base import Domain, EvaluationConfig, Simulator
-from qdenv.generate.decode import choose_tiles
-from qdenv.generate.nca import grow_population, make_generator, seed_canvas
+from qdenv import devices
+from qdenv.domains.base import DOMAINS, Domain, Simulator, make_domain
+from qdenv.generate.generator import GENERATORS, Canvas
 from qdenv.repair.callback import repair_in_jit
 from qdenv.repair.pool import RepairPool
+from qdenv.repair.settings import RepairConfig
 from qdenv.score.layout import similarity
 from qdenv.types import Array, Evaluation, Repair, RepairStatus, Score
 
 
-class Pipeline(NamedTuple):
-    """The chain of one domain and configuration; every function below is traceable.
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """What one evaluation does (Table 1 of the paper).
 
     Attributes:
+        domain: settings of a registered domain; their type chooses it.
+        generator: settings of a registered generator, likewise.
+        simulations: simulations per layout N_e.
+        alpha: weight of the similarity score in the objective.
+        repair: limits of the repair.
+    """
+
+    domain: Any = field(default_factory=lambda: DOMAINS.config("warehouse-even"))
+    generator: Any = field(default_factory=lambda: GENERATORS.config("nca"))
+    simulations: int = 5
+    alpha: float = 5.0
+    repair: RepairConfig = field(default_factory=RepairConfig)
+
+
+class Pipeline(NamedTuple):
+    """The chain of one configuration; every function below is traceable.
+
+    Attributes:
+        domain: what is generated, repaired and simulated.
         solution_size: parameters P of one solution.
         grow: float32 [B, P] -> unrepaired layouts int8 [B, H, W].
         pool: repairs layouts on the host; None where the domain repairs nothing.
@@ -37,48 +58,50 @@ class Pipeline(NamedTuple):
         score: (unrepaired, repaired, status, runs), each with leading axis B -> `Evaluation`.
     """
 
+    domain: Domain
     solution_size: int
-    grow: Callable[[Array], Array]
+    grow: Callable[[jax.Array], jax.Array]
     pool: RepairPool | None
     repair_seed: int
-    simulate: Callable[[Array, Array, Array], Any]
-    score: Callable[[Array, Array, Array, Any], Evaluation]
+    simulate: Callable[[jax.Array, jax.Array, jax.Array], Any]
+    score: Callable[[jax.Array, jax.Array, jax.Array, Any], Evaluation]
 
 
-def make_pipeline(domain: Domain, config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
+def canvas_of(domain: Domain) -> Canvas:
+    """Say what a generator of this domain draws on: the area inside the frame."""
+    return Canvas(*domain.generated_shape, domain.generated, domain.seed_block)
+
+
+def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     """Build the chain.
 
     Args:
-        domain: what is generated, repaired and simulated.
         config: the numbers.
         repair_seed: other seeds give other, equally good repairs.
 
     Raises:
         InputError: the canvas is too small, or the repair rules contradict each other.
     """
-    rows, cols = config.rows - 2 * domain.margin[0], config.cols - 2 * domain.margin[1]
-    start = seed_canvas(domain.seed_block, rows, cols, domain.generated)
-    generator = make_generator(len(domain.generated), config.kernel_sizes, config.hidden)
-    simulator = domain.simulator(config)
-    pool = None
-    if domain.rules is not None:
-        pool = RepairPool(domain.rules(config.rows, config.cols, config.shelves), config.repair)
+    domain = make_domain(config.domain)
+    generator = GENERATORS.make(config.generator, canvas_of(domain))
+    pool = None if domain.rules is None else RepairPool(domain.rules(), config.repair)
 
-    def grow(parameters: Array) -> Array:
-        cells = grow_population(generator, parameters, start, config.steps)
-        return jax.vmap(domain.frame)(choose_tiles(cells))
+    def grow(parameters: jax.Array) -> jax.Array:
+        return jnp.asarray(jax.vmap(domain.frame)(generator.grow(parameters, generator.steps)))
 
-    def simulate(layouts: Array, indices: Array, key: Array) -> Any:
+    def simulate(layouts: jax.Array, indices: jax.Array, key: jax.Array) -> Any:
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
-        return simulate_layouts(simulator, layouts, keys, config.simulations)
+        return simulate_layouts(domain.simulator, layouts, keys, config.simulations)
 
-    def score(unrepaired: Array, repaired: Array, status: Array, runs: Any) -> Evaluation:
+    def score(
+        unrepaired: jax.Array, repaired: jax.Array, status: jax.Array, runs: Any
+    ) -> Evaluation:
         def one(*item: Any) -> Evaluation:
             return score_layout(domain, config.alpha, *item)
 
         return jax.vmap(one)(unrepaired, repaired, status, runs)
 
-    return Pipeline(generator.size, grow, pool, repair_seed, simulate, score)
+    return Pipeline(domain, generator.size, grow, pool, repair_seed, simulate, score)
 
 
 def in_lanes(function: Callable, items: Any, lanes: int) -> Any:
@@ -86,29 +109,39 @@ def in_lanes(function: Callable, items: Any, lanes: int) -> Any:
     return jax.lax.map(function, items, batch_size=lanes if lanes > 1 else None)
 
 
-def simulate_layouts(simulator: Simulator, layouts: Array, keys: Array, simulations: int) -> Any:
+def simulate_layouts(
+    simulator: Simulator, layouts: jax.Array, keys: jax.Array, simulations: int
+) -> Any:
     """Simulate layouts [B, H, W], each `simulations` times from its own key of `keys` [B]."""
+    on_host = simulations if simulator.layout_at_once else 1
+    lanes = devices.lanes(simulator.accelerator_lanes, on_host)
 
-    def one(item: tuple[Array, Array]) -> Any:
+    def one(item: tuple[jax.Array, jax.Array]) -> Any:
         layout, key = item
         tables = simulator.prepare(layout)
         runs = jax.random.split(key, simulations)
-        return in_lanes(lambda run: simulator.run(tables, run), runs, simulator.lanes)
+        return in_lanes(lambda run: simulator.run(tables, run), runs, lanes)
 
-    return in_lanes(one, (layouts, keys), simulator.lanes // simulations)
+    return in_lanes(one, (layouts, keys), lanes // simulations)
 
 
 def score_layout(
-    domain: Domain, alpha: float, unrepaired: Array, repaired: Array, status: Array, runs: Any
+    domain: Domain,
+    alpha: float,
+    unrepaired: jax.Array,
+    repaired: jax.Array,
+    status: jax.Array,
+    runs: Any,
 ) -> Evaluation:
     """Score one layout: f_res, f_opt = f_res + alpha * similarity, measures (section 4).
 
     A layout without a feasible repair, or with a number that is not finite, gets zeros and
     ``success = False``: the search enters it nowhere.
     """
-    alike = similarity(unrepaired, repaired, domain.price(unrepaired))
+    alike = similarity(unrepaired, repaired, domain.similarity_weights(unrepaired))
     result = domain.objective(repaired, runs)
-    measures = jnp.stack([measure.value(repaired, runs) for measure in domain.measures])
+    values = [measure.value for measure in domain.measures if measure.value is not None]
+    measures = jnp.stack([value(repaired, runs) for value in values])
     finite = jnp.isfinite(result) & jnp.isfinite(measures).all()
     success = (status < RepairStatus.IMPOSSIBLE) & finite
     result, measures = jnp.where(success, result, 0.0), jnp.where(success, measures, 0.0)
@@ -117,7 +150,7 @@ def score_layout(
     return Evaluation(score, unrepaired, repaired, alike, status, runs)
 
 
-def evaluate(pipeline: Pipeline, parameters: Array, key: Array) -> Evaluation:
+def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evaluation:
     """Evaluate a population; traceable, with the repair as a host callback.
 
     Args:
@@ -133,13 +166,15 @@ def evaluate(pipeline: Pipeline, parameters: Array, key: Array) -> Evaluation:
         repair = jax.vmap(unrepaired_as_is)(unrepaired)
     else:
         repair = repair_in_jit(pipeline.pool, unrepaired, pipeline.repair_seed)
-    runs = pipeline.simulate(repair.layout, jnp.arange(unrepaired.shape[0]), key)
-    return pipeline.score(unrepaired, repair.layout, repair.status, runs)
+    repaired, status = jnp.asarray(repair.layout), jnp.asarray(repair.status)
+    runs = pipeline.simulate(repaired, jnp.arange(unrepaired.shape[0]), key)
+    return pipeline.score(unrepaired, repaired, status, runs)
 
 
 def unrepaired_as_is(layout: Array) -> Repair:
     """Pass a layout of a domain without rules through unchanged."""
-    return Repair(layout, np.int32(RepairStatus.OPTIMAL), *np.zeros(3, np.float32))
+    nothing = np.zeros((), np.float32)
+    return Repair(layout, np.array(RepairStatus.OPTIMAL, np.int32), nothing, nothing, nothing)
 
 
 class PipelinedEvaluator:
@@ -152,13 +187,12 @@ class PipelinedEvaluator:
 
     def __init__(self, pipeline: Pipeline, chunk: int | None = None) -> None:
         """Compile nothing yet; `chunk` layouts, or a divisor of it, are simulated per call."""
-        on_cpu = jax.default_backend() == "cpu"
         self._pipeline = pipeline
-        self._chunk = chunk or (1 if on_cpu else 10)
+        self._chunk = chunk or devices.lanes(devices.ACCELERATOR_CHUNK)
         self._grow = jax.jit(pipeline.grow)
         self._simulate = jax.jit(pipeline.simulate)
         self._score = jax.jit(pipeline.score)
-        self._threads = ThreadPoolExecutor((os.cpu_count() or 1) if on_cpu else 1)
+        self._threads = ThreadPoolExecutor(devices.threads())
 
     def __call__(self, parameters: Array, key: Array) -> Evaluation:
         """Evaluate float32 [B, P]; the same arguments and result as `evaluate`."""

@@ -1,68 +1,69 @@
 """Named configurations: quick looks, a laptop's half hour, the paper's rows (Table 1)."""
 
 from dataclasses import replace
+from typing import Any
 
-from qdenv.domains.base import EvaluationConfig
+from qdenv.domains.manufacturing import ManufacturingConfig
+from qdenv.domains.maze import EntropyMazeConfig, MazeConfig
+from qdenv.domains.warehouse import UnevenWarehouseConfig, WarehouseConfig
+from qdenv.generate.nca import NcaConfig
+from qdenv.pipeline import EvaluationConfig
 from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.train.config import RunConfig
+from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.training.config import RunConfig
 from qdenv.types import look_up
 
-_WAREHOUSE = EvaluationConfig()
-_PAPER = RunConfig()
+_SMALL_FLEET = FleetConfig(agents=60, timesteps=200)
 
 # A small warehouse: 40 shelves leave a handful to forty components.
 _QUICK = RunConfig(
-    evaluation=replace(
-        _WAREHOUSE, rows=17, cols=16, steps=20, shelves=40, agents=60, timesteps=200, simulations=2
+    evaluation=EvaluationConfig(
+        domain=WarehouseConfig(rows=17, cols=16, shelves=40, fleet=_SMALL_FLEET),
+        generator=NcaConfig(steps=20),
+        simulations=2,
     ),
     algorithm=CmaMaeConfig(learning_rate=0.1),
     evaluations=600,
     archive=((0, 40, 20), (0, 1, 20)),
 )
 
-
 # One agent, no repair, and a soft archive that learns fast (Table 1).
 _MAZE = RunConfig(
-    evaluation=EvaluationConfig(
-        domain="maze-walls",
-        rows=18,
-        cols=18,
-        shelves=0,
-        agents=1,
-        timesteps=648,
-        simulations=50,
-        alpha=0.0,
-    ),
+    evaluation=EvaluationConfig(domain=MazeConfig(), simulations=50, alpha=0.0),
     algorithm=CmaMaeConfig(batch=30, learning_rate=0.5, ranker="2imp", selection="filter"),
     evaluations=100_000,
     checkpoint_every=20,
 )
 
 
-def _paper(domain: str, alpha: float) -> RunConfig:
-    return replace(_PAPER, evaluation=replace(_WAREHOUSE, domain=domain, alpha=alpha))
+def _paper(domain: Any, alpha: float) -> RunConfig:
+    return RunConfig(evaluation=EvaluationConfig(domain=domain, alpha=alpha))
 
 
 PRESETS: dict[str, RunConfig] = {
     "quick": _QUICK,
-    "laptop": replace(_PAPER, evaluations=1000),
-    "warehouse-even": _paper("warehouse-even", 5.0),
-    "warehouse-even-a1": _paper("warehouse-even", 1.0),
-    "warehouse-even-a0": _paper("warehouse-even", 0.0),
-    "warehouse-uneven": _paper("warehouse-uneven", 5.0),
-    "warehouse-uneven-a1": _paper("warehouse-uneven", 1.0),
-    "warehouse-uneven-a0": _paper("warehouse-uneven", 0.0),
-    "manufacturing": _paper("manufacturing", 5.0),
+    "laptop": replace(_paper(WarehouseConfig(), 5.0), evaluations=1000),
+    "warehouse-even": _paper(WarehouseConfig(), 5.0),
+    "warehouse-even-a1": _paper(WarehouseConfig(), 1.0),
+    "warehouse-even-a0": _paper(WarehouseConfig(), 0.0),
+    "warehouse-uneven": _paper(UnevenWarehouseConfig(), 5.0),
+    "warehouse-uneven-a1": _paper(UnevenWarehouseConfig(), 1.0),
+    "warehouse-uneven-a0": _paper(UnevenWarehouseConfig(), 0.0),
+    "manufacturing": _paper(ManufacturingConfig(), 5.0),
     "manufacturing-quick": replace(
         _QUICK,
-        evaluation=replace(_QUICK.evaluation, domain="manufacturing"),
+        evaluation=replace(
+            _QUICK.evaluation, domain=ManufacturingConfig(rows=17, cols=16, fleet=_SMALL_FLEET)
+        ),
         archive=((0, 140, 20), (0, 1, 20)),
     ),
     "maze-walls": _MAZE,
-    "maze-entropy": replace(_MAZE, evaluation=replace(_MAZE.evaluation, domain="maze-entropy")),
+    "maze-entropy": replace(
+        _MAZE, evaluation=replace(_MAZE.evaluation, domain=EntropyMazeConfig())
+    ),
     "maze-quick": replace(
         _MAZE,
-        evaluation=replace(_MAZE.evaluation, simulations=10, timesteps=250),
+        evaluation=replace(_MAZE.evaluation, domain=MazeConfig(timesteps=250), simulations=10),
         evaluations=3000,
         archive=((0, 256, 32), (0, 250, 25)),
     ),

@@ -87,7 +87,11 @@ class Registry:
             InputError: the type is not registered.
         """
         for name in self.names():
-            if type(config) is self.entry(name).config:
+            try:
+                known = self.entry(name).config
+            except InputError:  # somebody else's broken plug-in is no reason to fail here
+                continue
+            if type(config) is known:
                 return name
         raise InputError(
             f"no {self._what} is registered for {type(config).__name__}: choose from "

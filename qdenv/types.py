@@ -157,7 +157,7 @@ class Measure(NamedTuple):
     low: float
     high: float
     cells: int
-    value: Callable[[Array, Any], Array] | None = None
+    value: Callable[[jax.Array, Any], jax.Array] | None = None
 
 
 class Score(NamedTuple):

@@ -1,76 +1,251 @@
-"""The import rules of the package: stages never import one another, and so on."""
+"""The shape of the package: who may import whom, no cycles, no long functions, no pickle."""
 
 import ast
+import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "qdenv"
+FILES = sorted(PACKAGE.rglob("*.py"))
 
-FREE = {"cli", "commands", "bench", "__init__", "__main__"}  # may import everything
 BASE = {"types", "grid", "files"}
 STAGES = {"generate", "repair", "simulate", "score"}
+PLUGS = {"registry", "devices"}
 ALLOWED = {
     "types": set(),
+    "native": set(),
     "grid": {"types"},
     "files": {"types"},
-    "native": set(),
+    "checkpoints": {"types", "files"},
+    "devices": {"types"},
+    "registry": {"types"},
     "formats": BASE,
-    "generate": {"types", "grid"},
+    "generate": {"types", "grid", "registry"},
     "repair": {"types", "grid", "native"},
-    "simulate": {"types", "grid", "native"},
+    "simulate": {"types", "grid", "native"} | PLUGS,
     "score": {"types", "grid"},
-    "agent": BASE | {"simulate", "score"},
-    "domains": STAGES | BASE,
-    "pipeline": STAGES | BASE | {"domains.base"},
-    "search": BASE,
-    "run": BASE | STAGES | {"search", "pipeline", "domains", "formats"},
-    "presets": {"domains", "search", "run", "types"},
-    "plots": BASE | {"run.records"},
-    "report": BASE | {"run.records", "plots"},
+    "agent": BASE | {"checkpoints", "simulate.maze", "score", "devices"},
+    "domains": BASE | STAGES | PLUGS,
+    "pipeline": BASE | STAGES | {"domains.base", "devices"},
+    "search": {"types", "files", "checkpoints", "registry"},
+    "presets": BASE | STAGES | {"domains", "search", "pipeline", "training.config"},
+    "training": BASE | STAGES | PLUGS | {"checkpoints", "search", "pipeline", "domains", "formats"},
+    "study": BASE | STAGES | PLUGS | {"domains", "pipeline", "formats", "training"},
+    "plots": BASE | {"training.records", "study.table"},
+    "commands": BASE
+    | STAGES
+    | PLUGS
+    | {"agent", "domains", "formats", "plots", "presets", "search", "study", "training"},
+    "bench": BASE
+    | STAGES
+    | PLUGS
+    | {"agent", "domains", "formats", "pipeline", "presets", "search", "study", "training"},
+    "cli": {"commands", "types"},
+    "__init__": set(),  # names the public homes and imports each when it is asked for
 }
+# Rooms of one stage that may not look into one another: (who, whom).
+APART = (
+    ("simulate.mapf", "simulate.maze"),
+    ("simulate.maze", "simulate.mapf"),
+    ("simulate.mapf.pibt", "simulate.mapf.negotiated"),
+    ("simulate.mapf.negotiated.xla", "simulate.mapf.negotiated.numba"),
+    ("simulate.mapf.negotiated.numba", "simulate.mapf.negotiated.xla"),
+)
+FILE_LINES = 250
+FUNCTION_LINES = 50  # of code: without docstring, comments and blank lines
+ARGUMENTS = 8
 
 
-def unit(path: Path) -> str:
+class Import(NamedTuple):
+    """One imported name, in full."""
+
+    line: int
+    name: str
+
+
+def module_of(path: Path) -> str:
+    """Name a file as imports name it, without the package: "grid", "repair.audit", "repair"."""
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" and len(parts) > 1 else parts)
+
+
+def unit_of(path: Path) -> str:
     """Name the unit a file belongs to: its folder, or its own name at the top."""
-    relative = path.relative_to(PACKAGE)
-    return relative.parts[0] if len(relative.parts) > 1 else relative.stem
+    return module_of(path).split(".")[0]
 
 
-def imported(path: Path) -> list[tuple[int, str]]:
-    """List (line, dotted name) of everything a file imports."""
+def lies_in(name: str, room: str) -> bool:
+    return name == room or name.startswith(f"{room}.")
+
+
+def imports_of(path: Path) -> list[Import]:
+    """List everything a file imports, under TYPE_CHECKING and inside functions too."""
     found = []
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            found += [(node.lineno, alias.name) for alias in node.names]
+            found += [Import(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}:{node.lineno} imports relatively"
-            found += [(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
+            found += [Import(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
     return found
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path))
-def test_import_rules(path: Path):
-    own = unit(path)
-    for line, name in imported(path):
-        parts = name.split(".")
-        assert parts[0] not in ("experiments", "notebooks", "tests"), f"{path}:{line}"
-        if parts[0] != "qdenv" or len(parts) == 1 or own in FREE:
+def targets_of(path: Path) -> list[Import]:
+    """List what a file imports of this package, without the package's name."""
+    return [
+        Import(line, name.removeprefix("qdenv."))
+        for line, name in imports_of(path)
+        if name.startswith("qdenv.")
+    ]
+
+
+def lazy_targets_of(path: Path) -> list[Import]:
+    """List what a file has a registry import for it: text like ``qdenv.module:attribute``."""
+    return [
+        Import(node.lineno, node.value.removeprefix("qdenv.").replace(":", "."))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        if re.fullmatch(r"qdenv(\.\w+)+:\w+", node.value)
+    ]
+
+
+@pytest.mark.parametrize("path", FILES, ids=module_of)
+def test_a_unit_imports_what_its_row_allows(path):
+    own = unit_of(path)
+    for line, name in imports_of(path):
+        assert name.split(".")[0] not in ("experiments", "notebooks", "tests"), f"{path}:{line}"
+    for line, target in targets_of(path) + lazy_targets_of(path):
+        ok = any(lies_in(target, room) for room in ALLOWED[own] | {own})
+        assert ok, f"{path}:{line}: {own} may not import {target}"
+
+
+@pytest.mark.parametrize(("who", "whom"), APART)
+def test_rooms_of_a_stage_stay_apart(who, whom):
+    assert (PACKAGE / who.replace(".", "/")).is_dir(), f"{who} is gone: drop its row"
+    looks = [
+        f"{path}:{line}"
+        for path in FILES
+        for line, target in targets_of(path)
+        if lies_in(module_of(path), who) and lies_in(target, whom)
+    ]
+    assert not looks, f"{who} looks into {whom}: {looks}"
+
+
+def test_the_table_has_a_row_for_every_unit_and_no_other():
+    assert set(ALLOWED) == {unit_of(path) for path in FILES}
+
+
+def find_cycle(graph: dict[str, set[str]]) -> list[str]:
+    """Search depth first for a way back to where it began; empty where there is none."""
+    done: set[str] = set()
+
+    def search(node: str, way: list[str]) -> list[str]:
+        if node in way:
+            return [*way[way.index(node) :], node]
+        if node not in done:
+            for following in sorted(graph[node]):
+                if found := search(following, [*way, node]):
+                    return found
+            done.add(node)
+        return []
+
+    return next((found for node in sorted(graph) if (found := search(node, []))), [])
+
+
+def import_graph() -> dict[str, set[str]]:
+    """Draw which file imports which; a name that is no file belongs to the file that defines it."""
+    modules = {module_of(path): path for path in FILES}
+    graph: dict[str, set[str]] = {}
+    for module, path in modules.items():
+        reached = set()
+        for _, target in targets_of(path):
+            while target and target not in modules:
+                target = target.rpartition(".")[0]
+            reached.add(target)
+        graph[module] = reached - {"", module}
+    return graph
+
+
+def test_the_search_for_cycles_finds_one_and_cries_no_wolf():
+    diamond = {"a": {"b", "c"}, "b": {"d"}, "c": {"d"}, "d": set()}
+    assert find_cycle(diamond) == []
+    assert find_cycle(diamond | {"d": {"b"}}) == ["b", "d", "b"]
+
+
+def test_no_file_reaches_itself_by_its_imports():
+    assert find_cycle(import_graph()) == []
+
+
+def functions_of(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+
+
+def code_lines(function: ast.FunctionDef | ast.AsyncFunctionDef, source: list[str]) -> int:
+    """Count a function's lines of code, those of functions inside it too."""
+    first = function.body[0]
+    documented = ast.get_docstring(function) is not None
+    doc = range(first.lineno, first.end_lineno + 1) if documented else range(0)
+    lines = (
+        source[number - 1].strip()
+        for number in range(function.lineno, function.end_lineno + 1)
+        if number not in doc
+    )
+    return sum(bool(line) and not line.startswith("#") for line in lines)
+
+
+def count_arguments(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Count what a caller may give: each argument, `*rest` and `**rest` as one each, no self."""
+    given = function.args
+    named = [*given.posonlyargs, *given.args, *given.kwonlyargs]
+    named += [rest for rest in (given.vararg, given.kwarg) if rest]
+    return sum(argument.arg not in ("self", "cls") for argument in named)
+
+
+@pytest.mark.parametrize("path", FILES, ids=module_of)
+def test_files_and_functions_stay_small_enough_to_read(path):
+    source = path.read_text().splitlines()
+    assert len(source) <= FILE_LINES, f"{path}: {len(source)} lines"
+    long = {function.name: code_lines(function, source) for function in functions_of(path)}
+    wide = {function.name: count_arguments(function) for function in functions_of(path)}
+    assert not {name: lines for name, lines in long.items() if lines > FUNCTION_LINES}
+    assert not {name: count for name, count in wide.items() if count > ARGUMENTS}
+
+
+def test_lines_and_arguments_are_counted_as_said():
+    text = 'def f(self, a, *b, c=1, **d):\n    """Say\n\n    more."""\n    # why\n\n    return a\n'
+    function = ast.parse(text).body[0]
+    assert code_lines(function, text.splitlines()) == 2
+    assert count_arguments(function) == 4
+
+
+def resources_of(path: Path) -> Iterator[Import]:
+    """List the packages whose data a file opens; "" where it takes more than a glance to tell."""
+    uses = any(name.startswith("importlib.resources") for _, name in imports_of(path))
+    for node in ast.walk(ast.parse(path.read_text())) if uses else ():
+        if not isinstance(node, ast.Call) or not node.args:
             continue
-        target = ".".join(parts[1:])
-        allowed = ALLOWED[own] | {own}
-        ok = any(target == rule or target.startswith(f"{rule}.") for rule in allowed)
-        assert ok, f"{path}:{line}: {own} may not import {name}"
+        called = node.func.attr if isinstance(node.func, ast.Attribute) else node.func
+        if (called.id if isinstance(called, ast.Name) else called) == "files":
+            package = node.args[0]
+            named = isinstance(package, ast.Constant) and isinstance(package.value, str)
+            yield Import(node.lineno, package.value if named else "")
 
 
-def test_every_unit_has_a_rule():
-    units = {unit(path) for path in PACKAGE.rglob("*.py")}
-    assert units <= set(ALLOWED) | FREE
+def test_a_unit_opens_no_data_of_another():
+    for path in FILES:
+        for line, package in resources_of(path):
+            own = lies_in(package, f"qdenv.{unit_of(path)}")
+            assert own, f"{path}:{line} opens data of {package or 'an unnamed package'}"
 
 
 def test_no_pickle_and_no_fork():
-    for path in PACKAGE.rglob("*.py"):
-        for line, name in imported(path):
+    for path in FILES:
+        for line, name in imports_of(path):
             # The converter of published checkpoints restricts an Unpickler; nothing else may.
             if name.split(".")[0] == "pickle":
                 assert path.name == "convert.py", f"{path}:{line} imports pickle"

@@ -67,7 +67,7 @@ def test_simulate_writes_what_it_promises(layout, tmp_path):
     content = json.loads(facts.read_text())
     assert content.keys() >= {
         "layout", "domain", "planner", "agents", "timesteps", "runs", "mean_throughput",
-        "success_rate", "cpu_seconds_per_run", "compile_seconds", "valid",
+        "mean_of_all", "success_rate", "cpu_seconds_per_run", "compile_seconds", "valid",
     }  # fmt: skip
     assert content["valid"] is True and content["layout"] == layout
     assert [one["seed"] for one in content["runs"]] == [0, 1]
@@ -128,9 +128,10 @@ def test_presets_hold_the_papers_numbers(capsys):
     said = capsys.readouterr().out
     assert all(name in said for name in PRESETS)
     even = PRESETS["warehouse-even"]
-    numbers = even.evaluation
-    assert (numbers.rows, numbers.cols, numbers.shelves, numbers.agents) == (33, 36, 240, 200)
-    assert (numbers.timesteps, numbers.simulations, numbers.steps) == (1000, 5, 50)
+    numbers, warehouse = even.evaluation, even.evaluation.domain
+    assert (warehouse.rows, warehouse.cols, warehouse.shelves) == (33, 36, 240)
+    assert (warehouse.fleet.agents, warehouse.fleet.timesteps) == (200, 1000)
+    assert (numbers.simulations, numbers.generator.steps) == (5, 50)
     assert (even.algorithm.emitters, even.algorithm.batch, even.evaluations) == (5, 10, 10_000)
     assert (even.algorithm.sigma0, even.algorithm.learning_rate) == (0.2, 0.01)
     assert [PRESETS[f"warehouse-uneven{a}"].evaluation.alpha for a in ("", "-a1", "-a0")] == [
@@ -148,7 +149,7 @@ def test_train_generate_resume_end_to_end(tmp_path, capsys):
     assert run(["train", "quick", "--run-dir", str(path), *small]) == 0
     names = ["config.json", "manifest.json", "metrics.csv", "archive.npz", "best_layout.json"]
     assert all((path / name).exists() for name in [*names, "archive.png", "best_layout.png"])
-    assert json.loads((path / "config.json").read_text())["evaluation"]["hidden"] == 4
+    assert json.loads((path / "config.json").read_text())["evaluation"]["generator"]["hidden"] == 4
     assert run(["check", str(path / "best_layout.json"), "--shelves", "6"]) == 0
 
     out = tmp_path / "grown.json"

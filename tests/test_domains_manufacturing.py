@@ -3,29 +3,24 @@
 import json
 import math
 from collections import Counter
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
 from qdenv import grid
-from qdenv.domains import find_domain
-from qdenv.domains.manufacturing import TILES, rules
-from qdenv.generate.nca import make_generator, seed_canvas
+from qdenv.domains.base import find_domain
+from qdenv.domains.manufacturing import TILES, ManufacturingConfig, rules
+from qdenv.generate.nca import make_automaton, seed_canvas
 from qdenv.presets import find_preset
-from qdenv.repair.anneal import anneal
+from qdenv.repair.anneal.annealer import anneal
 from qdenv.repair.audit import audit
+from qdenv.repair.facts import Facts
 from qdenv.score.layout import similarity
 from qdenv.simulate.mapf import tasks
 
 DOMAIN = find_domain("manufacturing")
-PUBLISHED = Path(__file__).parents[2] / "shared/reference/layouts"
 GOOD = ["..e..", ".e0e.", "..e..", "e1.2e", ".e.e."]
-
-needs_published = pytest.mark.skipif(
-    not PUBLISHED.is_dir(), reason="the published layouts are not beside this checkout"
-)
 
 
 def broken(drawing: list[str]) -> list[str]:
@@ -53,7 +48,8 @@ def test_rules_name_what_is_broken(drawing, said):
 
 
 def test_a_canvas_without_anything_is_repaired_to_all_three_kinds():
-    layout, _ = anneal(np.zeros((6, 7), np.int8), rules(6, 7), 0, 20_000)
+    empty = np.zeros((6, 7), np.int8)
+    layout, _ = anneal(empty, Facts(rules(6, 7)), 0, 20_000, empty)
     counts = Counter("".join(grid.draw(layout, TILES)))
     assert audit(layout, rules(6, 7)) == []
     assert min(counts[kind] for kind in "012") >= 1
@@ -63,10 +59,12 @@ def test_a_canvas_without_anything_is_repaired_to_all_three_kinds():
 
 def test_price_weighs_generated_stations_five_times():
     before = grid.parse(["0.e", "12e"], TILES)
-    np.testing.assert_allclose(DOMAIN.price(before), [[1, 0.2, 0.2], [1, 1, 0.2]])
+    np.testing.assert_allclose(DOMAIN.similarity_weights(before), [[1, 0.2, 0.2], [1, 1, 0.2]])
     after = grid.parse(["1.e", "12e"], TILES)
     # Sum of p_i over unchanged cells / (n * max p): (5 + 5 + 1 + 1 + 1) / (6 * 5).
-    assert float(similarity(before, after, DOMAIN.price(before))) == pytest.approx(13 / 30)
+    assert float(similarity(before, after, DOMAIN.similarity_weights(before))) == pytest.approx(
+        13 / 30
+    )
 
 
 def test_measures_count_stations_and_entropy():
@@ -92,14 +90,14 @@ def oracle_weights(layout: np.ndarray, kind: int) -> np.ndarray:
 
 def test_goals_are_endpoints_weighed_by_their_stations():
     layout = np.random.default_rng(5).integers(0, 5, (8, 9)).astype(np.int8)
-    for kind, goal in enumerate(DOMAIN.tasks.cycle):
+    for kind, goal in enumerate(DOMAIN.simulator.tasks.cycle):
         np.testing.assert_array_equal(goal.weight(layout), oracle_weights(layout, kind))
-    assert tasks.stays(DOMAIN.tasks).tolist() == [2, 5, 10]
+    assert tasks.service_times(DOMAIN.simulator.tasks).tolist() == [2, 5, 10]
 
 
 def test_an_endpoint_between_two_stations_is_drawn_twice_as_often():
     layout = grid.parse(["0e0.e0", "1e.2e."], TILES)
-    table = tasks.goal_table(layout, DOMAIN.tasks, 8)
+    table = tasks.goal_table(layout, DOMAIN.simulator.tasks, 8)
     assert bool(table.complete)
     draws = tasks.draw_goals(table, np.zeros(6000, np.int32), jax.random.key(0))
     cells = Counter(np.asarray(table.cells)[np.asarray(draws)].tolist())
@@ -109,22 +107,29 @@ def test_an_endpoint_between_two_stations_is_drawn_twice_as_often():
 
 def test_presets_state_the_paper_and_a_quick_look():
     paper, quick = find_preset("manufacturing").evaluation, find_preset("manufacturing-quick")
-    assert paper.domain == quick.evaluation.domain == "manufacturing"
-    assert (paper.rows, paper.cols, paper.steps) == (33, 36, 50)
-    assert (paper.agents, paper.timesteps, paper.simulations, paper.alpha) == (200, 1000, 5, 5.0)
-    assert quick.evaluations * quick.evaluation.timesteps <= 120_000
+    small = quick.evaluation.domain
+    assert isinstance(paper.domain, ManufacturingConfig) and isinstance(small, ManufacturingConfig)
+    assert (paper.domain.rows, paper.domain.cols, paper.generator.steps) == (33, 36, 50)
+    assert (paper.domain.fleet.agents, paper.domain.fleet.timesteps) == (200, 1000)
+    assert (paper.simulations, paper.alpha, paper.domain.stays) == (5, 5.0, (2, 5, 10))
+    assert quick.evaluations * small.fleet.timesteps <= 120_000
 
 
 def test_the_generator_starts_from_the_block_of_figure_9():
     canvas = seed_canvas(DOMAIN.seed_block, 33, 36, DOMAIN.generated).argmax(-1)
     assert grid.draw(canvas[15:18, 16:20], TILES) == ["eeee", "0221", "eeee"]
     assert int((canvas != 0).sum()) == 12
-    assert make_generator(5, (3, 1, 1)).size == 2693
+    assert make_automaton(5, (3, 1, 1)).size == 2693
 
 
-@needs_published
 @pytest.mark.parametrize(
     "name", ["manufacturing_nca_a5", "manufacturing_human", "manufacturing_human_eval"]
 )
-def test_published_layouts_obey_the_rules(name):
-    assert broken(json.loads((PUBLISHED / f"{name}.json").read_text())["layout"]) == []
+def test_published_layouts_obey_the_rules(name, published):
+    assert broken(json.loads(published(name).read_text())["layout"]) == []
+
+
+@pytest.mark.parametrize("name", ["manufacturing", "manufacturing_human"])
+def test_our_own_layouts_obey_the_rules_and_the_unrepaired_one_does_not(name, own_layout):
+    assert broken(json.loads(own_layout(name).read_text())["layout"]) == []
+    assert broken(json.loads(own_layout("manufacturing_unrepaired").read_text())["layout"])

@@ -1,17 +1,15 @@
 """Layout files: the round trip, the published files, and one clear line for each bad file."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from qdenv.domains import DOMAINS
+from qdenv.domains.base import find_domain
 from qdenv.formats.layouts import MAX_SIDE, read_layout, write_layout
 from qdenv.types import InputError
 
 TILES = ".@ew"
-PUBLISHED = Path(__file__).parents[2] / "shared" / "reference" / "layouts"
 
 
 def test_round_trip(tmp_path):
@@ -59,7 +57,6 @@ def test_missing_folder_and_huge_files(tmp_path):
         read_layout(huge, TILES)
 
 
-@pytest.mark.skipif(not PUBLISHED.exists(), reason="the published layouts are not at hand")
 @pytest.mark.parametrize(
     ("name", "domain", "shape"),
     [
@@ -69,5 +66,20 @@ def test_missing_folder_and_huge_files(tmp_path):
         ("manufacturing_nca_a5", "manufacturing", (33, 36)),
     ],
 )
-def test_published_layouts_read(name, domain, shape):
-    assert read_layout(PUBLISHED / f"{name}.json", DOMAINS[domain].tiles).shape == shape
+def test_published_layouts_read(name, domain, shape, published):
+    assert read_layout(published(name), find_domain(domain).tiles).shape == shape
+
+
+@pytest.mark.parametrize(
+    ("name", "domain"),
+    [("warehouse_even_unrepaired", "warehouse-even"), ("manufacturing", "manufacturing")],
+)
+def test_a_layout_file_with_other_keys_reads_and_is_written_back_alike(
+    name, domain, own_layout, tmp_path
+):
+    path, tiles = own_layout(name), find_domain(domain).tiles
+    content = json.loads(path.read_text())
+    details = {key: content[key] for key in content if key not in ("n_row", "n_col", "layout")}
+    assert details["domain"] == domain
+    write_layout(tmp_path / "again.json", read_layout(path, tiles), tiles, **details)
+    assert (tmp_path / "again.json").read_bytes() == path.read_bytes()

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qdenv.domains import DOMAINS
+from qdenv.domains.base import find_domain
 from qdenv.generate.decode import choose_tiles, inside_frame
-from qdenv.generate.nca import grow_population, make_generator, seed_canvas
+from qdenv.generate.nca import grow_population, make_automaton, seed_canvas
 from qdenv.grid import draw
 from qdenv.types import InputError
 
@@ -32,7 +32,7 @@ def oracle_step(layers: list[tuple[np.ndarray, np.ndarray]], cells: np.ndarray) 
 
 @pytest.mark.parametrize("kernel_sizes", [(3, 3, 3), (3, 1, 1), (5, 3)])
 def test_step_agrees_with_oracle(kernel_sizes):
-    generator = make_generator(3, kernel_sizes, hidden=4)
+    generator = make_automaton(3, kernel_sizes, hidden=4)
     flat = np.asarray(jax.random.normal(jax.random.key(0), (generator.size,))) * 0.5
     variables = generator.unravel(jnp.asarray(flat))["params"]
     layers = [
@@ -49,11 +49,11 @@ def test_step_agrees_with_oracle(kernel_sizes):
     [(3, (3, 3, 3), 11_011), (3, (3, 1, 1), 2_051), (5, (3, 1, 1), 2_693), (2, (3, 1, 1), 1_730)],
 )
 def test_published_parameter_counts(kinds, kernel_sizes, size):
-    assert make_generator(kinds, kernel_sizes).size == size
+    assert make_automaton(kinds, kernel_sizes).size == size
 
 
 def test_flat_vector_fills_every_weight_once():
-    generator = make_generator(3, (3, 1), hidden=2)
+    generator = make_automaton(3, (3, 1), hidden=2)
     leaves = jax.tree.leaves(generator.unravel(jnp.arange(float(generator.size))))
     values = np.sort(np.concatenate([np.ravel(leaf) for leaf in leaves]))
     np.testing.assert_array_equal(values, np.arange(generator.size))
@@ -62,7 +62,7 @@ def test_flat_vector_fills_every_weight_once():
 @pytest.mark.parametrize("wrap", [jax.jit, lambda function: function], ids=["jit", "plain"])
 def test_one_cell_grown_by_hand(wrap):
     # One layer of 1 x 1: sigmoid(x W + b) twice; b = (0, 1) and W swaps the two channels.
-    generator = make_generator(2, (1,))
+    generator = make_automaton(2, (1,))
     flat = jnp.array([0, 1, 0, 1, 1, 0], jnp.float32)
     start = np.zeros((1, 1, 2), np.float32)
     grown = wrap(lambda population: grow_population(generator, population, start, 2))(flat[None])
@@ -75,13 +75,13 @@ def test_one_cell_grown_by_hand(wrap):
 
 
 def test_solutions_of_a_wrong_length_are_refused_while_tracing():
-    generator = make_generator(2, (1,))
+    generator = make_automaton(2, (1,))
     with pytest.raises(AssertionError):
         grow_population(generator, jnp.zeros((3, 5)), np.zeros((1, 1, 2), np.float32), 2)
 
 
 def test_growth_continues_where_it_stopped():
-    generator = make_generator(3, (3, 1), hidden=4)
+    generator = make_automaton(3, (3, 1), hidden=4)
     flat = jax.random.normal(jax.random.key(1), (generator.size,))
     start = seed_canvas(("e",), 5, 5, ".@e")
     np.testing.assert_array_equal(generator.grow(flat, start, 0), start)
@@ -92,7 +92,7 @@ def test_growth_continues_where_it_stopped():
 
 
 def test_a_solution_grows_alike_in_any_company():
-    generator = make_generator(3, hidden=8)
+    generator = make_automaton(3, hidden=8)
     flat = jax.random.normal(jax.random.key(2), (6, generator.size)) * 0.3
     start = seed_canvas(("ee", "@@"), 9, 8, ".@e")
     grow = jax.jit(lambda some: grow_population(generator, some, start, 20))
@@ -104,7 +104,7 @@ def test_a_solution_grows_alike_in_any_company():
 def test_seed_blocks_sit_where_the_paper_puts_them():
     corners = {"warehouse-even": (15, 15), "manufacturing": (15, 16)}
     for name, corner in corners.items():
-        domain = DOMAINS[name]
+        domain = find_domain(name)
         rows, cols = 33 - 2 * domain.margin[0], 36 - 2 * domain.margin[1]
         canvas = seed_canvas(domain.seed_block, rows, cols, domain.generated)
         drawn = draw(choose_tiles(canvas), domain.generated)
@@ -120,7 +120,7 @@ def test_seed_blocks_sit_where_the_paper_puts_them():
 
 
 def test_warehouse_frame_is_drawn_around_the_generated_area():
-    domain = DOMAINS["warehouse-even"]
+    domain = find_domain("warehouse-even")
     tiles = np.full((7, 3), 1, np.int8)
     layout = np.asarray(domain.frame(tiles))
     assert draw(layout, domain.tiles) == [
@@ -137,6 +137,6 @@ def test_warehouse_frame_is_drawn_around_the_generated_area():
 
 def test_bad_architectures_and_canvases_are_refused():
     with pytest.raises(InputError, match="odd"):
-        make_generator(3, (3, 2))
+        make_automaton(3, (3, 2))
     with pytest.raises(InputError, match="smaller than the seed block"):
         seed_canvas(("ee", "@@"), 1, 5, ".@e")

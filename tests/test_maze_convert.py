@@ -92,8 +92,8 @@ def test_a_checkpoint_is_converted_bit_for_bit(tmp_path, tensors, wrapper):
 def test_hostile_pickles_are_refused_and_run_nothing(tmp_path):
     trap = tmp_path / "trap"
     harmful = [
-        f'cbuiltins\nexec\n(S\'open("{trap}", "w")\'\ntR.'.encode(),
-        f"}}S'model'\ncbuiltins\neval\n(S'open(\"{trap}\", \"w\")'\ntRs.".encode(),
+        f'cbuiltins\nexec\n(S\'open("{trap}", "w").close()\'\ntR.'.encode(),
+        f"}}S'model'\ncbuiltins\neval\n(S'open(\"{trap}\", \"w\").close()'\ntRs.".encode(),
         pickle.dumps(trap),
         pickle.dumps({"model": np.ones(3)}),
         f"cos\nsystem\n(S'touch {trap}'\ntR.".encode(),

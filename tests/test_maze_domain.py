@@ -8,43 +8,46 @@ import numpy as np
 import pytest
 
 from qdenv.agent.files import save_weights
-from qdenv.domains.base import EvaluationConfig
-from qdenv.domains.maze import MAZE_ENTROPY, MAZE_WALLS, maze_simulator
+from qdenv.domains.base import find_domain, make_domain
+from qdenv.domains.maze import MazeConfig
+from qdenv.generate.nca import NcaConfig
 from qdenv.grid import parse
-from qdenv.pipeline import evaluate, make_pipeline, score_layout, simulate_layouts
+from qdenv.pipeline import (
+    EvaluationConfig,
+    evaluate,
+    make_pipeline,
+    score_layout,
+    simulate_layouts,
+)
 from qdenv.score.layout import entropy
 from qdenv.simulate.maze.policy import draw_weights
 from qdenv.types import RepairStatus
 
 CONFIG = EvaluationConfig(
-    domain="maze-walls", rows=6, cols=6, steps=4, kernel_sizes=(3, 1, 1), hidden=4,
-    timesteps=72, simulations=5, alpha=0.0,
-)  # fmt: skip
+    domain=MazeConfig(rows=6, cols=6, timesteps=72),
+    generator=NcaConfig(steps=4, kernel_sizes=(3, 1, 1), hidden=4),
+    simulations=5,
+    alpha=0.0,
+)
+WALL_MAZE, ENTROPY_MAZE = find_domain("maze-walls"), find_domain("maze-entropy")
 
 
 @pytest.fixture(scope="module")
-def agent(tmp_path_factory):
+def config(tmp_path_factory):
     path = tmp_path_factory.mktemp("agent") / "agent.npz"
     save_weights(draw_weights(jax.random.key(0), 8, 3), path)
-    return path
+    return replace(CONFIG, domain=replace(CONFIG.domain, agent=str(path)))
 
 
-@pytest.fixture(scope="module")
-def domain(agent):
-    return replace(
-        MAZE_WALLS, simulator=lambda config: maze_simulator(replace(config, agent=str(agent)))
-    )
-
-
-def judge(domain, areas):
+def judge(config, areas):
     """Simulate and score drawn areas of one size."""
+    domain = make_domain(config.domain).resized(len(areas[0]) + 2, len(areas[0][0]) + 2)
     layouts = jax.vmap(domain.frame)(jnp.stack([parse(rows, domain.tiles) for rows in areas]))
-    simulator = domain.simulator(replace(CONFIG, rows=layouts.shape[1], cols=layouts.shape[2]))
 
     @jax.jit
     def chain(layouts):
         keys = jax.random.split(jax.random.key(1), len(layouts))
-        runs = simulate_layouts(simulator, layouts, keys, CONFIG.simulations)
+        runs = simulate_layouts(domain.simulator, layouts, keys, CONFIG.simulations)
         status = jnp.full(len(layouts), RepairStatus.OPTIMAL)
         return jax.vmap(lambda *item: score_layout(domain, 0.0, *item))(
             layouts, layouts, status, runs
@@ -67,20 +70,20 @@ LEVELS = {
     [LEVELS, {"non-square": (["   ", "X X"], True)}, {"one tile": ([" "], False)}],
     ids=["4x4", "2x3", "1x1"],
 )
-def test_degenerate_levels_have_defined_scores(domain, levels):
-    scores = judge(domain, [rows for rows, _ in levels.values()])
+def test_degenerate_levels_have_defined_scores(config, levels):
+    scores = judge(config, [rows for rows, _ in levels.values()])
     for number, (name, (rows, solvable)) in enumerate(levels.items()):
         found = jax.tree.map(lambda x, n=number: x[n], scores)
         assert bool(found.success), name
         assert float(found.objective) == float(found.result_objective) == float(solvable), name
         walls, length = found.measures.tolist()
         assert walls == sum(row.count("X") for row in rows), name
-        assert (1 <= length <= CONFIG.timesteps) if solvable else length == 0, name
+        assert (1 <= length <= CONFIG.domain.timesteps) if solvable else length == 0, name
 
 
 def test_frame_is_a_ring_of_walls():
-    framed = np.asarray(MAZE_WALLS.frame(jnp.zeros((2, 3), jnp.int8)))
-    assert ["".join(MAZE_WALLS.tiles[k] for k in row) for row in framed] == [
+    framed = np.asarray(WALL_MAZE.frame(jnp.zeros((2, 3), jnp.int8)))
+    assert ["".join(WALL_MAZE.tiles[k] for k in row) for row in framed] == [
         "XXXXX",
         "X   X",
         "X   X",
@@ -89,15 +92,15 @@ def test_frame_is_a_ring_of_walls():
 
 
 def test_measures_have_the_published_ranges():
-    axes = [(m.low, m.high, m.cells) for m in (*MAZE_WALLS.measures, MAZE_ENTROPY.measures[0])]
+    axes = [(m.low, m.high, m.cells) for m in (*WALL_MAZE.measures, ENTROPY_MAZE.measures[0])]
     assert axes == [(0, 256, 256), (0, 648, 162), (0, 1, 100)]
     area = (np.random.default_rng(1).random((16, 16)) < 0.4).astype(np.int8)
-    measured = MAZE_ENTROPY.measures[0].value(MAZE_ENTROPY.frame(jnp.asarray(area)), None)
+    measured = ENTROPY_MAZE.measures[0].value(ENTROPY_MAZE.frame(jnp.asarray(area)), None)
     np.testing.assert_allclose(measured, entropy(jnp.asarray(area), 2), rtol=1e-6)
 
 
-def test_ten_iterations_trace_once_and_a_shorter_batch_gives_the_same(domain):
-    pipeline = make_pipeline(domain, CONFIG)
+def test_ten_iterations_trace_once_and_a_shorter_batch_gives_the_same(config):
+    pipeline = make_pipeline(config)
     traced = []
 
     @jax.jit

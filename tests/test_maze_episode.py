@@ -12,13 +12,13 @@ from qdenv.agent.convert import from_torch
 from qdenv.agent.files import save_weights
 from qdenv.grid import parse
 from qdenv.simulate.maze import episode as maze
-from qdenv.simulate.maze import policy
+from qdenv.simulate.maze import policy, tables
 from qdenv.simulate.maze.published import FIRST_HEADINGS, reference_episodes
 from qdenv.types import InputError
 
 DATA = Path(__file__).parent / "data" / "maze"
 HORIZON = 60
-prepare = jax.jit(maze.prepare)
+prepare = jax.jit(tables.prepare)
 run = jax.jit(maze.run_episode, static_argnums=(3, 4))
 run_many = jax.jit(jax.vmap(maze.run_episode, (None, None, 0, None, None)), static_argnums=(3, 4))
 trace = jax.jit(maze.trace_episode, static_argnums=3)
@@ -87,9 +87,9 @@ def test_episodes_agree_with_the_oracle(seed, tensors, weights, level):
 def test_loops_batches_and_traces_give_the_same_episodes(mild, level):
     tables = prepare(mild, jnp.asarray(level))
     keys = jax.random.split(jax.random.key(1), 24)
-    whole = run_many(mild, tables, keys, HORIZON, maze.whole_horizon)
+    whole = run_many(mild, tables, keys, HORIZON, maze.all_timesteps)
     early = run_many(mild, tables, keys, HORIZON, maze.until_done)
-    alone = [run(mild, tables, key, HORIZON, maze.whole_horizon) for key in keys]
+    alone = [run(mild, tables, key, HORIZON, maze.all_timesteps) for key in keys]
     assert 0 < int(whole.success.sum()) < 24
     dropping = run_dropping(mild, tables, keys, HORIZON)
     for runs in (early, dropping, jax.tree.map(lambda *x: jnp.stack(x), *alone)):
@@ -99,16 +99,16 @@ def test_loops_batches_and_traces_give_the_same_episodes(mild, level):
 def test_an_unsolvable_level_is_not_run(weights):
     for drawing in (["XX", "XX"], [" X", "X "]):
         tables = prepare(weights, jnp.asarray(parse(drawing, " X")))
-        found = run(weights, tables, jax.random.key(0), 9, maze.whole_horizon)
+        found = run(weights, tables, jax.random.key(0), 9, maze.all_timesteps)
         assert (bool(found.success), int(found.length), int(found.shortest)) == (False, 0, 0)
 
 
 def test_goal_next_door_is_reached_and_a_failure_costs_the_horizon(weights):
     tables = prepare(weights, jnp.asarray(parse(["  "], " X")))
     keys = jax.random.split(jax.random.key(0), 200)
-    runs = run_many(weights, tables, keys, 200, maze.whole_horizon)
+    runs = run_many(weights, tables, keys, 200, maze.all_timesteps)
     assert bool(runs.success.all()) and int(runs.length.min()) == 1
-    short = run_many(weights, tables, keys, 1, maze.whole_horizon)
+    short = run_many(weights, tables, keys, 1, maze.all_timesteps)
     # An untrained agent that faces the goal (1 of 4) drives on with one of 7 actions.
     assert 0 < int(short.success.sum()) < 40
     assert bool((short.length == 1).all())
@@ -126,7 +126,7 @@ def test_one_lane_of_the_published_loop_is_an_ordinary_agent(tensors, mild, leve
     runs = publish(mild, jnp.asarray(level), jax.random.key(3), 40, HORIZON, 1)
     tables = prepare(mild, jnp.asarray(level))
     keys = jax.random.split(jax.random.key(9), 400)
-    plain = run_many(mild, tables, keys, HORIZON, maze.whole_horizon)
+    plain = run_many(mild, tables, keys, HORIZON, maze.all_timesteps)
     spread = float(plain.length.std()) / 40**0.5
     assert abs(float(runs.length.mean() - plain.length.mean())) < 4 * spread
     # The first episode is the oracle's, step by step.
@@ -149,7 +149,7 @@ def test_the_published_loop_favours_short_episodes(mild, level):
     # Waiting times without memory: the first ten to end in ten lanes last 0.43 of the mean.
     tables = prepare(mild, jnp.asarray(level))
     keys = jax.random.split(jax.random.key(9), 400)
-    plain = run_many(mild, tables, keys, 1000, maze.whole_horizon)
+    plain = run_many(mild, tables, keys, 1000, maze.all_timesteps)
     assert runs.length.mean() < 0.7 * plain.length.mean()
     walled = publish(mild, jnp.ones((3, 4), jnp.int8), jax.random.key(0), 40, HORIZON, 1)
     assert not walled.success.any() and not walled.length.any()
@@ -185,5 +185,5 @@ def test_weights_survive_a_file_and_damage_is_refused(tmp_path, weights):
 
 
 def test_published_size():
-    count = sum(np.prod(shape) for shape in policy.shapes(256, 7))
+    count = sum(np.prod(shape) for shape in policy.shapes(256, 7).values())
     assert count + 4 * 256 == 433_953  # PyTorch keeps two biases per gate, we their sum

@@ -1,6 +1,4 @@
-"""The heat map: every elite is drawn, in its place, fast."""
-
-import time
+"""The heat map: every elite is drawn, in its place."""
 
 import numpy as np
 import pytest
@@ -8,7 +6,13 @@ from matplotlib.figure import Figure
 from PIL import Image
 from scipy import ndimage
 
-from qdenv.plots.archive import draw_heatmap, objective_grid, save_heatmap, scatter_objectives
+from qdenv.plots.archive import (
+    describe_filling,
+    draw_heatmap,
+    objective_grid,
+    save_heatmap,
+    scatter_objectives,
+)
 from qdenv.types import InputError, Measure
 
 GRID = (Measure("walls", 0, 4, 4), Measure("path length", 0, 30, 3))
@@ -42,12 +46,7 @@ def test_each_elite_of_a_sparse_maze_archive_shows_in_the_picture(tmp_path):
     # Every ninth cell of every ninth row: no two touch.
     index = np.ravel_multi_index(np.mgrid[1:256:9, 1:162:9].reshape(2, -1), (256, 162))
     objectives = scatter_objectives(index, rng.uniform(1, 2, len(index)), MAZE)
-    spent = []
-    for name in ("warm.png", "archive.png"):
-        start = time.process_time()
-        save_heatmap(tmp_path / name, objectives, MAZE, title="maze")
-        spent.append(time.process_time() - start)
-    assert spent[-1] < 1, f"{spent[-1]:.2f} CPU seconds"
+    save_heatmap(tmp_path / "archive.png", objectives, MAZE, title="maze")
     image = np.asarray(Image.open(tmp_path / "archive.png").convert("RGB")).astype(int)
     blobs, _ = ndimage.label(np.ptp(image, axis=-1) > 30, np.ones((3, 3)))
     sizes = np.bincount(blobs.ravel())[1:]
@@ -58,8 +57,18 @@ def test_each_elite_of_a_sparse_maze_archive_shows_in_the_picture(tmp_path):
 def test_an_empty_archive_and_a_single_measure_draw(tmp_path):
     save_heatmap(tmp_path / "empty.png", np.full(12, -np.inf), GRID)
     save_heatmap(tmp_path / "line.svg", np.arange(4.0), GRID[:1])
-    assert b"0.0% of 12 cells" not in (tmp_path / "empty.png").read_bytes()
+    shown = np.asarray(Image.open(tmp_path / "empty.png").convert("RGB"))
+    blank = (shown == [0xF2, 0xF2, 0xF2]).all(axis=-1).mean()
+    assert blank > 0.5  # most of the picture is the colour of empty cells
     assert (tmp_path / "line.svg").read_text().startswith("<?xml")
+
+
+def test_the_heading_counts_the_filled_cells():
+    assert describe_filling([np.nan, -np.inf, 1.0, 2.0]) == "50.0% of 4 cells filled"
+    assert describe_filling(np.zeros(1200), "maze") == "maze (100.0% of 1,200 cells filled)"
+
+
+def test_objectives_that_do_not_fit_the_axes_are_refused(tmp_path):
     with pytest.raises(InputError, match="11 objectives"):
         save_heatmap(tmp_path / "bad.png", np.zeros(11), GRID)
     with pytest.raises(InputError, match="one or two measures"):

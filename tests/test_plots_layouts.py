@@ -8,7 +8,14 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from qdenv.grid import parse
-from qdenv.plots.layouts import CHANGED, COLOURS, draw_layout, save_difference, save_layout
+from qdenv.plots.layouts import (
+    CHANGED,
+    COLOURS,
+    draw_layout,
+    save_difference,
+    save_frames,
+    save_layout,
+)
 
 DRAWING = [".@ew", "e@..", "...."]
 LAYOUT = parse(DRAWING, ".@ew")
@@ -49,3 +56,11 @@ def test_the_difference_frames_what_changed(tmp_path):
 
     assert framed("none.png") == 0
     assert framed("one.png") >= 4
+
+
+def test_a_series_has_a_panel_per_number_of_steps_and_at_most_six_in_a_row(tmp_path):
+    for number, across, down in ((1, 1, 1), (6, 6, 1), (7, 6, 2)):
+        path = tmp_path / f"{number}.png"
+        save_frames(path, [LAYOUT] * number, range(number), ".@ew")
+        height = 2.9 * 3 / 4 + 0.6  # of a panel of 3 rows and 4 columns
+        assert imread(path).shape[:2] == (int(150 * height * down), int(150 * 2.9 * across))

@@ -5,7 +5,7 @@ import pytest
 from numba.core.errors import NumbaError
 from scipy import ndimage
 
-from qdenv.domains import find_domain
+from qdenv.domains.base import find_domain
 from qdenv.repair.anneal.annealer import anneal
 from qdenv.repair.anneal.connectivity import tabulate_ring_pieces
 from qdenv.repair.anneal.kernel import kernel
@@ -50,8 +50,13 @@ def test_ring_table_agrees_with_labelling():
 
 
 def test_tiles_alike_share_a_role():
-    assert Facts(find_domain("manufacturing").rules(5, 5, 0)).roles == [[0], [1, 2, 3], [4]]
-    assert Facts(find_domain("warehouse-even").rules(5, 9, 2)).roles == [[0], [1], [2], [3]]
+    assert Facts(find_domain("manufacturing").resized(5, 5).rules()).roles == [[0], [1, 2, 3], [4]]
+    assert Facts(find_domain("warehouse-even").resized(5, 9, {"shelves": 2}).rules()).roles == [
+        [0],
+        [1],
+        [2],
+        [3],
+    ]
 
 
 def test_facts_follow_from_the_rules():
@@ -125,7 +130,7 @@ def hard_layouts(domain, rows: int, cols: int) -> list[np.ndarray]:
 @pytest.mark.parametrize("name", ["warehouse-even", "manufacturing"])
 def test_hard_layouts_become_feasible_with_few_moves(name):
     domain = find_domain(name)
-    facts = Facts(domain.rules(33, 36, 240))
+    facts = Facts(domain.rules())
     layouts = hard_layouts(domain, 33, 36)
     assert len(layouts) >= 12
     for layout in layouts:
@@ -135,7 +140,7 @@ def test_hard_layouts_become_feasible_with_few_moves(name):
 
 @pytest.mark.parametrize("shelves", [0, 1, 240, 600, 704])
 def test_one_of_the_templates_obeys_the_rules_at_any_number_of_shelves(shelves):
-    rules = find_domain("warehouse-even").rules(33, 36, shelves)
+    rules = find_domain("warehouse-even").resized(33, 36, {"shelves": shelves}).rules()
     layout = np.where(rules.allowed[..., 0], 0, 3).astype(np.int8)
     assert min(len(audit(drawn, rules)) for drawn in draw_templates(layout, Facts(rules))) == 0
 

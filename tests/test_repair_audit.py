@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from qdenv.domains import find_domain
+from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.repair.audit import audit
 from qdenv.repair.bounds import bound_cost, impossible
@@ -13,6 +13,11 @@ from qdenv.repair.facts import Facts
 from qdenv.types import Adjacency, Count, Rules
 
 TILES = ".@ew"
+
+
+def shelved(shelves: int) -> Rules:
+    """The even warehouse of size S with another number of shelves."""
+    return find_domain("warehouse-even").with_numbers({"shelves": shelves}).rules()
 
 
 def yard(rows: int, cols: int, low: int, high: int | None, **changes) -> Rules:
@@ -121,8 +126,14 @@ def test_audit_agrees_with_the_slow_oracle_on_every_tiny_layout():
         (yard(3, 4, 13, 13), "only 12 cells"),
         (yard(3, 4, 5, 3), "at least 5 and at most 3"),
         (yard(9, 9, 60, 60), "connected driving area can reach at most"),
-        (find_domain("warehouse-even").rules(33, 36, 800), "reach at most 726"),
-        (find_domain("warehouse-even").rules(33, 36, 5000), "only 1056 cells"),
+        (
+            shelved(800),
+            "reach at most 726",
+        ),
+        (
+            shelved(5000),
+            "only 1056 cells",
+        ),
     ],
 )
 def test_impossible_rules_are_named(rules, words):
@@ -138,8 +149,8 @@ def test_fixed_obstacles_that_cut_fixed_cells_apart_are_named():
 
 def test_possible_rules_are_not_called_impossible():
     for shelves in (0, 240, 704):
-        assert impossible(find_domain("warehouse-even").rules(33, 36, shelves)) is None
-    assert impossible(find_domain("manufacturing").rules(33, 36, 0)) is None
+        assert impossible(shelved(shelves)) is None
+    assert impossible(find_domain("manufacturing").resized(33, 36).rules()) is None
 
 
 def test_the_bound_counts_missing_and_surplus_tiles_at_the_cheapest_cells():

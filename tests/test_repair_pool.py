@@ -7,15 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qdenv.domains import find_domain
+from qdenv.domains.base import find_domain
 from qdenv.repair import pool as pools
 from qdenv.repair.audit import audit
 from qdenv.repair.callback import repair_in_jit
 from qdenv.repair.pool import RepairPool
-from qdenv.repair.recipe import RepairConfig, repair
+from qdenv.repair.recipe import repair
+from qdenv.repair.settings import RepairConfig
 from qdenv.types import RepairStatus
 
-RULES = find_domain("warehouse-even").rules(8, 12, 12)
+RULES = find_domain("warehouse-even").resized(8, 12, {"shelves": 12}).rules()
 CONFIG = RepairConfig("quick", moves_per_cell=60, workers=2)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from qdenv.domains import find_domain
+from qdenv.domains.base import find_domain
 from qdenv.formats.layouts import read_layout
 from qdenv.grid import parse
 from qdenv.repair.audit import audit
@@ -14,10 +14,10 @@ from qdenv.repair.bounds import impossible
 from qdenv.repair.facts import Facts
 from qdenv.repair.milp.cuts import separate
 from qdenv.repair.milp.program import build, decode, encode
-from qdenv.repair.recipe import RepairConfig, repair
+from qdenv.repair.recipe import repair
+from qdenv.repair.settings import RepairConfig
 from qdenv.types import Adjacency, Count, InputError, RepairStatus, Rules
 
-LAYOUTS = Path(__file__).parents[2] / "shared" / "reference" / "layouts"
 FULL = RepairConfig("full", moves_per_cell=300)
 
 
@@ -35,7 +35,7 @@ def yard(rows: int, cols: int, low: int, high: int | None, **changes) -> Rules:
 
 
 def factory(rows: int, cols: int, **changes) -> Rules:
-    rules = find_domain("manufacturing").rules(rows, cols, 0)
+    rules = find_domain("manufacturing").resized(rows, cols).rules()
     return rules._replace(**changes)
 
 
@@ -145,7 +145,7 @@ def test_seeds_and_batches():
 
 @pytest.mark.parametrize("shelves", [0, 1, 8, 16])
 def test_any_possible_number_of_shelves_is_reached(shelves):
-    rules = find_domain("warehouse-even").rules(6, 9, shelves)
+    rules = find_domain("warehouse-even").resized(6, 9, {"shelves": shelves}).rules()
     assert impossible(rules) is None
     for tile in range(3):
         layout = np.where(rules.allowed[..., tile], tile, rules.allowed.argmax(-1)).astype(np.int8)
@@ -208,17 +208,17 @@ ee2eeee2ee
     ("drawing", "domain", "shelves", "best"),
     [(SLANTED_SHELVES, "warehouse-even", 20, 26), (SLANTED_STATIONS, "manufacturing", 0, 5)],
 )
-def test_layouts_of_our_own_are_repaired_to_the_proven_optimum(drawing, domain, shelves, best):
+def test_drawn_layouts_are_repaired_to_the_proven_optimum(drawing, domain, shelves, best):
     kind = find_domain(domain)
     layout = parse(drawing.split(), kind.tiles)
-    rules = kind.rules(*layout.shape, shelves)
+    numbers = {"shelves": shelves} if "shelves" in kind.counted else {}
+    rules = kind.resized(*layout.shape, numbers).rules()
     found = repair(layout, rules, 0, RepairConfig("full", moves_per_cell=500))
     assert (found.cost, found.lower_bound) == (best, best)
     assert found.status == RepairStatus.OPTIMAL
     assert audit(found.layout, rules) == []
 
 
-@pytest.mark.skipif(not LAYOUTS.exists(), reason="the published layouts are not beside the project")
 @pytest.mark.parametrize(
     ("name", "domain", "best"),
     [
@@ -227,9 +227,20 @@ def test_layouts_of_our_own_are_repaired_to_the_proven_optimum(drawing, domain, 
         ("manufacturing_nca_a5_unrepaired", "manufacturing", 147),
     ],
 )
-def test_published_layouts_are_repaired_to_the_proven_optimum(name, domain, best):
-    rules = find_domain(domain).rules(33, 36, 240)
-    layout = read_layout(LAYOUTS / f"{name}.json", rules.tiles)
+def test_published_layouts_are_repaired_to_the_proven_optimum(name, domain, best, published):
+    expect_the_optimum(published(name), domain, best)
+
+
+@pytest.mark.parametrize(
+    ("name", "best"), [("warehouse_even_unrepaired", 145), ("warehouse_uneven_unrepaired", 252)]
+)
+def test_our_own_layouts_are_repaired_to_the_proven_optimum(name, best, own_layout):
+    expect_the_optimum(own_layout(name), "warehouse-even", best)
+
+
+def expect_the_optimum(path: Path, domain: str, best: float) -> None:
+    rules = find_domain(domain).rules()
+    layout = read_layout(path, rules.tiles)
     found = repair(layout, rules, 0, RepairConfig("full", moves_per_cell=500))
     assert (found.cost, found.lower_bound) == (best, best)
     assert found.status == RepairStatus.OPTIMAL

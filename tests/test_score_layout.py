@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from qdenv import grid
-from qdenv.domains import DOMAINS
+from qdenv.domains.base import find_domain
 from qdenv.score import layout as score
 from qdenv.types import InputError
 
@@ -74,14 +74,18 @@ def test_components_of_a_long_snake():
 
 
 def test_similarity_weighs_what_was_generated():
-    domain = DOMAINS["manufacturing"]
+    domain = find_domain("manufacturing")
     before = grid.parse(["0.1e", "...."], domain.tiles)
     after = grid.parse(["0..e", "...."], domain.tiles)
     # Eight cells: the kept station counts 5, six others 1 each, of at most 5 per cell.
     expected = (5 + 6 * 1) / (8 * 5)
-    assert float(score.similarity(before, after, domain.price(before))) == pytest.approx(expected)
-    even = DOMAINS["warehouse-even"]
-    assert float(score.similarity(before, after, even.price(before))) == pytest.approx(7 / 8)
+    assert float(
+        score.similarity(before, after, domain.similarity_weights(before))
+    ) == pytest.approx(expected)
+    even = find_domain("warehouse-even")
+    assert float(score.similarity(before, after, even.similarity_weights(before))) == pytest.approx(
+        7 / 8
+    )
 
 
 def test_text_round_trip_and_errors():

@@ -152,7 +152,7 @@ def test_isotropic_is_full_until_the_first_refresh_and_not_after():
         def step(state, key):
             state = strategy.refresh(state)
             solutions, state = jax.vmap(strategy.ask)(state, key[None])
-            order = jnp.argsort(jnp.square(solutions * jnp.arange(1, 31)).sum(-1))
+            order = jnp.argsort(jnp.square(solutions * jnp.arange(1, 31)[None, None]).sum(-1))
             number = jnp.full(1, 4), jnp.full(1, 8)
             return jax.vmap(strategy.tell)(state, solutions, order, *number), state.mean
 

@@ -40,7 +40,7 @@ def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
             return GridArchive.empty(jnp.zeros(solution_dim), measures, extras)
 
         def ask(archive):
-            angle = jnp.linspace(0, 6, 4)[:, None] + jnp.arange(solution_dim)
+            angle = jnp.linspace(0, 6, 4)[:, None] + jnp.arange(solution_dim)[None]
             return config.radius * jnp.sin(angle), archive
 
         def tell(archive, solutions, score, extras):

@@ -47,14 +47,14 @@ def test_every_strategy_learns_from_the_order_it_is_given(name):
         def step(state, key):
             state = strategy.refresh(state)
             solutions, state = jax.vmap(strategy.ask)(state, key[None])
-            order = jnp.argsort(sign * jnp.square(solutions - target).sum(-1), axis=-1)
+            order = jnp.argsort(sign * jnp.square(solutions - target[None, None]).sum(-1), axis=-1)
             told = solutions, order, jnp.full(1, batch // 2), jnp.full(1, batch)
             return jax.vmap(strategy.tell)(state, *told), None
 
         state = jax.vmap(strategy.init)(*start)
         state, _ = jax.lax.scan(step, state, jax.random.split(jax.random.key(1), 25))
         means, _ = jax.vmap(strategy.ask)(state, jax.random.split(jax.random.key(2), 1))
-        return jnp.linalg.norm(means.mean(axis=1) - target)
+        return jnp.linalg.norm(means.mean(axis=1) - target[None])
 
     away = float(jnp.linalg.norm(target))
     assert float(distance(1.0)) < 0.85 * away

@@ -38,6 +38,13 @@ SHAPE = (HEIGHT + 2 * MARGIN, WIDTH + 2 * MARGIN)
 PADDED = np.pad(FREE, MARGIN)
 
 
+@pytest.fixture(autouse=True)
+def broadcasting():
+    """Let XLA's half broadcast its sets of cells over agents, as the planner itself does."""
+    with jax.numpy_rank_promotion("allow"):
+        yield
+
+
 def padded(cells):
     """Translate cells of the maze into positions of the padded grid."""
     cells = np.asarray(cells)

@@ -2,17 +2,22 @@
 
 import re
 
+import chex
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import qdenv.simulate
 from qdenv.simulate.mapf.audit import Trajectory, check_moves, jammed_windows, replay_tasks
-from qdenv.simulate.mapf.tasks import tile_goal
+from qdenv.simulate.mapf.padding import pad, unpad
+from qdenv.simulate.mapf.tasks import serve, tile_goal
 from qdenv.types import TaskRule
 
 TILES = ".#12"
 BLOCK = re.compile(r"^ {4}(allowed|forbidden|tasks|jam|no jam): (.*)\n((?: {4}\S.*\n)+)", re.M)
 EXAMPLES = BLOCK.findall(qdenv.simulate.__doc__)
+jit_or_not = pytest.mark.parametrize("variant", [jax.jit, lambda f: f], ids=["jit", "no jit"])
 
 
 def rule(stay: int = 0) -> TaskRule:
@@ -89,3 +94,23 @@ def test_a_short_stay_and_a_skipped_goal_are_found():
     assert any("skips its goal" in m for m in replay_tasks(layout, rule(), skips, 3)[2])
     wrong = Trajectory(positions, np.zeros((4, 1), int), ~done)
     assert any("credited wrongly" in m for m in replay_tasks(layout, rule(), wrong, 3)[2])
+
+
+@jit_or_not
+def test_a_service_begins_on_arrival_and_finishes_the_task_at_its_end(variant):
+    # Driving, arriving (without a service, with one), serving (on, to the end), each once.
+    remaining = jnp.array([0, 0, 0, 3, 1])
+    on_goal = jnp.array([False, True, True, True, True])
+    service_time = jnp.array([7, 0, 2, 9, 9])
+    left, finished = variant(serve)(remaining, on_goal, service_time)
+    chex.assert_type([left, finished], [jnp.int32, bool])
+    assert left.tolist() == [0, 0, 2, 2, 0]
+    assert finished.tolist() == [False, True, False, False, True]
+
+
+@jit_or_not
+def test_padding_moves_every_cell_inwards_and_back(variant):
+    cells = jnp.arange(3 * 4)
+    padded = variant(lambda cells: pad(cells, 4, 2))(cells)
+    assert padded.reshape(3, 4)[:, 0].tolist() == [18, 26, 34]  # rows are 8 wide now
+    assert variant(lambda cells: unpad(cells, 4, 2))(padded).tolist() == cells.tolist()

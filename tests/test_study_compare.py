@@ -7,31 +7,30 @@ import numpy as np
 import pytest
 
 from qdenv import cli, grid
-from qdenv.domains import find_domain
+from qdenv.domains.base import find_domain
 from qdenv.formats.layouts import write_layout
 from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.simulate.mapf.negotiated.settings import EFFORTS
-from qdenv.simulate.mapf.pibt import planner as pibt
-from qdenv.study.compare import Compared, climb, compare, find_peak, name_layouts, write_comparison
-from qdenv.study.sweep import SweepRow
+from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.study.sweep import climb, compare, name_layouts
+from qdenv.study.table import Row, find_peak, write_rows
 from qdenv.study.traffic import Simulated, run_seeds
 from qdenv.types import InputError, Traffic
 
 WAREHOUSE = find_domain("warehouse-even")
+TASKS = WAREHOUSE.simulator.tasks
 # The plainest planner compiles fast; layouts of one size and one largest fleet share a program.
-CONFIG = FleetConfig(agents=60, timesteps=60, planner=pibt.rollout)
+CONFIG = FleetConfig(agents=60, timesteps=60, planner=PibtConfig())
 SEEDS = (0, 1, 2)
-PUBLISHED = Path(__file__).parents[2] / "shared/reference/layouts"
 
 
-def row(agents: int, mean: float, name: str = "a") -> Compared:
-    return Compared(name, 9, 12, SweepRow(agents, 3, mean, 0.1, 1.0, 0.4, 1.0, mean, 0.0))
+def row(agents: int, mean: float, name: str = "a") -> Row:
+    return Row(name, 9, 12, agents, 3, mean, 0.1, 1.0, 0.4, 1.0, mean, 0.0)
 
 
 @pytest.fixture(scope="module")
 def layouts() -> dict[str, np.ndarray]:
-    human = WAREHOUSE.design(9, 12)
+    human = WAREHOUSE.resized(9, 12).human()
     narrow = grid.parse(
         [
             "............",
@@ -46,26 +45,25 @@ def layouts() -> dict[str, np.ndarray]:
 
 def test_rows_agree_with_the_runs_they_summarise(layouts):
     told = []
-    rows = compare(layouts, WAREHOUSE.tasks, CONFIG, (12, 60), SEEDS, told.append)
-    names = [(found.layout, found.traffic.agents) for found in rows]
+    rows = compare(layouts, TASKS, CONFIG, (12, 60), SEEDS, told.append)
+    names = [(found.layout, found.agents) for found in rows]
     assert names == [("human", 12), ("human", 60), ("narrow", 12), ("narrow", 60)]
     assert told == rows
     for found in rows:
         assert (found.rows, found.cols) == (9, 12)
-        layout, agents = layouts[found.layout], found.traffic.agents
-        runs = run_seeds(layout, WAREHOUSE.tasks, CONFIG, SEEDS, agents).runs
+        layout, agents = layouts[found.layout], found.agents
+        runs = run_seeds(layout, TASKS, CONFIG, SEEDS, agents).runs
         every = np.array([run.throughput for run in runs])
         good = np.array([not run.congested for run in runs])
-        traffic = found.traffic
-        assert traffic.mean_of_all == pytest.approx(every.mean())
-        assert traffic.success_rate == pytest.approx(good.mean())
+        assert found.mean_of_all == pytest.approx(every.mean())
+        assert found.success_rate == pytest.approx(good.mean())
         low, high = wilson_interval(int(good.sum()), 3)
-        assert (traffic.success_low, traffic.success_high) == (low, high)
+        assert (found.success_low, found.success_high) == (low, high)
         if good.any():
-            assert traffic.throughput == pytest.approx(every[good].mean())
+            assert found.throughput == pytest.approx(every[good].mean())
         if good.sum() > 1:
             error = every[good].std(ddof=1) / np.sqrt(good.sum())
-            assert traffic.standard_error == pytest.approx(error)
+            assert found.standard_error == pytest.approx(error)
 
 
 def test_a_climb_stops_at_the_first_drop(layouts, monkeypatch):
@@ -76,20 +74,20 @@ def test_a_climb_stops_at_the_first_drop(layouts, monkeypatch):
         runs = [Traffic(throughput[agents] + seed, False, *[None] * 5) for seed in seeds]
         return Simulated(tuple(seeds), runs, [], 0.0, 0.0)
 
-    monkeypatch.setattr("qdenv.study.compare.run_seeds", runs_of)
+    monkeypatch.setattr("qdenv.study.sweep.run_seeds", runs_of)
     told = []
     counts = [30, 10, 20, 40, 50, 5000]
-    way = climb("a", layouts["human"], WAREHOUSE.tasks, CONFIG, counts, (0, 1), told.append)
-    assert [found.traffic.agents for found in way] == [10, 20, 30, 40]
+    way = climb("a", layouts["human"], TASKS, CONFIG, counts, (0, 1), told.append)
+    assert [found.agents for found in way] == [10, 20, 30, 40]
     assert told == way
     assert find_peak(way)[3:] == (30, pytest.approx(2.9), 1.0, True)
 
 
 def test_numbers_that_do_not_fit_are_left_out(layouts):
-    way = climb("human", layouts["human"], WAREHOUSE.tasks, CONFIG, (12, 60, 5000), (0,))
-    assert {found.traffic.agents for found in way} <= {12, 60}
+    way = climb("human", layouts["human"], TASKS, CONFIG, (12, 60, 5000), (0,))
+    assert {found.agents for found in way} <= {12, 60}
     with pytest.raises(InputError, match="human: 500 agents do not fit"):
-        climb("human", layouts["human"], WAREHOUSE.tasks, CONFIG, (500,), (0,))
+        climb("human", layouts["human"], TASKS, CONFIG, (500,), (0,))
 
 
 def test_peaks_of_made_up_ways():
@@ -104,19 +102,27 @@ def test_names_are_short_where_they_can_be():
 
 
 def test_the_table_holds_every_number(tmp_path):
-    write_comparison(tmp_path / "a.csv", [row(50, 1.5), row(50, 2.5, "b")])
-    table = list(csv.DictReader((tmp_path / "a.csv").open()))
+    write_rows(tmp_path / "a.csv", [row(50, 1.5), row(50, 2.5, "b")])
+    table = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
     assert [(line["layout"], line["throughput"]) for line in table] == [("a", "1.5"), ("b", "2.5")]
-    assert list(table[0]) == ["layout", "rows", "cols", *SweepRow._fields]
+    assert list(table[0]) == list(Row._fields)
 
 
-def test_commands_compare_and_climb(layouts, tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(EFFORTS, "low", pibt.rollout)
+def test_commands_compare_and_climb(layouts, tmp_path, capsys):
     paths = []
     for name, layout in layouts.items():
         paths.append(str(tmp_path / f"{name}.json"))
         write_layout(tmp_path / f"{name}.json", layout, WAREHOUSE.tiles)
-    out = ["--timesteps", "60", "--seeds", "1", "--effort", "low", "--out", str(tmp_path / "t.csv")]
+    out = [
+        "--timesteps",
+        "60",
+        "--seeds",
+        "1",
+        "--planner",
+        "pibt",
+        "--out",
+        str(tmp_path / "t.csv"),
+    ]
     assert cli.run(["compare", *paths, "--agents", "2,60", *out]) == 0
     lines = [line.split()[:3] for line in capsys.readouterr().out.splitlines()[1:-1]]
     assert lines == [[n, "9x12", a] for n in ("human", "narrow") for a in ("2", "60")]
@@ -134,7 +140,8 @@ def test_commands_compare_and_climb(layouts, tmp_path, capsys, monkeypatch):
         (["FILE", "--agents", "900"], "human: 900 agents"),
         (["FILE", "--agents", "many"], "write 200, or 50,100"),
         (["FILE", "--domain", "manufacturing"], "unknown tile"),
-        (["FILE", "--domain", "garden"], "unknown domain"),
+        (["FILE", "--domain", "moon"], "unknown domain"),
+        (["FILE", "--planner", "moon"], "unknown planner"),
         (["FILE", "--seeds", "0"], "at least one seed"),
         (["FILE", "--timesteps", "0"], "at least one agent and one timestep"),
     ],

@@ -10,33 +10,39 @@ import numpy as np
 import pytest
 
 from qdenv import cli, grid
-from qdenv.domains import find_domain
-from qdenv.domains.base import EvaluationConfig
+from qdenv.domains.base import find_domain, make_domain
+from qdenv.domains.manufacturing import ManufacturingConfig
+from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.formats.layouts import read_layout, write_layout
-from qdenv.generate.nca import make_generator
-from qdenv.pipeline import make_pipeline
+from qdenv.generate.generator import GENERATORS
+from qdenv.generate.nca import NcaConfig
+from qdenv.pipeline import EvaluationConfig, canvas_of, make_pipeline
 from qdenv.repair.audit import audit
 from qdenv.repair.pool import RepairPool
-from qdenv.repair.recipe import RepairConfig
+from qdenv.repair.settings import RepairConfig
+from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study import sizes
 from qdenv.study.elites import grow_elite, grow_series, repair_grown
-from qdenv.train.config import RunConfig
-from qdenv.train.records import RunDirectory
+from qdenv.training.config import RunConfig
+from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
+FLEET = FleetConfig(agents=4, timesteps=20)
 SMALL = EvaluationConfig(
-    rows=11, cols=12, steps=8, kernel_sizes=(3, 1, 1), hidden=8, shelves=12, agents=4, timesteps=20
+    domain=WarehouseConfig(rows=11, cols=12, shelves=12, fleet=FLEET),
+    generator=NcaConfig(steps=8, kernel_sizes=(3, 1, 1), hidden=8),
 )
+FACTORY = replace(SMALL, domain=ManufacturingConfig(rows=11, cols=12, fleet=FLEET))
 WAREHOUSE, MANUFACTURING = find_domain("warehouse-even"), find_domain("manufacturing")
 
 
-def make_run(path: Path, domain: str = "warehouse-even") -> RunDirectory:
+def make_run(path: Path, evaluation: EvaluationConfig = SMALL) -> RunDirectory:
     """Write a run with three random elites, in cells (1, 2), (3, 0) and (3, 4) of 5 x 5."""
-    config = RunConfig(evaluation=replace(SMALL, domain=domain), seed=7)
-    kind = find_domain(domain)
-    measures = [measure._replace(cells=5) for measure in kind.measures]
-    run = RunDirectory.create(path, config, measures, kind.tiles)
-    size = make_generator(len(kind.generated), SMALL.kernel_sizes, SMALL.hidden).size
+    config = RunConfig(evaluation=evaluation, seed=7)
+    domain = make_domain(evaluation.domain)
+    measures = [measure._replace(cells=5) for measure in domain.measures]
+    run = RunDirectory.create(path, config, measures, domain.tiles)
+    size = GENERATORS.make(evaluation.generator, canvas_of(domain)).size
     solutions = np.random.default_rng(1).normal(0, 0.6, (3, size)).astype(np.float32)
     objective = np.array([1.0, 3.0, 2.0], np.float32)
     run.save_archive(
@@ -57,20 +63,21 @@ def shelves(layout: np.ndarray) -> int:
 def test_a_series_scales_shelves_with_the_generated_area_and_obeys_the_rules(run):
     series = list(sizes.grow_sizes(run, "best", [(11, 12), (14, 13), (9, 9)]))
     # 12 shelves on 11 x 8 generated cells: one per 7.33.
-    assert [item.shelves for item in series] == [12, round(14 * 9 * 12 / 88), round(45 * 12 / 88)]
-    for item in series:
-        assert item.layout.shape == (item.rows, item.cols)
-        assert shelves(item.layout) == item.shelves
-        assert audit(item.layout, WAREHOUSE.rules(item.rows, item.cols, item.shelves)) == []
+    wanted = [12, round(14 * 9 * 12 / 88), round(45 * 12 / 88)]
+    assert [item.numbers["shelves"] for item in series] == wanted
+    for item, shape, number in zip(series, [(11, 12), (14, 13), (9, 9)], wanted, strict=True):
+        assert item.layout.shape == shape
+        assert shelves(item.layout) == number
+        assert audit(item.layout, WAREHOUSE.resized(*shape, {"shelves": number}).rules()) == []
     assert series[0].steps == 8
     assert series[1].steps == round(8 * 14 / 11)
     assert series[2].steps == 8
 
 
-def test_figure_18_scales_to_the_published_designs_numbers(run):
-    paper = replace(run.config.evaluation, rows=33, cols=36, shelves=240)
-    scaled = [sizes.scaled_shelves(WAREHOUSE, paper, *shape) for shape in sizes.SIZES]
-    designed = [shelves(sizes.human_layout(WAREHOUSE, *shape)) for shape in sizes.SIZES]
+def test_figure_18_scales_to_the_published_designs_numbers():
+    sized = [WAREHOUSE.resized(*shape) for shape in sizes.SIZES]
+    scaled = [domain.numbers["shelves"] for domain in sized]
+    designed = [shelves(sizes.human_layout(domain)) for domain in sized]
     assert scaled[0] == designed[0] == 240
     assert scaled[-1] == designed[-1] == 2250
     assert scaled == pytest.approx(designed, rel=0.02)
@@ -84,7 +91,7 @@ def test_any_canvas_grows(run, shape):
 
 
 def rules_of(grown):
-    return grown.domain.rules(*grown.layout.shape, grown.shelves)
+    return grown.domain.rules()
 
 
 def test_frames_end_with_the_layout_that_is_repaired(run):
@@ -99,7 +106,7 @@ def test_frames_end_with_the_layout_that_is_repaired(run):
 def test_tiling_repeats_the_inside_and_renews_the_frame():
     rows = ["..........", "w.ee.e.e.w", "..@@.@.@..", "w.ee.e.e.w", ".........."]
     small = grid.parse(rows, WAREHOUSE.tiles)
-    large = grid.draw(sizes.tile_layout(WAREHOUSE, small, (9, 14)), WAREHOUSE.tiles)
+    large = grid.draw(sizes.tile_layout(WAREHOUSE.resized(9, 14), small), WAREHOUSE.tiles)
     assert large == [
         "..............",
         "w.ee.e.eee.e.w",
@@ -114,34 +121,35 @@ def test_tiling_repeats_the_inside_and_renews_the_frame():
 
 
 def test_a_tiled_layout_obeys_the_rules_with_shelves_scaled():
-    small = sizes.human_layout(WAREHOUSE, 9, 14)
+    small = sizes.human_layout(WAREHOUSE.resized(9, 14))
     tiled = sizes.tile(WAREHOUSE, small, (20, 23), config=RepairConfig("none"))
-    assert tiled.shelves == round(20 * 19 * shelves(small) / 90) == shelves(tiled.layout)
-    assert audit(tiled.layout, WAREHOUSE.rules(20, 23, tiled.shelves)) == []
+    number = round(20 * 19 * shelves(small) / 90)
+    assert tiled.numbers == {"shelves": number}
+    assert audit(tiled.layout, WAREHOUSE.resized(20, 23, tiled.numbers).rules()) == []
 
 
 def test_a_tiled_factory_keeps_its_pattern_where_the_copies_meet_well():
-    small = sizes.human_layout(MANUFACTURING, 17, 18)
+    small = sizes.human_layout(MANUFACTURING.resized(17, 18))
     tiled = sizes.tile(MANUFACTURING, small, (34, 36), config=RepairConfig("none"))
     assert tiled.changed == 0
     np.testing.assert_array_equal(tiled.layout, np.tile(small, (2, 2)))
 
 
-@pytest.mark.parametrize("domain", [WAREHOUSE, MANUFACTURING], ids=lambda domain: domain.name)
-def test_the_same_seed_gives_the_same_layouts_whatever_the_batch(domain):
-    config = replace(SMALL, domain=domain.name, repair=RepairConfig("none", workers=2))
-    pipeline = make_pipeline(domain, config)
+@pytest.mark.parametrize("evaluation", [SMALL, FACTORY], ids=["warehouse", "factory"])
+def test_the_same_seed_gives_the_same_layouts_whatever_the_batch(evaluation):
+    config = replace(evaluation, repair=RepairConfig("none", workers=2))
+    pipeline = make_pipeline(config)
+    domain = pipeline.domain
     solutions = np.random.default_rng(4).normal(0, 0.6, (6, pipeline.solution_size))
     solutions = solutions.astype(np.float32)
     together = np.asarray(jax.jit(pipeline.grow)(solutions))
-    rules = domain.rules(11, 12, 12)
     threads = pipeline.pool.repair(together, 3).layout
     for index, one in enumerate(solutions):
         alone = np.asarray(jax.jit(pipeline.grow)(one[None]))[0]
-        later = grow_series(domain, config, one, (11, 12), [config.steps])[0]
+        later = grow_series(config, domain, one, [8])[0]
         np.testing.assert_array_equal(alone, together[index])
         np.testing.assert_array_equal(later, together[index])
-    with RepairPool(rules, replace(config.repair, workers=1)) as single:
+    with RepairPool(domain.rules(), replace(config.repair, workers=1)) as single:
         backwards = single.repair(together[::-1], 3).layout[::-1]
         np.testing.assert_array_equal(backwards, threads)
     pipeline.pool.close()
@@ -160,7 +168,7 @@ def test_commands_write_layouts_pictures_and_a_table(run, tmp_path, capsys):
     out = tmp_path / "series"
     sized = ["--sizes", "11x12", "14x15"]
     assert cli.run(["series", str(run.path), *sized, "--human", "--out", str(out)]) == 0
-    table = list(csv.DictReader((out / "series.csv").open()))
+    table = list(csv.DictReader((out / "series.csv").read_text().splitlines()))
     assert [(row["rows"], row["cols"]) for row in table] == [("11", "12"), ("14", "15")]
     for row in table:
         layout = read_layout(out / f"nca_{row['rows']}x{row['cols']}.json", WAREHOUSE.tiles)
@@ -176,7 +184,7 @@ def test_commands_write_layouts_pictures_and_a_table(run, tmp_path, capsys):
     design = ["--domain", "manufacturing", "--rows", "13", "--cols", "14", "--out", str(target)]
     assert cli.run(["layout", "human", *design]) == 0
     layout = json.loads(target.read_text())["layout"]
-    assert layout == grid.draw(MANUFACTURING.design(13, 14), MANUFACTURING.tiles)
+    assert layout == grid.draw(MANUFACTURING.resized(13, 14).human(), MANUFACTURING.tiles)
 
 
 def refusal(arguments: list[str], capsys) -> str:
@@ -220,8 +228,8 @@ def test_runs_that_do_not_fit_are_refused_in_one_line(tmp_path, capsys):
     assert "no run here" in refusal(["generate", str(tmp_path / "nothing")], capsys)
     for name, file, change, said in [
         ("newer", "manifest.json", {"schema": 99}, "newer qdenv"),
-        ("foreign", "config.json", {"domain": "garden"}, "unknown domain 'garden'"),
-        ("other", "config.json", {"domain": "manufacturing"}, "parameters given, this NCA has"),
+        ("foreign", "config.json", {"domain": {"name": "moon"}}, "unknown domain 'moon'"),
+        ("other", "config.json", {"domain": {"name": "manufacturing"}}, "this generator has"),
     ]:
         path = make_run(tmp_path / name).path
         content = json.loads((path / file).read_text())
@@ -238,10 +246,10 @@ def test_baselines_refuse_in_one_line(tmp_path, capsys):
     said = refusal(["layout", "human", "--domain", "manufacturing", *size], capsys)
     assert "too few for every kind" in said
     factory = tmp_path / "factory.json"
-    write_layout(factory, MANUFACTURING.design(9, 9), MANUFACTURING.tiles)
+    write_layout(factory, MANUFACTURING.resized(9, 9).human(), MANUFACTURING.tiles)
     assert "unknown tile" in refusal(["layout", "tile", str(factory), *size], capsys)
     with pytest.raises(InputError, match="nobody designs layouts"):
-        sizes.human_layout(replace(WAREHOUSE, design=None), 9, 9)
-    small = WAREHOUSE.design(9, 9)
+        sizes.human_layout(replace(WAREHOUSE, human=None))
+    small = WAREHOUSE.resized(9, 9).human()
     with pytest.raises(InputError, match="no room inside the frame"):
-        sizes.tile_layout(WAREHOUSE, small, (9, 4))
+        sizes.tile_layout(WAREHOUSE.resized(9, 4), small)

@@ -1,75 +1,93 @@
 """A user's own domain: a garden whose objective is the number of flowers. No stage knows it."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.domains.base import Domain, EvaluationConfig, Simulator
+from qdenv.domains.base import DOMAINS, Domain, DomainConfig, Simulator
+from qdenv.generate.nca import NcaConfig
 from qdenv.grid import of_tiles
+from qdenv.pipeline import EvaluationConfig
+from qdenv.registry import Entry
 from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.train.config import RunConfig
-from qdenv.types import Adjacency, Array, Count, Measure, Rules
+from qdenv.training.config import RunConfig
+from qdenv.types import Adjacency, Count, Measure, Rules
 
 TILES = ".*#"  # path, flower, hedge
+
+
+@dataclass(frozen=True)
+class GardenConfig(DomainConfig):
+    """A garden's numbers.
+
+    Attributes:
+        hedges: exact number of hedges.
+    """
+
+    rows: int = 5
+    cols: int = 6
+    hedges: int = 3
 
 
 class Visit(NamedTuple):
     """One stroll: a random share of the flowers is seen."""
 
-    seen: Array  # float32
-    cells: Array  # float32 [H, W]
+    seen: jax.Array  # float32
+    cells: jax.Array  # float32 [H, W]
 
 
-def rules(rows: int, cols: int, hedges: int) -> Rules:
+def rules(config: GardenConfig) -> Rules:
     return Rules(
         tiles=TILES,
-        counts=(Count("#", hedges, hedges),),
+        counts=(Count("#", config.hedges, config.hedges),),
         adjacency=(Adjacency("*", "."),),
         connected=".*",
-        allowed=np.ones((rows, cols, len(TILES)), bool),
-        change_cost=np.ones((rows, cols), np.float32),
+        allowed=np.ones((config.rows, config.cols, len(TILES)), bool),
+        change_cost=np.ones((config.rows, config.cols), np.float32),
     )
 
 
-def stroll(flowers: Array, key: Array) -> Visit:
+def stroll(flowers: jax.Array, key: jax.Array) -> Visit:
     seen = (jax.random.uniform(key, flowers.shape) < 0.5) * flowers
     return Visit(seen.sum(dtype=jnp.float32), seen.astype(jnp.float32))
 
 
-GARDEN = Domain(
-    name="garden",
-    tiles=TILES,
-    generated=TILES,
-    seed_block=("*#",),
-    margin=(0, 0),
-    frame=lambda tiles: tiles,
-    rules=rules,
-    simulator=lambda config: Simulator(lambda layout: of_tiles(layout, "*", TILES), stroll),
-    objective=lambda layout, runs: runs.seen.mean(),
-    price=lambda layout: jnp.ones(layout.shape, jnp.float32),
-    measures=(
-        Measure("paths", 0, 30, 10, lambda layout, runs: (layout == 0).sum().astype(jnp.float32)),
-        Measure(
-            "flowers on top",
-            0,
-            6,
-            6,
-            lambda layout, runs: (layout[0] == 1).sum().astype(jnp.float32),
+def paths(layout: jax.Array, runs: Visit) -> jax.Array:
+    return (layout == 0).sum().astype(jnp.float32)
+
+
+def flowers_on_top(layout: jax.Array, runs: Visit) -> jax.Array:
+    return (layout[0] == 1).sum().astype(jnp.float32)
+
+
+def garden(config: GardenConfig) -> Domain:
+    return Domain(
+        config=config,
+        tiles=TILES,
+        generated=TILES,
+        seed_block=("*#",),
+        margin=(0, 0),
+        frame=lambda tiles: tiles,
+        rules=lambda: rules(config),
+        simulator=Simulator(lambda layout: of_tiles(layout, "*", TILES), stroll),
+        objective=lambda layout, runs: runs.seen.mean(),
+        measures=(
+            Measure("paths", 0, 30, 10, paths),
+            Measure("flowers on top", 0, 6, 6, flowers_on_top),
         ),
-    ),
-)
+        counted={"hedges": "#"},
+    )
+
+
+DOMAINS.register("garden", Entry(GardenConfig, garden))
 
 CONFIG = RunConfig(
     evaluation=EvaluationConfig(
-        domain="garden",
-        rows=5,
-        cols=6,
-        steps=5,
-        kernel_sizes=(3, 1),
-        hidden=4,
-        shelves=3,
+        domain=GardenConfig(),
+        generator=NcaConfig(steps=5, kernel_sizes=(3, 1), hidden=4),
         simulations=3,
     ),
     algorithm=CmaMaeConfig(emitters=2, batch=4, sigma0=0.5),

@@ -10,13 +10,13 @@ import numpy as np
 from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.maze.episode import (
     Episode,
-    prepare,
+    all_timesteps,
     run_episode,
     run_episodes,
-    whole_horizon,
 )
 from qdenv.simulate.maze.policy import Weights
 from qdenv.simulate.maze.published import reference_episodes
+from qdenv.simulate.maze.tables import prepare
 from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.types import Array, InputError
 
@@ -57,7 +57,7 @@ def run_batch(
     def one(layout: Array, key: jax.Array) -> Episode:
         tables = prepare(weights, layout)
         keys = jax.random.split(key, episodes)
-        return jax.vmap(lambda k: run_episode(weights, tables, k, horizon, whole_horizon))(keys)
+        return jax.vmap(lambda k: run_episode(weights, tables, k, horizon, all_timesteps))(keys)
 
     return jax.vmap(one)(layouts, jax.random.split(key, layouts.shape[0]))
 

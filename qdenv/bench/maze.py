@@ -26,7 +26,7 @@ from qdenv.agent.evaluate import (
     run_batch,
     success_rates,
 )
-from qdenv.files import write_atomically
+from qdenv.files import write_json
 from qdenv.simulate.maze.policy import Weights, draw_weights, load_weights, units_of
 from qdenv.simulate.maze.world import longest_path
 
@@ -79,7 +79,7 @@ def run(
         result["shipped_large"] = _timed(alone, (shipped, maze), 1, 1)
     print(json.dumps(result, indent=1))
     if json_file:
-        write_atomically(json_file, json.dumps(result, indent=1).encode())
+        write_json(json_file, result)
     return result
 
 

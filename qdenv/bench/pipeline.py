@@ -3,7 +3,7 @@
 import json
 import resource
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +13,11 @@ import jax
 import numpy as np
 import tyro
 
-from qdenv.files import write_atomically
+from qdenv.files import write_json
 from qdenv.pipeline import PipelinedEvaluator
 from qdenv.presets import find_preset
-from qdenv.train.loop import Study, kept, make_study
+from qdenv.training.loop import Experiment, kept, make_experiment
+from qdenv.types import InputError
 
 
 def run(
@@ -35,15 +36,15 @@ def run(
         seed: of the search.
         json_file: where to write the result.
     """
-    study = make_study(replace(find_preset(preset), seed=seed))
-    evaluator = PipelinedEvaluator(study.pipeline)
-    tell = jax.jit(study.algorithm.tell, donate_argnums=0)
-    ask = jax.jit(study.algorithm.ask, donate_argnums=0)
-    state = study.algorithm.init(study.search_key)
+    experiment = make_experiment(replace(find_preset(preset), seed=seed))
+    evaluator = PipelinedEvaluator(experiment.pipeline)
+    tell = jax.jit(experiment.algorithm.tell, donate_argnums=0)
+    ask = jax.jit(experiment.algorithm.ask, donate_argnums=0)
+    state = experiment.algorithm.init(experiment.search_key)
 
     def step(state: Any, number: int) -> Any:
         solutions, state = ask(state)
-        evaluation = evaluator(solutions, jax.random.fold_in(study.evaluation_key, number))
+        evaluation = evaluator(solutions, jax.random.fold_in(experiment.evaluation_key, number))
         return tell(state, solutions, evaluation.score, kept(evaluation))
 
     def repeat(state: Any) -> Any:
@@ -55,7 +56,7 @@ def run(
     state = first.pop("result")
     loop = timed(lambda: repeat(state))
     state = loop.pop("result")
-    batch = study.algorithm.batch_size
+    batch = experiment.algorithm.batch_size
     result = {
         "preset": preset,
         "evaluations": iterations * batch,
@@ -63,17 +64,22 @@ def run(
         "cpu_seconds_per_evaluation": loop["cpu"] / (iterations * batch),
         "first_iteration_with_compilation": first,
         "peak_memory_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
-        "cpu_share_percent": split(study, state),
+        "cpu_share_percent": split(experiment, state),
     }
     print(json.dumps(result, indent=1))
     if json_file:
-        write_atomically(json_file, (json.dumps(result, indent=1) + "\n").encode())
+        write_json(json_file, result)
     return result
 
 
-def split(study: Study, state: Any) -> dict[str, float]:
-    """Run an iteration stage by stage, compiled beforehand: shares of the CPU seconds, per cent."""
-    pipeline, algorithm, spent = study.pipeline, study.algorithm, Counter()
+def split(experiment: Experiment, state: Any) -> dict[str, float]:
+    """Run an iteration stage by stage, compiled beforehand: shares of the CPU seconds, per cent.
+
+    Raises:
+        InputError: nothing is repaired in this domain.
+    """
+    pipeline, algorithm = experiment.pipeline, experiment.algorithm
+    spent: defaultdict[str, float] = defaultdict(float)
 
     def clock(name: str, work: Callable, *given: Any) -> Any:
         measured = timed(lambda: jax.block_until_ready(work(*given)))
@@ -85,10 +91,14 @@ def split(study: Study, state: Any) -> dict[str, float]:
 
     solutions, state = clock_compiled("search", algorithm.ask, state)
     unrepaired = np.asarray(clock_compiled("NCA", pipeline.grow, solutions))
+    if pipeline.pool is None:
+        raise InputError("nothing is repaired in this domain: take a preset of another one")
     # Another repair seed than the run's, so that no repair is remembered.
     repair = clock("repair", pipeline.pool.repair, unrepaired, pipeline.repair_seed + 1)
     indices = np.arange(len(unrepaired))
-    runs = clock_compiled("simulate", pipeline.simulate, repair.layout, indices, study.search_key)
+    runs = clock_compiled(
+        "simulate", pipeline.simulate, repair.layout, indices, experiment.search_key
+    )
     evaluation = clock_compiled(
         "score", pipeline.score, unrepaired, repair.layout, repair.status, runs
     )

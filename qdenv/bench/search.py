@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from qdenv.files import write_atomically
+from qdenv.files import write_json
 from qdenv.search.archive import GridArchive
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.types import Measure, Score
@@ -76,7 +76,7 @@ def run(
         result["insertion"] = {"cells": 41_472, "batch": 1_000, "qdenv": time_insertion(pyribs)}
         print(json.dumps(result["insertion"]), flush=True)
     if json_file:
-        write_atomically(json_file, json.dumps(result, indent=2).encode())
+        write_json(json_file, result)
     return result
 
 

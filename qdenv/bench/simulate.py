@@ -1,38 +1,62 @@
-"""Benchmark of the fleet simulator beside recorded runs of the published C++ (RHCR: PBS + SIPP).
+"""Benchmark of the fleet simulator, beside recorded runs of the published C++ (RHCR: PBS + SIPP).
 
-Each record of the reference (layout, domain, agents, T) is simulated with our seeds. Seeds are not
+Each record of a reference (layout, domain, agents, T) is simulated with our seeds. Seeds are not
 paired: the two programs draw starts and goals differently. The reference's CPU seconds include its
 preprocessing; ours leave out compilation, which is reported apart. One thread, so that CPU seconds
-are those of one core.
+are those of one core. Without a reference the hand-made layouts are simulated, and generated ones
+of a fixed key, with nothing beside them.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax
 import numpy as np
 import tyro
 
-from qdenv.domains import find_domain
-from qdenv.files import write_atomically
+from qdenv.bench.layouts import grow_random, rules_at_size
+from qdenv.domains.base import find_domain
+from qdenv.files import write_json
 from qdenv.formats.layouts import read_layout
+from qdenv.repair.recipe import RepairConfig, repair
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.study.traffic import Simulated, broken_rules, run_seeds
-from qdenv.types import InputError
+from qdenv.types import InputError, TaskRule
 
 DOMAINS = {
     "warehouse_even": "warehouse-even",
     "warehouse_uneven": "warehouse-uneven",
     "manufacture": "manufacturing",
 }
+AGENTS = 200
+
+
+class Case(NamedTuple):
+    """One layout and fleet to simulate.
+
+    Attributes:
+        layout: name of the layout's file, or what it would be called.
+        kind: name of the domain.
+        tiles: int8 [H, W].
+        agents: how many drive.
+        timesteps: horizon T.
+        records: recorded runs of another program on the same layout; may be none.
+    """
+
+    layout: str
+    kind: str
+    tiles: np.ndarray
+    agents: int
+    timesteps: int
+    records: Sequence[dict[str, Any]] = ()
 
 
 def run(
-    reference: Path = Path("../shared/reference/rhcr_baseline.json"),
-    layouts: Path = Path("../shared/reference/layouts"),
+    reference: Path | None = None,
+    layouts: Path | None = None,
     efforts: tuple[Literal["low", "high"], ...] = ("low", "high"),
     seeds: int = 3,
     longest: int = 1000,
@@ -43,8 +67,8 @@ def run(
     """Simulate what the reference simulated and print both side by side.
 
     Args:
-        reference: recorded runs of the C++.
-        layouts: folder of their layout files.
+        reference: recorded runs of the C++; our own layouts alone unless given.
+        layouts: folder of the recorded runs' layout files; beside the reference unless given.
         efforts: planner efforts to measure.
         seeds: runs of each case.
         longest: leave out cases with a longer horizon T.
@@ -53,57 +77,104 @@ def run(
         json_file: where to write the result.
 
     Raises:
-        InputError: the reference is not there.
+        InputError: the reference or one of its layouts cannot be read.
     """
-    if not reference.exists():
-        raise InputError(f"{reference}: no recorded runs there, name the file with --reference")
-    cases = group(json.loads(reference.read_text())["records"], longest, match)
+    if reference is None:
+        print("no --reference given: our own layouts, nothing to compare with")
+        cases = own_cases(longest)
+    else:
+        cases = recorded_cases(reference, layouts or reference.parent / "layouts", longest)
     rows = []
     print(
         f"{'layout':32s} agents     T  effort  throughput (s.e.)  C++    ratio   CPU s   C++ CPU s"
     )
-    for (layout, domain, agents, timesteps), records in cases.items():
+    for case in (case for case in cases if match in case.layout):
         for effort in efforts:
-            config = FleetConfig(agents=agents, timesteps=timesteps, planner=EFFORTS[effort])
-            kind = find_domain(DOMAINS[domain])
-            tiles = read_layout(layouts / layout, kind.tiles)
-            done = run_seeds(tiles, kind.tasks, config, range(seeds), record=audit, threads=1)
-            wrong = broken_rules(tiles, kind.tasks, config, done) if audit else None
-            row = compare(done, records) | {
-                "layout": layout,
-                "domain": kind.name,
-                "agents": agents,
-                "timesteps": timesteps,
-                "effort": effort,
-                "broken": wrong,
-            }
-            rows.append(row)
-            print(line(row), flush=True)
+            rows.append(measure(case, effort, seeds, audit))
+            print(line(rows[-1]), flush=True)
     result = {"device": jax.devices()[0].device_kind, "seeds": seeds, "rows": rows}
     if json_file:
-        write_atomically(json_file, (json.dumps(result, indent=1) + "\n").encode())
+        write_json(json_file, result)
     return result
 
 
-def group(
-    records: Sequence[dict[str, Any]], longest: int, match: str
-) -> dict[tuple, list[dict[str, Any]]]:
+def own_cases(timesteps: int) -> Iterator[Case]:
+    """List the hand-made layout of size S of each domain, and one generated from a fixed key."""
+    for kind in DOMAINS.values():
+        domain = find_domain(kind)
+        if domain.human is not None:
+            yield Case(f"{kind}_human", kind, np.asarray(domain.human()), AGENTS, timesteps)
+        (drawn,) = grow_random(kind, 1)
+        repaired = repair(drawn, rules_at_size(kind), 0, RepairConfig("quick"))
+        yield Case(f"{kind}_random", kind, np.asarray(repaired.layout), AGENTS, timesteps)
+
+
+def recorded_cases(reference: Path, layouts: Path, longest: int) -> Iterator[Case]:
+    """List what the recorded runs simulated; say which cases are too long.
+
+    Raises:
+        InputError: the records or one of the layouts cannot be read.
+    """
+    try:
+        records = json.loads(reference.read_text())["records"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{reference}: no recorded runs there ({error})") from error
+    for (layout, domain, agents, timesteps), runs in group(records).items():
+        if timesteps > longest:
+            print(f"{layout}: left out, T {timesteps} is above --longest {longest}")
+            continue
+        kind = DOMAINS[domain]
+        tiles = read_layout(layouts / layout, find_domain(kind).tiles)
+        yield Case(layout, kind, tiles, agents, timesteps, runs)
+
+
+def measure(case: Case, effort: str, seeds: int, audit: bool) -> dict[str, Any]:
+    """Simulate a case at one effort: a row of the table.
+
+    Raises:
+        InputError: no fleet drives in this domain, or not on this layout.
+    """
+    config = FleetConfig(agents=case.agents, timesteps=case.timesteps, planner=EFFORTS[effort])
+    tasks = tasks_of(case.kind)
+    done = run_seeds(case.tiles, tasks, config, range(seeds), record=audit, threads=1)
+    return compare(done, case.records) | {
+        "layout": case.layout,
+        "domain": case.kind,
+        "agents": case.agents,
+        "timesteps": case.timesteps,
+        "effort": effort,
+        "broken": broken_rules(case.tiles, tasks, config, done) if audit else None,
+    }
+
+
+def tasks_of(kind: str) -> TaskRule:
+    """Find what the fleet of a domain does.
+
+    Raises:
+        InputError: no fleet drives there.
+    """
+    tasks = find_domain(kind).simulator.tasks
+    if tasks is None:
+        raise InputError(f"no fleet drives in {kind}: choose another domain")
+    return tasks
+
+
+def group(records: Sequence[dict[str, Any]]) -> dict[tuple, list[dict[str, Any]]]:
     """Collect the recorded runs of each case (layout, domain, agents, T)."""
     cases: dict[tuple, list[dict[str, Any]]] = {}
     for record in records:
         case = (record["layout"], record["domain"], record["n_agents"], record["T"])
-        if record["T"] <= longest and match in record["layout"]:
-            cases.setdefault(case, []).append(record)
+        cases.setdefault(case, []).append(record)
     return cases
 
 
 def compare(done: Simulated, records: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Put our runs and the recorded ones of one case into one row."""
+    """Put our runs and the recorded ones of one case into one row; None where none is recorded."""
     ours = np.array([float(run.throughput) for run in done.runs])
-    theirs = np.array([record["throughput"] for record in records])
     seconds = done.cpu_seconds / len(ours)
-    their_seconds = float(np.mean([record["cpu_s"] for record in records]))
     error = float(ours.std(ddof=1) / np.sqrt(len(ours))) if len(ours) > 1 else None
+    theirs = float(np.mean([record["throughput"] for record in records])) if records else None
+    their_seconds = float(np.mean([record["cpu_s"] for record in records])) if records else None
     return {
         "throughputs": ours.tolist(),
         "throughput": float(ours.mean()),
@@ -111,22 +182,26 @@ def compare(done: Simulated, records: Sequence[dict[str, Any]]) -> dict[str, Any
         "congested": int(sum(bool(run.congested) for run in done.runs)),
         "cpu_seconds": seconds,
         "compile_seconds": done.compile_seconds,
-        "reference_throughput": float(theirs.mean()),
+        "reference_throughput": theirs,
         "reference_congested": int(sum(record["congested"] for record in records)),
-        "reference_runs": len(theirs),
+        "reference_runs": len(records),
         "reference_cpu_seconds": their_seconds,
-        "throughput_ratio": float(ours.mean() / theirs.mean()),
-        "cpu_ratio": their_seconds / seconds,
+        "throughput_ratio": None if theirs is None else float(ours.mean() / theirs),
+        "cpu_ratio": None if their_seconds is None else their_seconds / seconds,
     }
 
 
 def line(row: dict[str, Any]) -> str:
     """Write a row of the table; "!" counts congested runs."""
     error = "" if row["standard_error"] is None else f"({row['standard_error']:.3f})"
-    return (
+    ours = (
         f"{row['layout'].removesuffix('.json'):32s} {row['agents']:6d} {row['timesteps']:5d}  "
-        f"{row['effort']:6s} {row['throughput']:7.3f} {error:8s}"
-        f"{'!' * row['congested']:3s}{row['reference_throughput']:6.3f}"
+        f"{row['effort']:6s} {row['throughput']:7.3f} {error:8s}{'!' * row['congested']:3s}"
+    )
+    if not row["reference_runs"]:
+        return f"{ours}{'':13s}{row['cpu_seconds']:7.2f}"
+    return (
+        f"{ours}{row['reference_throughput']:6.3f}"
         f"{'!' * row['reference_congested']:3s}{row['throughput_ratio']:6.3f} "
         f"{row['cpu_seconds']:7.2f} {row['reference_cpu_seconds']:9.1f}  ({row['cpu_ratio']:.0f}x)"
     )

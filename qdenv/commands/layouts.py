@@ -1,21 +1,20 @@
 """Commands about layouts: repair, check."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import tyro
 
-from qdenv.domains import find_domain
-from qdenv.domains.base import Domain
-from qdenv.files import write_atomically
+from qdenv.commands.choices import USUAL, Numbers
+from qdenv.domains.base import Domain, find_domain
+from qdenv.files import write_json
 from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.plots.layouts import save_difference
 from qdenv.repair.audit import audit
 from qdenv.repair.bounds import impossible
-from qdenv.repair.recipe import RepairConfig
 from qdenv.repair.recipe import repair as repair_layout
+from qdenv.repair.settings import RepairConfig
 from qdenv.score.layout import similarity
 from qdenv.types import InputError, RepairStatus, Rules
 
@@ -23,22 +22,22 @@ LayoutFile = tyro.conf.Positional[Path]
 JsonFile = Annotated[Path | None, tyro.conf.arg(name="json")]
 
 
-def rules_of(domain: Domain, layout: np.ndarray, shelves: int | None) -> Rules:
-    """State the rules of a layout's canvas; its own number of shelves unless one is given.
+def rules_of(domain: Domain, layout: np.ndarray, numbers: Numbers) -> Rules:
+    """State the rules of a layout's canvas; its own numbers of tiles where none are given.
 
     Raises:
         InputError: the domain has no rules.
     """
-    if domain.rules is None:
+    fitted = domain.fitted(layout, numbers.given())
+    if fitted.rules is None:
         raise InputError(f"layouts of {domain.name} have no rules: there is nothing to do")
-    own = int((layout == domain.tiles.find("@")).sum())
-    return domain.rules(*layout.shape, own if shelves is None else shelves)
+    return fitted.rules()
 
 
 def repair(
     layout: LayoutFile,
-    domain: str = "warehouse-even",
-    shelves: int | None = None,
+    numbers: Numbers,
+    domain: str = USUAL,
     seed: int = 0,
     polish: Literal["none", "quick", "full"] = "full",
     out: Path | None = None,
@@ -49,8 +48,8 @@ def repair(
 
     Args:
         layout: layout file.
+        numbers: exact numbers of tiles; as many as the layout has unless given.
         domain: whose rules.
-        shelves: exact number of shelves; as many as the layout has unless given.
         seed: other seeds may give other, equally good layouts.
         polish: how hard to try after the first feasible layout.
         out: layout file to write.
@@ -59,18 +58,18 @@ def repair(
     """
     kind = find_domain(domain)
     before = read_layout(layout, kind.tiles)
-    rules = rules_of(kind, before, shelves)
+    rules = rules_of(kind, before, numbers)
     reason = impossible(rules)
     if reason:
         raise InputError(f"{layout}: no repair exists: {reason}")
     result = repair_layout(before, rules, seed, RepairConfig(polish=polish))
-    broken = audit(result.layout, rules)
+    broken = audit(np.asarray(result.layout), rules)
     facts = {
         "status": RepairStatus(int(result.status)).name.lower(),
         "hamming": float(result.cost),
         "lower_bound": float(result.lower_bound),
         "gap": float((result.cost - result.lower_bound) / max(result.cost, 1.0)),
-        "similarity": float(similarity(before, result.layout, kind.price(before))),
+        "similarity": float(similarity(before, result.layout, kind.similarity_weights(before))),
         "cpu_seconds": round(float(result.seconds), 3),
         "broken_before": len(audit(before, rules)),
         "valid": not broken,
@@ -80,25 +79,23 @@ def repair(
     if diff:
         save_difference(diff, before, result.layout, kind.tiles)
     if json_file:
-        write_atomically(json_file, (json.dumps(facts, indent=1) + "\n").encode())
+        write_json(json_file, facts)
     print("\n".join(f"{name:13} {value}" for name, value in facts.items()))
     if broken:
         raise InputError(f"{layout}: no feasible layout was found: try another seed")
 
 
-def check(
-    layout: LayoutFile, domain: str = "warehouse-even", shelves: int | None = None
-) -> int | None:
+def check(layout: LayoutFile, numbers: Numbers, domain: str = USUAL) -> int | None:
     """Check a layout against its domain's rules: exit code 0, or 1 and what is broken.
 
     Args:
         layout: layout file.
+        numbers: exact numbers of tiles to demand; not checked unless given.
         domain: whose rules.
-        shelves: exact number of shelves to demand; not checked unless given.
     """
     kind = find_domain(domain)
     tiles = read_layout(layout, kind.tiles)
-    broken = audit(tiles, rules_of(kind, tiles, shelves))
+    broken = audit(tiles, rules_of(kind, tiles, numbers))
     for violation in broken:
         row, column = violation.cell
         print(f"{violation.message} (row {row}, column {column})")

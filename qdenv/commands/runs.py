@@ -3,19 +3,22 @@
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import tyro
 
+from qdenv.commands.choices import Numbers, choose_algorithm, choose_domain, choose_planner, take
+from qdenv.domains.base import make_domain
 from qdenv.formats.layouts import write_layout
-from qdenv.plots.layouts import save_layout
+from qdenv.plots.layouts import save_frames, save_layout
 from qdenv.plots.run import plot_run
-from qdenv.plots.sizes import save_frames
 from qdenv.presets import PRESETS, find_preset
-from qdenv.study.elites import grow_elite, repair_grown
+from qdenv.study.elites import find_elite, grow_elite, repair_grown
 from qdenv.study.sizes import grow_frames
-from qdenv.train import loop
-from qdenv.train.config import RunConfig
-from qdenv.train.records import RunDirectory
+from qdenv.training import loop
+from qdenv.training.config import RunConfig
+from qdenv.training.records import RunDirectory
 from qdenv.types import RepairStatus
 
 
@@ -25,24 +28,45 @@ class Train:
 
     Attributes:
         config: what to do; defaults from the preset.
+        domain: another domain in place of the preset's, at its size.
+        effort: low inside a search, high for numbers to report.
+        planner: another registered planner, with its defaults.
+        algorithm: another registered algorithm in place of the preset's.
         run_dir: folder of the run; a fresh one under runs/ unless given.
         progress: show a progress bar.
     """
 
     config: RunConfig
+    domain: str | None = None
+    effort: Literal["low", "high"] | None = None
+    planner: str | None = None
+    algorithm: str | None = None
     run_dir: Path | None = None
     progress: bool = True
 
 
 def train(arguments: list[str]) -> None:
-    """Run `qdenv train [PRESET] ...`; the preset decides the defaults of the other arguments."""
+    """Run `qdenv train [PRESET] ...`; the preset decides the defaults of the other arguments.
+
+    Which options there are depends on what is chosen by name, so that is read first.
+    """
     named = bool(arguments) and not arguments[0].startswith("-")
-    preset = arguments[0] if named else "quick"
+    preset, rest = arguments[0] if named else "quick", arguments[named:]
+    config = find_preset(preset)
+    domain, rest = take(rest, "--domain")
+    if domain is not None:
+        config = choose_domain(config, domain)
+    algorithm, rest = take(rest, "--algorithm")
+    if algorithm is not None:
+        config = choose_algorithm(config, algorithm)
+    effort, rest = take(rest, "--effort")
+    planner, rest = take(rest, "--planner")
+    config = choose_planner(config, effort, planner)
     asked = tyro.cli(
         Train,
         prog=f"qdenv train {preset}",
-        args=arguments[named:],
-        default=Train(find_preset(preset)),
+        args=rest,
+        default=Train(config),
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
     )
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
@@ -87,21 +111,36 @@ def report(run: RunDirectory) -> None:
 def presets() -> None:
     """List the presets with their main numbers."""
     for name, preset in PRESETS.items():
-        numbers = preset.evaluation
+        evaluation, domain = preset.evaluation, make_domain(preset.evaluation.domain)
+        rows, cols = domain.shape
+        fleet = getattr(domain.config, "fleet", domain.config)
+        agents = getattr(fleet, "agents", 1)
         print(
-            f"{name:20} {numbers.domain:17} {numbers.rows}x{numbers.cols}, agents "
-            f"{numbers.agents}, T {numbers.timesteps}, alpha {numbers.alpha:g}, "
-            f"evaluations {preset.evaluations}"
+            f"{name:20} {domain.name:17} {rows}x{cols}, agents {agents}, T {fleet.timesteps}, "
+            f"alpha {evaluation.alpha:g}, evaluations {preset.evaluations}"
         )
+
+
+@dataclass(frozen=True)
+class Growth:
+    """How far an elite grows.
+
+    Attributes:
+        rows: rows of the layout; the trained size unless given.
+        cols: columns of the layout; the trained size unless given.
+        steps: NCA steps; scaled with the size unless given.
+    """
+
+    rows: int | None = None
+    cols: int | None = None
+    steps: int | None = None
 
 
 def generate(
     run_dir: tyro.conf.Positional[Path],
+    numbers: Numbers,
+    growth: Annotated[Growth, tyro.conf.arg(name="")] = Growth(),
     elite: str = "best",
-    rows: int | None = None,
-    cols: int | None = None,
-    steps: int | None = None,
-    shelves: int | None = None,
     repair_seed: int | None = None,
     repair: bool = True,
     frames: int | None = None,
@@ -111,11 +150,9 @@ def generate(
 
     Args:
         run_dir: the run directory.
+        numbers: exact numbers of tiles; scaled with the area unless given.
+        growth: size and steps.
         elite: "best", or the archive cell's indices like 12,40.
-        rows: rows of the layout; the trained size unless given.
-        cols: columns of the layout; the trained size unless given.
-        steps: NCA steps; scaled with the size unless given.
-        shelves: number of shelves; scaled with the area unless given.
         repair_seed: other seeds give other, equally good repairs; the run's own unless given.
         repair: --no-repair keeps what the NCA drew.
         frames: also draw the layout after every so many steps (Figure 6).
@@ -123,16 +160,21 @@ def generate(
     """
     run = RunDirectory.open(run_dir)
     config = run.config
-    grown = grow_elite(run, elite, (rows, cols), steps, shelves)
+    found = find_elite(run, elite)
+    grown = grow_elite(run, found, (growth.rows, growth.cols), growth.steps, numbers.given())
     if frames is not None:
-        numbers, drawn = grow_frames(run, grown, frames)
+        after, drawn = grow_frames(run, grown, frames)
         picture = out.with_name(f"{out.stem}_frames.png")
-        save_frames(picture, drawn, numbers, grown.domain.tiles)
-        print(f"{picture}: after {', '.join(map(str, numbers))} steps")
+        save_frames(picture, drawn, after, grown.domain.tiles)
+        print(f"{picture}: after {', '.join(map(str, after))} steps")
     seed = config.seed if repair_seed is None else repair_seed
     repaired = repair_grown(grown, config.evaluation.repair, seed) if repair else None
-    layout = grown.layout if repaired is None else repaired.layout
-    details = {"domain": grown.domain.name, "elite": grown.elite.cell, "steps": grown.steps}
+    layout = grown.layout if repaired is None else np.asarray(repaired.layout)
+    details: dict[str, Any] = {
+        "domain": grown.domain.name,
+        "elite": found.cell,
+        "steps": grown.steps,
+    }
     if repaired is not None:
         details |= {
             "repair": RepairStatus(int(repaired.status)).name.lower(),

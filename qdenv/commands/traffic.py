@@ -1,29 +1,31 @@
-"""Commands about traffic: simulate, sweep."""
+"""Commands about traffic: simulate, sweep, compare, scalability."""
 
-import json
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
+import numpy as np
 import tyro
 
-from qdenv.domains import find_domain
-from qdenv.files import write_atomically
+from qdenv.commands.choices import FleetOptions
+from qdenv.domains.base import find_domain
+from qdenv.files import write_json
 from qdenv.formats.layouts import read_layout
-from qdenv.plots.traffic import save_sweep
+from qdenv.plots.studies import save_comparison, save_peaks
 from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.simulate.mapf.negotiated.settings import EFFORTS
-from qdenv.study import sweep as sweeping
+from qdenv.study import sweep as studies
+from qdenv.study.table import Row, find_peak, write_rows
 from qdenv.study.traffic import parse_seeds, simulate_layout
 from qdenv.types import InputError
+
+Options = Annotated[FleetOptions, tyro.conf.arg(name="")]
+Files = tyro.conf.Positional[tuple[Path, ...]]
 
 
 def simulate(
     layout: tyro.conf.Positional[Path],
-    domain: str = "warehouse-even",
     agents: int = 200,
-    timesteps: int = 1000,
-    seeds: tuple[int, ...] = (3,),
-    effort: Literal["low", "high"] = "low",
+    options: Options = FleetOptions(seeds=(3,), effort="low"),  # noqa: B008 (frozen)
     audit: bool = True,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
 ) -> None:
@@ -31,29 +33,39 @@ def simulate(
 
     Args:
         layout: layout file.
-        domain: whose tasks the agents do.
         agents: number of agents.
-        timesteps: how long to simulate.
-        seeds: how many seeds, or a list of them.
-        effort: low for a quick look, high for numbers to report.
+        options: who drives.
         audit: check every trajectory against the rules of movement.
         json_file: where to write the numbers.
     """
-    tiles = read_layout(layout, find_domain(domain).tiles)
-    try:
-        result = simulate_layout(tiles, domain, agents, timesteps, seeds, effort, audit)
-    except InputError as error:
-        raise InputError(f"{layout}: {error}") from error
+    tiles = read_layout(layout, find_domain(options.domain).tiles)
+    with studies.about(str(layout)):
+        result = simulate_layout(
+            tiles,
+            options.domain,
+            agents,
+            options.timesteps,
+            options.seeds,
+            options.effort,
+            audit,
+            options.planner,
+        )
     result = {"layout": str(layout), **result}
     if json_file:
-        write_atomically(json_file, (json.dumps(result, indent=1) + "\n").encode())
+        write_json(json_file, result)
     for run in result["runs"]:
         state = f"congested at {run['end_timestep']}" if run["congested"] else "never congested"
         print(f"seed {run['seed']}: throughput {run['throughput']:.3f}, {state}")
+    smooth = result["mean_throughput"]
     print(
-        f"mean throughput {result['mean_throughput']:.3f}, success rate "
-        f"{result['success_rate']:.0%}, {result['cpu_seconds_per_run']:.2f} CPU s per run, "
-        f"compiled in {result['compile_seconds']:.1f} s"
+        (
+            f"every run congested, mean of all {result['mean_of_all']:.3f}"
+            if smooth is None
+            else f"mean throughput {smooth:.3f}"
+        )
+        + f", success rate {result['success_rate']:.0%}, "
+        + f"{result['cpu_seconds_per_run']:.2f} CPU s per run, "
+        + f"compiled in {result['compile_seconds']:.1f} s"
         + (", every trajectory valid" if result["valid"] else "")
     )
     print("\n".join(result["broken"]), end="\n" if result["broken"] else "")
@@ -62,10 +74,7 @@ def simulate(
 def sweep(
     layout: tyro.conf.Positional[Path],
     agents: str = "50:400:50",
-    domain: str = "warehouse-even",
-    timesteps: int = 1000,
-    seeds: tuple[int, ...] = (10,),
-    effort: Literal["low", "high"] = "high",
+    options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path | None = None,
 ) -> None:
     """Simulate a layout with more and more agents: throughput and success rate.
@@ -73,27 +82,108 @@ def sweep(
     Args:
         layout: layout file.
         agents: numbers of agents, as 50:400:50 or 50,100,200.
-        domain: whose tasks the agents do.
-        timesteps: how long to simulate.
-        seeds: how many seeds, or a list of them.
-        effort: low for a quick look, high for numbers to report.
+        options: who drives.
         out: CSV file to write, with a picture beside it; named after the layout unless given.
     """
-    kind = find_domain(domain)
-    tiles = read_layout(layout, kind.tiles)
-    config = FleetConfig(timesteps=timesteps, planner=EFFORTS[effort])
+    tiles = read_layout(layout, find_domain(options.domain).tiles)
+    config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
     print("agents  throughput  standard error  success rate (95 % interval)")
 
-    def show(row: sweeping.SweepRow) -> None:
+    def show(row: Row) -> None:
         print(
             f"{row.agents:6}  {row.throughput:10.3f}  {row.standard_error:14.3f}  "
             f"{row.success_rate:12.0%} ({row.success_low:.0%} to {row.success_high:.0%})",
             flush=True,
         )
 
-    counts = sweeping.parse_counts(agents)
-    rows = sweeping.sweep(tiles, kind.tasks, config, counts, parse_seeds(seeds), show)
+    counts, seeds = studies.parse_counts(agents), parse_seeds(options.seeds)
+    rows = studies.sweep(layout.stem, tiles, options.tasks, config, counts, seeds, show)
     table = out or Path(f"{layout.stem}_sweep.csv")
-    sweeping.write_table(table, rows)
-    save_sweep(table.with_suffix(".png"), rows, layout.stem)
+    write_rows(table, rows)
+    save_comparison(table.with_suffix(".png"), rows)
     print(f"{table}, {table.with_suffix('.png')}")
+
+
+def compare(
+    layouts: Files,
+    agents: str = "200",
+    options: Options = FleetOptions(),  # noqa: B008 (frozen)
+    out: Path = Path("compare.csv"),
+) -> None:
+    """Put layouts side by side: success rate, and throughput over the runs that never congested.
+
+    Args:
+        layouts: layout files.
+        agents: numbers of agents, as 200 or 50,100 or 50:400:50.
+        options: who drives.
+        out: CSV file to write, with a picture beside it.
+    """
+    tiles = read_layouts(layouts, options.domain)
+    config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
+    show = table_printer(tiles)
+    counts, seeds = studies.parse_counts(agents), parse_seeds(options.seeds)
+    rows = studies.compare(tiles, options.tasks, config, counts, seeds, show)
+    write_rows(out, rows)
+    save_comparison(out.with_suffix(".png"), rows)
+    print(f"{out}, {out.with_suffix('.png')}")
+
+
+def scalability(
+    layouts: Files,
+    agents: str = "50:1000:50",
+    options: Options = FleetOptions(seeds=(5,)),  # noqa: B008 (frozen)
+    out: Path = Path("scalability.csv"),
+) -> None:
+    """Add agents until the mean throughput drops; report the peak and where it is.
+
+    Args:
+        layouts: layout files, of one size or of several.
+        agents: numbers of agents to try in turn; those that do not fit are left out.
+        options: who drives.
+        out: CSV file to write, with a picture beside it.
+    """
+    tiles = read_layouts(layouts, options.domain)
+    config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
+    show = table_printer(tiles)
+    counts, seeds = studies.parse_counts(agents), parse_seeds(options.seeds)
+    climbs = [
+        studies.climb(name, layout, options.tasks, config, counts, seeds, show)
+        for name, layout in tiles.items()
+    ]
+    peaks = [find_peak(rows) for rows in climbs]
+    for peak in peaks:
+        end = "" if peak.dropped else ", still rising at the last number of agents"
+        print(f"{peak.layout}: peak {peak.throughput:.3f} at {peak.agents} agents{end}")
+    rows = [row for climb in climbs for row in climb]
+    write_rows(out, rows)
+    save_peaks(out.with_suffix(".png"), rows, peaks)
+    print(f"{out}, {out.with_suffix('.png')}")
+
+
+def read_layouts(paths: Sequence[Path], domain: str) -> dict[str, np.ndarray]:
+    """Read layouts of one domain, by name.
+
+    Raises:
+        InputError: none is given, or one cannot be read.
+    """
+    if not paths:
+        raise InputError("give at least one layout file")
+    alphabet = find_domain(domain).tiles
+    return {name: read_layout(path, alphabet) for name, path in studies.name_layouts(paths).items()}
+
+
+def table_printer(names: Iterable[str]) -> Callable[[Row], None]:
+    """Print a table's head now and each row as it comes; columns fit the names."""
+    width = max(6, *(len(name) for name in names))
+    print(f"{'layout':{width}}   size    agents  throughput (s.e.)  success (95 %)    mean of all")
+
+    def show(row: Row) -> None:
+        size, error = f"{row.rows}x{row.cols}", f"({row.standard_error:.3f})"
+        bounds = f"({row.success_low:.0%} to {row.success_high:.0%})"
+        print(
+            f"{row.layout:{width}}  {size:8} {row.agents:6}  {row.throughput:8.3f} {error:8} "
+            f" {row.success_rate:4.0%} {bounds:14} {row.mean_of_all:9.3f}",
+            flush=True,
+        )
+
+    return show

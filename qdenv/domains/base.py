@@ -1,11 +1,47 @@
-"""The `Domain` record: everything that differs between warehouse, manufacturing and maze."""
+"""The `Domain` record: everything that differs between warehouse, manufacturing and maze.
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+A domain is chosen by the type of its settings, a `DomainConfig` with the domain's own numbers;
+`make_domain(settings)` binds them into a `Domain` of one size. A domain is a value: data and plain
+functions, no subclass.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
-from qdenv.repair.recipe import RepairConfig
-from qdenv.types import Array, Measure, Rules, TaskRule
+import jax
+import numpy as np
+
+from qdenv.domains.measures import weigh_alike
+from qdenv.registry import Registry
+from qdenv.types import Array, InputError, Measure, Rules, TaskRule
+
+# An entry's maker is called as make(settings) and returns a `Domain`.
+DOMAINS = Registry(
+    "domain",
+    "qdenv.domains",
+    {
+        "warehouse-even": "qdenv.domains.warehouse:EVEN",
+        "warehouse-uneven": "qdenv.domains.warehouse:UNEVEN",
+        "manufacturing": "qdenv.domains.manufacturing:MANUFACTURING",
+        "maze-walls": "qdenv.domains.maze:WALLS",
+        "maze-entropy": "qdenv.domains.maze:ENTROPY",
+    },
+)
+
+
+@dataclass(frozen=True)
+class DomainConfig:
+    """What the settings of every domain hold; a domain's own derive from this.
+
+    Attributes:
+        rows: rows of the whole layout, frame included.
+        cols: columns of the whole layout, frame included.
+    """
+
+    rows: int = 33
+    cols: int = 36
 
 
 class Simulator(NamedTuple):
@@ -14,84 +50,135 @@ class Simulator(NamedTuple):
     Attributes:
         prepare: layout int8 [H, W] -> tables shared by all runs of this layout.
         run: (tables, key) -> one run (a record of arrays); consumes the key.
-        lanes: how many runs to compute side by side (vmap); the rest wait in line (scan). 1 is
-            best where the work per run is data-dependent and the device has few cores.
+        tasks: what a fleet does; None where no fleet drives.
+        accelerator_lanes: runs computed side by side (vmap) on an accelerator; the rest wait in
+            line (scan).
+        layout_at_once: on a CPU, whether all runs of one layout go side by side. Otherwise they
+            go one after the other, which is best where the work per run is data-dependent.
     """
 
-    prepare: Callable[[Array], Any]
-    run: Callable[[Any, Array], Any]
-    lanes: int = 1
-
-
-@dataclass(frozen=True)
-class EvaluationConfig:
-    """The numbers of one evaluation (Table 1 of the paper).
-
-    Attributes:
-        domain: name of a registered domain.
-        rows: rows of the whole layout, frame included.
-        cols: columns of the whole layout, frame included.
-        steps: NCA steps C.
-        kernel_sizes: kernel widths of the NCA's convolutions.
-        hidden: channels of the NCA's hidden layers.
-        shelves: exact number of shelves N_s (warehouse only).
-        agents: agents N_a.
-        timesteps: horizon T.
-        simulations: simulations per layout N_e.
-        effort: planner effort, "low" inside a search, "high" for reported numbers.
-        alpha: weight of the similarity score in the objective.
-        agent: an .npz agent for mazes; the shipped one unless given.
-        repair: limits of the repair.
-    """
-
-    domain: str = "warehouse-even"
-    rows: int = 33
-    cols: int = 36
-    steps: int = 50
-    kernel_sizes: tuple[int, ...] = (3, 3, 3)
-    hidden: int = 32
-    shelves: int = 240
-    agents: int = 200
-    timesteps: int = 1000
-    simulations: int = 5
-    effort: str = "low"
-    alpha: float = 5.0
-    agent: str = ""
-    repair: RepairConfig = field(default_factory=RepairConfig)
+    prepare: Callable[[Any], Any]
+    run: Callable[[Any, Any], Any]
+    tasks: TaskRule | None = None
+    accelerator_lanes: int = 128
+    layout_at_once: bool = False
 
 
 @dataclass(frozen=True)
 class Domain:
-    """A domain is a value: data and plain functions, no subclass.
+    """One domain at one size, every number bound.
 
     Attributes:
-        name: how the domain is asked for.
+        config: the settings it was made from.
         tiles: alphabet of framed layouts.
-        generated: symbols the NCA draws, in channel order; the first tiles of `tiles`.
-        seed_block: rows of the fixed block in the middle of the NCA's start canvas.
+        generated: symbols the generator draws, in channel order; the first tiles of `tiles`.
+        seed_block: rows of the fixed block in the middle of the generator's start canvas.
         margin: (rows, columns) that the frame adds to each side of the generated area.
         frame: generated area int8 [H - 2 dr, W - 2 dc] -> framed layout int8 [H, W].
-        rules: (rows, cols, shelves) -> the repair's `Rules`; None where nothing is repaired.
-        simulator: config -> `Simulator`.
+        rules: makes the repair's `Rules`, or raises `InputError` where none fit this size; None
+            where nothing is repaired.
+        simulator: what happens in a layout.
         objective: (repaired layout, runs with leading axis S) -> float32, the objective f_res of
             the result archive; the learning objective adds alpha times the similarity.
-        price: unrepaired layout int8 [H, W] -> float32 [H, W], p_i / max p of the similarity.
         measures: axes of the archive.
-        design: (rows, cols) -> hand-made layout int8 [rows, cols], the baseline of appendix D.2;
-            raises `InputError` where nothing fits; None where people design none.
-        tasks: what a fleet does; None where no fleet drives.
+        similarity_weights: unrepaired layout int8 [H, W] -> float32 [H, W], p_i / max p.
+        human: draws the hand-made layout int8 [H, W] of this size, the baseline of appendix D.2,
+            or raises `InputError` where nothing fits; None where people design none.
+        counted: settings that demand an exact number of one tile: name -> the tile's symbol. They
+            scale with the generated area, can be read off a layout, and are options of commands.
     """
 
-    name: str
+    config: Any
     tiles: str
     generated: str
     seed_block: tuple[str, ...]
     margin: tuple[int, int]
     frame: Callable[[Array], Array]
-    rules: Callable[[int, int, int], Rules] | None
-    simulator: Callable[[EvaluationConfig], Simulator]
-    objective: Callable[[Array, Any], Array]
-    price: Callable[[Array], Array]
+    rules: Callable[[], Rules] | None
+    simulator: Simulator
+    objective: Callable[[jax.Array, Any], jax.Array]
     measures: tuple[Measure, ...]
-    design: Callable[[int, int], Array] | None = None
-    tasks: TaskRule | None = None
+    similarity_weights: Callable[[Array], jax.Array] = weigh_alike
+    human: Callable[[], np.ndarray] | None = None
+    counted: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The name under which the type of the settings is registered."""
+        return DOMAINS.name_of(self.config)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the framed layout."""
+        return self.config.rows, self.config.cols
+
+    @property
+    def generated_shape(self) -> tuple[int, int]:
+        """Rows and columns of the generated area."""
+        return self.shape[0] - 2 * self.margin[0], self.shape[1] - 2 * self.margin[1]
+
+    @property
+    def numbers(self) -> dict[str, int]:
+        """The exact numbers of tiles that the settings demand, by the settings' names."""
+        return {name: getattr(self.config, name) for name in self.counted}
+
+    def resized(self, rows: int, cols: int, numbers: Mapping[str, int] | None = None) -> "Domain":
+        """Make the same domain at another size.
+
+        Args:
+            rows: rows of the framed layout.
+            cols: columns of the framed layout.
+            numbers: exact numbers of tiles; those left out follow the generated area.
+        """
+        empty = make_domain(replace(self.config, rows=rows, cols=cols))
+        area = empty.generated_shape[0] * empty.generated_shape[1]
+        own_area = self.generated_shape[0] * self.generated_shape[1]
+        scaled = {name: round(number * area / own_area) for name, number in self.numbers.items()}
+        return empty.with_numbers(scaled | dict(numbers or {}))
+
+    def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> "Domain":
+        """Make the same domain at the size of a layout (int8 [H, W]).
+
+        Args:
+            layout: whose size, and whose numbers of tiles where `numbers` leaves them out.
+            numbers: exact numbers of tiles.
+        """
+        own = {
+            name: int((layout == self.tiles.index(symbol)).sum())
+            for name, symbol in self.counted.items()
+        }
+        rows, cols = layout.shape
+        return self.resized(rows, cols, own | dict(numbers or {}))
+
+    def with_numbers(self, numbers: Mapping[str, int]) -> "Domain":
+        """Make the same domain with other exact numbers of tiles.
+
+        Raises:
+            InputError: a number is not this domain's.
+        """
+        for name in numbers:
+            if name not in self.counted:
+                raise InputError(f"{self.name} has no number of {name}: leave --{name} out")
+        return make_domain(replace(self.config, **numbers))
+
+
+@lru_cache(maxsize=64)
+def make_domain(config: Any) -> Domain:
+    """Make the domain that `config` chooses, at the size it states.
+
+    Equal settings give the same object, so that what was compiled for its functions is found
+    again; settings must be hashable therefore.
+
+    Raises:
+        InputError: the type of `config` is not registered.
+    """
+    return DOMAINS.make(config)
+
+
+def find_domain(name: str) -> Domain:
+    """Make a domain with all its defaults by name.
+
+    Raises:
+        InputError: no domain has this name.
+    """
+    return make_domain(DOMAINS.config(name))

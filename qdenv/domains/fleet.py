@@ -1,39 +1,42 @@
-"""What the domains with fleets of robots share: how a task rule becomes a simulator."""
+"""What the domains with fleets of robots share: their numbers, and how tasks are simulated."""
 
-from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 
-from qdenv.domains.base import EvaluationConfig, Simulator
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.negotiated.settings import EFFORTS
-from qdenv.types import TaskRule, look_up
-
-# On an accelerator many simulations run side by side; on a CPU one after the other, because
-# then a simulation pays only for its own conflicts.
-ACCELERATOR_LANES = 128
+from qdenv.domains.base import DomainConfig, Simulator
+from qdenv.score.traffic import mean_throughput
+from qdenv.simulate.mapf.fleet import FleetConfig, prepare, simulate
+from qdenv.types import TaskRule, Traffic
 
 
-def fleet_simulator(rule: TaskRule) -> Callable[[EvaluationConfig], Simulator]:
-    """Make a domain's simulator of lifelong multi-agent path finding.
+@dataclass(frozen=True)
+class FleetDomainConfig(DomainConfig):
+    """What the settings of a domain with a fleet hold.
 
-    Args:
-        rule: what the agents do.
-
-    Returns:
-        function from the numbers of an evaluation to a `Simulator` whose runs are `Traffic`.
+    Attributes:
+        fleet: agents, horizon and planner.
     """
 
-    def simulator(config: EvaluationConfig) -> Simulator:
-        settings = fleet.FleetConfig(
-            agents=config.agents,
-            timesteps=config.timesteps,
-            planner=look_up(EFFORTS, config.effort, "effort"),
-        )
-        return Simulator(
-            prepare=lambda layout: fleet.prepare(layout, rule, settings),
-            run=lambda world, key: fleet.simulate(world, key, rule, settings),
-            lanes=1 if jax.default_backend() == "cpu" else ACCELERATOR_LANES,
-        )
+    fleet: FleetConfig = field(default_factory=FleetConfig)
 
-    return simulator
+
+def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
+    """Make the simulator of lifelong multi-agent path finding, whose runs are `Traffic`.
+
+    Args:
+        tasks: what the agents do.
+        config: how many they are, for how long, and who plans their paths.
+    """
+    return Simulator(
+        prepare=lambda layout: prepare(layout, tasks, config),
+        run=lambda world, key: simulate(world, key, config),
+        tasks=tasks,
+    )
+
+
+def throughput(layout: Any, runs: Traffic) -> jax.Array:
+    """Score a layout by the mean throughput over its runs: the objective f_res (float32)."""
+    del layout
+    return mean_throughput(runs)

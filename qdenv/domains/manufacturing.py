@@ -1,26 +1,39 @@
 """Manufacturing: agents visit three kinds of station in turn and stay at each (appendix B.2)."""
 
+from dataclasses import dataclass
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from qdenv.domains import designs
 from qdenv.domains.base import Domain
-from qdenv.domains.fleet import fleet_simulator
+from qdenv.domains.fleet import FleetDomainConfig, fleet_simulator, throughput
+from qdenv.domains.measures import environment_entropy
 from qdenv.grid import of_tiles, parse
+from qdenv.registry import Entry
 from qdenv.score import layout as score
-from qdenv.score.traffic import mean_throughput
 from qdenv.simulate.mapf.tasks import beside_goal
-from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule
+from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Traffic
 
 TILES = ".012e"
 STATIONS = "012"
-STAYS = {"0": 2, "1": 5, "2": 10}  # timesteps served beside each kind of station
-STATION_PRICE = 5.0  # p_i of a generated station in the similarity (appendix C.2.1)
+STATION_WEIGHT = 5.0  # p_i of a generated station in the similarity (appendix C.2.1)
 
 
-def rules(rows: int, cols: int, shelves: int = 0) -> Rules:
-    """State the constraints of appendix B.2; `shelves` has no meaning here."""
-    del shelves
+@dataclass(frozen=True)
+class ManufacturingConfig(FleetDomainConfig):
+    """The numbers of a factory.
+
+    Attributes:
+        stays: timesteps served beside each kind of station.
+    """
+
+    stays: tuple[int, int, int] = (2, 5, 10)
+
+
+def rules(rows: int, cols: int) -> Rules:
+    """State the constraints of appendix B.2."""
     return Rules(
         tiles=TILES,
         counts=tuple(Count(station, 1) for station in STATIONS),
@@ -31,35 +44,42 @@ def rules(rows: int, cols: int, shelves: int = 0) -> Rules:
     )
 
 
-def price(layout: Array) -> Array:
+def similarity_weights(layout: Array) -> jax.Array:
     """Weigh a generated station five times: p_i / max p (float32 [H, W])."""
-    return jnp.where(of_tiles(layout, STATIONS, TILES), 1.0, 1.0 / STATION_PRICE)
+    return jnp.where(of_tiles(layout, STATIONS, TILES), 1.0, 1.0 / STATION_WEIGHT)
 
 
-TASKS = TaskRule(
-    TILES, ".e", tuple(beside_goal("e", kind, stay, TILES) for kind, stay in STAYS.items())
-)
+def workstations(layout: jax.Array, runs: Traffic) -> jax.Array:
+    """Count the stations (-> float32)."""
+    del runs
+    return score.count(layout, STATIONS, TILES)
 
-MANUFACTURING = Domain(
-    name="manufacturing",
-    tiles=TILES,
-    generated=TILES,
-    seed_block=("eeee", "0221", "eeee"),
-    margin=(0, 0),
-    frame=lambda tiles: tiles,
-    rules=rules,
-    simulator=fleet_simulator(TASKS),
-    objective=lambda layout, runs: mean_throughput(runs),
-    price=price,
-    measures=(
-        Measure(
-            "workstations", 0, 600, 100, lambda layout, runs: score.count(layout, STATIONS, TILES)
+
+def manufacturing(config: ManufacturingConfig) -> Domain:
+    """Make a factory of one size."""
+    shape = (config.rows, config.cols)
+    cycle = tuple(
+        beside_goal("e", station, stay, TILES)
+        for station, stay in zip(STATIONS, config.stays, strict=True)
+    )
+    return Domain(
+        config=config,
+        generated=TILES,
+        tiles=TILES,
+        seed_block=("eeee", "0221", "eeee"),
+        margin=(0, 0),
+        frame=lambda tiles: tiles,
+        rules=lambda: rules(*shape),
+        simulator=fleet_simulator(TaskRule(TILES, ".e", cycle), config.fleet),
+        objective=throughput,
+        similarity_weights=similarity_weights,
+        measures=(
+            Measure("workstations", 0, 600, 100, workstations),
+            environment_entropy(len(TILES)),
         ),
-        Measure(
-            "environment entropy", 0, 1, 100, lambda layout, runs: score.entropy(layout, len(TILES))
-        ),
-    ),
-    # As many stations of each kind as agents stay there, so that none is a bottleneck.
-    design=lambda rows, cols: parse(designs.stations(rows, cols, tuple(STAYS.values())), TILES),
-    tasks=TASKS,
-)
+        # As many stations of each kind as agents stay there, so that none is a bottleneck.
+        human=lambda: parse(designs.stations(*shape, config.stays), TILES),
+    )
+
+
+MANUFACTURING = Entry(ManufacturingConfig, manufacturing)

@@ -1,16 +1,19 @@
 """Maze: one trained agent looks for the goal at the far end of the longest path (appendix B.3)."""
 
-import functools
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from qdenv.domains.base import Domain, EvaluationConfig, Simulator
+from qdenv import devices
+from qdenv.domains.base import Domain, DomainConfig, Simulator
+from qdenv.domains.measures import environment_entropy
 from qdenv.generate.decode import inside_frame
+from qdenv.registry import Entry
 from qdenv.score import layout as score
-from qdenv.simulate.maze import episode as maze
-from qdenv.simulate.maze import world as maze_world
-from qdenv.simulate.maze.policy import load_weights
+from qdenv.simulate.maze import episode, policy, tables, world
 from qdenv.types import Array, Measure
 
 MARGIN = (1, 1)
@@ -19,61 +22,90 @@ MARGIN = (1, 1)
 ACCELERATOR_LANES = 7500
 
 
-def frame(area: Array) -> Array:
+@dataclass(frozen=True)
+class MazeConfig(DomainConfig):
+    """The numbers of a maze whose first measure is the number of walls.
+
+    Attributes:
+        rows: rows of the maze with its ring of walls.
+        cols: columns of the maze with its ring of walls.
+        timesteps: actions after which an episode fails, T.
+        agent: an .npz agent; the shipped one unless given.
+    """
+
+    rows: int = 18
+    cols: int = 18
+    timesteps: int = 648
+    agent: str = ""
+
+
+@dataclass(frozen=True)
+class EntropyMazeConfig(MazeConfig):
+    """The numbers of a maze whose first measure is the environment entropy."""
+
+
+def frame(area: Array) -> jax.Array:
     """Ring the generated area with walls (int8 [h, w] -> [h + 2, w + 2])."""
-    return jnp.pad(area, 1, constant_values=maze_world.WALL)
+    return jnp.pad(area, 1, constant_values=world.WALL)
 
 
-def maze_simulator(config: EvaluationConfig) -> Simulator:
-    """Make the maze's simulator, whose runs are `maze.Episode`; the agent is read at once."""
-    weights = jax.tree.map(jnp.asarray, load_weights(config.agent))
-    on_cpu = jax.default_backend() == "cpu"
-    loop = maze.until_done if on_cpu else maze.whole_horizon
+@lru_cache(maxsize=8)
+def agent_weights(agent: str) -> policy.Weights:
+    """Read an agent's file once (the shipped one for "")."""
+    return policy.load_weights(agent)
+
+
+def maze_simulator(config: MazeConfig) -> Simulator:
+    """Make the maze's simulator, whose runs are `episode.Episode`."""
+
+    def weights() -> policy.Weights:
+        return jax.tree.map(jnp.asarray, agent_weights(config.agent))
+
+    def run(prepared: Any, key: jax.Array) -> episode.Episode:
+        loop = episode.until_done if devices.on_cpu() else episode.all_timesteps
+        return episode.run_episode(weights(), prepared, key, config.timesteps, loop)
+
     return Simulator(
-        prepare=functools.partial(maze.prepare, weights),
-        run=lambda tables, key: maze.run_episode(weights, tables, key, config.timesteps, loop),
-        lanes=config.simulations if on_cpu else ACCELERATOR_LANES,
+        prepare=lambda layout: tables.prepare(weights(), layout),
+        run=run,
+        accelerator_lanes=ACCELERATOR_LANES,
+        layout_at_once=True,
     )
 
 
-def walls(layout: Array, runs: maze.Episode) -> Array:
+def walls(layout: jax.Array, runs: episode.Episode) -> jax.Array:
     """Count the walls inside the ring (-> float32)."""
     del runs
-    return score.count(inside_frame(layout, MARGIN), "X", maze_world.TILES)
+    return score.count(inside_frame(layout, MARGIN), "X", world.TILES)
 
 
-def entropy(layout: Array, runs: maze.Episode) -> Array:
-    """Measure the environment entropy inside the ring (-> float32)."""
-    del runs
-    return score.entropy(inside_frame(layout, MARGIN), len(maze_world.TILES))
-
-
-def path_length(layout: Array, runs: maze.Episode) -> Array:
+def path_length(layout: jax.Array, runs: episode.Episode) -> jax.Array:
     """Average the agent's actions over its episodes (-> float32); failures count in full."""
     del layout
     return runs.length.mean(dtype=jnp.float32)
 
 
-WALLS = Measure("number of walls", 0, 256, 256, walls)
-ENTROPY = Measure("environment entropy", 0, 1, 100, entropy)
+WALL_COUNT = Measure("number of walls", 0, 256, 256, walls)
+LAYOUT_ENTROPY = environment_entropy(len(world.TILES), MARGIN)
 PATH_LENGTH = Measure("mean agent path length", 0, 648, 162, path_length)
 
 
-def _maze(name: str, measure: Measure) -> Domain:
+def maze(config: MazeConfig) -> Domain:
+    """Make a maze of one size; the type of the settings chooses its first measure."""
+    first = LAYOUT_ENTROPY if isinstance(config, EntropyMazeConfig) else WALL_COUNT
     return Domain(
-        name=name,
-        tiles=maze_world.TILES,
-        generated=maze_world.TILES,
+        config=config,
+        tiles=world.TILES,
+        generated=world.TILES,
         seed_block=("XX", "XX"),
         margin=MARGIN,
         frame=frame,
         rules=None,
-        simulator=maze_simulator,
-        objective=lambda layout, runs: maze_world.is_solvable(layout).astype(jnp.float32),
-        price=lambda layout: jnp.ones(layout.shape, jnp.float32),
-        measures=(measure, PATH_LENGTH),
+        simulator=maze_simulator(config),
+        objective=lambda layout, runs: world.is_solvable(layout).astype(jnp.float32),
+        measures=(first, PATH_LENGTH),
     )
 
 
-MAZE_WALLS = _maze("maze-walls", WALLS)
-MAZE_ENTROPY = _maze("maze-entropy", ENTROPY)
+WALLS = Entry(MazeConfig, maze)
+ENTROPY = Entry(EntropyMazeConfig, maze)

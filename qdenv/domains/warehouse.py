@@ -4,18 +4,21 @@ Even: every workstation is drawn alike. Uneven: those on the left border five ti
 (appendix B.1).
 """
 
-import jax.numpy as jnp
+from dataclasses import dataclass
+
+import jax
 import numpy as np
 
 from qdenv.domains import designs
 from qdenv.domains.base import Domain
-from qdenv.domains.fleet import fleet_simulator
+from qdenv.domains.fleet import FleetDomainConfig, fleet_simulator, throughput
+from qdenv.domains.measures import environment_entropy
 from qdenv.generate.decode import inside_frame, put_in_frame
 from qdenv.grid import parse
+from qdenv.registry import Entry
 from qdenv.score import layout as score
-from qdenv.score.traffic import mean_throughput
 from qdenv.simulate.mapf.tasks import favour_left, tile_goal
-from qdenv.types import Adjacency, Array, Count, InputError, Measure, Rules, TaskRule
+from qdenv.types import Adjacency, Array, Count, InputError, Measure, Rules, TaskRule, Traffic
 
 TILES = ".@ew"
 GENERATED = ".@e"
@@ -38,7 +41,7 @@ def border(rows: int, cols: int) -> np.ndarray:
     return picture
 
 
-def frame(tiles: Array) -> Array:
+def frame(tiles: Array) -> jax.Array:
     """Add two fixed columns on each side: workstations outside, a free lane inside."""
     rows, cols = tiles.shape
     return put_in_frame(tiles, border(rows, cols + 2 * MARGIN[1]), MARGIN)
@@ -53,58 +56,75 @@ def design(rows: int, cols: int) -> np.ndarray:
     return picture
 
 
-def rules(rows: int, cols: int, shelves: int) -> Rules:
-    """State the constraints of appendix B.1: connected, served, exactly `shelves`, fixed border."""
-    allowed = np.zeros((rows, cols, len(TILES)), bool)
+@dataclass(frozen=True)
+class WarehouseConfig(FleetDomainConfig):
+    """The numbers of a warehouse whose workstations are all drawn alike.
+
+    Attributes:
+        shelves: exact number of shelves N_s.
+        left_odds: how much likelier a workstation on the left border is than one on the right.
+    """
+
+    shelves: int = 240
+    left_odds: float = 1.0
+
+
+@dataclass(frozen=True)
+class UnevenWarehouseConfig(WarehouseConfig):
+    """The numbers of a warehouse whose left workstations are likelier (appendix B.1).
+
+    Attributes:
+        left_odds: how much likelier a workstation on the left border is than one on the right.
+    """
+
+    left_odds: float = 5.0
+
+
+def rules(config: WarehouseConfig) -> Rules:
+    """State the constraints of appendix B.1: connected, served, exact shelves, fixed border."""
+    shape = (config.rows, config.cols)
+    allowed = np.zeros((*shape, len(TILES)), bool)
     allowed[..., [TILES.index(symbol) for symbol in GENERATED]] = True
-    outside = np.ones((rows, cols), bool)
+    outside = np.ones(shape, bool)
     inside_frame(outside, MARGIN)[:] = False
-    allowed[outside] = np.eye(len(TILES), dtype=bool)[border(rows, cols)[outside]]
+    allowed[outside] = np.eye(len(TILES), dtype=bool)[border(*shape)[outside]]
     return Rules(
         tiles=TILES,
-        counts=(Count("@", shelves, shelves),),
+        counts=(Count("@", config.shelves, config.shelves),),
         adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
         connected=".ew",
         allowed=allowed,
-        change_cost=np.ones((rows, cols), np.float32),
+        change_cost=np.ones(shape, np.float32),
     )
 
 
-def warehouse(name: str, left: float) -> Domain:
-    """Make a warehouse whose left workstations are `left` times likelier than the others."""
-    cycle = (tile_goal("e", TILES), favour_left(tile_goal("w", TILES), left))
-    tasks = TaskRule(TILES, ".ew", cycle)
+def components(layout: jax.Array, runs: Traffic) -> jax.Array:
+    """Count the connected components of shelves (-> float32)."""
+    del runs
+    return score.components(layout, "@", TILES)
+
+
+def warehouse(config: WarehouseConfig) -> Domain:
+    """Make a warehouse of one size."""
+    cycle = (tile_goal("e", TILES), favour_left(tile_goal("w", TILES), config.left_odds))
     return Domain(
-        name=name,
+        config=config,
         tiles=TILES,
         generated=GENERATED,
         seed_block=("ee", "@@", "ee"),
         margin=MARGIN,
         frame=frame,
-        rules=rules,
-        simulator=fleet_simulator(tasks),
-        objective=lambda layout, runs: mean_throughput(runs),
-        price=lambda layout: jnp.ones(layout.shape, jnp.float32),
+        rules=lambda: rules(config),
+        simulator=fleet_simulator(TaskRule(TILES, ".ew", cycle), config.fleet),
+        objective=throughput,
         measures=(
-            Measure(
-                "connected shelf components",
-                140,
-                240,
-                100,
-                lambda layout, runs: score.components(layout, "@", TILES),
-            ),
-            Measure(
-                "environment entropy",
-                0,
-                1,
-                100,
-                lambda layout, runs: score.entropy(inside_frame(layout, MARGIN), len(GENERATED)),
-            ),
+            Measure("connected shelf components", 140, 240, 100, components),
+            environment_entropy(len(GENERATED), MARGIN),
         ),
-        design=design,
-        tasks=tasks,
+        human=lambda: design(config.rows, config.cols),
+        counted={"shelves": "@"},
     )
 
 
-WAREHOUSE_EVEN = warehouse("warehouse-even", 1.0)
-WAREHOUSE_UNEVEN = warehouse("warehouse-uneven", 5.0)
+EVEN = Entry(WarehouseConfig, warehouse)
+UNEVEN = Entry(UnevenWarehouseConfig, warehouse)

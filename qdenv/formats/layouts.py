@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from qdenv.files import write_atomically
+from qdenv.files import write_json
 from qdenv.grid import draw, parse
 from qdenv.types import Array, InputError
 
@@ -53,5 +53,5 @@ def read_layout(path: str | Path, tiles: str) -> np.ndarray:
 def write_layout(path: str | Path, layout: Array, tiles: str, **details: Any) -> None:
     """Write a layout (int8 [H, W]) with any JSON-ready `details` beside it, atomically."""
     rows = draw(layout, tiles)
-    content = {"n_row": len(rows), "n_col": len(rows[0]), **details, "layout": rows}
-    write_atomically(Path(path), (json.dumps(content, indent=1) + "\n").encode())
+    head = {"n_row": len(rows), "n_col": len(rows[0])}
+    write_json(Path(path), {**head, **details, "layout": rows})

@@ -7,6 +7,7 @@ after the last step.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import chex
@@ -16,7 +17,10 @@ import numpy as np
 from flax import linen as nn
 from jax.flatten_util import ravel_pytree
 
+from qdenv.generate.decode import choose_tiles
+from qdenv.generate.generator import Canvas, Generator
 from qdenv.grid import parse
+from qdenv.registry import Entry
 from qdenv.types import Array, InputError
 
 
@@ -50,7 +54,7 @@ class NCA(nn.Module):
         return cells
 
 
-class Generator(NamedTuple):
+class Automaton(NamedTuple):
     """An NCA addressed by one flat parameter vector.
 
     Attributes:
@@ -61,13 +65,13 @@ class Generator(NamedTuple):
 
     size: int
     unravel: Callable[[jax.Array], Any]
-    grow: Callable[[jax.Array, Array, int], jax.Array]
+    grow: Callable[[jax.Array, Array, Array | int], jax.Array]
 
 
-def make_generator(
+def make_automaton(
     kinds: int, kernel_sizes: tuple[int, ...] = (3, 3, 3), hidden: int = 32
-) -> Generator:
-    """Build the generator of an architecture; it works on canvases of any size.
+) -> Automaton:
+    """Build the automaton of an architecture; it works on canvases of any size.
 
     Raises:
         InputError: there is no layer, or a kernel is even or not positive (an even kernel has
@@ -84,23 +88,25 @@ def make_generator(
     # The shapes alone say how a flat vector is cut up: no random weights are ever drawn.
     flat, unravel = ravel_pytree(variables)
 
-    def grow(parameters: jax.Array, start: Array, steps: int) -> jax.Array:
+    def grow(parameters: jax.Array, start: Array, steps: Array | int) -> jax.Array:
         chex.assert_shape(parameters, (flat.size,))
         chex.assert_shape(start, (None, None, kinds))
         weights = unravel(parameters)
         return jax.lax.fori_loop(0, steps, lambda _, cells: module.apply(weights, cells), start)
 
-    return Generator(flat.size, unravel, grow)
+    return Automaton(flat.size, unravel, grow)
 
 
-def grow_population(generator: Generator, parameters: Array, start: Array, steps: int) -> Array:
+def grow_population(
+    automaton: Automaton, parameters: Array, start: Array, steps: Array | int
+) -> jax.Array:
     """Grow every solution from the same start canvas.
 
     One solution after the other: its numbers then cannot depend on how many grow beside it, and
     a convolution with its own weights per item is no faster batched on a CPU.
 
     Args:
-        generator: from `make_generator`.
+        automaton: from `make_automaton`.
         parameters: float32 [B, P].
         start: float32 [H, W, K].
         steps: NCA steps C.
@@ -108,7 +114,7 @@ def grow_population(generator: Generator, parameters: Array, start: Array, steps
     Returns:
         float32 [B, H, W, K].
     """
-    return jax.lax.map(lambda one: generator.grow(one, start, steps), parameters)
+    return jax.lax.map(lambda one: automaton.grow(one, start, steps), parameters)
 
 
 def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> np.ndarray:
@@ -137,3 +143,36 @@ def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> n
     top, left = (rows - height) // 2, (cols - width) // 2
     canvas[top : top + height, left : left + width] = tiles
     return np.eye(len(generated), dtype=np.float32)[canvas]
+
+
+@dataclass(frozen=True)
+class NcaConfig:
+    """The numbers of a neural cellular automaton.
+
+    Attributes:
+        steps: NCA steps C.
+        kernel_sizes: kernel widths of the convolutions.
+        hidden: channels of the hidden layers.
+    """
+
+    steps: int = 50
+    kernel_sizes: tuple[int, ...] = (3, 3, 3)
+    hidden: int = 32
+
+
+def nca(config: NcaConfig, canvas: Canvas) -> Generator:
+    """Make the generator that grows a canvas from its seed block.
+
+    Raises:
+        InputError: the architecture is impossible, or the canvas smaller than the seed block.
+    """
+    start = seed_canvas(canvas.seed_block, canvas.rows, canvas.cols, canvas.tiles)
+    automaton = make_automaton(len(canvas.tiles), config.kernel_sizes, config.hidden)
+
+    def grow(solutions: jax.Array, steps: jax.Array | int) -> jax.Array:
+        return choose_tiles(grow_population(automaton, solutions, start, steps))
+
+    return Generator(automaton.size, config.steps, grow)
+
+
+NCA_GENERATOR = Entry(NcaConfig, nca)

@@ -1,27 +1,26 @@
 """The heat map of an archive: one coloured cell per elite."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
+from numpy.typing import ArrayLike
 
-from qdenv.files import write_atomically
-from qdenv.types import Array, InputError
+from qdenv.plots.figure import new_figure, save_figure
+from qdenv.types import InputError, Measure
 
 COLOURS = "viridis"
 EMPTY = "#f2f2f2"
 
 
-def objective_grid(objectives: Array, measures: Sequence[Any]) -> np.ndarray:
+def objective_grid(objectives: ArrayLike, measures: Sequence[Measure]) -> np.ndarray:
     """Lay the objectives of all cells [C] out as a grid [cells_0, cells_1], NaN where empty.
 
     Args:
         objectives: float [C], row-major, not finite where a cell is empty.
-        measures: one or two records with ``name, low, high, cells``.
+        measures: one or two.
 
     Raises:
         InputError: there are more than two measures, or the number of cells differs.
@@ -36,13 +35,15 @@ def objective_grid(objectives: Array, measures: Sequence[Any]) -> np.ndarray:
     return grid if len(shape) == 2 else grid[:, None]
 
 
-def scatter_objectives(index: Array, objective: Array, measures: Sequence[Any]) -> np.ndarray:
+def scatter_objectives(
+    index: ArrayLike, objective: ArrayLike, measures: Sequence[Measure]
+) -> np.ndarray:
     """Turn saved elites into the objectives of all cells, float [C], NaN where empty.
 
     Args:
         index: int [elites], their cells.
         objective: float [elites].
-        measures: records with ``cells``.
+        measures: the axes of the archive.
     """
     objectives = np.full(int(np.prod([axis.cells for axis in measures])), np.nan)
     objectives[np.asarray(index)] = np.asarray(objective)
@@ -50,12 +51,12 @@ def scatter_objectives(index: Array, objective: Array, measures: Sequence[Any]) 
 
 
 def draw_heatmap(
-    axes: Any,
-    objectives: Array,
-    measures: Sequence[Any],
+    axes: Axes,
+    objectives: ArrayLike,
+    measures: Sequence[Measure],
     low: float | None = None,
     high: float | None = None,
-) -> Any:
+) -> AxesImage:
     """Draw the heat map into matplotlib `axes`; give the image, for a colour bar.
 
     The first measure runs to the right, the second upwards.
@@ -63,13 +64,13 @@ def draw_heatmap(
     Args:
         axes: matplotlib axes.
         objectives: float [C], row-major, not finite where a cell is empty.
-        measures: one or two records with ``name, low, high, cells``.
+        measures: one or two.
         low: objective of the darkest colour; the least by default.
         high: objective of the brightest colour; the greatest by default.
     """
     grid = objective_grid(objectives, measures)
     first, second = measures[0], measures[1] if len(measures) == 2 else None
-    bottom, top = (second.low, second.high) if second else (0, 1)
+    bottom, top = (second.low, second.high) if second else (0.0, 1.0)
     filled = np.isfinite(grid).any()
     image = axes.imshow(
         grid.T,
@@ -91,9 +92,9 @@ def draw_heatmap(
 
 
 def save_heatmap(
-    path: str | os.PathLike,
-    objectives: Array,
-    measures: Sequence[Any],
+    path: str | Path,
+    objectives: ArrayLike,
+    measures: Sequence[Measure],
     title: str = "",
     label: str = "objective",
     low: float | None = None,
@@ -104,7 +105,7 @@ def save_heatmap(
     Args:
         path: where; the suffix decides the format (png, pdf, svg).
         objectives: float [C], row-major, not finite where a cell is empty.
-        measures: one or two records with ``name, low, high, cells``.
+        measures: one or two.
         title: printed above, beside the share of filled cells.
         label: what the colours mean.
         low: objective of the darkest colour.
@@ -113,13 +114,16 @@ def save_heatmap(
     Raises:
         InputError: the objectives do not fit the grid.
     """
-    figure = Figure(figsize=(6, 4.8), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(6, 4.8)
     axes = figure.add_subplot()
     image = draw_heatmap(axes, objectives, measures, low, high)
     figure.colorbar(image, ax=axes, label=label)
-    finite = np.isfinite(np.asarray(objectives, dtype=float))
-    share = f"{finite.mean():.1%} of {finite.size:,} cells filled"
-    axes.set_title(f"{title} ({share})" if title else share, fontsize="medium")
-    suffix = Path(path).suffix.lstrip(".") or "png"
-    write_atomically(Path(path), lambda file: figure.savefig(file, format=suffix))
+    axes.set_title(describe_filling(objectives, title), fontsize="medium")
+    save_figure(figure, path)
+
+
+def describe_filling(objectives: ArrayLike, title: str = "") -> str:
+    """Write the heading of a heat map: the title, and the share of filled cells."""
+    filled = np.isfinite(np.asarray(objectives, dtype=float))
+    share = f"{filled.mean():.1%} of {filled.size:,} cells filled"
+    return f"{title} ({share})" if title else share

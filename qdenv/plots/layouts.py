@@ -1,6 +1,6 @@
 """Pictures of layouts: one colour per tile, and what a repair changed."""
 
-import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from qdenv.files import write_atomically
+from qdenv.plots.figure import new_figure, save_figure
+from qdenv.types import Array
 
 COLOURS = {
     ".": "#ffffff",
@@ -39,9 +40,11 @@ CHANGED = "#e8590c"
 CELL = 0.14  # inches per cell, so that the tiles of a 33 x 36 layout are told apart at a glance
 LARGEST = 14.0  # inches
 LEGEND_ENTRY = 1.15  # inches that an entry of the legend takes
+PANEL = 2.9  # inches of a panel of a series
+PANELS = 6  # side by side, as in Figure 6
 
 
-def draw_layout(layout: np.ndarray, tiles: str, ax: Axes | None = None) -> Axes:
+def draw_layout(layout: Array, tiles: str, ax: Axes | None = None) -> Axes:
     """Draw a layout with a legend of the tiles it holds.
 
     Args:
@@ -85,15 +88,23 @@ def draw_layout(layout: np.ndarray, tiles: str, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def save_layout(path: str | Path, layout: np.ndarray, tiles: str) -> None:
-    """Write a picture of `layout` (int8 [H, W]); the ending of `path` chooses the format."""
+def save_layout(path: str | Path, layout: Array, tiles: str) -> None:
+    """Save a picture of `layout` (int8 [H, W]); the ending of `path` chooses the format.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
     figure = _new_figure(np.shape(layout), 1)
     draw_layout(layout, tiles, figure.axes[0])
-    _write(figure, path)
+    save_figure(figure, path, crop=True)
 
 
-def save_difference(path: str | Path, before: np.ndarray, after: np.ndarray, tiles: str) -> None:
-    """Write `before` and `after` (int8 [H, W]) side by side, every changed cell framed."""
+def save_difference(path: str | Path, before: Array, after: Array, tiles: str) -> None:
+    """Save `before` and `after` (int8 [H, W]) side by side, every changed cell framed.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
     before, after = np.asarray(before), np.asarray(after)
     figure = _new_figure(before.shape, 2)
     changed = np.argwhere(before != after)
@@ -103,7 +114,35 @@ def save_difference(path: str | Path, before: np.ndarray, after: np.ndarray, til
         row, col = changed.T if len(changed) else (np.zeros(0), np.zeros(0))
         side = 0.85 * 72 * _scale(before.shape)
         ax.scatter(col, row, s=side**2, marker="s", facecolors="none", edgecolors=CHANGED, lw=0.9)
-    _write(figure, path)
+    save_figure(figure, path, crop=True)
+
+
+def save_frames(
+    path: str | Path, layouts: Sequence[Array], steps: Sequence[int], tiles: str
+) -> None:
+    """Save how one layout grows, a panel for each number of NCA steps (Figure 6).
+
+    Args:
+        path: the picture; its ending chooses the format.
+        layouts: int8 [H, W] each, after so many steps.
+        steps: numbers of NCA steps.
+        tiles: the alphabet.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    rows, cols = layouts[0].shape
+    across = min(len(layouts), PANELS)
+    down = -(-len(layouts) // across)
+    figure = new_figure(PANEL * across, (PANEL * rows / cols + 0.6) * down)
+    panels = figure.subplots(down, across, squeeze=False).ravel()
+    for ax, layout, number in zip(panels, layouts, steps, strict=False):
+        draw_layout(layout, tiles, ax)
+        ax.get_legend().remove()
+        ax.set_title(f"{number} steps", fontsize=9)
+    for ax in panels[len(layouts) :]:
+        ax.set_axis_off()
+    save_figure(figure, path)
 
 
 def _scale(shape: tuple[int, ...]) -> float:
@@ -112,21 +151,11 @@ def _scale(shape: tuple[int, ...]) -> float:
 
 
 def _new_figure(shape: tuple[int, ...], panels: int) -> Figure:
-    """Make a figure with `panels` axes side by side, sized so that cells are square.
-
-    Built without pyplot, which would keep every figure alive and pick a window system.
-    """
+    """Make a figure with `panels` axes side by side, sized so that cells are square."""
     rows, cols = (side * _scale(shape) for side in shape)
-    figure = Figure(figsize=(panels * (cols + 0.3), rows + 0.75), layout="none")
+    figure = new_figure(panels * (cols + 0.3), rows + 0.75, arrange=False)
     width, height = figure.get_size_inches()
     for panel in range(panels):
         left = (panel * (cols + 0.3) + 0.15) / width
         figure.add_axes((left, 0.42 / height, cols / width, rows / height))
     return figure
-
-
-def _write(figure: Figure, path: str | Path) -> None:
-    """Write the figure in one step: a reader never sees half a file."""
-    picture, path = io.BytesIO(), Path(path)
-    figure.savefig(picture, format=path.suffix.lstrip(".") or "png", dpi=150, bbox_inches="tight")
-    write_atomically(path, picture.getvalue())

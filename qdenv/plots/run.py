@@ -3,13 +3,11 @@
 import json
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
-from qdenv.files import write_atomically
 from qdenv.grid import parse
 from qdenv.plots.archive import save_heatmap, scatter_objectives
+from qdenv.plots.figure import new_figure, save_figure
 from qdenv.plots.layouts import save_layout
-from qdenv.train.records import RunDirectory
+from qdenv.training.records import RunDirectory
 
 
 def plot_run(run: RunDirectory) -> list[Path]:
@@ -37,11 +35,11 @@ def plot_run(run: RunDirectory) -> list[Path]:
 def save_progress(path: Path, run: RunDirectory) -> None:
     """Draw QD-score, coverage and best objective over evaluations (Figure 20)."""
     rows = run.read_metrics()
-    figure = Figure(figsize=(9, 2.6), layout="constrained")
+    figure = new_figure(9, 2.6, dpi=120)
     panels = {"QD-score": "qd_score", "coverage": "coverage", "best objective": "best_objective"}
     for axes, (title, column) in zip(figure.subplots(1, 3), panels.items(), strict=True):
         axes.plot([row.evaluations for row in rows], [getattr(row, column) for row in rows])
         axes.set(title=title, xlabel="evaluations", ymargin=0.1)
         axes.set_ylim(bottom=0)
         axes.spines[["top", "right"]].set_visible(False)
-    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=120))
+    save_figure(figure, path)

@@ -65,6 +65,7 @@ def cell_index(measures: Array, axes: tuple[Measure, ...]) -> jax.Array:
         values = measures[..., position]
         edges = inner_edges(axis, np.dtype(values.dtype))
         # Counting the edges at or below a value clips it to the grid and puts NaN first.
+        edges = edges.reshape(*[1] * values.ndim, -1)
         along = (values[..., None] >= edges).sum(axis=-1, dtype=jnp.int32)
         index = index * axis.cells + along
     return index

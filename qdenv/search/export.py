@@ -114,7 +114,7 @@ def load_npz(path: str | os.PathLike, measures: Sequence[Measure] | None = None)
         InputError: the file is missing, no archive, or has no axes and none were given.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             rows = dict(file)
         index, solution = rows.pop("index"), rows.pop("solution")
         objective, places = rows.pop("objective"), rows.pop("measures")

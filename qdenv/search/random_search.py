@@ -60,7 +60,7 @@ def random_search(
     def ask(state: RandomSearchState) -> tuple[jax.Array, RandomSearchState]:
         key, noise_key = jax.random.split(state.key)
         noise = jax.random.normal(noise_key, (config.batch, solution_dim), start.dtype)
-        return start + config.sigma * noise, state._replace(key=key)
+        return start[None] + config.sigma * noise, state._replace(key=key)
 
     def tell(
         state: RandomSearchState, solutions: Array, score: Score, extras: Mapping[str, Array]

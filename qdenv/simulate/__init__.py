@@ -48,18 +48,19 @@ more step there. Here cells 1 and 2 are the goals of a, in turn.
     tasks: stay 0 on 1..2, finished at 1 4
     .a..  a...  .a..  ..a.  ...a
 
-**Stays.** Where a goal has a stay, the agent remains on it for that many timesteps after arriving,
-and blocks the cell; then the task is finished. Nothing cuts a stay short.
+**Service.** Where a goal has a stay (its service time), the agent remains on it for that many
+timesteps after arriving, and blocks the cell; then the task is finished. Nothing cuts a stay short.
 
     tasks: stay 2 on 1..2, finished at 3 8
     .a..  a...  a...  a...  .a..  ..a.  ...a  ...a  ...a
 
-**Throughput** is the number of finished tasks (one leg each) divided by the horizon T, also where a
-run ended early.
+**Throughput** is the number of finished tasks (one leg each) divided by the timesteps T of
+the run, also where it ended early.
 
-**Jams.** All agents are planned again every h = 5 timesteps. After each such window an agent is
-stuck if its cell was the same at the window's first five timesteps (the last move is not looked at)
-and it was not serving. If more than half of the agents are stuck, the run is congested and ends.
+**Jams.** All agents are planned again every h = 5 timesteps (the horizon). After each such window
+an agent is stuck if its cell was the same at the window's first five timesteps (the last move is
+not looked at) and it was not serving. If more than half of the agents are stuck, the run is
+congested and ends.
 
     jam: two of three agents are stuck
     ab.c  ab.c  abc.  ab.c  ab.c  .abc

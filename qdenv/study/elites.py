@@ -1,18 +1,19 @@
 """Elites of a saved run: find one, grow it on a canvas of any size, repair what it drew."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from qdenv.domains import find_domain
-from qdenv.domains.base import Domain, EvaluationConfig
-from qdenv.generate.decode import choose_tiles
-from qdenv.generate.nca import grow_population, make_generator, seed_canvas
+from qdenv.domains.base import Domain, make_domain
+from qdenv.generate.generator import GENERATORS
+from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.repair.bounds import impossible
-from qdenv.repair.recipe import RepairConfig, repair
-from qdenv.train.records import RunDirectory
+from qdenv.repair.recipe import repair
+from qdenv.repair.settings import RepairConfig
+from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, Repair, RepairStatus
 
 
@@ -25,13 +26,19 @@ class Elite(NamedTuple):
 
 
 class Grown(NamedTuple):
-    """An elite's layout at some size, unrepaired."""
+    """A layout drawn for one size, unrepaired.
+
+    Attributes:
+        domain: at the layout's size, with the numbers that its repair will demand.
+        elite: whose layout; None where no elite drew it (a tiled layout).
+        layout: int8 [H, W].
+        steps: of growth; 0 where nothing grew.
+    """
 
     domain: Domain
-    elite: Elite | None  # None where no elite drew it: a tiled layout
-    layout: np.ndarray  # int8 [H, W]
+    elite: Elite | None
+    layout: np.ndarray
     steps: int
-    shelves: int
 
 
 def find_elite(run: RunDirectory, which: str = "best") -> Elite:
@@ -68,80 +75,66 @@ def find_elite(run: RunDirectory, which: str = "best") -> Elite:
     return Elite(archive["solution"][row], float(archive["objective"][row]), cell)
 
 
-def scaled_shelves(domain: Domain, config: EvaluationConfig, rows: int, cols: int) -> int:
-    """Scale the number of shelves with the generated area, from the size it was trained at."""
-    dr, dc = domain.margin
-    trained = (config.rows - 2 * dr) * (config.cols - 2 * dc)
-    return round(config.shelves * (rows - 2 * dr) * (cols - 2 * dc) / trained)
-
-
 def grow_series(
-    domain: Domain,
-    config: EvaluationConfig,
-    solution: np.ndarray,
-    shape: tuple[int, int],
-    steps: Sequence[int],
+    config: EvaluationConfig, domain: Domain, solution: np.ndarray, steps: Sequence[int]
 ) -> list[np.ndarray]:
     """Grow one solution and keep the framed layout after each number of steps (Figure 6).
 
     Args:
-        domain: whose tiles and frame.
-        config: whose architecture.
+        config: whose generator.
+        domain: at the size to draw.
         solution: float32 [P].
-        shape: (rows, columns) of the framed layout.
-        steps: numbers of NCA steps.
+        steps: numbers of steps.
 
     Returns:
-        one unrepaired layout int8 [rows, columns] for each entry of `steps`.
+        one unrepaired layout int8 [H, W] for each entry of `steps`.
 
     Raises:
         InputError: the canvas is smaller than the seed block or the frame, or the solution is
             one of another architecture.
     """
-    rows, cols = (side - 2 * margin for side, margin in zip(shape, domain.margin, strict=True))
-    start = seed_canvas(domain.seed_block, rows, cols, domain.generated)
-    generator = make_generator(len(domain.generated), config.kernel_sizes, config.hidden)
+    generator = GENERATORS.make(config.generator, canvas_of(domain))
     if solution.shape != (generator.size,):
-        raise InputError(f"{len(solution)} parameters given, this NCA has {generator.size}")
+        raise InputError(f"{len(solution)} parameters given, this generator has {generator.size}")
 
     @jax.jit
-    def grow(number: int) -> jax.Array:
+    def grow(number: jax.Array) -> jax.Array:
         # As a population of one, the very way layouts grow during a search.
-        cells = grow_population(generator, solution[None], start, number)[0]
-        return domain.frame(choose_tiles(cells))
+        return jnp.asarray(domain.frame(generator.grow(jnp.asarray(solution)[None], number)[0]))
 
-    return [np.asarray(grow(number)) for number in steps]
+    return [np.asarray(grow(jnp.asarray(number, jnp.int32))) for number in steps]
 
 
 def grow_elite(
     run: RunDirectory,
-    which: str = "best",
+    which: "str | Elite" = "best",
     shape: tuple[int | None, int | None] = (None, None),
     steps: int | None = None,
-    shelves: int | None = None,
+    numbers: Mapping[str, int] | None = None,
 ) -> Grown:
     """Grow an elite of a run at any size; nothing is repaired yet.
 
     Args:
         run: the run.
-        which: see `find_elite`.
+        which: an elite, or as in `find_elite`.
         shape: (rows, columns) of the framed layout; None takes the trained size.
-        steps: NCA steps; scaled with the longer side unless given.
-        shelves: exact number of shelves; scaled with the area unless given.
+        steps: steps of growth; scaled with the longer side unless given.
+        numbers: exact numbers of tiles by the settings' names; those left out are scaled with
+            the generated area.
 
     Raises:
         InputError: there is no such elite, or the size is impossible.
     """
     config = run.config.evaluation
-    domain = find_domain(config.domain)
-    rows, cols = shape[0] or config.rows, shape[1] or config.cols
+    trained = make_domain(config.domain)
+    rows, cols = shape[0] or trained.shape[0], shape[1] or trained.shape[1]
+    domain = trained.resized(rows, cols, numbers)
     if steps is None:
-        steps = round(config.steps * max(rows / config.rows, cols / config.cols, 1))
-    elite = find_elite(run, which)
-    layout = grow_series(domain, config, elite.solution, (rows, cols), [steps])[0]
-    if shelves is None:
-        shelves = scaled_shelves(domain, config, rows, cols)
-    return Grown(domain, elite, layout, steps, shelves)
+        longer = max(rows / trained.shape[0], cols / trained.shape[1], 1)
+        steps = round(GENERATORS.make(config.generator, canvas_of(trained)).steps * longer)
+    elite = which if isinstance(which, Elite) else find_elite(run, which)
+    layout = grow_series(config, domain, elite.solution, [steps])[0]
+    return Grown(domain, elite, layout, steps)
 
 
 def repair_grown(grown: Grown, config: RepairConfig, seed: int = 0) -> Repair | None:
@@ -150,14 +143,16 @@ def repair_grown(grown: Grown, config: RepairConfig, seed: int = 0) -> Repair | 
     Raises:
         InputError: no layout of this size obeys the rules, or none was found.
     """
-    if grown.domain.rules is None:
+    domain = grown.domain
+    if domain.rules is None:
         return None
-    rules = grown.domain.rules(*grown.layout.shape, grown.shelves)
+    rules = domain.rules()
     result = repair(grown.layout, rules, seed, config)
     if result.status >= RepairStatus.IMPOSSIBLE:
-        rows, cols = grown.layout.shape
+        rows, cols = domain.shape
+        demanded = "".join(f" with {number} {name}" for name, number in domain.numbers.items())
         raise InputError(
-            f"no repair of {rows} x {cols} with {grown.shelves} shelves: "
+            f"no repair of {rows} x {cols}{demanded}: "
             f"{impossible(rules) or 'none was found, try another repair seed'}"
         )
     return result

@@ -1,18 +1,17 @@
 """Layouts of other sizes: grown by one elite (E.3), designed by hand, tiled (E.4)."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.domains.base import Domain, EvaluationConfig
+from qdenv.domains.base import Domain
 from qdenv.files import write_csv
 from qdenv.generate.decode import inside_frame
-from qdenv.repair.recipe import RepairConfig
-from qdenv.study.elites import Grown, grow_elite, grow_series, repair_grown, scaled_shelves
-from qdenv.train.records import RunDirectory
+from qdenv.repair.settings import RepairConfig
+from qdenv.study.elites import Grown, grow_elite, grow_series, repair_grown
+from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, Repair, RepairStatus
 
 # Rows and columns of Figure 18, from S to S_eval.
@@ -20,21 +19,37 @@ SIZES = ((33, 36), (45, 47), (57, 58), (69, 69), (81, 80), (93, 91), (101, 102))
 
 
 class Sized(NamedTuple):
-    """One layout of a series and how it came about; all but `layout` is a row of the table."""
+    """One layout of a series and how it came about.
 
-    layout: np.ndarray  # int8 [H, W], repaired where the domain repairs
-    rows: int
-    cols: int
-    steps: int  # NCA steps; 0 for a tiled layout
-    shelves: int
-    repair: str  # a RepairStatus by name, "none" where nothing was repaired
-    changed: int  # cells that the repair changed
-    cpu_seconds: float  # of the repair
+    Attributes:
+        layout: int8 [H, W], repaired where the domain repairs.
+        steps: of growth; 0 for a tiled layout.
+        numbers: how many tiles of each counted kind it holds, by the settings' names.
+        repair: a RepairStatus by name, "none" where nothing was repaired.
+        changed: cells that the repair changed.
+        cpu_seconds: of the repair.
+    """
+
+    layout: np.ndarray
+    steps: int
+    numbers: dict[str, int]
+    repair: str
+    changed: int
+    cpu_seconds: float
 
 
 def details(sized: Sized) -> dict[str, int | float | str]:
-    """List what a table says of a layout: every field but the layout itself."""
-    return {name: value for name, value in sized._asdict().items() if name != "layout"}
+    """List what a table says of a layout."""
+    rows, cols = sized.layout.shape
+    return {
+        "rows": rows,
+        "cols": cols,
+        "steps": sized.steps,
+        **sized.numbers,
+        "repair": sized.repair,
+        "changed": sized.changed,
+        "cpu_seconds": sized.cpu_seconds,
+    }
 
 
 def write_series(path: Path, series: Sequence[Sized]) -> None:
@@ -59,7 +74,7 @@ def grow_sizes(
     which: str = "best",
     sizes: Sequence[tuple[int, int]] = SIZES,
     steps: Sequence[int] = (),
-    shelves: Sequence[int] = (),
+    numbers: Mapping[str, Sequence[int]] | None = None,
     seed: int | None = None,
 ) -> Iterator[Sized]:
     """Grow one elite at several sizes and repair each layout.
@@ -68,8 +83,9 @@ def grow_sizes(
         run: a run with an archive.
         which: "best", or the archive cell's indices like "12,40".
         sizes: rows and columns of each framed layout.
-        steps: NCA steps for each size; scaled with the size where empty.
-        shelves: number of shelves for each size; scaled with the area where empty.
+        steps: steps of growth for each size; scaled with the size where empty.
+        numbers: exact numbers of tiles for each size, by the settings' names; scaled with the
+            area where left out.
         seed: of the repair; the run's own unless given.
 
     Yields:
@@ -79,19 +95,15 @@ def grow_sizes(
         InputError: there is no such elite, a size is impossible, or a list has another length
             than `sizes`.
     """
-    for name, numbers in (("steps", steps), ("shelves", shelves)):
-        if numbers and len(numbers) != len(sizes):
-            raise InputError(f"{len(numbers)} numbers of {name} for {len(sizes)} sizes: give all")
+    given = dict(numbers or {})
+    for name, values in {"steps": steps, **given}.items():
+        if values and len(values) != len(sizes):
+            raise InputError(f"{len(values)} numbers of {name} for {len(sizes)} sizes: give all")
     config = run.config
     seed = config.seed if seed is None else seed
     for index, shape in enumerate(sizes):
-        grown = grow_elite(
-            run,
-            which,
-            shape,
-            steps[index] if steps else None,
-            shelves[index] if shelves else None,
-        )
+        own = {name: values[index] for name, values in given.items() if values}
+        grown = grow_elite(run, which, shape, steps[index] if steps else None, own)
         yield finish(grown, config.evaluation.repair, seed)
 
 
@@ -101,19 +113,20 @@ def grow_frames(run: RunDirectory, grown: Grown, every: int) -> tuple[list[int],
     Args:
         run: the elite's run.
         grown: the elite and the size.
-        every: NCA steps from one frame to the next; the last step is always among them.
+        every: steps from one frame to the next; the last step is always among them.
 
     Returns:
         the numbers of steps, and the unrepaired layout (int8 [H, W]) after each.
 
     Raises:
-        InputError: `every` is not positive.
+        InputError: `every` is not positive, or no elite drew the layout.
     """
     if every < 1:
         raise InputError(f"a frame every {every} steps: give 1 or more")
+    if grown.elite is None:
+        raise InputError("a tiled layout did not grow: it has no frames")
     steps = sorted({*range(0, grown.steps, every), grown.steps})
-    solution, shape = grown.elite.solution, grown.layout.shape
-    return steps, grow_series(grown.domain, run.config.evaluation, solution, shape, steps)
+    return steps, grow_series(run.config.evaluation, grown.domain, grown.elite.solution, steps)
 
 
 def finish(grown: Grown, config: RepairConfig, seed: int) -> Sized:
@@ -124,13 +137,11 @@ def finish(grown: Grown, config: RepairConfig, seed: int) -> Sized:
     """
     before, domain = grown.layout, grown.domain
     repaired = repair_grown(grown, config, seed)
-    after = before if repaired is None else repaired.layout
+    after = before if repaired is None else np.asarray(repaired.layout)
     return Sized(
         layout=after,
-        rows=before.shape[0],
-        cols=before.shape[1],
         steps=grown.steps,
-        shelves=count_shelves(domain, after),
+        numbers=domain.fitted(after).numbers,
         repair=status_name(repaired),
         changed=int((before != after).sum()),
         cpu_seconds=0.0 if repaired is None else float(repaired.seconds),
@@ -142,43 +153,38 @@ def status_name(repaired: Repair | None) -> str:
     return "none" if repaired is None else RepairStatus(int(repaired.status)).name.lower()
 
 
-def count_shelves(domain: Domain, layout: np.ndarray) -> int:
-    """Count the shelves of a layout (int8 [H, W]); 0 where the domain has none."""
-    return int((layout == domain.tiles.find("@")).sum())
-
-
-def human_layout(domain: Domain, rows: int, cols: int) -> np.ndarray:
-    """Draw what people design for `domain` at this size (int8 [rows, cols]; appendix D.2).
+def human_layout(domain: Domain) -> np.ndarray:
+    """Draw what people design for `domain` at its size (int8 [H, W]; appendix D.2).
 
     Raises:
         InputError: nobody designs layouts of this domain, or the size is too small.
     """
-    if domain.design is None:
+    if domain.human is None:
         raise InputError(f"nobody designs layouts of {domain.name} by hand: choose another domain")
-    return domain.design(rows, cols)
+    return domain.human()
 
 
-def tile_layout(domain: Domain, layout: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def tile_layout(domain: Domain, layout: np.ndarray) -> np.ndarray:
     """Repeat the generated area of a small layout until it fills a larger one (section E.4).
 
     The copies start in the upper left corner; those at the right and at the bottom are cut. The
     frame is drawn anew.
 
     Args:
-        domain: whose frame.
-        layout: int8 [H, W], framed.
-        shape: rows and columns of the larger framed layout.
+        domain: at the larger size.
+        layout: int8 [h, w], framed.
 
     Returns:
-        int8 [rows, cols], not repaired.
+        int8 [H, W], not repaired.
 
     Raises:
         InputError: the larger layout is smaller than the frame.
     """
     inside = inside_frame(layout, domain.margin)
-    wanted = [side - 2 * margin for side, margin in zip(shape, domain.margin, strict=True)]
+    wanted = domain.generated_shape
     if min(wanted) < 1 or inside.size == 0:
-        raise InputError(f"{shape[0]} x {shape[1]} leaves no room inside the frame: ask for more")
+        rows, cols = domain.shape
+        raise InputError(f"{rows} x {cols} leaves no room inside the frame: ask for more")
     copies = [-(-side // own) for side, own in zip(wanted, inside.shape, strict=True)]
     return np.asarray(domain.frame(np.tile(inside, copies)[: wanted[0], : wanted[1]]))
 
@@ -187,27 +193,24 @@ def tile(
     domain: Domain,
     layout: np.ndarray,
     shape: tuple[int, int],
-    shelves: int | None = None,
+    numbers: Mapping[str, int] | None = None,
     config: RepairConfig | None = None,
     seed: int = 0,
 ) -> Sized:
     """Tile a small layout to a larger size and repair it: the baseline of section E.4.
 
     Args:
-        domain: whose rules.
-        layout: int8 [H, W], framed.
+        domain: whose rules, at any size.
+        layout: int8 [h, w], framed.
         shape: rows and columns of the larger layout.
-        shelves: exact number of shelves; the small layout's, scaled with the area, unless given.
+        numbers: exact numbers of tiles by the settings' names; the small layout's, scaled with
+            the area, where left out.
         config: limits of the repair.
         seed: other seeds give other, equally good repairs.
 
     Raises:
         InputError: the size is impossible, or no repair was found.
     """
-    if shelves is None:
-        rows, cols = layout.shape
-        own = count_shelves(domain, layout)
-        small = replace(EvaluationConfig(), rows=rows, cols=cols, shelves=own)
-        shelves = scaled_shelves(domain, small, *shape)
-    tiled = tile_layout(domain, layout, shape)
-    return finish(Grown(domain, None, tiled, 0, shelves), config or RepairConfig(), seed)
+    larger = domain.fitted(layout).resized(*shape, numbers)
+    grown = Grown(larger, None, tile_layout(larger, layout), 0)
+    return finish(grown, config or RepairConfig(), seed)

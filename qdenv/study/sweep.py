@@ -1,20 +1,21 @@
-"""What `qdenv sweep` does: throughput and success of one layout over numbers of agents."""
+"""Layouts over numbers of agents: one by one, side by side, and up to their peaks."""
 
-import csv
-import io
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.files import write_atomically
-from qdenv.score.traffic import wilson_interval
+from qdenv.grid import of_tiles
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.tasks import check_playable
-from qdenv.study.traffic import Simulated, run_seeds
+from qdenv.study.table import Row, find_peak, summarise
+from qdenv.study.traffic import run_seeds
 from qdenv.types import InputError, TaskRule
+
+FEWEST = 64  # agents that a compiled program has room for at least
 
 
 def parse_counts(text: str) -> tuple[int, ...]:
@@ -38,48 +39,34 @@ def parse_counts(text: str) -> tuple[int, ...]:
     return counts
 
 
-class SweepRow(NamedTuple):
-    """One number of agents of a sweep; throughput is over the runs that never congested."""
-
-    agents: int
-    runs: int
-    throughput: float
-    standard_error: float
-    success_rate: float
-    success_low: float
-    success_high: float
-    mean_of_all: float
-    cpu_seconds_per_run: float
+def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:
+    """Name layout files briefly: by their stem where that is enough, else by their whole path."""
+    stems = Counter(path.stem for path in set(paths))
+    return {path.stem if stems[path.stem] == 1 else str(path): path for path in paths}
 
 
-def summarise(done: Simulated, agents: int) -> SweepRow:
-    """Condense the runs with one number of agents to a row of the table."""
-    good = np.array([run.throughput for run in done.runs if not run.congested])
-    runs = len(done.seeds)
-    error = float(good.std(ddof=1) / np.sqrt(len(good))) if len(good) > 1 else float("nan")
-    return SweepRow(
-        agents,
-        runs,
-        float(good.mean()) if len(good) else float("nan"),
-        error,
-        len(good) / runs,
-        *wilson_interval(len(good), runs),
-        float(np.mean([run.throughput for run in done.runs])),
-        done.cpu_seconds / runs,
-    )
+@contextmanager
+def about(name: str) -> Iterator[None]:
+    """Let a mistake's line begin with the layout it is about."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
 
 
 def sweep(
+    name: str,
     layout: np.ndarray,
     tasks: TaskRule | None,
     config: FleetConfig,
     counts: Iterable[int],
     seeds: Sequence[int],
-    progress: Callable[[SweepRow], None] = lambda row: None,
-) -> list[SweepRow]:
+    progress: Callable[[Row], None] = lambda row: None,
+) -> list[Row]:
     """Simulate a layout with several numbers of agents; compiles once.
 
     Args:
+        name: of the layout.
         layout: int8 [H, W].
         tasks: what the agents do.
         config: the numbers; its own number of agents does not matter.
@@ -88,23 +75,89 @@ def sweep(
         progress: told every finished row.
 
     Raises:
-        InputError: the fleet cannot work on this layout, or has no room on it.
+        InputError: agents cannot work on this layout, or do not fit; the line names the layout.
     """
     counts = tuple(counts)
     config = replace(config, agents=max(counts))
-    if tasks is not None:
-        check_playable(layout, tasks, max(counts))
     rows = []
-    for agents in counts:
-        rows.append(summarise(run_seeds(layout, tasks, config, seeds, agents), agents))
-        progress(rows[-1])
+    with about(name):
+        if tasks is not None:
+            check_playable(layout, tasks, max(counts))
+        for agents in counts:
+            done = run_seeds(layout, tasks, config, seeds, agents)
+            rows.append(summarise(name, layout, agents, done.runs, done.cpu_seconds))
+            progress(rows[-1])
     return rows
 
 
-def write_table(path: Path, rows: Sequence[SweepRow]) -> None:
-    """Write a sweep as CSV, one line per number of agents."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(SweepRow._fields)
-    writer.writerows(rows)
-    write_atomically(path, text.getvalue().encode())
+def compare(
+    layouts: Mapping[str, np.ndarray],
+    tasks: TaskRule | None,
+    config: FleetConfig,
+    counts: Sequence[int],
+    seeds: Sequence[int],
+    progress: Callable[[Row], None] = lambda row: None,
+) -> list[Row]:
+    """Simulate layouts with the same numbers of agents and the same seeds.
+
+    Args:
+        layouts: int8 [H, W] each, by name; sizes may differ. The other arguments, and what may
+            go wrong, are those of `sweep`.
+        tasks: what the agents do.
+        config: the numbers.
+        counts: numbers of agents.
+        seeds: of the runs with each number.
+        progress: told every finished row.
+
+    Returns:
+        a row for each layout and number of agents, layout by layout.
+    """
+    return [
+        row
+        for name, layout in layouts.items()
+        for row in sweep(name, layout, tasks, config, counts, seeds, progress)
+    ]
+
+
+def climb(
+    name: str,
+    layout: np.ndarray,
+    tasks: TaskRule | None,
+    config: FleetConfig,
+    counts: Sequence[int],
+    seeds: Sequence[int],
+    progress: Callable[[Row], None] = lambda row: None,
+) -> list[Row]:
+    """Add agents until the mean throughput over all runs drops (section E.3).
+
+    Args:
+        name: of the layout.
+        layout: int8 [H, W].
+        tasks: what the agents do.
+        config: the numbers; its own number of agents does not matter.
+        counts: numbers of agents to try, from few to many; those that do not fit are left out.
+        seeds: of the runs with each number.
+        progress: told every finished row.
+
+    Returns:
+        a row for each number of agents tried; `table.find_peak` reads them.
+
+    Raises:
+        InputError: agents cannot work on the layout, or not even the first number fits.
+    """
+    free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
+    fitting = [count for count in sorted(set(counts)) if count <= free]
+    if not fitting:
+        raise InputError(f"{name}: {min(counts)} agents do not fit on {free} free cells")
+    rows: list[Row] = []
+    for count in fitting:
+        # Programs for fleets that double in size: few to compile, none much too large.
+        room = max(FEWEST, 1 << (count - 1).bit_length())
+        config = replace(config, agents=min(room, fitting[-1]))
+        with about(name):
+            done = run_seeds(layout, tasks, config, seeds, count)
+        rows.append(summarise(name, layout, count, done.runs, done.cpu_seconds))
+        progress(rows[-1])
+        if find_peak(rows).dropped:
+            break
+    return rows

@@ -1,7 +1,6 @@
 """Studies of one layout's traffic: simulate it over seeds, audit what happened, report it."""
 
 import functools
-import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,11 +10,14 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from qdenv.domains import find_domain
+from qdenv import devices
+from qdenv.domains.base import find_domain
 from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.audit import audit, trajectory_of
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
+from qdenv.simulate.mapf.planner import PLANNERS
 from qdenv.simulate.mapf.tasks import check_playable
+from qdenv.study.table import summarise
 from qdenv.types import InputError, TaskRule, Traffic, look_up
 
 SMALL = 2000  # cells up to which every cell gets room in the distance table (8 MB)
@@ -90,7 +92,7 @@ def run_seeds(
         return jax.tree.map(np.asarray, simulate(world, jax.random.key(seed), np.int32(count)))
 
     # A compiled call leaves the interpreter lock, so threads use all cores.
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(threads or devices.threads()) as pool:
         results = list(pool.map(one, seeds))
     spent = time.process_time() - compiled
     return Simulated(
@@ -120,14 +122,33 @@ def _programs(
 
     def run(world: Any, key: Any, count: Any) -> tuple:
         if record:
-            return fleet.record(world, key, tasks, config, count)
-        return fleet.simulate(world, key, tasks, config, count), None
+            return fleet.record(world, key, config, count)
+        return fleet.simulate(world, key, config, count), None
 
     layout = jax.ShapeDtypeStruct(shape, np.int8)
     prepare = jax.jit(lambda layout: fleet.prepare(layout, tasks, config))
     world = jax.eval_shape(prepare, layout)
     arguments = (world, jax.random.key(0), jax.ShapeDtypeStruct((), np.int32))
     return prepare.lower(layout).compile(), jax.jit(run).lower(*arguments).compile()
+
+
+def find_planner(effort: str = "low", planner: str = "") -> Any:
+    """Choose a planner's settings by words.
+
+    Args:
+        effort: "low" or "high", of the package's own planner.
+        planner: name of a registered planner with all its defaults; "" for the own one.
+
+    Raises:
+        InputError: a word is unknown.
+    """
+    return PLANNERS.config(planner) if planner else look_up(EFFORTS, effort, "effort")
+
+
+def describe_planner(settings: Any) -> str:
+    """Name a planner for reports: its registered name, and its effort where that has a name."""
+    efforts = [f", {effort} effort" for effort, known in EFFORTS.items() if known == settings]
+    return PLANNERS.name_of(settings) + "".join(efforts[:1])
 
 
 def simulate_layout(
@@ -138,6 +159,7 @@ def simulate_layout(
     seeds: Sequence[int] = (3,),
     effort: str = "low",
     check: bool = False,
+    planner: str = "",
 ) -> dict[str, Any]:
     """Simulate a layout over seeds and report it in JSON-ready values.
 
@@ -149,29 +171,33 @@ def simulate_layout(
         seeds: how many, or a list of at least two.
         effort: "low" or "high".
         check: audit every trajectory; without it "valid" is None.
+        planner: name of another registered planner.
 
     Returns:
         domain, planner, agents, timesteps, runs (seed, throughput, congested, end_timestep,
-        finished_tasks), mean_throughput (over the runs that never congested; over all where
-        none is), success_rate, cpu_seconds_per_run, compile_seconds, valid, broken.
+        finished_tasks), mean_throughput (over the runs that never congested; None where every
+        run did), mean_of_all (over all runs), success_rate, cpu_seconds_per_run,
+        compile_seconds, valid, broken.
 
     Raises:
         InputError: a name is unknown, or the fleet cannot work on this layout.
     """
-    planner = look_up(EFFORTS, effort, "effort")
-    tasks = find_domain(domain).tasks
-    config = fleet.FleetConfig(agents=agents, timesteps=timesteps, planner=planner)
+    settings = find_planner(effort, planner)
+    tasks = find_domain(domain).simulator.tasks
+    config = fleet.FleetConfig(agents=agents, timesteps=timesteps, planner=settings)
     done = run_seeds(layout, tasks, config, parse_seeds(seeds), record=check)
-    wrong = broken_rules(layout, tasks, config, done) if check else []
+    wrong = broken_rules(layout, tasks, config, done) if check and tasks else []
+    row = summarise(domain, layout, agents, done.runs, done.cpu_seconds)
     return {
         "domain": domain,
-        "planner": f"windowed, {effort} effort",
+        "planner": describe_planner(settings),
         "agents": agents,
         "timesteps": timesteps,
         "runs": [describe(seed, run) for seed, run in zip(done.seeds, done.runs, strict=True)],
-        "mean_throughput": mean_throughput(done.runs),
-        "success_rate": float(np.mean([not run.congested for run in done.runs])),
-        "cpu_seconds_per_run": round(done.cpu_seconds / len(done.runs), 4),
+        "mean_throughput": row.throughput if row.success_rate else None,
+        "mean_of_all": row.mean_of_all,
+        "success_rate": row.success_rate,
+        "cpu_seconds_per_run": round(row.cpu_seconds_per_run, 4),
         "compile_seconds": round(done.compile_seconds, 3),
         "valid": not wrong if check else None,
         "broken": wrong,
@@ -198,9 +224,3 @@ def describe(seed: int, run: Traffic) -> dict[str, Any]:
         "end_timestep": int(run.end_timestep),
         "finished_tasks": int(run.finished.sum()),
     }
-
-
-def mean_throughput(runs: Sequence[Traffic]) -> float:
-    """Average over the runs that never congested, as published tables do; else over all."""
-    smooth = [run.throughput for run in runs if not run.congested]
-    return float(np.mean(smooth or [run.throughput for run in runs]))

@@ -93,7 +93,8 @@ def wrap(algorithm: Any, sigma0: float) -> Strategy:
 
     def ask(state: EvosaxState, key: jax.Array) -> tuple[jax.Array, EvosaxState]:
         ask_key, tell_key = jax.random.split(key)
-        solutions, inner = algorithm.ask(ask_key, state.inner, params)
+        with jax.numpy_rank_promotion("allow"):  # evosax adds vectors to matrices
+            solutions, inner = algorithm.ask(ask_key, state.inner, params)
         return solutions, EvosaxState(inner, tell_key)
 
     def tell(
@@ -104,9 +105,10 @@ def wrap(algorithm: Any, sigma0: float) -> Strategy:
         evaluated: jax.Array,
     ) -> EvosaxState:
         ranks = jnp.zeros(batch, jnp.int32).at[order].set(jnp.arange(batch, dtype=jnp.int32))
-        rows = jnp.where((ranks < evaluated)[:, None], solutions, state.inner.mean)
+        rows = jnp.where((ranks < evaluated)[:, None], solutions, state.inner.mean[None])
         fitness = ranks.astype(solutions.dtype)  # evosax minimises: the best has rank 0
-        told, _ = algorithm.tell(state.key, rows, fitness, state.inner, params)
+        with jax.numpy_rank_promotion("allow"):
+            told, _ = algorithm.tell(state.key, rows, fitness, state.inner, params)
         inner = jax.tree.map(
             lambda new, old: strong(jnp.where(parents > 0, new, old)), told, state.inner
         )

@@ -68,8 +68,8 @@ def full(dim: int, batch: int, sigma0: float) -> Strategy:
 
     def ask(state: FullState, key: jax.Array) -> tuple[jax.Array, FullState]:
         noise = jax.random.normal(key, (batch, dim), state.mean.dtype)
-        transform = state.basis * jnp.sqrt(state.eigenvalues)
-        return state.mean + state.sigma * matmul(noise, transform.T), state  # (38) to (40)
+        transform = state.basis * jnp.sqrt(state.eigenvalues)[None]
+        return state.mean[None] + state.sigma * matmul(noise, transform.T), state  # (38) to (40)
 
     def tell(
         state: FullState,
@@ -94,7 +94,7 @@ def full(dim: int, batch: int, sigma0: float) -> Strategy:
             path=path,
             evaluations=evaluations,
             cov_path=cov_path,
-            covariance=adapt_covariance(state, cov_path, rows - state.mean, short, rates),
+            covariance=adapt_covariance(state, cov_path, rows - state.mean[None], short, rates),
         )
 
     def exhausted(state: FullState) -> jax.Array:

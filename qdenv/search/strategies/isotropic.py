@@ -41,7 +41,7 @@ def isotropic(dim: int, batch: int, sigma0: float) -> Strategy:
 
     def ask(state: IsotropicState, key: jax.Array) -> tuple[jax.Array, IsotropicState]:
         noise = jax.random.normal(key, (batch, dim), state.mean.dtype)
-        return state.mean + state.sigma * noise, state  # (38) to (40), C = I
+        return state.mean[None] + state.sigma * noise, state  # (38) to (40), C = I
 
     def tell(
         state: IsotropicState,

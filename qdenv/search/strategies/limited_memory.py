@@ -31,7 +31,7 @@ def bend(rows: jax.Array, memory: jax.Array, rates: jax.Array) -> jax.Array:
 
     def along(rows: jax.Array, vector_rate: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         vector, rate = vector_rate
-        projected = matmul(rows, vector)[:, None] * vector
+        projected = matmul(rows, vector)[:, None] * vector[None]
         return (1 - rate) * rows + rate * projected, None
 
     return jax.lax.scan(along, rows, (memory, rates))[0]
@@ -71,7 +71,7 @@ def limited_memory(dim: int, batch: int, sigma0: float) -> Strategy:
         used = jnp.arange(batch) < state.generations
         rates = jnp.where(used, jnp.asarray(blend, noise.dtype), 0)
         bent = bend(noise, state.memory, rates)
-        return state.mean + state.sigma * bent, state._replace(noise=noise)
+        return state.mean[None] + state.sigma * bent, state._replace(noise=noise)
 
     def tell(
         state: LimitedMemoryState,
@@ -90,7 +90,7 @@ def limited_memory(dim: int, batch: int, sigma0: float) -> Strategy:
         along = jnp.where(some, path_rate, 0)
         into = jnp.where(some, jnp.asarray(memory_rate, mean.dtype), 0)[:, None]
         path = (1 - along) * state.path + jnp.sqrt(rates.mu_eff * along * (2 - along)) * draw
-        memory = (1 - into) * state.memory + jnp.sqrt(rates.mu_eff * into * (2 - into)) * draw
+        memory = (1 - into) * state.memory + jnp.sqrt(rates.mu_eff * into * (2 - into)) * draw[None]
         excess = jnp.square(path).sum() / dim - 1
         sigma = state.sigma * jnp.exp(along / 2 * excess)
         generations = state.generations + 1

@@ -49,7 +49,8 @@ def separable(dim: int, batch: int, sigma0: float) -> Strategy:
 
     def ask(state: SeparableState, key: jax.Array) -> tuple[jax.Array, SeparableState]:
         noise = jax.random.normal(key, (batch, dim), state.mean.dtype)
-        return state.mean + state.sigma * jnp.sqrt(state.variances) * noise, state  # (38) to (40)
+        deviations = state.sigma * jnp.sqrt(state.variances)
+        return state.mean[None] + deviations[None] * noise, state  # (38) to (40)
 
     def tell(
         state: SeparableState,
@@ -67,7 +68,7 @@ def separable(dim: int, batch: int, sigma0: float) -> Strategy:
         short = path_is_short(path, evaluations, batch, rates)
         cov_path = stretch_cov_path(state.cov_path, step, short, rates)
         # The diagonal of the rank-mu matrix is all that is ever computed: O(b P).
-        rank_mu = (rates.weights[:, None] * jnp.square(rows - state.mean)).sum(axis=0)
+        rank_mu = (rates.weights[:, None] * jnp.square(rows - state.mean[None])).sum(axis=0)
         variances = (  # the diagonal of (47), the weights being positive
             state.variances * (1 - rank_one_decay(short, rates) - rates.rank_mu)
             + rates.rank_one**2 * jnp.square(cov_path)

@@ -1,4 +1,4 @@
-"""An independent check of a recorded run: plain numpy, nothing shared with the simulator.
+"""An independent check of a recorded run: plain numpy, no code shared with the simulator.
 
 It walks through the trajectory once and works out by itself what must have happened: who arrived,
 who served, which tasks were finished, when the traffic jammed. Everything that disagrees is named.
@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qdenv.simulate.mapf.metrics import Recording
 from qdenv.types import TaskRule, Traffic
 
 
@@ -25,7 +26,7 @@ class Trajectory(NamedTuple):
     finished: np.ndarray
 
 
-def trajectory_of(recording: object) -> Trajectory:
+def trajectory_of(recording: Recording) -> Trajectory:
     """Take what the audit needs from a `Recording`, without padding agents."""
     active = np.asarray(recording.active)
     return Trajectory(
@@ -45,7 +46,7 @@ def audit(
         rule: what the agents do.
         trajectory: the recorded run.
         traffic: what the simulator reported of it.
-        horizon: timesteps between two plans, the length of the windows of the jam rule.
+        horizon: replanning period h, the length of the windows of the jam rule.
 
     Returns:
         messages, each with the timestep and an agent; empty when all is well.
@@ -89,16 +90,18 @@ def check_moves(layout: np.ndarray, rule: TaskRule, positions: np.ndarray) -> li
 def replay_tasks(
     layout: np.ndarray, rule: TaskRule, trajectory: Trajectory, end: int
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Work out arrivals, stays and finished tasks from positions and goals alone.
+    """Work out arrivals, services and finished tasks from positions and goals alone.
+
+    The service rule is written a second time here on purpose: the audit trusts no code it checks.
 
     Returns:
         finished bool [end, A], working bool [end + 1, A] (serving after the step), messages.
     """
     goal_cells = np.array([np.asarray(goal.weight(layout)).reshape(-1) > 0 for goal in rule.cycle])
-    stay = np.array([goal.stay for goal in rule.cycle])
+    service_time = np.array([goal.stay for goal in rule.cycle])
     positions, goals = trajectory.positions, trajectory.goals
     agents = positions.shape[1]
-    kind, left = np.zeros(agents, int), np.zeros(agents, int)
+    kind, remaining = np.zeros(agents, int), np.zeros(agents, int)
     finished = np.zeros((end, agents), bool)
     working = np.zeros((end + 1, agents), bool)
     broken = []
@@ -107,16 +110,16 @@ def replay_tasks(
         proper = goal_cells[kind, goal]
         if not proper.all():
             broken.append(f"t={time}: agent {np.argmin(proper)} heads for a goal of another kind")
-        serving = left > 0
+        serving = remaining > 0
         if (serving & (cell != goal)).any():
             broken.append(
                 f"t={time}: agent {np.argmax(serving & (cell != goal))} cuts a stay short"
             )
         arrived = ~serving & (cell == goal)
-        left = np.where(serving, left - 1, np.where(arrived, stay[kind], 0))
-        done = (serving | arrived) & (left == 0)
-        finished[time], working[time + 1] = done, left > 0
-        kind = np.where(done, (kind + 1) % len(stay), kind)
+        remaining = np.where(serving, remaining - 1, np.where(arrived, service_time[kind], 0))
+        done = (serving | arrived) & (remaining == 0)
+        finished[time], working[time + 1] = done, remaining > 0
+        kind = np.where(done, (kind + 1) % len(service_time), kind)
         changed = goals[time + 1] != goal
         if (changed & ~done).any():
             broken.append(f"t={time}: agent {np.argmax(changed & ~done)} skips its goal")

@@ -1,17 +1,34 @@
 """Shortest distances from every goal to every cell, all goals at once, one bit per goal."""
 
+from typing import NamedTuple, TypeAlias
+
 import jax
 import jax.numpy as jnp
 
 from qdenv.grid import MOVES, shift
-from qdenv.types import Array
+
+Planes: TypeAlias = tuple[jax.Array, ...]
 
 UNREACHABLE = 8191  # farther than any shortest path of a usable layout; small enough to add up
 PLANES = 4  # bits of the step counter that is unpacked once per epoch
 WORD = 32
 
 
-def pack_goals(cells: Array, used: Array, shape: tuple[int, int]) -> jax.Array:
+class _Wave(NamedTuple):
+    """The breadth-first search between two epochs.
+
+    Attributes:
+        reached: uint32 [G / 32, H, W], one bit per goal.
+        distance: int16 [G, H * W], steps for which each cell has been out of reach.
+        grew: bool, the last epoch reached new cells.
+    """
+
+    reached: jax.Array
+    distance: jax.Array
+    grew: jax.Array
+
+
+def pack_goals(cells: jax.Array, used: jax.Array, shape: tuple[int, int]) -> jax.Array:
     """Set bit ``g % 32`` of word ``g // 32`` at the cell of goal g (uint32 [G / 32, H, W])."""
     count = cells.shape[0]
     words = -(-count // WORD)
@@ -21,7 +38,7 @@ def pack_goals(cells: Array, used: Array, shape: tuple[int, int]) -> jax.Array:
     return empty.at[slot // WORD, cells].add(bit).reshape(words, *shape)
 
 
-def goal_distances(traversable: Array, cells: Array, used: Array) -> jax.Array:
+def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) -> jax.Array:
     """Measure the way from every cell to every goal by breadth-first search.
 
     All goals spread at the same time, 32 to a word. How long a cell stayed out of reach is counted
@@ -38,33 +55,31 @@ def goal_distances(traversable: Array, cells: Array, used: Array) -> jax.Array:
     rows, cols = traversable.shape
     count = cells.shape[0]
     open_cells = jnp.where(traversable, jnp.uint32(0xFFFFFFFF), jnp.uint32(0))
-    start = pack_goals(cells, used, (rows, cols)) & open_cells
+    start = pack_goals(cells, used, (rows, cols)) & open_cells[None]
 
-    def step(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+    def step(_: jax.Array, carry: tuple[jax.Array, Planes]) -> tuple[jax.Array, Planes]:
         reached, planes = carry
         carry_bit, sums = ~reached, []
         for plane in planes:  # a ripple-carry counter, one bit plane after the other
             sums.append(plane ^ carry_bit)
             carry_bit = plane & carry_bit
-        spread = reached
+        after = reached
         for move in MOVES:
-            spread = spread | jax.vmap(lambda word, move=move: shift(word, move))(reached)
-        return spread & open_cells, tuple(sums)
+            after = after | jax.vmap(lambda word, move=move: shift(word, move))(reached)
+        return after & open_cells[None], tuple(sums)
 
-    def unpack(words: Array) -> jax.Array:
+    def unpack(words: jax.Array) -> jax.Array:
         bits = (words[:, None] >> jnp.arange(WORD, dtype=jnp.uint32)[None, :, None, None]) & 1
         return bits.astype(jnp.int16).reshape(-1, rows * cols)[:count]
 
-    def epoch(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        reached, distance, _ = carry
-        planes = tuple(jnp.zeros_like(reached) for _ in range(PLANES))
-        after, planes = jax.lax.fori_loop(0, 2**PLANES - 1, step, (reached, planes))
+    def epoch(wave: _Wave) -> _Wave:
+        planes = (jnp.zeros_like(wave.reached),) * PLANES
+        reached, planes = jax.lax.fori_loop(0, 2**PLANES - 1, step, (wave.reached, planes))
+        distance = wave.distance
         for bit, plane in enumerate(planes):
             distance = distance + (unpack(plane) << bit)
-        return after, distance, (after != reached).any()
+        return _Wave(reached, distance, (reached != wave.reached).any())
 
-    zero = jnp.zeros((count, rows * cols), jnp.int16)
-    reached, distance, _ = jax.lax.while_loop(
-        lambda carry: carry[2], epoch, (start, zero, jnp.bool_(True))
-    )
-    return jnp.where(unpack(reached) == 1, distance, jnp.int16(UNREACHABLE))
+    first = _Wave(start, jnp.zeros((count, rows * cols), jnp.int16), jnp.bool_(True))
+    wave = jax.lax.while_loop(lambda wave: wave.grew, epoch, first)
+    return jnp.where(unpack(wave.reached) == 1, wave.distance, jnp.int16(UNREACHABLE))

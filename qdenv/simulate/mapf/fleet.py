@@ -1,33 +1,35 @@
 """Lifelong multi-agent path finding: one simulation of a fleet on one layout.
 
-Plan a window, drive its first steps, hand out new goals, plan again (RHCR; the rules are in
-`qdenv.simulate`). Everything that depends on the layout is traced, so all layouts of one size
-share one compiled program.
+Plan a window, drive its first steps, hand out new goals, plan again (RHCR, Li et al. 2021,
+https://arxiv.org/abs/2005.07371; the rules are in `qdenv.simulate`). Everything that depends on
+the layout is traced, so all layouts of one size share one compiled program.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 
 from qdenv.grid import of_tiles
 from qdenv.simulate.mapf import tasks
+from qdenv.simulate.mapf.agents import Fleet, agent_state, drive, place
 from qdenv.simulate.mapf.distances import UNREACHABLE, goal_distances
 from qdenv.simulate.mapf.metrics import (
-    MARGIN,
     Block,
+    Metrics,
     Recording,
-    Tape,
-    count_block,
-    empty_tally,
+    TrajectoryBuffer,
+    accumulate,
+    empty_metrics,
     is_congested,
     recording_of,
     summarise,
-    walled,
 )
-from qdenv.simulate.mapf.negotiated.settings import LOW, MAX_SERVICE, MAX_WINDOW
-from qdenv.simulate.mapf.planner import PLANNERS, AgentState, World
+from qdenv.simulate.mapf.negotiated.settings import LOW
+from qdenv.simulate.mapf.padding import pad
+from qdenv.simulate.mapf.planner import PLANNERS, Planner, World
 from qdenv.types import Array, InputError, TaskRule, Traffic
 
 
@@ -37,10 +39,10 @@ class FleetConfig:
 
     Attributes:
         agents: agents simulated, or the most of them when `simulate` is told fewer.
-        timesteps: horizon T.
-        window: timesteps planned ahead without conflict (w), at most 10.
-        horizon: timesteps driven before planning again (h).
-        planner: chooses the paths; its settings are its own.
+        timesteps: length T of a run.
+        window: timesteps planned ahead without conflict (w), at most what the planner can do.
+        horizon: timesteps driven before planning again, the replanning period (h).
+        planner: settings record of the planner; its type says which one of `PLANNERS`.
         stop_when_congested: end the run at the first congested window.
         goal_capacity: goal cells the tables have room for; None for one per cell of the layout.
     """
@@ -49,122 +51,84 @@ class FleetConfig:
     timesteps: int = 1000
     window: int = 10
     horizon: int = 5
-    planner: Any = LOW
+    planner: Any = field(default_factory=lambda: LOW)
     stop_when_congested: bool = True
     goal_capacity: int | None = None
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no simulation."""
+        """Refuse numbers that make no simulation, or that the planner cannot plan."""
         if self.agents < 1 or self.timesteps < 1:
             raise InputError("a simulation needs at least one agent and one timestep")
-        if not 1 <= self.horizon <= self.window <= MAX_WINDOW:
-            raise InputError(f"need 1 <= horizon <= window <= {MAX_WINDOW}")
+        if not 1 <= self.horizon <= self.window:
+            raise InputError(
+                f"need 1 <= horizon <= window, not horizon {self.horizon}, window {self.window}"
+            )
+        longest = self.make_planner().max_window
+        if self.window > longest:
+            raise InputError(
+                f"the planner {PLANNERS.name_of(self.planner)!r} plans at most {longest} timesteps "
+                f"ahead: choose a window of at most {longest}, not {self.window}"
+            )
 
+    def make_planner(self) -> Planner:
+        """Make the planner that the settings choose.
 
-class Fleet(NamedTuple):
-    """The agents between two windows.
-
-    Attributes:
-        position: int32 [A].
-        kind: int32 [A], the current goal's place in the cycle.
-        goal: int32 [2, A], slots of the current and the next goal.
-        serving: int32 [A], timesteps still to serve.
-        age: int32 [A], timesteps since the last finished task.
-        previous: int32 [window + 1, A], the plan from here on.
-    """
-
-    position: Array
-    kind: Array
-    goal: Array
-    serving: Array
-    age: Array
-    previous: Array
+        Raises:
+            InputError: no planner is registered for their type.
+        """
+        return PLANNERS.make(self.planner)
 
 
 def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
-    """Build what all runs on `layout` (int8 [H, W]) share: goals, distances, walls.
+    """Build what all runs on one layout share: goals, distances, walls.
+
+    Args:
+        layout: int8 [H, W].
+        rule: what the agents do.
+        config: the numbers of the simulation.
 
     Raises:
-        InputError: a goal keeps its agents for more than 20 timesteps.
+        InputError: a goal keeps its agents for longer than the planner understands.
     """
-    if max(goal.stay for goal in rule.cycle) > MAX_SERVICE:
-        raise InputError(f"agents can stay at a goal for at most {MAX_SERVICE} timesteps")
+    chex.assert_rank(layout, 2)
+    chex.assert_type(layout, int)
+    planner, service_time = config.make_planner(), tasks.service_times(rule)
+    if service_time.max() > planner.max_service:
+        raise InputError(
+            f"the planner {PLANNERS.name_of(config.planner)!r} lets agents stay at a goal for at "
+            f"most {planner.max_service} timesteps, not {service_time.max()}: shorten the stay"
+        )
     rows, cols = layout.shape
     capacity = config.goal_capacity or rows * cols
     traversable = of_tiles(layout, rule.traversable, rule.tiles)
     goals = tasks.goal_table(layout, rule, capacity)
     used = goals.used & traversable.reshape(-1)[goals.cells]
-    distance = goal_distances(traversable, goals.cells, used)
-    margins = ((0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN))
-    distance = jnp.pad(distance.reshape(capacity, rows, cols), margins, constant_values=UNREACHABLE)
+    distance = goal_distances(traversable, goals.cells, used).reshape(capacity, rows, cols)
+    sides = (planner.margin, planner.margin)
+    distance = jnp.pad(distance, ((0, 0), sides, sides), constant_values=UNREACHABLE)
     return World(
-        traversable=jnp.pad(traversable, MARGIN),
-        goals=goals._replace(cells=walled(goals.cells, cols)),
+        traversable=jnp.pad(traversable, planner.margin),
+        goals=goals._replace(cells=pad(goals.cells, cols, planner.margin)),
         distance=distance.reshape(capacity, -1),
-        service_time=jnp.asarray(tasks.stays(rule)),
+        service_time=jnp.asarray(service_time),
         valid=goals.complete,
-        margin=MARGIN,
-    )
-
-
-def place(world: World, config: FleetConfig, active: Array, key: Array) -> Fleet:
-    """Put the agents on distinct random cells and draw their first goals; consumes the key."""
-    start_key, *goal_keys = jax.random.split(key, 3)
-    count = config.agents
-    luck = jax.random.uniform(start_key, (world.traversable.size,))
-    luck = jnp.where(world.traversable.reshape(-1), luck, -1.0)
-    _, cells = jax.lax.top_k(luck, count)
-    position = jnp.where(active, cells.astype(jnp.int32), 0)
-    kind = jnp.zeros((count,), jnp.int32)
-    cycle = world.service_time.shape[0]
-    goal = [
-        tasks.draw_goals(world.goals, (kind + ahead) % cycle, goal_key)
-        for ahead, goal_key in enumerate(goal_keys)
-    ]
-    still = jnp.broadcast_to(position, (config.window + 1, count))
-    return Fleet(position, kind, jnp.stack(goal), kind, kind, still)
-
-
-def drive(
-    world: World, fleet: Fleet, cell: Array, active: Array, key: Array
-) -> tuple[Fleet, Array]:
-    """Move every agent to `cell` (int32 [A]) and serve goals; returns who finished (bool [A])."""
-    cycle = world.service_time.shape[0]
-    arrived = (fleet.serving == 0) & (cell == world.goals.cells[fleet.goal[0]]) & active
-    left = jnp.where(arrived, world.service_time[fleet.kind], fleet.serving - 1)
-    finished = (arrived | (fleet.serving > 0)) & (left <= 0)
-    kind = jnp.where(finished, (fleet.kind + 1) % cycle, fleet.kind)
-    drawn = tasks.draw_goals(world.goals, (kind + 1) % cycle, key)
-    return fleet._replace(
-        position=cell,
-        kind=kind,
-        goal=jnp.where(finished, jnp.stack([fleet.goal[1], drawn]), fleet.goal),
-        serving=jnp.maximum(left, 0),
-        age=jnp.where(finished, 0, fleet.age + 1),
-    ), finished
-
-
-def agent_state(world: World, fleet: Fleet, active: Array) -> AgentState:
-    """Tell the planner what it needs to know."""
-    cycle = world.service_time.shape[0]
-    stay = world.service_time[jnp.stack([fleet.kind, (fleet.kind + 1) % cycle])]
-    return AgentState(
-        fleet.position, active, fleet.goal, stay, fleet.serving, fleet.age, fleet.previous
+        margin=planner.margin,
     )
 
 
 def run_window(
-    world: World, config: FleetConfig, fleet: Fleet, active: Array, key: Array
+    world: World, config: FleetConfig, fleet: Fleet, active: jax.Array, key: jax.Array
 ) -> tuple[Fleet, Block]:
     """Plan a window and drive its first steps; consumes the key."""
     plan_key, goal_key = jax.random.split(key)
-    plan = PLANNERS.make(config.planner).plan
-    paths = plan(world, agent_state(world, fleet, active), config.horizon, plan_key)
+    state = agent_state(world, fleet, active)
+    paths = config.make_planner().plan(world, state, config.horizon, plan_key)
+    chex.assert_shape(paths, (config.window + 1, config.agents))
 
-    def step(fleet: Fleet, inputs: tuple[Array, Array]) -> tuple[Fleet, Block]:
+    def step(fleet: Fleet, inputs: tuple[jax.Array, jax.Array]) -> tuple[Fleet, Block]:
         heading = world.goals.cells[fleet.goal[0]]
         fleet, finished = drive(world, fleet, inputs[0], active, inputs[1])
-        return fleet, Block(fleet.position, fleet.serving, finished, heading)
+        return fleet, Block(fleet.position, fleet.remaining_service, finished, heading)
 
     executed = paths[1 : config.horizon + 1]
     keys = jax.random.split(goal_key, config.horizon)
@@ -173,65 +137,82 @@ def run_window(
     return fleet._replace(previous=jnp.concatenate([paths[config.horizon :], last])), block
 
 
-def _run(
-    world: World, key: Array, config: FleetConfig, agents: Array | None, keep: bool
-) -> tuple[Traffic, Recording | None]:
+class _Run(NamedTuple):
+    """A simulation under way.
+
+    Attributes:
+        fleet: the agents now.
+        metrics: what was counted so far.
+        buffer: what was recorded so far; without room where nothing shall be recorded.
+    """
+
+    fleet: Fleet
+    metrics: Metrics
+    buffer: TrajectoryBuffer
+
+
+def _run(world: World, key: jax.Array, config: FleetConfig, active: jax.Array, keep: bool) -> _Run:
     """Simulate until T or congestion, keeping every step if asked."""
-    asked = config.agents if agents is None else agents
-    active = jnp.arange(config.agents) < asked
-    room = world.traversable.sum() >= asked
-    world = world.replace(valid=world.valid & room & (asked <= config.agents))
     place_key, drive_key = jax.random.split(key)
-    fleet = place(world, config, active, place_key)
-    blocks = -(-config.timesteps // config.horizon)
-    tally = empty_tally(world, blocks * config.horizon)
-    tape = Tape.empty(fleet.position, blocks * config.horizon) if keep else None
+    fleet = place(world, config.window, active, place_key)
+    whole_windows = -(-config.timesteps // config.horizon) * config.horizon
 
-    def going(carry: tuple) -> jax.Array:
-        tally = carry[1]
-        halted = tally.congested & config.stop_when_congested
-        return world.valid & (tally.time < config.timesteps) & ~halted
+    def going(run: _Run) -> jax.Array:
+        halted = run.metrics.congested & config.stop_when_congested
+        return world.valid & (run.metrics.time < config.timesteps) & ~halted
 
-    def window(carry: tuple) -> tuple:
-        fleet, tally, tape = carry
-        at_work = active & going(carry)  # a finished lane of a batch has nobody left to plan
-        step_key = jax.random.fold_in(drive_key, tally.time)
+    def window(run: _Run) -> _Run:
+        fleet, metrics, buffer = run
+        at_work = active & going(run)  # a finished lane of a batch has nobody left to plan
+        step_key = jax.random.fold_in(drive_key, metrics.time)
         after, block = run_window(world, config, fleet, at_work, step_key)
-        whole = tally.time + config.horizon <= config.timesteps
-        jam = whole & is_congested(fleet.position, block, fleet.serving, active)
-        tape = tape.store(block, tally.time) if keep else None
-        tally = count_block(tally, fleet.position, block, active, config.timesteps)
-        return after, tally._replace(congested=tally.congested | jam), tape
+        # A window that T cuts short is no window of the jam rule.
+        whole = metrics.time + config.horizon <= config.timesteps
+        jam = whole & is_congested(fleet.position, fleet.remaining_service, block, active)
+        buffer = buffer.store(block, metrics.time)
+        metrics = accumulate(metrics, fleet.position, block, active, config.timesteps)
+        return _Run(after, metrics._replace(congested=metrics.congested | jam), buffer)
 
-    fleet, tally, tape = jax.lax.while_loop(going, window, (fleet, tally, tape))
-    traffic = summarise(world, tally, active, config.timesteps)
-    last_goal = world.goals.cells[fleet.goal[0]]
-    kept = recording_of(tape, tally, last_goal, active, world, config.timesteps) if keep else None
-    return traffic, kept
+    buffer = TrajectoryBuffer.empty(fleet.position, whole_windows if keep else 0)
+    first = _Run(fleet, empty_metrics(world, whole_windows), buffer)
+    return jax.lax.while_loop(going, window, first)
+
+
+def _enlist(world: World, config: FleetConfig, agents: Array | None) -> tuple[World, jax.Array]:
+    """Choose who takes part (bool [A]); without room for them the world is not valid."""
+    chex.assert_rank([world.traversable, world.distance], 2)
+    chex.assert_shape(world.distance, (world.goals.cells.shape[0], world.traversable.size))
+    asked = jnp.asarray(config.agents if agents is None else agents)
+    chex.assert_rank(asked, 0)
+    room = (world.traversable.sum() >= asked) & (asked <= config.agents)
+    return replace(world, valid=world.valid & room), jnp.arange(config.agents) < asked
 
 
 def simulate(
-    world: World, key: Array, rule: TaskRule, config: FleetConfig, agents: Array | None = None
+    world: World, key: jax.Array, config: FleetConfig, agents: Array | None = None
 ) -> Traffic:
     """Run one simulation until T, or until it congests.
 
     Args:
-        world: from `prepare`, with the same rule and config.
+        world: from `prepare`, with the same config.
         key: consumed; decides starts, goals and ties.
-        rule: what the agents do.
         config: the numbers.
         agents: how many agents take part (traced, at most ``config.agents``); None for all.
 
     Returns:
         `Traffic`. A layout with too few free cells or without goals counts as congested at once.
     """
-    del rule  # the world holds all of it that a run needs
-    return _run(world, key, config, agents, keep=False)[0]
+    world, active = _enlist(world, config, agents)
+    run = _run(world, key, config, active, keep=False)
+    return summarise(world, run.metrics, active, config.timesteps)
 
 
 def record(
-    world: World, key: Array, rule: TaskRule, config: FleetConfig, agents: Array | None = None
+    world: World, key: jax.Array, config: FleetConfig, agents: Array | None = None
 ) -> tuple[Traffic, Recording]:
     """Run the same simulation as `simulate` and keep every step of it."""
-    del rule
-    return _run(world, key, config, agents, keep=True)
+    world, active = _enlist(world, config, agents)
+    run = _run(world, key, config, active, keep=True)
+    goal = world.goals.cells[run.fleet.goal[0]]
+    recording = recording_of(run.buffer, run.metrics, goal, active, world, config.timesteps)
+    return summarise(world, run.metrics, active, config.timesteps), recording

@@ -5,50 +5,43 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulate.mapf.negotiated.settings import MARGIN
+from qdenv.simulate.mapf.padding import unpad, unpad_grid
 from qdenv.simulate.mapf.planner import World
-from qdenv.types import Array, Traffic
-
-
-def walled(cells: Array, cols: int) -> jax.Array:
-    """Translate positions of the layout into positions of the walled grid."""
-    return (cells // cols + MARGIN) * (cols + 2 * MARGIN) + cells % cols + MARGIN
-
-
-def unwalled(cells: Array, cols: int) -> jax.Array:
-    """Translate positions of the walled grid into positions of the layout."""
-    width = cols + 2 * MARGIN
-    return (cells // width - MARGIN) * cols + cells % width - MARGIN
+from qdenv.types import Traffic
 
 
 class Block(NamedTuple):
-    """What happened in the executed steps of one window, each [h, A]."""
+    """What happened in the executed steps of one window, each [h, A].
 
-    positions: Array  # int32, after the step
-    serving: Array  # int32, after the step
-    finished: Array  # bool
-    goals: Array  # int32, goal cells before the step
+    Attributes:
+        positions: int32, after the step.
+        remaining_service: int32, after the step.
+        finished: bool, the step finished a task.
+        goals: int32, goal cells before the step.
+    """
 
-
-class Tally(NamedTuple):
-    """What was counted so far; T is rounded up to whole windows."""
-
-    time: Array  # int32
-    congested: Array  # bool
-    finished: Array  # int32 [T]
-    visits: Array  # int32 [H' * W']
-    moves: Array  # int32
+    positions: jax.Array
+    remaining_service: jax.Array
+    finished: jax.Array
+    goals: jax.Array
 
 
-def empty_tally(world: World, timesteps: int) -> Tally:
-    """Begin to count."""
-    return Tally(
-        time=jnp.int32(0),
-        congested=jnp.bool_(False),
-        finished=jnp.zeros((timesteps,), jnp.int32),
-        visits=jnp.zeros((world.traversable.size,), jnp.int32),
-        moves=jnp.int32(0),
-    )
+class Metrics(NamedTuple):
+    """What was counted so far; T is rounded up to whole windows.
+
+    Attributes:
+        time: int32, timesteps driven.
+        congested: bool, some window congested.
+        finished: int32 [T], tasks finished at each timestep.
+        visits: int32 [H' * W'], agent-steps spent on each cell of the padded grid.
+        moves: int32, agent-steps with a move.
+    """
+
+    time: jax.Array
+    congested: jax.Array
+    finished: jax.Array
+    visits: jax.Array
+    moves: jax.Array
 
 
 class Recording(NamedTuple):
@@ -57,101 +50,156 @@ class Recording(NamedTuple):
     Attributes:
         positions: int32 [T + 1, A]; after the end of the run the last position is repeated.
         goals: int32 [T + 1, A], the goal cell each agent is heading for before the step.
-        serving: int32 [T + 1, A], timesteps it must still stay.
+        remaining_service: int32 [T + 1, A], timesteps it must still remain on its goal.
         finished: bool [T, A], tasks finished by the step.
         active: bool [A].
     """
 
-    positions: Array
-    goals: Array
-    serving: Array
-    finished: Array
-    active: Array
+    positions: jax.Array
+    goals: jax.Array
+    remaining_service: jax.Array
+    finished: jax.Array
+    active: jax.Array
 
 
-def is_congested(start: Array, block: Block, serving: Array, active: Array) -> jax.Array:
+def empty_metrics(world: World, timesteps: int) -> Metrics:
+    """Begin to count a run of `timesteps`, a multiple of the replanning period."""
+    return Metrics(
+        time=jnp.int32(0),
+        congested=jnp.bool_(False),
+        finished=jnp.zeros((timesteps,), jnp.int32),
+        visits=jnp.zeros((world.traversable.size,), jnp.int32),
+        moves=jnp.int32(0),
+    )
+
+
+def is_congested(
+    start: jax.Array, remaining_service: jax.Array, block: Block, active: jax.Array
+) -> jax.Array:
     """Tell whether more than half of the agents are stuck.
 
     Stuck: the same cell at all timesteps of the window but the last, and never serving.
+
+    Args:
+        start: int32 [A], positions before the block.
+        remaining_service: int32 [A], before the block.
+        block: the driven steps.
+        active: bool [A].
     """
     path = jnp.concatenate([start[None], block.positions])[:-1]
-    at_work = jnp.concatenate([serving[None], block.serving])[:-1] > 0
-    stuck = (path == path[0]).all(0) & ~at_work.any(0) & active
+    remaining = jnp.concatenate([remaining_service[None], block.remaining_service])[:-1]
+    stuck = (path == path[:1]).all(0) & ~(remaining > 0).any(0) & active
     return stuck.sum() > active.sum() // 2
 
 
-def count_block(tally: Tally, start: Array, block: Block, active: Array, timesteps: int) -> Tally:
-    """Add the driven steps to the tally; steps beyond T do not count."""
+def accumulate(
+    metrics: Metrics, start: jax.Array, block: Block, active: jax.Array, timesteps: int
+) -> Metrics:
+    """Count the driven steps; steps beyond `timesteps` and padding agents do not count.
+
+    Args:
+        metrics: counted so far.
+        start: int32 [A], positions before the block.
+        block: the driven steps.
+        active: bool [A].
+        timesteps: T of the run.
+    """
     horizon = block.positions.shape[0]
-    counts = (tally.time + jnp.arange(horizon) < timesteps)[:, None] & active[None, :]
+    counts = (metrics.time + jnp.arange(horizon) < timesteps)[:, None] & active[None, :]
     before = jnp.concatenate([start[None], block.positions[:-1]])
     finished = (block.finished & counts).sum(1, dtype=jnp.int32)
-    return Tally(
-        time=jnp.minimum(tally.time + horizon, timesteps),
-        congested=tally.congested,
-        finished=jax.lax.dynamic_update_slice(tally.finished, finished, (tally.time,)),
-        visits=tally.visits.at[block.positions].add(counts.astype(jnp.int32)),
-        moves=tally.moves + ((block.positions != before) & counts).sum(dtype=jnp.int32),
+    return Metrics(
+        time=jnp.minimum(metrics.time + horizon, timesteps),
+        congested=metrics.congested,
+        finished=jax.lax.dynamic_update_slice(metrics.finished, finished, (metrics.time,)),
+        visits=metrics.visits.at[block.positions].add(counts.astype(jnp.int32)),
+        moves=metrics.moves + ((block.positions != before) & counts).sum(dtype=jnp.int32),
     )
 
 
-def summarise(world: World, tally: Tally, active: Array, timesteps: int) -> Traffic:
-    """Turn the tally into the record that other stages read."""
-    finished = tally.finished[:timesteps]
-    visits = tally.visits.reshape(world.traversable.shape)[MARGIN:-MARGIN, MARGIN:-MARGIN]
-    steps = jnp.maximum(tally.time * active.sum(), 1).astype(jnp.float32)
+def summarise(world: World, metrics: Metrics, active: jax.Array, timesteps: int) -> Traffic:
+    """Turn the counts into the record that other stages read."""
+    finished = metrics.finished[:timesteps]
+    visits = unpad_grid(metrics.visits.reshape(world.traversable.shape), world.margin)
+    steps = jnp.maximum(metrics.time * active.sum(), 1).astype(jnp.float32)
     total = finished.sum()
     return Traffic(
         throughput=total / jnp.float32(timesteps),
-        congested=tally.congested | ~world.valid,
-        end_timestep=tally.time,
+        congested=metrics.congested | ~world.valid,
+        end_timestep=metrics.time,
         finished=finished,
         usage=visits / jnp.maximum(visits.sum(), 1).astype(jnp.float32),
-        waiting=1.0 - tally.moves / steps,
-        path_length=tally.moves / jnp.maximum(total, 1).astype(jnp.float32),
+        waiting=1.0 - metrics.moves / steps,
+        path_length=metrics.moves / jnp.maximum(total, 1).astype(jnp.float32),
     )
 
 
-class Tape(NamedTuple):
-    """All blocks of a run so far, and where the agents began."""
+class TrajectoryBuffer(NamedTuple):
+    """All blocks of a run so far, and where the agents began.
 
-    begin: Array  # int32 [A]
-    block: Block  # each [T, A]
+    Attributes:
+        start: int32 [A], the first positions.
+        block: what happened, each [T, A]; T is rounded up to whole windows.
+    """
+
+    start: jax.Array
+    block: Block
 
     @classmethod
-    def empty(cls, begin: Array, timesteps: int) -> "Tape":
-        """Make a tape for `timesteps` steps of agents that begin at `begin` (int32 [A])."""
-        blank = jnp.zeros((timesteps, begin.shape[0]), jnp.int32)
-        return cls(begin, Block(blank, blank, blank, blank))
+    def empty(cls, start: jax.Array, timesteps: int) -> "TrajectoryBuffer":
+        """Make room for `timesteps` steps of agents that begin at `start` (int32 [A]).
 
-    def store(self, block: Block, time: Array) -> "Tape":
+        A buffer for 0 timesteps keeps nothing.
+        """
+        blank = jnp.zeros((timesteps, start.shape[0]), jnp.int32)
+        return cls(start, Block(blank, blank, blank.astype(bool), blank))
+
+    def store(self, block: Block, time: jax.Array) -> "TrajectoryBuffer":
         """Write a block at its time."""
+        if self.block.positions.shape[0] == 0:
+            return self
 
-        def write(roll: Array, part: Array) -> jax.Array:
-            return jax.lax.dynamic_update_slice(roll, part.astype(jnp.int32), (time, 0))
+        def write(rows: jax.Array, part: jax.Array) -> jax.Array:
+            return jax.lax.dynamic_update_slice(rows, part, (time, 0))
 
         return self._replace(block=jax.tree.map(write, self.block, block))
 
 
 def recording_of(
-    tape: Tape, tally: Tally, last_goal: Array, active: Array, world: World, timesteps: int
+    buffer: TrajectoryBuffer,
+    metrics: Metrics,
+    last_goal: jax.Array,
+    active: jax.Array,
+    world: World,
+    timesteps: int,
 ) -> Recording:
-    """Cut the tape to T steps and translate its positions; nothing moves after the end."""
-    cols = world.traversable.shape[1] - 2 * MARGIN
-    last = jnp.maximum(tally.time - 1, 0)
+    """Cut the buffer to T steps and translate its positions; nothing moves after the end.
+
+    Args:
+        buffer: all driven steps.
+        metrics: tells when the run ended.
+        last_goal: int32 [A], goal cells after the last driven step.
+        active: bool [A].
+        world: where the agents drove.
+        timesteps: T of the run.
+    """
+    cols = world.traversable.shape[1] - 2 * world.margin
+    last = jnp.maximum(metrics.time - 1, 0)
     row = jnp.minimum(jnp.arange(timesteps), last)
-    driven = (jnp.arange(timesteps) < tally.time)[:, None]
-    block = tape.block
+    driven = (jnp.arange(timesteps) < metrics.time)[:, None]
+    block = buffer.block
     # The last block may reach beyond T: then it knows the goals at T, else the fleet does.
     total = block.goals.shape[0]
-    known = jnp.where(tally.time == timesteps, total, tally.time)
+    known = jnp.where(metrics.time == timesteps, total, metrics.time)
     time = jnp.arange(timesteps + 1)
     goals = block.goals[jnp.minimum(time, total - 1)]
     goals = jnp.where((time < known)[:, None], goals, last_goal)
+    positions = jnp.concatenate([buffer.start[None], block.positions[row]])
+    remaining = jnp.concatenate([jnp.zeros_like(buffer.start)[None], block.remaining_service[row]])
     return Recording(
-        positions=unwalled(jnp.concatenate([tape.begin[None], block.positions[row]]), cols),
-        goals=unwalled(goals, cols),
-        serving=jnp.concatenate([jnp.zeros_like(tape.begin)[None], block.serving[row]]),
-        finished=(block.finished[:timesteps] > 0) & driven,
+        positions=unpad(positions, cols, world.margin),
+        goals=unpad(goals, cols, world.margin),
+        remaining_service=remaining,
+        finished=block.finished[:timesteps] & driven,
         active=active,
     )

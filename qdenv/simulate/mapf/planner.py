@@ -16,6 +16,8 @@ import jax
 from qdenv.registry import Registry
 from qdenv.simulate.mapf.tasks import GoalTable
 
+NOBODY = -1  # stands where an agent's number could stand
+
 
 @flax.struct.dataclass
 class World:
@@ -72,7 +74,7 @@ class Planner(NamedTuple):
             key. The window is the length of ``state.previous`` less one.
         max_window: most timesteps it plans ahead.
         max_service: longest service at a goal that it understands.
-        margin: rows and columns of walls it wants around the grid.
+        margin: rows and columns of walls it wants around the grid, at least 1.
     """
 
     plan: Callable[[World, AgentState, int, jax.Array], jax.Array]

@@ -21,10 +21,10 @@ class GoalTable(NamedTuple):
         complete: bool, every kind has a goal and no goal was left out for want of slots.
     """
 
-    cells: Array
-    used: Array
-    odds: Array
-    complete: Array
+    cells: jax.Array
+    used: jax.Array
+    odds: jax.Array
+    complete: jax.Array
 
 
 def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
@@ -62,13 +62,13 @@ def favour_left(goal: Goal, odds: float) -> Goal:
 
     def weight(layout: Array) -> jax.Array:
         left = jnp.arange(layout.shape[1]) == 0
-        return goal.weight(layout) * jnp.where(left, odds, 1.0)[None, :]
+        return jnp.where(left, odds, 1.0)[None, :] * goal.weight(layout)
 
     return goal._replace(weight=weight)
 
 
-def stays(rule: TaskRule) -> np.ndarray:
-    """List the timesteps spent on each kind of goal (int32 [n])."""
+def service_times(rule: TaskRule) -> np.ndarray:
+    """List the timesteps served at each kind of goal (int32 [n])."""
     return np.array([goal.stay for goal in rule.cycle], dtype=np.int32)
 
 
@@ -111,7 +111,7 @@ def goal_table(layout: Array, rule: TaskRule, capacity: int) -> GoalTable:
     return GoalTable(cells, used, cumulated / jnp.maximum(total, 1e-6), complete)
 
 
-def draw_goals(table: GoalTable, kinds: Array, key: Array) -> jax.Array:
+def draw_goals(table: GoalTable, kinds: jax.Array, key: jax.Array) -> jax.Array:
     """Draw one goal slot per agent, independently and with the odds of its kind.
 
     Args:
@@ -126,3 +126,25 @@ def draw_goals(table: GoalTable, kinds: Array, key: Array) -> jax.Array:
     per_kind = jax.vmap(lambda odds: jnp.searchsorted(odds, chance, side="right"))(table.odds)
     slots = jnp.take_along_axis(per_kind, kinds[None].astype(jnp.int32), axis=0)[0]
     return jnp.minimum(slots, table.cells.shape[0] - 1).astype(jnp.int32)
+
+
+def serve(
+    remaining_service: jax.Array, on_goal: jax.Array, service_time: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Begin, continue and end services; the one place that has the rule.
+
+    An agent that reaches its goal while it drives begins to serve there. The task is finished
+    when nothing is left to serve, at once where a goal asks for no service.
+
+    Args:
+        remaining_service: int32 [A], timesteps left to serve before the step; 0 while driving.
+        on_goal: bool [A], the agent is on its goal after the step.
+        service_time: int32 [A], timesteps its goal asks for, at least 0.
+
+    Returns:
+        remaining_service after the step (int32 [A]), who finished a task (bool [A]).
+    """
+    serving = remaining_service > 0
+    arrived = (remaining_service == 0) & on_goal
+    left = arrived * service_time + serving * (remaining_service - 1)
+    return left, (arrived | serving) & (left == 0)

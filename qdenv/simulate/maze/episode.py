@@ -1,4 +1,4 @@
-"""The maze agent at work: tables of one layout, one episode, its trace.
+"""The maze agent at work: one episode, many, and the trace of one.
 
 The 50 episodes of a layout are independent: each has its own first heading and its own actions.
 """
@@ -8,70 +8,29 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from qdenv.simulate.maze.policy import Memory, Weights, act, blank_memory, encode, recur
-from qdenv.simulate.maze.world import (
-    FORWARD,
-    HEADINGS,
-    TURN_LEFT,
-    Course,
-    Pose,
-    canvas,
-    image,
-    longest_path,
-    on_canvas,
-    step,
-    view,
-)
-from qdenv.types import Array
+from qdenv.simulate.maze.policy import Memory, Weights, act, blank_memory, recur
+from qdenv.simulate.maze.tables import Tables
+from qdenv.simulate.maze.world import FORWARD, TURN_LEFT, Pose
 
-FEWEST = 12  # lanes below which dropping some saves nothing
-
-
-class Tables(NamedTuple):
-    """Everything an episode looks up; state ``position * 4 + heading`` indexes the rows."""
-
-    course: Course
-    ahead: Array  # int32 [4 H W], state after driving forward
-    wins: Array  # bool [4 H W], driving forward reaches the goal
-    gates: Array  # float32 [4 H W, 4 L], input of the LSTM's gates
+FEWEST = 12  # episodes below which dropping some saves nothing
 
 
 class Episode(NamedTuple):
-    """One run of the agent."""
+    """One run of the agent.
 
-    success: Array  # bool, the goal was reached within the horizon
-    length: Array  # int32, actions taken; the horizon after a failure, 0 in an unsolvable level
-    shortest: Array  # int32, moves of the shortest path; 0 in an unsolvable level
-
-
-def prepare(weights: Weights, layout: Array) -> Tables:
-    """Compute once per layout what all its episodes share.
-
-    Within one maze the LSTM's input depends on cell and heading alone, so all 4 H W inputs are
-    worked out here and only looked up later.
-
-    Args:
-        weights: the agent.
-        layout: int8 [H, W].
+    Attributes:
+        success: bool, the goal was reached within T timesteps.
+        length: int32, actions taken; T after a failure, 0 in an unsolvable level.
+        shortest: int32, moves of the shortest path; 0 in an unsolvable level.
     """
-    course = longest_path(layout)
-    width = layout.shape[1]
-    kinds = canvas(layout, course.goal)
-    states = jnp.arange(4 * layout.size, dtype=jnp.int32)
-    cell, heading = states // 4, states % 4
-    place = on_canvas(cell, width)
-    pose, wins = jax.vmap(step, (None, 0, None))(kinds, Pose(place, heading), FORWARD)
-    moved = (pose.position != place)[:, None]
-    strides = jnp.asarray(HEADINGS @ np.array([width, 1]), jnp.int32)
-    ahead = jnp.where(moved[:, 0], cell + strides[heading], cell) * 4 + heading
-    views = image(jax.vmap(view, (None, 0, 0))(kinds, place, heading))
-    gates = encode(weights, views, jax.nn.one_hot(heading, 4))
-    return Tables(course, ahead, wins, gates)
+
+    success: jax.Array
+    length: jax.Array
+    shortest: jax.Array
 
 
-def choose(logits: Array, uniform: Array) -> jax.Array:
+def choose(logits: jax.Array, uniform: jax.Array) -> jax.Array:
     """Draw an action from a categorical by inverting its distribution function.
 
     Args:
@@ -82,43 +41,53 @@ def choose(logits: Array, uniform: Array) -> jax.Array:
     return (uniform[..., None] >= share[..., :-1]).sum(-1, dtype=jnp.int32)
 
 
-class Running(NamedTuple):
-    """An episode under way."""
+class EpisodeState(NamedTuple):
+    """An episode under way.
 
-    state: Array  # int32, position * 4 + heading
+    Attributes:
+        state: int32, position * 4 + heading.
+        memory: of the LSTM.
+        length: int32, actions taken.
+        done: bool, the goal is reached, or there is none to reach.
+        success: bool.
+    """
+
+    state: jax.Array
     memory: Memory
-    length: Array  # int32, actions taken
-    done: Array  # bool
-    success: Array  # bool
+    length: jax.Array
+    done: jax.Array
+    success: jax.Array
 
 
-Body = Callable[[Running, Array], Running]
-Loop = Callable[[Body, Running, Array], Running]
+Body = Callable[[EpisodeState, jax.Array], EpisodeState]
+Loop = Callable[[Body, EpisodeState, jax.Array], EpisodeState]
 
 
-def whole_horizon(
-    body: Callable[[Running, Array], Running], first: Running, draws: Array
-) -> Running:
-    """Step to the horizon whatever happens: best for batches of mazes, where one always fails."""
-    return jax.lax.scan(lambda now, draw: (body(now, draw), None), first, draws)[0]
+def all_timesteps(body: Body, first: EpisodeState, draws: jax.Array) -> EpisodeState:
+    """Step to T whatever happens: best for batches of mazes, where one always fails."""
+
+    def advance(now: EpisodeState, draw: jax.Array) -> tuple[EpisodeState, None]:
+        return body(now, draw), None
+
+    return jax.lax.scan(advance, first, draws)[0]
 
 
-def until_done(body: Body, first: Running, draws: Array) -> Running:
-    """Stop when the episode is done: best for one maze at a time and for long horizons."""
-    horizon = draws.shape[0]
+def until_done(body: Body, first: EpisodeState, draws: jax.Array) -> EpisodeState:
+    """Stop when the episode is done: best for one maze at a time and for a large T."""
+    timesteps = draws.shape[0]
 
-    def advance(pair: tuple[Array, Running]) -> tuple[Array, Running]:
+    def advance(pair: tuple[jax.Array, EpisodeState]) -> tuple[jax.Array, EpisodeState]:
         t, now = pair
         return t + 1, body(now, draws[t])
 
-    def under_way(pair: tuple[Array, Running]) -> Array:
-        return (pair[0] < horizon) & ~pair[1].done
+    def under_way(pair: tuple[jax.Array, EpisodeState]) -> jax.Array:
+        return (pair[0] < timesteps) & ~pair[1].done
 
     return jax.lax.while_loop(under_way, advance, (jnp.int32(0), first))[1]
 
 
 def run_episode(
-    weights: Weights, tables: Tables, key: Array, horizon: int, loop: Loop = whole_horizon
+    weights: Weights, tables: Tables, key: jax.Array, timesteps: int, loop: Loop = all_timesteps
 ) -> Episode:
     """Let the agent run from start to goal, sampling its actions.
 
@@ -128,70 +97,74 @@ def run_episode(
         weights: the agent.
         tables: from `prepare`.
         key: draws the first heading and all actions.
-        horizon: actions after which the episode fails.
-        loop: `whole_horizon` or `until_done`.
+        timesteps: T, actions after which the episode fails.
+        loop: `all_timesteps` or `until_done`.
     """
-    first, draws = _begin(weights, tables, key, horizon)
+    first, draws = _begin(weights, tables, key, timesteps)
     last = loop(lambda now, draw: _act_once(weights, tables, now, draw), first, draws)
     return Episode(last.success, last.length, tables.course.length)
 
 
-def run_episodes(weights: Weights, tables: Tables, keys: Array, horizon: int) -> Episode:
+def run_episodes(weights: Weights, tables: Tables, keys: jax.Array, timesteps: int) -> Episode:
     """Run many episodes of one maze as `run_episode` does, dropping those that are over.
 
-    Whenever half of the lanes are done, the others move together: a few long episodes then cost
+    Whenever half of the episodes are done, the others move together: a few long ones then cost
     little. Widths are fixed at compile time, so this is traceable.
 
     Args:
         weights: the agent.
         tables: from `prepare`.
         keys: [S], consumed.
-        horizon: actions after which an episode fails.
+        timesteps: T, actions after which an episode fails.
 
     Returns:
         `Episode` with leading axis [S].
     """
-    now, draws = jax.vmap(lambda key: _begin(weights, tables, key, horizon))(keys)
-    lane, t = jnp.arange(len(keys)), jnp.int32(0)
+    now, draws = jax.vmap(lambda key: _begin(weights, tables, key, timesteps))(keys)
+    place, t = jnp.arange(keys.shape[0]), jnp.int32(0)  # which episodes `now` holds
     success, length = now.success, now.length
-    while lane.size:
-        rest = lane.size // 2 if lane.size >= FEWEST else 0
-        t, now = _until_few(weights, tables, draws, lane, rest, t, now)
-        success = success.at[lane].set(now.success)
-        length = length.at[lane].set(now.length)
-        keep = jnp.argsort(now.done)[:rest]
-        lane, now = jax.tree.map(lambda x, keep=keep: x[keep], (lane, now))
-    return Episode(success, length, jnp.full(len(keys), tables.course.length))
+    while place.size:
+        rest = place.size // 2 if place.size >= FEWEST else 0
+        t, now = _until_few(weights, tables, draws[place], rest, (t, now))
+        success = success.at[place].set(now.success)
+        length = length.at[place].set(now.length)
+        keep = jnp.argsort(now.done)[:rest]  # those under way come first
+        place, now = jax.tree.map(lambda x, keep=keep: x[keep], (place, now))
+    return Episode(success, length, jnp.full(success.shape, tables.course.length))
 
 
 def _until_few(
-    weights: Weights, tables: Tables, draws: Array, lane: Array, rest: int, t: Array, now: Running
-) -> tuple[Array, Running]:
-    """Act in all lanes until at most `rest` of them are under way, or the horizon is reached."""
+    weights: Weights,
+    tables: Tables,
+    draws: jax.Array,
+    rest: int,
+    first: tuple[jax.Array, EpisodeState],
+) -> tuple[jax.Array, EpisodeState]:
+    """Act in all episodes until at most `rest` of them are under way, or T is reached."""
 
-    def under_way(pair: tuple[Array, Running]) -> Array:
+    def under_way(pair: tuple[jax.Array, EpisodeState]) -> jax.Array:
         return (pair[0] < draws.shape[1]) & ((~pair[1].done).sum() > rest)
 
-    def advance(pair: tuple[Array, Running]) -> tuple[Array, Running]:
+    def advance(pair: tuple[jax.Array, EpisodeState]) -> tuple[jax.Array, EpisodeState]:
         t, now = pair
         act_all = jax.vmap(lambda now, draw: _act_once(weights, tables, now, draw))
-        return t + 1, act_all(now, draws[lane, t])
+        return t + 1, act_all(now, draws[:, t])
 
-    return jax.lax.while_loop(under_way, advance, (t, now))
+    return jax.lax.while_loop(under_way, advance, first)
 
 
 def trace_episode(
-    weights: Weights, tables: Tables, key: Array, horizon: int
+    weights: Weights, tables: Tables, key: jax.Array, timesteps: int
 ) -> tuple[Episode, Pose]:
     """Run the episode that `run_episode` runs for this key and keep every pose.
 
     Returns:
-        the episode, and `Pose` with leading axis [horizon + 1]; what follows the episode's end
+        the episode, and `Pose` with leading axis [T + 1]; what follows the episode's end
         repeats its last pose (beside the goal, after a success).
     """
-    first, draws = _begin(weights, tables, key, horizon)
+    first, draws = _begin(weights, tables, key, timesteps)
 
-    def body(now: Running, draw: Array) -> tuple[Running, Array]:
+    def body(now: EpisodeState, draw: jax.Array) -> tuple[EpisodeState, jax.Array]:
         later = _act_once(weights, tables, now, draw)
         return later, later.state
 
@@ -201,28 +174,30 @@ def trace_episode(
     return episode, Pose(states // 4, states % 4)
 
 
-def _begin(weights: Weights, tables: Tables, key: Array, horizon: int) -> tuple[Running, Array]:
+def _begin(
+    weights: Weights, tables: Tables, key: jax.Array, timesteps: int
+) -> tuple[EpisodeState, jax.Array]:
     """Draw the first heading, and one number in [0, 1) for every action."""
     turn_key, draw_key = jax.random.split(key)
     heading = jax.random.randint(turn_key, (), 0, 4)
-    first = Running(
+    first = EpisodeState(
         state=tables.course.start * 4 + heading,
         memory=blank_memory(weights),
         length=jnp.int32(0),
         done=tables.course.length < 1,
         success=jnp.bool_(False),
     )
-    return first, jax.random.uniform(draw_key, (horizon,))
+    return first, jax.random.uniform(draw_key, (timesteps,))
 
 
-def _act_once(weights: Weights, tables: Tables, now: Running, draw: Array) -> Running:
+def _act_once(weights: Weights, tables: Tables, now: EpisodeState, draw: jax.Array) -> EpisodeState:
     memory = recur(weights, tables.gates[now.state], now.memory)
     action = choose(act(weights, memory.hidden), draw)
     reached = (action == FORWARD) & tables.wins[now.state] & ~now.done
     turned = now.state // 4 * 4 + (now.state + jnp.where(action == TURN_LEFT, 3, 1)) % 4
     state = jnp.where(action < FORWARD, turned, now.state)
     state = jnp.where(action == FORWARD, tables.ahead[now.state], state)
-    return Running(
+    return EpisodeState(
         state=jnp.where(now.done, now.state, state),
         memory=memory,
         length=now.length + ~now.done,

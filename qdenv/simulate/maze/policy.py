@@ -21,7 +21,11 @@ FEATURES = FILTERS * PATCHES * PATCHES + COMPASS
 
 
 class Weights(NamedTuple):
-    """The agent, float32; L LSTM units, N actions. Gates lie in the order i, f, g, o."""
+    """The agent, float32; L LSTM units, N actions.
+
+    Gates lie in the order input, forget, cell, output, as in PyTorch's LSTM
+    (https://pytorch.org/docs/stable/generated/torch.nn.LSTM.html).
+    """
 
     kernel: Array  # [3, 3, 3, 16]: x, y, channel, filter
     kernel_bias: Array  # [16]
@@ -52,9 +56,9 @@ def units_of(weights: Weights) -> int:
     return weights.gates_back.shape[0]
 
 
-def blank_memory(weights: Weights, lanes: tuple[int, ...] = ()) -> Memory:
-    """Make the memory with which an episode starts, zeros [*lanes, L]."""
-    zeros = jnp.zeros((*lanes, units_of(weights)), jnp.float32)
+def blank_memory(weights: Weights, batch: tuple[int, ...] = ()) -> Memory:
+    """Make the memory with which an episode starts, zeros [*batch, L]."""
+    zeros = jnp.zeros((*batch, units_of(weights)), jnp.float32)
     return Memory(zeros, zeros)
 
 
@@ -65,6 +69,16 @@ def _dense_kernel(kernel: Array) -> jax.Array:
         for y in range(PATCHES):
             dense = dense.at[x : x + WINDOW, y : y + WINDOW, :, :, x, y].set(kernel)
     return dense.reshape(VIEW * VIEW * CHANNELS, FILTERS * PATCHES * PATCHES)
+
+
+def trailing(bias: Array, axes: int) -> jax.Array:
+    """Give a vector leading axes of length one, `axes` in all."""
+    return jnp.expand_dims(bias, tuple(range(axes - 1)))
+
+
+def affine(inputs: Array, kernel: Array, bias: Array) -> jax.Array:
+    """Multiply by `kernel` [m, n] and add `bias` [n] (float32 [..., m] -> [..., n])."""
+    return jnp.matmul(inputs, kernel) + trailing(bias, inputs.ndim)
 
 
 def encode(weights: Weights, image: Array, compass: Array) -> jax.Array:
@@ -79,68 +93,68 @@ def encode(weights: Weights, image: Array, compass: Array) -> jax.Array:
         float32 [..., 4 L].
     """
     flat = image.reshape(*image.shape[:-3], -1)
-    seen = flat @ _dense_kernel(weights.kernel) + jnp.repeat(weights.kernel_bias, PATCHES**2)
-    facing = compass @ weights.compass + weights.compass_bias
+    seen = affine(flat, _dense_kernel(weights.kernel), jnp.repeat(weights.kernel_bias, PATCHES**2))
+    facing = affine(compass, weights.compass, weights.compass_bias)
     split = seen.shape[-1]
     gates = jax.nn.relu(seen) @ weights.gates_in[:split] + facing @ weights.gates_in[split:]
-    return gates + weights.gates_bias
+    return gates + trailing(weights.gates_bias, gates.ndim)
 
 
 def recur(weights: Weights, gates: Array, memory: Memory) -> Memory:
     """Advance the LSTM by one step (gates float32 [..., 4 L] from `encode`)."""
     joined = gates + memory.hidden @ weights.gates_back
-    enter, forget, update, leave = jnp.split(joined, 4, axis=-1)
-    cell = jax.nn.sigmoid(forget) * memory.cell + jax.nn.sigmoid(enter) * jnp.tanh(update)
-    return Memory(jax.nn.sigmoid(leave) * jnp.tanh(cell), cell)
+    i, f, g, o = jnp.split(joined, 4, axis=-1)
+    cell = jax.nn.sigmoid(f) * memory.cell + jax.nn.sigmoid(i) * jnp.tanh(g)
+    return Memory(jax.nn.sigmoid(o) * jnp.tanh(cell), cell)
 
 
 def act(weights: Weights, hidden: Array) -> jax.Array:
     """Score the actions (float32 [..., L] -> logits float32 [..., N])."""
-    inner = jnp.tanh(hidden @ weights.actor + weights.actor_bias)
-    return inner @ weights.logits + weights.logits_bias
+    inner = jnp.tanh(affine(hidden, weights.actor, weights.actor_bias))
+    return affine(inner, weights.logits, weights.logits_bias)
 
 
 def estimate_value(weights: Weights, hidden: Array) -> jax.Array:
     """Estimate the return (float32 [..., L] -> float32 [...])."""
-    inner = jnp.tanh(hidden @ weights.critic + weights.critic_bias)
-    return (inner @ weights.value + weights.value_bias)[..., 0]
+    inner = jnp.tanh(affine(hidden, weights.critic, weights.critic_bias))
+    return affine(inner, weights.value, weights.value_bias)[..., 0]
 
 
-def shapes(units: int, actions: int) -> Weights:
-    """List the shape of every weight."""
-    return Weights(
-        kernel=(WINDOW, WINDOW, CHANNELS, FILTERS),
-        kernel_bias=(FILTERS,),
-        compass=(4, COMPASS),
-        compass_bias=(COMPASS,),
-        gates_in=(FEATURES, 4 * units),
-        gates_back=(units, 4 * units),
-        gates_bias=(4 * units,),
-        actor=(units, HEAD),
-        actor_bias=(HEAD,),
-        logits=(HEAD, actions),
-        logits_bias=(actions,),
-        critic=(units, HEAD),
-        critic_bias=(HEAD,),
-        value=(HEAD, 1),
-        value_bias=(1,),
-    )
+def shapes(units: int, actions: int) -> dict[str, tuple[int, ...]]:
+    """List the shape of every weight, by its name and in the order of `Weights`."""
+    return {
+        "kernel": (WINDOW, WINDOW, CHANNELS, FILTERS),
+        "kernel_bias": (FILTERS,),
+        "compass": (4, COMPASS),
+        "compass_bias": (COMPASS,),
+        "gates_in": (FEATURES, 4 * units),
+        "gates_back": (units, 4 * units),
+        "gates_bias": (4 * units,),
+        "actor": (units, HEAD),
+        "actor_bias": (HEAD,),
+        "logits": (HEAD, actions),
+        "logits_bias": (actions,),
+        "critic": (units, HEAD),
+        "critic_bias": (HEAD,),
+        "value": (HEAD, 1),
+        "value_bias": (1,),
+    }
 
 
-def draw_weights(key: Array, units: int, actions: int) -> Weights:
-    """Draw an untrained agent: orthogonal matrices, small action logits; consumes the key."""
+def draw_weights(key: jax.Array, units: int, actions: int) -> Weights:
+    """Draw an untrained agent: orthogonal matrices, small logits; consumes the key."""
     wanted = shapes(units, actions)
-    gains = Weights(*([1.0] * len(wanted)))._replace(kernel=2**0.5, gates_in=1.4, logits=0.01)
+    # An actor that starts indifferent explores; the other gains keep the signals' variance.
+    gains = {"kernel": 2**0.5, "gates_in": 1.4, "logits": 0.01}
     keys = jax.random.split(key, len(wanted))
-
-    def one(key: Array, shape: tuple[int, ...], gain: float) -> Array:
-        if len(shape) == 1:
-            return jnp.zeros(shape, jnp.float32)
-        return jax.nn.initializers.orthogonal(gain)(key, shape, jnp.float32)
-
-    drawn = Weights(*map(one, keys, wanted, gains))
+    drawn = {
+        name: jnp.zeros(shape, jnp.float32)
+        if len(shape) == 1
+        else jax.nn.initializers.orthogonal(gains.get(name, 1.0))(key, shape, jnp.float32)
+        for key, (name, shape) in zip(keys, wanted.items(), strict=True)
+    }
     remember = jnp.arange(4 * units) // units == 1  # a forget gate that starts open
-    return drawn._replace(gates_bias=remember.astype(jnp.float32))
+    return Weights(**drawn)._replace(gates_bias=remember.astype(jnp.float32))
 
 
 def check_weights(weights: Weights, source: str) -> Weights:
@@ -154,7 +168,7 @@ def check_weights(weights: Weights, source: str) -> Weights:
     wanted = shapes(weights.gates_back.shape[0], weights.logits.shape[1])
     if weights.logits.shape[1] < 3:
         raise InputError(f"{source} is no agent: it needs at least 3 actions")
-    for name, array, shape in zip(Weights._fields, weights, wanted, strict=True):
+    for array, (name, shape) in zip(weights, wanted.items(), strict=True):
         if array.shape != shape or not np.issubdtype(array.dtype, np.floating):
             raise InputError(
                 f"{source} is no agent: {name} is {array.dtype} {array.shape}, not float {shape}"
@@ -166,7 +180,7 @@ def check_weights(weights: Weights, source: str) -> Weights:
 
 def shipped_agent() -> Path:
     """Name the file of the agent that comes with the package."""
-    return Path(str(resources.files("qdenv") / "simulate" / "maze" / "agent.npz"))
+    return Path(str(resources.files("qdenv.simulate.maze") / "agent.npz"))
 
 
 def load_weights(path: str | Path = "") -> Weights:
@@ -177,7 +191,7 @@ def load_weights(path: str | Path = "") -> Weights:
     """
     path = Path(path) if path else shipped_agent()
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
             missing = sorted(set(Weights._fields) - set(stored.files))
             if missing:
                 raise InputError(f"{path} is no agent: it lacks {', '.join(missing)}")

@@ -1,8 +1,8 @@
 """The published evaluation loop of the maze, quirks included, to compare with its archives.
 
-Two quirks: every lane of the batch is told the *union* of all lanes' headings as its compass, and
-the first episodes to finish count, so short ones are over-represented. All lanes share one random
-seed, hence the sequence of first headings. Not the default: see `maze.run_episode`.
+Two quirks: every environment of the batch is told the *union* of all environments' headings as its
+compass, and the first episodes to finish count, so short ones are over-represented. All share one
+random seed, hence the sequence of first headings. Not the default: that is `episode.run_episode`.
 """
 
 from typing import NamedTuple
@@ -18,21 +18,46 @@ from qdenv.types import Array
 FIRST_HEADINGS = (3, 0, 1, 2, 3, 1)  # the published seed's; later ones are drawn
 
 
-class _Batch(NamedTuple):
-    """All lanes under way, and the episodes counted so far."""
+class _Level(NamedTuple):
+    """What all episodes share.
 
-    key: Array
-    pose: Pose  # leading axis [lanes]
-    memory: Memory  # [lanes, L]
-    elapsed: Array  # int32 [lanes]
-    round: Array  # int32 [lanes], episodes this lane has finished
-    counted: Array  # int32
-    success: Array  # bool [episodes]
-    length: Array  # int32 [episodes]
+    Attributes:
+        kinds: int8 [H + 8, W + 8], the `canvas`.
+        start: int32, flat index on the canvas.
+        headings: int32 [episodes + 1], first heading of each environment's n-th episode.
+    """
+
+    kinds: jax.Array
+    start: jax.Array
+    headings: jax.Array
+
+
+class _Batch(NamedTuple):
+    """All environments under way, and the episodes counted so far; E environments.
+
+    Attributes:
+        key: random key.
+        pose: each [E].
+        memory: each [E, L].
+        elapsed: int32 [E], actions of the episode.
+        round: int32 [E], episodes this environment has finished.
+        counted: int32, episodes counted so far.
+        success: bool [episodes].
+        length: int32 [episodes].
+    """
+
+    key: jax.Array
+    pose: Pose
+    memory: Memory
+    elapsed: jax.Array
+    round: jax.Array
+    counted: jax.Array
+    success: jax.Array
+    length: jax.Array
 
 
 def reference_episodes(
-    weights: Weights, layout: Array, key: Array, episodes: int, horizon: int, lanes: int = 10
+    weights: Weights, layout: Array, key: jax.Array, episodes: int, timesteps: int, envs: int = 10
 ) -> Episode:
     """Run the published loop on one maze; traceable.
 
@@ -41,57 +66,67 @@ def reference_episodes(
         layout: int8 [H, W].
         key: consumed.
         episodes: how many of the first episodes to finish are counted.
-        horizon: actions after which an episode fails.
-        lanes: environments that run side by side and restart by themselves.
+        timesteps: T, actions after which an episode fails.
+        envs: environments that run side by side and restart by themselves.
 
     Returns:
         `Episode` with leading axis [episodes], in the order of finishing.
     """
     course = longest_path(layout)
-    kinds = canvas(layout, course.goal)
     start = on_canvas(course.start, layout.shape[1])
     turn_key, key = jax.random.split(key)
     headings = jax.random.randint(turn_key, (episodes + 1,), 0, 4)
     known = min(len(FIRST_HEADINGS), episodes + 1)
     headings = headings.at[:known].set(jnp.asarray(FIRST_HEADINGS[:known]))
-
-    def body(now: _Batch) -> _Batch:
-        key, draw_key = jax.random.split(now.key)
-        compass = jax.nn.one_hot(now.pose.heading, 4).max(0)
-        seen = jax.vmap(lambda pose: view(kinds, pose.position, pose.heading))(now.pose)
-        gates = encode(weights, image(seen), jnp.broadcast_to(compass, (lanes, 4)))
-        memory = recur(weights, gates, now.memory)
-        action = choose(act(weights, memory.hidden), jax.random.uniform(draw_key, (lanes,)))
-        pose, success = jax.vmap(lambda pose, action: step(kinds, pose, action))(now.pose, action)
-        elapsed = now.elapsed + 1
-        done = success | (elapsed >= horizon)
-        # Finished lanes are counted in lane order; those beyond the last place are dropped.
-        place = jnp.where(done, now.counted + jnp.cumsum(done) - 1, episodes)
-        finished = now.round + done
-        first = Pose(jnp.full((lanes,), start), headings[jnp.minimum(finished, episodes)])
-        again = done[:, None]
-        return _Batch(
-            key=key,
-            pose=jax.tree.map(lambda a, b: jnp.where(done, a, b), first, pose),
-            memory=Memory(*(jnp.where(again, 0.0, part) for part in memory)),
-            elapsed=jnp.where(done, 0, elapsed),
-            round=finished,
-            counted=now.counted + done.sum(),
-            success=now.success.at[place].set(success, mode="drop"),
-            length=now.length.at[place].set(elapsed, mode="drop"),
-        )
-
-    zeros = jnp.zeros(lanes, jnp.int32)
+    level = _Level(canvas(layout, course.goal), start, headings)
+    zeros = jnp.zeros(envs, jnp.int32)
     first = _Batch(
         key=key,
-        pose=Pose(jnp.full((lanes,), start), jnp.full((lanes,), headings[0])),
-        memory=blank_memory(weights, (lanes,)),
+        pose=Pose(jnp.full((envs,), start), jnp.full((envs,), headings[0])),
+        memory=blank_memory(weights, (envs,)),
         elapsed=zeros,
         round=zeros,
-        counted=jnp.where(course.length > 0, 0, episodes),
+        counted=jnp.where(course.length > 0, 0, episodes),  # nobody runs where there is no goal
         success=jnp.zeros(episodes, bool),
         length=jnp.zeros(episodes, jnp.int32),
     )
-    last = jax.lax.while_loop(lambda now: now.counted < episodes, body, first)
+    last = jax.lax.while_loop(
+        lambda now: now.counted < episodes,
+        lambda now: _act_all(weights, level, now, timesteps),
+        first,
+    )
     shortest = jnp.full((episodes,), course.length)
     return Episode(last.success, last.length, shortest)
+
+
+def _act_all(weights: Weights, level: _Level, now: _Batch, timesteps: int) -> _Batch:
+    """Act once in every environment."""
+    key, draw_key = jax.random.split(now.key)
+    compass = jax.nn.one_hot(now.pose.heading, 4).max(0)  # the first quirk: the union
+    seen = jax.vmap(lambda pose: view(level.kinds, pose.position, pose.heading))(now.pose)
+    gates = encode(weights, image(seen), jnp.broadcast_to(compass, (*now.elapsed.shape, 4)))
+    memory = recur(weights, gates, now.memory)
+    draws = jax.random.uniform(draw_key, now.elapsed.shape)
+    action = choose(act(weights, memory.hidden), draws)
+    pose, success = jax.vmap(lambda pose, action: step(level.kinds, pose, action))(now.pose, action)
+    acted = now._replace(key=key, pose=pose, memory=memory, elapsed=now.elapsed + 1)
+    return _count(level, acted, success, success | (acted.elapsed >= timesteps))
+
+
+def _count(level: _Level, now: _Batch, success: jax.Array, done: jax.Array) -> _Batch:
+    """Count the finished episodes (bool [E]) and begin the next ones in their place."""
+    episodes = now.length.shape[0]
+    # They count in the order of environments; those beyond the last place are dropped.
+    place = jnp.where(done, now.counted + jnp.cumsum(done) - 1, episodes)
+    finished = now.round + done
+    heading = level.headings[jnp.minimum(finished, episodes)]
+    first = Pose(jnp.full_like(now.pose.position, level.start), heading)
+    return now._replace(
+        pose=jax.tree.map(lambda a, b: jnp.where(done, a, b), first, now.pose),
+        memory=Memory(*(jnp.where(done[:, None], 0.0, part) for part in now.memory)),
+        elapsed=jnp.where(done, 0, now.elapsed),
+        round=finished,
+        counted=now.counted + done.sum(),
+        success=now.success.at[place].set(success, mode="drop"),
+        length=now.length.at[place].set(now.elapsed, mode="drop"),
+    )

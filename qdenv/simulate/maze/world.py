@@ -23,18 +23,45 @@ CODES = np.array([(1, 0, 0), (2, 5, 0), (8, 1, 0)], np.float32)  # channels of e
 
 
 class Course(NamedTuple):
-    """The first pair of the longest shortest path."""
+    """The first pair of the longest shortest path.
 
-    start: Array  # int32, cell
-    goal: Array  # int32, cell
-    length: Array  # int32, moves from start to goal; 0 where no two empty tiles touch
+    Attributes:
+        start: int32, cell.
+        goal: int32, cell.
+        length: int32, moves from start to goal; 0 where no two empty tiles touch.
+    """
+
+    start: jax.Array
+    goal: jax.Array
+    length: jax.Array
 
 
 class Pose(NamedTuple):
-    """Where the agent is."""
+    """Where the agent is.
 
-    position: Array  # int32, cell
-    heading: Array  # int32, 0..3
+    Attributes:
+        position: int32, cell of the layout, or flat index of its `canvas` where that is said.
+        heading: int32, 0..3.
+    """
+
+    position: jax.Array
+    heading: jax.Array
+
+
+class _Meeting(NamedTuple):
+    """The breadth-first search from all sources at once.
+
+    Attributes:
+        seen: uint32 [H, W, words], sources that have reached each cell, one bit each.
+        last: uint32 [H, W, words], the bits that were new in the last round with any.
+        length: int32, rounds with new bits.
+        grew: bool, the last round had some.
+    """
+
+    seen: jax.Array
+    last: jax.Array
+    length: jax.Array
+    grew: jax.Array
 
 
 def longest_path(layout: Array) -> Course:
@@ -54,21 +81,21 @@ def longest_path(layout: Array) -> Course:
     bits[index, index // 32] = np.uint32(1) << (index % 32).astype(np.uint32)
     own = jnp.where(free, bits.reshape(rows, cols, -1), np.uint32(0))
 
-    def spread(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        seen, last, length, _ = carry
-        near = seen
+    def expand(now: _Meeting) -> _Meeting:
+        near = now.seen
         for move in MOVES:
-            near = near | jax.vmap(lambda plane, m=move: shift(plane, m), 2, 2)(seen)
-        fresh = jnp.where(free, near, np.uint32(0)) & ~seen
+            near = near | jax.vmap(lambda plane, m=move: shift(plane, m), 2, 2)(now.seen)
+        fresh = jnp.where(free, near, np.uint32(0)) & ~now.seen
         grew = fresh.any()
-        return seen | fresh, jnp.where(grew, fresh, last), length + grew, grew
+        last = jnp.where(grew, fresh, now.last)
+        return _Meeting(now.seen | fresh, last, now.length + grew, grew)
 
-    carry = (own, jnp.zeros_like(own), jnp.int32(0), jnp.bool_(True))
-    _, last, length, _ = jax.lax.while_loop(lambda carry: carry[3], spread, carry)
+    first = _Meeting(own, jnp.zeros_like(own), jnp.int32(0), jnp.bool_(True))
+    _, last, length, _ = jax.lax.while_loop(lambda now: now.grew, expand, first)
     last = last.reshape(cells, -1)
     source = jnp.bitwise_or.reduce(last, axis=0)  # sources that met a partner in the last round
     shifts = jnp.arange(32, dtype=jnp.uint32)
-    start = jnp.argmax(((source[:, None] >> shifts) & 1).reshape(-1)).astype(jnp.int32)
+    start = jnp.argmax(((source[:, None] >> shifts[None]) & 1).reshape(-1)).astype(jnp.int32)
     goal = jnp.argmax((last[:, start // 32] >> (start % 32).astype(jnp.uint32)) & 1)
     return Course(start, goal.astype(jnp.int32), length)
 
@@ -115,7 +142,7 @@ def view(kinds: Array, place: Array, heading: Array) -> jax.Array:
         int8 [5, 5] of view kinds, indexed [x, y].
     """
     offsets = jnp.asarray(view_offsets(kinds.shape[1]))
-    return kinds.reshape(-1)[place + offsets[heading]]
+    return jnp.asarray(kinds).reshape(-1)[place + offsets[heading]]
 
 
 def image(kinds: Array) -> jax.Array:
@@ -123,12 +150,12 @@ def image(kinds: Array) -> jax.Array:
     return (jnp.asarray(CODES) / 10)[kinds.astype(jnp.int32)]
 
 
-def on_canvas(position: Array, width: int) -> jax.Array:
+def on_canvas(position: jax.Array, width: int) -> jax.Array:
     """Turn a cell of a layout `width` wide into a flat index of its canvas."""
     return (position // width + REACH) * (width + 2 * REACH) + position % width + REACH
 
 
-def step(kinds: Array, pose: Pose, action: Array) -> tuple[Pose, jax.Array]:
+def step(kinds: Array, pose: Pose, action: Array | int) -> tuple[Pose, jax.Array]:
     """Act once.
 
     Args:

@@ -44,8 +44,10 @@ def negotiated(config: NegotiatedConfig) -> Planner:
         window = state.previous.shape[0] - 1
         ahead = max(horizon, min(config.lookahead, window))
         near = state._replace(previous=state.previous[: ahead + 1])
-        result = negotiate(config, world, near, horizon, negotiation_key)
-        paths = fall_back(config, world, near, horizon, result, resort_key)
+        # Sets of cells broadcast over agents on purpose, also where a caller forbids it at large.
+        with jax.numpy_rank_promotion("allow"):
+            result = negotiate(config, world, near, horizon, negotiation_key)
+            paths = fall_back(config, world, near, horizon, result, resort_key)
         rest = jnp.broadcast_to(paths[-1], (window - ahead, paths.shape[1]))
         return jnp.concatenate([paths, rest])
 

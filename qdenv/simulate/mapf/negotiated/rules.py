@@ -21,10 +21,11 @@ from typing import TypeAlias, TypeVar
 import jax
 
 from qdenv.native import shared
+from qdenv.simulate.mapf.planner import NOBODY
 
 MOVES = 5
 RIGHT, LEFT, DOWN, UP = 1, 2, 3, 4
-NOBODY = -1  # in place of an agent
+
 ROUND_NOISE = 0x5851  # times the round: ties are broken in another way in every round
 SWEEPS = 3  # of the greedy choice; an odd number errs towards choosing too few
 

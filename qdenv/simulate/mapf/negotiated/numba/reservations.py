@@ -11,7 +11,7 @@ import numpy as np
 
 from qdenv.native import compiled, inlined
 from qdenv.simulate.mapf.negotiated import rules
-from qdenv.simulate.mapf.negotiated.rules import NOBODY
+from qdenv.simulate.mapf.planner import NOBODY
 from qdenv.types import Array
 
 STRIDE = 32  # columns between the starts of neighbouring words

@@ -6,9 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.simulate.mapf.negotiated import rules
-from qdenv.simulate.mapf.negotiated.rules import NOBODY
 from qdenv.simulate.mapf.negotiated.xla import bitplanes
-from qdenv.simulate.mapf.planner import AgentState
+from qdenv.simulate.mapf.planner import NOBODY, AgentState
 
 Shape = tuple[int, int]  # (H', W') of the padded grid
 

@@ -13,12 +13,19 @@ import numpy as np
 import pytest
 import toy
 
+from qdenv.domains.base import DOMAINS
 from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
-from qdenv.train import loop
-from qdenv.train.records import RunDirectory
+from qdenv.registry import Entry
+from qdenv.search.export import elites
+from qdenv.training import loop
+from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus
 
 HERE = Path(__file__).parent
+
+
+class CountedGarden(toy.GardenConfig):
+    """A garden whose simulator counts how often it is traced."""
 
 
 def same(left: dict, right: dict) -> bool:
@@ -31,19 +38,23 @@ def same(left: dict, right: dict) -> bool:
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory) -> RunDirectory:
     path = tmp_path_factory.mktemp("run") / "whole"
-    return loop.train(toy.CONFIG, path, toy.GARDEN, progress=False)
+    return loop.train(toy.CONFIG, path, progress=False)
 
 
 def test_jitted_scan_and_pipelined_loop_give_the_same_archive(finished):
     traces = []
 
     def counted(config):
-        simulator = toy.GARDEN.simulator(config)
-        return simulator._replace(run=lambda *given: traces.append(1) or simulator.run(*given))
+        domain = toy.garden(config)
+        run = domain.simulator.run
+        counting = domain.simulator._replace(run=lambda *given: traces.append(1) or run(*given))
+        return replace(domain, simulator=counting)
 
-    study = loop.make_study(toy.CONFIG, replace(toy.GARDEN, simulator=counted))
-    state = study.algorithm.init(study.search_key)
-    iterate = loop.make_iteration(study)
+    DOMAINS.register("counted garden", Entry(CountedGarden, counted))
+    evaluation = replace(toy.CONFIG.evaluation, domain=CountedGarden())
+    experiment = loop.make_experiment(replace(toy.CONFIG, evaluation=evaluation))
+    state = experiment.algorithm.init(experiment.search_key)
+    iterate = loop.make_iteration(experiment)
     before = len(traces)
     whole = jax.jit(
         lambda state: jax.lax.scan(lambda s, i: (iterate(s, i), None), state, np.arange(1, 7))[0]
@@ -51,48 +62,44 @@ def test_jitted_scan_and_pipelined_loop_give_the_same_archive(finished):
     state = whole(state)
     whole(state)
     assert len(traces) == before + 1
-    assert same(loop.elites(study.algorithm, state), finished.load_archive())
+    assert same(elites(experiment.algorithm.archive(state)), finished.load_archive())
 
-    evaluator = PipelinedEvaluator(study.pipeline)
+    evaluator = PipelinedEvaluator(experiment.pipeline)
     before = len(traces)
     for number in range(3):
-        solutions, state = study.algorithm.ask(state)
+        solutions, state = experiment.algorithm.ask(state)
         evaluator(solutions, jax.random.key(number))
     assert len(traces) == before + 1
 
 
 def test_an_evaluation_does_not_depend_on_its_batch():
-    study = loop.make_study(toy.CONFIG, toy.GARDEN)
-    parameters = jax.random.normal(jax.random.key(3), (8, study.pipeline.solution_size))
+    experiment = loop.make_experiment(toy.CONFIG)
+    parameters = jax.random.normal(jax.random.key(3), (8, experiment.pipeline.solution_size))
     key = jax.random.key(4)
-    whole = jax.jit(lambda some: evaluate(study.pipeline, some, key))(parameters)
-    part = jax.jit(lambda some: evaluate(study.pipeline, some, key))(parameters[:3])
+    whole = jax.jit(lambda some: evaluate(experiment.pipeline, some, key))(parameters)
+    part = jax.jit(lambda some: evaluate(experiment.pipeline, some, key))(parameters[:3])
     for left, right in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
         np.testing.assert_array_equal(np.asarray(left)[:3], right)
 
 
 @pytest.mark.parametrize("lanes", [2, 5, 100])
-def test_lanes_change_nothing(lanes):
-    def in_lanes(config):
-        return toy.GARDEN.simulator(config)._replace(lanes=lanes)
-
+def test_lanes_change_nothing(lanes, monkeypatch):
     layouts = np.random.default_rng(0).integers(0, 3, (4, 5, 6)).astype(np.int8)
     indices, key = np.arange(4), jax.random.key(5)
-    seen = [
-        make_pipeline(domain, toy.CONFIG.evaluation).simulate(layouts, indices, key).seen
-        for domain in (toy.GARDEN, replace(toy.GARDEN, simulator=in_lanes))
-    ]
+    seen = [make_pipeline(toy.CONFIG.evaluation).simulate(layouts, indices, key).seen]
+    monkeypatch.setattr("qdenv.devices.lanes", lambda *wanted: lanes)
+    seen += [make_pipeline(toy.CONFIG.evaluation).simulate(layouts, indices, key).seen]
     assert np.asarray(seen[0]).std() > 0
     np.testing.assert_array_equal(*seen)
 
 
 def test_resumed_run_ends_at_the_same_bits(finished, tmp_path):
     config = replace(toy.CONFIG, evaluations=24)
-    loop.train(config, tmp_path / "half", toy.GARDEN, progress=False)
-    resumed = loop.resume(tmp_path / "half", toy.GARDEN, False, toy.CONFIG.evaluations)
+    loop.train(config, tmp_path / "half", progress=False)
+    resumed = loop.resume(tmp_path / "half", False, toy.CONFIG.evaluations)
     assert same(resumed.load_archive(), finished.load_archive())
-    drop_seconds = [row[:-1] for row in resumed.read_metrics()]
-    assert drop_seconds == [row[:-1] for row in finished.read_metrics()]
+    without_time = [row._replace(seconds=0) for row in resumed.read_metrics()]
+    assert without_time == [row._replace(seconds=0) for row in finished.read_metrics()]
 
 
 # A child process that dies by SIGKILL at the chosen place of its third iteration or checkpoint.
@@ -101,7 +108,7 @@ import os, signal, sys
 sys.path.insert(0, {here!r})
 import toy
 from qdenv import files
-from qdenv.train import loop, records
+from qdenv.training import loop, records
 
 def die(*args, **kwargs):
     os.kill(os.getpid(), signal.SIGKILL)
@@ -117,7 +124,7 @@ else:
         os.replace = die  # the temporary file is written, its renaming never happens
         original(path, state, initial, manifest)
     records.save_checkpoint = save
-loop.train(toy.CONFIG, {path!r}, toy.GARDEN, progress=False)
+loop.train(toy.CONFIG, {path!r}, progress=False)
 """
 
 
@@ -129,13 +136,16 @@ def test_killed_run_resumes_to_the_same_bits(where, finished, tmp_path):
     assert child.returncode == -signal.SIGKILL, child.stderr.decode()
     survived = RunDirectory.open(path)
     assert 0 < len(survived.read_metrics()) < 6
-    resumed = loop.resume(path, toy.GARDEN, progress=False)
+    resumed = loop.resume(path, progress=False)
     assert same(resumed.load_archive(), finished.load_archive())
 
 
 def test_metrics_have_the_promised_columns_and_grow(finished):
     text = (finished.path / "metrics.csv").read_text()
-    header = "iteration,evaluations,qd_score,coverage,best_objective,seconds"
+    header = (
+        "iteration,evaluations,qd_score,coverage,best_objective,seconds,"
+        "failed_repairs,congested_runs"
+    )
     assert text.splitlines()[0] == header
     rows = finished.read_metrics()
     assert [row.evaluations for row in rows] == [8, 16, 24, 32, 40, 48]
@@ -157,21 +167,23 @@ def test_config_returns_from_json(finished):
 
 def test_failed_evaluations_enter_nothing():
     # 30 cells cannot hold 40 hedges: every repair says so, and the archive stays empty.
-    config = replace(toy.CONFIG, evaluation=replace(toy.CONFIG.evaluation, shelves=40))
-    study = loop.make_study(config, toy.GARDEN)
-    state = study.algorithm.init(study.search_key)
-    solutions, state = study.algorithm.ask(state)
-    evaluation = PipelinedEvaluator(study.pipeline)(solutions, jax.random.key(0))
+    config = replace(
+        toy.CONFIG, evaluation=replace(toy.CONFIG.evaluation, domain=toy.GardenConfig(hedges=40))
+    )
+    experiment = loop.make_experiment(config)
+    state = experiment.algorithm.init(experiment.search_key)
+    solutions, state = experiment.algorithm.ask(state)
+    evaluation = PipelinedEvaluator(experiment.pipeline)(solutions, jax.random.key(0))
     assert (np.asarray(evaluation.status) == RepairStatus.IMPOSSIBLE).all()
     assert not np.asarray(evaluation.score.success).any()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(evaluation.score))
-    state = study.algorithm.tell(state, solutions, evaluation.score, loop.kept(evaluation))
-    assert len(loop.elites(study.algorithm, state)["index"]) == 0
+    state = experiment.algorithm.tell(state, solutions, evaluation.score, loop.kept(evaluation))
+    assert len(elites(experiment.algorithm.archive(state))["index"]) == 0
 
 
 def test_a_run_is_never_overwritten_and_a_newer_one_not_opened(finished, tmp_path):
     with pytest.raises(InputError, match="holds a run already"):
-        loop.train(toy.CONFIG, finished.path, toy.GARDEN, progress=False)
+        loop.train(toy.CONFIG, finished.path, progress=False)
     with pytest.raises(InputError, match="no run here"):
         RunDirectory.open(tmp_path)
     (tmp_path / "config.json").write_text("{}")
@@ -182,7 +194,7 @@ def test_a_run_is_never_overwritten_and_a_newer_one_not_opened(finished, tmp_pat
 
 def test_a_full_disk_keeps_what_was_written(finished, tmp_path, monkeypatch):
     config = replace(toy.CONFIG, evaluations=16)
-    run = loop.train(config, tmp_path / "run", toy.GARDEN, progress=False)
+    run = loop.train(config, tmp_path / "run", progress=False)
     before = {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
 
     def full(handle: int) -> None:
@@ -190,8 +202,8 @@ def test_a_full_disk_keeps_what_was_written(finished, tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(InputError, match="No space left on device"):
-        loop.resume(run.path, toy.GARDEN, progress=False, evaluations=48)
+        loop.resume(run.path, progress=False, evaluations=48)
     monkeypatch.undo()
     assert before == {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
-    resumed = loop.resume(run.path, toy.GARDEN, progress=False, evaluations=48)
+    resumed = loop.resume(run.path, progress=False, evaluations=48)
     assert same(resumed.load_archive(), finished.load_archive())

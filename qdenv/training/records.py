@@ -10,7 +10,6 @@ RUN/best_layout.json, archive.png, best_layout.png
 
 import csv
 import dataclasses
-import io
 import json
 import platform
 import subprocess
@@ -23,12 +22,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from qdenv.files import write_atomically
-from qdenv.train.checkpoint import load_checkpoint, save_checkpoint
-from qdenv.train.config import RunConfig, config_from_json, config_to_json
+from qdenv.checkpoints import write_arrays
+from qdenv.files import write_csv, write_json
+from qdenv.training.checkpoint import load_checkpoint, save_checkpoint
+from qdenv.training.config import RunConfig, config_from_json, config_to_json
 from qdenv.types import InputError, Measure
 
-SCHEMA = 1
+SCHEMA = 2  # 1: one flat record for the numbers of every domain; still read
 KEPT_CHECKPOINTS = 2
 _PACKAGES = ("qdenv", "jax", "jaxlib", "numpy", "flax", "qdax", "evosax", "highspy", "numba")
 
@@ -42,6 +42,8 @@ class Metrics(NamedTuple):
     coverage: float
     best_objective: float
     seconds: float  # wall clock, summed over interruptions
+    failed_repairs: int = 0  # of this iteration's layouts, those without a feasible repair
+    congested_runs: int = 0  # of this iteration's simulations
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +70,7 @@ class RunDirectory:
         run = cls(Path(path))
         if (run.path / "config.json").exists():
             raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
-        write_atomically(run.path / "manifest.json", _json(_manifest(measures, tiles)))
+        write_json(run.path / "manifest.json", _manifest(measures, tiles))
         run.write_metrics([])
         run.write_config(config)  # last: a folder with a configuration counts as a run
         return run
@@ -89,7 +91,7 @@ class RunDirectory:
 
     def write_config(self, config: RunConfig) -> None:
         """Write config.json."""
-        write_atomically(self.path / "config.json", _json(config_to_json(config)))
+        write_json(self.path / "config.json", config_to_json(config))
 
     @property
     def config(self) -> RunConfig:
@@ -109,24 +111,22 @@ class RunDirectory:
 
     def write_metrics(self, rows: list[Metrics]) -> None:
         """Replace metrics.csv."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerows([Metrics._fields, *rows])
-        write_atomically(self.path / "metrics.csv", text.getvalue().encode())
+        write_csv(self.path / "metrics.csv", Metrics._fields, rows)
 
     def read_metrics(self) -> list[Metrics]:
-        """Read metrics.csv; a last row cut off by a crash is left out.
+        """Read metrics.csv; columns that an older qdenv did not write take their defaults.
 
         Raises:
             InputError: the file is missing or damaged.
         """
+        kinds = Metrics.__annotations__
         try:
-            rows = list(csv.reader(io.StringIO((self.path / "metrics.csv").read_text())))[1:]
-            return [
-                Metrics(int(row[0]), int(row[1]), *(float(value) for value in row[2:]))
-                for row in rows
-            ]
-        except (OSError, ValueError, IndexError, TypeError) as error:
+            with (self.path / "metrics.csv").open(newline="") as file:
+                return [
+                    Metrics(**{name: kinds[name](value) for name, value in row.items()})
+                    for row in csv.DictReader(file, strict=True)
+                ]
+        except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
             raise InputError(f"{self.path}/metrics.csv: cannot be read ({error})") from error
 
     def save_checkpoint(self, iteration: int, state: Any, initial: Any) -> None:
@@ -146,9 +146,7 @@ class RunDirectory:
 
     def save_archive(self, elites: dict[str, np.ndarray]) -> None:
         """Write archive.npz: arrays with one row per filled cell."""
-        write_atomically(
-            self.path / "archive.npz", lambda file: np.savez_compressed(file, **elites)
-        )
+        write_arrays(self.path / "archive.npz", elites, compressed=True)
 
     def load_archive(self) -> dict[str, np.ndarray]:
         """Read archive.npz.
@@ -157,7 +155,10 @@ class RunDirectory:
             InputError: there is none yet, or it is damaged.
         """
         try:
-            with np.load(self.path / "archive.npz", allow_pickle=False) as file:
+            with (
+                open(self.path / "archive.npz", "rb") as stream,
+                np.load(stream, allow_pickle=False) as file,
+            ):
                 return dict(file)
         except (OSError, ValueError, EOFError) as error:
             raise InputError(f"{self.path}/archive.npz: cannot be read ({error})") from error
@@ -173,10 +174,6 @@ class RunDirectory:
         if not isinstance(content, dict):
             raise InputError(f"{self.path / name}: expected a JSON object")
         return content
-
-
-def _json(content: dict[str, Any]) -> bytes:
-    return (json.dumps(content, indent=1) + "\n").encode()
 
 
 def _manifest(measures: Sequence[Measure], tiles: str) -> dict[str, Any]:

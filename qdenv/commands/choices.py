@@ -1,0 +1,196 @@
+"""Options that depend on a choice made in the same command line: whose numbers, which planner."""
+
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
+from qdenv.search.registry import ALGORITHMS
+from qdenv.study.traffic import find_planner
+from qdenv.training.config import RunConfig
+from qdenv.training.records import RunDirectory
+from qdenv.types import InputError, TaskRule
+
+USUAL = "warehouse-even"  # the domain where nothing says otherwise
+
+
+@dataclasses.dataclass(frozen=True)
+class FleetOptions:
+    """Who drives on a layout, for how long, and how often.
+
+    Attributes:
+        domain: whose tasks the agents do.
+        timesteps: how long to simulate.
+        seeds: how many seeds, or a list of them.
+        effort: low for a quick look, high for numbers to report.
+        planner: another registered planner, with its defaults, in place of the package's own.
+    """
+
+    domain: str = USUAL
+    timesteps: int = 1000
+    seeds: tuple[int, ...] = (10,)
+    effort: Literal["low", "high"] = "high"
+    planner: str = ""
+
+    @property
+    def planner_settings(self) -> Any:
+        """The chosen planner's settings; `InputError` where nothing has this name."""
+        return find_planner(self.effort, self.planner)
+
+    @property
+    def tasks(self) -> TaskRule | None:
+        """What the agents of the domain do; None where no fleet drives."""
+        return find_domain(self.domain).simulator.tasks
+
+
+class Numbers:
+    """Exact numbers of tiles that a command line states; `bind` gives it a domain's fields."""
+
+    def given(self) -> dict[str, Any]:
+        """List those that were stated, by the settings' names."""
+        assert dataclasses.is_dataclass(self)
+        stated = dataclasses.asdict(self)
+        return {name: value for name, value in stated.items() if value not in (None, ())}
+
+
+def bind(command: Callable, arguments: Sequence[str]) -> Callable:
+    """Give a command's parameter `numbers` one option for each number of the chosen domain.
+
+    Args:
+        command: a function; one without such a parameter is returned as it is.
+        arguments: the command line, which names the domain or a run.
+
+    Raises:
+        InputError: the domain is unknown, or the run cannot be read.
+    """
+    signature = inspect.signature(command)
+    if "numbers" not in signature.parameters:
+        return command
+    many = signature.parameters["numbers"].annotation is ManyNumbers
+    kind = _numbers_of(domain_of(arguments), tuple[int, ...] if many else int | None)
+    hint: Any = Annotated[kind, tyro.conf.arg(name="")]
+
+    @functools.wraps(command)
+    def bound(**given: Any) -> Any:
+        return command(**given)
+
+    parameters = [
+        one.replace(annotation=hint, default=kind()) if name == "numbers" else one
+        for name, one in signature.parameters.items()
+    ]
+    del bound.__wrapped__  # tyro would read the signature there
+    bound.__annotations__ = command.__annotations__ | {"numbers": hint}
+    bound.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return bound
+
+
+class ManyNumbers(Numbers):
+    """The same, with one number for each of several sizes."""
+
+
+def domain_of(arguments: Sequence[str]) -> Domain:
+    """Find the domain that a command line is about: by name, by a run, else the usual one.
+
+    Raises:
+        InputError: the domain is unknown, or the run cannot be read.
+    """
+    name, rest = take(arguments, "--domain")
+    if name is not None:
+        return find_domain(name)
+    for argument in rest:
+        if (Path(argument) / "config.json").exists():
+            return make_domain(RunDirectory.open(argument).config.evaluation.domain)
+    return find_domain(USUAL)
+
+
+def take(arguments: Sequence[str], option: str) -> tuple[str | None, list[str]]:
+    """Take one option and its value out of a command line.
+
+    Returns:
+        the last value given (None where there is none), and the other arguments.
+
+    Raises:
+        InputError: the option is the last word.
+    """
+    value, rest = None, list(arguments)
+    while option in rest:
+        at = rest.index(option)
+        if at + 1 == len(rest):
+            raise InputError(f"{option} needs a value")
+        value = rest[at + 1]
+        del rest[at : at + 2]
+    for argument in [one for one in rest if one.startswith(f"{option}=")]:
+        value = argument.partition("=")[2]
+        rest.remove(argument)
+    return value, rest
+
+
+def choose_domain(config: RunConfig, name: str) -> RunConfig:
+    """Put another domain into a configuration, at the size and with the numbers it states.
+
+    Raises:
+        InputError: the name is unknown.
+    """
+    old = make_domain(config.evaluation.domain)
+    new = make_domain(recast(old.config, DOMAINS.entry(name).config))
+    # Ranges of the archive that were stated for other measures mean nothing here.
+    alike = [one.name for one in old.measures] == [one.name for one in new.measures]
+    evaluation = dataclasses.replace(config.evaluation, domain=new.config)
+    archive = config.archive if alike else ()
+    return dataclasses.replace(config, evaluation=evaluation, archive=archive)
+
+
+def choose_planner(config: RunConfig, effort: str | None, planner: str | None) -> RunConfig:
+    """Put another planner into a configuration; neither word given changes nothing.
+
+    Raises:
+        InputError: a word is unknown, or no fleet drives in the domain.
+    """
+    if effort is None and planner is None:
+        return config
+    domain = config.evaluation.domain
+    if not hasattr(domain, "fleet"):
+        raise InputError("no fleet drives in this domain: leave --effort and --planner out")
+    chosen = find_planner(effort or "low", planner or "")
+    domain = dataclasses.replace(domain, fleet=dataclasses.replace(domain.fleet, planner=chosen))
+    return dataclasses.replace(
+        config, evaluation=dataclasses.replace(config.evaluation, domain=domain)
+    )
+
+
+def choose_algorithm(config: RunConfig, name: str) -> RunConfig:
+    """Put another algorithm into a configuration, with the settings that both have.
+
+    Raises:
+        InputError: the name is unknown.
+    """
+    settings = recast(config.algorithm, ALGORITHMS.entry(name).config)
+    return dataclasses.replace(config, algorithm=settings)
+
+
+def recast(settings: Any, kind: type) -> Any:
+    """Carry what `settings` states beyond its type's defaults over to settings of another type."""
+    usual, known = type(settings)(), {field.name for field in dataclasses.fields(kind)}
+    stated = {
+        field.name: getattr(settings, field.name)
+        for field in dataclasses.fields(settings)
+        if getattr(settings, field.name) != getattr(usual, field.name)
+    }
+    return kind(**{name: value for name, value in stated.items() if name in known})
+
+
+def _numbers_of(domain: Domain, hint: Any) -> type:
+    fields = [
+        (
+            name,
+            Annotated[hint, tyro.conf.arg(help=f"exact number of tiles {symbol!r}")],
+            dataclasses.field(default=() if hint == tuple[int, ...] else None),
+        )
+        for name, symbol in domain.counted.items()
+    ]
+    return dataclasses.make_dataclass("Numbers", fields, bases=(Numbers,), frozen=True)

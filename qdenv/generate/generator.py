@@ -1,0 +1,46 @@
+"""The face of a generator: one flat parameter vector in, a drawing of tiles out.
+
+A generator is chosen by the type of its settings: `GENERATORS.make(settings, canvas)`.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+
+from qdenv.registry import Registry
+
+
+class Canvas(NamedTuple):
+    """What a generator draws on.
+
+    Attributes:
+        rows: rows h of the generated area.
+        cols: columns w of the generated area.
+        tiles: symbols that may be drawn; the first one is the empty tile.
+        seed_block: rows of the fixed block in the middle of the empty canvas.
+    """
+
+    rows: int
+    cols: int
+    tiles: str
+    seed_block: tuple[str, ...]
+
+
+class Generator(NamedTuple):
+    """A way to draw, addressed by one flat parameter vector.
+
+    Attributes:
+        size: number of parameters P.
+        steps: steps of growth at the size it was configured for; 0 where nothing grows.
+        grow: (solutions float32 [B, P], steps) -> tiles int8 [B, h, w]; traceable. Generators
+            that do not grow ignore the number of steps.
+    """
+
+    size: int
+    steps: int
+    grow: Callable[[jax.Array, jax.Array | int], jax.Array]
+
+
+# An entry's maker is called as make(settings, canvas) and returns a `Generator`.
+GENERATORS = Registry("generator", "qdenv.generators", {"nca": "qdenv.generate.nca:NCA_GENERATOR"})

@@ -1,0 +1,43 @@
+"""The rules of one PIBT step as plain operators: `jax.numpy` traces them, numba compiles them.
+
+They are the conditions in function PIBT of algorithm 1 of Okumura et al. 2022, "Priority
+inheritance with backtracking for iterative multi-agent path finding", Artificial Intelligence 310
+(https://arxiv.org/abs/1901.11282). Every argument is one integer, `NOBODY` where there is none.
+"""
+
+from typing import TypeVar
+
+import jax
+
+from qdenv.native import shared
+from qdenv.simulate.mapf.planner import NOBODY
+
+Number = TypeVar("Number", int, jax.Array)
+
+WAYS = 5  # wait, right, left, down, up
+
+
+@shared
+def is_admissible(
+    cell: Number, position: Number, claimant: Number, other_next: Number, pusher_position: Number
+) -> Number:
+    """Tell whether an agent may take a candidate cell.
+
+    Args:
+        cell: the candidate.
+        position: where the agent stands.
+        claimant: who takes the cell in this step already (a vertex conflict).
+        other_next: where the agent that stands on the cell goes (a swap conflict if it comes here).
+        pusher_position: where the agent stands that pushed this one (it wants to come here, so
+            taking its place would swap, too).
+    """
+    return (claimant == NOBODY) & (other_next != position) & (cell != pusher_position)
+
+
+@shared
+def is_pushed(other: Number, agent: Number, other_next: Number) -> Number:
+    """Tell whether `other`, which stands where `agent` goes, inherits its priority.
+
+    It does if it is another agent that has not decided yet (NOBODY is where `other_next` it goes).
+    """
+    return (other != NOBODY) & (other != agent) & (other_next == NOBODY)

@@ -1,0 +1,17 @@
+"""The settings of PIBT."""
+
+from dataclasses import dataclass
+
+from qdenv.devices import Backend
+
+
+@dataclass(frozen=True)
+class PibtConfig:
+    """Priority inheritance with backtracking, one timestep at a time.
+
+    Attributes:
+        backend: "host" for compiled code in a callback, "xla" for code without a callback, "auto"
+            for the host where jax computes on a CPU. The results are the same.
+    """
+
+    backend: Backend = "auto"

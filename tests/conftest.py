@@ -1,0 +1,36 @@
+"""What every test runs under: strict numerics, and where layouts lie."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import pytest
+
+TESTS = Path(__file__).parent
+OWN_LAYOUTS = TESTS / "data" / "layouts"
+# The layouts published with the paper: not ours to ship, used wherever somebody has a copy.
+STUDY_DATA = Path(os.environ.get("QDENV_STUDY_DATA", TESTS.parents[1] / "shared" / "reference"))
+
+
+# A shape that broadcasts by chance is a mistake: every axis is written out.
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+@pytest.fixture(scope="session")
+def published() -> Callable[[str], Path]:
+    """Find a layout file published with the paper by its stem; skip the test where it is absent."""
+
+    def find(name: str) -> Path:
+        path = STUDY_DATA / "layouts" / f"{name}.json"
+        if not path.exists():
+            pytest.skip(f"{name}: no published layouts here (QDENV_STUDY_DATA names their folder)")
+        return path
+
+    return find
+
+
+@pytest.fixture(scope="session")
+def own_layout() -> Callable[[str], Path]:
+    """Find one of our own layout files by its stem (tests/data/layouts)."""
+    return lambda name: OWN_LAYOUTS / f"{name}.json"

@@ -1,0 +1,107 @@
+"""Every script of experiments/ runs at a toy size, and prints and writes what it promises."""
+
+import csv
+import importlib.util
+import re
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from qdenv.cli import run as qdenv
+from qdenv.presets import PRESETS
+from qdenv.training.records import RunDirectory
+
+FOLDER = Path(__file__).parents[1] / "experiments"
+SMALL = (
+    "--rows 9 --cols 10 --shelves 6 --agents 6 --timesteps 20 --simulations 1 --steps 6 --hidden 4 "
+    "--emitters 2 --batch 3 --evaluations 6 --seed 1 --no-progress"
+)
+
+
+def load(name: str) -> ModuleType:
+    """Import an experiment, which lies in no package."""
+    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def numbers(text: str) -> list[float]:
+    return [float(number) for number in re.findall(r"-?\d+\.?\d*", text)]
+
+
+@pytest.fixture(scope="module")
+def small_run(tmp_path_factory) -> RunDirectory:
+    """A search of six evaluations on a warehouse of 9 x 10."""
+    path = tmp_path_factory.mktemp("runs") / "small"
+    assert qdenv(["train", "quick", "--run-dir", str(path), *SMALL.split()]) == 0
+    return RunDirectory.open(path)
+
+
+@pytest.fixture
+def preset(small_run, monkeypatch) -> str:
+    """Name a preset with the settings of the small run."""
+    monkeypatch.setitem(PRESETS, "small", small_run.config)
+    return "small"
+
+
+def test_every_experiment_is_tested_here():
+    tested = {"warehouse", "which_nca", "sizes", "sphere", "own_objective"}
+    assert {path.stem for path in FOLDER.glob("*.py")} == tested
+
+
+def test_warehouse_starts_a_run_and_continues_it_to_the_metrics_it_prints(preset, tmp_path, capsys):
+    for evaluations in (6, 12):
+        load("warehouse").main(preset, tmp_path / "run", evaluations)
+        last = RunDirectory.open(tmp_path / "run").read_metrics()[-1]
+        said = capsys.readouterr().out
+        assert last.evaluations == evaluations
+        assert f"ours  {last.qd_score:.0f}, {last.coverage:.3f}" in said
+        assert f"after {evaluations} evaluations" in said
+
+
+def test_which_nca_prints_the_final_metrics_of_each_automaton(preset, tmp_path, capsys):
+    load("which_nca").main(preset, 1, 6, ("sep",), tmp_path)
+    rows = capsys.readouterr().out.splitlines()[2:]
+    assert [row[:9] for row in rows] == ["(3, 3, 3)", "(3, 1, 1)"]
+    for row, kernels in zip(rows, ("333", "311"), strict=True):
+        last = RunDirectory.open(tmp_path / f"small-{kernels}-sep-0").read_metrics()[-1]
+        means = numbers(row.replace("(nan)", "")[9:])
+        expected = [last.qd_score, last.coverage, last.best_objective]
+        np.testing.assert_allclose(means, expected, atol=6e-4)
+
+
+def test_sizes_writes_a_layout_of_each_kind_and_size_and_every_row(small_run, tmp_path, capsys):
+    load("sizes").main(small_run.path, "best", ("9x10", "9x14"), 20, (1,), "low", tmp_path)
+    names = ["nca_9x10", "human_9x10", "nca_9x14", "human_9x14", "tiled_9x14"]
+    assert {path.stem for path in tmp_path.glob("*.json")} == set(names)
+    rows = list(csv.DictReader((tmp_path / "scalability.csv").read_text().splitlines()))
+    assert list(dict.fromkeys(row["layout"] for row in rows)) == names
+    said = capsys.readouterr().out
+    for name in names:
+        best = max(float(row["mean_of_all"]) for row in rows if row["layout"] == name)
+        assert f"{name}: peak {best:.3f} at " in said
+    assert imread(tmp_path / "scalability.png").shape[:2] == (675, 1650)
+
+
+def test_sphere_averages_its_seeds(tmp_path, capsys):
+    load("sphere").main(20, 2, 10, "full", 2, 6, tmp_path / "sphere.png")
+    *seeds, mean = capsys.readouterr().out.splitlines()
+    scores = [numbers(line.split(":")[1])[:2] for line in seeds]
+    assert len(scores) == 2 and scores[0] != scores[1]
+    said = numbers(mean.split("QD-score")[1])
+    np.testing.assert_allclose([said[0], said[2]], np.mean(scores, axis=0), atol=0.011)
+    assert (tmp_path / "sphere.png").exists()
+
+
+def test_own_objective_saves_a_row_per_elite(tmp_path, capsys):
+    load("own_objective").main("cma-mae", 4, 0, tmp_path / "chain")
+    coverage = numbers(capsys.readouterr().out)[-1]
+    with (tmp_path / "chain.csv").open() as file:
+        elites = len(list(csv.reader(file))) - 1
+    assert 0 < elites < 3600
+    assert coverage == pytest.approx(100 * elites / 3600, abs=0.051)
+    assert (tmp_path / "chain.png").exists()

@@ -1,0 +1,116 @@
+"""One set of numbers: compiled host code, XLA, and a program exported without any callback."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from fleet_runs import AGENTS, PLAIN, SERVICES, SHAPE, programs, random_layout
+
+from qdenv.domains.base import find_domain
+from qdenv.simulate.mapf import fleet
+from qdenv.simulate.mapf.negotiated.settings import LOW, NegotiatedConfig
+from qdenv.simulate.mapf.pibt import numba as pibt_on_host
+from qdenv.simulate.mapf.pibt import xla as pibt_in_xla
+from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.types import InputError
+
+# The settings of each planner with the backends "host" and "xla".
+BACKENDS = {
+    "pibt": (PibtConfig("host"), PibtConfig("xla")),
+    "negotiated": (replace(LOW, backend="host"), replace(LOW, backend="xla")),
+}
+
+
+@pytest.mark.parametrize("planner", BACKENDS)
+def test_a_simulation_in_xla_is_exported_whole_and_gives_the_hosts_numbers(planner):
+    """A host callback could not be exported, so what goes through a file has none."""
+    domain, (host, xla) = find_domain("warehouse-uneven").resized(13, 16), BACKENDS[planner]
+    task = domain.simulator.tasks
+
+    def simulation(settings):
+        config = fleet.FleetConfig(agents=12, timesteps=53, planner=settings)
+
+        def run(layout, key_data):
+            key = jax.random.wrap_key_data(key_data)
+            return tuple(fleet.simulate(fleet.prepare(layout, task, config), key, config))
+
+        return jax.jit(run)
+
+    layout = jnp.asarray(domain.human())
+    arguments = layout, jax.random.key_data(jax.random.key(2))
+    stored = jax.export.export(simulation(xla))(*arguments).serialize()
+    exported = jax.export.deserialize(stored).call(*arguments)
+    on_host, jitted = (simulation(settings)(*arguments) for settings in (host, xla))
+    assert on_host[0] > 0.2  # tasks per timestep
+    jax.tree.map(np.testing.assert_array_equal, exported, jitted)
+    jax.tree.map(np.testing.assert_array_equal, exported, on_host)
+    with pytest.raises(Exception, match="callback"):
+        jax.export.export(simulation(host))(*arguments).serialize()
+
+
+def test_an_unknown_backend_is_refused():
+    config = fleet.FleetConfig(agents=1, planner=PibtConfig("gpu"))
+    prepare, run = programs(PLAIN, config)
+    with pytest.raises(InputError, match="unknown backend 'gpu': choose one of auto, xla, host"):
+        run(prepare(random_layout(np.random.default_rng(0), 0.1)), jax.random.key(0), None)
+
+
+@pytest.mark.parametrize(
+    ("rule", "settings"),
+    [
+        (SERVICES, {}),
+        (SERVICES, {"conflict_levels": 1, "remember": False, "lanes": 5, "penalties": (0.5, 3.0)}),
+        (PLAIN, {"conflict_levels": 4, "lookahead": 7, "rounds": 2.0}),
+    ],
+    ids=["services", "one level, no memory", "no services, seven steps ahead"],
+)
+def test_the_host_negotiates_as_xla_does(rule, settings):
+    outcomes = []
+    for backend in ("host", "xla"):
+        planner = NegotiatedConfig(backend=backend, **settings)
+        config = fleet.FleetConfig(
+            agents=AGENTS, timesteps=100, planner=planner, stop_when_congested=False
+        )
+        prepare, run = programs(rule, config)
+        outcomes.append([])
+        for seed in range(8):
+            layout = random_layout(np.random.default_rng(seed), 0.3 * (seed % 2))
+            agents = int((0.3 + 0.05 * seed) * min(AGENTS, (layout != 1).sum()))
+            key, count = jax.random.key(seed), jnp.int32(agents)
+            result = run(prepare(jnp.asarray(layout)), key, count)
+            outcomes[-1].append(jax.tree.map(np.asarray, result))
+            assert result[0].finished.sum() > 0
+    jax.tree.map(np.testing.assert_array_equal, *outcomes)
+
+
+def test_the_host_pushes_as_xla_does():
+    size, count = SHAPE[0] * SHAPE[1], 70
+
+    @jax.jit
+    def both(*state):
+        return [step(*state, size) for step in (pibt_in_xla.one_step, pibt_on_host.one_step)]
+
+    moved = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        position = rng.permutation(size)[:count].astype(np.int32)
+        row, column = position // SHAPE[1], position % SHAPE[1]
+        ways = [(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)]
+        near = np.stack(
+            [
+                np.clip(row + down, 0, SHAPE[0] - 1) * SHAPE[1]
+                + np.clip(column + right, 0, SHAPE[1] - 1)
+                for down, right in ways
+            ],
+            axis=1,
+        )
+        candidates = rng.permuted(near, axis=1).astype(np.int32)
+        allowed = rng.integers(1, 6, count).astype(np.int32)
+        order = rng.permutation(count).astype(np.int32)
+        xla, host = both(candidates, position, allowed, order)
+        np.testing.assert_array_equal(xla, host)
+        assert len(set(host.tolist())) == count
+        moved += int((np.asarray(host) != position).sum())
+    assert moved > 200 * count / 4

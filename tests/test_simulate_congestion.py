@@ -1,0 +1,56 @@
+"""Congestion: which plans jam a fleet, where, and what a jam does to a run."""
+
+import numpy as np
+import pytest
+from fleet_runs import PLAIN, TILES, StandConfig, programs, random_layout, run_audited
+
+from qdenv.grid import parse
+from qdenv.simulate.mapf import fleet
+from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
+
+
+def test_a_planner_plugs_in_from_outside_and_a_jam_ends_the_run():
+    config = fleet.FleetConfig(agents=20, timesteps=100, planner=StandConfig())
+    layout = random_layout(np.random.default_rng(0), 0.2)
+    traffic, _ = run_audited(programs(PLAIN, config), PLAIN, config, layout, 0, 20)
+    assert traffic.congested
+    assert traffic.end_timestep == config.horizon
+    assert traffic.waiting == 1.0
+
+
+# Every second goal is one of four workstations, and every second free cell holds an agent.
+HALL = parse(
+    [
+        "....eeeeeee.eeeeeee.eeee",
+        "....#######.#######.####",
+        "....eeeeeee.eeeeeee.eeee",
+        "....eeeeeee.eeeeeee.eeee",
+        "....#######.#######.####",
+        "w...eeeeeee.eeeeeee.eeee",
+        "w...eeeeeee.eeeeeee.eeee",
+        "w...#######.#######.####",
+        "w...eeeeeee.eeeeeee.eeee",
+        "....eeeeeee.eeeeeee.eeee",
+        "....#######.#######.####",
+        "....eeeeeee.eeeeeee.eeee",
+    ],
+    TILES,
+)
+
+
+@pytest.mark.parametrize("resort", ["pibt", "wait"])
+def test_the_last_resort_decides_whether_a_hot_spot_congests(resort):
+    agents = int((HALL != 1).sum()) // 2
+    config = fleet.FleetConfig(
+        agents=agents, timesteps=300, planner=NegotiatedConfig(last_resort=resort)
+    )
+    compiled = programs(PLAIN, config)
+    runs = [
+        run_audited(compiled, PLAIN, config, HALL.astype(np.int8), seed, agents)[0]
+        for seed in range(3)
+    ]
+    if resort == "pibt":
+        assert not any(run.congested for run in runs)
+        assert min(float(run.throughput) for run in runs) > 2.0
+    else:
+        assert all(run.congested for run in runs)
