@@ -77,6 +77,7 @@ def train_agent(
     out.mkdir(parents=True, exist_ok=True)
     write_atomically(out / "config.json", json.dumps(asdict(config), indent=1).encode())
     examine = _exam(config)
+    # The log shows the seconds of the whole run, those before an interruption too.
     began, logs = time.process_time() - used, []
     while int(state.update) < config.updates:
         state, numbers = _update(state, config)
@@ -96,6 +97,7 @@ def train_agent(
             **examine(state.weights),
         }
         logs = []
+        # The log comes last: a run killed in between misses a line of it and repeats none.
         save_state(checkpoint, state, {"cpu_seconds": spent})
         save_weights(state.weights, out / "agent.npz")
         with (out / "curve.jsonl").open("a") as log:

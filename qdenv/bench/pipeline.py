@@ -52,6 +52,7 @@ def run(
             state = step(state, number + 1)
         return jax.block_until_ready(state)
 
+    # Compilation goes into an iteration of its own, so that the others pay for the search alone.
     first = timed(lambda: jax.block_until_ready(step(state, 0)))
     state = first.pop("result")
     loop = timed(lambda: repeat(state))

@@ -56,6 +56,7 @@ def simulate(
     for run in result["runs"]:
         state = f"congested at {run['end_timestep']}" if run["congested"] else "never congested"
         print(f"seed {run['seed']}: throughput {run['throughput']:.3f}, {state}")
+    # No mean of smooth runs where every run congested: the mean of all is another number.
     smooth = result["mean_throughput"]
     print(
         (

@@ -144,6 +144,7 @@ def _run(
     evaluator = PipelinedEvaluator(experiment.pipeline)
 
     done, state = run.load_checkpoint(init(experiment.search_key))
+    # Iterations after the checkpoint are run again, so their rows are written again, too.
     rows = [row for row in run.read_metrics() if row.iteration <= done]
     elapsed = rows[-1].seconds if rows else 0.0
     batch = algorithm.batch_size
@@ -154,6 +155,7 @@ def _run(
     for iteration in range(done + 1, total + 1):
         start = time.perf_counter()
         solutions, state = ask(state)
+        # Keys follow from the number of the iteration: a resumed run draws what this one would.
         key = jax.random.fold_in(experiment.evaluation_key, iteration)
         evaluation = evaluator(solutions, key)
         state = tell(state, solutions, evaluation.score, kept(evaluation))

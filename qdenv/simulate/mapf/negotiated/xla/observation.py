@@ -86,6 +86,7 @@ def gather(
     column = rules.goal_column(cells, position, width, window)
     ends = jnp.stack([rules.ends_leg(leg, service_time[leg]) for leg in range(2)])
     seen = ends & rules.is_visible(row, column, side)
+    # A goal out of sight keeps place (0, 0) and an empty set: no branch, and nothing ever arrives.
     row, column = jnp.where(seen, row, 0), jnp.where(seen, column, 0)
     bit = jnp.where(seen, jnp.uint32(1) << column.astype(jnp.uint32), 0)
     goal = jnp.where(jnp.arange(side)[:, None] == row[:, None], bit[:, None], 0)
@@ -93,6 +94,7 @@ def gather(
         world.distance[slots[1], cells[0]].astype(jnp.int32), service_time[1]
     )
     to_go = distance_to_go(world, position, slots, window)
+    # On the first leg the whole second one is still to come, whichever cell the window ends on.
     after_leg = jnp.stack([after, jnp.zeros_like(after)])
     planes = table.reshape(-1, rules.MOVES, *walls.shape)
     return LocalWindow(

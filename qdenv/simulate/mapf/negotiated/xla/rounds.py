@@ -77,6 +77,8 @@ def negotiate(
     def plan_round(negotiation: Negotiation) -> Negotiation:
         reservations, attempts, turn = negotiation
         urgency = rules.urgency(priorities.order, attempts, count)
+        # Always as many lanes as compiled for: with fewer agents left, idle ones fill up and do not
+        # ask, for what has no reservation to release or to enter changes nothing.
         agent = smallest(jnp.where(reservations.is_reserved, 2**30, urgency), lanes)
         asks = ~reservations.is_reserved[agent]
         asking = jnp.where(asks, agent, count)
@@ -85,6 +87,7 @@ def negotiate(
         paths, found = find(negotiation._replace(reservations=reservations), agent)
         chosen = choose(path_conflicts(paths, paths), asks & found)
         accepted = Accepted(agent, paths, chosen)
+        # All evictions before all entries: a bit has one owner, so it must be free when it is set.
         reservations = reserve(evict(reservations, shape, accepted), shape, accepted)
         return Negotiation(reservations, attempts.at[asking].add(1, mode="drop"), turn + 1)
 
