@@ -13,7 +13,7 @@ import numpy as np
 from qdenv.agent.evaluate import default_horizon, random_mazes, run_batch
 from qdenv.agent.files import load_state, save_state, save_weights
 from qdenv.agent.update import TrainConfig, start, update
-from qdenv.files import write_atomically
+from qdenv.files import write_json
 from qdenv.simulate.maze.policy import Weights
 from qdenv.types import InputError
 
@@ -75,7 +75,7 @@ def train_agent(
     elif checkpoint.exists():
         raise InputError(f"{out} holds a run already: resume it or choose another folder")
     out.mkdir(parents=True, exist_ok=True)
-    write_atomically(out / "config.json", json.dumps(asdict(config), indent=1).encode())
+    write_json(out / "config.json", asdict(config))
     examine = _exam(config)
     # The log shows the seconds of the whole run, those before an interruption too.
     began, logs = time.process_time() - used, []
