@@ -164,13 +164,14 @@ def choose_planner(config: RunConfig, effort: str | None, planner: str | None) -
 
 
 def choose_algorithm(config: RunConfig, name: str) -> RunConfig:
-    """Put another algorithm into a configuration, with the settings that both have.
+    """Put another algorithm with all its defaults into a configuration.
+
+    Nothing is carried over: settings of one name, like learning rates, mean different things.
 
     Raises:
         InputError: the name is unknown.
     """
-    settings = recast(config.algorithm, ALGORITHMS.entry(name).config)
-    return dataclasses.replace(config, algorithm=settings)
+    return dataclasses.replace(config, algorithm=ALGORITHMS.config(name))
 
 
 def recast(settings: Any, kind: type) -> Any:

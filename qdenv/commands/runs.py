@@ -31,7 +31,7 @@ class Train:
         domain: another domain in place of the preset's, at its size.
         effort: low inside a search, high for numbers to report.
         planner: another registered planner, with its defaults.
-        algorithm: another registered algorithm in place of the preset's.
+        algorithm: another registered algorithm, with its defaults, in place of the preset's.
         run_dir: folder of the run; a fresh one under runs/ unless given.
         progress: show a progress bar.
     """

@@ -1,0 +1,72 @@
+"""What a command line chooses by name: domain, planner, algorithm, and a domain's own numbers."""
+
+import inspect
+from dataclasses import fields
+
+import pytest
+
+from qdenv.commands import choices, layouts, sizes, traffic
+from qdenv.domains.manufacturing import ManufacturingConfig
+from qdenv.domains.warehouse import UnevenWarehouseConfig
+from qdenv.presets import PRESETS
+from qdenv.search.map_elites import MapElitesConfig
+from qdenv.simulate.mapf.negotiated.settings import HIGH
+from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.types import InputError
+
+QUICK = PRESETS["quick"]
+
+
+def test_the_last_value_of_an_option_counts_and_the_rest_stays_in_order():
+    words = ["a", "--domain", "x", "b", "--domain=y", "--rows", "3"]
+    assert choices.take(words, "--domain") == ("y", ["a", "b", "--rows", "3"])
+    assert choices.take(["--rows", "3"], "--domain") == (None, ["--rows", "3"])
+    with pytest.raises(InputError, match="--domain needs a value"):
+        choices.take(["a", "--domain"], "--domain")
+
+
+def test_another_domain_keeps_what_the_preset_states_and_both_have():
+    uneven = choices.choose_domain(QUICK, "warehouse-uneven")
+    domain = uneven.evaluation.domain
+    assert isinstance(domain, UnevenWarehouseConfig)
+    assert (domain.rows, domain.cols, domain.shelves, domain.left_odds) == (17, 16, 40, 5.0)
+    assert (domain.fleet, uneven.archive) == (QUICK.evaluation.domain.fleet, QUICK.archive)
+    factory = choices.choose_domain(QUICK, "manufacturing")
+    own = ManufacturingConfig(rows=17, cols=16, fleet=QUICK.evaluation.domain.fleet)
+    assert factory.evaluation.domain == own
+    assert factory.archive == ()  # its ranges were those of other measures
+
+
+def test_planners_are_chosen_by_effort_or_name_where_a_fleet_drives():
+    assert choices.choose_planner(QUICK, None, None) == QUICK
+    high = choices.choose_planner(QUICK, "high", None)
+    assert high.evaluation.domain.fleet.planner == HIGH
+    pibt = choices.choose_planner(QUICK, None, "pibt")
+    assert pibt.evaluation.domain.fleet.planner == PibtConfig()
+    with pytest.raises(InputError, match="no fleet drives"):
+        choices.choose_planner(PRESETS["maze-quick"], "low", None)
+
+
+def test_an_algorithm_comes_with_its_own_defaults():
+    assert choices.choose_algorithm(QUICK, "map-elites").algorithm == MapElitesConfig()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names"),
+    [([], ["shelves"]), (["--domain", "manufacturing"], []), (["--domain=maze-walls"], [])],
+)
+@pytest.mark.parametrize("command", [layouts.repair, layouts.check, sizes.series])
+def test_a_command_has_an_option_for_each_number_of_its_domain(command, arguments, names):
+    numbers = inspect.signature(choices.bind(command, arguments)).parameters["numbers"].default
+    assert [field.name for field in fields(numbers)] == names
+    assert numbers.given() == {}
+
+
+def test_a_stated_zero_is_no_missing_number():
+    repair = choices.bind(layouts.repair, [])
+    kind = type(inspect.signature(repair).parameters["numbers"].default)
+    assert kind(shelves=0).given() == {"shelves": 0}
+
+
+def test_other_commands_stay_as_they_are():
+    assert choices.bind(traffic.simulate, ["--domain", "moon"]) is traffic.simulate
