@@ -12,11 +12,14 @@ import jax
 import numpy as np
 import pytest
 import toy
+from fleet_runs import StandConfig
 
 from qdenv.domains.base import DOMAINS
+from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.registry import Entry
 from qdenv.search.export import elites
+from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.training import loop
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus
@@ -179,6 +182,22 @@ def test_failed_evaluations_enter_nothing():
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(evaluation.score))
     state = experiment.algorithm.tell(state, solutions, evaluation.score, loop.kept(evaluation))
     assert len(elites(experiment.algorithm.archive(state))["index"]) == 0
+
+
+def test_metrics_count_failed_repairs(tmp_path):
+    evaluation = replace(toy.CONFIG.evaluation, domain=toy.GardenConfig(hedges=40))
+    config = replace(toy.CONFIG, evaluation=evaluation, evaluations=16)
+    rows = loop.train(config, tmp_path / "run", progress=False).read_metrics()
+    assert [(row.failed_repairs, row.congested_runs) for row in rows] == [(8, 0), (8, 0)]
+
+
+def test_metrics_count_congested_runs(tmp_path):
+    fleet = FleetConfig(agents=4, timesteps=20, planner=StandConfig())
+    domain = WarehouseConfig(rows=9, cols=10, shelves=6, fleet=fleet)
+    evaluation = replace(toy.CONFIG.evaluation, domain=domain)
+    config = replace(toy.CONFIG, evaluation=evaluation, evaluations=8)
+    (row,) = loop.train(config, tmp_path / "run", progress=False).read_metrics()
+    assert (row.failed_repairs, row.congested_runs) == (0, 8 * 3)  # nobody ever moves
 
 
 def test_a_run_is_never_overwritten_and_a_newer_one_not_opened(finished, tmp_path):

@@ -159,19 +159,9 @@ def _run(
         key = jax.random.fold_in(experiment.evaluation_key, iteration)
         evaluation = evaluator(solutions, key)
         state = tell(state, solutions, evaluation.score, kept(evaluation))
-        qd_score, coverage, best = (float(value) for value in summarise(state))
-        failed, congested = _failures(evaluation)
+        summary = [float(value) for value in summarise(state)]
         elapsed += time.perf_counter() - start
-        row = Metrics(
-            iteration,
-            iteration * batch,
-            qd_score,
-            coverage,
-            best,
-            round(elapsed, 3),
-            failed,
-            congested,
-        )
+        row = _metrics(iteration, batch, summary, round(elapsed, 3), evaluation)
         rows.append(row)
         run.write_metrics(rows)
         bar.update(batch)
@@ -188,11 +178,24 @@ def _run(
     return run
 
 
-def _failures(evaluation: Evaluation) -> tuple[int, int]:
-    """Count failed repairs, and simulations that congested (0 where nothing can congest)."""
+def _metrics(
+    iteration: int, batch: int, summary: list[float], seconds: float, evaluation: Evaluation
+) -> Metrics:
+    """Write an iteration's row: what the archive is worth, and what failed on the way there."""
+    qd_score, coverage, best = summary
     failed = np.asarray(evaluation.status) >= RepairStatus.IMPOSSIBLE
+    # A simulator whose runs cannot congest has no such field.
     congested = getattr(evaluation.runs, "congested", np.zeros(0, bool))
-    return int(failed.sum()), int(np.asarray(congested).sum())
+    return Metrics(
+        iteration,
+        iteration * batch,
+        qd_score,
+        coverage,
+        best,
+        seconds,
+        failed_repairs=int(failed.sum()),
+        congested_runs=int(np.asarray(congested).sum()),
+    )
 
 
 def _publish(run: RunDirectory, experiment: Experiment, archive: dict[str, np.ndarray]) -> None:
