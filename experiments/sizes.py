@@ -23,7 +23,7 @@ from qdenv.plots.studies import save_peaks
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.study import sizes
-from qdenv.study.sweep import climb
+from qdenv.study.sweep import Trial, climb
 from qdenv.study.table import find_peak, write_rows
 from qdenv.study.traffic import parse_seeds
 from qdenv.training.records import RunDirectory
@@ -83,7 +83,9 @@ def main(
         write_layout(out / f"{name}.json", layout, domain.tiles, domain=domain.name)
         step = max(1, round(STEP * layout.size))
         counts = range(step, layout.size, step)
-        rows += climb(name, layout, domain.simulator.tasks, config, counts, parse_seeds(seeds))
+        rows += climb(
+            name, layout, Trial(domain.simulator.tasks, config, counts, parse_seeds(seeds))
+        )
         peaks.append(find_peak([row for row in rows if row.layout == name]))
         print(f"{name}: peak {peaks[-1].throughput:.3f} at {peaks[-1].agents} agents", flush=True)
     write_rows(out / "scalability.csv", rows)

@@ -12,7 +12,7 @@ from qdenv.formats.layouts import write_layout
 from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.study.sweep import climb, compare, name_layouts
+from qdenv.study.sweep import Trial, climb, compare, name_layouts
 from qdenv.study.table import Row, find_peak, write_rows
 from qdenv.study.traffic import Simulated, run_seeds
 from qdenv.types import InputError, Traffic
@@ -45,7 +45,7 @@ def layouts() -> dict[str, np.ndarray]:
 
 def test_rows_agree_with_the_runs_they_summarise(layouts):
     told = []
-    rows = compare(layouts, TASKS, CONFIG, (12, 60), SEEDS, told.append)
+    rows = compare(layouts, Trial(TASKS, CONFIG, (12, 60), SEEDS), told.append)
     names = [(found.layout, found.agents) for found in rows]
     assert names == [("human", 12), ("human", 60), ("narrow", 12), ("narrow", 60)]
     assert told == rows
@@ -77,17 +77,17 @@ def test_a_climb_stops_at_the_first_drop(layouts, monkeypatch):
     monkeypatch.setattr("qdenv.study.sweep.run_seeds", runs_of)
     told = []
     counts = [30, 10, 20, 40, 50, 5000]
-    way = climb("a", layouts["human"], TASKS, CONFIG, counts, (0, 1), told.append)
+    way = climb("a", layouts["human"], Trial(TASKS, CONFIG, counts, (0, 1)), told.append)
     assert [found.agents for found in way] == [10, 20, 30, 40]
     assert told == way
     assert find_peak(way)[3:] == (30, pytest.approx(2.9), 1.0, True)
 
 
 def test_numbers_that_do_not_fit_are_left_out(layouts):
-    way = climb("human", layouts["human"], TASKS, CONFIG, (12, 60, 5000), (0,))
+    way = climb("human", layouts["human"], Trial(TASKS, CONFIG, (12, 60, 5000), (0,)))
     assert {found.agents for found in way} <= {12, 60}
     with pytest.raises(InputError, match="human: 500 agents do not fit"):
-        climb("human", layouts["human"], TASKS, CONFIG, (500,), (0,))
+        climb("human", layouts["human"], Trial(TASKS, CONFIG, (500,), (0,)))
 
 
 def test_peaks_of_made_up_ways():

@@ -11,7 +11,7 @@ from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.tasks import tile_goal
-from qdenv.study.sweep import parse_counts, sweep
+from qdenv.study.sweep import Trial, parse_counts, sweep
 from qdenv.study.table import write_rows
 from qdenv.types import InputError, TaskRule
 
@@ -38,7 +38,7 @@ def test_wilson_interval_agrees_with_published_values():
 def test_a_sweep_makes_a_table(tmp_path: Path):
     layout = parse(["w...e", ".@@..", "e...w"], TILES)
     config = FleetConfig(timesteps=40, planner=PibtConfig())
-    rows = sweep("tiny", layout, RULE, config, (1, 3, 6), (0, 1, 2))
+    rows = sweep("tiny", layout, Trial(RULE, config, (1, 3, 6), (0, 1, 2)))
     assert [row.agents for row in rows] == [1, 3, 6]
     assert all(row.runs == 3 and 0 <= row.success_low <= row.success_rate for row in rows)
     # One agent alone needs at most six steps and at least two from one goal to the next.
@@ -47,4 +47,4 @@ def test_a_sweep_makes_a_table(tmp_path: Path):
     read = list(csv.DictReader((tmp_path / "sweep.csv").read_text().splitlines()))
     assert [float(row["throughput"]) for row in read] == [row.throughput for row in rows]
     with pytest.raises(InputError, match="fewer agents"):
-        sweep("tiny", layout, RULE, config, (14,), (0,))
+        sweep("tiny", layout, Trial(RULE, config, (14,), (0,)))

@@ -87,7 +87,7 @@ def sweep(
         out: CSV file to write, with a picture beside it; named after the layout unless given.
     """
     tiles = read_layout(layout, find_domain(options.domain).tiles)
-    config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
+    trial = trial_of(agents, options)
     print("agents  throughput  standard error  success rate (95 % interval)")
 
     def show(row: Row) -> None:
@@ -97,8 +97,7 @@ def sweep(
             flush=True,
         )
 
-    counts, seeds = studies.parse_counts(agents), parse_seeds(options.seeds)
-    rows = studies.sweep(layout.stem, tiles, options.tasks, config, counts, seeds, show)
+    rows = studies.sweep(layout.stem, tiles, trial, show)
     table = out or Path(f"{layout.stem}_sweep.csv")
     write_rows(table, rows)
     save_comparison(table.with_suffix(".png"), rows)
@@ -120,10 +119,8 @@ def compare(
         out: CSV file to write, with a picture beside it.
     """
     tiles = read_layouts(layouts, options.domain)
-    config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
-    show = table_printer(tiles)
-    counts, seeds = studies.parse_counts(agents), parse_seeds(options.seeds)
-    rows = studies.compare(tiles, options.tasks, config, counts, seeds, show)
+    trial, show = trial_of(agents, options), table_printer(tiles)
+    rows = studies.compare(tiles, trial, show)
     write_rows(out, rows)
     save_comparison(out.with_suffix(".png"), rows)
     print(f"{out}, {out.with_suffix('.png')}")
@@ -144,13 +141,8 @@ def scalability(
         out: CSV file to write, with a picture beside it.
     """
     tiles = read_layouts(layouts, options.domain)
-    config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
-    show = table_printer(tiles)
-    counts, seeds = studies.parse_counts(agents), parse_seeds(options.seeds)
-    climbs = [
-        studies.climb(name, layout, options.tasks, config, counts, seeds, show)
-        for name, layout in tiles.items()
-    ]
+    trial, show = trial_of(agents, options), table_printer(tiles)
+    climbs = [studies.climb(name, layout, trial, show) for name, layout in tiles.items()]
     peaks = [find_peak(rows) for rows in climbs]
     for peak in peaks:
         end = "" if peak.dropped else ", still rising at the last number of agents"
@@ -159,6 +151,17 @@ def scalability(
     write_rows(out, rows)
     save_peaks(out.with_suffix(".png"), rows, peaks)
     print(f"{out}, {out.with_suffix('.png')}")
+
+
+def trial_of(agents: str, options: FleetOptions) -> studies.Trial:
+    """Read what a command puts its layouts to.
+
+    Raises:
+        InputError: a number or a name means nothing.
+    """
+    config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
+    counts, seeds = studies.parse_counts(agents), parse_seeds(options.seeds)
+    return studies.Trial(options.tasks, config, counts, seeds)
 
 
 def read_layouts(paths: Sequence[Path], domain: str) -> dict[str, np.ndarray]:

@@ -1,10 +1,11 @@
 """Layouts over numbers of agents: one by one, side by side, and up to their peaks."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,22 @@ from qdenv.study.traffic import run_seeds
 from qdenv.types import InputError, TaskRule
 
 FEWEST = 64  # agents that a compiled program has room for at least
+
+
+class Trial(NamedTuple):
+    """What layouts are put to: who drives on them, and how often.
+
+    Attributes:
+        tasks: what the agents do; None where no fleet drives.
+        config: the numbers of a simulation; its own number of agents does not matter.
+        counts: numbers of agents.
+        seeds: of the runs with each number.
+    """
+
+    tasks: TaskRule | None
+    config: FleetConfig
+    counts: Sequence[int]
+    seeds: Sequence[int]
 
 
 def parse_counts(text: str) -> tuple[int, ...]:
@@ -57,10 +74,7 @@ def about(name: str) -> Iterator[None]:
 def sweep(
     name: str,
     layout: np.ndarray,
-    tasks: TaskRule | None,
-    config: FleetConfig,
-    counts: Iterable[int],
-    seeds: Sequence[int],
+    trial: Trial,
     progress: Callable[[Row], None] = lambda row: None,
 ) -> list[Row]:
     """Simulate a layout with several numbers of agents; compiles once.
@@ -68,23 +82,20 @@ def sweep(
     Args:
         name: of the layout.
         layout: int8 [H, W].
-        tasks: what the agents do.
-        config: the numbers; its own number of agents does not matter.
-        counts: numbers of agents.
-        seeds: of the runs with each number.
+        trial: who drives, and how often.
         progress: told every finished row.
 
     Raises:
         InputError: agents cannot work on this layout, or do not fit; the line names the layout.
     """
-    counts = tuple(counts)
-    config = replace(config, agents=max(counts))
+    tasks, counts = trial.tasks, trial.counts
+    config = replace(trial.config, agents=max(counts))
     rows = []
     with about(name):
         if tasks is not None:
             check_playable(layout, tasks, max(counts))
         for agents in counts:
-            done = run_seeds(layout, tasks, config, seeds, agents)
+            done = run_seeds(layout, tasks, config, trial.seeds, agents)
             rows.append(summarise(name, layout, agents, done.runs, done.cpu_seconds))
             progress(rows[-1])
     return rows
@@ -92,10 +103,7 @@ def sweep(
 
 def compare(
     layouts: Mapping[str, np.ndarray],
-    tasks: TaskRule | None,
-    config: FleetConfig,
-    counts: Sequence[int],
-    seeds: Sequence[int],
+    trial: Trial,
     progress: Callable[[Row], None] = lambda row: None,
 ) -> list[Row]:
     """Simulate layouts with the same numbers of agents and the same seeds.
@@ -103,29 +111,19 @@ def compare(
     Args:
         layouts: int8 [H, W] each, by name; sizes may differ. The other arguments, and what may
             go wrong, are those of `sweep`.
-        tasks: what the agents do.
-        config: the numbers.
-        counts: numbers of agents.
-        seeds: of the runs with each number.
+        trial: who drives, and how often.
         progress: told every finished row.
 
     Returns:
         a row for each layout and number of agents, layout by layout.
     """
-    return [
-        row
-        for name, layout in layouts.items()
-        for row in sweep(name, layout, tasks, config, counts, seeds, progress)
-    ]
+    return [row for name, layout in layouts.items() for row in sweep(name, layout, trial, progress)]
 
 
 def climb(
     name: str,
     layout: np.ndarray,
-    tasks: TaskRule | None,
-    config: FleetConfig,
-    counts: Sequence[int],
-    seeds: Sequence[int],
+    trial: Trial,
     progress: Callable[[Row], None] = lambda row: None,
 ) -> list[Row]:
     """Add agents until the mean throughput over all runs drops (section E.3).
@@ -133,10 +131,8 @@ def climb(
     Args:
         name: of the layout.
         layout: int8 [H, W].
-        tasks: what the agents do.
-        config: the numbers; its own number of agents does not matter.
-        counts: numbers of agents to try, from few to many; those that do not fit are left out.
-        seeds: of the runs with each number.
+        trial: who drives, and how often; its numbers of agents are tried from few to many, those
+            that do not fit are left out.
         progress: told every finished row.
 
     Returns:
@@ -145,6 +141,7 @@ def climb(
     Raises:
         InputError: agents cannot work on the layout, or not even the first number fits.
     """
+    tasks, counts = trial.tasks, trial.counts
     free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
     fitting = [count for count in sorted(set(counts)) if count <= free]
     if not fitting:
@@ -153,9 +150,9 @@ def climb(
     for count in fitting:
         # Programs for fleets that double in size: few to compile, none much too large.
         room = max(FEWEST, 1 << (count - 1).bit_length())
-        config = replace(config, agents=min(room, fitting[-1]))
+        config = replace(trial.config, agents=min(room, fitting[-1]))
         with about(name):
-            done = run_seeds(layout, tasks, config, seeds, count)
+            done = run_seeds(layout, tasks, config, trial.seeds, count)
         rows.append(summarise(name, layout, count, done.runs, done.cpu_seconds))
         progress(rows[-1])
         if find_peak(rows).dropped:
