@@ -1,10 +1,12 @@
 """Functions compiled by numba for one core of the host, free of the interpreter lock.
 
 Machine code is kept on disk between processes, in a folder of the user's cache that is named by
-the hash of the package's sources. numba itself watches only the file of the outermost function;
-with any source changed, the folder is another one, so stale code cannot run.
+the hash of the sources it can depend on: the module that declares it and all it imports of this
+package. numba itself watches only the file of the outermost function; with any of these sources
+changed, the folder is another one, so stale code cannot run.
 """
 
+import ast
 import contextlib
 import functools
 import hashlib
@@ -19,7 +21,9 @@ from typing import Any, TypeVar
 import numba
 from numba.extending import register_jitable
 
-KEPT_FOLDERS = 8  # of sources as they were: other branches, other installations
+KEPT_FOLDERS = 128  # a dozen per state of the sources: other branches, other installations
+
+PACKAGE = Path(__file__).parent
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -45,7 +49,7 @@ def shared(rule: Function) -> Function:
 
 
 def _compile(function: Function, forceinline: bool) -> Function:
-    folder = cache_folder()
+    folder = cache_folder(function.__module__)
     with _numba_caches_in(folder):
         options = {"cache": folder is not None, "nogil": True, "forceinline": forceinline}
         made: Function = numba.njit(**options)(function)
@@ -53,15 +57,14 @@ def _compile(function: Function, forceinline: bool) -> Function:
 
 
 @functools.cache
-def cache_folder() -> Path | None:
-    """Find the folder for the machine code of these very sources; None where none is writable.
+def cache_folder(module: str) -> Path | None:
+    """Find the folder for the machine code of a module; None where none is writable.
 
     It lies in NUMBA_CACHE_DIR where that is set, else in the user's cache.
     """
-    package = Path(__file__).parent
     digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
-    for path in sorted(package.rglob("*.py")):
-        digest.update(str(path.relative_to(package)).encode())
+    for path in sorted(sources_of(module)):
+        digest.update(str(path.relative_to(PACKAGE)).encode())
         digest.update(path.read_bytes())
     home = Path(numba.config.CACHE_DIR or _user_cache()) / "qdenv"
     folder = home / digest.hexdigest()[:16]
@@ -73,6 +76,45 @@ def cache_folder() -> Path | None:
         return None
     _forget_old(home)
     return folder
+
+
+def sources_of(module: str) -> frozenset[Path]:
+    """List the files of this package that `module` is made of: its own and all those it imports.
+
+    A module of another package may use any of ours.
+    """
+    if _source(module) is None:
+        return frozenset(PACKAGE.rglob("*.py"))
+    found: set[Path] = set()
+    waiting = [module]
+    while waiting:
+        path = _source(waiting.pop())
+        if path is not None and path not in found:
+            found.add(path)
+            waiting += _imports(path)
+    return frozenset(found)
+
+
+def _source(module: str) -> Path | None:
+    """Find the file of a module of this package; None for any other name."""
+    first, *parts = module.split(".")
+    if first != PACKAGE.name:
+        return None
+    base = PACKAGE.joinpath(*parts)
+    files = (base.with_suffix(".py"), base / "__init__.py")
+    return next((path for path in files if path.is_file()), None)
+
+
+@functools.cache
+def _imports(path: Path) -> tuple[str, ...]:
+    """List the names that a file imports; a name taken from a module may itself be a module."""
+    names: list[str] = []
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return tuple(names)
 
 
 def _user_cache() -> Path:
