@@ -14,6 +14,7 @@ from qdenv.simulate.mapf.negotiated.settings import LOW, NegotiatedConfig
 from qdenv.simulate.mapf.pibt import numba as pibt_on_host
 from qdenv.simulate.mapf.pibt import xla as pibt_in_xla
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.simulate.mapf.planner import NOBODY
 from qdenv.types import InputError
 
 # The settings of each planner with the backends "host" and "xla".
@@ -51,10 +52,8 @@ def test_a_simulation_in_xla_is_exported_whole_and_gives_the_hosts_numbers(plann
 
 
 def test_an_unknown_backend_is_refused():
-    config = fleet.FleetConfig(agents=1, planner=PibtConfig("gpu"))
-    prepare, run = programs(PLAIN, config)
     with pytest.raises(InputError, match="unknown backend 'gpu': choose one of auto, xla, host"):
-        run(prepare(random_layout(np.random.default_rng(0), 0.1)), jax.random.key(0), None)
+        fleet.FleetConfig(agents=1, planner=PibtConfig("gpu"))
 
 
 @pytest.mark.parametrize(
@@ -87,11 +86,8 @@ def test_the_host_negotiates_as_xla_does(rule, settings):
 
 def test_the_host_pushes_as_xla_does():
     size, count = SHAPE[0] * SHAPE[1], 70
-
-    @jax.jit
-    def both(*state):
-        return [step(*state, size) for step in (pibt_in_xla.one_step, pibt_on_host.one_step)]
-
+    in_xla = jax.jit(lambda *given: pibt_in_xla.one_step(*given, size))
+    rollout = pibt_on_host.make_rollout(count, 1, size)
     moved = 0
     for seed in range(200):
         rng = np.random.default_rng(seed)
@@ -109,8 +105,33 @@ def test_the_host_pushes_as_xla_does():
         candidates = rng.permuted(near, axis=1).astype(np.int32)
         allowed = rng.integers(1, 6, count).astype(np.int32)
         order = rng.permutation(count).astype(np.int32)
-        xla, host = both(candidates, position, allowed, order)
-        np.testing.assert_array_equal(xla, host)
+        rollout.path[:, 0], rollout.candidates[:] = position, candidates
+        rollout.allowed[:], rollout.standing[position] = allowed, np.arange(count)
+        pibt_on_host.push_along(rollout, order.astype(np.int64), 0)
+        host = rollout.path[:, 1]
+        np.testing.assert_array_equal(in_xla(candidates, position, allowed, order), host)
         assert len(set(host.tolist())) == count
-        moved += int((np.asarray(host) != position).sum())
+        assert (rollout.standing == NOBODY).all() and (rollout.claimant == NOBODY).all()
+        moved += int((host != position).sum())
     assert moved > 200 * count / 4
+
+
+@pytest.mark.parametrize("planner", BACKENDS)
+def test_distances_on_demand_change_nothing(planner, monkeypatch):
+    """XLA keeps two rows per agent, the host measures what is asked: the same runs as a table."""
+    host, xla = BACKENDS[planner]
+    layout = jnp.asarray(random_layout(np.random.default_rng(4), 0.2))
+
+    def outcome(settings):
+        config = fleet.FleetConfig(agents=40, timesteps=60, planner=settings)
+        prepare, run = programs(SERVICES, config)
+        world = prepare(layout)
+        return world, jax.tree.map(np.asarray, run(world, jax.random.key(5), jnp.int32(33)))
+
+    table, expected = outcome(xla)
+    assert table.distance is not None and expected[0].finished.sum() > 20
+    monkeypatch.setattr(fleet, "TABLE_ENTRIES", 0)
+    for settings in (xla, host):
+        world, found = outcome(settings)
+        assert world.distance is None
+        jax.tree.map(np.testing.assert_array_equal, found, expected)

@@ -17,6 +17,9 @@ CELL, TIME, CODE = range(60 * 60), range(31), range(1 << path_rules.CODE_BITS)
 MOVES = (SET,) * rules.MOVES
 GIVEN = {
     rules.move_plane: (range(-60, 61), 57),
+    rules.opposite: (range(5),),
+    rules.luck: (range(1 << 31), range(2)),
+    rules.noise_of: (range(1 << 31),),
     rules.steps_conflict: (range(3),) * 4,
     rules.is_swapped: (range(-1, 2),) * 2,
     rules.conflicting_cells: (MOVES,),
@@ -116,6 +119,7 @@ def cells(drawing: str) -> int:
 
 
 def test_going_against_a_reserved_move_is_a_swap_and_following_it_is_not():
+    assert [rules.opposite(move) for move in range(5)] == [0, 2, 1, 4, 3]
     # Another agent goes from column 3 to column 2.
     occupied, leaves_left = cells("..x....."), cells("...x....")
     wait, right, left, _, _ = rules.conflicting_cells((occupied, 0, leaves_left, 0, 0))

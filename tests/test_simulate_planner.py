@@ -23,7 +23,10 @@ from mapf_oracle import (
 
 from qdenv.grid import parse
 from qdenv.simulate.mapf.distances import UNREACHABLE, goal_distances
-from qdenv.simulate.mapf.negotiated.numba import observation, reservations
+from qdenv.simulate.mapf.host import site
+from qdenv.simulate.mapf.host.fields import empty_fields
+from qdenv.simulate.mapf.negotiated.numba import reservations, states
+from qdenv.simulate.mapf.negotiated.numba.backtrack import trace
 from qdenv.simulate.mapf.negotiated.numba.search import find_path
 from qdenv.simulate.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
 from qdenv.simulate.mapf.negotiated.xla import bitplanes
@@ -74,8 +77,8 @@ def world_of(goals) -> World:
     )
 
 
-def state_of(case: Case) -> AgentState:
-    """Describe the one agent of a case."""
+def state_of(case: Case, distance: jax.Array) -> AgentState:
+    """Describe the one agent of a case, and the distances to its goals."""
     position = jnp.asarray(padded([case.start]))
     return AgentState(
         position=position,
@@ -85,6 +88,8 @@ def state_of(case: Case) -> AgentState:
         remaining_service=jnp.array([case.serving]),
         age=jnp.zeros(1, jnp.int32),
         previous=jnp.broadcast_to(position, (WINDOW + 1, 1)),
+        distance=distance,
+        row=jnp.array([[0], [1]]),
     )
 
 
@@ -98,20 +103,40 @@ def search_in_xla(world, state, others, penalty, noise, levels):
     return state.position[0] + steps[0, :, 0] * SHAPE[1] + steps[1, :, 0], cost[0]
 
 
+def site_of_maze(world: World) -> site.Site:
+    """Show the maze to host code."""
+    return site.site_of(jax.tree.map(np.asarray, world))
+
+
+def reserve_others(others: np.ndarray, place: site.Site) -> reservations.Reservations:
+    """Reserve paths of the padded grid (int [WINDOW + 1, n]) and leave room for one agent more."""
+    count = others.shape[1]
+    table = reservations.make_reservations(place, count + 1, WINDOW)
+    reservations.clear(table, place)
+    table.path[:count] = others.T
+    for agent in range(count):
+        reservations.reserve(table, agent, WINDOW, place.width)
+    return table
+
+
 def search_on_host(world: World, case: Case, noise: int) -> np.ndarray:
-    others = padded(case.others)
-    walls = reservations.pack(PADDED)
-    table = reservations.no_reservations(walls, SHAPE[1], others)
-    for agent in range(others.shape[1]):
-        reservations.reserve(table, agent, others[:, agent].astype(np.int64), WINDOW)
-    distance, cells = np.asarray(world.distance), np.asarray(world.goals.cells)
-    grid = observation.Grid(walls, distance, cells, SHAPE[1])
-    start = int(padded(case.start))
-    agent = observation.Agent(start, (0, 1), case.services, case.serving, case.penalty, noise)
-    path = np.zeros(WINDOW + 1, np.int64)
-    work = observation.make_workspace(WINDOW, case.levels)
-    assert find_path(work, table, grid, agent, path)
-    return path
+    place, others = site_of_maze(world), padded(case.others)
+    table = reserve_others(others, place)
+    start, cells = int(padded(case.start)), padded(case.goals)
+    agent = states.Agent(
+        start,
+        (0, 1),
+        (int(cells[0]), int(cells[1])),
+        case.services,
+        case.serving,
+        case.penalty,
+        noise,
+    )
+    work = states.make_workspace(WINDOW, case.levels, case.penalty)
+    code = find_path(work, table, empty_fields(SHAPE, 2, 2), place, agent)
+    assert code >= 0
+    trace(work, table, place, agent, code, others.shape[1])
+    return table.path[-1]
 
 
 @pytest.mark.parametrize("services", [(0, 0), (2, 3), (0, 2), (3, 0)])
@@ -122,7 +147,7 @@ def test_one_agent_agrees_with_uniform_cost_search_in_both_backends(services: tu
         world, best = world_of(case.goals), cheapest(case)
         others, numbers = jnp.asarray(padded(case.others)), (case.penalty, noise)
         xla, cost = search_in_xla(
-            world, state_of(case), others, *map(jnp.int32, numbers), case.levels
+            world, state_of(case, world.distance), others, *map(jnp.int32, numbers), case.levels
         )
         host = search_on_host(world, case, noise)
         assert int(cost) == best
@@ -136,15 +161,14 @@ def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
     paths, mask = jnp.asarray(padded(others)), jnp.ones(10, bool)
     table = bitplanes.add_paths(bitplanes.empty(WINDOW, *SHAPE), paths, mask, SHAPE)
     planes = table.reshape(WINDOW, 5, SHAPE[0], -1)
-    host = reservations.no_reservations(reservations.pack(PADDED), SHAPE[1], padded(others))
-    for agent in range(10):
-        reservations.reserve(host, agent, padded(others[:, agent]).astype(np.int64), WINDOW)
+    place = site_of_maze(world_of([0]))
+    host = reserve_others(padded(others), place)
     for cell in np.flatnonzero(FREE):
         position = padded(cell)
         seen = bitplanes.around(planes, jnp.asarray(position)[None], SHAPE[1], WINDOW)
         centre = (np.asarray(seen)[:, :, WINDOW, 0] >> WINDOW) & 1
-        row, column = divmod(int(position), SHAPE[1])
-        on_host = (host.table[:, row, column // 32] >> (column % 32)) & 1
+        bits = np.arange(WINDOW)[:, None] + reservations.PLANE * np.arange(5)
+        on_host = (host.word[int(position)] >> bits) & 1
         leaving = [
             (others[:-1] == cell) & (others[1:] == cell + down * WIDTH + right)
             for down, right in MOVES[1:]
@@ -154,9 +178,8 @@ def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
         np.testing.assert_array_equal(on_host, expected)
     assert not bitplanes.add_paths(table, paths, mask, SHAPE, sign=-1).any()
     for agent in range(10):
-        reservations.release(host, agent)
-    assert not host.table.any()
-    assert (host.owner == -1).all()
+        reservations.release(host, agent, place.width)
+    np.testing.assert_array_equal(host.word, np.where(place.free, 0, reservations.WALL))
 
 
 def test_distances_agree_with_plain_search():
@@ -196,7 +219,8 @@ def test_the_xla_backend_can_be_exported_on_a_cpu(last_resort: str):
     planner = PLANNERS.make(NegotiatedConfig(backend="xla", last_resort=last_resort))
     case = random_case(np.random.default_rng(0), 1, (2, 3))
     plan = jax.jit(lambda world, state, key: planner.plan(world, state, 3, key))
-    exported = export.export(plan)(world_of(case.goals), state_of(case), jax.random.key(0))
+    world = world_of(case.goals)
+    exported = export.export(plan)(world, state_of(case, world.distance), jax.random.key(0))
     assert "callback" not in exported.mlir_module()
     assert exported.out_avals[0].shape == (WINDOW + 1, 1)
 
@@ -218,4 +242,4 @@ def test_numbers_that_make_no_planner_are_refused_in_one_line(settings, message)
 
 def test_the_planner_is_found_by_its_settings_and_says_its_limits():
     assert PLANNERS.name_of(LOW) == "negotiated"
-    assert PLANNERS.make(LOW)[1:] == (10, 20, 10)
+    assert PLANNERS.make(LOW)[1:4] == (10, 20, 10)

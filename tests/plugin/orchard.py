@@ -88,7 +88,7 @@ def take_turns(config: TurnsConfig) -> qdenv.Planner:
                 met = (cells[:, None] == now[None]) | (cells[:, None] == before[None])
                 met = met & (state.active & (agents != agent))[None]
                 free = (world.traversable.reshape(-1)[cells] & ~met.any(1)).at[0].set(True)
-                to_go = world.distance[state.goal[0, agent], cells] + noise[agent]
+                to_go = state.distance[state.row[0, agent], cells] + noise[agent]
                 best = cells[jnp.argmin(jnp.where(free, to_go, 1e9))]
                 stays = busy[agent] | (now[agent] == target[agent])
                 return now.at[agent].set(jnp.where(stays, now[agent], best)), None

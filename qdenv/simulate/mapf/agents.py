@@ -5,11 +5,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulate.mapf import tasks
-from qdenv.simulate.mapf.padding import pad, unpad, unpad_grid
+from qdenv.simulate.mapf import chance, tasks
+from qdenv.simulate.mapf.distances import Fields, measure_fields, no_fields, rows_of
+from qdenv.simulate.mapf.padding import pad, unpad_grid
 from qdenv.simulate.mapf.planner import AgentState, World
-
-START_MARGIN = 10  # walls around the grid on which starts are drawn, whatever the planner wants
 
 
 class Fleet(NamedTuple):
@@ -22,6 +21,7 @@ class Fleet(NamedTuple):
         remaining_service: int32 [A], timesteps still to serve.
         age: int32 [A], timesteps since the last finished task.
         previous: int32 [window + 1, A], the plan from here on.
+        fields: distances measured on demand; None where the world has a table of all.
     """
 
     position: jax.Array
@@ -30,46 +30,48 @@ class Fleet(NamedTuple):
     remaining_service: jax.Array
     age: jax.Array
     previous: jax.Array
+    fields: Fields | None
 
 
-def draw_starts(world: World, active: jax.Array, key: jax.Array) -> jax.Array:
+def draw_starts(world: World, active: jax.Array, seed: jax.Array) -> jax.Array:
     """Draw distinct free cells for all agents in `active` (bool [A] -> int32 [A]).
 
-    Padding agents stand on cell 0, a wall. Consumes the key.
+    Padding agents stand on cell 0, a wall.
     """
-    # One margin for all planners: a key gives the same starts whichever of them drives.
-    free = jnp.pad(unpad_grid(world.traversable, world.margin), START_MARGIN)
-    cols = free.shape[1] - 2 * START_MARGIN
-    luck = jnp.where(free.reshape(-1), jax.random.uniform(key, (free.size,)), -1.0)
+    # Drawn on the layout without margin: a seed gives the same starts whichever planner drives.
+    free = unpad_grid(world.traversable, world.margin)
+    cols = free.shape[1]
+    bits = chance.draw_many(seed, free.size)
+    luck = jnp.where(free.reshape(-1), (bits >> 1).astype(jnp.int32), -1)
     luck, cells = jax.lax.top_k(luck, active.shape[0])
-    cells = pad(unpad(cells, cols, START_MARGIN), cols, world.margin)
+    cells = pad(cells, cols, world.margin)
     # Where the free cells do not suffice walls are drawn, too, and the run is not valid.
     return jnp.where(active & (luck >= 0), cells, 0).astype(jnp.int32)
 
 
-def place(world: World, window: int, active: jax.Array, key: jax.Array) -> Fleet:
-    """Put the agents on distinct random cells and draw their first goals; consumes the key.
+def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Fleet:
+    """Put the agents on distinct random cells and draw their first goals.
 
     Args:
         world: where.
         window: timesteps that are planned ahead.
         active: bool [A], False for padding.
-        key: decides cells and goals.
+        seed: of the run.
     """
-    start_key, *goal_keys = jax.random.split(key, 3)
-    position = draw_starts(world, active, start_key)
+    position = draw_starts(world, active, chance.draw(seed, chance.STARTS))
     zero = jnp.zeros(active.shape, jnp.int32)
     cycle = world.service_time.shape[0]
     goal = [
-        tasks.draw_goals(world.goals, (zero + ahead) % cycle, goal_key)
-        for ahead, goal_key in enumerate(goal_keys)
+        tasks.draw_goals(world.goals, (zero + ahead) % cycle, chance.draw(seed, purpose))
+        for ahead, purpose in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL))
     ]
     still = jnp.broadcast_to(position, (window + 1, *active.shape))
-    return Fleet(position, zero, jnp.stack(goal), zero, zero, still)
+    fields = no_fields(world, active.shape[0]) if world.distance is None else None
+    return Fleet(position, zero, jnp.stack(goal), zero, zero, still, fields)
 
 
 def drive(
-    world: World, fleet: Fleet, cell: jax.Array, active: jax.Array, key: jax.Array
+    world: World, fleet: Fleet, cell: jax.Array, active: jax.Array, seed: jax.Array
 ) -> tuple[Fleet, jax.Array]:
     """Move every agent to `cell` (int32 [A]) and serve goals; returns who finished (bool [A])."""
     cycle = world.service_time.shape[0]
@@ -77,7 +79,7 @@ def drive(
     service_time = world.service_time[fleet.kind]
     remaining, finished = tasks.serve(fleet.remaining_service, on_goal, service_time)
     kind = jnp.where(finished, (fleet.kind + 1) % cycle, fleet.kind)
-    drawn = tasks.draw_goals(world.goals, (kind + 1) % cycle, key)
+    drawn = tasks.draw_goals(world.goals, (kind + 1) % cycle, seed)
     return fleet._replace(
         position=cell,
         kind=kind,
@@ -87,10 +89,26 @@ def drive(
     ), finished
 
 
+def look_ahead(world: World, fleet: Fleet) -> Fleet:
+    """Measure the distances to goals that are new, where the world has no table of them."""
+    if fleet.fields is None:
+        return fleet
+    return fleet._replace(fields=measure_fields(world, fleet.fields, fleet.goal))
+
+
 def agent_state(world: World, fleet: Fleet, active: jax.Array) -> AgentState:
-    """Tell the planner what it needs to know."""
+    """Tell the planner what it needs to know, after `look_ahead`.
+
+    Raises:
+        ValueError: the world has neither a table of distances nor were any measured.
+    """
     cycle = world.service_time.shape[0]
     service_time = world.service_time[jnp.stack([fleet.kind, (fleet.kind + 1) % cycle])]
+    distance, row = world.distance, fleet.goal
+    if fleet.fields is not None:
+        distance, row = fleet.fields.distance, rows_of(fleet.fields)
+    if distance is None:
+        raise ValueError("there are no distances: prepare the world for this planner")
     return AgentState(
         position=fleet.position,
         active=active,
@@ -99,4 +117,6 @@ def agent_state(world: World, fleet: Fleet, active: jax.Array) -> AgentState:
         remaining_service=fleet.remaining_service,
         age=fleet.age,
         previous=fleet.previous,
+        distance=distance,
+        row=row,
     )

@@ -1,4 +1,8 @@
-"""Shortest distances from every goal to every cell, all goals at once, one bit per goal."""
+"""Shortest distances in XLA: from many goals to every cell at once, one bit per goal.
+
+Small layouts get a table of all goals; for large ones every agent has two rows, which are measured
+anew when it gets a new goal. `host.fields` measures them on the host.
+"""
 
 from typing import NamedTuple, TypeAlias
 
@@ -6,12 +10,13 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.grid import MOVES, shift
+from qdenv.simulate.mapf.planner import NOBODY, UNREACHABLE, World
 
 Planes: TypeAlias = tuple[jax.Array, ...]
 
-UNREACHABLE = 8191  # farther than any shortest path of a usable layout; small enough to add up
 PLANES = 4  # bits of the step counter that is unpacked once per epoch
 WORD = 32
+AT_ONCE = 8 * WORD  # rows measured side by side
 
 
 class _Wave(NamedTuple):
@@ -83,3 +88,60 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
     first = _Wave(start, jnp.zeros((count, rows * cols), jnp.int16), jnp.bool_(True))
     wave = jax.lax.while_loop(lambda wave: wave.grew, epoch, first)
     return jnp.where(unpack(wave.reached) == 1, wave.distance, jnp.int16(UNREACHABLE))
+
+
+class Fields(NamedTuple):
+    """Distances to the goals that agents have; two rows for each of A agents.
+
+    Attributes:
+        distance: int16 [2 A, H' * W'], steps from every cell.
+        goal: int32 [2, A], the slot of the goal that each row was measured for, or `NOBODY`.
+        flipped: bool [A], whether the current goal is in the second of an agent's rows: what was
+            the next goal becomes the current one without a copy.
+    """
+
+    distance: jax.Array
+    goal: jax.Array
+    flipped: jax.Array
+
+
+def no_fields(world: World, agents: int) -> Fields:
+    """Make room for the fields of `agents`, none measured."""
+    return Fields(
+        jnp.full((2 * agents, world.traversable.size), UNREACHABLE, jnp.int16),
+        jnp.full((2, agents), NOBODY, jnp.int32),
+        jnp.zeros((agents,), bool),
+    )
+
+
+def rows_of(fields: Fields) -> jax.Array:
+    """Find the rows of the agents' current and next goals (int32 [2, A])."""
+    agents = fields.flipped.shape[0]
+    second = jnp.arange(2)[:, None] ^ fields.flipped[None]
+    return second * agents + jnp.arange(agents)[None]
+
+
+def measure_fields(world: World, fields: Fields, goal: jax.Array) -> Fields:
+    """Measure the rows of goals (slots, int32 [2, A]) that changed since."""
+    count = goal.size
+    first = fields.goal.reshape(-1)[rows_of(fields)]
+    fields = fields._replace(
+        flipped=fields.flipped ^ ((first[0] != goal[0]) & (first[1] == goal[0]))
+    )
+    wanted = jnp.zeros((count,), jnp.int32).at[rows_of(fields)].set(goal)
+
+    def measure(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        distance, measured = carry
+        row = jnp.nonzero(measured != wanted, size=min(AT_ONCE, count), fill_value=count)[0]
+        slot = wanted[jnp.minimum(row, count - 1)]
+        cells = world.goals.cells[slot]
+        used = (row < count) & world.goals.used[slot] & world.traversable.reshape(-1)[cells]
+        steps = goal_distances(world.traversable, cells, used)
+        distance = distance.at[row].set(steps, mode="drop")
+        return distance, measured.at[row].set(slot, mode="drop")
+
+    begin = fields.distance, fields.goal.reshape(-1)
+    distance, measured = jax.lax.while_loop(
+        lambda carry: (carry[1] != wanted).any(), measure, begin
+    )
+    return fields._replace(distance=distance, goal=measured.reshape(2, -1))

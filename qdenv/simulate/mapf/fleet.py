@@ -13,12 +13,15 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.grid import of_tiles
-from qdenv.simulate.mapf import tasks
-from qdenv.simulate.mapf.agents import Fleet, agent_state, drive, place
-from qdenv.simulate.mapf.distances import UNREACHABLE, goal_distances
+from qdenv.simulate.mapf import chance, tasks
+from qdenv.simulate.mapf.agents import Fleet, agent_state, drive, look_ahead, place
+from qdenv.simulate.mapf.distances import goal_distances
+from qdenv.simulate.mapf.host.crew import Numbers
+from qdenv.simulate.mapf.host.run import run_on_host
 from qdenv.simulate.mapf.metrics import (
     Block,
     Metrics,
+    Outcome,
     Recording,
     TrajectoryBuffer,
     accumulate,
@@ -29,8 +32,10 @@ from qdenv.simulate.mapf.metrics import (
 )
 from qdenv.simulate.mapf.negotiated.settings import LOW
 from qdenv.simulate.mapf.padding import pad
-from qdenv.simulate.mapf.planner import PLANNERS, Planner, World
+from qdenv.simulate.mapf.planner import PLANNERS, UNREACHABLE, Planner, World
 from qdenv.types import Array, InputError, TaskRule, Traffic
+
+TABLE_ENTRIES = 1 << 26  # of a table of all distances, 128 MB; above, agents measure their own
 
 
 @dataclass(frozen=True)
@@ -102,14 +107,17 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     capacity = config.goal_capacity or rows * cols
     traversable = of_tiles(layout, rule.traversable, rule.tiles)
     goals = tasks.goal_table(layout, rule, capacity)
-    used = goals.used & traversable.reshape(-1)[goals.cells]
-    distance = goal_distances(traversable, goals.cells, used).reshape(capacity, rows, cols)
-    sides = (planner.margin, planner.margin)
-    distance = jnp.pad(distance, ((0, 0), sides, sides), constant_values=UNREACHABLE)
+    distance = None
+    if planner.drive is None and capacity * layout.size <= TABLE_ENTRIES:
+        used = goals.used & traversable.reshape(-1)[goals.cells]
+        distance = goal_distances(traversable, goals.cells, used).reshape(capacity, rows, cols)
+        sides = (planner.margin, planner.margin)
+        distance = jnp.pad(distance, ((0, 0), sides, sides), constant_values=UNREACHABLE)
+        distance = distance.reshape(capacity, -1)
     return World(
         traversable=jnp.pad(traversable, planner.margin),
         goals=goals._replace(cells=pad(goals.cells, cols, planner.margin)),
-        distance=distance.reshape(capacity, -1),
+        distance=distance,
         service_time=jnp.asarray(service_time),
         valid=goals.complete,
         margin=planner.margin,
@@ -117,22 +125,30 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
 
 
 def run_window(
-    world: World, config: FleetConfig, fleet: Fleet, active: jax.Array, key: jax.Array
+    world: World,
+    config: FleetConfig,
+    fleet: Fleet,
+    active: jax.Array,
+    seed: jax.Array,
+    time: jax.Array,
 ) -> tuple[Fleet, Block]:
-    """Plan a window and drive its first steps; consumes the key."""
-    plan_key, goal_key = jax.random.split(key)
+    """Plan the window that begins at `time` and drive its first steps."""
+    fleet = look_ahead(world, fleet)
     state = agent_state(world, fleet, active)
-    paths = config.make_planner().plan(world, state, config.horizon, plan_key)
+    key = chance.key_of(chance.draw(seed, chance.PLANS), time)
+    paths = config.make_planner().plan(world, state, config.horizon, key)
     chex.assert_shape(paths, (config.window + 1, config.agents))
+    goals = chance.draw(seed, chance.GOALS)
 
     def step(fleet: Fleet, inputs: tuple[jax.Array, jax.Array]) -> tuple[Fleet, Block]:
         heading = world.goals.cells[fleet.goal[0]]
-        fleet, finished = drive(world, fleet, inputs[0], active, inputs[1])
+        drawn = chance.draw(goals, inputs[1])
+        fleet, finished = drive(world, fleet, inputs[0], active, drawn)
         return fleet, Block(fleet.position, fleet.remaining_service, finished, heading)
 
     executed = paths[1 : config.horizon + 1]
-    keys = jax.random.split(goal_key, config.horizon)
-    fleet, block = jax.lax.scan(step, fleet, (executed, keys))
+    times = time + jnp.arange(config.horizon)
+    fleet, block = jax.lax.scan(step, fleet, (executed, times))
     last = jnp.broadcast_to(paths[-1], (config.horizon, config.agents))
     return fleet._replace(previous=jnp.concatenate([paths[config.horizon :], last])), block
 
@@ -151,11 +167,22 @@ class _Run(NamedTuple):
     buffer: TrajectoryBuffer
 
 
-def _run(world: World, key: jax.Array, config: FleetConfig, active: jax.Array, keep: bool) -> _Run:
+def _run(
+    world: World, seed: jax.Array, config: FleetConfig, active: jax.Array, keep: bool
+) -> Outcome:
     """Simulate until T or congestion, keeping every step if asked."""
-    place_key, drive_key = jax.random.split(key)
-    fleet = place(world, config.window, active, place_key)
-    whole_windows = -(-config.timesteps // config.horizon) * config.horizon
+    planner = config.make_planner()
+    windows = -(-config.timesteps // config.horizon) * config.horizon
+    metrics = empty_metrics(world, windows)
+    nowhere = jnp.zeros((config.agents,), jnp.int32)
+    buffer = TrajectoryBuffer.empty(nowhere, windows if keep else 0)
+    if planner.drive is not None:
+        numbers = Numbers(
+            0, config.timesteps, config.window, config.horizon, config.stop_when_congested
+        )
+        like = jax.eval_shape(lambda: Outcome(metrics, nowhere, buffer))
+        return run_on_host(planner.drive, world, seed, active.sum(), numbers, like)
+    fleet = place(world, config.window, active, seed)
 
     def going(run: _Run) -> jax.Array:
         halted = run.metrics.congested & config.stop_when_congested
@@ -164,8 +191,7 @@ def _run(world: World, key: jax.Array, config: FleetConfig, active: jax.Array, k
     def window(run: _Run) -> _Run:
         fleet, metrics, buffer = run
         at_work = active & going(run)  # a finished lane of a batch has nobody left to plan
-        step_key = jax.random.fold_in(drive_key, metrics.time)
-        after, block = run_window(world, config, fleet, at_work, step_key)
+        after, block = run_window(world, config, fleet, at_work, seed, metrics.time)
         # A window that T cuts short is no window of the jam rule.
         whole = metrics.time + config.horizon <= config.timesteps
         jam = whole & is_congested(fleet.position, fleet.remaining_service, block, active)
@@ -173,15 +199,14 @@ def _run(world: World, key: jax.Array, config: FleetConfig, active: jax.Array, k
         metrics = accumulate(metrics, fleet.position, block, active, config.timesteps)
         return _Run(after, metrics._replace(congested=metrics.congested | jam), buffer)
 
-    buffer = TrajectoryBuffer.empty(fleet.position, whole_windows if keep else 0)
-    first = _Run(fleet, empty_metrics(world, whole_windows), buffer)
-    return jax.lax.while_loop(going, window, first)
+    first = _Run(fleet, metrics, buffer._replace(start=fleet.position))
+    last = jax.lax.while_loop(going, window, first)
+    return Outcome(last.metrics, world.goals.cells[last.fleet.goal[0]], last.buffer)
 
 
 def _enlist(world: World, config: FleetConfig, agents: Array | None) -> tuple[World, jax.Array]:
     """Choose who takes part (bool [A]); without room for them the world is not valid."""
-    chex.assert_rank([world.traversable, world.distance], 2)
-    chex.assert_shape(world.distance, (world.goals.cells.shape[0], world.traversable.size))
+    chex.assert_rank(world.traversable, 2)
     asked = jnp.asarray(config.agents if agents is None else agents)
     chex.assert_rank(asked, 0)
     room = (world.traversable.sum() >= asked) & (asked <= config.agents)
@@ -203,8 +228,8 @@ def simulate(
         `Traffic`. A layout with too few free cells or without goals counts as congested at once.
     """
     world, active = _enlist(world, config, agents)
-    run = _run(world, key, config, active, keep=False)
-    return summarise(world, run.metrics, active, config.timesteps)
+    outcome = _run(world, chance.seed_of(key), config, active, keep=False)
+    return summarise(world, outcome.metrics, active, config.timesteps)
 
 
 def record(
@@ -212,7 +237,6 @@ def record(
 ) -> tuple[Traffic, Recording]:
     """Run the same simulation as `simulate` and keep every step of it."""
     world, active = _enlist(world, config, agents)
-    run = _run(world, key, config, active, keep=True)
-    goal = world.goals.cells[run.fleet.goal[0]]
-    recording = recording_of(run.buffer, run.metrics, goal, active, world, config.timesteps)
-    return summarise(world, run.metrics, active, config.timesteps), recording
+    outcome = _run(world, chance.seed_of(key), config, active, keep=True)
+    recording = recording_of(outcome, active, world, config.timesteps)
+    return summarise(world, outcome.metrics, active, config.timesteps), recording

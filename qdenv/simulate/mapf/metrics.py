@@ -165,24 +165,30 @@ class TrajectoryBuffer(NamedTuple):
         return self._replace(block=jax.tree.map(write, self.block, block))
 
 
-def recording_of(
-    buffer: TrajectoryBuffer,
-    metrics: Metrics,
-    last_goal: jax.Array,
-    active: jax.Array,
-    world: World,
-    timesteps: int,
-) -> Recording:
+class Outcome(NamedTuple):
+    """What a run leaves behind.
+
+    Attributes:
+        metrics: what was counted.
+        heading: int32 [A], the goal cells at the end.
+        buffer: what was recorded; without room where nothing was to be.
+    """
+
+    metrics: Metrics
+    heading: jax.Array
+    buffer: TrajectoryBuffer
+
+
+def recording_of(outcome: Outcome, active: jax.Array, world: World, timesteps: int) -> Recording:
     """Cut the buffer to T steps and translate its positions; nothing moves after the end.
 
     Args:
-        buffer: all driven steps.
-        metrics: tells when the run ended.
-        last_goal: int32 [A], goal cells after the last driven step.
-        active: bool [A].
+        outcome: of the run.
+        active: bool [A]; whoever took no part is nowhere, all zeros.
         world: where the agents drove.
         timesteps: T of the run.
     """
+    metrics, last_goal, buffer = outcome
     cols = world.traversable.shape[1] - 2 * world.margin
     last = jnp.maximum(metrics.time - 1, 0)
     row = jnp.minimum(jnp.arange(timesteps), last)
@@ -193,13 +199,14 @@ def recording_of(
     known = jnp.where(metrics.time == timesteps, total, metrics.time)
     time = jnp.arange(timesteps + 1)
     goals = block.goals[jnp.minimum(time, total - 1)]
-    goals = jnp.where((time < known)[:, None], goals, last_goal)
+    goals = jnp.where((time < known)[:, None], goals, last_goal[None])
     positions = jnp.concatenate([buffer.start[None], block.positions[row]])
     remaining = jnp.concatenate([jnp.zeros_like(buffer.start)[None], block.remaining_service[row]])
+    takes_part = active[None]
     return Recording(
-        positions=unpad(positions, cols, world.margin),
-        goals=unpad(goals, cols, world.margin),
-        remaining_service=remaining,
-        finished=block.finished[:timesteps] & driven,
+        positions=jnp.where(takes_part, unpad(positions, cols, world.margin), 0),
+        goals=jnp.where(takes_part, unpad(goals, cols, world.margin), 0),
+        remaining_service=jnp.where(takes_part, remaining, 0),
+        finished=block.finished[:timesteps] & driven & takes_part,
         active=active,
     )

@@ -4,21 +4,29 @@ A layout of `cols` columns, surrounded by `margin` walls on each side, makes the
 planners see. Both number their cells ``row * width + column``, each with its own width.
 """
 
+from typing import TypeVar
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from qdenv.native import shared
 from qdenv.types import Array
 
+Cells = TypeVar("Cells", int, jax.Array, np.ndarray)
 
-def pad(positions: Array, cols: int, margin: int) -> jax.Array:
+
+@shared
+def pad(positions: Cells, cols: int, margin: int) -> Cells:
     """Translate positions of the layout into positions of the padded grid (any shape)."""
-    row, column = jnp.divmod(positions, cols)
+    row, column = positions // cols, positions % cols
     return (row + margin) * (cols + 2 * margin) + column + margin
 
 
-def unpad(positions: Array, cols: int, margin: int) -> jax.Array:
+@shared
+def unpad(positions: Cells, cols: int, margin: int) -> Cells:
     """Translate positions of the padded grid into positions of the layout (any shape)."""
-    row, column = jnp.divmod(positions, cols + 2 * margin)
+    row, column = positions // (cols + 2 * margin), positions % (cols + 2 * margin)
     return (row - margin) * cols + column - margin
 
 

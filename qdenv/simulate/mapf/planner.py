@@ -8,7 +8,7 @@ A planner is chosen by the type of its settings: `PLANNERS.make(settings)` gives
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import flax.struct
 import jax
@@ -17,6 +17,7 @@ from qdenv.registry import Registry
 from qdenv.simulate.mapf.tasks import GoalTable
 
 NOBODY = -1  # stands where an agent's number could stand
+UNREACHABLE = 32_000  # steps to where no way leads, and to whatever is farther still; fits int16
 
 
 @flax.struct.dataclass
@@ -29,7 +30,8 @@ class World:
     Attributes:
         traversable: bool [H', W'], cells agents may drive on.
         goals: the goal table; its cells are positions of the padded grid.
-        distance: int16 [G, H' * W'], steps from every cell to every goal.
+        distance: int16 [G, H' * W'], steps from every cell to every goal; None where distances are
+            measured on demand.
         service_time: int32 [n], timesteps served at each kind of goal.
         valid: bool, agents and goals fit the layout.
         margin: rows and columns of walls on each side; compile-time.
@@ -37,7 +39,7 @@ class World:
 
     traversable: jax.Array
     goals: GoalTable
-    distance: jax.Array
+    distance: jax.Array | None
     service_time: jax.Array
     valid: jax.Array
     margin: int = flax.struct.field(pytree_node=False)
@@ -55,6 +57,8 @@ class AgentState(NamedTuple):
             driving.
         age: int32 [A], timesteps since the agent last finished a task.
         previous: int32 [window + 1, A], the last paths from here on; their last cell is repeated.
+        distance: int16 [rows, H' * W'], steps from every cell to some goals.
+        row: int32 [2, A], the rows of `distance` that belong to `goal`.
     """
 
     position: jax.Array
@@ -64,6 +68,11 @@ class AgentState(NamedTuple):
     remaining_service: jax.Array
     age: jax.Array
     previous: jax.Array
+    distance: jax.Array
+    row: jax.Array
+
+
+Drive: TypeAlias = Callable[[Any, Any], bool]
 
 
 class Planner(NamedTuple):
@@ -75,12 +84,16 @@ class Planner(NamedTuple):
         max_window: most timesteps it plans ahead.
         max_service: longest service at a goal that it understands.
         margin: rows and columns of walls it wants around the grid, at least 1.
+        drive: compiled host code for whole runs, (run, fields) -> whether `fields` had room for
+            the distances it asked for (`qdenv.simulate.mapf.host`); called again with more room
+            where not. Used instead of `plan` where a planner has it.
     """
 
     plan: Callable[[World, AgentState, int, jax.Array], jax.Array]
     max_window: int = 1000
     max_service: int = 1000
     margin: int = 1
+    drive: Drive | None = None
 
 
 # An entry's maker is called as make(settings) and returns a `Planner`.

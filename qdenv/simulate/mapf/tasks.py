@@ -1,6 +1,6 @@
 """Task rules as data: where goals lie, how they are drawn, and in which order they are visited."""
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,11 @@ import numpy as np
 from scipy import ndimage
 
 from qdenv.grid import count_neighbours, of_tiles
+from qdenv.native import shared
+from qdenv.simulate.mapf import chance
 from qdenv.types import Array, Goal, InputError, TaskRule
+
+Counts = TypeVar("Counts", int, jax.Array)
 
 
 class GoalTable(NamedTuple):
@@ -111,27 +115,28 @@ def goal_table(layout: Array, rule: TaskRule, capacity: int) -> GoalTable:
     return GoalTable(cells, used, cumulated / jnp.maximum(total, 1e-6), complete)
 
 
-def draw_goals(table: GoalTable, kinds: jax.Array, key: jax.Array) -> jax.Array:
+def draw_goals(table: GoalTable, kinds: jax.Array, seed: jax.Array) -> jax.Array:
     """Draw one goal slot per agent, independently and with the odds of its kind.
 
     Args:
         table: goals of the layout.
         kinds: int32 [A], index into the cycle.
-        key: consumed. Agent i's draw does not depend on the number of agents.
+        seed: of the draw. Agent i's goal does not depend on the number of agents.
 
     Returns:
         int32 [A], slots of `table`.
     """
-    chance = jax.random.uniform(key, kinds.shape)
-    per_kind = jax.vmap(lambda odds: jnp.searchsorted(odds, chance, side="right"))(table.odds)
+    values = chance.uniform(chance.draw_many(seed, kinds.shape[0]))
+    per_kind = jax.vmap(lambda odds: jnp.searchsorted(odds, values, side="right"))(table.odds)
     slots = jnp.take_along_axis(per_kind, kinds[None].astype(jnp.int32), axis=0)[0]
     return jnp.minimum(slots, table.cells.shape[0] - 1).astype(jnp.int32)
 
 
+@shared
 def serve(
-    remaining_service: jax.Array, on_goal: jax.Array, service_time: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Begin, continue and end services; the one place that has the rule.
+    remaining_service: Counts, on_goal: Counts, service_time: Counts
+) -> tuple[Counts, Counts]:
+    """Begin, continue and end services; the one place that has the rule, for both backends.
 
     An agent that reaches its goal while it drives begins to serve there. The task is finished
     when nothing is left to serve, at once where a goal asks for no service.

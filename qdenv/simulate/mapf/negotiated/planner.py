@@ -17,41 +17,43 @@ do those in conflict with one that fell back. The last resort is a joint plan wi
 (PIBT, Okumura et al. 2022, https://arxiv.org/abs/1901.11282), so the result never has any.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
 from qdenv.devices import runs_on_host
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.negotiated.numba import rounds as on_host
-from qdenv.simulate.mapf.negotiated.records import PlanResult
+from qdenv.simulate.mapf import chance
+from qdenv.simulate.mapf.negotiated.numba.drive import drive
+from qdenv.simulate.mapf.negotiated.records import PlanResult, planned_ahead
 from qdenv.simulate.mapf.negotiated.settings import (
     MARGIN,
     MAX_SERVICE,
     MAX_WINDOW,
     NegotiatedConfig,
 )
-from qdenv.simulate.mapf.negotiated.xla import rounds as in_xla
+from qdenv.simulate.mapf.negotiated.xla.rounds import negotiate, path_conflicts
 from qdenv.simulate.mapf.pibt import planner as pibt
 from qdenv.simulate.mapf.planner import AgentState, Planner, World
 
 
 def negotiated(config: NegotiatedConfig) -> Planner:
     """Make the planner; both backends give the same paths to the bit."""
-    negotiate = (on_host if runs_on_host(config.backend) else in_xla).negotiate
 
     def plan(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:
-        negotiation_key, resort_key = jax.random.split(key)
-        window = state.previous.shape[0] - 1
-        ahead = max(horizon, min(config.lookahead, window))
+        window, seed = state.previous.shape[0] - 1, chance.seed_of(key)
+        ahead = planned_ahead(config, window, horizon)
         near = state._replace(previous=state.previous[: ahead + 1])
         # Sets of cells broadcast over agents on purpose, also where a caller forbids it at large.
         with jax.numpy_rank_promotion("allow"):
-            result = negotiate(config, world, near, horizon, negotiation_key)
-            paths = fall_back(config, world, near, horizon, result, resort_key)
+            result = negotiate(config, world, near, horizon, seed)
+            paths = fall_back(config, world, near, horizon, result, key)
         rest = jnp.broadcast_to(paths[-1], (window - ahead, paths.shape[1]))
         return jnp.concatenate([paths, rest])
 
-    return Planner(plan, MAX_WINDOW, MAX_SERVICE, MARGIN)
+    on_host = functools.partial(drive, config) if runs_on_host(config.backend) else None
+    return Planner(plan, MAX_WINDOW, MAX_SERVICE, MARGIN, on_host)
 
 
 def fall_back(
@@ -67,11 +69,11 @@ def fall_back(
     def joint_plan() -> jax.Array:
         if config.last_resort == "wait":
             return pibt.wait(world, state, horizon, key)
-        return pibt.rollout(world, state, horizon, key, config.backend)
+        return pibt.rollout(world, state, horizon, key)
 
     def mix(_: None) -> jax.Array:
         resort = joint_plan()
-        conflicts = in_xla.path_conflicts(result.paths[: horizon + 1], resort[: horizon + 1])
+        conflicts = path_conflicts(result.paths[: horizon + 1], resort[: horizon + 1])
         conflicts = conflicts & ~jnp.eye(conflicts.shape[0], dtype=bool)
         conflicts = conflicts & state.active[:, None] & state.active[None, :]
 

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qdenv.simulate.mapf import chance
+from qdenv.simulate.mapf.negotiated import rules
 from qdenv.simulate.mapf.negotiated.path_rules import COST_UNIT
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 from qdenv.simulate.mapf.planner import AgentState
@@ -35,16 +37,16 @@ class Priorities(NamedTuple):
     noise: jax.Array
 
 
-def draw_priorities(state: AgentState, key: jax.Array) -> Priorities:
-    """Draw the agents' order and the bits that settle ties; consumes the key."""
-    order_key, noise_key = jax.random.split(key)
+def draw_priorities(state: AgentState, seed: jax.Array) -> Priorities:
+    """Draw the agents' order and the bits that settle ties."""
     count = state.position.shape[0]
-    luck = jax.random.uniform(order_key, (count,))
-    # Agents that serve cannot give way: the others had better know of them first.
-    turn = jnp.argsort(luck - (state.remaining_service > 0))
+    order_bits, tie_bits = (
+        chance.draw_many(chance.draw(seed, purpose), count)
+        for purpose in (chance.ORDER, chance.TIES)
+    )
+    turn = jnp.argsort(rules.luck(order_bits, state.remaining_service > 0))
     order = jnp.zeros((count,), jnp.int32).at[turn].set(jnp.arange(count, dtype=jnp.int32))
-    noise = jax.random.bits(noise_key, (count,), jnp.uint32).astype(jnp.int32) & 0xFFFFFF
-    return Priorities(order, noise)
+    return Priorities(order, rules.noise_of(tie_bits).astype(jnp.int32))
 
 
 def penalty_costs(config: NegotiatedConfig) -> np.ndarray:
@@ -52,8 +54,16 @@ def penalty_costs(config: NegotiatedConfig) -> np.ndarray:
     return np.array([round(COST_UNIT * penalty) for penalty in config.penalties], np.int32)
 
 
-def round_limit(config: NegotiatedConfig, state: AgentState) -> jax.Array:
-    """Limit the rounds (int32). Padding takes no part: it must not change what others get."""
-    lanes = min(config.lanes, state.position.shape[0])
-    crowd = -(-state.active.sum() // lanes)
-    return (config.rounds * crowd).astype(jnp.int32)
+def planned_ahead(config: NegotiatedConfig, window: int, horizon: int) -> int:
+    """Count the timesteps planned without conflict."""
+    return max(horizon, min(config.lookahead, window))
+
+
+def lanes_of(config: NegotiatedConfig, agents: int) -> int:
+    """Count the agents that plan in one round."""
+    return min(config.lanes, agents)
+
+
+def count_rounds(config: NegotiatedConfig, agents: jax.Array | int) -> jax.Array | np.floating:
+    """Limit the rounds of so many agents. Padding takes no part: it must not change them."""
+    return np.float32(config.rounds) * -(-agents // config.lanes)

@@ -44,6 +44,12 @@ def move_plane(change: Value, width: int) -> Value:
 
 
 @shared
+def opposite(move: Value) -> Value:
+    """Name the move against a move; waiting has none but itself."""
+    return move + (move > 0) * (2 * (move % 2) - 1)
+
+
+@shared
 def steps_conflict(before: Value, after: Value, other_before: Value, other_after: Value) -> Value:
     """Tell whether two steps meet in a cell (vertex conflict) or swap their cells."""
     swapped = (after == other_before) & (before == other_after)
@@ -179,6 +185,21 @@ def ends_leg(leg: int, service_time: Value) -> Value:
 
 
 # Ties and turns.
+
+
+@shared
+def luck(bits: Value, serving: Value) -> Value:
+    """Draw an agent's place in the order (smallest first) from 32 random bits.
+
+    Agents that serve cannot give way: the others had better know of them first.
+    """
+    return (bits >> 2) + (1 - serving) * (1 << 30)
+
+
+@shared
+def noise_of(bits: Value) -> Value:
+    """Take an agent's random bits of a window."""
+    return bits >> 8
 
 
 @shared

@@ -1,82 +1,204 @@
-"""One timestep of PIBT in compiled host code: agent by agent, as the algorithm is printed.
+"""PIBT in compiled host code: agent by agent, as the algorithm is printed.
 
-The rules are those of `rules`; the result is that of `xla.one_step`, bit for bit.
+The rules are those of `rules`; the result is that of `xla`, bit for bit.
 """
 
-import jax
-import numpy as np
-from jax.experimental.buffer_callback import buffer_callback
+from typing import NamedTuple
 
-from qdenv.native import compiled
+import numpy as np
+
+from qdenv.native import compiled, kernel
+from qdenv.simulate.mapf import chance
+from qdenv.simulate.mapf.host.crew import TIME, Crew, Run, drive_window, is_going
+from qdenv.simulate.mapf.host.fields import Fields
+from qdenv.simulate.mapf.host.measure import distance, lacks_room
+from qdenv.simulate.mapf.host.site import Site
 from qdenv.simulate.mapf.pibt import rules
 from qdenv.simulate.mapf.planner import NOBODY
+from qdenv.simulate.mapf.tasks import serve
 
 
-def one_step(
-    candidates: jax.Array, position: jax.Array, allowed: jax.Array, order: jax.Array, cells: int
-) -> jax.Array:
-    """Do what `xla.one_step` does, in a callback that works on jax's own buffers."""
+class Rollout(NamedTuple):
+    """The agents within a rollout of h steps; A agents, N cells.
 
-    def on_host(_: object, out: object, *arrays: object) -> None:
-        # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
-        candidates, position, allowed, order = (np.asarray(array) for array in arrays)
-        push_along(candidates, position, allowed, order, cells, np.asarray(out))
+    Attributes:
+        path: int64 [A, h + 1], where they go.
+        stage: int64 [A], 0 on the way to the current goal, 1 afterwards.
+        remaining_service: int64 [A], timesteps left to serve.
+        age: int64 [A], timesteps since the last finished task.
+        urgency: int64 [A], the smallest first.
+        candidates: int64 [A, 5], the cells each may go to, from best to worst.
+        key: int64 [5], what orders the candidates of one agent.
+        allowed: int64 [A], how many of them count.
+        tried: int64 [A], how many were tried.
+        pusher: int64 [A], the agent that pushed it, or `NOBODY`.
+        standing: int32 [N], the agent on each cell, or `NOBODY`; so between two steps everywhere.
+        claimant: int32 [N], the agent that takes each cell, likewise.
+    """
 
-    shape = jax.ShapeDtypeStruct(position.shape, np.int32)
-    call = buffer_callback(on_host, shape, vmap_method="sequential")
-    return call(candidates, position, allowed, order)
+    path: np.ndarray
+    stage: np.ndarray
+    remaining_service: np.ndarray
+    age: np.ndarray
+    urgency: np.ndarray
+    candidates: np.ndarray
+    key: np.ndarray
+    allowed: np.ndarray
+    tried: np.ndarray
+    pusher: np.ndarray
+    standing: np.ndarray
+    claimant: np.ndarray
+
+
+def make_rollout(agents: int, horizon: int, cells: int) -> Rollout:
+    """Make room for rollouts."""
+    path, candidates = (np.zeros((agents, size), np.int64) for size in (horizon + 1, rules.WAYS))
+    stage, remaining, age, urgency, allowed, tried, pusher = np.zeros((7, agents), np.int64)
+    standing, claimant = np.full((2, cells), NOBODY, np.int32)
+    key = np.zeros(rules.WAYS, np.int64)
+    return Rollout(
+        path,
+        stage,
+        remaining,
+        age,
+        urgency,
+        candidates,
+        key,
+        allowed,
+        tried,
+        pusher,
+        standing,
+        claimant,
+    )
+
+
+def drive(run: Run, fields: Fields) -> bool:
+    """Drive a whole run by PIBT; returns whether `fields` had room for it (`Planner.drive`)."""
+    rollout = make_rollout(run.crew.position.size, run.numbers.horizon, run.site.free.size)
+    finished: bool = drive_windows(run, fields, rollout)
+    return finished
 
 
 @compiled
-def push_along(
-    candidates: np.ndarray,
-    position: np.ndarray,
-    allowed: np.ndarray,
-    order: np.ndarray,
-    cells: int,
-    out: np.ndarray,
-) -> None:
+def drive_windows(run: Run, fields: Fields, rollout: Rollout) -> bool:
+    """Plan and drive window after window; returns whether `fields` had room for all of them."""
+    while is_going(run):
+        plans = chance.mix(run.numbers.seed, chance.PLANS)
+        roll_out(run, fields, rollout, chance.mix(plans, run.tally.total[TIME]))
+        if lacks_room(fields):
+            return False
+        adopt(run.crew, rollout)
+        drive_window(run)
+    return True
+
+
+@kernel
+def adopt(crew: Crew, rollout: Rollout) -> None:
+    """Make the rollout everybody's path; afterwards they wait."""
+    horizon = rollout.path.shape[1] - 1
+    for agent in range(crew.position.size):
+        for t in range(crew.paths.shape[1]):
+            crew.paths[agent, t] = rollout.path[agent, min(t, horizon)]
+
+
+@compiled
+def roll_out(run: Run, fields: Fields, rollout: Rollout, seed: int) -> None:
+    """Find where PIBT drives all agents, as `planner.rollout` does."""
+    crew, resort = run.crew, chance.mix(seed, chance.RESORT)
+    rollout.path[:, 0] = crew.position
+    rollout.stage[:] = 0
+    rollout.remaining_service[:] = crew.remaining_service
+    rollout.age[:] = crew.age
+    luck = chance.mix(resort, rules.LUCK)
+    for t in range(rollout.path.shape[1] - 1):
+        noise = chance.mix(resort, rules.NOISE + t)
+        for agent in range(crew.position.size):
+            fixed = rollout.remaining_service[agent] > 0
+            rollout.urgency[agent] = rules.urgency(
+                fixed, rollout.age[agent], chance.mix(luck, agent)
+            )
+            rollout.standing[rollout.path[agent, t]] = agent
+        for agent in range(crew.position.size):
+            prefer(run, fields, rollout, agent, t, chance.mix(noise, agent))
+        push_along(rollout, np.argsort(rollout.urgency, kind="mergesort"), t)
+        for agent in range(crew.position.size):
+            serve_goal(run.site, crew, rollout, agent, t)
+
+
+@kernel
+def prefer(run: Run, fields: Fields, rollout: Rollout, agent: int, t: int, bits: int) -> None:
+    """Sort the ways of one agent: nearer to the goal, then empty before taken, then luck."""
+    cell, slot = rollout.path[agent, t], run.crew.goal[rollout.stage[agent], agent]
+    ways = 1 if rollout.remaining_service[agent] > 0 else rules.WAYS
+    candidates, keys, count = rollout.candidates, rollout.key, 0
+    for way in range(ways):
+        other = cell + run.site.steps[way]
+        if not run.site.free[other]:
+            continue
+        taken = way > 0 and rollout.standing[other] != NOBODY
+        key = rules.preference(distance(fields, run.site, slot, other), taken, bits, way)
+        place = count
+        while place > 0 and keys[place - 1] > key:
+            keys[place], candidates[agent, place] = keys[place - 1], candidates[agent, place - 1]
+            place -= 1
+        keys[place], candidates[agent, place] = key, other
+        count += 1
+    rollout.allowed[agent] = count
+
+
+@kernel
+def serve_goal(site: Site, crew: Crew, rollout: Rollout, agent: int, t: int) -> None:
+    """Begin, continue or end an agent's service after its step at `t`."""
+    stage = rollout.stage[agent]
+    kind = (crew.kind[agent] + stage) % site.service_time.size
+    on_goal = rollout.path[agent, t + 1] == site.goals[crew.goal[stage, agent]]
+    left, finished = serve(rollout.remaining_service[agent], on_goal, site.service_time[kind])
+    rollout.remaining_service[agent] = left
+    rollout.age[agent] += 1
+    if finished:
+        # The goal after the next is not known here: who has done both drives on freely.
+        rollout.stage[agent], rollout.age[agent] = 1, 0
+
+
+@kernel
+def push_along(rollout: Rollout, order: np.ndarray, t: int) -> None:
     """Move all agents by one step: the most urgent first, and whoever stands in the way before.
 
     The recursion of the paper is a chain that each agent leaves towards its pusher.
 
     Args:
-        candidates: int32 [A, 5], as in `xla.one_step`.
-        position: int32 [A].
-        allowed: int32 [A].
-        order: int32 [A].
-        cells: number of cells.
-        out: int32 [A], receives where the agents go.
+        rollout: with everybody's candidates; receives where they go at t + 1.
+        order: int64 [A], the agents by falling priority.
+        t: the timestep.
     """
-    count = position.size
-    standing = np.full(cells, NOBODY, np.int32)
-    claimant = np.full(cells, NOBODY, np.int32)
-    tried = np.zeros(count, np.int32)
-    pusher = np.full(count, NOBODY, np.int32)
-    for agent in range(count):
-        standing[position[agent]] = agent
-    out[:] = NOBODY
-    for first in order:
-        agent = first if out[first] == NOBODY else NOBODY
+    path, standing, claimant = rollout.path, rollout.standing, rollout.claimant
+    for agent in range(order.size):
+        path[agent, t + 1] = NOBODY
+        rollout.tried[agent], rollout.pusher[agent] = 0, NOBODY
+    for index in range(order.size):
+        agent = order[index] if path[order[index], t + 1] == NOBODY else NOBODY
         while agent != NOBODY:
-            if tried[agent] >= allowed[agent]:  # nowhere to go: stay, and let the pusher try on
-                out[agent] = position[agent]
-                claimant[position[agent]] = agent
-                agent = pusher[agent]
+            here, behind = path[agent, t], rollout.pusher[agent]
+            if rollout.tried[agent] >= rollout.allowed[agent]:
+                # Nowhere to go: stay, and let the pusher try on.
+                path[agent, t + 1] = here
+                claimant[here] = agent
+                agent = behind
                 continue
-            cell = candidates[agent, tried[agent]]
-            tried[agent] += 1
-            other, behind = standing[cell], pusher[agent]
-            other_next = out[other] if other != NOBODY else NOBODY
-            pusher_position = position[behind] if behind != NOBODY else NOBODY
-            if not rules.is_admissible(
-                cell, position[agent], claimant[cell], other_next, pusher_position
-            ):
+            cell = rollout.candidates[agent, rollout.tried[agent]]
+            rollout.tried[agent] += 1
+            other = standing[cell]
+            other_next = path[other, t + 1] if other != NOBODY else NOBODY
+            pusher_position = path[behind, t] if behind != NOBODY else NOBODY
+            if not rules.is_admissible(cell, here, claimant[cell], other_next, pusher_position):
                 continue
-            out[agent] = cell
+            path[agent, t + 1] = cell
             claimant[cell] = agent
             if rules.is_pushed(other, agent, other_next):
-                pusher[other] = agent
+                rollout.pusher[other] = agent
                 agent = other
             else:
                 agent = NOBODY
+    for agent in range(order.size):
+        standing[path[agent, t]] = NOBODY
+        claimant[path[agent, t + 1]] = NOBODY

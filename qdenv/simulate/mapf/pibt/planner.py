@@ -7,17 +7,18 @@ own and the last resort of the negotiated planner. It must not be used to rank l
 the order that careful planning gives.
 """
 
-import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from qdenv.devices import Backend, runs_on_host
+from qdenv.devices import runs_on_host
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.pibt import numba, xla
-from qdenv.simulate.mapf.pibt.rules import WAYS
+from qdenv.simulate.mapf import chance
+from qdenv.simulate.mapf.pibt import rules
+from qdenv.simulate.mapf.pibt.numba import drive
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.simulate.mapf.pibt.xla import one_step
 from qdenv.simulate.mapf.planner import AgentState, Planner, World
 from qdenv.simulate.mapf.tasks import serve
 
@@ -39,45 +40,49 @@ class _Agents(NamedTuple):
 
 
 def pibt(settings: PibtConfig) -> Planner:
-    """Make the planner."""
-    return Planner(functools.partial(rollout, backend=settings.backend))
+    """Make the planner; both backends give the same paths to the bit."""
+    return Planner(rollout, drive=drive if runs_on_host(settings.backend) else None)
 
 
 PIBT = Entry(PibtConfig, pibt)
 
 
 def preferences(
-    world: World, position: jax.Array, slots: jax.Array, fixed: jax.Array, noise: jax.Array
+    world: World,
+    distance: jax.Array,
+    rows: jax.Array,
+    position: jax.Array,
+    fixed: jax.Array,
+    bits: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """Sort the five ways of every agent: nearer to the goal, then empty before taken, then luck.
 
     Args:
         world: where.
+        distance: int16 [rows, H' * W'], steps from every cell to goals.
+        rows: int32 [A], those of the agents' goals.
         position: int32 [A].
-        slots: int32 [A], the goals.
         fixed: bool [A], agents that can only stay.
-        noise: int32 [A, 5] in [0, 32), breaks ties.
+        bits: uint32 [A], break ties.
 
     Returns:
         candidates from best to worst (int32 [A, 5]), how many of them count (int32 [A]).
     """
     width = world.traversable.shape[1]
     size = world.traversable.size
+    way = jnp.arange(rules.WAYS)[None]
     cells = position[:, None] + jnp.array([[0, 1, -1, width, -width]])
     standing = jnp.zeros((size,), bool).at[position].set(True)
-    taken = standing[cells] & (jnp.arange(WAYS) > 0)[None]
-    to_go = world.distance.reshape(-1)[slots[:, None] * size + cells].astype(jnp.int32)
-    may_go = ~fixed[:, None] | (jnp.arange(WAYS) == 0)[None]
+    taken = standing[cells] & (way > 0)
+    to_go = distance.reshape(-1)[rows[:, None] * size + cells].astype(jnp.int32)
+    may_go = ~fixed[:, None] | (way == 0)
     open_cell = world.traversable.reshape(-1)[cells] & may_go
-    # One integer holds all three criteria: distance above bit 6, taken in bit 5, noise below.
-    key = jnp.where(open_cell, (to_go << 6) | (taken << 5) | noise, 2**28)
-    best_first = jnp.argsort(key, axis=1)
+    key = rules.preference(to_go, taken, bits[:, None], way.astype(jnp.uint32)).astype(jnp.int32)
+    best_first = jnp.argsort(jnp.where(open_cell, key, 2**30), axis=1)
     return jnp.take_along_axis(cells, best_first, axis=1), open_cell.sum(1, dtype=jnp.int32)
 
 
-def rollout(
-    world: World, state: AgentState, horizon: int, key: jax.Array, backend: Backend = "auto"
-) -> jax.Array:
+def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:
     """Drive all agents for `horizon` steps; afterwards they wait.
 
     Agents that serve come first and stay; then the longer without a finished task, the earlier.
@@ -86,26 +91,26 @@ def rollout(
         world: where.
         state: the agents.
         horizon: steps that will be driven.
-        key: consumed; breaks ties.
-        backend: where the steps are computed; the results are the same.
+        key: breaks ties.
 
     Returns:
         int32 [window + 1, A], without conflicts.
     """
     size, count = world.traversable.size, state.position.shape[0]
-    key_order, key_noise = jax.random.split(key)
-    luck = jax.random.uniform(key_order, (count,))
-    noise = jax.random.randint(key_noise, (horizon, count, WAYS), 0, 32)
-    one_step = numba.one_step if runs_on_host(backend) else xla.one_step
+    resort = chance.draw(chance.seed_of(key), chance.RESORT)
+    luck = chance.draw_many(chance.draw(resort, rules.LUCK), count)
 
-    def step(agents: _Agents, noise: jax.Array) -> tuple[_Agents, jax.Array]:
+    def step(agents: _Agents, t: jax.Array) -> tuple[_Agents, jax.Array]:
         fixed = (agents.remaining_service > 0) | ~state.active
         stage = agents.stage[None]
         slots = jnp.take_along_axis(state.goal, stage, axis=0)[0]
         service_time = jnp.take_along_axis(state.service_time, stage, axis=0)[0]
-        urgency = jnp.where(fixed, -jnp.inf, luck - agents.age)
-        order = jnp.argsort(urgency).astype(jnp.int32)
-        candidates, allowed = preferences(world, agents.position, slots, fixed, noise)
+        order = jnp.argsort(rules.urgency(fixed, agents.age, luck)).astype(jnp.int32)
+        noise = chance.draw_many(chance.draw(resort, rules.NOISE + t), count)
+        rows = jnp.take_along_axis(state.row, stage, axis=0)[0]
+        candidates, allowed = preferences(
+            world, state.distance, rows, agents.position, fixed, noise
+        )
         position = one_step(candidates, agents.position, allowed, order, size)
         on_goal = (position == world.goals.cells[slots]) & state.active
         remaining, finished = serve(agents.remaining_service, on_goal, service_time)
@@ -114,7 +119,7 @@ def rollout(
         return _Agents(position, stage, remaining, jnp.where(finished, 0, agents.age + 1)), position
 
     begin = _Agents(state.position, jnp.zeros_like(state.age), state.remaining_service, state.age)
-    _, cells = jax.lax.scan(step, begin, noise)
+    _, cells = jax.lax.scan(step, begin, jnp.arange(horizon, dtype=jnp.uint32))
     window = state.previous.shape[0] - 1
     still = jnp.broadcast_to(cells[-1], (window - horizon, count))
     return jnp.concatenate([state.position[None], cells, still])

@@ -15,6 +15,29 @@ from qdenv.simulate.mapf.planner import NOBODY
 Number = TypeVar("Number", int, jax.Array)
 
 WAYS = 5  # wait, right, left, down, up
+LUCK, NOISE = 0, 1  # what is drawn for a rollout; the noise of step t is number NOISE + t
+LUCK_BITS, NOISE_BITS = 12, 5
+OLDEST = (1 << 17) - 1  # agents that have waited longer are equally urgent
+
+
+@shared
+def urgency(fixed: Number, age: Number, bits: Number) -> Number:
+    """Rank agents (the smallest first): those that cannot move, the longest without a task, by lot.
+
+    Args:
+        fixed: whether the agent can only stay.
+        age: timesteps since it last finished a task.
+        bits: 32 random bits.
+    """
+    age = age - (age > OLDEST) * (age - OLDEST)
+    return (1 - fixed) * (((OLDEST - age) << LUCK_BITS) + (bits >> (32 - LUCK_BITS)) + 1)
+
+
+@shared
+def preference(to_go: Number, taken: Number, bits: Number, way: Number) -> Number:
+    """Rank a way (the smallest first): nearer to the goal, then empty before taken, then luck."""
+    noise = (bits >> (NOISE_BITS * way)) & ((1 << NOISE_BITS) - 1)
+    return (((to_go << 1) + taken) << NOISE_BITS) + noise
 
 
 @shared

@@ -1,122 +1,113 @@
-"""The reservation table of a window on the host: who holds which cells and moves.
+"""The reservations of a window on the host: who holds which cells and moves.
 
-Reservations lie in words of 64 columns that start every 32, so that the 21 columns around any cell
-lie within one word. Reserved paths never conflict, hence every bit has one owner and is set and
-cleared by flipping it.
+One word per cell holds all its reservations in the window: plane p at timestep t is bit
+``PLANE * p + t``, with the planes of `xla.bitplanes`. So a search reads one word per step. Reserved
+paths never conflict, hence every bit has one owner and is set and cleared by flipping it.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import compiled, inlined
+from qdenv.native import inlined, kernel
+from qdenv.simulate.mapf.host.site import Site
 from qdenv.simulate.mapf.negotiated import rules
 from qdenv.simulate.mapf.planner import NOBODY
-from qdenv.types import Array
 
-STRIDE = 32  # columns between the starts of neighbouring words
+PLANE = 12  # bits of a plane: a window of at most ten steps, and five planes below the sign
+WALL = -1 << 63  # the sign: a wall
 
 
 class Reservations(NamedTuple):
-    """Who has reserved what; w is the window.
+    """Who has reserved what; w steps are planned, A agents, N cells.
 
     Attributes:
-        table: int64 [w, H', words, 5], planes as in `xla.bitplanes`.
-        owner: int32 [w + 1, H' * W'], the agent at each cell and time, or `NOBODY`.
-        paths: int64 [A, w + 1], the latest path of every agent.
-        reserved_steps: int64 [A], steps of that path that are reserved.
-        width: W', columns of the padded grid.
+        word: int64 [N], the planes of every cell, and `WALL`.
+        owner: int32 [N, w + 1], who was the last to reserve a cell at a time; holds it as long as
+            the bits say so.
+        path: int64 [A, w + 1], the latest path of every agent.
+        steps: int64 [A], steps of that path that are reserved.
     """
 
-    table: np.ndarray
+    word: np.ndarray
     owner: np.ndarray
-    paths: np.ndarray
-    reserved_steps: np.ndarray
-    width: int
+    path: np.ndarray
+    steps: np.ndarray
 
 
-@compiled
-def pack(traversable: np.ndarray) -> np.ndarray:
-    """Pack a map of cells into words of 64 columns that start every 32 (int64 [H', words])."""
-    rows, width = traversable.shape
-    words = np.zeros((rows, width // STRIDE + 2, 1), np.int64)
-    for row in range(rows):
-        for column in range(width):
-            if traversable[row, column]:
-                flip(words, row, column, 0)
-    return words.reshape(words.shape[:2])
-
-
-@inlined
-def flip(planes: np.ndarray, row: int, column: int, plane: int) -> None:
-    """Flip one cell in one plane (int64 [H', words, planes]), in the words that hold it."""
-    word, bit = column // STRIDE, column % STRIDE
-    planes[row, word, plane] ^= 1 << bit
-    if word:
-        planes[row, word - 1, plane] ^= 1 << (bit + STRIDE)
-
-
-@compiled
-def no_reservations(words: np.ndarray, width: int, previous: Array) -> Reservations:
-    """Begin without any; everybody counts as if they had their path.
-
-    Args:
-        words: int64 [H', words], any map packed by `pack`.
-        width: W'.
-        previous: int32 [w + 1, A], the latest paths.
-    """
-    window, count = previous.shape[0] - 1, previous.shape[1]
-    paths = np.empty((count, window + 1), np.int64)
-    paths[:] = previous.T
+def make_reservations(site: Site, agents: int, window: int) -> Reservations:
+    """Make room for the reservations of a window."""
+    cells = site.free.size
     return Reservations(
-        np.zeros((window, words.shape[0], words.shape[1], rules.MOVES), np.int64),
-        np.full((window + 1, words.shape[0] * width), NOBODY, np.int32),
-        paths,
-        np.full(count, window),
-        width,
+        np.zeros(cells, np.int64),
+        np.empty((cells, window + 1), np.int32),
+        np.zeros((agents, window + 1), np.int64),
+        np.zeros(agents, np.int64),
     )
 
 
+@kernel
+def clear(reservations: Reservations, site: Site) -> None:
+    """Begin a window: nothing is reserved."""
+    for cell in range(site.free.size):
+        reservations.word[cell] = 0 if site.free[cell] else WALL
+
+
 @inlined
-def flip_path(reservations: Reservations, path: np.ndarray, steps: int) -> None:
-    """Set the bits of the first steps of a path, or clear them."""
-    table, width = reservations.table, reservations.width
+def is_taken(word: int, t: int, move: int) -> int:
+    """Tell whether arriving in a cell by a move, from t to t + 1, conflicts (0 or 1)."""
+    here = word >> t
+    # Who leaves the cell against the move would be swapped with.
+    against = rules.opposite(move)
+    return (here | (here >> (PLANE * against))) & 1
+
+
+@inlined
+def is_reserved(word: int, t: int) -> int:
+    """Tell whether somebody is in a cell at t + 1 (0 or 1)."""
+    return (word >> t) & 1
+
+
+@inlined
+def _flip(reservations: Reservations, agent: int, steps: int, width: int) -> None:
+    """Set the bits of the first steps of an agent's path, or clear them."""
+    path, word = reservations.path, reservations.word
     for t in range(steps):
-        before, after = path[t], path[t + 1]
-        flip(table[t], after // width, after % width, 0)
+        before, after = path[agent, t], path[agent, t + 1]
+        word[after] ^= 1 << t
         plane = rules.move_plane(after - before, width)
         if plane:
-            flip(table[t], before // width, before % width, plane)
+            word[before] ^= 1 << (PLANE * plane + t)
 
 
-@inlined
-def reserve(reservations: Reservations, agent: int, path: np.ndarray, steps: int) -> None:
+@kernel
+def reserve(reservations: Reservations, agent: int, steps: int, width: int) -> None:
     """Reserve the first steps of the path of an agent who holds nothing."""
-    reservations.paths[agent] = path
-    reservations.reserved_steps[agent] = steps
-    flip_path(reservations, path, steps)
+    reservations.steps[agent] = steps
+    _flip(reservations, agent, steps, width)
     for t in range(steps + 1 if steps else 0):
-        reservations.owner[t, path[t]] = agent
+        reservations.owner[reservations.path[agent, t], t] = agent
+
+
+@kernel
+def release(reservations: Reservations, agent: int, width: int) -> None:
+    """Remove what an agent has reserved."""
+    _flip(reservations, agent, reservations.steps[agent], width)
+    reservations.steps[agent] = 0
 
 
 @inlined
-def release(reservations: Reservations, agent: int) -> None:
-    """Remove what an agent has reserved."""
-    path, steps = reservations.paths[agent], reservations.reserved_steps[agent]
-    if steps > 0:
-        flip_path(reservations, path, steps)
-        for t in range(steps + 1):
-            reservations.owner[t, path[t]] = NOBODY
-        reservations.reserved_steps[agent] = 0
+def holder(reservations: Reservations, cell: int, t: int) -> int:
+    """Find who is in a cell at t + 1, or `NOBODY`."""
+    if is_reserved(reservations.word[cell], t):
+        return reservations.owner[cell, t + 1] + 0
+    return NOBODY
 
 
-@compiled
-def evict(reservations: Reservations, path: np.ndarray) -> None:
-    """Release everybody whose reservations a path drives over."""
-    owner = reservations.owner
-    for t in range(1, path.size):
-        met, ahead = owner[t, path[t]], owner[t - 1, path[t]]
-        if met != NOBODY:
-            release(reservations, met)
-        if rules.is_swapped(ahead, owner[t, path[t - 1]]):
-            release(reservations, ahead)
+@inlined
+def swapped_with(reservations: Reservations, before: int, after: int, t: int, width: int) -> int:
+    """Find who would be swapped with by a step at t, or `NOBODY`."""
+    plane = rules.opposite(rules.move_plane(after - before, width))
+    if plane and reservations.word[after] >> (PLANE * plane + t) & 1:
+        return reservations.owner[after, t] + 0
+    return NOBODY

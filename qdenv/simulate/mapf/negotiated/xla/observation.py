@@ -79,9 +79,9 @@ def gather(
     width = world.traversable.shape[1]
     window = state.previous.shape[0] - 1
     side = 2 * window + 1
-    position, slots = state.position[who.agent], state.goal[:, who.agent]
+    position, rows = state.position[who.agent], state.row[:, who.agent]
     service_time = state.service_time[:, who.agent]
-    cells = world.goals.cells[slots]
+    cells = world.goals.cells[state.goal[:, who.agent]]
     row = rules.goal_row(cells, position, width, window)
     column = rules.goal_column(cells, position, width, window)
     ends = jnp.stack([rules.ends_leg(leg, service_time[leg]) for leg in range(2)])
@@ -91,9 +91,9 @@ def gather(
     bit = jnp.where(seen, jnp.uint32(1) << column.astype(jnp.uint32), 0)
     goal = jnp.where(jnp.arange(side)[:, None] == row[:, None], bit[:, None], 0)
     after = path_rules.cost_after_goal(
-        world.distance[slots[1], cells[0]].astype(jnp.int32), service_time[1]
+        state.distance[rows[1], cells[0]].astype(jnp.int32), service_time[1]
     )
-    to_go = distance_to_go(world, position, slots, window)
+    to_go = distance_to_go(world, state.distance, position, rows, window)
     # On the first leg the whole second one is still to come, whichever cell the window ends on.
     after_leg = jnp.stack([after, jnp.zeros_like(after)])
     planes = table.reshape(-1, rules.MOVES, *walls.shape)
@@ -114,14 +114,16 @@ def gather(
     )
 
 
-def distance_to_go(world: World, position: jax.Array, slots: jax.Array, window: int) -> jax.Array:
+def distance_to_go(
+    world: World, distance: jax.Array, position: jax.Array, rows: jax.Array, window: int
+) -> jax.Array:
     """Look up the steps from every cell in sight to both goals (int32 [2, E, E, K])."""
     width, size = world.traversable.shape[1], world.traversable.size
     step = jnp.arange(-window, window + 1)
     cell = position + (step[:, None] * width + step)[:, :, None]
     cell = jnp.clip(cell, 0, size - 1)
-    place = slots[:, None, None] * size + cell
-    return world.distance.reshape(-1)[place].astype(jnp.int32)
+    place = rows[:, None, None] * size + cell
+    return distance.reshape(-1)[place].astype(jnp.int32)
 
 
 def conflicting_cells(reserved: jax.Array) -> rules.ByMove[jax.Array]:

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 from qdenv.simulate.mapf.negotiated import path_rules, rules
 from qdenv.simulate.mapf.negotiated.records import (
     PlanResult,
+    count_rounds,
     draw_priorities,
+    lanes_of,
     penalty_costs,
-    round_limit,
 )
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 from qdenv.simulate.mapf.negotiated.xla import bitplanes
@@ -46,7 +47,7 @@ class Negotiation(NamedTuple):
 
 
 def negotiate(
-    config: NegotiatedConfig, world: World, state: AgentState, horizon: int, key: jax.Array
+    config: NegotiatedConfig, world: World, state: AgentState, horizon: int, seed: jax.Array
 ) -> PlanResult:
     """Run rounds of planning until everybody holds a reservation or the rounds are used up.
 
@@ -55,15 +56,15 @@ def negotiate(
         world: the layout.
         state: the agents; the length of its previous paths is the window.
         horizon: timesteps that will be driven.
-        key: consumed.
+        seed: of all that is drawn.
     """
     shape = (world.traversable.shape[0], world.traversable.shape[1])
     window, count = state.previous.shape[0] - 1, state.position.shape[0]
-    lanes = min(config.lanes, count)
-    priorities = draw_priorities(state, key)
+    lanes = lanes_of(config, count)
+    priorities = draw_priorities(state, seed)
     walls = bitplanes.pack(world.traversable)
     penalties = jnp.asarray(penalty_costs(config))
-    limit = round_limit(config, state)
+    limit = jnp.asarray(count_rounds(config, state.active.sum())).astype(jnp.int32)
 
     def find(negotiation: Negotiation, agent: jax.Array) -> tuple[jax.Array, jax.Array]:
         attempt = rules.penalty_index(negotiation.attempts[agent], penalties.size)

@@ -1,0 +1,73 @@
+"""Chance in a simulation: random bits as a rule, a function of a seed and a number.
+
+Both backends run these functions as they stand: `jnp` traces them on uint32 arrays, numba compiles
+them on machine integers. So a whole run draws the same bits wherever it happens, in any order, and
+no stream has to be carried along. The mixing is "lowbias32" of C. Wellons' search for integer
+hashes of low bias (https://nullprogram.com/blog/2018/07/31/).
+"""
+
+import functools
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.native import shared
+from qdenv.types import Array
+
+Bits = TypeVar("Bits", int, jax.Array)  # 32 of them
+
+# Typed, as both backends take them without changing the type of what they meet.
+MASK: Any = np.uint32(0xFFFFFFFF)
+GOLDEN: Any = np.uint32(0x9E3779B9)  # added to a number, so that 0 is not drawn for 0
+FIRST: Any = np.uint32(0x7FEB352D)
+SECOND: Any = np.uint32(0x846CA68B)
+CHANCE_BITS = 24  # exact in a float32
+
+# What a number is drawn for: each purpose has numbers of its own.
+STARTS, FIRST_GOAL, SECOND_GOAL, GOALS, PLANS = range(5)  # by a run
+ORDER, TIES, RESORT = range(3)  # by a planner, of the seed of a window
+
+
+@shared
+def scramble(bits: Bits) -> Bits:
+    """Mix 32 bits so that each depends on all."""
+    bits = bits ^ (bits >> 16)
+    bits = (bits * FIRST) & MASK
+    bits = bits ^ (bits >> 15)
+    bits = (bits * SECOND) & MASK
+    return bits ^ (bits >> 16)
+
+
+@shared
+def mix(seed: Bits, number: Bits) -> Bits:
+    """Draw the 32 bits of a number; different seeds give unrelated bits."""
+    return scramble(seed ^ scramble((number + GOLDEN) & MASK))
+
+
+def draw(seed: Array | int, number: Array | int) -> jax.Array:
+    """Draw the bits of numbers in XLA (uint32), as `mix` does on the host."""
+    return mix(jnp.asarray(seed).astype(jnp.uint32), jnp.asarray(number).astype(jnp.uint32))
+
+
+def seed_of(key: jax.Array) -> jax.Array:
+    """Make a seed (uint32) of a key of `jax.random`, of whichever kind."""
+    words = key if jnp.issubdtype(key.dtype, jnp.uint32) else jax.random.key_data(key)
+    return functools.reduce(draw, words.reshape(-1).astype(jnp.uint32))
+
+
+def key_of(seed: jax.Array, number: jax.Array) -> jax.Array:
+    """Make a key for `jax.random` whose `seed_of` is ``mix(seed, number)``."""
+    words = jnp.stack([jnp.asarray(word).astype(jnp.uint32) for word in (seed, number)])
+    return jax.random.wrap_key_data(words, impl="threefry2x32")
+
+
+def draw_many(seed: jax.Array, count: int) -> jax.Array:
+    """Draw the bits of the numbers below `count` (uint32 [count])."""
+    return draw(seed, jnp.arange(count))
+
+
+def uniform(bits: jax.Array) -> jax.Array:
+    """Turn bits into chances (float32 in [0, 1))."""
+    return (bits >> (32 - CHANCE_BITS)).astype(jnp.float32) * 2.0**-CHANCE_BITS

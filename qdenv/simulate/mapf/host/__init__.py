@@ -1,0 +1,1 @@
+"""Whole runs of a simulation in compiled host code: what all planners share."""

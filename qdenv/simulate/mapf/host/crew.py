@@ -1,0 +1,196 @@
+"""The agents of one run in compiled host code: `agents` and `metrics`, number for number."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.native import compiled, kernel
+from qdenv.simulate.mapf import chance
+from qdenv.simulate.mapf.host.site import Site
+from qdenv.simulate.mapf.padding import unpad
+from qdenv.simulate.mapf.tasks import serve
+
+TIME, CONGESTED, MOVES = range(3)  # entries of `Tally.total`
+
+
+class Crew(NamedTuple):
+    """The agents that take part, between two windows; A of them, w steps planned ahead.
+
+    Attributes:
+        position: int64 [A].
+        kind: int64 [A], the current goal's place in the cycle.
+        goal: int64 [2, A], slots of the current and the next goal.
+        remaining_service: int64 [A], timesteps still to serve.
+        age: int64 [A], timesteps since the last finished task.
+        paths: int64 [A, w + 1], the plan from here on.
+        stuck: bool [A], whether the agent neither moved nor served in this window.
+    """
+
+    position: np.ndarray
+    kind: np.ndarray
+    goal: np.ndarray
+    remaining_service: np.ndarray
+    age: np.ndarray
+    paths: np.ndarray
+    stuck: np.ndarray
+
+
+class Numbers(NamedTuple):
+    """The numbers of a run.
+
+    Attributes:
+        seed: of all that is drawn.
+        timesteps: T.
+        window: timesteps planned ahead (w).
+        horizon: timesteps driven before planning again (h).
+        stop_when_congested: whether the first congested window ends the run.
+    """
+
+    seed: int
+    timesteps: int
+    window: int
+    horizon: int
+    stop_when_congested: bool
+
+
+class Tally(NamedTuple):
+    """What was counted so far, see `metrics.Metrics`; T is rounded up to whole windows.
+
+    Attributes:
+        total: int64 [3], timesteps driven, whether some window congested, moves.
+        finished: int32 [T], tasks finished at each timestep.
+        visits: int32 [N], agent-steps on each cell.
+    """
+
+    total: np.ndarray
+    finished: np.ndarray
+    visits: np.ndarray
+
+
+class Tape(NamedTuple):
+    """Every driven step, see `metrics.Block`; [T, A], or without rows where nothing is kept."""
+
+    positions: np.ndarray
+    remaining_service: np.ndarray
+    finished: np.ndarray
+    goals: np.ndarray
+
+
+class Run(NamedTuple):
+    """One run under way, as planners see it.
+
+    Attributes:
+        site: the layout.
+        crew: the agents.
+        tally: what was counted.
+        tape: what was recorded.
+        numbers: of the run.
+    """
+
+    site: Site
+    crew: Crew
+    tally: Tally
+    tape: Tape
+    numbers: Numbers
+
+
+@compiled
+def place(run: Run) -> None:
+    """Put the agents on distinct free cells and draw their first goals."""
+    site, crew = run.site, run.crew
+    cells = np.flatnonzero(site.free)
+    seed = chance.mix(run.numbers.seed, chance.STARTS)
+    luck = np.empty(cells.size, np.int64)
+    for index in range(cells.size):
+        number = unpad(cells[index], site.width - 2 * site.margin, site.margin)
+        luck[index] = -(chance.mix(seed, number) >> 1)
+    crew.position[:] = cells[np.argsort(luck, kind="mergesort")[: crew.position.size]]
+    for ahead in range(2):
+        seed = chance.mix(run.numbers.seed, chance.FIRST_GOAL + ahead)
+        for agent in range(crew.position.size):
+            crew.paths[agent] = crew.position[agent]
+            kind = ahead % site.service_time.size
+            crew.goal[ahead, agent] = _draw_goal(site, kind, chance.mix(seed, agent))
+
+
+@kernel
+def _draw_goal(site: Site, kind: int, bits: int) -> int:
+    """Draw a goal of a kind with its odds, as `tasks.draw_goals` does."""
+    low, high = 0, site.goals.size
+    value = np.float32(bits >> (32 - chance.CHANCE_BITS)) * np.float32(2.0**-chance.CHANCE_BITS)
+    while low < high:
+        middle = (low + high) // 2
+        if site.odds[kind, middle] <= value:
+            low = middle + 1
+        else:
+            high = middle
+    return min(low, site.goals.size - 1)
+
+
+@kernel
+def is_going(run: Run) -> bool:
+    """Tell whether there is another window to drive."""
+    halted = run.tally.total[CONGESTED] != 0 and run.numbers.stop_when_congested
+    return run.tally.total[TIME] < run.numbers.timesteps and not halted
+
+
+@kernel
+def drive_window(run: Run) -> None:
+    """Drive the first steps of the crew's paths; count, record and look for a jam."""
+    crew, tally, horizon = run.crew, run.tally, run.numbers.horizon
+    begin, count, stuck = tally.total[TIME], crew.position.size, 0
+    goals = chance.mix(run.numbers.seed, chance.GOALS)
+    for agent in range(count):
+        crew.stuck[agent] = True
+    for step in range(horizon):
+        drawn = chance.mix(goals, begin + step)
+        for agent in range(count):
+            _drive(run, agent, step, drawn)
+    for agent in range(count):
+        stuck += crew.stuck[agent]
+        _shift_path(crew, agent, horizon)
+    # A window that T cuts short is no window of the jam rule.
+    if begin + horizon <= run.numbers.timesteps and stuck > count // 2:
+        tally.total[CONGESTED] = 1
+    tally.total[TIME] = min(begin + horizon, run.numbers.timesteps)
+
+
+@kernel
+def _drive(run: Run, agent: int, step: int, drawn: int) -> None:
+    """Move one agent by one step of its path and serve its goal, as `agents.drive` does."""
+    site, crew, tally = run.site, run.crew, run.tally
+    time = tally.total[TIME] + step
+    cell, goal = crew.paths[agent, step + 1], site.goals[crew.goal[0, agent]]
+    moves = cell != crew.position[agent]
+    if time < run.numbers.timesteps:
+        tally.visits[cell] += 1
+        tally.total[MOVES] += moves
+    # Stuck: the same cell at all timesteps of the window but the last, and never serving.
+    if (moves and step < run.numbers.horizon - 1) or crew.remaining_service[agent] > 0:
+        crew.stuck[agent] = False
+    crew.position[agent] = cell
+    kind = crew.kind[agent]
+    left, finished = serve(crew.remaining_service[agent], cell == goal, site.service_time[kind])
+    crew.remaining_service[agent] = left
+    crew.age[agent] += 1
+    if run.tape.positions.size:
+        run.tape.positions[time, agent] = cell
+        run.tape.remaining_service[time, agent] = left
+        run.tape.finished[time, agent] = finished
+        run.tape.goals[time, agent] = goal
+    if finished:
+        kind = (kind + 1) % site.service_time.size
+        coming = (kind + 1) % site.service_time.size
+        crew.kind[agent], crew.age[agent] = kind, 0
+        crew.goal[0, agent] = crew.goal[1, agent]
+        crew.goal[1, agent] = _draw_goal(site, coming, chance.mix(drawn, agent))
+        if time < run.numbers.timesteps:
+            tally.finished[time] += 1
+
+
+@kernel
+def _shift_path(crew: Crew, agent: int, horizon: int) -> None:
+    """Keep what is left of a path; its last cell is repeated."""
+    last = crew.paths.shape[1] - 1
+    for step in range(last + 1):
+        crew.paths[agent, step] = crew.paths[agent, min(step + horizon, last)]

@@ -1,0 +1,138 @@
+"""Fields of distances: steps to a goal, in pages of neighbouring cells.
+
+So a field takes memory for what was measured of it only (`measure`), and fields that nobody needs
+any more make room for others.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.simulate.mapf.planner import NOBODY
+
+UNKNOWN = -1
+NOWHERE = 0  # a page that holds nothing but UNKNOWN: tiles of a field without a page share it
+WHOLE_SIDE = 64  # a grid of so many rows and columns is one page
+PAGE_SIDE = 16
+SHARE = 8  # a field is expected to take one page in so many
+ROWS, PAGES, WANTED = range(3)  # entries of `Fields.free`
+
+
+class Fields(NamedTuple):
+    """Fields of distances; R rows for fields, S pages of cells, G goals, N cells.
+
+    Attributes:
+        row: int32 [G], the row of each goal's field, or `NOBODY`.
+        extent: int8 [R], how much of a field was measured.
+        page: int32 [R, tiles], the page of each tile of the grid.
+        steps: int16 [S, cells of a page], distances, or `UNKNOWN`.
+        tile: int32 [N], the tile of each cell.
+        place: int32 [N], where in its page each cell lies.
+        free_rows: int32 [R], a stack.
+        free_pages: int32 [S], a stack.
+        free: int64 [3], how many rows and pages are free, and whether one was wanting.
+        queue: int64 [2, 4 N], cells that wait in a search.
+    """
+
+    row: np.ndarray
+    extent: np.ndarray
+    page: np.ndarray
+    steps: np.ndarray
+    tile: np.ndarray
+    place: np.ndarray
+    free_rows: np.ndarray
+    free_pages: np.ndarray
+    free: np.ndarray
+    queue: np.ndarray
+
+
+def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) -> Fields:
+    """Make room for fields, none measured.
+
+    Args:
+        shape: (H', W') of the padded grid.
+        goals: how many goals there are.
+        rows: fields at a time.
+        pages: pages at a time; 0 for what such fields are expected to take.
+    """
+    cells = shape[0] * shape[1]
+    side = WHOLE_SIDE if max(shape) <= WHOLE_SIDE else PAGE_SIDE
+    row, column = np.divmod(np.arange(cells, dtype=np.int32), shape[1])
+    tiles_across = -(-shape[1] // side)
+    tiles = -(-shape[0] // side) * tiles_across
+    pages = pages or 1 + max(rows, rows * tiles // SHARE)
+    return Fields(
+        row=np.full(goals, NOBODY, np.int32),
+        extent=np.zeros(rows, np.int8),
+        page=np.zeros((rows, tiles), np.int32),
+        steps=_blank_pages(pages, side),
+        tile=row // side * tiles_across + column // side,
+        place=row % side * side + column % side,
+        free_rows=np.arange(rows, dtype=np.int32)[::-1].copy(),
+        free_pages=np.arange(pages, dtype=np.int32)[:NOWHERE:-1].copy(),
+        free=np.array([rows, pages - 1, 0], np.int64),
+        queue=np.empty((2, 4 * cells), np.int64),
+    )
+
+
+def _blank_pages(pages: int, side: int) -> np.ndarray:
+    """Make pages that take memory once they are used, but for the first, which is never written."""
+    steps = np.empty((pages, side * side), np.int16)
+    steps[NOWHERE] = UNKNOWN
+    return steps
+
+
+def make_room(fields: Fields, wanted_goals: np.ndarray) -> Fields:
+    """Forget the fields of all goals but those wanted (int [n]); double the room if that is little.
+
+    Returns:
+        The fields, with nothing wanting.
+    """
+    kept = np.zeros(fields.row.size, bool)
+    kept[wanted_goals] = True
+    for goal in np.flatnonzero((fields.row != NOBODY) & ~kept):
+        _forget(fields, int(goal))
+    if fields.free[ROWS] < fields.extent.size // 2:
+        fields = _more_rows(fields)
+    if fields.free[PAGES] < len(fields.steps) // 2:
+        fields = _more_pages(fields)
+    fields.free[WANTED] = 0
+    return fields
+
+
+def _forget(fields: Fields, goal: int) -> None:
+    """Give the row and the pages of a goal's field back."""
+    row = fields.row[goal]
+    used = fields.page[row][fields.page[row] != NOWHERE]
+    first = fields.free[PAGES]
+    fields.free_pages[first : first + used.size] = used
+    fields.free_rows[fields.free[ROWS]] = row
+    fields.free[ROWS] += 1
+    fields.free[PAGES] += used.size
+    fields.page[row], fields.extent[row], fields.row[goal] = NOWHERE, 0, NOBODY
+
+
+def _more_rows(fields: Fields) -> Fields:
+    """Make room for twice as many fields."""
+    old = fields.extent.size
+    stack = np.concatenate([fields.free_rows, np.zeros(old, np.int32)])
+    first = fields.free[ROWS]
+    stack[first : first + old] = np.arange(old, 2 * old)
+    fields.free[ROWS] += old
+    return fields._replace(
+        extent=np.concatenate([fields.extent, np.zeros(old, np.int8)]),
+        page=np.concatenate([fields.page, np.zeros_like(fields.page)]),
+        free_rows=stack,
+    )
+
+
+def _more_pages(fields: Fields) -> Fields:
+    """Make room for twice as many pages."""
+    old, cells = fields.steps.shape
+    steps = np.empty((2 * old, cells), np.int16)
+    steps[:old] = fields.steps
+    stack = np.concatenate([fields.free_pages, np.zeros(old + 1, np.int32)])
+    first = fields.free[PAGES]
+    stack[first : first + old] = np.arange(old, 2 * old)
+    fields.free[PAGES] += old
+    return fields._replace(steps=steps, free_pages=stack)

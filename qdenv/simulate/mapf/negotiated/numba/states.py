@@ -1,0 +1,139 @@
+"""The states of a search, queued by what they cost, marked once reached.
+
+A state is a cell, at a time, on a leg, after so many conflicts, and how long it has served there.
+It is packed into one number.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.native import inlined, shared
+from qdenv.simulate.mapf.negotiated import path_rules
+
+NO_STATE = -1
+STATES, TOP, SEARCH, BETWEEN = range(4)  # entries of `Workspace.number`
+NOT_MEASURED = -1
+# Where the parts of a state stand in its number.
+PLACE_BIT, TIME_BIT, LEG_BIT, CONFLICTS_BIT, ELAPSED_BIT = 24, 34, 39, 40, 44
+CELLS, PLACES, TIMES, LEGS, LEVELS = (1 << 24) - 1, (1 << 10) - 1, 31, 1, 15
+LEG_MARKS = 4  # marks of a leg: one per number of conflicts
+MARK_BITS = 2 * LEG_MARKS
+
+
+class Agent(NamedTuple):
+    """Who plans.
+
+    Attributes:
+        position: cell of the padded grid.
+        goal: slots of the current and of the next goal.
+        cell: their cells.
+        service_time: timesteps to serve at each.
+        remaining_service: timesteps still to serve where the agent is; 0 while driving.
+        penalty: cost of a conflict.
+        noise: random bits that settle ties.
+    """
+
+    position: int
+    goal: tuple[int, int]
+    cell: tuple[int, int]
+    service_time: tuple[int, int]
+    remaining_service: int
+    penalty: int
+    noise: int
+
+
+class Workspace(NamedTuple):
+    """The arrays of one search; w steps, L conflict levels, a square of E x E cells in sight.
+
+    Attributes:
+        mark: int64 [w + 1, E * E], the number of the last search that reached a cell at a time, and
+            below it one bit per leg and number of conflicts.
+        served: int64 [L, 2, w + 1], bit e: a path has served for e timesteps.
+        state: int64 [states], as `pack` makes them.
+        later: int32 [states], the next state that costs as much.
+        first: int32 [costs], the first state of each cost above the least possible one.
+        number: int64 [4], states so far, the largest cost among them, searches so far, and the
+            distance between the two goals.
+        steps: int64 [5], what each move adds to a place in sight.
+        side: E.
+        levels: L.
+    """
+
+    mark: np.ndarray
+    served: np.ndarray
+    state: np.ndarray
+    later: np.ndarray
+    first: np.ndarray
+    number: np.ndarray
+    steps: np.ndarray
+    side: int
+    levels: int
+
+
+def make_workspace(window: int, levels: int, dearest: int) -> Workspace:
+    """Make room for searches of `window` steps in which a conflict costs `dearest` at most."""
+    side = 2 * window + 1
+    driving, serving = side * side, path_rules.SERVED_BITS + window
+    states = (window + 1) * path_rules.LEGS * levels * (driving + serving)
+    costs = _delays(window) + (levels - 1) * capped_penalty(dearest, window) + 1
+    return Workspace(
+        np.zeros((window + 1, side * side), np.int64),
+        np.zeros((levels, path_rules.LEGS, window + 1), np.int64),
+        np.empty(states, np.int64),
+        np.empty(states, np.int32),
+        np.full(costs, NO_STATE, np.int32),
+        np.zeros(4, np.int64),
+        np.array([0, 1, -1, side, -side]),
+        side,
+        levels,
+    )
+
+
+@shared
+def _delays(window: int) -> int:
+    """Find the most that a path can lose: two steps of distance with every step away."""
+    return 2 * path_rules.COST_UNIT * (window + 1)
+
+
+@shared
+def capped_penalty(penalty: int, window: int) -> int:
+    """Cap the cost of a conflict: above what any way round can cost, more makes no difference."""
+    return min(penalty, _delays(window) + 1)
+
+
+@inlined
+def pack(cell: int, place: int, t: int, leg: int, conflicts: int) -> int:
+    """Number a driving state; `search` adds how long one has served."""
+    legs = (leg << LEG_BIT) | (conflicts << CONFLICTS_BIT)
+    return cell | (place << PLACE_BIT) | (t << TIME_BIT) | legs
+
+
+@inlined
+def enqueue(work: Workspace, state: int, cost: int) -> None:
+    """Queue a state by its cost; a cost out of range is none, as fields that lack room give."""
+    cost = min(max(cost, 0), work.first.size - 1)
+    index = work.number[STATES]
+    work.state[index], work.later[index] = state, work.first[cost]
+    work.first[cost] = index
+    work.number[STATES] += 1
+    work.number[TOP] = max(work.number[TOP], cost)
+
+
+@inlined
+def mark(work: Workspace, t: int, place: int, leg: int, conflicts: int) -> bool:
+    """Mark that paths go on from a place; returns whether that is new."""
+    marks, search = work.mark[t, place], work.number[SEARCH]
+    if marks >> MARK_BITS != search:
+        marks = search << MARK_BITS
+    bit = 1 << (leg * LEG_MARKS + conflicts)
+    work.mark[t, place] = marks | bit
+    return (marks & bit) == 0
+
+
+@inlined
+def is_marked(work: Workspace, t: int, place: int, leg: int, conflicts: int) -> int:
+    """Tell whether paths go on from a place (0 or 1)."""
+    marks = work.mark[t, place]
+    known = marks >> MARK_BITS == work.number[SEARCH]
+    return (marks >> (leg * LEG_MARKS + conflicts)) & known
