@@ -42,7 +42,8 @@ ALLOWED = {
     "bench": BASE
     | STAGES
     | PLUGS
-    | {"agent", "domains", "formats", "pipeline", "presets", "search", "study", "training"},
+    | {"agent", "domains", "formats", "pipeline", "plots", "presets", "search"}
+    | {"study", "training"},
     "cli": {"commands", "types"},
     "__init__": set(),  # names the public homes and imports each when it is asked for
 }

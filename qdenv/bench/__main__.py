@@ -11,7 +11,7 @@ import tyro
 
 from qdenv.types import InputError
 
-BENCHMARKS = ("pipeline", "simulate", "repair", "search", "maze")
+BENCHMARKS = ("pipeline", "simulate", "repair", "search", "maze", "scale")
 
 
 def main() -> None:

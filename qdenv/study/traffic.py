@@ -4,7 +4,6 @@ import functools
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -19,9 +18,6 @@ from qdenv.simulate.mapf.planner import PLANNERS
 from qdenv.simulate.mapf.tasks import check_playable
 from qdenv.study.table import summarise
 from qdenv.types import InputError, TaskRule, Traffic, look_up
-
-SMALL = 2000  # cells up to which every cell gets room in the distance table (8 MB)
-CAPACITY_STEP = 256
 
 
 class Simulated(NamedTuple):
@@ -82,7 +78,6 @@ def run_seeds(
         raise InputError("no fleet drives in this domain: there is no traffic to simulate")
     count = config.agents if agents is None else agents
     check_playable(layout, tasks, count)
-    config = with_capacity(layout, tasks, config)
     begin = time.process_time()
     prepare, simulate = _programs(tasks, config, layout.shape, record)
     compiled = time.process_time()
@@ -102,16 +97,6 @@ def run_seeds(
         spent,
         compiled - begin,
     )
-
-
-def with_capacity(
-    layout: np.ndarray, tasks: TaskRule, config: fleet.FleetConfig
-) -> fleet.FleetConfig:
-    """Give a big layout tables for its own goals only; small ones share one program and size."""
-    if config.goal_capacity is not None or layout.size <= SMALL:
-        return config
-    goals = np.any([np.asarray(goal.weight(layout)) > 0 for goal in tasks.cycle], axis=0).sum()
-    return replace(config, goal_capacity=int(-(-goals // CAPACITY_STEP) * CAPACITY_STEP))
 
 
 @functools.lru_cache(maxsize=32)
