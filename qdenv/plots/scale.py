@@ -41,7 +41,7 @@ def draw_scale(rows: Sequence[Mapping[str, Any]], slopes: Mapping[str, float]) -
     axes.set_xticks(cells, [f"{row['rows']}x{row['cols']}" for row in rows])
     axes.minorticks_off()
     axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, loc="lower right")
     first, last = rows[0], rows[-1]
     axes.set_title(f"{first['agents']} to {last['agents']} agents, one per equal area")
     return figure

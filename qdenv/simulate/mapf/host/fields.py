@@ -32,6 +32,8 @@ class Fields(NamedTuple):
         free_pages: int32 [S], a stack.
         free: int64 [3], how many rows and pages are free, and whether one was wanting.
         queue: int64 [2, 4 N], cells that wait in a search.
+        found: int16 [N], distances found by the search under way; between searches all `UNKNOWN`.
+        order: int32 [N], the cells of `found`, as they were found.
     """
 
     row: np.ndarray
@@ -44,6 +46,8 @@ class Fields(NamedTuple):
     free_pages: np.ndarray
     free: np.ndarray
     queue: np.ndarray
+    found: np.ndarray
+    order: np.ndarray
 
 
 def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) -> Fields:
@@ -72,6 +76,8 @@ def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) 
         free_pages=np.arange(pages, dtype=np.int32)[:NOWHERE:-1].copy(),
         free=np.array([rows, pages - 1, 0], np.int64),
         queue=np.empty((2, 4 * cells), np.int64),
+        found=np.full(cells, UNKNOWN, np.int16),
+        order=np.empty(cells, np.int32),
     )
 
 

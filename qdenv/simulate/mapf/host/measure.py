@@ -53,24 +53,29 @@ def _measure(fields: Fields, site: Site, goal: int, cell: int) -> int:
     # Small fields are cheap, and goals that many ask for are soon wanted everywhere.
     if fields.extent[row] == PARTIAL or fields.page.shape[1] == 1:
         fields.extent[row] = COMPLETE
-        done = _flood(fields, site, row, begin)
+        count = _flood(fields, site, begin)
     else:
         fields.extent[row] = PARTIAL
-        done = _reach(fields, site, row, begin, cell)
-    if not done:
+        count = _reach(fields, site, begin, cell)
+    steps = fields.found[cell] + 0  # as a number of 64 bits
+    if not _store(fields, row, count):
         fields.extent[row], fields.free[WANTED] = PARTIAL, 1
         return UNREACHABLE
-    steps = fields.steps[fields.page[row, fields.tile[cell]], fields.place[cell]]
-    return steps + 0 if steps != UNKNOWN else UNREACHABLE
-
-
-@inlined
-def _known(fields: Fields, row: int, cell: int) -> bool:
-    """Tell whether a cell was measured."""
-    return fields.steps[fields.page[row, fields.tile[cell]], fields.place[cell]] != UNKNOWN
+    return steps if steps != UNKNOWN else UNREACHABLE
 
 
 @kernel
+def _store(fields: Fields, row: int, count: int) -> bool:
+    """Put what a search found into pages, and forget it; returns whether there was room."""
+    room = True
+    for index in range(count):
+        cell = fields.order[index]
+        room = room and _write(fields, row, cell, fields.found[cell])
+        fields.found[cell] = UNKNOWN
+    return room
+
+
+@inlined
 def _write(fields: Fields, row: int, cell: int, steps: int) -> bool:
     """Write a distance down; returns whether there was room."""
     tile = fields.tile[cell]
@@ -83,66 +88,63 @@ def _write(fields: Fields, row: int, cell: int, steps: int) -> bool:
         fields.page[row, tile] = page
         for place in range(fields.steps.shape[1]):
             fields.steps[page, place] = UNKNOWN
-    fields.steps[page, fields.place[cell]] = min(steps, UNREACHABLE)
+    fields.steps[page, fields.place[cell]] = steps
     return True
 
 
+@inlined
+def _find(fields: Fields, count: int, cell: int, steps: int) -> int:
+    """Note the distance of a cell; returns how many are found."""
+    fields.found[cell] = min(steps, UNREACHABLE)
+    fields.order[count] = cell
+    return count + 1
+
+
 @kernel
-def _flood(fields: Fields, site: Site, row: int, begin: int) -> bool:
-    """Measure all cells breadth first, anew; returns whether there was room."""
-    for tile in range(fields.page.shape[1]):
-        page = fields.page[row, tile]
-        for place in range(fields.steps.shape[1] if page != NOWHERE else 0):
-            fields.steps[page, place] = UNKNOWN
-    if not _write(fields, row, begin, 0):
-        return False
-    fields.queue[0, 0] = begin
-    head, tail = 0, 1
-    while head < tail:
-        cell = fields.queue[0, head]
+def _flood(fields: Fields, site: Site, begin: int) -> int:
+    """Find the distances of all cells, breadth first; returns how many."""
+    head, count = 0, _find(fields, 0, begin, 0)
+    while head < count:
+        cell = fields.order[head]
         head += 1
-        steps = fields.steps[fields.page[row, fields.tile[cell]], fields.place[cell]] + 1
-        for change in (1, -1, site.width, -site.width):
-            other = cell + change
-            if site.free[other] and not _known(fields, row, other):
-                if not _write(fields, row, other, steps):
-                    return False
-                fields.queue[0, tail] = other
-                tail += 1
-    return True
+        for move in range(1, MOVES):
+            other = cell + site.steps[move]
+            if site.free[other] and fields.found[other] == UNKNOWN:
+                count = _find(fields, count, other, fields.found[cell] + 1)
+    return count
 
 
 @kernel
-def _reach(fields: Fields, site: Site, row: int, begin: int, target: int) -> bool:
-    """Measure the cells on ways to `target` of little more than its distance.
+def _reach(fields: Fields, site: Site, begin: int, target: int) -> int:
+    """Find the distances of the cells on ways to `target` of little more than its distance.
 
     A step leads nearer to the target or away from it, so the length of a way through a cell stays
     or grows by two: two stacks serve as the queue.
 
     Returns:
-        Whether there was room.
+        How many cells were found.
     """
     width = site.width
     target_row, target_column = target // width, target % width
     length = abs(begin // width - target_row) + abs(begin % width - target_column)
     longest = site.free.size
     fields.queue[0, 0] = begin
-    this, sizes_this, sizes_next = 0, 1, 0
+    this, sizes_this, sizes_next, count = 0, 1, 0, 0
     while length <= longest:
         while sizes_this > 0:
             sizes_this -= 1
             cell = fields.queue[this, sizes_this]
-            if _known(fields, row, cell):
+            if fields.found[cell] != UNKNOWN:
                 continue
-            at_row, at_column = cell // width, cell % width
+            at_row = cell // width
+            at_column = cell - at_row * width
             left = abs(at_row - target_row) + abs(at_column - target_column)
-            if not _write(fields, row, cell, length - left):
-                return False
+            count = _find(fields, count, cell, length - left)
             if cell == target:
                 longest = length + SLACK
             for move in range(1, MOVES):
                 other = cell + site.steps[move]
-                if not site.free[other] or _known(fields, row, other):
+                if not site.free[other] or fields.found[other] != UNKNOWN:
                     continue
                 across = abs(at_column + (move == RIGHT) - (move == LEFT) - target_column)
                 nearer = across + abs(at_row + (move == DOWN) - (move == UP) - target_row)
@@ -155,4 +157,4 @@ def _reach(fields: Fields, site: Site, row: int, begin: int, target: int) -> boo
         if sizes_next == 0:
             break
         this, sizes_this, sizes_next, length = 1 - this, sizes_next, 0, length + 2
-    return True
+    return count
