@@ -70,7 +70,8 @@ def find_path(
             _serve_on(work, reservations, fields, site, agent, state, least)
         else:
             _drive_on(work, reservations, fields, site, agent, state, least)
-    for other in range(cost, work.number[TOP] + 1):
+    # From 0 on: where fields lack room costs mean nothing, and states may wait below this one.
+    for other in range(work.number[TOP] + 1):
         work.first[other] = NO_STATE
     found = best < path_rules.INFEASIBLE
     return best ^ path_rules.tie_breaker(agent.noise) if found else -1
