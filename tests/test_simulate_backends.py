@@ -10,6 +10,8 @@ from fleet_runs import AGENTS, PLAIN, SERVICES, SHAPE, programs, random_layout
 
 from qdenv.domains.base import find_domain
 from qdenv.simulate.mapf import fleet
+from qdenv.simulate.mapf.host import run as host_run
+from qdenv.simulate.mapf.host.fields import empty_fields
 from qdenv.simulate.mapf.negotiated.settings import LOW, NegotiatedConfig
 from qdenv.simulate.mapf.pibt import numba as pibt_on_host
 from qdenv.simulate.mapf.pibt import xla as pibt_in_xla
@@ -135,3 +137,24 @@ def test_distances_on_demand_change_nothing(planner, monkeypatch):
         world, found = outcome(settings)
         assert world.distance is None
         jax.tree.map(np.testing.assert_array_equal, found, expected)
+
+
+def test_little_room_for_distances_changes_nothing(monkeypatch):
+    """A window that lacks room is planned again with more, from where it began."""
+    domain = find_domain("warehouse-even").resized(60, 61)
+    layout, rule = jnp.asarray(domain.human()), domain.simulator.tasks
+    config = fleet.FleetConfig(agents=90, timesteps=60, planner=LOW)
+
+    def outcome():
+        prepare, run = programs(rule, config)
+        return jax.tree.map(np.asarray, run(prepare(layout), jax.random.key(1), jnp.int32(90)))
+
+    expected, rooms = outcome(), []
+
+    def little(shape, goals, rows):
+        rooms.append(rows)
+        return empty_fields(shape, goals, 2, 3)
+
+    monkeypatch.setattr(host_run, "empty_fields", little)
+    jax.tree.map(np.testing.assert_array_equal, outcome(), expected)
+    assert rooms and expected[0].finished.sum() > 20
