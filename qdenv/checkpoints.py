@@ -6,35 +6,70 @@ and facts of different moments cannot meet.
 
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from qdenv.files import write_atomically
 from qdenv.types import InputError
 
-SCHEMA = 1
+SCHEMA = 2  # 1: a search held one dense array of solutions for each archive; still read
+PIECE = 2**24  # bytes that are copied at once
 
 
-def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], compressed: bool = False) -> None:
-    """Write named arrays as .npz, atomically.
+class Rows(NamedTuple):
+    """Some rows of an array, which are copied piece by piece when they are written.
+
+    Attributes:
+        array: [N, ...].
+        numbers: int [n], which rows.
+    """
+
+    array: np.ndarray
+    numbers: np.ndarray
+
+    def pieces(self) -> Iterator[np.ndarray]:
+        """Copy the rows, about `PIECE` bytes at a time."""
+        row = self.array[:1].nbytes
+        step = max(1, PIECE // max(row, 1))
+        for start in range(0, len(self.numbers), step):
+            yield self.array[self.numbers[start : start + step]]
+
+
+def write_arrays(
+    path: Path, arrays: Mapping[str, np.ndarray | Rows], compressed: bool = False
+) -> None:
+    """Write named arrays as .npz, atomically; rows of an array become an array of their own.
 
     Raises:
         InputError: the file cannot be written.
     """
-    save = np.savez_compressed if compressed else np.savez
-    members: dict[str, Any] = dict(arrays)  # any name may be a member, says no stub of numpy
+    kind = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
 
     def write(file: BinaryIO) -> None:
-        save(file, **members)
+        with zipfile.ZipFile(file, "w", kind) as archive:
+            for name, content in arrays.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    _write_member(member, content)
 
     write_atomically(path, write)
 
 
+def _write_member(member: Any, content: np.ndarray | Rows) -> None:
+    if isinstance(content, Rows):
+        header = np.lib.format.header_data_from_array_1_0(content.array[:0])
+        header["shape"] = (len(content.numbers), *content.array.shape[1:])
+        np.lib.format.write_array_header_1_0(member, header)
+        for piece in content.pieces():
+            member.write(piece.tobytes())
+    else:
+        np.lib.format.write_array(member, np.asarray(content), allow_pickle=False)
+
+
 def write_state(
-    path: Path, arrays: Mapping[str, np.ndarray], facts: Mapping[str, Any], member: str
+    path: Path, arrays: Mapping[str, np.ndarray | Rows], facts: Mapping[str, Any], member: str
 ) -> None:
     """Write the arrays of a state and JSON-ready facts about it, atomically.
 

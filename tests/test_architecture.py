@@ -45,6 +45,7 @@ ALLOWED = {
     | {"agent", "domains", "formats", "pipeline", "plots", "presets", "search"}
     | {"study", "training"},
     "cli": {"commands", "types"},
+    "__main__": {"cli"},
     "__init__": set(),  # names the public homes and imports each when it is asked for
 }
 # Rooms of one stage that may not look into one another: (who, whom).

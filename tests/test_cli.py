@@ -1,10 +1,15 @@
 """The command line: its promised forms, its files, one line and exit code 2 for every mistake."""
 
+import importlib
+import inspect
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
+from qdenv import cli
 from qdenv.cli import run
 from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.grid import parse
@@ -30,6 +35,52 @@ def write(path, rows=GOOD):
 @pytest.fixture
 def layout(tmp_path):
     return write(tmp_path / "layout.json")
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_help_says_of_a_command_the_first_line_of_its_docstring(command):
+    module, _, name = cli.COMMANDS[command].partition(":")
+    own = inspect.getdoc(getattr(importlib.import_module(module), name))
+    assert own and cli.summary_of(command).__doc__ == own.splitlines()[0]
+
+
+# Run a command line, then name what it imported of the packages that take long.
+LOADED = """
+import contextlib, sys
+from qdenv.cli import run
+with contextlib.suppress(SystemExit):
+    run({arguments!r})
+print("loaded:", *({{"jax", "numba", "numpy", "matplotlib", "qdax", "scipy"}} & sys.modules.keys()))
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said", "loaded"),
+    [
+        (["--help"], "evaluate-agent", set()),
+        (["--version"], "0.", set()),
+        (["nothing"], "Unrecognized", set()),
+        (["simulate", "--help"], "number of agents", {"jax", "numba", "numpy", "scipy"}),
+    ],
+)
+def test_a_command_line_imports_no_more_than_it_needs(arguments, said, loaded):
+    script = LOADED.format(arguments=arguments)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    answer, _, names = done.stdout.rpartition("loaded:")
+    assert said in answer + done.stderr
+    assert set(names.split()) <= loaded
+
+
+def test_the_package_runs_as_a_module():
+    command = [sys.executable, "-m", "qdenv", "--version"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert said == importlib.metadata.version("qdenv") + "\n"
+
+
+def test_completion_knows_the_options_of_a_command(capsys):
+    with pytest.raises(SystemExit):
+        run(["--tyro-print-completion", "bash"])
+    assert "--timesteps" in capsys.readouterr().out
 
 
 def test_check_names_every_broken_rule_and_a_cell(layout, tmp_path, capsys):

@@ -5,7 +5,7 @@ from dataclasses import fields
 
 import pytest
 
-from qdenv.commands import choices, layouts, sizes, traffic
+from qdenv.commands import choices, layouts, simulate, sizes
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig
 from qdenv.presets import PRESETS
@@ -69,4 +69,4 @@ def test_a_stated_zero_is_no_missing_number():
 
 
 def test_other_commands_stay_as_they_are():
-    assert choices.bind(traffic.simulate, ["--domain", "moon"]) is traffic.simulate
+    assert choices.bind(simulate.simulate, ["--domain", "moon"]) is simulate.simulate

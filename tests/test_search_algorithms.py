@@ -111,13 +111,14 @@ def test_the_elite_carries_its_own_extras_and_both_objectives_go_their_ways():
         state = iterate(search, state)
     state = on_host(state)
     archive, learning = state.result, state.learning
+    stored = state.store.solutions
     filled = archive.objectives > -np.inf
-    solutions = archive.genotypes[filled]
+    solutions = stored[archive.genotypes[filled]]
     expected = score_of(solutions).result_objective
     np.testing.assert_array_equal(archive.extra_scores["runs"][filled], solutions[:, :4])
     np.testing.assert_allclose(archive.objectives[filled], expected, rtol=1e-5)
     learnt = learning.objectives > -np.inf
-    expected = score_of(learning.genotypes[learnt]).objective
+    expected = score_of(stored[learning.genotypes[learnt]]).objective
     np.testing.assert_allclose(learning.objectives[learnt], expected, rtol=1e-5)
 
 

@@ -76,7 +76,8 @@ def test_restarts_stand_on_an_elite_with_a_fresh_distribution():
     for _ in range(3):
         state = iterate(search, state)
     state = on_host(state)
-    elites = state.learning.genotypes[state.learning.fitnesses[:, 0] > -np.inf]
+    rows = state.learning.genotypes[state.learning.fitnesses[:, 0] > -np.inf]
+    elites = state.store.solutions[rows]
     for mean in state.emitters.strategy.mean:
         assert (elites == mean).all(axis=1).any()
     np.testing.assert_allclose(state.emitters.strategy.sigma, 0.2)

@@ -121,11 +121,11 @@ if {where!r} == "iteration":
     loop.kept = lambda e: (calls.append(1), original(e))[1] if len(calls) < 4 else die()
 else:
     original = records.save_checkpoint
-    def save(path, state, initial, manifest):
+    def save(path, state, manifest):
         if manifest["iteration"] < 4:
-            return original(path, state, initial, manifest)
+            return original(path, state, manifest)
         os.replace = die  # the temporary file is written, its renaming never happens
-        original(path, state, initial, manifest)
+        original(path, state, manifest)
     records.save_checkpoint = save
 loop.train(toy.CONFIG, {path!r}, progress=False)
 """

@@ -16,6 +16,7 @@ import tyro
 from qdenv.files import write_json
 from qdenv.pipeline import PipelinedEvaluator
 from qdenv.presets import find_preset
+from qdenv.search.growth import growing
 from qdenv.training.loop import Experiment, kept, make_experiment
 from qdenv.types import InputError
 
@@ -38,14 +39,13 @@ def run(
     """
     experiment = make_experiment(replace(find_preset(preset), seed=seed))
     evaluator = PipelinedEvaluator(experiment.pipeline)
-    tell = jax.jit(experiment.algorithm.tell, donate_argnums=0)
-    ask = jax.jit(experiment.algorithm.ask, donate_argnums=0)
-    state = experiment.algorithm.init(experiment.search_key)
+    algorithm = growing(experiment.algorithm)
+    state = algorithm.init(experiment.search_key)
 
     def step(state: Any, number: int) -> Any:
-        solutions, state = ask(state)
+        solutions, state = algorithm.ask(state)
         evaluation = evaluator(solutions, jax.random.fold_in(experiment.evaluation_key, number))
-        return tell(state, solutions, evaluation.score, kept(evaluation))
+        return algorithm.tell(state, solutions, evaluation.score, kept(evaluation))
 
     def repeat(state: Any) -> Any:
         for number in range(iterations):

@@ -48,6 +48,10 @@ class FleetOptions:
         return find_domain(self.domain).simulator.tasks
 
 
+# How a command takes them: without a prefix of their own.
+Options = Annotated[FleetOptions, tyro.conf.arg(name="")]
+
+
 class Numbers:
     """Exact numbers of tiles that a command line states; `bind` gives it a domain's fields."""
 

@@ -10,7 +10,6 @@ from qdenv.commands.choices import USUAL, Numbers
 from qdenv.domains.base import Domain, find_domain
 from qdenv.files import write_json
 from qdenv.formats.layouts import read_layout, write_layout
-from qdenv.plots.layouts import save_difference
 from qdenv.repair.audit import audit
 from qdenv.repair.bounds import impossible
 from qdenv.repair.recipe import repair as repair_layout
@@ -77,6 +76,9 @@ def repair(
     if result.status < RepairStatus.IMPOSSIBLE and out:
         write_layout(out, result.layout, kind.tiles, domain=kind.name, repaired_from=layout.name)
     if diff:
+        # Only here: matplotlib takes half a second to import, as long as many a repair.
+        from qdenv.plots.layouts import save_difference
+
         save_difference(diff, before, result.layout, kind.tiles)
     if json_file:
         write_json(json_file, facts)

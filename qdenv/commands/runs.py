@@ -1,4 +1,4 @@
-"""Commands about runs: train, resume, plot, presets, generate."""
+"""Commands about runs: train, resume, plot, generate."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -9,11 +9,10 @@ import numpy as np
 import tyro
 
 from qdenv.commands.choices import Numbers, choose_algorithm, choose_domain, choose_planner, take
-from qdenv.domains.base import make_domain
 from qdenv.formats.layouts import write_layout
 from qdenv.plots.layouts import save_frames, save_layout
 from qdenv.plots.run import plot_run
-from qdenv.presets import PRESETS, find_preset
+from qdenv.presets import find_preset
 from qdenv.study.elites import find_elite, grow_elite, repair_grown
 from qdenv.study.sizes import grow_frames
 from qdenv.training import loop
@@ -106,19 +105,6 @@ def report(run: RunDirectory) -> None:
         f"{last.best_objective:.3f} after {last.evaluations} evaluations in {last.seconds:.0f} s"
     )
     print("\n".join(str(picture) for picture in pictures))
-
-
-def presets() -> None:
-    """List the presets with their main numbers."""
-    for name, preset in PRESETS.items():
-        evaluation, domain = preset.evaluation, make_domain(preset.evaluation.domain)
-        rows, cols = domain.shape
-        fleet = getattr(domain.config, "fleet", domain.config)
-        agents = getattr(fleet, "agents", 1)
-        print(
-            f"{name:20} {domain.name:17} {rows}x{cols}, agents {agents}, T {fleet.timesteps}, "
-            f"alpha {evaluation.alpha:g}, evaluations {preset.evaluations}"
-        )
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from qdenv.search.emitters import (
     make_emitters,
     restart_rule,
 )
+from qdenv.search.store import ROW, Store, StoredElites
 from qdenv.search.strategies.registry import STRATEGIES
 from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import Array, Measure, Score, look_up
@@ -73,6 +74,7 @@ class CmaMaeState(NamedTuple):
     emitters: EmittersState
     learning: ThresholdArchive  # judged by `Score.objective`; steers the emitters
     result: GridArchive  # the best by `Score.result_objective`
+    store: Store  # the solutions of both, which hold rows of it
 
 
 def make_team(config: CmaMaeConfig, start: jax.Array) -> Emitters:
@@ -96,37 +98,11 @@ def make_team(config: CmaMaeConfig, start: jax.Array) -> Emitters:
 
 
 def new_learning_archive(
-    config: CmaMaeConfig, start: jax.Array, measures: Sequence[Measure]
+    config: CmaMaeConfig, solution: Any, measures: Sequence[Measure]
 ) -> ThresholdArchive:
-    """Make the empty soft archive that steers the emitters (`start`: one solution, float [P])."""
-    return ThresholdArchive.empty(start, measures, None, config.learning_rate, config.threshold_min)
-
-
-def steer(
-    team: Emitters,
-    state: EmittersState,
-    key: jax.Array,
-    learning: ThresholdArchive,
-    solutions: jax.Array,
-    score: Score,
-) -> tuple[EmittersState, ThresholdArchive]:
-    """Judge a batch by the learning archive and let the emitters adapt to the verdict.
-
-    Args:
-        team: from `make_team`.
-        state: of the emitters, as their `ask` left it.
-        key: consumed.
-        learning: the soft archive before the batch.
-        solutions: float [E * b, P].
-        score: from `received`; only its objective and measures steer.
-    """
-    learning, insertion = learning.insert(
-        solutions, score.objective, score.measures, success=score.success
-    )
-    # All verdicts are older than the batch, but restarts draw from the archive that holds it:
-    # the order of pyribs' scheduler.
-    told = solutions, insertion, score.objective, score.success
-    return team.tell(state, key, *told, learning), learning
+    """Make the empty soft archive that steers the emitters (`solution`: one example)."""
+    soft = config.learning_rate, config.threshold_min
+    return ThresholdArchive.empty(solution, measures, None, *soft)
 
 
 def cma_mae(
@@ -153,12 +129,14 @@ def cma_mae(
     """
     start = start_solution(x0, solution_dim)
     team = make_team(config, start)
+    batch_size = config.emitters * config.batch
 
     def init(key: jax.Array) -> CmaMaeState:
         key, team_key = jax.random.split(plain_key(key))
-        learning = new_learning_archive(config, start, measures)
-        result = GridArchive.empty(start, measures, extras)
-        return CmaMaeState(key, team.init(team_key), learning, result)
+        learning = new_learning_archive(config, ROW, measures)
+        result = GridArchive.empty(ROW, measures, extras)
+        store = Store.empty(start, batch_size, learning, result)
+        return CmaMaeState(key, team.init(team_key), learning, result, store)
 
     def ask(state: CmaMaeState) -> tuple[jax.Array, CmaMaeState]:
         key, ask_key = jax.random.split(state.key)
@@ -170,15 +148,26 @@ def cma_mae(
     ) -> CmaMaeState:
         solutions, score = received(solutions, score)
         key, tell_key = jax.random.split(state.key)
-        emitters, learning = steer(team, state.emitters, tell_key, state.learning, solutions, score)
+        rows = state.store.free_rows(batch_size)
+        learning, insertion = state.learning.insert(
+            rows, score.objective, score.measures, success=score.success
+        )
         # The learning archive may replace a better elite by a worse one: results need their own.
         result, _ = state.result.insert(
-            solutions, score.result_objective, score.measures, extras, score.success
+            rows, score.result_objective, score.measures, extras, score.success
         )
-        return CmaMaeState(key, emitters, learning, result)
+        cells = result.cells_of(score.measures)
+        store = state.store.keep(rows, solutions, cells, learning, result)
+        # All verdicts are older than the batch, but restarts draw from the archive that holds it:
+        # the order of pyribs' scheduler.
+        told = solutions, insertion, score.objective, score.success
+        emitters = team.tell(state.emitters, tell_key, *told, StoredElites(learning, store))
+        return CmaMaeState(key, emitters, learning, result, store)
 
-    batch_size = config.emitters * config.batch
-    return Algorithm(init, ask, tell, lambda state: state.result, batch_size)
+    def archive(state: CmaMaeState) -> GridArchive:
+        return StoredElites(state.result, state.store).dense()
+
+    return Algorithm(init, ask, tell, archive, batch_size)
 
 
 CMA_MAE = Entry(CmaMaeConfig, cma_mae)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 from qdenv.search.archive import GridArchive
 from qdenv.search.insertion import Insertion
+from qdenv.search.store import StoredElites
 from qdenv.search.strategies.base import Strategy
 from qdenv.types import InputError
 
@@ -191,7 +192,7 @@ def make_emitters(
         insertion: Insertion,
         objective: jax.Array,
         usable: jax.Array,
-        archive: GridArchive,
+        archive: GridArchive | StoredElites,
     ) -> EmittersState:
         chex.assert_shape(solutions, (emitters * batch, x0.shape[0]))
         rows = (solutions, insertion, objective, usable)

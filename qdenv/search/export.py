@@ -1,9 +1,9 @@
 """Archives as tables and files: one column layout for npz, CSV and pandas (pyribs' names)."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -11,11 +11,14 @@ import numpy as np
 from qdenv.checkpoints import write_arrays
 from qdenv.files import write_atomically
 from qdenv.search.archive import GridArchive
+from qdenv.search.base import Algorithm
 from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import InputError, Measure
 
 if TYPE_CHECKING:
     import pandas
+
+TAKEN_AT_ONCE = 1024  # elites
 
 
 def elites(archive: GridArchive) -> dict[str, np.ndarray]:
@@ -28,6 +31,12 @@ def elites(archive: GridArchive) -> dict[str, np.ndarray]:
     Raises:
         InputError: the solutions are no single array [C, P], or an extra takes a column's name.
     """
+    index = np.flatnonzero(np.asarray(archive.filled))
+    columns = _columns(archive)
+    return {"index": index} | {name: np.asarray(column)[index] for name, column in columns.items()}
+
+
+def _columns(archive: GridArchive) -> dict[str, jax.Array]:
     if not hasattr(archive.genotypes, "shape"):
         raise InputError("only an archive whose solutions are one array [C, P] can be exported")
     columns = {
@@ -40,9 +49,39 @@ def elites(archive: GridArchive) -> dict[str, np.ndarray]:
     taken = {*columns, "index", "threshold"} & archive.extra_scores.keys()
     if taken:
         raise InputError(f"rename the extra {sorted(taken)[0]!r}: an archive has that field")
-    index = np.flatnonzero(np.asarray(archive.filled))
-    rows = {**columns, **archive.extra_scores}
-    return {"index": index} | {name: np.asarray(values)[index] for name, values in rows.items()}
+    return {**columns, **archive.extra_scores}
+
+
+def collector(algorithm: Algorithm) -> Callable[[Any], dict[str, np.ndarray]]:
+    """Make the function state -> `elites` of the result archive, for searches large and running.
+
+    On the way no archive is made that holds a solution for every cell.
+    """
+
+    @jax.jit
+    def filled(state: Any) -> jax.Array:
+        return algorithm.archive(state).filled
+
+    @jax.jit
+    def take(state: Any, cells: jax.Array) -> dict[str, jax.Array]:
+        # XLA fuses both look-ups, the cell's row and the row's solution, into one.
+        return _columns(jax.tree.map(lambda leaf: leaf[cells], algorithm.archive(state)))
+
+    def collect(state: Any) -> dict[str, np.ndarray]:
+        index = np.flatnonzero(filled(state))
+        columns = {
+            name: np.empty((len(index), *column.shape[1:]), column.dtype)
+            for name, column in jax.eval_shape(take, state, index).items()
+        }
+        for start in range(0, len(index), TAKEN_AT_ONCE):
+            part = index[start : start + TAKEN_AT_ONCE]
+            cells = np.zeros(TAKEN_AT_ONCE, np.int32)  # filled up to the shape that is compiled
+            cells[: len(part)] = part
+            for name, column in take(state, cells).items():
+                columns[name][start : start + len(part)] = np.asarray(column)[: len(part)]
+        return {"index": index} | columns
+
+    return collect
 
 
 def to_pandas(archive: GridArchive, fields: Sequence[str] | None = None) -> "pandas.DataFrame":

@@ -16,6 +16,7 @@ from qdax.core.emitters.mutation_operators import isoline_variation
 from qdenv.registry import Entry
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Algorithm, plain_key, positive, received, start_solution
+from qdenv.search.store import ROW, Store, StoredElites
 from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import Array, Measure, Score
 
@@ -49,6 +50,7 @@ class MapElitesState(NamedTuple):
     key: jax.Array
     parents: ThresholdArchive  # judged by `Score.objective`
     result: GridArchive  # the best by `Score.result_objective`
+    store: Store  # the solutions of both, which hold rows of it
 
 
 def map_elites(
@@ -80,12 +82,15 @@ def map_elites(
     ThresholdArchive.check(*soft)
 
     def init(key: jax.Array) -> MapElitesState:
-        parents = ThresholdArchive.empty(start, measures, None, *soft)
-        return MapElitesState(plain_key(key), parents, GridArchive.empty(start, measures, extras))
+        parents = ThresholdArchive.empty(ROW, measures, None, *soft)
+        result = GridArchive.empty(ROW, measures, extras)
+        store = Store.empty(start, batch_size, parents, result)
+        return MapElitesState(plain_key(key), parents, result, store)
 
     def ask(state: MapElitesState) -> tuple[jax.Array, MapElitesState]:
         key, pair_key, noise_key = jax.random.split(state.key, 3)
-        pairs = state.parents.sample_solutions(pair_key, 2 * batch_size, start)
+        elites = StoredElites(state.parents, state.store)
+        pairs = elites.sample_solutions(pair_key, 2 * batch_size, start)
         first, second = pairs[:batch_size], pairs[batch_size:]
         children = isoline_variation(first, second, noise_key, config.sigma_iso, config.sigma_line)
         return children, state._replace(key=key)
@@ -94,15 +99,21 @@ def map_elites(
         state: MapElitesState, solutions: Array, score: Score, extras: Mapping[str, Array]
     ) -> MapElitesState:
         solutions, score = received(solutions, score)
+        rows = state.store.free_rows(batch_size)
         parents, _ = state.parents.insert(
-            solutions, score.objective, score.measures, success=score.success
+            rows, score.objective, score.measures, success=score.success
         )
         result, _ = state.result.insert(
-            solutions, score.result_objective, score.measures, extras, score.success
+            rows, score.result_objective, score.measures, extras, score.success
         )
-        return MapElitesState(state.key, parents, result)
+        cells = result.cells_of(score.measures)
+        store = state.store.keep(rows, solutions, cells, parents, result)
+        return MapElitesState(state.key, parents, result, store)
 
-    return Algorithm(init, ask, tell, lambda state: state.result, batch_size)
+    def archive(state: MapElitesState) -> GridArchive:
+        return StoredElites(state.result, state.store).dense()
+
+    return Algorithm(init, ask, tell, archive, batch_size)
 
 
 MAP_ELITES = Entry(MapElitesConfig, map_elites)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from qdax.core.emitters.emitter import Emitter, EmitterState
 
 from qdenv.search.base import plain_key, received, start_solution
-from qdenv.search.cma_mae import CmaMaeConfig, make_team, new_learning_archive, steer
+from qdenv.search.cma_mae import CmaMaeConfig, make_team, new_learning_archive
 from qdenv.search.emitters import EmittersState
 from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import Array, Measure, Score
@@ -99,9 +99,11 @@ class CmaMaeEmitter(Emitter):
         objective = _objective(fitnesses, extra_scores)
         everyone = jnp.ones_like(objective, bool)
         solutions, score = received(genotypes, Score(objective, objective, descriptors, everyone))
-        emitters, learning = steer(
-            self._team, extra_scores["emitters"], tell_key, emitter_state.learning, solutions, score
+        learning, insertion = emitter_state.learning.insert(
+            solutions, objective, score.measures, success=score.success
         )
+        told = solutions, insertion, objective, score.success
+        emitters = self._team.tell(extra_scores["emitters"], tell_key, *told, learning)
         return CmaMaeEmitterState(key=key, emitters=emitters, learning=learning)
 
 

@@ -9,6 +9,7 @@ import jax
 from qdenv.registry import Entry
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Algorithm, plain_key, positive, received, start_solution
+from qdenv.search.store import ROW, Store, StoredElites
 from qdenv.types import Array, Measure, Score
 
 
@@ -30,6 +31,7 @@ class RandomSearchState(NamedTuple):
 
     key: jax.Array
     result: GridArchive
+    store: Store  # its solutions
 
 
 def random_search(
@@ -55,7 +57,8 @@ def random_search(
     start = start_solution(x0, solution_dim)
 
     def init(key: jax.Array) -> RandomSearchState:
-        return RandomSearchState(plain_key(key), GridArchive.empty(start, measures, extras))
+        result = GridArchive.empty(ROW, measures, extras)
+        return RandomSearchState(plain_key(key), result, Store.empty(start, config.batch, result))
 
     def ask(state: RandomSearchState) -> tuple[jax.Array, RandomSearchState]:
         key, noise_key = jax.random.split(state.key)
@@ -66,12 +69,18 @@ def random_search(
         state: RandomSearchState, solutions: Array, score: Score, extras: Mapping[str, Array]
     ) -> RandomSearchState:
         solutions, score = received(solutions, score)
+        rows = state.store.free_rows(config.batch)
         result, _ = state.result.insert(
-            solutions, score.result_objective, score.measures, extras, score.success
+            rows, score.result_objective, score.measures, extras, score.success
         )
-        return state._replace(result=result)
+        cells = result.cells_of(score.measures)
+        store = state.store.keep(rows, solutions, cells, result)
+        return state._replace(result=result, store=store)
 
-    return Algorithm(init, ask, tell, lambda state: state.result, config.batch)
+    def archive(state: RandomSearchState) -> GridArchive:
+        return StoredElites(state.result, state.store).dense()
+
+    return Algorithm(init, ask, tell, archive, config.batch)
 
 
 RANDOM_SEARCH = Entry(RandomSearchConfig, random_search)

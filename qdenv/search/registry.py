@@ -1,11 +1,13 @@
 """The algorithms by name and by the type of their settings."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from qdenv.registry import Registry
-from qdenv.search.base import Algorithm
 from qdenv.types import Measure
+
+if TYPE_CHECKING:  # a registry imports an algorithm, and qdax with it, when it is asked for one
+    from qdenv.search.base import Algorithm
 
 # Makers are called as make(config, solution_dim, measures, extras) and return an `Algorithm`.
 ALGORITHMS = Registry(
@@ -26,7 +28,7 @@ def make_algorithm(
     solution_dim: int,
     measures: Sequence[Measure],
     extras: Mapping[str, Any] | None = None,
-) -> Algorithm:
+) -> "Algorithm":
     """Make the algorithm that `config` chooses.
 
     Args:

@@ -1,7 +1,7 @@
 """Checkpoints: a pytree of arrays as one .npz with a manifest inside, no pickle.
 
-Only what changed since the initial state is stored: an archive of 10,000 cells and 11,011
-parameters is 440 MB of which a young search has filled a few rows.
+Only rows that hold anything but zeros are stored, and they are copied piece by piece: no second
+copy of an archive is ever made.
 """
 
 from pathlib import Path
@@ -11,35 +11,36 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.checkpoints import read_state, write_state
+from qdenv.checkpoints import Rows, read_state, write_state
+from qdenv.search.store import stores_in
+from qdenv.training.dense import upgraded
 from qdenv.types import InputError
 
 _MANIFEST = "manifest"
 
 
-def save_checkpoint(path: Path, state: Any, initial: Any, manifest: dict[str, Any]) -> None:
+def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
     """Write `state` atomically.
 
     Args:
         path: the .npz file.
         state: pytree of arrays.
-        initial: pytree of the same shapes that `load_checkpoint` will be given again.
         manifest: JSON-ready facts, returned by `load_checkpoint`.
 
     Raises:
         InputError: the file cannot be written.
     """
-    arrays = {}
-    leaves, bases = jax.tree.leaves(state), jax.tree.leaves(initial)
-    for number, (leaf, base) in enumerate(zip(leaves, bases, strict=True)):
-        leaf, base = _as_bits(leaf), _as_bits(base)
+    arrays: dict[str, np.ndarray | Rows] = {}
+    leaves = [_as_bits(leaf) for leaf in jax.tree.leaves(state)]
+    for number, leaf in enumerate(leaves):
         if leaf.ndim == 0:
             arrays[f"{number}.rows"] = leaf
             continue
-        changed = np.flatnonzero((leaf != base).reshape(len(leaf), -1).any(axis=1))
-        arrays[f"{number}.changed"] = changed.astype(np.int32)
-        arrays[f"{number}.rows"] = leaf[changed]
-    write_state(path, arrays, {"leaves": len(leaves), **manifest}, _MANIFEST)
+        held = np.flatnonzero(leaf.reshape(len(leaf), -1).any(axis=1)).astype(np.int32)
+        arrays[f"{number}.changed"] = held
+        arrays[f"{number}.rows"] = Rows(leaf, held)
+    lengths = [leaf.shape[0] if leaf.ndim else 0 for leaf in leaves]
+    write_state(path, arrays, {"lengths": lengths, **manifest}, _MANIFEST)
 
 
 def load_checkpoint(path: Path, initial: Any) -> tuple[Any, dict[str, Any]]:
@@ -47,7 +48,7 @@ def load_checkpoint(path: Path, initial: Any) -> tuple[Any, dict[str, Any]]:
 
     Args:
         path: the .npz file.
-        initial: the pytree given to `save_checkpoint`.
+        initial: an initial state of the same search; stores of solutions may have other lengths.
 
     Returns:
         (state, manifest).
@@ -56,25 +57,36 @@ def load_checkpoint(path: Path, initial: Any) -> tuple[Any, dict[str, Any]]:
         InputError: the file is damaged, of a newer schema, or of another configuration.
     """
     arrays, manifest = read_state(path, _MANIFEST)
+    another = InputError(f"{path}: belongs to another configuration")
     leaves, structure = jax.tree.flatten(initial)
-    if manifest["leaves"] != len(leaves):
-        raise InputError(f"{path}: belongs to another configuration")
-    restored = [_restore(leaf, arrays, number, path) for number, leaf in enumerate(leaves)]
-    return jax.tree.unflatten(structure, restored), manifest
+    plain = [_as_bits(leaf) for leaf in leaves]
+    if manifest["schema"] == 1:
+        try:
+            arrays, manifest = upgraded(arrays, manifest, initial, plain)
+        except (KeyError, IndexError, ValueError) as error:  # arrays of other shapes
+            raise another from error
+    if len(manifest["lengths"]) != len(leaves):
+        raise another
+    growing = {id(leaf) for store in stores_in(initial) for leaf in store}
+    for number, (leaf, like) in enumerate(zip(leaves, plain, strict=True)):
+        # Taken out one by one: what is restored is not held twice for long.
+        rows, held = arrays.pop(f"{number}.rows"), arrays.pop(f"{number}.changed", None)
+        length = manifest["lengths"][number]
+        as_long = not like.ndim or length == len(like) or id(leaf) in growing
+        if not as_long or rows.dtype != like.dtype or rows.shape[1:] != like.shape[1:]:
+            raise another
+        leaves[number] = _restore(leaf, rows, held, length)
+    return jax.tree.unflatten(structure, leaves), manifest
 
 
-def _restore(base: Any, arrays: dict[str, np.ndarray], number: int, path: Path) -> Any:
-    rows = arrays[f"{number}.rows"]
-    bits = _as_bits(base).copy()
-    if rows.dtype != bits.dtype or rows.shape[1:] != bits.shape[1:]:
-        raise InputError(f"{path}: belongs to another configuration")
-    if bits.ndim == 0:
-        bits = rows
-    else:
-        bits[arrays[f"{number}.changed"]] = rows
-    if _is_key(base):
+def _restore(like: Any, rows: np.ndarray, held: np.ndarray | None, length: int) -> jax.Array:
+    bits = rows
+    if held is not None:
+        bits = np.zeros((length, *rows.shape[1:]), rows.dtype)
+        bits[held] = rows
+    if _is_key(like):
         return jax.random.wrap_key_data(jnp.asarray(bits))
-    return bits.view(np.asarray(base).dtype)
+    return jnp.asarray(bits.view(like.dtype))
 
 
 def _is_key(leaf: Any) -> bool:
@@ -82,6 +94,6 @@ def _is_key(leaf: Any) -> bool:
 
 
 def _as_bits(leaf: Any) -> np.ndarray:
-    """View floats as integers: equality of bits, not of numbers, decides what is stored."""
+    """View floats as integers: minus zero and NaN are no zeros, and they are stored as they are."""
     array = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
     return array.view(f"u{array.itemsize}") if array.dtype.kind == "f" else array

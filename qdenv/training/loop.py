@@ -9,14 +9,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tqdm import tqdm
 
 from qdenv.formats.layouts import write_layout
 from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.search.base import Algorithm
-from qdenv.search.export import elites
+from qdenv.search.export import collector
+from qdenv.search.growth import growing
 from qdenv.search.registry import make_algorithm
 from qdenv.training.config import RunConfig
+from qdenv.training.progress import Progress
 from qdenv.training.records import Metrics, RunDirectory
 from qdenv.types import Array, Evaluation, Measure, RepairStatus
 
@@ -136,45 +137,39 @@ def _run(
     experiment: Experiment, config: RunConfig, run: RunDirectory, progress: bool
 ) -> RunDirectory:
     """Iterate until all evaluations are done, from the newest checkpoint."""
-    algorithm = experiment.algorithm
-    init = jax.jit(algorithm.init)
-    ask = jax.jit(algorithm.ask, donate_argnums=0)
-    tell = jax.jit(algorithm.tell, donate_argnums=0)
-    summarise = jax.jit(lambda state: _summary(algorithm, state))
-    evaluator = PipelinedEvaluator(experiment.pipeline)
-
-    done, state = run.load_checkpoint(init(experiment.search_key))
-    # Iterations after the checkpoint are run again, so their rows are written again, too.
-    rows = [row for row in run.read_metrics() if row.iteration <= done]
-    elapsed = rows[-1].seconds if rows else 0.0
-    batch = algorithm.batch_size
+    batch = experiment.algorithm.batch_size
     total = -(-config.evaluations // batch)
-    bar = tqdm(
-        total=total * batch, initial=done * batch, unit="eval", disable=not progress, smoothing=0.1
-    )
-    for iteration in range(done + 1, total + 1):
-        start = time.perf_counter()
-        solutions, state = ask(state)
-        # Keys follow from the number of the iteration: a resumed run draws what this one would.
-        key = jax.random.fold_in(experiment.evaluation_key, iteration)
-        evaluation = evaluator(solutions, key)
-        state = tell(state, solutions, evaluation.score, kept(evaluation))
-        summary = [float(value) for value in summarise(state)]
-        elapsed += time.perf_counter() - start
-        row = _metrics(iteration, batch, summary, round(elapsed, 3), evaluation)
-        rows.append(row)
-        run.write_metrics(rows)
-        bar.update(batch)
-        bar.set_postfix_str(
-            f"QD-score {row.qd_score:.1f}, coverage {row.coverage:.1%}, "
-            f"best {row.best_objective:.3f}"
-        )
-        if iteration % config.checkpoint_every == 0 or iteration == total:
-            # The initial state is made again instead of kept: the first one was donated, and a
-            # second copy of an archive of hundreds of MB would stay in memory for the whole run.
-            run.save_checkpoint(iteration, state, init(experiment.search_key))
-            _publish(run, experiment, elites(algorithm.archive(state)))
-    bar.close()
+    with Progress(total * batch, progress) as shown:
+        algorithm = growing(shown.over_algorithm(experiment.algorithm))
+        collect = collector(algorithm)
+        summarise = jax.jit(lambda state: _summary(algorithm, state))
+        evaluator = PipelinedEvaluator(shown.over_pipeline(experiment.pipeline))
+
+        done, state = run.load_checkpoint(algorithm.init(experiment.search_key))
+        # Iterations after the checkpoint are run again, so their rows are written again, too.
+        rows = [row for row in run.read_metrics() if row.iteration <= done]
+        elapsed = rows[-1].seconds if rows else 0.0
+        shown.begin(done * batch)
+        for iteration in range(done + 1, total + 1):
+            start = time.perf_counter()
+            solutions, state = algorithm.ask(state)
+            # Keys follow from the number of the iteration: a resumed run draws what this one would.
+            key = jax.random.fold_in(experiment.evaluation_key, iteration)
+            evaluation = evaluator(solutions, key)
+            state = algorithm.tell(state, solutions, evaluation.score, kept(evaluation))
+            summary = [float(value) for value in summarise(state)]
+            elapsed += time.perf_counter() - start
+            row = _metrics(iteration, batch, summary, round(elapsed, 3), evaluation)
+            rows.append(row)
+            run.write_metrics(rows)
+            shown.update(
+                batch,
+                f"QD-score {row.qd_score:.1f}, coverage {row.coverage:.1%}, "
+                f"best {row.best_objective:.3f}",
+            )
+            if iteration % config.checkpoint_every == 0 or iteration == total:
+                run.save_checkpoint(iteration, state)
+                _publish(run, experiment, collect(state))
     return run
 
 

@@ -129,10 +129,10 @@ class RunDirectory:
         except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
             raise InputError(f"{self.path}/metrics.csv: cannot be read ({error})") from error
 
-    def save_checkpoint(self, iteration: int, state: Any, initial: Any) -> None:
+    def save_checkpoint(self, iteration: int, state: Any) -> None:
         """Save the search after `iteration` and forget all but the newest checkpoints."""
         target = self.path / "checkpoints" / f"{iteration:06d}.npz"
-        save_checkpoint(target, state, initial, {"iteration": iteration})
+        save_checkpoint(target, state, {"iteration": iteration})
         for old in self._checkpoints()[:-KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
 

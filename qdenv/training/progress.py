@@ -1,0 +1,102 @@
+"""The progress bar of a run, which says what it waits for until the first evaluations are done."""
+
+import functools
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Self
+
+from numba.core import event
+from tqdm import tqdm
+
+from qdenv.pipeline import Pipeline
+from qdenv.search.base import Algorithm
+
+TICK = 1.0  # seconds
+
+
+class Progress(event.Listener):
+    """A bar of evaluations that names what is compiled, and for how long, while it stands still.
+
+    Both compilers are watched: what XLA traces is compiled next, and numba tells of each function
+    of which it finds no machine code on this machine.
+    """
+
+    def __init__(self, total: int, shown: bool) -> None:
+        """Show nothing yet.
+
+        Args:
+            total: evaluations of the run.
+            shown: False shows nothing ever.
+        """
+        self._total, self._shown = total, shown
+        self._bar: Any = None
+        self._moves = threading.Event()
+        self._waits_for = ""
+
+    def __enter__(self) -> Self:
+        """Start to watch."""
+        event.register("numba:compile", self)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Stop watching; the bar stays as it is."""
+        event.unregister("numba:compile", self)
+        self._moves.set()
+        if self._bar is not None:
+            self._bar.close()
+
+    def begin(self, done: int) -> None:
+        """Show the bar of a run of which `done` evaluations were done before."""
+        self._bar = tqdm(
+            total=self._total, initial=done, unit="eval", disable=not self._shown, smoothing=0.1
+        )
+        self._since = time.perf_counter()
+        if self._shown:
+            threading.Thread(target=self._tick, daemon=True).start()
+
+    def update(self, evaluations: int, state: str) -> None:
+        """Move on by so many evaluations and say how the search stands."""
+        self._moves.set()
+        self._bar.set_postfix_str(state, refresh=False)
+        self._bar.update(evaluations)
+        self._bar.refresh()  # a tick a moment ago would make tqdm leave this state out
+
+    def over_pipeline(self, pipeline: Pipeline) -> Pipeline:
+        """Watch the stages of an evaluation."""
+        return pipeline._replace(
+            grow=self._told("generator and repair", pipeline.grow),
+            simulate=self._told("simulator", pipeline.simulate),
+            score=self._told("score", pipeline.score),
+        )
+
+    def over_algorithm(self, algorithm: Algorithm) -> Algorithm:
+        """Watch a search."""
+        return algorithm._replace(
+            ask=self._told("search", algorithm.ask), tell=self._told("search", algorithm.tell)
+        )
+
+    def on_start(self, event: Any) -> None:
+        """Hear that numba compiles a function; its machine code is kept for later runs."""
+        module = event.data["dispatcher"].py_func.__module__
+        if module.startswith("qdenv."):  # numba compiles parts of its own on the way
+            room = module.removeprefix("qdenv.").rpartition(".")[0]
+            self._waits_for = f"compiling {room}, once on this machine"
+
+    def on_end(self, event: Any) -> None:
+        """Hear that numba is done."""
+
+    def _told(self, what: str, function: Callable) -> Callable:
+        """Let a function say that it is traced, which is when it will be compiled."""
+
+        @functools.wraps(function)
+        def traced(*given: Any) -> Any:
+            self._waits_for = f"compiling and running the {what}"
+            return function(*given)
+
+        return traced
+
+    def _tick(self) -> None:
+        while not self._moves.wait(TICK):
+            seconds = time.perf_counter() - self._since
+            self._bar.set_postfix_str(f"{self._waits_for}: {seconds:.0f} s")

@@ -1,0 +1,112 @@
+"""Checkpoints: bit for bit, no second copy, those of schema 1, one line for another search's."""
+
+import tracemalloc
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from search_harness import DIM, EXTRAS, GRID, extras_of, score_of
+
+from qdenv.checkpoints import PIECE
+from qdenv.search.cma_mae import CmaMaeConfig
+from qdenv.search.export import elites
+from qdenv.search.growth import growing
+from qdenv.search.map_elites import MapElitesConfig
+from qdenv.search.registry import make_algorithm
+from qdenv.training.checkpoint import load_checkpoint, save_checkpoint
+from qdenv.types import InputError, Measure
+
+RECORDED = Path(__file__).parent / "data" / "search"
+SEARCHES = {
+    "cma_mae": CmaMaeConfig(emitters=2, batch=6),
+    "map_elites": MapElitesConfig(emitters=2, batch=6, sigma_iso=0.3),
+}
+
+
+def go_on(search, state, iterations):
+    for _ in range(iterations):
+        solutions, state = search.ask(state)
+        solutions = np.array(solutions)
+        state = search.tell(state, solutions, score_of(solutions), extras_of(solutions))
+    return state
+
+
+def test_every_bit_comes_back(tmp_path):
+    floats = np.array([[0.0, 0], [-0.0, 0], [np.nan, 0], [0, -np.inf], [0, 0]], np.float32)
+    state = {
+        "floats": floats,
+        "nothing": np.zeros((4, 2), np.int8),
+        "number": np.float32(-0.0),
+        "truth": np.array([False, True]),
+        "key": jax.random.key(3),
+    }
+    blank = jax.tree.map(jnp.zeros_like, {**state, "key": jnp.zeros(())}) | {
+        "key": jax.random.key(0)
+    }
+    save_checkpoint(tmp_path / "c.npz", state, {"iteration": 7})
+    with np.load(tmp_path / "c.npz") as file:
+        assert file["0.changed"].tolist() == [1, 2, 3]
+    again, manifest = load_checkpoint(tmp_path / "c.npz", blank)
+    assert manifest["iteration"] == 7
+    assert (jax.random.key_data(again.pop("key")) == jax.random.key_data(state.pop("key"))).all()
+    for name, values in state.items():
+        assert np.asarray(again[name]).tobytes() == values.tobytes(), name
+        assert again[name].dtype == values.dtype
+
+
+def test_writing_copies_pieces_and_never_a_whole_array(tmp_path):
+    big = np.ones((4096, 4 * PIECE // 4096), np.float32)  # 16 pieces
+    big[5] = 0
+    tracemalloc.start()
+    save_checkpoint(tmp_path / "c.npz", {"big": big}, {})
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert big.nbytes == 16 * PIECE and peak < 3 * PIECE
+    np.testing.assert_array_equal(load_checkpoint(tmp_path / "c.npz", {"big": big})[0]["big"], big)
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_a_search_of_schema_1_goes_on_as_it_did_then(name):
+    search = growing(make_algorithm(SEARCHES[name], DIM, GRID, EXTRAS))
+    saved = RECORDED / f"schema1_{name}.npz"
+    state, manifest = load_checkpoint(saved, search.init(jax.random.key(0)))
+    assert manifest["iteration"] == 4
+    state = go_on(search, state, 4)
+    found = elites(search.archive(state))
+    with np.load(RECORDED / f"schema1_{name}_elites.npz") as expected:
+        assert found.keys() == set(expected) and len(found["index"]) > 10
+        for column, values in expected.items():
+            np.testing.assert_allclose(found[column], values, rtol=1e-5, atol=1e-6, err_msg=column)
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_schema_1_holds_the_same_solutions_bit_for_bit(name):
+    search = growing(make_algorithm(SEARCHES[name], DIM, GRID, EXTRAS))
+    state = load_checkpoint(RECORDED / f"schema1_{name}.npz", search.init(jax.random.key(0)))[0]
+    dense = np.asarray(search.archive(state).genotypes)
+    with np.load(RECORDED / f"schema1_{name}.npz") as file:
+        shapes = {n: file[f"{n}.rows"].shape for n in range(30) if f"{n}.changed" in file}
+        # The last of both archives' leaves with a row of `DIM` is the result's.
+        number = max(n for n, shape in shapes.items() if shape[1:] == (DIM,))
+        rows, changed = file[f"{number}.rows"], file[f"{number}.changed"]
+    expected = np.zeros((72, DIM), np.float32)
+    expected[changed] = rows.view(np.float32)
+    assert dense.tobytes() == expected.tobytes() and len(changed) > 10
+
+
+def test_a_checkpoint_of_another_search_is_refused_in_one_line(tmp_path):
+    make = lambda config, dim, grid: growing(make_algorithm(config, dim, grid, EXTRAS))  # noqa: E731
+    search = make(SEARCHES["cma_mae"], DIM, GRID)
+    save_checkpoint(tmp_path / "c.npz", go_on(search, search.init(jax.random.key(0)), 1), {})
+    coarse = (Measure("x", -1, 1, 4), GRID[1])
+    for config, dim, grid in (
+        (SEARCHES["map_elites"], DIM, GRID),
+        (SEARCHES["cma_mae"], DIM + 1, GRID),
+        (SEARCHES["cma_mae"], DIM, coarse),
+    ):
+        other = make(config, dim, grid).init(jax.random.key(0))
+        for path in (tmp_path / "c.npz", RECORDED / "schema1_cma_mae.npz"):
+            with pytest.raises(InputError, match="another configuration"):
+                load_checkpoint(path, other)

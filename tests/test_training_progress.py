@@ -1,0 +1,59 @@
+"""What the progress bar says while nothing moves."""
+
+import time
+
+import jax
+import numba
+import pytest
+import toy
+
+from qdenv.pipeline import make_pipeline
+from qdenv.training import progress
+from qdenv.training.progress import Progress
+
+
+@pytest.fixture(autouse=True)
+def quick_ticks(monkeypatch):
+    monkeypatch.setattr(progress, "TICK", 0.01)
+
+
+def wait_for(text, capsys):
+    """Read what is written until it holds `text`, for ten seconds at most."""
+    said, end = "", time.perf_counter() + 10
+    while text not in said and time.perf_counter() < end:
+        time.sleep(0.01)
+        said += capsys.readouterr().err
+    return said
+
+
+def test_it_names_what_is_compiled_until_the_first_evaluations_are_done(capsys):
+    pipeline = make_pipeline(toy.CONFIG.evaluation)
+    with Progress(8, True) as shown:
+        shown.begin(0)
+        watched = shown.over_pipeline(pipeline)
+        jax.eval_shape(watched.grow, jax.ShapeDtypeStruct((2, pipeline.solution_size), float))
+        said = wait_for("compiling and running the generator and repair: 0 s", capsys)
+        assert "compiling and running the generator and repair: 0 s" in said
+
+        def anneal(number):
+            return number + 1
+
+        anneal.__module__ = "qdenv.repair.anneal.moves"
+        assert numba.njit(anneal)(1) == 2
+        said = wait_for("compiling repair.anneal, once on this machine", capsys)
+        assert "compiling repair.anneal, once on this machine" in said
+
+        shown.update(4, "QD-score 3")
+        assert "4/8" in wait_for("QD-score 3", capsys)
+        time.sleep(0.05)
+        capsys.readouterr()
+        time.sleep(0.05)
+        assert not capsys.readouterr().err  # it ticks no more
+
+
+def test_it_shows_nothing_unless_asked(capsys):
+    with Progress(8, False) as shown:
+        shown.begin(4)
+        time.sleep(0.05)
+        shown.update(4, "QD-score 3")
+    assert capsys.readouterr().err == ""
