@@ -65,7 +65,7 @@ def run(
         "cpu_seconds_per_evaluation": loop["cpu"] / (iterations * batch),
         "first_iteration_with_compilation": first,
         "peak_memory_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
-        "cpu_share_percent": split(experiment, state),
+        "cpu_share_percent": split(experiment._replace(algorithm=algorithm), state),
     }
     print(json.dumps(result, indent=1))
     if json_file:
@@ -75,6 +75,10 @@ def run(
 
 def split(experiment: Experiment, state: Any) -> dict[str, float]:
     """Run an iteration stage by stage, compiled beforehand: shares of the CPU seconds, per cent.
+
+    Args:
+        experiment: with the algorithm as the loop before ran it.
+        state: of the search.
 
     Raises:
         InputError: nothing is repaired in this domain.
@@ -90,7 +94,7 @@ def split(experiment: Experiment, state: Any) -> dict[str, float]:
     def clock_compiled(name: str, function: Callable, *given: Any) -> Any:
         return clock(name, jax.jit(function).lower(*given).compile(), *given)
 
-    solutions, state = clock_compiled("search", algorithm.ask, state)
+    solutions, state = clock("search", algorithm.ask, state)
     unrepaired = np.asarray(clock_compiled("NCA", pipeline.grow, solutions))
     if pipeline.pool is None:
         raise InputError("nothing is repaired in this domain: take a preset of another one")
@@ -103,7 +107,7 @@ def split(experiment: Experiment, state: Any) -> dict[str, float]:
     evaluation = clock_compiled(
         "score", pipeline.score, unrepaired, repair.layout, repair.status, runs
     )
-    clock_compiled("search", algorithm.tell, state, solutions, evaluation.score, kept(evaluation))
+    clock("search", algorithm.tell, state, solutions, evaluation.score, kept(evaluation))
     total = sum(spent.values())
     return {name: round(100 * seconds / total, 2) for name, seconds in spent.items()}
 

@@ -15,7 +15,7 @@ from qdenv.grid import draw, parse
 from qdenv.types import Array, InputError
 
 MAX_BYTES = 32 * 2**20
-MAX_SIDE = 1000  # rows or columns; a distance table beyond this fits no memory
+MAX_SIDE = 1000  # rows or columns; nothing larger was tried
 
 
 def read_layout(path: str | Path, tiles: str) -> np.ndarray:

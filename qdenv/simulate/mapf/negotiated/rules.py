@@ -1,8 +1,11 @@
 """The rules of the negotiated planner, once; both backends run these functions as they stand.
 
 In `xla` their arguments are traced arrays, in `numba` machine integers: so a rule is made of
-operators alone, without a branch. A *set* is a word (or words) with one bit per cell, or per
-timestep served; a *mask* is a set that is all ones or empty; a *truth* is a bool, or 1 and 0.
+operators alone, without a branch. XLA moves whole sets of cells at once; the host visits one state
+after the other, so it asks the rules of moves, ties and turns, and finds the same paths.
+
+A *set* is a word (or words) with one bit per cell, or per timestep served; a *mask* is a set that
+is all ones or empty; a *truth* is a bool, or 1 and 0.
 
 An agent looks at a square of cells, E rows and E columns with itself in the middle. It has two
 *legs*: 0 on the way to its current goal, 1 on the way to the next one. A path may drive over
