@@ -1,17 +1,27 @@
 """The annealer: its tables and its bookkeeping against slow recomputation."""
 
+import itertools
+
+import numba
 import numpy as np
 import pytest
 from numba.core.errors import NumbaError
 from scipy import ndimage
 
 from qdenv.domains.base import find_domain
+from qdenv.native import kernel
 from qdenv.repair.anneal.annealer import anneal
-from qdenv.repair.anneal.connectivity import tabulate_ring_pieces
-from qdenv.repair.anneal.kernel import kernel
-from qdenv.repair.anneal.loop import anneal_loop
-from qdenv.repair.anneal.start import compile_board, initial_state, project
-from qdenv.repair.anneal.state import Column, no_move
+from qdenv.repair.anneal.connectivity import RING_PIECES, may_close, tabulate_ring_pieces
+from qdenv.repair.anneal.joining import join_pieces
+from qdenv.repair.anneal.loop import anneal_periods
+from qdenv.repair.anneal.start import (
+    compile_board,
+    initial_aisles,
+    initial_state,
+    project,
+    unpad_layout,
+)
+from qdenv.repair.anneal.state import Board, Plan, State, Trait, no_move
 from qdenv.repair.anneal.templates import draw_templates
 from qdenv.repair.audit import audit
 from qdenv.repair.facts import Facts
@@ -71,6 +81,13 @@ def test_facts_follow_from_the_rules():
     assert facts.cost(np.ones((9, 10), np.int8), np.zeros((9, 10), np.int8)) == 90 + 27
 
 
+def plan_of(moves: int, seed: int, periods: int = 100) -> Plan:
+    """Plan a hot run."""
+    period = max(moves // periods, 1)
+    count = max(-(-moves // period), 1)
+    return Plan(np.uint64(seed), moves, period, count, (2.0, 1.0), (0.5, 0.5))
+
+
 @pytest.mark.parametrize("aisle", [1, 2])
 def test_bookkeeping_and_connectivity_survive_thousands_of_moves(aisle):
     rules = mixed_rules(aisle=aisle)
@@ -80,18 +97,96 @@ def test_bookkeeping_and_connectivity_survive_thousands_of_moves(aisle):
         board = compile_board(layout, Facts(rules))
         candidate = project(board, layout, rng)
         for moves in (0, 3000):
-            state = initial_state(board, candidate)
-            draws = np.array([seed + 1], np.uint64)
-            anneal_loop(board, state, no_move(), draws, moves, (2.0, 1.0), (0.5, 0.5))
-            fresh = initial_state(board, state.candidate)
-            for field in ("driving", "tally", "counts", "closed", "cover")[
-                : 3 if aisle == 1 else 5
-            ]:
+            aisles = initial_aisles(board, candidate, aisle)
+            state, plan = initial_state(board, candidate, aisles), plan_of(moves, seed)
+            anneal_periods(board, state, aisles, no_move(), plan, 0, plan.periods)
+            assert (state.candidate != candidate).any() == (moves > 0)
+            fresh_aisles = initial_aisles(board, state.candidate, aisle)
+            fresh = initial_state(board, state.candidate, fresh_aisles)
+            for field in ("ring", "tally", "counts"):
                 assert (getattr(state, field) == getattr(fresh, field)).all(), field
-            driving = board.tile_table[state.candidate, Column.DRIVES].reshape(11, 12) == 1
+            for field in ("driving", "closed", "cover") if aisle > 1 else ():
+                assert (getattr(aisles, field) == getattr(fresh_aisles, field)).all(), field
+            assert (state.sums[0], state.tolls[0]) == (fresh.sums[0], fresh.tolls[0])
+            driving = board.traits[state.candidate, Trait.DRIVES].reshape(11, 12) == 1
             assert ndimage.label(driving, CROSS)[1] == 1
             differs = np.flatnonzero(state.candidate != board.layout)
             assert sorted(state.changed[1 : 1 + state.changed[0]]) == differs.tolist()
+
+
+def test_the_best_layout_costs_what_was_noted_for_it():
+    """`best` follows by differences; the sum of its changes tells whether it lost one."""
+    facts = Facts(mixed_rules())
+    layout = np.random.default_rng(3).integers(0, 5, (9, 10)).astype(np.int8)
+    board = compile_board(layout, facts)
+    state = initial_state(board, project(board, layout, np.random.default_rng(0)), None)
+    noted = set()
+    plan = plan_of(200_000, 3)._replace(temperatures=(1.0, 0.1), penalty_weights=(1.0, 3.0))
+    for period in range(plan.periods):
+        anneal_periods(board, state, None, no_move(), plan, period, period + 1)
+        if np.isfinite(state.sums[1]):
+            best = unpad_layout(state.best, 12)
+            assert facts.cost(best, layout) == state.sums[1] and audit(best, facts.rules) == []
+            noted.add(state.sums[1])
+    assert len(noted) > 3
+
+
+def test_a_run_cut_into_pieces_goes_the_same_way():
+    layout = np.random.default_rng(1).integers(0, 5, (9, 10)).astype(np.int8)
+    board, ended = compile_board(layout, Facts(mixed_rules())), []
+    for cuts in ([0, 100], [0, 1, 37, 99, 100]):
+        state = initial_state(board, project(board, layout, np.random.default_rng(0)), None)
+        for first, last in itertools.pairwise(cuts):
+            anneal_periods(board, state, None, no_move(), plan_of(5000, 7), first, last)
+        ended.append(state)
+    for field, other in zip(*ended, strict=True):
+        assert (field == other).all()
+
+
+@pytest.mark.parametrize("open_share", [0.5, 0.6, 0.75])
+def test_walkers_find_what_labelling_finds(open_share):
+    """Every cell of random mazes: may it close without cutting the driving area in two?"""
+    rng, asked, walked = np.random.default_rng(int(100 * open_share)), 0, 0
+    for _ in range(60):
+        layout = np.where(rng.random((9, 10)) < open_share, 0, 1).astype(np.int8)
+        board = compile_board(layout, Facts(open_rules(9, 10)))
+        candidate = project(board, layout, rng)
+        state = initial_state(board, candidate, None)
+        driving = board.traits[candidate, Trait.DRIVES].reshape(11, 12) == 1
+        for cell in np.flatnonzero(driving):
+            without = driving.copy()
+            without.ravel()[cell] = False
+            alone = driving.sum() == 1
+            expected = ndimage.label(without, CROSS)[1] == 1 and not alone
+            assert ask_walkers(board, state, cell) == expected
+            asked += 1
+            walked += RING_PIECES[state.ring[cell]] > 1
+    assert asked > 2000 and walked > 400
+
+
+@numba.njit
+def ask_walkers(board: Board, state: State, cell: int) -> bool:
+    return may_close(board, state, cell)
+
+
+def open_rules(rows: int, cols: int) -> Rules:
+    """Nothing but one driving area."""
+    everything = np.ones((rows, cols, 2), bool)
+    return Rules(".@", (), (), ".", everything, np.ones((rows, cols)))
+
+
+def test_pieces_are_joined_by_the_shortest_ways():
+    drawing = ["..@@.", "@@@@@", ".@@@@", "@@.@@"]
+    driving = np.pad(np.array([[tile == "." for tile in row] for row in drawing]), 1).ravel()
+    may_open = np.pad(np.ones((4, 5), bool), 1).ravel()
+    joined, hanging = join_pieces(driving, may_open, root=8, stride=7)
+    # Two cells to the right, one down, and from there two on to the right.
+    assert (joined & ~driving).sum() == 5
+    assert (hanging == joined).all()
+    assert ndimage.label(joined.reshape(6, 7), CROSS)[1] == 1
+    may_open[3 * 7 : 5 * 7] = False
+    joined, hanging = join_pieces(driving, may_open, root=8, stride=7)
+    assert np.flatnonzero(joined & ~hanging).tolist() == [31]
 
 
 def test_the_initial_state_counts_the_same_breaches_as_the_audit_finds():
@@ -100,7 +195,7 @@ def test_the_initial_state_counts_the_same_breaches_as_the_audit_finds():
     layout[6, 6] = 4  # an endpoint without a station; one 0 and two of 1 and 2 are missing
     board = compile_board(layout, Facts(mixed_rules()))
     start = project(board, layout, np.random.default_rng(0))
-    assert initial_state(board, start).broken == 1 + 1 + 2
+    assert initial_state(board, start, None).tolls[0] == 1 + 1 + 2
 
 
 def test_same_seed_same_layout_and_cost():
@@ -158,6 +253,12 @@ def test_too_many_kinds_are_refused_in_one_line():
     rules = mixed_rules()._replace(tiles="abcdefghijklmnopqrstu", counts=(), adjacency=())
     with pytest.raises(InputError, match="at most 20 kinds of tile"):
         compile_board(np.zeros((9, 10), np.int8), Facts(rules))
+
+
+def test_too_many_needs_are_refused_in_one_line():
+    pairs = tuple(Adjacency("0", other) for other in ("1", "2", "e", ".", "12", "1e", "2e", "12e"))
+    with pytest.raises(InputError, match="at most 7 different neighbours"):
+        compile_board(np.zeros((9, 10), np.int8), Facts(mixed_rules()._replace(adjacency=pairs)))
 
 
 def test_free_changes_are_no_division_by_zero():

@@ -15,7 +15,7 @@ from qdenv.repair.facts import Facts
 from qdenv.repair.milp.cuts import separate
 from qdenv.repair.milp.program import build, decode, encode
 from qdenv.repair.recipe import repair
-from qdenv.repair.settings import RepairConfig
+from qdenv.repair.settings import EFFORTS, RepairConfig
 from qdenv.types import Adjacency, Count, InputError, RepairStatus, Rules
 
 FULL = RepairConfig("full", moves_per_cell=300)
@@ -172,14 +172,27 @@ def test_a_limit_is_a_positive_number_or_left_out(name):
     assert RepairConfig(**{name: 0}) == RepairConfig()  # as runs of the first version say it
 
 
-def test_the_annealer_gets_the_solvers_time_only_where_the_solver_may_not_branch():
-    assert RepairConfig("quick").count_moves(3000) == 3000 * 600
-    assert RepairConfig("quick").count_moves(3001) == 3001 * 600 * 2
+def test_moves_grow_with_the_cells_and_with_the_polish():
+    assert RepairConfig("none").count_moves(4000) == 4000 * 400
+    assert RepairConfig("quick").count_moves(4000) == 4000 * 1400
     assert RepairConfig("quick", moves_per_cell=7).count_moves(4000) == 4000 * 7
-    assert RepairConfig("none").count_moves(4000) == 4000 * 800
     assert RepairConfig("full").count_moves(4000) == 4000 * 2500
     assert RepairConfig("full").count_moves(1) == 20_000
     assert RepairConfig("full", node_limit=3).effort.milp.node_limit == 3
+
+
+def test_only_full_asks_the_solver():
+    assert [RepairConfig(level).effort.windows is None for level in EFFORTS] == [True, True, False]
+    assert [RepairConfig(level).effort.milp is None for level in EFFORTS] == [True, True, False]
+
+
+def test_a_repair_says_how_far_it_is_and_what_is_told_changes_nothing():
+    layout, told = np.full((8, 9), 2, np.int8), []
+    rules = yard(8, 9, 14, 14)
+    found = repair(layout, rules, 0, FULL, lambda doing, done: told.append((doing, done)))
+    assert [doing for doing, _ in told if doing == "annealing"]
+    assert told[0][1] <= 1 and {"solving windows"} <= {doing for doing, _ in told}
+    assert (found.layout == repair(layout, rules, 0, FULL).layout).all()
 
 
 SLANTED_SHELVES = """

@@ -169,9 +169,9 @@ def measure_population(kind: str, count: int) -> dict[str, Any]:
 
 
 def count_failures(kind: str, count: int) -> dict[str, Any]:
-    """Anneal and audit hard layouts, with a third of the usual moves.
+    """Anneal and audit hard layouts, with a seventh of the moves of a search.
 
-    Without the solver: it only ever starts from a feasible layout.
+    Without the solver, which only ever starts from a feasible layout.
     """
     config = RepairConfig("none", moves_per_cell=200)
     rules, seconds, failed, broken = rules_at_size(kind), [], 0, 0

@@ -1,10 +1,12 @@
 """Commands about layouts: repair, check."""
 
+import contextlib
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import tyro
+from tqdm import tqdm
 
 from qdenv.commands.choices import USUAL, Numbers
 from qdenv.domains.base import Domain, find_domain
@@ -19,6 +21,30 @@ from qdenv.types import InputError, RepairStatus, Rules
 
 LayoutFile = tyro.conf.Positional[Path]
 JsonFile = Annotated[Path | None, tyro.conf.arg(name="json")]
+PATIENCE = 3.0  # seconds that pass before progress is shown
+BAR = "{desc} {percentage:3.0f} %|{bar:30}| {elapsed}, {remaining} left"
+
+
+class Progress:
+    """A bar on a terminal for each step of a repair that takes longer than a person waits."""
+
+    def __init__(self) -> None:
+        """Show nothing yet."""
+        self.bar: tqdm | None = None
+
+    def __call__(self, doing: str, done: float) -> None:
+        """Show which share of a step is done."""
+        if self.bar is None or self.bar.desc != doing:
+            self.close()
+            show = {"bar_format": BAR, "delay": PATIENCE, "leave": False, "disable": None}
+            self.bar = tqdm(total=1.0, desc=doing, **show)
+            self.bar.desc = doing
+        self.bar.update(done - self.bar.n)
+
+    def close(self) -> None:
+        """Take the bar away."""
+        if self.bar is not None:
+            self.bar.close()
 
 
 def rules_of(domain: Domain, layout: np.ndarray, numbers: Numbers) -> Rules:
@@ -61,7 +87,8 @@ def repair(
     reason = impossible(rules)
     if reason:
         raise InputError(f"{layout}: no repair exists: {reason}")
-    result = repair_layout(before, rules, seed, RepairConfig(polish=polish))
+    with contextlib.closing(Progress()) as progress:
+        result = repair_layout(before, rules, seed, RepairConfig(polish=polish), progress)
     broken = audit(np.asarray(result.layout), rules)
     facts = {
         "status": RepairStatus(int(result.status)).name.lower(),

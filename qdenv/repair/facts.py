@@ -93,6 +93,12 @@ class Facts:
         return np.array(pairs, np.int64).reshape(-1, 2)
 
     @cached_property
+    def bounded_kinds(self) -> list[tuple[int, int, list[int]]]:
+        """List the lowest and highest number in each bound, then the tiles that count in it."""
+        pairs = zip(self.count_bounds.tolist(), self.counting, strict=True)
+        return [(low, high, np.flatnonzero(counts).tolist()) for (low, high), counts in pairs]
+
+    @cached_property
     def roles(self) -> list[list[int]]:
         """Group the tiles by role, in the order of the alphabet."""
         demanding = self.rules.adjacency

@@ -64,15 +64,15 @@ def _choose_kinds(
 ) -> np.ndarray:
     """Choose among `members` for the cells `new` (int64 [n, 2]); returns the counts (int [K])."""
     counts = np.bincount(candidate.ravel(), minlength=len(facts.rules.tiles))
-    for cell in new:
-        counts[candidate[tuple(cell)]] -= 1
-    for cell in rng.permutation(new):
-        kind = min(
-            members, key=lambda kind: (_excess_of_one_more(counts, kind, facts), counts[kind])
-        )
-        candidate[tuple(cell)] = kind
-        counts[kind] += 1
-    return counts
+    counts -= np.bincount(candidate[tuple(new.T)], minlength=counts.size)
+    # Which cell gets which kind is left to chance: only the numbers of each are chosen.
+    held, chosen = counts.tolist(), []
+    for _ in range(len(new)):
+        kind = min(members, key=lambda kind: (_excess_of_one_more(held, kind, facts), held[kind]))
+        chosen.append(kind)
+        held[kind] += 1
+    candidate[tuple(rng.permutation(new).T)] = chosen
+    return np.array(held)
 
 
 def _turn_kinds(
@@ -84,34 +84,35 @@ def _turn_kinds(
     rng: np.random.Generator,
 ) -> None:
     """Turn cells of `kept` (int64 [n, 2]) into other kinds while that brings a bound nearer."""
-    for cell in rng.permutation(kept):
-        if _excess(counts, facts) == 0:
+    wanting = excess(counts, facts)
+    for cell in rng.permutation(kept) if wanting else ():
+        if wanting == 0:
             break
-        old = candidate[tuple(cell)]
-        best = min(members, key=lambda kind: _excess_of_swap(counts, old, kind, facts))
-        if _excess_of_swap(counts, old, best, facts) < 0:
-            candidate[tuple(cell)] = best
+        old, left = candidate[tuple(cell)], {}
+        for kind in members:
+            after = counts.copy()
+            after[old] -= 1
+            after[kind] += 1
+            left[kind] = excess(after, facts)
+        best = min(members, key=left.__getitem__)
+        if left[best] < wanting:
+            candidate[tuple(cell)], wanting = best, left[best]
             counts[old] -= 1
             counts[best] += 1
 
 
-def _excess(counts: np.ndarray, facts: Facts) -> int:
+def excess(counts: np.ndarray, facts: Facts) -> int:
     """Sum how far the counts (int [K]) are outside their bounds."""
     low, high = facts.count_bounds.T
     held = facts.counting @ counts
     return int(np.maximum(low - held, held - high).clip(0).sum())
 
 
-def _excess_of_one_more(counts: np.ndarray, kind: int, facts: Facts) -> int:
-    """Change of the excess when one more tile of `kind` is there."""
-    after = counts.copy()
-    after[kind] += 1
-    return _excess(after, facts) - _excess(counts, facts)
-
-
-def _excess_of_swap(counts: np.ndarray, old: int, new: int, facts: Facts) -> int:
-    """Change of the excess when a tile `old` turns into `new`."""
-    after = counts.copy()
-    after[old] -= 1
-    after[new] += 1
-    return _excess(after, facts) - _excess(counts, facts)
+def _excess_of_one_more(held: list[int], kind: int, facts: Facts) -> int:
+    """Change of the excess when one more tile of `kind` joins `held` of each."""
+    change = 0
+    for low, high, kinds in facts.bounded_kinds:
+        if kind in kinds:
+            count = sum(held[other] for other in kinds)
+            change += (count >= high) - (count < low)
+    return change

@@ -1,8 +1,8 @@
-"""The repair of one layout: bound its cost, anneal, audit, improve.
+"""The repair of one layout: bound its cost, anneal, audit; where it is asked for, improve.
 
 Anneal first: that finds a feasible layout in a fraction of a second whatever came in, where the
-solver alone often finds none. The solver then starts from it, lowers its cost and bounds how low a
-cost can be.
+solver alone often finds none. The solver then starts from it: it improves windows of the layout,
+and on the whole of it lowers the cost and bounds how low a cost can be.
 """
 
 import hashlib
@@ -17,8 +17,9 @@ from qdenv.repair.audit import audit
 from qdenv.repair.bounds import bound_cost, find_contradiction
 from qdenv.repair.facts import Facts
 from qdenv.repair.kinds import balance
-from qdenv.repair.milp.improve import improve
-from qdenv.repair.result import Result
+from qdenv.repair.milp.improve import improve, keep_cheaper
+from qdenv.repair.milp.windows import WindowSearch
+from qdenv.repair.result import Report, Result, no_report
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import Repair, RepairStatus, Rules
 
@@ -26,7 +27,11 @@ MAX_TEMPLATES = 4  # regular layouts to start from, those that break the fewest 
 
 
 def repair(
-    layout: np.ndarray, rules: Rules, seed: int = 0, config: RepairConfig | None = None
+    layout: np.ndarray,
+    rules: Rules,
+    seed: int = 0,
+    config: RepairConfig | None = None,
+    report: Report = no_report,
 ) -> Repair:
     """Find the cheapest layout near `layout` that obeys `rules`.
 
@@ -36,6 +41,7 @@ def repair(
         seed: any integer; mixed with the layout's content. The same seed gives the same layout,
             another seed may give another one of equal cost.
         config: limits; defaults to `RepairConfig()`.
+        report: told what is being done, and from 0 to 1 how much of it is.
 
     Returns:
         A `Repair` of numpy values. Status `IMPOSSIBLE` or `FAILED` returns the layout as it came,
@@ -46,30 +52,37 @@ def repair(
     layout, facts = np.asarray(layout, np.int8), Facts(rules)
     best = Result(layout, np.inf, np.inf, RepairStatus.IMPOSSIBLE)
     if find_contradiction(facts) is None:
-        best = _repair_possible(layout, facts, mix_seed(layout, seed), config)
+        best = _repair_possible(layout, facts, mix_seed(layout, seed), config, report)
     return best.record(time.thread_time() - begin)
 
 
-def _repair_possible(layout: np.ndarray, facts: Facts, seed: int, config: RepairConfig) -> Result:
+def _repair_possible(
+    layout: np.ndarray, facts: Facts, seed: int, config: RepairConfig, report: Report
+) -> Result:
     """Repair a layout whose rules do not contradict each other."""
-    bound = bound_cost(layout, facts)
-    candidate, cost = _anneal_until_feasible(layout, facts, seed, config)
+    bound, effort = bound_cost(layout, facts), config.effort
+    candidate, cost = _anneal_until_feasible(layout, facts, seed, config, report)
     if candidate is None:
         return Result(layout, np.inf, bound, RepairStatus.FAILED)
     best = Result(candidate, cost, bound, RepairStatus.ANNEALED)
+    if effort.windows is not None and facts.rules.aisle <= 1 and not best.proven():
+        search = WindowSearch(layout, candidate, facts, seed)
+        best = keep_cheaper(best, search.run(effort.windows, report), layout, facts)
     if best.proven():
         return best._replace(status=RepairStatus.OPTIMAL)
-    limits = config.effort.milp
-    return best if limits is None else improve(layout, facts, best, seed, config, limits)
+    if effort.milp is None or facts.free_cells > effort.milp.max_cells:
+        return best
+    report("solving the whole layout", 0.0)
+    return improve(layout, facts, best, seed, config, effort.milp)
 
 
 def _anneal_until_feasible(
-    layout: np.ndarray, facts: Facts, seed: int, config: RepairConfig
+    layout: np.ndarray, facts: Facts, seed: int, config: RepairConfig, report: Report
 ) -> tuple[np.ndarray | None, float]:
     """Anneal until a layout passes the audit: from the input, then from regular layouts."""
     moves = config.count_moves(facts.free_cells)
     for attempt, (start, schedule) in enumerate(_starts(layout, facts)):
-        candidate, cost = anneal(layout, facts, seed + attempt, moves, start, schedule)
+        candidate, cost = anneal(layout, facts, seed + attempt, moves, start, schedule, report)
         if candidate is not None and not audit(candidate, facts.rules):
             return balance(candidate, cost, layout, facts, seed)
     return None, np.inf

@@ -1,12 +1,19 @@
 """What a repair has found so far."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from qdenv.types import Repair, RepairStatus
 
+Report = Callable[[str, float], None]  # told what is being done, and which share of it is done
+
 TOLERANCE = 1e-6  # how far a bound may miss a cost that it proves
+
+
+def no_report(doing: str, done: float) -> None:
+    """Tell nobody how far a repair is."""
 
 
 class Result(NamedTuple):

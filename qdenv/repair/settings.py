@@ -7,7 +7,7 @@ from qdenv.types import InputError
 
 
 class MilpLimits(NamedTuple):
-    """When the solver branches, and how long; deterministic.
+    """When the solver works on a whole layout, and how long; deterministic.
 
     Attributes:
         node_limit: branch-and-bound nodes of one solve.
@@ -15,15 +15,30 @@ class MilpLimits(NamedTuple):
             of its work.
         rounds: solves, each with more connectivity cuts.
         max_gap_to_branch: relative gap of the relaxation beyond which branching would not pay.
-        max_cells_to_branch: free cells beyond which one round of work takes seconds; there the
-            annealer makes twice as many moves instead. None for any number.
+        max_cells: free cells beyond which nothing is bounded: the relaxation alone takes minutes.
     """
 
     node_limit: int
     interrupt_budget: int
     rounds: int
     max_gap_to_branch: float
-    max_cells_to_branch: int | None
+    max_cells: int
+
+
+class WindowLimits(NamedTuple):
+    """How long windows of a layout are solved, one after the other; deterministic.
+
+    Attributes:
+        side: cells a side of one window.
+        windows: how many are tried in vain on a layout of a thousand cells; more on larger ones.
+        reward: how many more are tried for each unit of cost that one has saved.
+        node_limit: branch-and-bound nodes of one window.
+    """
+
+    side: int
+    windows: int
+    reward: float
+    node_limit: int
 
 
 class Effort(NamedTuple):
@@ -31,35 +46,31 @@ class Effort(NamedTuple):
 
     Attributes:
         moves_per_cell: annealing moves per free cell.
-        milp: limits of the solver; None where it is not asked.
+        windows: limits of the solver on windows; None where it solves none.
+        milp: limits of the solver on the whole layout; None where it is not asked.
     """
 
     moves_per_cell: int
-    milp: MilpLimits | None
+    windows: WindowLimits | None = None
+    milp: MilpLimits | None = None
 
 
-NONE = Effort(800, None)
-QUICK = Effort(
-    600,
-    MilpLimits(
-        node_limit=1,
-        interrupt_budget=6,
-        rounds=2,
-        max_gap_to_branch=0.03,
-        max_cells_to_branch=3000,
+# Windows saved less than more annealing did in the same time, on layouts of a search most clearly.
+EFFORTS = {
+    "none": Effort(400),
+    "quick": Effort(1400),
+    "full": Effort(
+        2500,
+        WindowLimits(side=8, windows=6, reward=6.0, node_limit=1),
+        MilpLimits(
+            node_limit=1000,
+            interrupt_budget=100,
+            rounds=4,
+            max_gap_to_branch=0.08,
+            max_cells=20_000,
+        ),
     ),
-)
-FULL = Effort(
-    2500,
-    MilpLimits(
-        node_limit=1000,
-        interrupt_budget=100,
-        rounds=4,
-        max_gap_to_branch=0.08,
-        max_cells_to_branch=None,
-    ),
-)
-EFFORTS = {"none": NONE, "quick": QUICK, "full": FULL}
+}
 MIN_MOVES = 20_000  # a few milliseconds, which tiny layouts need as well
 
 
@@ -68,8 +79,9 @@ class RepairConfig:
     """Limits of one repair; all but `time_limit` are deterministic.
 
     Attributes:
-        polish: "none" anneals only, "quick" adds a short solver run where it pays, "full" anneals
-            longer and lets the solver run to a proof or to its limits.
+        polish: "none" anneals as little as is safe, "quick" as long as a search can afford, "full"
+            longer; then the solver improves windows, and runs on the whole layout to a proof or to
+            its limits.
         moves_per_cell: annealing moves per free cell; None for what `polish` means.
         gap: relative gap at which the solver stops.
         node_limit: branch-and-bound nodes of one solve; None for what `polish` means.
@@ -107,18 +119,6 @@ class RepairConfig:
             effort = effort._replace(milp=effort.milp._replace(node_limit=self.node_limit))
         return effort
 
-    def branches_on(self, cells: int) -> bool:
-        """Whether the solver may branch on layouts of so many free cells."""
-        milp = self.effort.milp
-        if milp is None:
-            return False
-        return milp.max_cells_to_branch is None or cells <= milp.max_cells_to_branch
-
     def count_moves(self, cells: int) -> int:
         """Count the annealing moves for layouts of so many free cells."""
-        effort = self.effort
-        # Where the solver is asked but may not branch, the annealer gets its time, unless the user
-        # chose how long it runs.
-        instead = effort.milp is not None and not self.branches_on(cells)
-        twice = 2 if instead and self.moves_per_cell is None else 1
-        return max(cells * effort.moves_per_cell * twice, MIN_MOVES)
+        return max(cells * self.effort.moves_per_cell, MIN_MOVES)

@@ -4,10 +4,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.repair.anneal.loop import anneal_loop
-from qdenv.repair.anneal.start import compile_board, initial_state, project, unpad_layout
-from qdenv.repair.anneal.state import no_move
+from qdenv.repair.anneal.loop import anneal_periods
+from qdenv.repair.anneal.start import (
+    compile_board,
+    initial_aisles,
+    initial_state,
+    project,
+    unpad_layout,
+)
+from qdenv.repair.anneal.state import Board, Plan, no_move
 from qdenv.repair.facts import Facts
+from qdenv.repair.result import Report, no_report
+
+PERIODS = 1000  # times the schedule moves on in one run
+CHUNK = 2_000_000  # moves between two reports, a fraction of a second
 
 
 class Schedule(NamedTuple):
@@ -40,6 +50,7 @@ def anneal(
     moves: int,
     start: np.ndarray,
     schedule: Schedule = GENTLE,
+    report: Report = no_report,
 ) -> tuple[np.ndarray | None, float]:
     """Find a cheap layout that obeys every rule.
 
@@ -50,24 +61,38 @@ def anneal(
         moves: proposed moves.
         start: int8 [H, W], where to start; the input itself will do.
         schedule: how to cool down.
+        report: told now and then which share of the moves is done.
 
     Returns:
         The best feasible layout (int8 [H, W]) and its cost, or (None, inf).
     """
     board, rng = compile_board(layout, facts), np.random.default_rng(abs(seed))
-    state = initial_state(board, project(board, start, rng))
-    costs = board.change_cost[board.free]
-    mean, top = (costs.mean(), costs.max()) if costs.any() else (1.0, 1.0)
-    (first_temperature, last_temperature), (first_weight, last_weight) = schedule
-    cost = anneal_loop(
-        board,
-        state,
-        no_move(),
-        rng.integers(1, 2**63, 1).astype(np.uint64),
-        moves if board.free.size else 0,
-        (first_temperature * mean, last_temperature * mean),
-        (first_weight * top, last_weight * top),
-    )
-    if not np.isfinite(cost):
+    candidate, move = project(board, start, rng), no_move()
+    aisles = initial_aisles(board, candidate, facts.rules.aisle)
+    state = initial_state(board, candidate, aisles)
+    plan = _make_plan(board, int(rng.integers(1 << 63)), moves, schedule)
+    # In pieces, so that a long run can tell how far it is.
+    chunk = max(CHUNK // plan.period, 1)
+    for first in range(0, plan.periods, chunk):
+        last = min(first + chunk, plan.periods)
+        anneal_periods(board, state, aisles, move, plan, first, last)
+        report("annealing", last / plan.periods)
+    if not np.isfinite(state.sums[1]):
         return None, float("inf")
-    return unpad_layout(state.best, board.stride), float(cost)
+    best = unpad_layout(state.best, int(board.steps[4]))
+    return best, facts.cost(best, layout)
+
+
+def _make_plan(board: Board, seed: int, moves: int, schedule: Schedule) -> Plan:
+    """Turn a schedule into numbers for one board."""
+    costs, moves = board.change_cost[board.free], moves if board.free.size else 0
+    mean, top = (float(costs.mean()), float(costs.max())) if costs.any() else (1.0, 1.0)
+    period = max(moves // PERIODS, 1)
+    return Plan(
+        seed=np.uint64(seed),
+        moves=moves,
+        period=period,
+        periods=max(-(-moves // period), 1),
+        temperatures=(schedule.temperatures[0] * mean, schedule.temperatures[1] * mean),
+        penalty_weights=(schedule.penalty_weights[0] * top, schedule.penalty_weights[1] * top),
+    )

@@ -1,116 +1,154 @@
-"""Keeping the driving area in one piece: the ring test and the lockstep search.
+"""Keeping the driving area in one piece: the ring test and the walk along the walls.
 
 Compiled by numba and free of the interpreter lock. A cell may close without a search where it is a
 simple point of digital topology (Kong and Rosenfeld 1989,
-https://doi.org/10.1016/0734-189X(89)90147-3), which its eight neighbours tell.
+https://doi.org/10.1016/0734-189X(89)90147-3), which its eight neighbours tell. Elsewhere walkers
+leave it with their left hand on the wall. On a plane a walker that comes back from where it left
+has gone round a part that nothing else joins to the rest.
 """
 
 import numpy as np
 
-from qdenv.repair.anneal.kernel import kernel
-from qdenv.repair.anneal.state import Board, Search
+from qdenv.native import formula, kernel
+from qdenv.repair.anneal.state import Board, State
 
-SEARCH_LIMIT = 4000  # cells a connectivity search may visit before the move is refused
+SIDES = 0b01010101  # the 4-neighbours among the places of a ring
+MAX_STEPS = 200  # of one walker, before the move is refused
+STRIDE = 8  # steps a walker makes in one go
+
+
+def _ring_bits() -> np.ndarray:
+    """List the bits of all 3x3 ring patterns (int64 [256, 8])."""
+    return np.arange(256)[:, None] >> np.arange(8) & 1
 
 
 def tabulate_ring_pieces() -> np.ndarray:
-    """Count, for each 3x3 ring pattern, the pieces its open 4-neighbours form (int64 [256]).
+    """Count, for each 3x3 ring pattern, the pieces its open 4-neighbours form (int8 [256]).
 
-    Bit b of a pattern is neighbour b, clockwise from the top. Two neighbouring 4-neighbours hang
-    together when the corner between them is open. One piece: a simple point.
+    Two neighbouring 4-neighbours hang together when the corner between them is open. One piece: a
+    simple point.
     """
-    bits = np.array([[pattern >> place & 1 for place in range(8)] for pattern in range(256)])
+    bits = _ring_bits()
     linked = [bits[:, p] & bits[:, p + 1] & bits[:, (p + 2) % 8] for p in (0, 2, 4, 6)]
-    return np.where(bits.all(1), 1, bits[:, ::2].sum(1) - sum(linked)).astype(np.int64)
+    return np.where(bits.all(1), 1, bits[:, ::2].sum(1) - sum(linked)).astype(np.int8)
 
 
-@kernel
-def may_open(driving: np.ndarray, cell: int, stride: int) -> bool:
-    """Whether a closed cell touches the driving area."""
-    across = driving[cell + 1] + driving[cell - 1]
-    return across + driving[cell + stride] + driving[cell - stride] > 0
+def _tabulate_set_bits() -> np.ndarray:
+    """List, for each pattern, how many bits are set, then which (int8 [256, 9])."""
+    table = np.zeros((256, 9), np.int8)
+    for pattern, bits in enumerate(_ring_bits()):
+        places = np.flatnonzero(bits)
+        table[pattern, : 1 + places.size] = [places.size, *places]
+    return table
 
 
-@kernel
-def may_close(board: Board, driving: np.ndarray, search: Search, cell: int) -> bool:
-    """Whether the driving area stays in one piece without this cell of it."""
-    pattern = 0
+def _tabulate_turns() -> np.ndarray:
+    """Tell a walker with its left hand on the wall where to go next (int8 [4, 256]).
+
+    Headings are clockwise from the top; from one and the pattern of the cell comes the next: left
+    if that is open, else straight on, else right, else back.
+    """
+    table = np.zeros((4, 256), np.int8)
+    for heading in range(4):
+        for turn in (2, 1, 0, 3):
+            towards = (heading + turn) % 4
+            table[heading, _ring_bits()[:, 2 * towards] == 1] = towards
+    return table
+
+
+RING_PIECES = tabulate_ring_pieces()
+SET_BITS = _tabulate_set_bits()
+TURNS = _tabulate_turns()
+
+
+@formula
+def flip_driving(board: Board, ring: np.ndarray, cell: int) -> None:
+    """Tell the eight neighbours of a cell that it has opened or closed."""
     for place in range(8):
-        pattern |= driving[cell + board.offsets[place]] << place
-    pieces = board.ring_pieces[pattern]
-    # Most cells are simple points: only pieces that the ring leaves apart need a search.
-    return pieces == 1 or (pieces > 1 and _pieces_meet(board, driving, search, cell, pattern))
+        ring[cell + board.steps[place]] ^= 1 << (place + 4 & 7)
 
 
-@kernel
-def _start_queues(board: Board, search: Search, cell: int, pattern: int) -> int:
-    """Start a queue at each open 4-neighbour of `cell`; returns how many."""
-    # Four stamps a search, one for each queue; older stamps are smaller and mean "not seen".
-    search.clock[0] += 4
-    started = 0
+@formula
+def may_close(board: Board, state: State, cell: int) -> bool:
+    """Whether the driving area stays in one piece without this cell of it."""
+    pieces = RING_PIECES[state.ring[cell]]
+    # Most cells are simple points: only pieces that the ring leaves apart need walkers.
+    return pieces == 1 or (pieces > 1 and _pieces_meet(board, state, cell, pieces))
+
+
+@formula
+def _is_left_end(pattern: int, side: int) -> bool:
+    """Whether an open side of a ring hangs together with none to its left."""
+    left = pattern >> (2 * side + 6 & 7) & pattern >> (2 * side + 7 & 7) & 1
+    return pattern >> 2 * side & 1 == 1 and left == 0
+
+
+@formula
+def _send_walkers(
+    cells: np.ndarray, headings: np.ndarray, ends: np.ndarray, cell: int, pattern: int
+) -> None:
+    """Send a walker into each piece of a ring, along its left end."""
+    sent = 0
     for side in range(4):
-        search.heads[side], search.tails[side], search.groups[side] = 0, 0, side
-        if pattern >> 2 * side & 1:
-            neighbour = cell + board.offsets[2 * side]
-            search.queues[side, 0] = neighbour
-            search.stamps[neighbour] = search.clock[0] + side
-            search.tails[side] = 1
-            started += 1
-    return started
+        if _is_left_end(pattern, side):
+            cells[sent], headings[sent], ends[sent] = cell, side, -1
+            sent += 1
 
 
-@kernel
-def _merge(groups: np.ndarray, side: int, lost: int) -> None:
-    """Give the queues of group `lost` the group of queue `side`."""
-    for other in range(4):
-        if groups[other] == lost:
-            groups[other] = groups[side]
+@formula
+def _piece_of(pattern: int, heading: int, pieces: int) -> int:
+    """Number the piece of a ring from which a walker arrives that heads for the middle."""
+    piece = -1
+    for side in range((heading + 2 & 3) + 1):
+        piece += _is_left_end(pattern, side)
+    # The sides before the first left end belong to the last piece.
+    return piece if piece >= 0 else pieces - 1
 
 
-@kernel
-def _cut_off(search: Search) -> bool:
-    """Whether a group of queues has nowhere left to search."""
-    for side in range(4):
-        waiting = 0
-        for other in range(4):
-            if search.groups[other] == search.groups[side]:
-                waiting += search.tails[other] - search.heads[other]
-        if search.tails[side] > 0 and waiting == 0:
-            return True
+@formula
+def _is_single_ring(ends: np.ndarray, pieces: int) -> bool:
+    """Whether the walks, of which one has not ended, lead through all pieces."""
+    missing = pieces * (pieces - 1) // 2
+    for piece in range(pieces):
+        missing -= max(ends[piece], 0)
+    piece = 0
+    for length in range(1, pieces + 1):
+        # The last walk can only end where no other did.
+        piece = ends[piece] if ends[piece] >= 0 else missing
+        if piece == 0:
+            return length == pieces
     return False
 
 
 @kernel
-def _pieces_meet(
-    board: Board, driving: np.ndarray, search: Search, cell: int, pattern: int
-) -> bool:
-    """Search from all open neighbours in lockstep until they meet or one is cut off.
+def _pieces_meet(board: Board, state: State, cell: int, pieces: int) -> bool:
+    """Walk from all pieces in lockstep until it is known how the walls lead from one to another.
 
-    Lockstep makes the cost that of the smallest piece, or of the way round the obstacle (Even and
-    Shiloach 1981, https://doi.org/10.1145/322234.322235).
+    The walk from each piece ends at one of them, and all walks together form rings; the pieces meet
+    if that is a single ring. Lockstep makes the cost that of the smallest part, or of the way round
+    the nearest obstacle.
     """
-    groups, visited = _start_queues(board, search, cell, pattern), 0
-    stamps, clock = search.stamps, search.clock[0]
-    while visited < SEARCH_LIMIT:
-        for side in range(4):
-            if search.heads[side] == search.tails[side]:
+    ring, steps, pattern = state.ring, board.steps, state.ring[cell]
+    cells, headings, ends = state.walkers[0], state.walkers[1], state.walkers[2]
+    _send_walkers(cells, headings, ends, cell, pattern)
+    walking = pieces
+    for _ in range(MAX_STEPS // STRIDE):
+        for piece in range(pieces):
+            if ends[piece] >= 0:
                 continue
-            here = search.queues[side, search.heads[side]]
-            search.heads[side] += 1
-            visited += 1
-            for place in (0, 2, 4, 6):
-                there = here + board.offsets[place]
-                if driving[there] == 0 or there == cell:
-                    continue
-                if stamps[there] < clock:
-                    stamps[there] = clock + side
-                    search.queues[side, search.tails[side]] = there
-                    search.tails[side] += 1
-                elif search.groups[stamps[there] - clock] != search.groups[side]:
-                    _merge(search.groups, side, search.groups[stamps[there] - clock])
-                    groups -= 1
-        if groups == 1:
-            return True
-        if _cut_off(search):
-            return False
+            here, heading = cells[piece], headings[piece]
+            for _ in range(STRIDE):
+                here += steps[2 * heading]
+                if here == cell:
+                    break
+                heading = TURNS[heading, ring[here]]
+            cells[piece], headings[piece] = here, heading
+            if here != cell:
+                continue
+            ends[piece] = _piece_of(pattern, heading, pieces)
+            walking -= 1
+            if ends[piece] == piece:
+                return False
+            if walking == 1:
+                return _is_single_ring(ends, pieces)
     return False

@@ -6,96 +6,64 @@ one another are therefore changed at once.
 
 import numpy as np
 
-from qdenv.repair.anneal.kernel import kernel
-from qdenv.repair.anneal.state import NO_TILE, Board, Column, Move, State
+from qdenv.native import formula, inlined, kernel
+from qdenv.repair.anneal.chance import LEVELS, below, bits, word
+from qdenv.repair.anneal.connectivity import SET_BITS
+from qdenv.repair.anneal.energy import lacking
+from qdenv.repair.anneal.state import NO_TILE, Asked, Board, Move, State, Trait
 
-# How moves are drawn, in per cent; measured on published and random layouts at equal numbers of
-# moves: drawing near changed cells, and partners next door, each save about two thirds of them.
-FOCUS = 70  # start at a changed cell or beside one
-PAIR = 85  # flip another cell the other way when a cell joins or leaves the driving area
-NEXT_DOOR = 90  # look for that partner among the eight neighbours
-SIDE = 33  # retile a neighbour on the driving area as well
-PARTNER_TRIES = 6
-EITHER = -1  # a tile on or off the driving area
+# How moves are drawn, in parts of `LEVELS`; measured on published and random layouts at equal
+# numbers of moves: drawing near changed cells, and partners next door, each save two thirds of
+# them.
+FOCUS = round(0.70 * LEVELS)  # start at a changed cell or beside one
+PAIR = round(0.85 * LEVELS)  # flip another cell the other way where one opens or closes
+PAIR_EARLY = round(0.35 * LEVELS)  # the same while there is much to mend
+MUCH = 25  # one broken demand to so many cells: a driving area that must grow first
+NEXT_DOOR = round(0.90 * LEVELS)  # look for that partner among the eight neighbours
+SIDE = round(0.33 * LEVELS)  # retile a neighbour on the driving area as well
+STEPS = 18  # half of the draws near a changed cell step aside: to one of the 3x3 block, or stay
+TRIES = 3  # to find that partner anywhere
 NO_CELL = -1
-_U7, _U13, _U17, _U32 = (np.uint64(bits) for bits in (7, 13, 17, 32))
 
 
-@kernel
-def draw(rng: np.ndarray, bound: int) -> int:
-    """Draw from 0 .. bound - 1 (xorshift64, high bits; Marsaglia 2003).
-
-    https://doi.org/10.18637/jss.v008.i14
-    """
-    x = rng[0]
-    x ^= x << _U13
-    x ^= x >> _U7
-    x ^= x << _U17
-    rng[0] = x
-    # The high half times the bound, instead of a remainder: no division, no bias to low bits.
-    return int(np.int64(((x >> _U32) * np.uint64(bound)) >> _U32))
+@formula
+def _draw_tile(board: Board, state: State, cell: int, asked: int, source: int) -> int:
+    """Draw another tile for a cell, often its input tile, or `NO_TILE`, with seven bits."""
+    old, own, palette = state.candidate[cell], board.layout[cell], board.palette[cell]
+    drawn = board.choices[palette, asked, old, source & 63]
+    if own == old or not board.fits[palette, asked, own]:
+        return drawn
+    # The input tile costs nothing: half of the draws go back to it, and all those of its role.
+    alike = board.traits[drawn, Trait.ROLE] == board.traits[own, Trait.ROLE]
+    return own if alike or source & 64 else drawn
 
 
-@kernel
-def _is_free(board: Board, cell: int) -> bool:
-    """Whether more than one tile may stand here: more than one bit is set."""
-    return board.allowed[cell] & (board.allowed[cell] - 1) != 0
+@formula
+def _pick(board: Board, state: State, source: np.uint64) -> int:
+    """Pick a cell, mostly one that has changed or is beside one; it may be one that cannot."""
+    changed = state.changed[0]
+    if changed == 0 or bits(source, 0, 10) >= FOCUS:
+        return board.free[below(source, 32, 32, board.free.size)]
+    cell, step = state.changed[1 + below(source, 32, 32, changed)], below(source, 10, 10, STEPS)
+    return cell + board.steps[step] if step < 8 else cell
 
 
-@kernel
-def _step_aside(board: Board, rng: np.ndarray, cell: int) -> int:
-    """Step to a random cell of the 3x3 block around `cell`, itself included."""
-    return cell + (draw(rng, 3) - 1) * board.stride + draw(rng, 3) - 1
-
-
-@kernel
-def _other_tile(board: Board, state: State, rng: np.ndarray, cell: int, drives: int) -> int:
-    """Draw another tile for a cell, often its input tile, or `NO_TILE`.
-
-    `drives` asks for a tile on (1) or off (0) the driving area, or for `EITHER`.
-    """
-    table, members = board.tile_table, board.role_members
-    old, own = state.candidate[cell], board.layout[cell]
-    fits = board.allowed[cell] >> own & 1 and (drives < 0 or table[own, Column.DRIVES] == drives)
-    # The input tile costs nothing: half of the draws go back to it.
-    if old != own and fits and draw(rng, 2):
-        return own
-    # Draw a role first: three kinds of station should not be three times as likely.
-    role = draw(rng, members.shape[0])
-    if drives >= 0 and table[members[role, 1], Column.DRIVES] != drives:
-        return NO_TILE
-    # Another kind of the same role matters to the counts only, which seldom ask for it.
-    if role == table[old, Column.ROLE] and (members[role, 0] == 1 or draw(rng, 4)):
-        return NO_TILE
-    if fits and table[own, Column.ROLE] == role and own != old:
-        return own
-    new = members[role, 1 + draw(rng, members[role, 0])]
-    return new if new != old and board.allowed[cell] >> new & 1 else NO_TILE
-
-
-@kernel
-def _partner(board: Board, state: State, rng: np.ndarray, cell: int, drives: int) -> int:
+@formula
+def _partner(
+    board: Board, state: State, cell: int, drives: int, seed: np.uint64, number: int
+) -> int:
     """Find a free cell on or off the driving area, mostly beside `cell`, or `NO_CELL`."""
-    near = draw(rng, 100) < NEXT_DOOR
-    for _ in range(PARTNER_TRIES):
-        other = board.free[draw(rng, board.free.size)]
-        if near:
-            other = _step_aside(board, rng, cell)
-        if other != cell and _is_free(board, other) and state.driving[other] == drives:
+    source = word(seed, number)
+    if bits(source, 0, 10) < NEXT_DOOR:
+        ring = board.beside[cell] & (state.ring[cell] if drives else ~state.ring[cell])
+        if ring == 0:
+            return NO_CELL
+        return cell + board.steps[SET_BITS[ring, 1 + below(source, 10, 10, SET_BITS[ring, 0])]]
+    for attempt in range(1, TRIES + 1):
+        other = board.free[below(word(seed, number + attempt), 32, 32, board.free.size)]
+        if other != cell and board.traits[state.candidate[other], Trait.DRIVES] == drives:
             return other
     return NO_CELL
-
-
-@kernel
-def _pick(board: Board, state: State, rng: np.ndarray) -> int:
-    """Pick a cell that may change, mostly one that did or is beside one; may find `NO_CELL`."""
-    changed = state.changed
-    if changed[0] == 0 or draw(rng, 100) >= FOCUS:
-        return board.free[draw(rng, board.free.size)]
-    cell = changed[1 + draw(rng, changed[0])]
-    if draw(rng, 2):
-        cell = _step_aside(board, rng, cell)
-    return cell if _is_free(board, cell) else NO_CELL
 
 
 @kernel
@@ -105,55 +73,52 @@ def _release(board: Board, state: State, move: Move) -> int:
     A shelf that goes may strand four endpoints: giving them up one by one would cost more at
     each step than the annealer pays.
     """
-    table, open_tile, cell, changes = board.tile_table, board.open_tile, move.cells[0], 1
-    change = table[move.new[0], Column.UNIT] - table[state.candidate[cell], Column.UNIT]
+    traits, cell, changes = board.traits, move.cells[0], 1
+    change = traits[move.new[0], Trait.UNIT] - traits[state.candidate[cell], Trait.UNIT]
     for place in (0, 2, 4, 6):
-        side = cell + board.offsets[place]
-        own, tally = state.candidate[side], state.tally[side]
-        if open_tile[side] == NO_TILE or open_tile[side] == own or not table[own, Column.DRIVES]:
+        side = cell + board.steps[place]
+        own, tally, plain = state.candidate[side], state.tally[side], board.open_tile[side]
+        idle = plain == own or not traits[own, Trait.DRIVES]
+        if idle or plain == NO_TILE:
             continue
-        for need in range(Column.NEEDS, table.shape[1]):
-            if tally & table[own, need] and not (tally + change) & table[own, need]:
-                move.cells[changes], move.new[changes] = side, open_tile[side]
-                changes += 1
-                break
+        if lacking(traits, own, tally + change) & ~lacking(traits, own, tally):
+            move.cells[changes], move.new[changes] = side, plain
+            changes += 1
     return changes
 
 
-@kernel
-def _pair(board: Board, state: State, move: Move, rng: np.ndarray) -> int:
-    """Flip a partner the other way, so that the counts stay as they are; returns changes."""
-    cell, drives = move.cells[0], board.tile_table[move.new[0], Column.DRIVES]
-    other = _partner(board, state, rng, cell, drives)
-    swap = NO_TILE
-    if other != NO_CELL:
-        swap = _other_tile(board, state, rng, other, state.driving[cell])
-    if swap == NO_TILE:
-        return 1
-    move.cells[1], move.new[1] = other, swap
-    return 2
-
-
-@kernel
-def propose(board: Board, state: State, move: Move, rng: np.ndarray) -> int:
-    """Draw up to five changes into `move`; returns how many."""
-    changes, cell = 1, _pick(board, state, rng)
-    if cell == NO_CELL:
-        return 0
-    new = _other_tile(board, state, rng, cell, EITHER)
+@inlined
+def propose(board: Board, state: State, move: Move, seed: np.uint64, number: int) -> int:
+    """Draw up to five changes into `move` with words from `number` on; returns how many."""
+    source = word(seed, number)
+    cell = _pick(board, state, source)
+    new = _draw_tile(board, state, cell, Asked.EITHER, bits(source, 20, 7))
     if new == NO_TILE:
         return 0
     move.cells[0], move.new[0] = cell, new
-    if board.tile_table[new, Column.DRIVES] != state.driving[cell]:
-        if draw(rng, 100) >= PAIR:
+    drives, other = board.traits[new, Trait.DRIVES], NO_CELL
+    drove, changes = board.traits[state.candidate[cell], Trait.DRIVES], 1
+    source = word(seed, number + 1)
+    if drives != drove:
+        early = state.tolls[0] * MUCH > board.free.size
+        if bits(source, 0, 10) >= (PAIR_EARLY if early else PAIR):
             return _release(board, state, move)
-        changes = _pair(board, state, move, rng)
+        # Flip a partner the other way, so that the counts stay as they are.
+        other = _partner(board, state, cell, drives, seed, number + 2)
+        swap = NO_TILE
+        if other != NO_CELL:
+            swap = _draw_tile(board, state, other, drove, bits(source, 10, 7))
+            if swap != board.layout[other] and bits(source, 46, 2) >= board.dear:
+                swap = NO_TILE
+        if swap != NO_TILE:
+            move.cells[1], move.new[1] = other, swap
+            changes = 2
     # An endpoint comes and goes with its shelf: retile a driving neighbour in the same move.
-    if draw(rng, 100) < SIDE:
-        side = cell + board.offsets[2 * draw(rng, 4)]
-        partner = move.cells[1] if changes == 2 else NO_CELL
-        if _is_free(board, side) and state.driving[side] and side != partner:
-            new = _other_tile(board, state, rng, side, 1)
+    if bits(source, 17, 10) < SIDE:
+        place = 2 * bits(source, 27, 2)
+        side = cell + board.steps[place]
+        if state.ring[cell] >> place & 1 and side != other:
+            new = _draw_tile(board, state, side, Asked.DRIVING, bits(source, 29, 7))
             if new != NO_TILE:
                 move.cells[changes], move.new[changes] = side, new
                 changes += 1

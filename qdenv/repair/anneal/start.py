@@ -2,38 +2,79 @@
 
 import numpy as np
 
-from qdenv.repair.anneal.connectivity import tabulate_ring_pieces
 from qdenv.repair.anneal.joining import join_pieces
 from qdenv.repair.anneal.state import (
-    ALWAYS,
+    DRAWS,
     MAX_KINDS,
+    MAX_NEEDS,
     NO_TILE,
+    Aisles,
+    Asked,
     Board,
-    Column,
     State,
-    no_search,
+    Trait,
 )
 from qdenv.repair.facts import Facts
 from qdenv.types import InputError
 
+# A partner that leaves its input tile shifts a corridor. Measured: where a number of tiles is exact
+# such pairs are worth less than changes of one cell.
+DEAR, DEAR_EXACT = 4, 1
 
-def _tabulate_tiles(facts: Facts) -> np.ndarray:
-    """Tabulate the facts about tiles (int64 [K + 1, columns]); the last row is the wall."""
-    tiles, width = facts.rules.tiles, max(1, int(facts.demands.max()))
+
+def _tabulate_traits(facts: Facts) -> np.ndarray:
+    """Tabulate the facts about tiles (int32 [K + 1, traits]); the last row is the wall.
+
+    Raises:
+        InputError: there are more different needs than a tally can tell apart.
+    """
+    different = sorted({need for needs in facts.needs for need in needs})
+    if len(different) > MAX_NEEDS:
+        raise InputError(
+            f"the repair knows at most {MAX_NEEDS} different neighbours that tiles need, these "
+            f"rules have {len(different)}: merge demands"
+        )
     table = []
-    for kind in range(len(tiles)):
+    for kind, tile in enumerate(facts.rules.tiles):
+        unit = sum(1 << 4 * field for field, need in enumerate(different) if tile in need)
+        needs = sum(1 << 4 * different.index(need) for need in set(facts.needs[kind]))
         bounds = sum(int(counts) << q for q, counts in enumerate(facts.counting[:, kind]))
-        needs = [sum(7 << 3 * tiles.index(other) for other in need) for need in facts.needs[kind]]
-        needs += [ALWAYS] * (width - len(needs))
-        table.append([facts.driving[kind], 1 << 3 * kind, facts.role_of[kind], bounds, *needs])
-    return np.array([*table, [0, 0, -1, 0] + [ALWAYS] * width], np.int64)
+        table.append([facts.driving[kind], unit, needs, facts.role_of[kind], bounds])
+    return np.array([*table, [0, 0, 0, -1, 0]], np.int32)
+
+
+def _tabulate_choices(allowed: np.ndarray, facts: Facts) -> tuple[np.ndarray, np.ndarray]:
+    """Tabulate what to draw on cells that allow the tiles `allowed` (bool [K]).
+
+    Each role is as often drawn as another, so that three kinds of station are not three times as
+    likely; another kind of the same role matters to the counts only, and comes a quarter as often.
+
+    Returns:
+        One palette of `Board.choices` and of `Board.fits`.
+    """
+    kinds = allowed.size
+    choices = np.full((len(Asked), kinds + 1, DRAWS), NO_TILE, np.int8)
+    fits = np.zeros((len(Asked), kinds + 1), np.int8)
+    for asked in Asked:
+        fits[asked, :kinds] = allowed & ((asked == Asked.EITHER) | (facts.driving == asked))
+        for old in range(kinds):
+            weights = np.zeros(kinds)
+            for role, members in enumerate(facts.roles):
+                others = [kind for kind in members if fits[asked, kind] and kind != old]
+                weights[others] = (0.25 if role == facts.role_of[old] else 1.0) / max(
+                    len(others), 1
+                )
+            if weights.any():
+                ends = np.cumsum(weights) / weights.sum()
+                choices[asked, old] = np.searchsorted(ends, (np.arange(DRAWS) + 0.5) / DRAWS)
+    return choices, fits
 
 
 def compile_board(layout: np.ndarray, facts: Facts) -> Board:
     """Compile the rules and the input `layout` (int8 [H, W]) for the kernels.
 
     Raises:
-        InputError: there are more kinds of tile than a tally of neighbours can tell apart.
+        InputError: there are more kinds of tile or of need than the kernels can tell apart.
     """
     rules, kinds, stride = facts.rules, len(facts.rules.tiles), layout.shape[1] + 2
     if kinds > MAX_KINDS:
@@ -41,23 +82,33 @@ def compile_board(layout: np.ndarray, facts: Facts) -> Board:
             f"the repair knows at most {MAX_KINDS} kinds of tile, these rules have "
             f"{kinds}: merge tiles that obey the same rules"
         )
-    members = [[len(role), *role] + [NO_TILE] * (kinds - len(role)) for role in facts.roles]
+    traits = _tabulate_traits(facts)
     allowed = np.pad((rules.allowed * (1 << np.arange(kinds))).sum(-1).astype(np.int64), 1).ravel()
+    masks, palette = np.unique(allowed, return_inverse=True)
+    tables = [_tabulate_choices(mask >> np.arange(kinds) & 1 == 1, facts) for mask in masks]
+    steps = np.array([-stride, 1 - stride, 1, stride + 1, stride, stride - 1, -1, -stride - 1])
+    free = np.pad(facts.free, 1).ravel()
     return Board(
         layout=pad_layout(layout, kinds),
-        change_cost=np.pad(np.asarray(rules.change_cost, np.float64), 1).ravel(),
-        allowed=allowed,
-        free=np.flatnonzero(np.pad(facts.free, 1)),
+        change_cost=np.pad(np.asarray(rules.change_cost, np.float32), 1).ravel(),
+        free=np.flatnonzero(free).astype(np.int32),
+        beside=join_bits(free, steps),
         open_tile=_default_open_tiles(allowed, facts),
-        tile_table=_tabulate_tiles(facts),
-        role_members=np.array(members, np.int64),
+        palette=palette.astype(np.int16),
+        choices=np.array([choices for choices, _ in tables]),
+        fits=np.array([fits for _, fits in tables]),
+        traits=traits,
         count_bounds=facts.count_bounds,
-        offsets=np.array([-stride, 1 - stride, 1, stride + 1, stride, stride - 1, -1, -stride - 1]),
-        ring_pieces=tabulate_ring_pieces(),
-        stride=stride,
+        steps=steps,
         connected=bool(rules.connected),
-        aisle=rules.aisle,
+        dear=DEAR_EXACT if any(low == high for low, high in facts.count_bounds) else DEAR,
     )
+
+
+def join_bits(marks: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Join the marks of the eight neighbours (bool [N]) in one number (uint8 [N])."""
+    bits = [np.roll(marks, -step).astype(np.uint8) << place for place, step in enumerate(steps)]
+    return np.asarray(np.sum(bits, 0, dtype=np.uint8))
 
 
 def pad_layout(layout: np.ndarray, wall: int) -> np.ndarray:
@@ -86,28 +137,29 @@ def project(board: Board, start: np.ndarray, rng: np.random.Generator) -> np.nda
         start: int8 [H, W].
         rng: draws the cell whose piece the others are joined to.
     """
-    kinds, drives = board.tile_table.shape[0] - 1, board.tile_table[:, Column.DRIVES]
-    candidate = pad_layout(start, kinds)
+    kinds, drives = len(board.traits) - 1, board.traits[:, Trait.DRIVES]
+    may = board.fits[board.palette, Asked.EITHER]
+    candidate, cells = pad_layout(start, kinds), np.arange(board.layout.size)
     wall = candidate == kinds
     # Open a cell with its input tile where that drives: it costs nothing.
     layout = board.layout
-    kept = (board.allowed >> layout & 1 == 1) & (drives[layout] == 1)
+    kept = (may[cells, layout] == 1) & (drives[layout] == 1)
     opened = np.where(kept, layout, board.open_tile)
-    may = board.allowed[:, None] >> np.arange(kinds) & 1
-    kept = wall | (board.allowed >> candidate & 1 == 1)
+    kept = wall | (may[cells, candidate] == 1)
     fallback = np.where(opened >= 0, opened, may.argmax(1))
     candidate = np.where(kept, candidate, fallback).astype(np.int8)
     if not board.connected or not (opened >= 0).any():
         return candidate
-    may_shut = may * (1 - drives[:kinds])
+    may_shut = board.fits[board.palette, Asked.OBSTACLE]
     shut = np.where(may_shut.any(1), may_shut.argmax(1), NO_TILE)
     # Start at a cell that always drives, else at one that does, else at one that may.
     roots = np.flatnonzero((shut < 0) & ~wall)
     roots = roots if roots.size else np.flatnonzero(drives[candidate] == 1)
     roots = roots if roots.size else np.flatnonzero(opened >= 0)
-    joined = join_pieces(candidate, drives, opened, roots[rng.integers(roots.size)], board.stride)
-    cut_off = (drives[candidate] == 1) & ~joined & (shut >= 0)
-    return np.where(cut_off, shut, candidate).astype(np.int8)
+    root, stride = roots[rng.integers(roots.size)], int(board.steps[4])
+    driving, joined = join_pieces(drives[candidate] == 1, opened >= 0, root, stride)
+    candidate = np.where(driving & (drives[candidate] == 0), opened, candidate)
+    return np.where(driving & ~joined & (shut >= 0), shut, candidate).astype(np.int8)
 
 
 def _sum_squares(mask: np.ndarray, side: int) -> np.ndarray:
@@ -117,35 +169,43 @@ def _sum_squares(mask: np.ndarray, side: int) -> np.ndarray:
     return windows.sum((-1, -2))
 
 
-def initial_state(board: Board, candidate: np.ndarray) -> State:
-    """Start a `State` at a projected layout (int8 [N])."""
-    size, stride, aisle = candidate.size, board.stride, board.aisle
-    rows, driving = board.tile_table[candidate], board.tile_table[candidate, Column.DRIVES]
-    units = rows[:, Column.UNIT]
-    tally = ALWAYS + sum(np.roll(units, step) for step in (1, -1, stride, -stride))
-    counts = (rows[:, Column.BOUNDS, None] >> np.arange(len(board.count_bounds)) & 1).sum(0)
-    low, high = board.count_bounds.T
-    broken = ((tally[:, None] & rows[:, Column.NEEDS :]) == 0).sum()
-    broken += np.maximum(low - counts, counts - high).clip(0).sum()
-    closed = aisle**2 - _sum_squares(driving.reshape(-1, stride), aisle)
+def initial_aisles(board: Board, candidate: np.ndarray, side: int) -> Aisles | None:
+    """Start `Aisles` at a projected layout (int8 [N]); None where any passage is wide enough."""
+    if side <= 1:
+        return None
+    driving = board.traits[candidate, Trait.DRIVES].reshape(-1, int(board.steps[4]))
+    closed = side**2 - _sum_squares(driving, side)
     # Squares that reach back over a cell: the same sum on the grid turned round.
-    cover = _sum_squares((closed == 0)[::-1, ::-1], aisle)[::-1, ::-1].ravel()
-    broken += ((driving == 1) & (cover == 0)).sum()
+    cover = _sum_squares((closed == 0)[::-1, ::-1], side)[::-1, ::-1]
+    drives, counts = driving.ravel().astype(np.int8), (closed.ravel(), cover.ravel())
+    return Aisles(side, drives, *(count.astype(np.int32) for count in counts))
+
+
+def initial_state(board: Board, candidate: np.ndarray, aisles: Aisles | None) -> State:
+    """Start a `State` at a projected layout (int8 [N]) and its aisles."""
+    size, traits = candidate.size, board.traits[candidate]
+    tally = sum(np.roll(traits[:, Trait.UNIT], step) for step in board.steps[::2])
+    counts = (traits[:, Trait.BOUNDS, None] >> np.arange(len(board.count_bounds)) & 1).sum(0)
+    low, high = board.count_bounds.T
+    lacking = traits[:, Trait.NEEDS] & ~(tally | tally >> 1 | tally >> 2)
+    broken = (lacking[:, None] >> 4 * np.arange(MAX_NEEDS) & 1).sum()
+    broken += np.maximum(low - counts, counts - high).clip(0).sum()
+    if aisles is not None:
+        broken += ((aisles.driving == 1) & (aisles.cover == 0)).sum()
     differs = candidate != board.layout
-    changed, place = np.zeros(1 + size, np.int64), np.zeros(size, np.int64)
+    changed, place = np.zeros(1 + size, np.int32), np.zeros(size, np.int32)
     changed[: 1 + differs.sum()] = [differs.sum(), *np.flatnonzero(differs)]
     place[differs] = 1 + np.arange(differs.sum())
     return State(
         candidate=candidate.copy(),
-        driving=driving.astype(np.int8),
-        tally=tally,
+        ring=join_bits(traits[:, Trait.DRIVES] == 1, board.steps),
+        tally=tally.astype(np.int32),
         counts=counts.astype(np.int64),
-        closed=closed.ravel(),
-        cover=cover.copy(),
         changed=changed,
         place=place,
-        best=np.zeros(size, np.int8),
-        search=no_search(size),
-        cost=float((board.change_cost * differs).sum()),
-        broken=int(broken),
+        best=candidate.copy(),
+        since=np.zeros(2 + size, np.int32),
+        walkers=np.zeros((3, 4), np.int64),
+        sums=np.array([(board.change_cost * differs).sum(dtype=np.float64), np.inf, 1.0]),
+        tolls=np.array([broken, 0], np.int64),
     )

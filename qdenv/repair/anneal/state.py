@@ -2,8 +2,9 @@
 
 Cells live on a grid padded by one ring of walls, so that no neighbour test needs a border case:
 N = (H + 2) (W + 2) cells in rows of `stride` = W + 2. Tiles are the K of the alphabet and the wall,
-which is tile K. The eight neighbours of a cell are numbered clockwise from the top; the even ones
-are its 4-neighbours.
+which is tile K. The eight neighbours of a cell are its places 0 to 7, clockwise from the top; the
+even ones are its 4-neighbours. Arrays are as narrow as their numbers: those of a layout of the
+paper's size stay in the fastest cache.
 """
 
 from enum import IntEnum
@@ -11,19 +12,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-MAX_KINDS = 20  # kinds of tile: three bits each in one 64-bit tally of neighbours
-ALWAYS = 1 << 62  # a bit of every tally, so that a tile without needs has them met
+MAX_KINDS = 20  # kinds of tile: one bit each in a mask of 32
+MAX_NEEDS = 7  # different needs: four bits each in one 32-bit tally of neighbours
 NO_TILE = -1  # where a table or a draw has no tile to give
+DRAWS = 64  # tiles in a row of `Board.choices`: six random bits draw one
 
 
-class Column(IntEnum):
-    """Columns of `Board.tile_table`."""
+class Trait(IntEnum):
+    """Columns of `Board.traits`."""
 
     DRIVES = 0  # 1 for a driving tile
-    UNIT = 1  # what one such neighbour adds to a tally: 1 in the three bits of this tile
-    ROLE = 2  # index of its role, -1 for the wall
-    BOUNDS = 3  # bit q: the tile counts in bound q
-    NEEDS = 4  # from here on: tallies of which one bit must be set around the tile
+    UNIT = 1  # what one such neighbour adds to a tally: 1 in the four bits of each need it meets
+    NEEDS = 2  # the lowest bit of each need this tile has
+    ROLE = 3  # index of its role, -1 for the wall
+    BOUNDS = 4  # bit q: the tile counts in bound q
+
+
+class Asked(IntEnum):
+    """Which tiles a draw may give: the second axis of `Board.choices` and of `Board.fits`."""
+
+    OBSTACLE = 0  # off the driving area
+    DRIVING = 1  # on it
+    EITHER = 2
 
 
 class Board(NamedTuple):
@@ -31,54 +41,35 @@ class Board(NamedTuple):
 
     Attributes:
         layout: int8 [N], the input layout.
-        change_cost: float64 [N], the cost of a cell that differs from the input.
-        allowed: int64 [N], bit k: tile k may stand here.
-        free: int64 [F], the cells that may change.
+        change_cost: float32 [N], the cost of a cell that differs from the input.
+        free: int32 [F], the cells that may change.
+        beside: uint8 [N], bit p: the neighbour at place p may change.
         open_tile: int8 [N], the default open tile: the driving tile with the fewest adjacency
             demands that may stand here, or `NO_TILE`.
-        tile_table: int64 [K + 1, ...], facts about tiles; `Column` names them.
-        role_members: int64 [roles, 1 + K], how many tiles a role has, then these tiles.
+        palette: int16 [N], cells that allow the same tiles share a palette.
+        choices: int8 [palettes, 3, K + 1, DRAWS], tiles to draw from, given what is `Asked` and
+            the tile that stands here; each role as often as another.
+        fits: int8 [palettes, 3, K + 1], 1 for tiles that are allowed and as `Asked`.
+        traits: int32 [K + 1, 5], facts about tiles; `Trait` names them.
         count_bounds: int64 [Q, 2], lowest and highest number of tiles that count in bound q.
-        offsets: int64 [8], steps to the eight neighbours.
-        ring_pieces: int64 [256], the simple-point table of `tabulate_ring_pieces`.
-        stride: int, from a cell to the one below it.
+        steps: int64 [8], from a cell to its places.
         connected: bool, whether the driving area must be one piece.
-        aisle: int, side of the squares that must cover the driving area.
+        dear: int, of four partners in a move that would leave their input tile, how many may.
     """
 
     layout: np.ndarray
     change_cost: np.ndarray
-    allowed: np.ndarray
     free: np.ndarray
+    beside: np.ndarray
     open_tile: np.ndarray
-    tile_table: np.ndarray
-    role_members: np.ndarray
+    palette: np.ndarray
+    choices: np.ndarray
+    fits: np.ndarray
+    traits: np.ndarray
     count_bounds: np.ndarray
-    offsets: np.ndarray
-    ring_pieces: np.ndarray
-    stride: int
+    steps: np.ndarray
     connected: bool
-    aisle: int
-
-
-class Search(NamedTuple):
-    """Memory of one connectivity search: four queues, one for each 4-neighbour of a cell.
-
-    Attributes:
-        stamps: int64 [N], `clock` + queue of the search that saw a cell last.
-        clock: int64 [1], larger than any stamp of an earlier search, so that none is erased.
-        queues: int64 [4, N], cells in the order they were seen.
-        heads: int64 [4], the first cell of each queue that still waits.
-        tails: int64 [4], the end of each queue; 0 where none was started.
-        groups: int64 [4], queues that have met share a number.
-    """
-
-    stamps: np.ndarray
-    clock: np.ndarray
-    queues: np.ndarray
-    heads: np.ndarray
-    tails: np.ndarray
-    groups: np.ndarray
+    dear: int
 
 
 class State(NamedTuple):
@@ -86,31 +77,48 @@ class State(NamedTuple):
 
     Attributes:
         candidate: int8 [N], the layout under way.
-        driving: int8 [N], the driving mask: 1 where `candidate` holds a driving tile.
-        tally: int64 [N], how many of the four neighbours hold each tile, three bits per tile.
+        ring: uint8 [N], bit p: the neighbour at place p drives.
+        tally: int32 [N], how many of the four neighbours meet each need, four bits per need.
         counts: int64 [Q], how many cells count in each bound.
-        closed: int64 [N], closed cells in the aisle square whose top left corner is here.
-        cover: int64 [N], open aisle squares over the cell.
-        changed: int64 [1 + N], how many cells differ from the input, then these cells.
-        place: int64 [N], where in `changed` a cell stands, 0 for nowhere.
+        changed: int32 [1 + N], how many cells differ from the input, then these cells.
+        place: int32 [N], where in `changed` a cell stands, 0 for nowhere.
         best: int8 [N], the cheapest layout so far that broke no rule.
-        search: memory of the connectivity search.
-        cost: float, summed costs of the changed cells, at the start.
-        broken: int, broken demands (neighbours, counts, aisles), at the start.
+        since: int32 [2 + N], how many entries follow, then the cells changed since `best`; N + 1
+            entries stand for all cells.
+        walkers: int64 [3, 4], room for the connectivity test: cells, headings, ends.
+        sums: float64 [3], summed costs of the changed cells; the cost of `best`; how far the
+            penalty is raised beyond its schedule.
+        tolls: int64 [2], broken demands (neighbours, counts, aisles); the last period in which a
+            layout came by that broke none.
     """
 
     candidate: np.ndarray
-    driving: np.ndarray
+    ring: np.ndarray
     tally: np.ndarray
     counts: np.ndarray
-    closed: np.ndarray
-    cover: np.ndarray
     changed: np.ndarray
     place: np.ndarray
     best: np.ndarray
-    search: Search
-    cost: float
-    broken: int
+    since: np.ndarray
+    walkers: np.ndarray
+    sums: np.ndarray
+    tolls: np.ndarray
+
+
+class Aisles(NamedTuple):
+    """Which driving cells lie in a wide aisle, where rules ask for one.
+
+    Attributes:
+        side: int, side of the squares that must cover the driving area.
+        driving: int8 [N], 1 where the layout under way drives.
+        closed: int32 [N], closed cells in the square whose top left corner is here.
+        cover: int32 [N], open squares over the cell.
+    """
+
+    side: int
+    driving: np.ndarray
+    closed: np.ndarray
+    cover: np.ndarray
 
 
 class Move(NamedTuple):
@@ -127,11 +135,24 @@ class Move(NamedTuple):
     old: np.ndarray
 
 
-def no_search(cells: int) -> Search:
-    """Make the memory of searches on `cells` cells."""
-    ends = np.zeros((3, 4), np.int64)
-    clock, stamps = np.zeros(1, np.int64), np.zeros(cells, np.int64)
-    return Search(stamps, clock, np.zeros((4, cells), np.int64), *ends)
+class Plan(NamedTuple):
+    """How a run draws and cools down.
+
+    Attributes:
+        seed: of all draws.
+        moves: proposed moves.
+        period: moves between two steps of the schedule.
+        periods: how many of them there are.
+        temperatures: the first and the last.
+        penalty_weights: the first and the last cost of a broken demand.
+    """
+
+    seed: np.uint64
+    moves: int
+    period: int
+    periods: int
+    temperatures: tuple[float, float]
+    penalty_weights: tuple[float, float]
 
 
 def no_move() -> Move:

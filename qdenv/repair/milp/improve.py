@@ -49,7 +49,7 @@ def improve(
     best = start._replace(bound=max(start.bound, bound_relaxation(program, facts)))
     if best.proven(config.gap):
         return best._replace(status=RepairStatus.OPTIMAL)
-    if not _worth_branching(program, best, facts, config, limits):
+    if not _worth_branching(program, best, limits):
         return best
     solver, rng = load(program, seed), np.random.default_rng(seed)
     for _ in range(limits.rounds):
@@ -62,7 +62,7 @@ def improve(
             cuts = separate(facts.driving[candidate], facts.must(facts.rules.connected))
         if cuts:
             candidate = _mend(candidate, layout, facts, rng)
-        best = _keep_cheaper(best, candidate, layout, facts)
+        best = keep_cheaper(best, candidate, layout, facts)
         if best.proven(config.gap):
             return best._replace(status=RepairStatus.OPTIMAL)
         # The solver's optimum is one of the program without the connectivity still to be cut in.
@@ -74,14 +74,11 @@ def improve(
     return best
 
 
-def _worth_branching(
-    program: Program, best: Result, facts: Facts, config: RepairConfig, limits: MilpLimits
-) -> bool:
+def _worth_branching(program: Program, best: Result, limits: MilpLimits) -> bool:
     """Whether branching can be expected to close the gap that the relaxation leaves."""
     if program.variables.total <= SMALL:
         return True
-    near = best.bound >= best.cost * (1 - limits.max_gap_to_branch)
-    return near and config.branches_on(facts.free_cells)
+    return best.bound >= best.cost * (1 - limits.max_gap_to_branch)
 
 
 def _read_layout(
@@ -105,7 +102,7 @@ def _mend(
     return candidate if best is None else best
 
 
-def _keep_cheaper(best: Result, candidate: np.ndarray, layout: np.ndarray, facts: Facts) -> Result:
+def keep_cheaper(best: Result, candidate: np.ndarray, layout: np.ndarray, facts: Facts) -> Result:
     """Keep the cheaper of two layouts; an audit guards against whatever the solver returned."""
     if audit(candidate, facts.rules):
         return best

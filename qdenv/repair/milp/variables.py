@@ -144,10 +144,10 @@ def _hold_role(binaries: np.ndarray, first: np.ndarray, role: int, total: int) -
         role: its index.
         total: number of variables.
     """
-    matrix = sparse.lil_array((first.size, total))
     own = np.flatnonzero(binaries[role] >= 0)
-    matrix[own, binaries[role, own]] = 1.0
-    for other in binaries:
-        taken = np.flatnonzero(first & (other >= 0))
-        matrix[taken, other[taken]] = -1.0
-    return Affine(sparse.csr_array(matrix), first.astype(float))
+    others, taken = np.nonzero(first & (binaries >= 0))
+    rows = np.concatenate([own, taken])
+    columns = np.concatenate([binaries[role, own], binaries[others, taken]])
+    values = np.repeat([1.0, -1.0], [own.size, taken.size])
+    matrix = sparse.csr_array((values, (rows, columns)), shape=(first.size, total))
+    return Affine(matrix, first.astype(float))
