@@ -81,4 +81,7 @@ def test_a_first_question_measures_little_of_a_large_grid():
     assert distance(fields, site, 0, near) == 25
     assert 0 < (fields.page != 0).sum() <= 0.05 * fields.page.size
     assert distance(fields, site, 0, 401 + 1) == 199 + 199
+    assert (fields.page != 0).mean() < 0.4  # the goal lies in the middle: a quarter, and a rim
+    corners = (401 + 399, 399 * 401 + 1, 399 * 401 + 399)
+    assert [distance(fields, site, 0, cell) for cell in corners] == [398] * 3
     assert (fields.page != 0).sum() == 25 * 25  # of the other tiles all cells are walls

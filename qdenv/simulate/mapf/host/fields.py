@@ -15,6 +15,7 @@ NOWHERE = 0  # a page that holds nothing but UNKNOWN: tiles of a field without a
 WHOLE_SIDE = 64  # a grid of so many rows and columns is one page
 PAGE_SIDE = 16
 SHARE = 8  # a field is expected to take one page in so many
+ENOUGH = 4  # room grows where less than one in so many is free
 ROWS, PAGES, WANTED = range(3)  # entries of `Fields.free`
 
 
@@ -23,7 +24,7 @@ class Fields(NamedTuple):
 
     Attributes:
         row: int32 [G], the row of each goal's field, or `NOBODY`.
-        extent: int8 [R], how much of a field was measured.
+        extent: int8 [R], how often a field was measured, see `measure`.
         page: int32 [R, tiles], the page of each tile of the grid.
         steps: int16 [S, cells of a page], distances, or `UNKNOWN`.
         tile: int32 [N], the tile of each cell.
@@ -89,33 +90,33 @@ def _blank_pages(pages: int, side: int) -> np.ndarray:
 
 
 def make_room(fields: Fields, wanted_goals: np.ndarray) -> Fields:
-    """Forget the fields of all goals but those wanted (int [n]); double the room if that is little.
+    """Forget the fields of all goals but those wanted (int [n]); double what is still scarce.
 
     Returns:
         The fields, with nothing wanting.
     """
-    kept = np.zeros(fields.row.size, bool)
-    kept[wanted_goals] = True
-    for goal in np.flatnonzero((fields.row != NOBODY) & ~kept):
-        _forget(fields, int(goal))
-    if fields.free[ROWS] < fields.extent.size // 2:
+    spared = np.zeros(fields.row.size, bool)
+    spared[wanted_goals] = True
+    _forget(fields, np.flatnonzero((fields.row != NOBODY) & ~spared))
+    if fields.free[ROWS] < fields.extent.size // ENOUGH:
         fields = _more_rows(fields)
-    if fields.free[PAGES] < len(fields.steps) // 2:
+    if fields.free[PAGES] < len(fields.steps) // ENOUGH:
         fields = _more_pages(fields)
     fields.free[WANTED] = 0
     return fields
 
 
-def _forget(fields: Fields, goal: int) -> None:
-    """Give the row and the pages of a goal's field back."""
-    row = fields.row[goal]
-    used = fields.page[row][fields.page[row] != NOWHERE]
-    first = fields.free[PAGES]
-    fields.free_pages[first : first + used.size] = used
-    fields.free_rows[fields.free[ROWS]] = row
-    fields.free[ROWS] += 1
-    fields.free[PAGES] += used.size
-    fields.page[row], fields.extent[row], fields.row[goal] = NOWHERE, 0, NOBODY
+def _forget(fields: Fields, goals: np.ndarray) -> None:
+    """Give the rows and the pages of the fields of `goals` (int [n]) back."""
+    rows = fields.row[goals]
+    tables = fields.page[rows]
+    pages = tables[tables != NOWHERE]
+    stacks = ((fields.free_rows, ROWS, rows), (fields.free_pages, PAGES, pages))
+    for stack, count, given in stacks:
+        first = fields.free[count]
+        stack[first : first + given.size] = given
+        fields.free[count] += given.size
+    fields.page[rows], fields.extent[rows], fields.row[goals] = NOWHERE, 0, NOBODY
 
 
 def _more_rows(fields: Fields) -> Fields:

@@ -2,9 +2,9 @@
 
 The first question about a goal on a large grid measures the cells that can lie on a way from the
 asker, with some slack, by A* with Manhattan distances (Hart, Nilsson and Raphael 1968,
-https://doi.org/10.1109/TSSC.1968.300136); whoever asks for a cell outside has the whole field
-measured, breadth first. Either way a field holds exact distances, so who asks what never shows in
-a result.
+https://doi.org/10.1109/TSSC.1968.300136); so does a question about a cell outside. A field that
+many ask for is at last measured as a whole, breadth first. Either way a field holds exact
+distances, so who asks what never shows in a result.
 """
 
 from qdenv.native import inlined, kernel
@@ -13,7 +13,8 @@ from qdenv.simulate.mapf.host.site import DOWN, LEFT, MOVES, RIGHT, UP, Site
 from qdenv.simulate.mapf.planner import NOBODY, UNREACHABLE
 
 SLACK = 12  # steps longer than the shortest way that a first search measures as well
-PARTIAL, COMPLETE = 1, 2  # of `Fields.extent`; 0 where nothing was measured
+REACHES = 6  # searches of a field after which the next one measures all of it
+COMPLETE = 127  # of `Fields.extent`, which else counts the searches
 
 
 @inlined
@@ -51,15 +52,16 @@ def _measure(fields: Fields, site: Site, goal: int, cell: int) -> int:
     if fields.extent[row] == COMPLETE or not site.free[begin]:
         return UNREACHABLE
     # Small fields are cheap, and goals that many ask for are soon wanted everywhere.
-    if fields.extent[row] == PARTIAL or fields.page.shape[1] == 1:
+    before = fields.extent[row]
+    if before == REACHES or fields.page.shape[1] == 1:
         fields.extent[row] = COMPLETE
         count = _flood(fields, site, begin)
     else:
-        fields.extent[row] = PARTIAL
+        fields.extent[row] = before + 1
         count = _reach(fields, site, begin, cell)
     steps = fields.found[cell] + 0  # as a number of 64 bits
     if not _store(fields, row, count):
-        fields.extent[row], fields.free[WANTED] = PARTIAL, 1
+        fields.extent[row], fields.free[WANTED] = before, 1
         return UNREACHABLE
     return steps if steps != UNKNOWN else UNREACHABLE
 

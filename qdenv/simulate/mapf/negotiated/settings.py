@@ -33,7 +33,7 @@ class NegotiatedConfig:
     """
 
     lookahead: int = 10
-    lanes: int = 8
+    lanes: int = 4
     rounds: float = 12.0
     conflict_levels: int = 4
     penalties: tuple[float, ...] = (
@@ -60,11 +60,12 @@ class NegotiatedConfig:
         runs_on_host(self.backend)  # refuses an unknown one
 
 
-# Low for the inside of a search: half of high's time for 3 to 4 % less throughput.
+# Low for the inside of a search: half of high's time for 2 to 3 % less throughput. More lanes than
+# these cost throughput on either: their agents plan without knowing of one another.
 HIGH = NegotiatedConfig()
 LOW = NegotiatedConfig(
     lookahead=7,
-    lanes=16,
+    lanes=8,
     rounds=4.0,
     conflict_levels=3,
     penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0),
