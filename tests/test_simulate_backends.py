@@ -109,7 +109,8 @@ def test_the_host_pushes_as_xla_does():
         order = rng.permutation(count).astype(np.int32)
         rollout.path[:, 0], rollout.candidates[:] = position, candidates
         rollout.allowed[:], rollout.standing[position] = allowed, np.arange(count)
-        pibt_on_host.push_along(rollout, order.astype(np.int64), 0)
+        rollout.order[:] = order
+        pibt_on_host.push_along(rollout, 0)
         host = rollout.path[:, 1]
         np.testing.assert_array_equal(in_xla(candidates, position, allowed, order), host)
         assert len(set(host.tolist())) == count

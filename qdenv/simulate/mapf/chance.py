@@ -16,7 +16,7 @@ import numpy as np
 from qdenv.native import shared
 from qdenv.types import Array
 
-Bits = TypeVar("Bits", int, jax.Array)  # 32 of them
+Bits = TypeVar("Bits", int, jax.Array, np.ndarray)  # 32 of them
 
 # Typed, as both backends take them without changing the type of what they meet.
 MASK: Any = np.uint32(0xFFFFFFFF)
@@ -44,6 +44,11 @@ def scramble(bits: Bits) -> Bits:
 def mix(seed: Bits, number: Bits) -> Bits:
     """Draw the 32 bits of a number; different seeds give unrelated bits."""
     return scramble(seed ^ scramble((number + GOLDEN) & MASK))
+
+
+def draw_on_host(seed: np.ndarray | int, number: np.ndarray | int) -> np.ndarray:
+    """Draw the bits of numbers in numpy (uint32 [n]), as `mix` does one by one."""
+    return mix(*(np.atleast_1d(part).astype(np.uint32) for part in (seed, number)))
 
 
 def draw(seed: Array | int, number: Array | int) -> jax.Array:

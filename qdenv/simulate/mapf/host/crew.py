@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import compiled, kernel
+from qdenv.native import kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.site import Site
 from qdenv.simulate.mapf.padding import unpad
@@ -94,23 +94,25 @@ class Run(NamedTuple):
     numbers: Numbers
 
 
-@compiled
 def place(run: Run) -> None:
     """Put the agents on distinct free cells and draw their first goals."""
-    site, crew = run.site, run.crew
-    cells = np.flatnonzero(site.free)
-    seed = chance.mix(run.numbers.seed, chance.STARTS)
-    luck = np.empty(cells.size, np.int64)
-    for index in range(cells.size):
-        number = unpad(cells[index], site.width - 2 * site.margin, site.margin)
-        luck[index] = -(chance.mix(seed, number) >> 1)
-    crew.position[:] = cells[np.argsort(luck, kind="mergesort")[: crew.position.size]]
-    for ahead in range(2):
-        seed = chance.mix(run.numbers.seed, chance.FIRST_GOAL + ahead)
-        for agent in range(crew.position.size):
-            crew.paths[agent] = crew.position[agent]
-            kind = ahead % site.service_time.size
-            crew.goal[ahead, agent] = _draw_goal(site, kind, chance.mix(seed, agent))
+    site, crew, seed = run.site, run.crew, run.numbers.seed
+    count, cells = crew.position.size, np.flatnonzero(site.free)
+    numbers = unpad(cells, site.width - 2 * site.margin, site.margin)
+    luck = chance.draw_on_host(chance.draw_on_host(seed, chance.STARTS), numbers) >> 1
+    crew.position[:] = cells[np.argsort(-luck.astype(int), kind="stable")[:count]]
+    crew.paths[:] = crew.position[:, None]
+    for ahead, purpose in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL)):
+        bits = chance.draw_on_host(chance.draw_on_host(seed, purpose), np.arange(count))
+        odds = site.odds[ahead % site.service_time.size]
+        drawn = np.searchsorted(odds, _chance_of(bits), side="right")
+        crew.goal[ahead] = np.minimum(drawn, site.goals.size - 1)
+
+
+def _chance_of(bits: np.ndarray) -> np.ndarray:
+    """Turn bits into chances, as `chance.uniform` does."""
+    whole = (bits >> (32 - chance.CHANCE_BITS)).astype(np.float32)
+    return whole * np.float32(2.0**-chance.CHANCE_BITS)
 
 
 @kernel

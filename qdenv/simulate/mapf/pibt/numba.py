@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import compiled, kernel
+from qdenv.native import kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.crew import TIME, Crew, Run, drive_window, is_going
 from qdenv.simulate.mapf.host.fields import Fields
 from qdenv.simulate.mapf.host.measure import distance, lacks_room
+from qdenv.simulate.mapf.host.order import agent_of, ranked, sort
 from qdenv.simulate.mapf.host.site import Site
 from qdenv.simulate.mapf.pibt import rules
 from qdenv.simulate.mapf.planner import NOBODY
@@ -26,7 +27,7 @@ class Rollout(NamedTuple):
         stage: int64 [A], 0 on the way to the current goal, 1 afterwards.
         remaining_service: int64 [A], timesteps left to serve.
         age: int64 [A], timesteps since the last finished task.
-        urgency: int64 [A], the smallest first.
+        order: int64 [A], the agents packed with their urgency, the most urgent first.
         candidates: int64 [A, 5], the cells each may go to, from best to worst.
         key: int64 [5], what orders the candidates of one agent.
         allowed: int64 [A], how many of them count.
@@ -40,7 +41,7 @@ class Rollout(NamedTuple):
     stage: np.ndarray
     remaining_service: np.ndarray
     age: np.ndarray
-    urgency: np.ndarray
+    order: np.ndarray
     candidates: np.ndarray
     key: np.ndarray
     allowed: np.ndarray
@@ -53,7 +54,7 @@ class Rollout(NamedTuple):
 def make_rollout(agents: int, horizon: int, cells: int) -> Rollout:
     """Make room for rollouts."""
     path, candidates = (np.zeros((agents, size), np.int64) for size in (horizon + 1, rules.WAYS))
-    stage, remaining, age, urgency, allowed, tried, pusher = np.zeros((7, agents), np.int64)
+    stage, remaining, age, order, allowed, tried, pusher = np.zeros((7, agents), np.int64)
     standing, claimant = np.full((2, cells), NOBODY, np.int32)
     key = np.zeros(rules.WAYS, np.int64)
     return Rollout(
@@ -61,7 +62,7 @@ def make_rollout(agents: int, horizon: int, cells: int) -> Rollout:
         stage,
         remaining,
         age,
-        urgency,
+        order,
         candidates,
         key,
         allowed,
@@ -79,7 +80,7 @@ def drive(run: Run, fields: Fields) -> bool:
     return finished
 
 
-@compiled
+@kernel
 def drive_windows(run: Run, fields: Fields, rollout: Rollout) -> bool:
     """Plan and drive window after window; returns whether `fields` had room for all of them."""
     while is_going(run):
@@ -101,26 +102,26 @@ def adopt(crew: Crew, rollout: Rollout) -> None:
             crew.paths[agent, t] = rollout.path[agent, min(t, horizon)]
 
 
-@compiled
+@kernel
 def roll_out(run: Run, fields: Fields, rollout: Rollout, seed: int) -> None:
     """Find where PIBT drives all agents, as `planner.rollout` does."""
     crew, resort = run.crew, chance.mix(seed, chance.RESORT)
-    rollout.path[:, 0] = crew.position
-    rollout.stage[:] = 0
-    rollout.remaining_service[:] = crew.remaining_service
-    rollout.age[:] = crew.age
     luck = chance.mix(resort, rules.LUCK)
+    for agent in range(crew.position.size):
+        rollout.path[agent, 0], rollout.stage[agent] = crew.position[agent], 0
+        rollout.remaining_service[agent] = crew.remaining_service[agent]
+        rollout.age[agent] = crew.age[agent]
     for t in range(rollout.path.shape[1] - 1):
         noise = chance.mix(resort, rules.NOISE + t)
         for agent in range(crew.position.size):
             fixed = rollout.remaining_service[agent] > 0
-            rollout.urgency[agent] = rules.urgency(
-                fixed, rollout.age[agent], chance.mix(luck, agent)
-            )
+            urgency = rules.urgency(fixed, rollout.age[agent], chance.mix(luck, agent))
+            rollout.order[agent] = ranked(urgency, agent)
             rollout.standing[rollout.path[agent, t]] = agent
         for agent in range(crew.position.size):
             prefer(run, fields, rollout, agent, t, chance.mix(noise, agent))
-        push_along(rollout, np.argsort(rollout.urgency, kind="mergesort"), t)
+        sort(rollout.order)
+        push_along(rollout, t)
         for agent in range(crew.position.size):
             serve_goal(run.site, crew, rollout, agent, t)
 
@@ -161,22 +162,22 @@ def serve_goal(site: Site, crew: Crew, rollout: Rollout, agent: int, t: int) -> 
 
 
 @kernel
-def push_along(rollout: Rollout, order: np.ndarray, t: int) -> None:
+def push_along(rollout: Rollout, t: int) -> None:
     """Move all agents by one step: the most urgent first, and whoever stands in the way before.
 
     The recursion of the paper is a chain that each agent leaves towards its pusher.
 
     Args:
-        rollout: with everybody's candidates; receives where they go at t + 1.
-        order: int64 [A], the agents by falling priority.
+        rollout: with everybody's candidates and order; receives where they go at t + 1.
         t: the timestep.
     """
     path, standing, claimant = rollout.path, rollout.standing, rollout.claimant
-    for agent in range(order.size):
+    for agent in range(path.shape[0]):
         path[agent, t + 1] = NOBODY
         rollout.tried[agent], rollout.pusher[agent] = 0, NOBODY
-    for index in range(order.size):
-        agent = order[index] if path[order[index], t + 1] == NOBODY else NOBODY
+    for index in range(path.shape[0]):
+        first = agent_of(rollout.order[index])
+        agent = first if path[first, t + 1] == NOBODY else NOBODY
         while agent != NOBODY:
             here, behind = path[agent, t], rollout.pusher[agent]
             if rollout.tried[agent] >= rollout.allowed[agent]:
@@ -199,6 +200,6 @@ def push_along(rollout: Rollout, order: np.ndarray, t: int) -> None:
                 agent = other
             else:
                 agent = NOBODY
-    for agent in range(order.size):
+    for agent in range(path.shape[0]):
         standing[path[agent, t]] = NOBODY
         claimant[path[agent, t + 1]] = NOBODY

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import compiled, kernel
+from qdenv.native import kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.crew import TIME, Run, drive_window, is_going
 from qdenv.simulate.mapf.host.fields import Fields
@@ -72,7 +72,7 @@ def drive(config: NegotiatedConfig, run: Run, fields: Fields) -> bool:
     return finished
 
 
-@compiled
+@kernel
 def drive_windows(run: Run, plan: Negotiation, resort: Resort) -> bool:
     """Plan and drive window after window; returns whether the fields had room for all of them."""
     plans = chance.mix(run.numbers.seed, chance.PLANS)

@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import compiled, inlined, kernel
+from qdenv.native import inlined, kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.crew import Crew
+from qdenv.simulate.mapf.host.order import agent_of, ranked, sort
 from qdenv.simulate.mapf.negotiated import rules
 
 
@@ -54,17 +55,17 @@ def make_queue(agents: int, lanes: int) -> Queue:
     )
 
 
-@compiled
+@kernel
 def draw_order(queue: Queue, crew: Crew, seed: int) -> None:
     """Draw the agents' order and the bits that settle ties, as `records.draw_priorities`."""
-    luck = np.empty(crew.position.size, np.int64)
     order, ties = chance.mix(seed, chance.ORDER), chance.mix(seed, chance.TIES)
-    for agent in range(luck.size):
+    for agent in range(queue.turn.size):
         serving = crew.remaining_service[agent] > 0
-        luck[agent] = rules.luck(chance.mix(order, agent), serving)
+        queue.heap[agent] = ranked(rules.luck(chance.mix(order, agent), serving), agent)
         queue.noise[agent] = rules.noise_of(chance.mix(ties, agent))
-    queue.turn[:] = np.argsort(luck, kind="mergesort")
-    for place in range(luck.size):
+    sort(queue.heap)
+    for place in range(queue.turn.size):
+        queue.turn[place] = agent_of(queue.heap[place])
         queue.order[queue.turn[place]] = place
 
 
