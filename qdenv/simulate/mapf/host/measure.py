@@ -7,7 +7,7 @@ many ask for is at last measured as a whole, breadth first. Either way a field h
 distances, so who asks what never shows in a result.
 """
 
-from qdenv.native import inlined, kernel
+from qdenv.native import formula, kernel
 from qdenv.simulate.mapf.host.fields import NOWHERE, PAGES, ROWS, UNKNOWN, WANTED, Fields
 from qdenv.simulate.mapf.host.site import DOWN, LEFT, MOVES, RIGHT, UP, Site
 from qdenv.simulate.mapf.planner import NOBODY, UNREACHABLE
@@ -17,7 +17,7 @@ REACHES = 6  # searches of a field after which the next one measures all of it
 COMPLETE = 127  # of `Fields.extent`, which else counts the searches
 
 
-@inlined
+@formula
 def distance(fields: Fields, site: Site, goal: int, cell: int) -> int:
     """Look up the steps from a free cell to a goal; measure them first where nobody asked before.
 
@@ -31,7 +31,7 @@ def distance(fields: Fields, site: Site, goal: int, cell: int) -> int:
     return _measure(fields, site, goal, cell)
 
 
-@inlined
+@formula
 def lacks_room(fields: Fields) -> bool:
     """Tell whether a distance could not be measured for want of room."""
     return fields.free[WANTED] != 0
@@ -77,7 +77,7 @@ def _store(fields: Fields, row: int, count: int) -> bool:
     return room
 
 
-@inlined
+@formula
 def _write(fields: Fields, row: int, cell: int, steps: int) -> bool:
     """Write a distance down; returns whether there was room."""
     tile = fields.tile[cell]
@@ -94,7 +94,7 @@ def _write(fields: Fields, row: int, cell: int, steps: int) -> bool:
     return True
 
 
-@inlined
+@formula
 def _find(fields: Fields, count: int, cell: int, steps: int) -> int:
     """Note the distance of a cell; returns how many are found."""
     fields.found[cell] = min(steps, UNREACHABLE)

@@ -1,6 +1,6 @@
 """Read a path backwards out of the states that a search visited."""
 
-from qdenv.native import inlined, kernel
+from qdenv.native import formula, kernel
 from qdenv.simulate.mapf.host.site import Site
 from qdenv.simulate.mapf.negotiated import path_rules, rules
 from qdenv.simulate.mapf.negotiated.numba.reservations import Reservations, is_reserved, is_taken
@@ -25,14 +25,14 @@ def trace(
             state = _predecessor(work, reservations, site, agent, state, t - 1)
 
 
-@inlined
+@formula
 def _cell(work: Workspace, site: Site, agent: Agent, state: PathState[int]) -> int:
     """Find the cell of a state."""
     middle = work.side // 2
     return agent.position + (state.row - middle) * site.width + state.column - middle
 
 
-@inlined
+@formula
 def _end_state(work: Workspace, site: Site, agent: Agent, code: int) -> PathState[int]:
     """Find the end of the path that the search chose."""
     state = path_rules.unpack_end(code, work.levels, work.side)
@@ -44,7 +44,7 @@ def _end_state(work: Workspace, site: Site, agent: Agent, code: int) -> PathStat
     return PathState(state.leg, state.conflicts, row, column, state.elapsed)
 
 
-@inlined
+@formula
 def _predecessor(
     work: Workspace,
     reservations: Reservations,
@@ -65,7 +65,7 @@ def _predecessor(
     return _drive_before(work, state, word, t, path_rules.is_flipped(agent.noise))
 
 
-@inlined
+@formula
 def _serve_before(work: Workspace, state: PathState[int], word: int, t: int) -> PathState[int]:
     """Serve for one timestep less."""
     leg, conflicts, row, column, elapsed = state
@@ -76,7 +76,7 @@ def _serve_before(work: Workspace, state: PathState[int], word: int, t: int) -> 
     return PathState(leg, conflicts - conflict, row, column, elapsed - 1)
 
 
-@inlined
+@formula
 def _drive_before(
     work: Workspace, state: PathState[int], word: int, t: int, flipped: int
 ) -> PathState[int]:

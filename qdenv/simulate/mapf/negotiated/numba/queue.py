@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import inlined, kernel
+from qdenv.native import formula, kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.crew import Crew
 from qdenv.simulate.mapf.host.order import agent_of, ranked, sort
@@ -69,7 +69,7 @@ def draw_order(queue: Queue, crew: Crew, seed: int) -> None:
         queue.order[queue.turn[place]] = place
 
 
-@inlined
+@formula
 def most_urgent(queue: Queue) -> int:
     """Take those who are first in turn out of the queue; returns how many."""
     count = min(queue.size[0], queue.asking.size)
@@ -78,7 +78,7 @@ def most_urgent(queue: Queue) -> int:
     return count
 
 
-@inlined
+@formula
 def _pop(queue: Queue) -> int:
     """Take the smallest urgency out of the heap."""
     heap, smallest = queue.heap, queue.heap[0]

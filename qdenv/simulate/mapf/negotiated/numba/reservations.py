@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import inlined, kernel
+from qdenv.native import formula, kernel
 from qdenv.simulate.mapf.host.site import Site
 from qdenv.simulate.mapf.negotiated import rules
 from qdenv.simulate.mapf.planner import NOBODY
@@ -53,7 +53,7 @@ def clear(reservations: Reservations, site: Site) -> None:
         reservations.word[cell] = 0 if site.free[cell] else WALL
 
 
-@inlined
+@formula
 def is_taken(word: int, t: int, move: int) -> int:
     """Tell whether arriving in a cell by a move, from t to t + 1, conflicts (0 or 1)."""
     here = word >> t
@@ -62,13 +62,13 @@ def is_taken(word: int, t: int, move: int) -> int:
     return (here | (here >> (PLANE * against))) & 1
 
 
-@inlined
+@formula
 def is_reserved(word: int, t: int) -> int:
     """Tell whether somebody is in a cell at t + 1 (0 or 1)."""
     return (word >> t) & 1
 
 
-@inlined
+@formula
 def _flip(reservations: Reservations, agent: int, steps: int, width: int) -> None:
     """Set the bits of the first steps of an agent's path, or clear them."""
     path, word = reservations.path, reservations.word
@@ -96,7 +96,7 @@ def release(reservations: Reservations, agent: int, width: int) -> None:
     reservations.steps[agent] = 0
 
 
-@inlined
+@formula
 def holder(reservations: Reservations, cell: int, t: int) -> int:
     """Find who is in a cell at t + 1, or `NOBODY`."""
     if is_reserved(reservations.word[cell], t):
@@ -104,7 +104,7 @@ def holder(reservations: Reservations, cell: int, t: int) -> int:
     return NOBODY
 
 
-@inlined
+@formula
 def swapped_with(reservations: Reservations, before: int, after: int, t: int, width: int) -> int:
     """Find who would be swapped with by a step at t, or `NOBODY`."""
     plane = rules.opposite(rules.move_plane(after - before, width))

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import inlined, kernel
+from qdenv.native import formula, kernel
 from qdenv.simulate.mapf.host.crew import Run
 from qdenv.simulate.mapf.host.fields import Fields
 from qdenv.simulate.mapf.host.measure import lacks_room
@@ -85,7 +85,7 @@ def negotiate(run: Run, plan: Negotiation) -> None:
         _settle(run.site, plan, asking)
 
 
-@inlined
+@formula
 def _plan(run: Run, plan: Negotiation, lane: int, turn: int) -> None:
     """Let one agent plan."""
     crew, site, queue = run.crew, run.site, plan.queue
@@ -109,7 +109,7 @@ def _plan(run: Run, plan: Negotiation, lane: int, turn: int) -> None:
     queue.attempts[number] += 1
 
 
-@inlined
+@formula
 def _choose(queue: Queue, reservations: Reservations, asking: int) -> None:
     """Choose those found whose paths conflict with no earlier chosen one.
 
@@ -132,7 +132,7 @@ def _choose(queue: Queue, reservations: Reservations, asking: int) -> None:
             chosen[0, lane] = chosen[1, lane]
 
 
-@inlined
+@formula
 def _in_conflict(path: np.ndarray, ours: int, theirs: int) -> bool:
     """Tell whether two agents' paths have a vertex or swap conflict after their first cell."""
     for t in range(1, path.shape[1]):
@@ -143,7 +143,7 @@ def _in_conflict(path: np.ndarray, ours: int, theirs: int) -> bool:
     return False
 
 
-@inlined
+@formula
 def _settle(site: Site, plan: Negotiation, asking: int) -> None:
     """Reserve the chosen paths, and release those whom they drive over."""
     queue, reservations, window = plan.queue, plan.reservations, plan.work.mark.shape[0] - 1
@@ -157,7 +157,7 @@ def _settle(site: Site, plan: Negotiation, asking: int) -> None:
             reserve(reservations, queue.asking[lane], window, site.width)
 
 
-@inlined
+@formula
 def _evict(site: Site, plan: Negotiation, agent: int) -> None:
     """Release everybody whose reservations an agent's path drives over."""
     reservations, width = plan.reservations, site.width
@@ -171,7 +171,7 @@ def _evict(site: Site, plan: Negotiation, agent: int) -> None:
             _send_back(plan, met, width)
 
 
-@inlined
+@formula
 def _send_back(plan: Negotiation, agent: int, width: int) -> None:
     """Release an agent, who queues again unless it never left the queue."""
     if plan.reservations.steps[agent] == plan.work.mark.shape[0] - 1:

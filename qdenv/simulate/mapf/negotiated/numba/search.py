@@ -7,7 +7,7 @@ of their cost, until all those of the cheapest end are: these hold every best pa
 as they do in XLA. Most searches end among the shortest ways without a conflict, a dozen states.
 """
 
-from qdenv.native import inlined, kernel
+from qdenv.native import formula, kernel
 from qdenv.simulate.mapf.host.fields import Fields
 from qdenv.simulate.mapf.host.measure import distance
 from qdenv.simulate.mapf.host.site import Site
@@ -77,7 +77,7 @@ def find_path(
     return best ^ path_rules.tie_breaker(agent.noise) if found else -1
 
 
-@inlined
+@formula
 def _start(work: Workspace, fields: Fields, site: Site, agent: Agent) -> int:
     """Queue the first state; returns the least possible cost."""
     middle = work.side * work.side // 2
@@ -94,7 +94,7 @@ def _start(work: Workspace, fields: Fields, site: Site, agent: Agent) -> int:
     return path_rules.COST_UNIT * left
 
 
-@inlined
+@formula
 def _left(work: Workspace, fields: Fields, site: Site, agent: Agent, leg: int, cell: int) -> int:
     """Count the timesteps left from a cell until the current goal is done, less than 0 beyond."""
     if leg == 0:
@@ -104,7 +104,7 @@ def _left(work: Workspace, fields: Fields, site: Site, agent: Agent, leg: int, c
     return distance(fields, site, agent.goal[1], cell) - work.number[BETWEEN]
 
 
-@inlined
+@formula
 def _drive_on(
     work: Workspace,
     reservations: Reservations,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import inlined, shared
+from qdenv.native import formula, shared
 from qdenv.simulate.mapf.negotiated import path_rules
 
 NO_STATE = -1
@@ -102,14 +102,14 @@ def capped_penalty(penalty: int, window: int) -> int:
     return min(penalty, _delays(window) + 1)
 
 
-@inlined
+@formula
 def pack(cell: int, place: int, t: int, leg: int, conflicts: int) -> int:
     """Number a driving state; `search` adds how long one has served."""
     legs = (leg << LEG_BIT) | (conflicts << CONFLICTS_BIT)
     return cell | (place << PLACE_BIT) | (t << TIME_BIT) | legs
 
 
-@inlined
+@formula
 def enqueue(work: Workspace, state: int, cost: int) -> None:
     """Queue a state by its cost; a cost out of range is none, as fields that lack room give."""
     cost = min(max(cost, 0), work.first.size - 1)
@@ -120,7 +120,7 @@ def enqueue(work: Workspace, state: int, cost: int) -> None:
     work.number[TOP] = max(work.number[TOP], cost)
 
 
-@inlined
+@formula
 def mark(work: Workspace, t: int, place: int, leg: int, conflicts: int) -> bool:
     """Mark that paths go on from a place; returns whether that is new."""
     marks, search = work.mark[t, place], work.number[SEARCH]
@@ -131,7 +131,7 @@ def mark(work: Workspace, t: int, place: int, leg: int, conflicts: int) -> bool:
     return (marks & bit) == 0
 
 
-@inlined
+@formula
 def is_marked(work: Workspace, t: int, place: int, leg: int, conflicts: int) -> int:
     """Tell whether paths go on from a place (0 or 1)."""
     marks = work.mark[t, place]
