@@ -15,7 +15,7 @@ NOWHERE = 0  # a page that holds nothing but UNKNOWN: tiles of a field without a
 WHOLE_SIDE = 64  # a grid of so many rows and columns is one page
 PAGE_SIDE = 16
 SHARE = 8  # a field is expected to take one page in so many
-ENOUGH = 4  # room grows where less than one in so many is free
+ENOUGH = 4  # room grows where no more than one in so many is free
 ROWS, PAGES, WANTED = range(3)  # entries of `Fields.free`
 
 
@@ -98,9 +98,9 @@ def make_room(fields: Fields, wanted_goals: np.ndarray) -> Fields:
     spared = np.zeros(fields.row.size, bool)
     spared[wanted_goals] = True
     _forget(fields, np.flatnonzero((fields.row != NOBODY) & ~spared))
-    if fields.free[ROWS] < fields.extent.size // ENOUGH:
+    if fields.free[ROWS] <= fields.extent.size // ENOUGH:
         fields = _more_rows(fields)
-    if fields.free[PAGES] < len(fields.steps) // ENOUGH:
+    if fields.free[PAGES] <= len(fields.steps) // ENOUGH:
         fields = _more_pages(fields)
     fields.free[WANTED] = 0
     return fields
