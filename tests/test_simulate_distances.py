@@ -55,7 +55,8 @@ def ask(fields: Fields, site: Site, rng: np.random.Generator, times: int) -> Fie
 def test_every_answer_is_that_of_a_plain_search(shape):
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        ask(empty_fields(shape, GOALS, GOALS), random_site(rng, shape), rng, 500)
+        fields = ask(empty_fields(shape, GOALS, GOALS), random_site(rng, shape), rng, 500)
+        assert not lacks_room(fields) and (fields.steps[1:] > 0).any()
 
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
