@@ -19,16 +19,9 @@ from qdenv.simulate.mapf.negotiated.numba.reservations import (
 )
 from qdenv.simulate.mapf.negotiated.numba.states import (
     BETWEEN,
-    CELLS,
-    CONFLICTS_BIT,
     ELAPSED_BIT,
-    LEG_BIT,
-    LEGS,
-    LEVELS,
     NO_STATE,
     NOT_MEASURED,
-    PLACE_BIT,
-    PLACES,
     SEARCH,
     STATES,
     TIME_BIT,
@@ -39,6 +32,7 @@ from qdenv.simulate.mapf.negotiated.numba.states import (
     enqueue,
     mark,
     pack,
+    unpack,
 )
 
 
@@ -115,8 +109,7 @@ def _drive_on(
     least: int,
 ) -> None:
     """Visit a driving state: queue what one step leads to."""
-    cell, place, t = state & CELLS, (state >> PLACE_BIT) & PLACES, (state >> TIME_BIT) & TIMES
-    leg, conflicts = (state >> LEG_BIT) & LEGS, (state >> CONFLICTS_BIT) & LEVELS
+    cell, place, t, leg, conflicts = unpack(state)
     goal = agent.cell[leg] if rules.ends_leg(leg, agent.service_time[leg]) else -1
     for move in range(rules.MOVES):
         other = cell + site.steps[move]
@@ -144,10 +137,8 @@ def _serve_on(
     least: int,
 ) -> None:
     """Visit a serving state: serve for one timestep more."""
-    cell, t = state & CELLS, (state >> TIME_BIT) & TIMES
-    conflicts = (state >> CONFLICTS_BIT) & LEVELS
+    cell, place, t, leg, conflicts = unpack(state)
     after = min(conflicts + is_reserved(reservations.word[cell], t), work.levels - 1)
-    place, leg = (state >> PLACE_BIT) & PLACES, (state >> LEG_BIT) & LEGS
     elapsed = state >> ELAPSED_BIT
     _serve(work, fields, site, agent, pack(cell, place, t + 1, leg, after), elapsed, least)
 
@@ -163,8 +154,7 @@ def _serve(
     least: int,
 ) -> None:
     """Queue that somebody has served for `elapsed` timesteps, and may go on to the next goal."""
-    cell, place, t = state & CELLS, (state >> PLACE_BIT) & PLACES, (state >> TIME_BIT) & TIMES
-    leg, conflicts = (state >> LEG_BIT) & LEGS, (state >> CONFLICTS_BIT) & LEVELS
+    cell, place, t, leg, conflicts = unpack(state)
     if (work.served[conflicts, leg, t] >> elapsed) & 1:
         return
     work.served[conflicts, leg, t] |= 1 << elapsed
@@ -185,8 +175,8 @@ def _serve(
 @kernel
 def _end_code(work: Workspace, state: int) -> int:
     """Give the end of a path its code."""
-    place, leg = (state >> PLACE_BIT) & PLACES, (state >> LEG_BIT) & LEGS
-    conflicts, served = (state >> CONFLICTS_BIT) & LEVELS, state >> ELAPSED_BIT
+    _, place, _, leg, conflicts = unpack(state)
+    served = state >> ELAPSED_BIT
     if served:
         return path_rules.serving_end(leg, conflicts, work.levels, served - 1, work.side)
     row, column = place // work.side, place % work.side

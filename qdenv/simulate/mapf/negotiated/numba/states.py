@@ -110,6 +110,13 @@ def pack(cell: int, place: int, t: int, leg: int, conflicts: int) -> int:
 
 
 @formula
+def unpack(state: int) -> tuple[int, int, int, int, int]:
+    """Read cell, place, time, leg and conflicts of a state."""
+    cell, place, t = state & CELLS, (state >> PLACE_BIT) & PLACES, (state >> TIME_BIT) & TIMES
+    return cell, place, t, (state >> LEG_BIT) & LEGS, (state >> CONFLICTS_BIT) & LEVELS
+
+
+@formula
 def enqueue(work: Workspace, state: int, cost: int) -> None:
     """Queue a state by its cost; a cost out of range is none, as fields that lack room give."""
     cost = min(max(cost, 0), work.first.size - 1)
