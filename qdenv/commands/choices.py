@@ -11,12 +11,11 @@ import tyro
 
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.search.registry import ALGORITHMS
+from qdenv.study.plans import USUAL
 from qdenv.study.traffic import find_planner
 from qdenv.training.config import RunConfig
 from qdenv.training.records import RunDirectory
-from qdenv.types import InputError, TaskRule
-
-USUAL = "warehouse-even"  # the domain where nothing says otherwise
+from qdenv.types import InputError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,28 +23,25 @@ class FleetOptions:
     """Who drives on a layout, for how long, and how often.
 
     Attributes:
-        domain: whose tasks the agents do.
+        domain: whose tasks the agents do; what the layout file says unless given.
         timesteps: how long to simulate.
-        seeds: how many seeds, or a list of them.
+        seeds: 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one.
         effort: low for a quick look, high for numbers to report.
         planner: another registered planner, with its defaults, in place of the package's own.
+        seconds_per_step: of one timestep, to report tasks per hour, too.
     """
 
-    domain: str = USUAL
+    domain: str | None = None
     timesteps: int = 1000
-    seeds: tuple[int, ...] = (10,)
+    seeds: tuple[str, ...] = ("10",)
     effort: Literal["low", "high"] = "high"
     planner: str = ""
+    seconds_per_step: float | None = None
 
     @property
     def planner_settings(self) -> Any:
         """The chosen planner's settings; `InputError` where nothing has this name."""
         return find_planner(self.effort, self.planner)
-
-    @property
-    def tasks(self) -> TaskRule | None:
-        """What the agents of the domain do; None where no fleet drives."""
-        return find_domain(self.domain).simulator.tasks
 
 
 # How a command takes them: without a prefix of their own.

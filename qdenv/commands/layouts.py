@@ -8,7 +8,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from qdenv.commands.choices import USUAL, Numbers
+from qdenv.commands.choices import Numbers
 from qdenv.domains.base import Domain, find_domain
 from qdenv.files import write_json
 from qdenv.formats.layouts import read_layout, write_layout
@@ -17,6 +17,7 @@ from qdenv.repair.bounds import impossible
 from qdenv.repair.recipe import repair as repair_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.score.layout import similarity
+from qdenv.study.plans import USUAL
 from qdenv.types import InputError, RepairStatus, Rules
 
 LayoutFile = tyro.conf.Positional[Path]

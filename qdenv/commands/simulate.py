@@ -6,17 +6,16 @@ from typing import Annotated
 import tyro
 
 from qdenv.commands.choices import FleetOptions, Options
-from qdenv.domains.base import find_domain
 from qdenv.files import write_json
-from qdenv.formats.layouts import read_layout
 from qdenv.study import sweep as studies
+from qdenv.study.plans import read_plan
 from qdenv.study.traffic import simulate_layout
 
 
 def simulate(
     layout: tyro.conf.Positional[Path],
     agents: int = 200,
-    options: Options = FleetOptions(seeds=(3,), effort="low"),  # noqa: B008 (frozen)
+    options: Options = FleetOptions(),  # noqa: B008 (frozen)
     audit: bool = True,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
 ) -> None:
@@ -29,11 +28,11 @@ def simulate(
         audit: check every trajectory against the rules of movement.
         json_file: where to write the numbers.
     """
-    tiles = read_layout(layout, find_domain(options.domain).tiles)
+    plan = read_plan(layout, options.domain)
     with studies.about(str(layout)):
         result = simulate_layout(
-            tiles,
-            options.domain,
+            plan.layout,
+            plan.domain.name,
             agents,
             options.timesteps,
             options.seeds,

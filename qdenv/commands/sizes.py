@@ -5,12 +5,13 @@ from typing import Annotated, Literal
 
 import tyro
 
-from qdenv.commands.choices import USUAL, ManyNumbers, Numbers
+from qdenv.commands.choices import ManyNumbers, Numbers
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.plots.layouts import save_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.study import sizes
+from qdenv.study.plans import USUAL
 from qdenv.training.records import RunDirectory
 
 FIGURE_18 = tuple(f"{rows}x{cols}" for rows, cols in sizes.SIZES)

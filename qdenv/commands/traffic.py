@@ -7,11 +7,11 @@ import numpy as np
 import tyro
 
 from qdenv.commands.choices import FleetOptions, Options
-from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import read_layout
+from qdenv.domains.base import Domain
 from qdenv.plots.studies import save_comparison, save_peaks
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study import sweep as studies
+from qdenv.study.plans import read_plan
 from qdenv.study.table import Row, find_peak, write_rows
 from qdenv.study.traffic import parse_seeds
 from qdenv.types import InputError
@@ -33,8 +33,8 @@ def sweep(
         options: who drives.
         out: CSV file to write, with a picture beside it; named after the layout unless given.
     """
-    tiles = read_layout(layout, find_domain(options.domain).tiles)
-    trial = trial_of(agents, options)
+    plan = read_plan(layout, options.domain)
+    trial = trial_of(agents, options, plan.domain)
     print("agents  throughput  standard error  success rate (95 % interval)")
 
     def show(row: Row) -> None:
@@ -44,7 +44,7 @@ def sweep(
             flush=True,
         )
 
-    rows = studies.sweep(layout.stem, tiles, trial, show)
+    rows = studies.sweep(layout.stem, plan.layout, trial, show)
     table = out or Path(f"{layout.stem}_sweep.csv")
     write_rows(table, rows)
     save_comparison(table.with_suffix(".png"), rows)
@@ -65,8 +65,8 @@ def compare(
         options: who drives.
         out: CSV file to write, with a picture beside it.
     """
-    tiles = read_layouts(layouts, options.domain)
-    trial, show = trial_of(agents, options), table_printer(tiles)
+    tiles, domain = read_layouts(layouts, options.domain)
+    trial, show = trial_of(agents, options, domain), table_printer(tiles)
     rows = studies.compare(tiles, trial, show)
     write_rows(out, rows)
     save_comparison(out.with_suffix(".png"), rows)
@@ -76,7 +76,7 @@ def compare(
 def scalability(
     layouts: Files,
     agents: str = "50:1000:50",
-    options: Options = FleetOptions(seeds=(5,)),  # noqa: B008 (frozen)
+    options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path = Path("scalability.csv"),
 ) -> None:
     """Add agents until the mean throughput drops; report the peak and where it is.
@@ -87,8 +87,8 @@ def scalability(
         options: who drives.
         out: CSV file to write, with a picture beside it.
     """
-    tiles = read_layouts(layouts, options.domain)
-    trial, show = trial_of(agents, options), table_printer(tiles)
+    tiles, domain = read_layouts(layouts, options.domain)
+    trial, show = trial_of(agents, options, domain), table_printer(tiles)
     climbs = [studies.climb(name, layout, trial, show) for name, layout in tiles.items()]
     peaks = [find_peak(rows) for rows in climbs]
     for peak in peaks:
@@ -100,7 +100,7 @@ def scalability(
     print(f"{out}, {out.with_suffix('.png')}")
 
 
-def trial_of(agents: str, options: FleetOptions) -> studies.Trial:
+def trial_of(agents: str, options: FleetOptions, domain: Domain) -> studies.Trial:
     """Read what a command puts its layouts to.
 
     Raises:
@@ -108,19 +108,22 @@ def trial_of(agents: str, options: FleetOptions) -> studies.Trial:
     """
     config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
     counts, seeds = studies.parse_counts(agents), parse_seeds(options.seeds)
-    return studies.Trial(options.tasks, config, counts, seeds)
+    return studies.Trial(domain.simulator.tasks, config, counts, seeds)
 
 
-def read_layouts(paths: Sequence[Path], domain: str) -> dict[str, np.ndarray]:
+def read_layouts(paths: Sequence[Path], domain: str | None) -> tuple[dict[str, np.ndarray], Domain]:
     """Read layouts of one domain, by name.
 
     Raises:
-        InputError: none is given, or one cannot be read.
+        InputError: none is given, one cannot be read, or they are of several domains.
     """
     if not paths:
         raise InputError("give at least one layout file")
-    alphabet = find_domain(domain).tiles
-    return {name: read_layout(path, alphabet) for name, path in studies.name_layouts(paths).items()}
+    plans = {name: read_plan(path, domain) for name, path in studies.name_layouts(paths).items()}
+    kinds = {plan.domain.name: plan for plan in plans.values()}
+    if len(kinds) > 1:
+        raise InputError(f"these are layouts of {' and '.join(kinds)}: put one domain side by side")
+    return {name: plan.layout for name, plan in plans.items()}, next(iter(kinds.values())).domain
 
 
 def table_printer(names: Iterable[str]) -> Callable[[Row], None]:

@@ -19,6 +19,9 @@ from qdenv.simulate.mapf.tasks import check_playable
 from qdenv.study.table import summarise
 from qdenv.types import InputError, TaskRule, Traffic, look_up
 
+LARGEST_SEED = 2**32 - 1
+MOST_SEEDS = 100_000
+
 
 class Simulated(NamedTuple):
     """The runs of one layout.
@@ -38,17 +41,29 @@ class Simulated(NamedTuple):
     compile_seconds: float
 
 
-def parse_seeds(seeds: Sequence[int]) -> tuple[int, ...]:
-    """Read a count of seeds (one number) or a list of them.
+def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
+    """Read seeds: a count, which gives the first so many, or a list.
+
+    Args:
+        seeds: 10 or "10" for ten seeds from 0 on; "3,5,9" for these three, "7," for this one. In
+            a sequence one entry is read likewise, several are a list: (10,), ("3,5",), (3, 5, 9).
 
     Raises:
-        InputError: the count is not positive.
+        InputError: it is neither, or there is no seed in it.
     """
-    if len(seeds) != 1:
-        return tuple(seeds)
-    if seeds[0] < 1:
-        raise InputError("simulate at least one seed")
-    return tuple(range(seeds[0]))
+    parts = [seeds] if isinstance(seeds, int | str) else list(seeds)
+    text = str(parts[0]) if len(parts) == 1 else ",".join(map(str, parts))
+    try:
+        numbers = [int(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        numbers = []
+    if not numbers or min(numbers) < 0 or max(numbers) > LARGEST_SEED:
+        raise InputError(f"seeds {text!r}: write 10 for ten seeds, 3,5,9 for these, 7, for one")
+    if "," in text:
+        return tuple(numbers)
+    if not 1 <= numbers[0] <= MOST_SEEDS:
+        raise InputError(f"seeds {text!r}: simulate at least one seed, and at most {MOST_SEEDS:,}")
+    return tuple(range(numbers[0]))
 
 
 def run_seeds(
@@ -141,8 +156,8 @@ def simulate_layout(
     domain: str = "warehouse-even",
     agents: int = 200,
     timesteps: int = 1000,
-    seeds: Sequence[int] = (3,),
-    effort: str = "low",
+    seeds: int | str | Sequence[int | str] = 10,
+    effort: str = "high",
     check: bool = False,
     planner: str = "",
 ) -> dict[str, Any]:
@@ -153,7 +168,7 @@ def simulate_layout(
         domain: name of the domain.
         agents: number of agents.
         timesteps: horizon T.
-        seeds: how many, or a list of at least two.
+        seeds: how many, or a list; see `parse_seeds`.
         effort: "low" or "high".
         check: audit every trajectory; without it "valid" is None.
         planner: name of another registered planner.
