@@ -11,11 +11,12 @@ import numpy as np
 
 from qdenv.grid import of_tiles
 from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.simulate.mapf.tasks import check_playable
+from qdenv.study.runs import SIMULATING, Progress, run_seeds, silent
 from qdenv.study.table import Row, find_peak, summarise
-from qdenv.study.traffic import run_seeds
+from qdenv.study.traffic import fleet_tasks
 from qdenv.types import InputError, TaskRule
 
+MOST_COUNTS = 1000  # numbers of agents in one study
 FEWEST = 64  # agents that a compiled program has room for at least
 
 
@@ -41,19 +42,27 @@ def parse_counts(text: str) -> tuple[int, ...]:
     The end of a range belongs to it.
 
     Raises:
-        InputError: none of the three, or a count below one.
+        InputError: none of the three, a count below one or named twice, or too many of them.
     """
+    counts: Sequence[int]
     try:
         if ":" in text:
             first, last, *step = (int(part) for part in text.split(":"))
-            counts = tuple(range(first, last + 1, *step))
+            counts = range(first, last + 1, *step)[: MOST_COUNTS + 1]
         else:
-            counts = tuple(int(part) for part in text.split(","))
+            counts = [int(part) for part in text.split(",")]
     except (ValueError, TypeError):
         raise InputError(f"agents {text!r}: write 200, or 50,100, or 50:400:50") from None
     if not counts or min(counts) < 1:
         raise InputError(f"agents {text!r} holds no number of agents above zero")
-    return counts
+    if len(counts) > MOST_COUNTS:
+        raise InputError(
+            f"agents {text!r} are more than {MOST_COUNTS} numbers: choose a larger step, as in "
+            "50:400:50"
+        )
+    if len(set(counts)) < len(counts):
+        raise InputError(f"agents {text!r} names a number twice: name each once")
+    return tuple(counts)
 
 
 def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:
@@ -75,7 +84,8 @@ def sweep(
     name: str,
     layout: np.ndarray,
     trial: Trial,
-    progress: Callable[[Row], None] = lambda row: None,
+    told: Callable[[Row], None] = lambda row: None,
+    progress: Progress = silent,
 ) -> list[Row]:
     """Simulate a layout with several numbers of agents; compiles once.
 
@@ -83,48 +93,70 @@ def sweep(
         name: of the layout.
         layout: int8 [H, W].
         trial: who drives, and how often.
-        progress: told every finished row.
+        told: hears of every finished row.
+        progress: hears how far it is.
 
     Raises:
         InputError: agents cannot work on this layout, or do not fit; the line names the layout.
     """
-    tasks, counts = trial.tasks, trial.counts
-    config = replace(trial.config, agents=max(counts))
-    rows = []
-    with about(name):
-        if tasks is not None:
-            check_playable(layout, tasks, max(counts))
-        for agents in counts:
-            done = run_seeds(layout, tasks, config, trial.seeds, agents)
-            rows.append(summarise(name, layout, agents, done.runs, done.cpu_seconds))
-            progress(rows[-1])
-    return rows
+    return compare({name: layout}, trial, told, progress)
 
 
 def compare(
     layouts: Mapping[str, np.ndarray],
     trial: Trial,
-    progress: Callable[[Row], None] = lambda row: None,
+    told: Callable[[Row], None] = lambda row: None,
+    progress: Progress = silent,
 ) -> list[Row]:
     """Simulate layouts with the same numbers of agents and the same seeds.
 
     Args:
         layouts: int8 [H, W] each, by name; sizes may differ. The other arguments, and what may
-            go wrong, are those of `sweep`.
-        trial: who drives, and how often.
-        progress: told every finished row.
+            go wrong, are those of `sweep`; all layouts are checked before the first run.
 
     Returns:
         a row for each layout and number of agents, layout by layout.
     """
-    return [row for name, layout in layouts.items() for row in sweep(name, layout, trial, progress)]
+    for name, layout in layouts.items():
+        check_fleet(name, layout, trial.tasks, max(trial.counts))
+    config = replace(trial.config, agents=max(trial.counts))
+    rows: list[Row] = []
+    total = len(layouts) * sum(trial.counts)  # a run's cost grows with its agents
+    for name, layout in layouts.items():
+        for agents in trial.counts:
+            before = sum(row.agents for row in rows)
+            tell = _part(progress, f"{name}, {agents} agents", before / total, agents / total)
+            done = run_seeds(layout, trial.tasks, config, trial.seeds, agents, progress=tell)
+            rows.append(summarise(name, layout, agents, done.runs, done.cpu_seconds))
+            told(rows[-1])
+    return rows
+
+
+def check_fleet(name: str, layout: np.ndarray, tasks: TaskRule | None, agents: int) -> None:
+    """Refuse what could not be simulated, before anything is.
+
+    Raises:
+        InputError: see `traffic.fleet_tasks`; the line names the layout.
+    """
+    with about(name):
+        fleet_tasks(layout, tasks, agents)
+
+
+def _part(progress: Progress, state: str, before: float, size: float) -> Progress:
+    """Report a part of a larger work: which share lies before it, and how large it is."""
+
+    def tell(doing: str, share: float, note: str) -> None:
+        progress(SIMULATING, before + size * max(share, 0.0), f"{state}, {note or doing}")
+
+    return tell
 
 
 def climb(
     name: str,
     layout: np.ndarray,
     trial: Trial,
-    progress: Callable[[Row], None] = lambda row: None,
+    told: Callable[[Row], None] = lambda row: None,
+    progress: Progress = silent,
 ) -> list[Row]:
     """Add agents until the mean throughput over all runs drops (section E.3).
 
@@ -133,7 +165,8 @@ def climb(
         layout: int8 [H, W].
         trial: who drives, and how often; its numbers of agents are tried from few to many, those
             that do not fit are left out.
-        progress: told every finished row.
+        told: hears of every finished row.
+        progress: hears what is simulated; nobody knows how much will be.
 
     Returns:
         a row for each number of agents tried; `table.find_peak` reads them.
@@ -143,18 +176,22 @@ def climb(
     """
     tasks, counts = trial.tasks, trial.counts
     free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
-    fitting = [count for count in sorted(set(counts)) if count <= free]
+    fitting = [count for count in sorted(counts) if count <= free]
     if not fitting:
         raise InputError(f"{name}: {min(counts)} agents do not fit on {free} free cells")
+    check_fleet(name, layout, tasks, fitting[-1])
     rows: list[Row] = []
     for count in fitting:
         # Programs for fleets that double in size: few to compile, none much too large.
         room = max(FEWEST, 1 << (count - 1).bit_length())
         config = replace(trial.config, agents=min(room, fitting[-1]))
-        with about(name):
-            done = run_seeds(layout, tasks, config, trial.seeds, count)
+
+        def tell(doing: str, share: float, note: str, count: int = count) -> None:
+            progress(f"adding agents to {name}", -1, f"{count} agents, {note or doing}")
+
+        done = run_seeds(layout, tasks, config, trial.seeds, count, progress=tell)
         rows.append(summarise(name, layout, count, done.runs, done.cpu_seconds))
-        progress(rows[-1])
+        told(rows[-1])
         if find_peak(rows).dropped:
             break
     return rows

@@ -35,6 +35,8 @@ from qdenv.simulate.mapf.padding import pad
 from qdenv.simulate.mapf.planner import PLANNERS, UNREACHABLE, Planner, World
 from qdenv.types import Array, InputError, TaskRule, Traffic
 
+MOST_TIMESTEPS = 10_000_000
+MOST_STEPS = 2**31 - 1  # agent-steps, which are counted in 32 bits
 TABLE_ENTRIES = 1 << 26  # of a table of all distances, 128 MB; above, agents measure their own
 
 
@@ -64,6 +66,12 @@ class FleetConfig:
         """Refuse numbers that make no simulation, or that the planner cannot plan."""
         if self.agents < 1 or self.timesteps < 1:
             raise InputError("a simulation needs at least one agent and one timestep")
+        if self.timesteps > MOST_TIMESTEPS or self.agents * self.timesteps > MOST_STEPS:
+            most = max(1, min(MOST_TIMESTEPS, MOST_STEPS // self.agents))
+            raise InputError(
+                f"{self.agents} agents over {self.timesteps} timesteps are more than a run can "
+                f"count: simulate at most {most} timesteps"
+            )
         if not 1 <= self.horizon <= self.window:
             raise InputError(
                 f"need 1 <= horizon <= window, not horizon {self.horizon}, window {self.window}"

@@ -1,0 +1,132 @@
+"""The picture of a fleet's traffic: where robots drive, wait and work, and how it goes on."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from qdenv.plots.figure import new_figure, save_figure
+from qdenv.study.jams import Maps, Spot
+
+WALL = "#5f6368"
+FLOOR = "#ffffff"
+STATIONS = "#0b6e99"
+LINE = "#1f5fa8"
+JAM = "#b5432d"
+PANEL = 5.6  # inches
+COLOURS = {"usage": "Blues", "waiting": "Reds", "finished": "Greens"}
+NUMBERED = 60  # rows or columns up to which the worst cells are numbered in the map
+
+
+class Scene(NamedTuple):
+    """What the picture shows.
+
+    Attributes:
+        free: bool [H, W], cells that robots may drive on.
+        maps: averaged over the runs.
+        worst: the worst cells, the worst first.
+        over_time: [3, n]: ends of windows of time, mean throughput in each, its standard error.
+        jams: timesteps at which runs congested.
+        title: of the whole picture.
+        runs: how many there were.
+    """
+
+    free: np.ndarray
+    maps: Maps
+    worst: Sequence[Spot]
+    over_time: np.ndarray
+    jams: Sequence[int]
+    title: str
+    runs: int
+
+
+def save_traffic(path: str | Path, scene: Scene) -> None:
+    """Save what `draw_traffic` draws; the ending of `path` chooses the format.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    save_figure(draw_traffic(scene), path)
+
+
+def draw_traffic(scene: Scene) -> Figure:
+    """Draw the floor plan three times and the throughput over time.
+
+    Rows and columns are numbered as in the table of the worst cells, from 0 at the top left.
+    """
+    rows, cols = scene.free.shape
+    tall = float(np.clip(rows / cols, 0.4, 1.6))
+    figure = new_figure(2 * PANEL + 1.6, 2 * (PANEL * tall + 0.6) + 0.5)
+    (waiting, usage), (finished, time) = figure.subplots(2, 2)
+    figure.suptitle(scene.title)
+    share = scene.maps.waiting_share
+    worst = f"where robots wait: {share:.1%} of their time"
+    _draw_map(waiting, scene, scene.maps.waiting, "waiting", worst)
+    _bar_of(waiting, "time in which a robot waits here [% of all time]", percent=True)
+    _number_worst(waiting, scene)
+    _draw_map(usage, scene, scene.maps.usage, "usage", "where robots are")
+    _bar_of(usage, "time in which a robot is here [% of all time]", percent=True)
+    done = scene.maps.finished.sum()
+    _draw_map(finished, scene, scene.maps.finished, "finished", "where tasks are finished")
+    _bar_of(finished, f"tasks per timestep here [all cells: {done:.2f}]", percent=False)
+    _draw_time(time, scene)
+    return figure
+
+
+def _draw_map(axes: Axes, scene: Scene, values: np.ndarray, kind: str, title: str) -> None:
+    """Draw one number per cell over the walls; cells without any stay white."""
+    axes.imshow(scene.free, cmap=ListedColormap([WALL, FLOOR]), vmin=0, vmax=1)
+    shown = np.ma.masked_where(values <= 0, values)
+    # One extreme cell must not wash out all others; the bar's tip says that there is more.
+    top = float(np.quantile(values[values > 0], 0.995)) if (values > 0).any() else 1.0
+    axes.imshow(shown, cmap=COLOURS[kind], vmin=0, vmax=top, interpolation="nearest")
+    axes.set_title(title)
+    axes.tick_params(labelsize=8)
+    axes.set(xlabel="column", ylabel="row")
+
+
+def _bar_of(axes: Axes, label: str, percent: bool) -> None:
+    """Add the colour bar of a map."""
+    image = axes.images[-1]
+    values = image.get_array()
+    beyond = values is not None and values.count() and values.max() > image.norm.vmax
+    style = {"format": PercentFormatter(1.0, decimals=None)} if percent else {}
+    assert axes.figure is not None
+    bar = axes.figure.colorbar(
+        image, ax=axes, shrink=0.85, extend="max" if beyond else "neither", **style
+    )
+    bar.set_label(label)
+
+
+def _number_worst(axes: Axes, scene: Scene) -> None:
+    """Mark the worst cells, with their rank where there is room for it."""
+    rows, cols = scene.free.shape
+    for rank, spot in enumerate(scene.worst, 1):
+        place = (spot.column, spot.row)
+        axes.plot(*place, "s", markersize=220 / max(rows, cols), mfc="none", mec="black", mew=0.8)
+        if max(rows, cols) <= NUMBERED:
+            axes.annotate(str(rank), place, ha="center", va="center", fontsize=6, color="black")
+
+
+def _draw_time(axes: Axes, scene: Scene) -> None:
+    """Draw throughput over time, with a band of one standard error and the jams."""
+    ends, mean, error = scene.over_time
+    label = f"mean of {scene.runs} runs" if scene.runs > 1 else "one run"
+    steps = np.concatenate([[0], ends])
+    axes.stairs(mean, steps, color=LINE, baseline=None, label=label, linewidth=1.6)
+    if not np.isnan(error).any():
+        band = {"step": "post", "alpha": 0.25, "color": LINE, "label": "+- standard error"}
+        low, high = (np.append(side, side[-1]) for side in (mean - error, mean + error))
+        axes.fill_between(steps, low, high, **band)
+    for place, jam in enumerate(scene.jams):
+        word = f"{len(scene.jams)} of {scene.runs} runs congested, and ended"
+        axes.axvline(jam, color=JAM, linestyle=":", label=None if place else word)
+    axes.set(xlabel="timestep", ylabel="throughput [tasks / timestep]")
+    axes.set(xlim=(0, ends[-1]), ylim=(0, None), title="throughput over time")
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False, loc="lower right")

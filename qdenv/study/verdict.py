@@ -1,0 +1,148 @@
+"""Whether a layout still takes more robots, judged by runs with fewer and with more of them.
+
+A fleet's throughput rises with its robots up to a peak, and falls beyond it. On crowded layouts it
+falls all of a sudden, when a jam forms that nobody gets out of: the hand-made warehouse of 33 x 36
+moves 6.04 tasks per timestep with 200 robots, 5.68 with 225 and 5.20 with 250. That no run was
+*congested*, i.e. that never more than half of the robots stood still at once, says little then.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.study.table import WORTH, value_of_a_robot
+from qdenv.types import Traffic
+
+FLOWS, NEAR, PAST, CONGESTED = "flows", "near capacity", "past its peak", "congested"
+
+JAMMED = 0.5  # share of congested runs from which on the layout is
+PROBES = 3  # runs with another number of robots
+FEWER, FEWEST, MORE = 0.75, 0.5, 1.25  # of the robots, those numbers
+GAIN = 0.02  # more throughput than this with fewer robots: past the peak
+FADING = 0.05  # throughput that falls by more than this while time goes on: past the peak
+DOUBT = 3.0  # ... and by so many standard errors, were tasks finished independently
+
+
+class Point(NamedTuple):
+    """The throughput at one number of robots.
+
+    Attributes:
+        agents: how many robots.
+        throughput: tasks per timestep, the mean over all runs.
+        standard_error: of it; NaN for one run.
+        runs: how many.
+        congested: how many of them congested.
+        fading: by which share of itself throughput falls from the second quarter of the time to
+            the last one, all runs together; 0 where that may be chance.
+    """
+
+    agents: int
+    throughput: float
+    standard_error: float
+    runs: int
+    congested: int
+    fading: float
+
+
+class Verdict(NamedTuple):
+    """How a layout bears a fleet.
+
+    Attributes:
+        word: "flows", "near capacity", "past its peak" or "congested".
+        reason: what shows it, in one line.
+        points: the evidence: this number of robots first, then those that were probed.
+    """
+
+    word: str
+    reason: str
+    points: tuple[Point, ...]
+
+
+def point_of(agents: int, runs: Sequence[Traffic]) -> Point:
+    """Condense runs with one number of robots."""
+    every = np.array([run.throughput for run in runs], float)
+    error = every.std(ddof=1) / np.sqrt(len(every)) if len(every) > 1 else np.nan
+    return Point(
+        agents=agents,
+        throughput=float(every.mean()),
+        standard_error=float(error),
+        runs=len(runs),
+        congested=sum(bool(run.congested) for run in runs),
+        fading=_fading(runs),
+    )
+
+
+def _fading(runs: Sequence[Traffic]) -> float:
+    """Compare the last quarter of the time with the second; the first one is spent setting out."""
+    finished = np.sum([np.asarray(run.finished) for run in runs], axis=0)
+    quarter = len(finished) // 4
+    early, late = finished[quarter : 2 * quarter].sum(), finished[len(finished) - quarter :].sum()
+    sure = early - late > DOUBT * np.sqrt(early + late)
+    return float(1 - late / early) if sure else 0.0
+
+
+def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
+    """Judge whether a layout takes this many robots, and whether it would take more.
+
+    In this order, so that runs are only spent where the verdict hangs on them:
+
+    * *congested*: in at least half of the runs, more than half of the robots stood still at once.
+    * *past its peak*: throughput fades by more than 5 % while time goes on (a jam builds up), or a
+      run congested, or three quarters or half of the robots move at least 2 % more.
+    * *near capacity*: the last quarter of the robots, or a quarter more of them, brings per robot
+      less than half of what an average robot does.
+    * *flows*: none of these.
+
+    Args:
+        here: with the number of robots in question.
+        probe: simulates another number of robots.
+        most: robots that fit the layout.
+    """
+    points = [here]
+
+    def at(share: float) -> Point:
+        points.append(probe(max(1, min(round(share * here.agents), most))))
+        return points[-1]
+
+    def verdict(word: str, reason: str) -> Verdict:
+        return Verdict(word, reason, tuple(points))
+
+    if here.congested >= JAMMED * here.runs:
+        reason = f"in {here.congested} of {here.runs} runs more than half of the robots stood still"
+        return verdict(CONGESTED, reason)
+    if here.congested:
+        return verdict(PAST, f"{here.congested} of {here.runs} runs congested")
+    if here.fading > FADING:
+        return verdict(PAST, f"a jam builds up: throughput falls by {here.fading:.0%} with time")
+    worth = 1.0
+    if here.agents > 1:
+        fewer = at(FEWER)
+        if gain(here, fewer) > GAIN:
+            return verdict(PAST, _compared(here, fewer))
+        worth = value_of_a_robot(fewer[:2], here[:2])
+        reason = f"the last {here.agents - fewer.agents} robots add {-gain(here, fewer):.0%}"
+    if worth < WORTH:
+        fewest = at(FEWEST)
+        past = gain(here, fewest) > GAIN
+        return verdict(PAST, _compared(here, fewest)) if past else verdict(NEAR, reason)
+    if here.agents < most:
+        more = at(MORE)
+        word = NEAR if value_of_a_robot(here[:2], more[:2]) < WORTH else FLOWS
+        return verdict(word, _compared(here, more))
+    return verdict(FLOWS, "every cell holds a robot")
+
+
+def gain(here: Point, other: Point) -> float:
+    """Say how much more `other` moves than `here`, as a share of the latter."""
+    return (
+        other.throughput / here.throughput - 1 if here.throughput else float(other.throughput > 0)
+    )
+
+
+def _compared(here: Point, other: Point) -> str:
+    share = gain(here, other)
+    amount = (
+        f"{abs(share):.0%} {'more' if share > 0 else 'less'}" if abs(share) >= 0.005 else "as much"
+    )
+    return f"{other.agents} robots would move {amount}"
