@@ -1,31 +1,24 @@
 """The command simulate: one layout, one number of robots; where it jams, and whether more fit."""
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated, Any
+from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 import tyro
 
-from qdenv.commands import output
+from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions, Options
 from qdenv.commands.waiting import waiting
 from qdenv.grid import of_tiles
-from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study import sweep as studies
-from qdenv.study.jams import throughput_over_time, worst_cells
+from qdenv.study.options import describe_planner, fleet_tasks, parse_seeds
 from qdenv.study.plans import Plan, read_plan
-from qdenv.study.traffic import (
-    Study,
-    Wanted,
-    describe_planner,
-    examine,
-    facts_of,
-    fleet_tasks,
-    parse_seeds,
-)
-from qdenv.types import InputError
 
-Picture = Annotated[Path | None, tyro.conf.arg(metavar="[FILE]")]
+if TYPE_CHECKING:  # imports the simulator
+    from qdenv.study.traffic import Study
 
 
 def simulate(
@@ -34,62 +27,114 @@ def simulate(
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     audit: bool = True,
     verdict: bool = True,
-    plot: Picture = None,
+    plot: words.Picture = None,
     json_file: output.JsonFile = None,
 ) -> None:
-    """Simulate a fleet on a layout: throughput, where it jams, whether more robots would help.
+    """Simulate a fleet on a layout: its throughput, where it jams, whether more robots would help.
 
     Args:
         layout: layout file.
-        agents: number of robots.
+        agents: number of agents (robots).
         options: who drives.
         audit: check every trajectory against the rules of movement.
-        verdict: simulate a few runs with fewer and with more robots, too, to say whether this
+        verdict: simulate a few runs with fewer and with more agents, too, to tell whether this
             number flows, is near capacity, past its peak or congested.
-        plot: picture of where robots wait, drive and work, and of throughput over time.
-        json_file: where to write the numbers; - for standard output.
+        plot: picture of where agents wait, drive and finish tasks, and of throughput over time.
+        json_file: where to write the numbers; - is standard output.
     """
-    picture = None
-    if plot is not None:
-        named = None if plot == Path("auto") else plot
-        default = f"{layout.stem}_traffic.png"
-        picture = output.place(named, default, output.PICTURES, [layout])
-    output.place(json_file, "facts.json", inputs=[layout])
-    per_hour = options.steps_per_hour
+    picture = words.place_picture(plot, f"{layout.stem}_traffic.png", [layout])
+    facts_place = output.place(json_file, "facts.json", inputs=[layout])
+    per_hour, seeds = words.steps_per_hour(options), parse_seeds(options.seeds)
     plan = read_plan(layout, options.domain)
-    tasks = plan.domain.simulator.tasks
-    seeds = parse_seeds(options.seeds)
-    with studies.about(str(layout)), waiting("simulating") as bar:
-        tasks = fleet_tasks(plan.layout, tasks, agents)
+    with studies.about(str(layout)):
+        tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
         config = FleetConfig(agents, options.timesteps, planner=options.planner_settings)
-        maps = audit or picture is not None
-        study = examine(plan.layout, tasks, config, seeds, Wanted(audit, maps, verdict), bar)
-    settings = {"effort": options.effort, "seeds": seeds, "audit": audit}
-    settings["seconds_per_step"] = options.seconds_per_step
-    facts = {
-        "layout": str(layout),
-        "domain": plan.domain.name,
-        "planner": describe_planner(config.planner),
-        "agents": agents,
-        "timesteps": options.timesteps,
-        **facts_of(study, plan.layout),
-    }
-    if per_hour:
-        facts["tasks_per_hour"] = facts["mean_of_all"] * per_hour
-    output.write_facts(json_file, "simulate", facts, **settings)
-    print(describe_fleet(plan, agents, options, len(seeds)))
-    print_numbers(facts, per_hour)
-    if study.maps is not None:
-        print_jams(facts, plan)
-    if study.verdict is not None:
-        print(f"verdict      {study.verdict.word}: {study.verdict.reason}")
+    # Imports the simulator, which takes longer than to refuse what cannot be simulated.
+    from qdenv.study.traffic import Wanted, examine, facts_of
+
+    wanted = Wanted(audit, maps=audit or picture is not None, verdict=verdict)
+    with studies.about(str(layout)), waiting("simulating") as bar:
+        study = examine(plan.layout, tasks, config, seeds, wanted, bar)
+    facts = facts_of(study, plan.layout) | {"domain": plan.domain.name}
+    facts |= {"planner": describe_planner(config.planner), "agents": agents}
+    facts |= {"layout": str(layout), "timesteps": options.timesteps}
+    facts |= {"tasks_per_hour": facts["mean_of_all"] * per_hour} if per_hour else {}
+    print(words.describe_study(str(agents), options, seeds, plan))
+    print_numbers(facts)
+    print_jams(facts, plan)
     if picture is not None:
         draw(picture.path, plan, study, facts)
         print(picture)
+    if json_file is not None:
+        output.write_facts(json_file, "simulate", facts, **words.settings_of(options, seeds))
+        print(facts_place)
+
+
+def print_numbers(facts: dict[str, Any]) -> None:
+    """Print the runs, their mean and the verdict."""
+    for run in facts["runs"]:
+        jam = f", congested at {run['end_timestep']}" if run["congested"] else ""
+        print(f"seed {run['seed']}: {run['throughput']:.3f} tasks per timestep{jam}")
+    error = facts["standard_error"]
+    band = f" +- {error:.3f} (standard error)" if np.isfinite(error) else ""
+    hour = f", {facts['tasks_per_hour']:,.0f} tasks per hour" if "tasks_per_hour" in facts else ""
+    print(f"throughput   {facts['mean_of_all']:.3f}{band} tasks per timestep{hour}")
+    smooth, rate = facts["mean_throughput"], facts["success_rate"]
+    if rate < 1:
+        others = "" if smooth is None else f"; the others move {smooth:.3f}"
+        print(f"congested    {1 - rate:.0%} of the runs{others}")
+    if "verdict" in facts:
+        print(f"verdict      {facts['verdict']}: {facts['verdict_reason']}")
+    checked = "every trajectory valid, " if facts["valid"] else ""
+    print(
+        f"computed     {checked}{facts['cpu_seconds_per_run']:.2f} CPU s per run, "
+        f"compiled in {facts['compile_seconds']:.1f} s"
+    )
     print("\n".join(facts["broken"]), end="\n" if facts["broken"] else "")
 
 
-def describe_fleet(plan: Plan, agents: int | str, options: FleetOptions, runs: int) -> str:
-    """Say in one line what is simulated, as all studies do."""
-    planner = f"planner {options.planner}" if options.planner else f"{options.effort} effort"
-    return f"{agents} agents, {options.timesteps} timesteps, {runs} seeds, {planner}, {plan.whose}"
+def print_jams(facts: dict[str, Any], plan: Plan) -> None:
+    """Print how much agents wait and travel, and the worst cells."""
+    steps = facts["steps_per_task"]
+    if steps is not None:
+        print(f"travelled    {steps:.1f} steps per task")
+    if "worst_cells" not in facts:
+        return
+    half = facts["cells_with_half_of_waiting"]
+    where = f", half of it on {half} cells" if half else ""
+    print(f"waiting      {facts['waiting_share']:.1%} of the agents' time{where}")
+    if not facts["worst_cells"]:
+        return
+    known = getattr(plan.domain, "names", {})
+    names = [known.get(tile, repr(tile)) for tile in plan.domain.tiles]
+    width = max(len(name) for name in names)
+    print(
+        f"\nworst   row  column  {'there is':{width}}  of all waiting  taken by a waiter  per visit"
+    )
+    for rank, spot in enumerate(facts["worst_cells"], 1):
+        print(
+            f"{rank:5}  {spot['row']:4}  {spot['column']:6}  {names[spot['tile']]:{width}}  "
+            f"{spot['share']:14.1%}  {spot['waiting']:16.0%}  {spot['wait_per_visit']:5.1f} steps"
+        )
+
+
+def draw(path: Path, plan: Plan, study: Study, facts: dict[str, Any]) -> None:
+    """Draw the traffic of a study."""
+    # Only here: matplotlib takes half a second to import.
+    from qdenv.plots.traffic import Scene, save_traffic
+    from qdenv.study.jams import throughput_over_time, worst_cells
+
+    assert study.maps is not None
+    runs, tasks = study.done.runs, plan.domain.simulator.tasks
+    assert tasks is not None
+    words = f": {facts['verdict']}, {facts['verdict_reason']}" if "verdict" in facts else ""
+    scene = Scene(
+        free=np.asarray(of_tiles(plan.layout, tasks.traversable, tasks.tiles)),
+        maps=study.maps,
+        worst=worst_cells(plan.layout, study.maps),
+        over_time=throughput_over_time(runs),
+        jams=[int(run.end_timestep) for run in runs if run.congested],
+        title=f"{plan.name}, {facts['agents']} agents{words}",
+        runs=len(runs),
+    )
+    save_traffic(path, scene)

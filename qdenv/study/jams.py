@@ -1,12 +1,16 @@
 """Where a fleet waits: cell by cell, from the recordings of its runs, in plain numpy."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from qdenv.simulate.mapf.metrics import Recording
 from qdenv.types import Traffic
+
+if TYPE_CHECKING:  # imports the simulator
+    from qdenv.simulate.mapf.metrics import Recording
 
 
 class Maps(NamedTuple):

@@ -15,15 +15,11 @@ from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.audit import audit, trajectory_of
 from qdenv.simulate.mapf.host.run import steps_under_way
 from qdenv.simulate.mapf.metrics import Recording
-from qdenv.simulate.mapf.tasks import check_playable
-from qdenv.types import InputError, TaskRule, Traffic
+from qdenv.study.options import fleet_tasks
+from qdenv.study.progress import COMPILING, SIMULATING, Progress, silent
+from qdenv.types import TaskRule, Traffic
 
 LOOK = 0.2  # seconds between two looks at how far the runs are
-COMPILING = "compiling the simulator"
-SIMULATING = "simulating"
-
-# (what is done, which share of it; below 0 where nobody knows, a word on how things stand)
-Progress: TypeAlias = Callable[[str, float, str], None]
 # (seed, what was counted, every step) -> what is kept of it
 Reader: TypeAlias = Callable[[int, Traffic, Recording], Any]
 
@@ -44,10 +40,6 @@ class Simulated(NamedTuple):
     readings: list[Any]
     cpu_seconds: float
     compile_seconds: float
-
-
-def silent(doing: str, share: float, note: str = "") -> None:
-    """Tell nobody of any progress."""
 
 
 def run_seeds(
@@ -76,10 +68,8 @@ def run_seeds(
     Raises:
         InputError: no fleet drives in this domain, or not on this layout.
     """
-    if tasks is None:
-        raise InputError("no fleet drives in this domain: there is no traffic to simulate")
     count = config.agents if agents is None else agents
-    check_playable(layout, tasks, count)
+    tasks = fleet_tasks(layout, tasks, count)
     begin = time.process_time()
     program = _program(tasks, config, layout.shape, read is not None)
     if not program.ready:

@@ -10,13 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import of_tiles
-from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.study.runs import SIMULATING, Progress, run_seeds, silent
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.options import fleet_tasks
+from qdenv.study.progress import SIMULATING, Progress, silent
 from qdenv.study.table import Row, find_peak, summarise
-from qdenv.study.traffic import fleet_tasks
 from qdenv.types import InputError, TaskRule
 
-MOST_COUNTS = 1000  # numbers of agents in one study
 FEWEST = 64  # agents that a compiled program has room for at least
 
 
@@ -34,35 +33,6 @@ class Trial(NamedTuple):
     config: FleetConfig
     counts: Sequence[int]
     seeds: Sequence[int]
-
-
-def parse_counts(text: str) -> tuple[int, ...]:
-    """Read numbers of agents: one ("200"), a list ("50,100") or a range ("50:400:50").
-
-    The end of a range belongs to it.
-
-    Raises:
-        InputError: none of the three, a count below one or named twice, or too many of them.
-    """
-    counts: Sequence[int]
-    try:
-        if ":" in text:
-            first, last, *step = (int(part) for part in text.split(":"))
-            counts = range(first, last + 1, *step)[: MOST_COUNTS + 1]
-        else:
-            counts = [int(part) for part in text.split(",")]
-    except (ValueError, TypeError):
-        raise InputError(f"agents {text!r}: write 200, or 50,100, or 50:400:50") from None
-    if not counts or min(counts) < 1:
-        raise InputError(f"agents {text!r} holds no number of agents above zero")
-    if len(counts) > MOST_COUNTS:
-        raise InputError(
-            f"agents {text!r} are more than {MOST_COUNTS} numbers: choose a larger step, as in "
-            "50:400:50"
-        )
-    if len(set(counts)) < len(counts):
-        raise InputError(f"agents {text!r} names a number twice: name each once")
-    return tuple(counts)
 
 
 def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:
@@ -117,6 +87,8 @@ def compare(
     Returns:
         a row for each layout and number of agents, layout by layout.
     """
+    from qdenv.study.runs import run_seeds  # imports the simulator
+
     for name, layout in layouts.items():
         check_fleet(name, layout, trial.tasks, max(trial.counts))
     config = replace(trial.config, agents=max(trial.counts))
@@ -174,6 +146,8 @@ def climb(
     Raises:
         InputError: agents cannot work on the layout, or not even the first number fits.
     """
+    from qdenv.study.runs import run_seeds  # imports the simulator
+
     tasks, counts = trial.tasks, trial.counts
     free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
     fitting = [count for count in sorted(counts) if count <= free]

@@ -12,9 +12,7 @@ from qdenv.score.traffic import wilson_interval
 from qdenv.study.differences import Difference, Sample, difference, sample_of
 from qdenv.types import Traffic
 
-WORTH = (
-    0.5  # a robot that brings less than this share of what an average one does is hardly worth it
-)
+WORTH = 0.5  # share of what an average robot brings; one that brings less is hardly worth it
 
 
 class Row(NamedTuple):

@@ -8,19 +8,16 @@ import numpy as np
 
 from qdenv.domains.base import find_domain
 from qdenv.grid import of_tiles
-from qdenv.simulate.mapf.fleet import MOST_STEPS, FleetConfig
 from qdenv.simulate.mapf.metrics import Recording
-from qdenv.simulate.mapf.negotiated.settings import EFFORTS
-from qdenv.simulate.mapf.planner import PLANNERS
-from qdenv.simulate.mapf.tasks import check_playable
+from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
 from qdenv.study.jams import Maps, average, cells_with_half, map_run, worst_cells
-from qdenv.study.runs import Progress, Simulated, auditor, run_seeds, silent
+from qdenv.study.options import describe_planner, find_planner, fleet_tasks, parse_seeds
+from qdenv.study.progress import Progress, silent
+from qdenv.study.runs import Simulated, auditor, run_seeds
 from qdenv.study.table import Row, summarise
 from qdenv.study.verdict import MORE, PROBES, Point, Verdict, judge, point_of
-from qdenv.types import InputError, TaskRule, Traffic, look_up
+from qdenv.types import InputError, TaskRule, Traffic
 
-LARGEST_SEED = 2**32 - 1
-MOST_SEEDS = 100_000
 MOST_RECORDED = 50_000_000  # agent-steps of one recording: 650 MB, several times as much meanwhile
 
 
@@ -66,50 +63,6 @@ class Study(NamedTuple):
     maps: Maps | None
     verdict: Verdict | None
     broken: list[str] | None
-
-
-def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
-    """Read seeds: a count, which gives the first so many, or a list.
-
-    Args:
-        seeds: 10 or "10" for ten seeds from 0 on; "3,5,9" for these three, "7," for this one. In
-            a sequence one entry is read likewise, several are a list: (10,), ("3,5",), (3, 5, 9).
-
-    Raises:
-        InputError: it is neither, or there is no seed in it.
-    """
-    parts = [seeds] if isinstance(seeds, int | str) else list(seeds)
-    text = str(parts[0]) if len(parts) == 1 else ",".join(map(str, parts))
-    try:
-        numbers = [int(part) for part in text.split(",") if part.strip()]
-    except ValueError:
-        numbers = []
-    if not numbers or min(numbers) < 0 or max(numbers) > LARGEST_SEED:
-        raise InputError(f"seeds {text!r}: write 10 for ten seeds, 3,5,9 for these, 7, for one")
-    if "," in text:
-        return tuple(numbers)
-    if not 1 <= numbers[0] <= MOST_SEEDS:
-        raise InputError(f"seeds {text!r}: simulate at least one seed, and at most {MOST_SEEDS:,}")
-    return tuple(range(numbers[0]))
-
-
-def find_planner(effort: str = "low", planner: str = "") -> Any:
-    """Choose a planner's settings by words.
-
-    Args:
-        effort: "low" or "high", of the package's own planner.
-        planner: name of a registered planner with all its defaults; "" for the own one.
-
-    Raises:
-        InputError: a word is unknown.
-    """
-    return PLANNERS.config(planner) if planner else look_up(EFFORTS, effort, "effort")
-
-
-def describe_planner(settings: Any) -> str:
-    """Name a planner for reports: its registered name, and its effort where that has a name."""
-    efforts = [f", {effort} effort" for effort, known in EFFORTS.items() if known == settings]
-    return PLANNERS.name_of(settings) + "".join(efforts[:1])
 
 
 def examine(
@@ -163,18 +116,6 @@ def examine(
         verdict=judge(point_of(agents, done.runs), probe, most) if wanted.verdict else None,
         broken=sum((one.broken for one in done.readings), []) if wanted.audit else None,
     )
-
-
-def fleet_tasks(layout: np.ndarray, tasks: TaskRule | None, agents: int) -> TaskRule:
-    """Refuse what no simulation can begin with; returns what the robots do.
-
-    Raises:
-        InputError: no fleet drives in this domain, or so many do not fit the layout.
-    """
-    if tasks is None:
-        raise InputError("no fleet drives in this domain: there is no traffic to simulate")
-    check_playable(layout, tasks, agents)
-    return tasks
 
 
 def _reader(
@@ -237,7 +178,7 @@ def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:
         evidence (the numbers of robots that were tried).
     """
     row, done, maps, verdict, broken = study
-    facts = {
+    facts: dict[str, Any] = {
         "runs": [describe(seed, run) for seed, run in zip(done.seeds, done.runs, strict=True)],
         "mean_throughput": row.throughput if row.success_rate else None,
         "mean_of_all": row.mean_of_all,

@@ -109,7 +109,7 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
         return Verdict(word, reason, tuple(points))
 
     if here.congested >= JAMMED * here.runs:
-        reason = f"in {here.congested} of {here.runs} runs more than half of the robots stood still"
+        reason = f"in {here.congested} of {here.runs} runs more than half of the agents stood still"
         return verdict(CONGESTED, reason)
     if here.congested:
         return verdict(PAST, f"{here.congested} of {here.runs} runs congested")
@@ -121,7 +121,7 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
         if gain(here, fewer) > GAIN:
             return verdict(PAST, _compared(here, fewer))
         worth = value_of_a_robot(fewer[:2], here[:2])
-        reason = f"the last {here.agents - fewer.agents} robots add {-gain(here, fewer):.0%}"
+        reason = f"the last {here.agents - fewer.agents} agents add {-gain(here, fewer):.0%}"
     if worth < WORTH:
         fewest = at(FEWEST)
         past = gain(here, fewest) > GAIN
@@ -130,19 +130,17 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
         more = at(MORE)
         word = NEAR if value_of_a_robot(here[:2], more[:2]) < WORTH else FLOWS
         return verdict(word, _compared(here, more))
-    return verdict(FLOWS, "every cell holds a robot")
+    return verdict(FLOWS, "every free cell holds an agent")
 
 
 def gain(here: Point, other: Point) -> float:
     """Say how much more `other` moves than `here`, as a share of the latter."""
-    return (
-        other.throughput / here.throughput - 1 if here.throughput else float(other.throughput > 0)
-    )
+    if not here.throughput:
+        return float(other.throughput > 0)
+    return other.throughput / here.throughput - 1
 
 
 def _compared(here: Point, other: Point) -> str:
-    share = gain(here, other)
-    amount = (
-        f"{abs(share):.0%} {'more' if share > 0 else 'less'}" if abs(share) >= 0.005 else "as much"
-    )
-    return f"{other.agents} robots would move {amount}"
+    share = round(gain(here, other), 2)
+    amount = f"{abs(share):.0%} {'more' if share > 0 else 'less'}" if share else "as much"
+    return f"{other.agents} agents would move {amount}"
