@@ -144,7 +144,7 @@ def measure(case: Case, effort: str, seeds: int, audit: bool) -> dict[str, Any]:
         "agents": case.agents,
         "timesteps": case.timesteps,
         "effort": effort,
-        "broken": sum(done.readings, []) if audit else None,
+        "broken": [rule for found in done.readings for rule in found] if read else None,
     }
 
 

@@ -25,7 +25,7 @@ class waiting:  # noqa: N801 (read as a verb: `with waiting("simulating") as bar
     """A bar on standard error that moves by itself and names what is compiled meanwhile.
 
     A context manager. Any thread may move it; called as ``bar(doing, share)`` it is what
-    `repair.recipe.repair` and `study.traffic.run_seeds` take as `progress`.
+    `repair.recipe.repair` and the studies take as `progress`.
     """
 
     def __init__(self, doing: str, total: float = 0, shown: bool | None = None) -> None:
@@ -55,11 +55,11 @@ class waiting:  # noqa: N801 (read as a verb: `with waiting("simulating") as bar
         """Say how things stand behind the bar, like "seed 3 of 10"."""
         self._note = text
 
-    def __call__(self, doing: str, share: float) -> None:
+    def __call__(self, doing: str, share: float, note: str = "") -> None:
         """Show which share of a step is done (0 to 1; below 0 where nobody knows)."""
         if doing != self._step[0]:
             self.begin(doing, 1.0 if share >= 0 else 0.0)
-        self._done = share
+        self._done, self._note = share, note
 
     def print(self, line: str) -> None:
         """Print a line to standard output above the bar."""

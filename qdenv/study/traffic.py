@@ -114,7 +114,7 @@ def examine(
         done=done,
         maps=average([reading.maps for reading in done.readings]) if wanted.maps else None,
         verdict=judge(point_of(agents, done.runs), probe, most) if wanted.verdict else None,
-        broken=sum((one.broken for one in done.readings), []) if wanted.audit else None,
+        broken=[rule for one in done.readings for rule in one.broken] if wanted.audit else None,
     )
 
 
