@@ -1,4 +1,4 @@
-"""The command simulate: one layout, one number of robots; where it jams, and whether more fit."""
+"""The command simulate: one layout, one number of agents; where it jams, and whether more fit."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def simulate(
     plot: words.Picture = None,
     json_file: output.JsonFile = None,
 ) -> None:
-    """Simulate a fleet on a layout: its throughput, where it jams, whether more robots would help.
+    """Simulate a fleet on a layout: its throughput, where it jams, whether more agents would help.
 
     Args:
         layout: layout file.
-        agents: number of agents (robots).
+        agents: number of agents (agents).
         options: who drives.
         audit: check every trajectory against the rules of movement.
         verdict: simulate a few runs with fewer and with more agents, too, to tell whether this

@@ -47,7 +47,8 @@ def describe_study(agents: str, options: FleetOptions, seeds: Sequence[int], pla
     """Say in one line what is simulated."""
     planner = f"planner {options.planner}" if options.planner else f"{options.effort} effort"
     runs = f"{len(seeds)} seeds" if len(seeds) > 1 else "1 seed"
-    return f"{agents} agents, {options.timesteps} timesteps, {runs}, {planner}, {getattr(plan, 'whose', plan.domain.name)}"
+    whose = getattr(plan, "whose", plan.domain.name)
+    return f"{agents} agents, {options.timesteps} timesteps, {runs}, {planner}, {whose}"
 
 
 def settings_of(options: FleetOptions, seeds: Sequence[int]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The picture of a fleet's traffic: where robots drive, wait and work, and how it goes on."""
+"""The picture of a fleet's traffic: where agents drive, wait and work, and how it goes on."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import PercentFormatter
 
 from qdenv.plots.figure import new_figure, save_figure
@@ -15,7 +16,6 @@ from qdenv.study.jams import Maps, Spot
 
 WALL = "#5f6368"
 FLOOR = "#ffffff"
-STATIONS = "#0b6e99"
 LINE = "#1f5fa8"
 JAM = "#b5432d"
 PANEL = 5.6  # inches
@@ -27,7 +27,7 @@ class Scene(NamedTuple):
     """What the picture shows.
 
     Attributes:
-        free: bool [H, W], cells that robots may drive on.
+        free: bool [H, W], cells that agents may drive on.
         maps: averaged over the runs.
         worst: the worst cells, the worst first.
         over_time: [3, n]: ends of windows of time, mean throughput in each, its standard error.
@@ -65,16 +65,17 @@ def draw_traffic(scene: Scene) -> Figure:
     (waiting, usage), (finished, time) = figure.subplots(2, 2)
     figure.suptitle(scene.title)
     share = scene.maps.waiting_share
-    worst = f"where robots wait: {share:.1%} of their time"
+    worst = f"where agents wait: {share:.1%} of their time"
     _draw_map(waiting, scene, scene.maps.waiting, "waiting", worst)
-    _bar_of(waiting, "time in which a robot waits here [% of all time]", percent=True)
+    _bar_of(waiting, "time in which an agent waits here [% of all time]", percent=True)
     _number_worst(waiting, scene)
-    _draw_map(usage, scene, scene.maps.usage, "usage", "where robots are")
-    _bar_of(usage, "time in which a robot is here [% of all time]", percent=True)
+    _draw_map(usage, scene, scene.maps.usage, "usage", "where agents are")
+    _bar_of(usage, "time in which an agent is here [% of all time]", percent=True)
     done = scene.maps.finished.sum()
     _draw_map(finished, scene, scene.maps.finished, "finished", "where tasks are finished")
     _bar_of(finished, f"tasks per timestep here [all cells: {done:.2f}]", percent=False)
     _draw_time(time, scene)
+    time.set_box_aspect(tall)
     return figure
 
 
@@ -93,14 +94,13 @@ def _draw_map(axes: Axes, scene: Scene, values: np.ndarray, kind: str, title: st
 def _bar_of(axes: Axes, label: str, percent: bool) -> None:
     """Add the colour bar of a map."""
     image = axes.images[-1]
-    values = image.get_array()
-    beyond = values is not None and values.count() and values.max() > image.norm.vmax
-    style = {"format": PercentFormatter(1.0, decimals=None)} if percent else {}
+    beyond = np.ma.max(image.get_array()) > image.norm.vmax  # no truth where all is masked
+    extend = "max" if beyond is not np.ma.masked and beyond else "neither"
     assert axes.figure is not None
-    bar = axes.figure.colorbar(
-        image, ax=axes, shrink=0.85, extend="max" if beyond else "neither", **style
-    )
+    bar = axes.figure.colorbar(image, ax=axes, shrink=0.85, extend=extend)
     bar.set_label(label)
+    if percent:
+        bar.ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
 def _number_worst(axes: Axes, scene: Scene) -> None:
@@ -108,9 +108,10 @@ def _number_worst(axes: Axes, scene: Scene) -> None:
     rows, cols = scene.free.shape
     for rank, spot in enumerate(scene.worst, 1):
         place = (spot.column, spot.row)
-        axes.plot(*place, "s", markersize=220 / max(rows, cols), mfc="none", mec="black", mew=0.8)
+        axes.plot(*place, "s", markersize=260 / max(rows, cols), mfc="none", mec="black", mew=0.9)
         if max(rows, cols) <= NUMBERED:
-            axes.annotate(str(rank), place, ha="center", va="center", fontsize=6, color="black")
+            text = axes.text(*place, str(rank), ha="center", va="center", fontsize=6.5)
+            text.set_path_effects([withStroke(linewidth=1.2, foreground="white")])
 
 
 def _draw_time(axes: Axes, scene: Scene) -> None:
@@ -120,9 +121,9 @@ def _draw_time(axes: Axes, scene: Scene) -> None:
     steps = np.concatenate([[0], ends])
     axes.stairs(mean, steps, color=LINE, baseline=None, label=label, linewidth=1.6)
     if not np.isnan(error).any():
-        band = {"step": "post", "alpha": 0.25, "color": LINE, "label": "+- standard error"}
         low, high = (np.append(side, side[-1]) for side in (mean - error, mean + error))
-        axes.fill_between(steps, low, high, **band)
+        label = "+- standard error"
+        axes.fill_between(steps, low, high, step="post", alpha=0.25, color=LINE, label=label)
     for place, jam in enumerate(scene.jams):
         word = f"{len(scene.jams)} of {scene.runs} runs congested, and ended"
         axes.axvline(jam, color=JAM, linestyle=":", label=None if place else word)

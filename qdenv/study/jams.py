@@ -16,40 +16,40 @@ if TYPE_CHECKING:  # imports the simulator
 class Maps(NamedTuple):
     """What happened on each cell of a layout; of one run, or the mean of several.
 
-    Waiting is a timestep without a move anywhere but on the robot's own goal: time that is spent
+    Waiting is a timestep without a move anywhere but on the agent's own goal: time that is spent
     being served there is work.
 
     Attributes:
-        usage: [H, W], robots on the cell, averaged over time.
-        waiting: [H, W], robots that wait there, averaged over time: the share of time in which
-            one does, as a cell holds one robot.
-        visits: [H, W], robots that come to the cell, per timestep.
+        usage: [H, W], agents on the cell, averaged over time.
+        waiting: [H, W], agents that wait there, averaged over time: the share of time in which
+            one does, as a cell holds one agent.
+        visits: [H, W], agents that come to the cell, per timestep.
         finished: [H, W], tasks finished there, per timestep.
-        robots: how many take part.
+        agents: how many take part.
     """
 
     usage: np.ndarray
     waiting: np.ndarray
     visits: np.ndarray
     finished: np.ndarray
-    robots: float
+    agents: float
 
     @property
     def waiting_share(self) -> float:
-        """Say which share of all the robots' time is spent waiting."""
-        return float(self.waiting.sum() / max(self.robots, 1))
+        """Say which share of all the agents' time is spent waiting."""
+        return float(self.waiting.sum() / max(self.agents, 1))
 
 
 class Spot(NamedTuple):
-    """A cell where robots wait.
+    """A cell where agents wait.
 
     Attributes:
         row: of the cell, from 0 at the top.
         column: of the cell, from 0 at the left.
         tile: index of what lies there.
         share: of all waiting, in 0 to 1.
-        waiting: share of time in which a robot waits there.
-        wait_per_visit: timesteps that a robot waits there each time it comes by.
+        waiting: share of time in which an agent waits there.
+        wait_per_visit: timesteps that an agent waits there each time it comes by.
     """
 
     row: int
@@ -83,7 +83,7 @@ def map_run(shape: tuple[int, int], run: Traffic, recording: Recording) -> Maps:
         waiting=count(after[still & (after != goals)]),
         visits=count(np.concatenate([positions[0], after[~still]])),
         finished=count(after[finished]),
-        robots=float(active.sum()),
+        agents=float(active.sum()),
     )
 
 

@@ -89,7 +89,7 @@ def describe_planner(settings: Any) -> str:
 
 
 def fleet_tasks(layout: np.ndarray, tasks: TaskRule | None, agents: int) -> TaskRule:
-    """Refuse what no simulation can begin with; returns what the robots do.
+    """Refuse what no simulation can begin with; returns what the agents do.
 
     Raises:
         InputError: no fleet drives in this domain, or so many do not fit the layout.

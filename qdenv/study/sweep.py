@@ -81,11 +81,16 @@ def compare(
     """Simulate layouts with the same numbers of agents and the same seeds.
 
     Args:
-        layouts: int8 [H, W] each, by name; sizes may differ. The other arguments, and what may
-            go wrong, are those of `sweep`; all layouts are checked before the first run.
+        layouts: int8 [H, W] each, by name; sizes may differ.
+        trial: who drives, and how often.
+        told: hears of every finished row.
+        progress: hears how far it is.
 
     Returns:
         a row for each layout and number of agents, layout by layout.
+
+    Raises:
+        InputError: as in `sweep`, for any of the layouts, before the first run.
     """
     from qdenv.study.runs import run_seeds  # imports the simulator
 
@@ -112,6 +117,21 @@ def check_fleet(name: str, layout: np.ndarray, tasks: TaskRule | None, agents: i
     """
     with about(name):
         fleet_tasks(layout, tasks, agents)
+
+
+def check_climb(name: str, layout: np.ndarray, trial: Trial) -> list[int]:
+    """Choose the numbers of agents that fit a layout, few to many.
+
+    Raises:
+        InputError: agents cannot work on the layout, or not even the first number fits.
+    """
+    tasks, counts = trial.tasks, trial.counts
+    free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
+    fitting = [count for count in sorted(counts) if count <= free]
+    if not fitting:
+        raise InputError(f"{name}: {min(counts)} agents do not fit on {free} free cells")
+    check_fleet(name, layout, tasks, fitting[-1])
+    return fitting
 
 
 def _part(progress: Progress, state: str, before: float, size: float) -> Progress:
@@ -148,12 +168,7 @@ def climb(
     """
     from qdenv.study.runs import run_seeds  # imports the simulator
 
-    tasks, counts = trial.tasks, trial.counts
-    free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
-    fitting = [count for count in sorted(counts) if count <= free]
-    if not fitting:
-        raise InputError(f"{name}: {min(counts)} agents do not fit on {free} free cells")
-    check_fleet(name, layout, tasks, fitting[-1])
+    tasks, fitting = trial.tasks, check_climb(name, layout, trial)
     rows: list[Row] = []
     for count in fitting:
         # Programs for fleets that double in size: few to compile, none much too large.

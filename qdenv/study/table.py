@@ -12,7 +12,7 @@ from qdenv.score.traffic import wilson_interval
 from qdenv.study.differences import Difference, Sample, difference, sample_of
 from qdenv.types import Traffic
 
-WORTH = 0.5  # share of what an average robot brings; one that brings less is hardly worth it
+WORTH = 0.5  # share of what an average agent brings; one that brings less is hardly worth it
 
 
 class Row(NamedTuple):
@@ -115,13 +115,13 @@ def find_peak(rows: Sequence[Row]) -> Peak:
     return Peak(at.layout, at.rows, at.cols, at.agents, means[top], at.success_rate, dropped)
 
 
-def value_of_a_robot(fewer: tuple[int, float], more: tuple[int, float]) -> float:
-    """Compare what a further robot brings with what one brings on average.
+def value_of_an_agent(fewer: tuple[int, float], more: tuple[int, float]) -> float:
+    """Compare what a further agent brings with what one brings on average.
 
-    The elasticity of throughput to the number of robots: 1 without any hindrance, 0 at the peak.
+    The elasticity of throughput to the number of agents: 1 without any hindrance, 0 at the peak.
 
     Args:
-        fewer: a number of robots and its throughput.
+        fewer: a number of agents and its throughput.
         more: a larger number and its throughput.
     """
     added = (more[1] - fewer[1]) / (more[0] - fewer[0])
@@ -138,7 +138,7 @@ def find_capacity(rows: Sequence[Row]) -> int:
     """
     points = [(row.agents, row.mean_of_all) for row in rows]
     for fewer, more in pairwise(points):
-        if value_of_a_robot(fewer, more) < WORTH:
+        if value_of_an_agent(fewer, more) < WORTH:
             return fewer[0]
     return points[-1][0]
 

@@ -15,7 +15,7 @@ from qdenv.study.options import describe_planner, find_planner, fleet_tasks, par
 from qdenv.study.progress import Progress, silent
 from qdenv.study.runs import Simulated, auditor, run_seeds
 from qdenv.study.table import Row, summarise
-from qdenv.study.verdict import MORE, PROBES, Point, Verdict, judge, point_of
+from qdenv.study.verdict import PROBES, Point, Verdict, judge, more_than, point_of
 from qdenv.types import InputError, TaskRule, Traffic
 
 MOST_RECORDED = 50_000_000  # agent-steps of one recording: 650 MB, several times as much meanwhile
@@ -26,8 +26,8 @@ class Wanted(NamedTuple):
 
     Attributes:
         audit: check every trajectory against the rules.
-        maps: count where robots wait and work.
-        verdict: simulate other numbers of robots, too, and judge this one.
+        maps: count where agents wait and work.
+        verdict: simulate other numbers of agents, too, and judge this one.
     """
 
     audit: bool = True
@@ -39,7 +39,7 @@ class Reading(NamedTuple):
     """What is read off the recording of one run.
 
     Attributes:
-        maps: where robots waited and worked.
+        maps: where agents waited and worked.
         broken: what was done against the rules; empty without an audit.
     """
 
@@ -73,13 +73,13 @@ def examine(
     wanted: Wanted = Wanted(),  # noqa: B008 (frozen)
     progress: Progress = silent,
 ) -> Study:
-    """Simulate a fleet on a layout over seeds, see where it jams, and judge the number of robots.
+    """Simulate a fleet on a layout over seeds, see where it jams, and judge the number of agents.
 
     Args:
         layout: int8 [H, W].
-        tasks: what the robots do; None where no fleet drives, which is refused.
+        tasks: what the agents do; None where no fleet drives, which is refused.
         config: numbers of the simulation.
-        seeds: of the runs; the first three of them for other numbers of robots.
+        seeds: of the runs; the first few of them for other numbers of agents.
         wanted: what is looked into.
         progress: told how far it is.
 
@@ -96,7 +96,7 @@ def examine(
     agents, most = config.agents, int(of_tiles(layout, tasks.traversable, tasks.tiles).sum())
     if wanted.verdict:  # the program has room for as many as are tried
         most = min(most, MOST_STEPS // config.timesteps)
-        config = replace(config, agents=min(most, max(agents, round(MORE * agents))))
+        config = replace(config, agents=max(agents, min(most, more_than(agents))))
     read = _reader(layout, tasks, config, wanted) if recorded else None
     done = run_seeds(layout, tasks, config, seeds, agents, read, progress=progress)
     # The same program: another one for runs that are not recorded would have to be compiled.
@@ -104,7 +104,7 @@ def examine(
 
     def probe(number: int) -> Point:
         def tell(doing: str, share: float, note: str) -> None:
-            progress(f"trying {number} robots", share, note)
+            progress(f"trying {number} agents", share, note)
 
         few = run_seeds(layout, tasks, config, seeds[:PROBES], number, probing, progress=tell)
         return point_of(number, few.runs)
@@ -149,7 +149,7 @@ def simulate_layout(
         timesteps: horizon T.
         seeds: how many, or a list; see `parse_seeds`.
         effort: "low" or "high".
-        check: audit every trajectory, and see where robots wait; without it "valid" is None.
+        check: audit every trajectory, and see where agents wait; without it "valid" is None.
         planner: name of another registered planner.
 
     Returns:
@@ -174,8 +174,8 @@ def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:
         the runs that never congested; None where every run did), mean_of_all (over all runs),
         standard_error (of the latter), success_rate, steps_per_task, cpu_seconds_per_run,
         compile_seconds, valid, broken; where it was looked into also waiting_share (of the
-        robots' time), worst_cells, cells_with_half_of_waiting, verdict, verdict_reason,
-        evidence (the numbers of robots that were tried).
+        agents' time), worst_cells, cells_with_half_of_waiting, verdict, verdict_reason,
+        evidence (the numbers of agents that were tried).
     """
     row, done, maps, verdict, broken = study
     facts: dict[str, Any] = {

@@ -1,34 +1,35 @@
-"""Whether a layout still takes more robots, judged by runs with fewer and with more of them.
+"""Whether a layout still takes more agents, judged by runs with fewer and with more of them.
 
-A fleet's throughput rises with its robots up to a peak, and falls beyond it. On crowded layouts it
+A fleet's throughput rises with its agents up to a peak, and falls beyond it. On crowded layouts it
 falls all of a sudden, when a jam forms that nobody gets out of: the hand-made warehouse of 33 x 36
-moves 6.04 tasks per timestep with 200 robots, 5.68 with 225 and 5.20 with 250. That no run was
-*congested*, i.e. that never more than half of the robots stood still at once, says little then.
+moves 6.04 tasks per timestep with 200 agents, 5.68 with 225 and 5.20 with 250. That no run was
+*congested*, i.e. that never more than half of the agents stood still at once, says little then.
 """
 
 from collections.abc import Callable, Sequence
+from math import ceil, floor
 from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.study.table import WORTH, value_of_a_robot
+from qdenv.study.table import WORTH, value_of_an_agent
 from qdenv.types import Traffic
 
 FLOWS, NEAR, PAST, CONGESTED = "flows", "near capacity", "past its peak", "congested"
 
 JAMMED = 0.5  # share of congested runs from which on the layout is
-PROBES = 3  # runs with another number of robots
-FEWER, FEWEST, MORE = 0.75, 0.5, 1.25  # of the robots, those numbers
-GAIN = 0.02  # more throughput than this with fewer robots: past the peak
-FADING = 0.05  # throughput that falls by more than this while time goes on: past the peak
+PROBES = 2  # runs with another number of agents
+FEWER, FAR_FEWER, MORE = 0.75, (0.5, 0.25), 1.25  # of the agents, those numbers
+GAIN = 0.02  # more throughput than this with fewer agents: past the peak
+FADING = 0.05  # throughput that falls by more than this with time: past the peak
 DOUBT = 3.0  # ... and by so many standard errors, were tasks finished independently
 
 
 class Point(NamedTuple):
-    """The throughput at one number of robots.
+    """The throughput at one number of agents.
 
     Attributes:
-        agents: how many robots.
+        agents: how many agents.
         throughput: tasks per timestep, the mean over all runs.
         standard_error: of it; NaN for one run.
         runs: how many.
@@ -51,7 +52,7 @@ class Verdict(NamedTuple):
     Attributes:
         word: "flows", "near capacity", "past its peak" or "congested".
         reason: what shows it, in one line.
-        points: the evidence: this number of robots first, then those that were probed.
+        points: the evidence: this number of agents first, then those that were probed.
     """
 
     word: str
@@ -60,7 +61,7 @@ class Verdict(NamedTuple):
 
 
 def point_of(agents: int, runs: Sequence[Traffic]) -> Point:
-    """Condense runs with one number of robots."""
+    """Condense runs with one number of agents."""
     every = np.array([run.throughput for run in runs], float)
     error = every.std(ddof=1) / np.sqrt(len(every)) if len(every) > 1 else np.nan
     return Point(
@@ -83,26 +84,26 @@ def _fading(runs: Sequence[Traffic]) -> float:
 
 
 def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
-    """Judge whether a layout takes this many robots, and whether it would take more.
+    """Judge whether a layout takes this many agents, and whether it would take more.
 
     In this order, so that runs are only spent where the verdict hangs on them:
 
-    * *congested*: in at least half of the runs, more than half of the robots stood still at once.
+    * *congested*: in at least half of the runs, more than half of the agents stood still at once.
     * *past its peak*: throughput fades by more than 5 % while time goes on (a jam builds up), or a
-      run congested, or three quarters or half of the robots move at least 2 % more.
-    * *near capacity*: the last quarter of the robots, or a quarter more of them, brings per robot
+      run congested, or three quarters, half or a quarter of the agents move 2 % more.
+    * *near capacity*: the last quarter of the agents, or a quarter more of them, brings per agent
       less than half of what an average robot does.
     * *flows*: none of these.
 
     Args:
-        here: with the number of robots in question.
-        probe: simulates another number of robots.
-        most: robots that fit the layout.
+        here: with the number of agents in question.
+        probe: simulates another number of agents.
+        most: agents that fit the layout.
     """
     points = [here]
 
-    def at(share: float) -> Point:
-        points.append(probe(max(1, min(round(share * here.agents), most))))
+    def at(agents: int) -> Point:
+        points.append(probe(agents))
         return points[-1]
 
     def verdict(word: str, reason: str) -> Verdict:
@@ -117,20 +118,28 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
         return verdict(PAST, f"a jam builds up: throughput falls by {here.fading:.0%} with time")
     worth = 1.0
     if here.agents > 1:
-        fewer = at(FEWER)
+        fewer = at(floor(FEWER * here.agents))
         if gain(here, fewer) > GAIN:
             return verdict(PAST, _compared(here, fewer))
-        worth = value_of_a_robot(fewer[:2], here[:2])
+        worth = value_of_an_agent(fewer[:2], here[:2])
         reason = f"the last {here.agents - fewer.agents} agents add {-gain(here, fewer):.0%}"
     if worth < WORTH:
-        fewest = at(FEWEST)
-        past = gain(here, fewest) > GAIN
-        return verdict(PAST, _compared(here, fewest)) if past else verdict(NEAR, reason)
+        # Beyond the peak throughput may lie flat: it is sought where agents are far fewer.
+        for share in FAR_FEWER:
+            fewer = at(max(1, floor(share * here.agents)))
+            if gain(here, fewer) > GAIN:
+                return verdict(PAST, _compared(here, fewer))
+        return verdict(NEAR, reason)
     if here.agents < most:
-        more = at(MORE)
-        word = NEAR if value_of_a_robot(here[:2], more[:2]) < WORTH else FLOWS
+        more = at(min(most, more_than(here.agents)))
+        word = NEAR if value_of_an_agent(here[:2], more[:2]) < WORTH else FLOWS
         return verdict(word, _compared(here, more))
     return verdict(FLOWS, "every free cell holds an agent")
+
+
+def more_than(agents: int) -> int:
+    """Say how many agents are tried above a number of them."""
+    return ceil(MORE * agents)
 
 
 def gain(here: Point, other: Point) -> float:
