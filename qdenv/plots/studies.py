@@ -12,7 +12,7 @@ from qdenv.plots.figure import new_figure, save_figure
 from qdenv.study.table import Peak, Row
 
 THROUGHPUT = "throughput [tasks / timestep]"
-SUCCESS = "runs that never congested"
+SUCCESS = "never congested"
 MEANING = "bars: +- standard error over {runs} runs above, 95 % Wilson interval below"
 SPREAD = 0.02  # of the axis: how far lines that would hide one another are moved apart
 MARKERS = "osD^v"
@@ -57,8 +57,7 @@ def draw_comparison(rows: Sequence[Row]) -> Figure:
     above.set(ylabel=THROUGHPUT, ylim=(0, None))
     below.set(ylabel=SUCCESS, ylim=(-0.05, 1.05))
     below.yaxis.set_major_formatter(PercentFormatter(1.0))
-    figure.text(0.01, 0.005, MEANING.format(runs=rows[0].runs), fontsize=7, color="dimgray")
-    figure.get_layout_engine().set(rect=(0, 0.03, 1, 0.97))
+    figure.supxlabel(MEANING.format(runs=rows[0].runs), fontsize=7, color="dimgray")
     for axes in (above, below):
         axes.grid(alpha=0.3)
         axes.set_axisbelow(True)

@@ -18,7 +18,9 @@ WALL = "#5f6368"
 FLOOR = "#ffffff"
 LINE = "#1f5fa8"
 JAM = "#b5432d"
-PANEL = 5.6  # inches
+PANEL = 5.0  # inches of a map's width
+BAR = 1.4  # inches of a colour bar and its labels
+TITLES = 0.8  # inches above and below a map
 COLOURS = {"usage": "Blues", "waiting": "Reds", "finished": "Greens"}
 NUMBERED = 60  # rows or columns up to which the worst cells are numbered in the map
 
@@ -61,19 +63,29 @@ def draw_traffic(scene: Scene) -> Figure:
     """
     rows, cols = scene.free.shape
     tall = float(np.clip(rows / cols, 0.4, 1.6))
-    figure = new_figure(2 * PANEL + 1.6, 2 * (PANEL * tall + 0.6) + 0.5)
+    figure = new_figure(2 * (PANEL + BAR), 2 * (PANEL * tall + TITLES) + 0.4)
     (waiting, usage), (finished, time) = figure.subplots(2, 2)
     figure.suptitle(scene.title)
     share = scene.maps.waiting_share
     worst = f"where agents wait: {share:.1%} of their time"
     _draw_map(waiting, scene, scene.maps.waiting, "waiting", worst)
-    _bar_of(waiting, "time in which an agent waits here [% of all time]", percent=True)
+    _bar_of(
+        waiting,
+        scene.maps.waiting,
+        "time in which an agent waits here [% of all time]",
+        percent=True,
+    )
     _number_worst(waiting, scene)
     _draw_map(usage, scene, scene.maps.usage, "usage", "where agents are")
-    _bar_of(usage, "time in which an agent is here [% of all time]", percent=True)
+    _bar_of(usage, scene.maps.usage, "time in which an agent is here [% of all time]", percent=True)
     done = scene.maps.finished.sum()
     _draw_map(finished, scene, scene.maps.finished, "finished", "where tasks are finished")
-    _bar_of(finished, f"tasks per timestep here [all cells: {done:.2f}]", percent=False)
+    _bar_of(
+        finished,
+        scene.maps.finished,
+        f"tasks per timestep here [all cells: {done:.2f}]",
+        percent=False,
+    )
     _draw_time(time, scene)
     time.set_box_aspect(tall)
     return figure
@@ -91,11 +103,10 @@ def _draw_map(axes: Axes, scene: Scene, values: np.ndarray, kind: str, title: st
     axes.set(xlabel="column", ylabel="row")
 
 
-def _bar_of(axes: Axes, label: str, percent: bool) -> None:
+def _bar_of(axes: Axes, values: np.ndarray, label: str, percent: bool) -> None:
     """Add the colour bar of a map."""
     image = axes.images[-1]
-    beyond = np.ma.max(image.get_array()) > image.norm.vmax  # no truth where all is masked
-    extend = "max" if beyond is not np.ma.masked and beyond else "neither"
+    extend = "max" if values.max() > image.norm.vmax else "neither"
     assert axes.figure is not None
     bar = axes.figure.colorbar(image, ax=axes, shrink=0.85, extend=extend)
     bar.set_label(label)

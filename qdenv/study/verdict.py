@@ -110,8 +110,8 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
         return Verdict(word, reason, tuple(points))
 
     if here.congested >= JAMMED * here.runs:
-        reason = f"in {here.congested} of {here.runs} runs more than half of the agents stood still"
-        return verdict(CONGESTED, reason)
+        stuck = "more than half of the agents stood still at once"
+        return verdict(CONGESTED, f"in {here.congested} of {here.runs} runs {stuck}")
     if here.congested:
         return verdict(PAST, f"{here.congested} of {here.runs} runs congested")
     if here.fading > FADING:
