@@ -100,21 +100,24 @@ def print_jams(facts: dict[str, Any], plan: Plan) -> None:
         print(f"travelled    {steps:.1f} steps per task")
     if "worst_cells" not in facts:
         return
+    tasks = plan.domain.simulator.tasks
+    assert tasks is not None
+    free = of_tiles(plan.layout, tasks.traversable, tasks.tiles).sum()
     half = facts["cells_with_half_of_waiting"]
-    where = f", half of it on {half} cells" if half else ""
+    where = f", half of it on {half} of {free} free cells" if half else ""
     print(f"waiting      {facts['waiting_share']:.1%} of the agents' time{where}")
     if not facts["worst_cells"]:
         return
     known = getattr(plan.domain, "names", {})
     names = [known.get(tile, repr(tile)) for tile in plan.domain.tiles]
-    width = max(len(name) for name in names)
-    print(
-        f"\nworst   row  column  {'there is':{width}}  of all waiting  taken by a waiter  per visit"
-    )
+    width = max(8, *(len(name) for name in names))
+    print("the cells with the most waiting; rows and columns are counted from 0 at the top left:")
+    print(f"rank  row  column  {'there is':{width}}  of all waiting  an agent waits  per visit")
     for rank, spot in enumerate(facts["worst_cells"], 1):
         print(
-            f"{rank:5}  {spot['row']:4}  {spot['column']:6}  {names[spot['tile']]:{width}}  "
-            f"{spot['share']:14.1%}  {spot['waiting']:16.0%}  {spot['wait_per_visit']:5.1f} steps"
+            f"{rank:4} {spot['row']:4}  {spot['column']:6}  {names[spot['tile']]:{width}}  "
+            f"{spot['share']:14.1%}  {spot['waiting']:6.0%} of time  "
+            f"{spot['wait_per_visit']:3.1f} steps"
         )
 
 

@@ -66,26 +66,16 @@ def draw_traffic(scene: Scene) -> Figure:
     figure = new_figure(2 * (PANEL + BAR), 2 * (PANEL * tall + TITLES) + 0.4)
     (waiting, usage), (finished, time) = figure.subplots(2, 2)
     figure.suptitle(scene.title)
-    share = scene.maps.waiting_share
-    worst = f"where agents wait: {share:.1%} of their time"
-    _draw_map(waiting, scene, scene.maps.waiting, "waiting", worst)
-    _bar_of(
-        waiting,
-        scene.maps.waiting,
-        "time in which an agent waits here [% of all time]",
-        percent=True,
-    )
+    maps = scene.maps
+    title = f"where agents wait: {maps.waiting_share:.1%} of their time"
+    _draw_map(waiting, scene, maps.waiting, "waiting", title)
+    _bar_of(waiting, maps.waiting, "time in which one waits here [% of all time]", percent=True)
     _number_worst(waiting, scene)
-    _draw_map(usage, scene, scene.maps.usage, "usage", "where agents are")
-    _bar_of(usage, scene.maps.usage, "time in which an agent is here [% of all time]", percent=True)
-    done = scene.maps.finished.sum()
-    _draw_map(finished, scene, scene.maps.finished, "finished", "where tasks are finished")
-    _bar_of(
-        finished,
-        scene.maps.finished,
-        f"tasks per timestep here [all cells: {done:.2f}]",
-        percent=False,
-    )
+    _draw_map(usage, scene, maps.usage, "usage", "where agents are")
+    _bar_of(usage, maps.usage, "time in which one is here [% of all time]", percent=True)
+    _draw_map(finished, scene, maps.finished, "finished", "where tasks are finished")
+    total = f"tasks per timestep here [all cells: {maps.finished.sum():.2f}]"
+    _bar_of(finished, maps.finished, total, percent=False)
     _draw_time(time, scene)
     time.set_box_aspect(tall)
     return figure
