@@ -131,4 +131,4 @@ def _draw_time(axes: Axes, scene: Scene) -> None:
     axes.set(xlabel="timestep", ylabel="throughput [tasks / timestep]")
     axes.set(xlim=(0, ends[-1]), ylim=(0, None), title="throughput over time")
     axes.grid(alpha=0.3)
-    axes.legend(frameon=False, loc="lower right")
+    axes.legend(loc="best", framealpha=0.9, edgecolor="none")

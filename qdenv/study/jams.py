@@ -24,7 +24,7 @@ class Maps(NamedTuple):
         waiting: [H, W], agents that wait there, averaged over time: the share of time in which
             one does, as a cell holds one agent.
         visits: [H, W], agents that come to the cell, per timestep.
-        finished: [H, W], tasks finished there, per timestep.
+        finished: [H, W], tasks finished there per timestep of the whole T; throughput in all.
         agents: how many take part.
     """
 
@@ -82,7 +82,7 @@ def map_run(shape: tuple[int, int], run: Traffic, recording: Recording) -> Maps:
         usage=count(after.reshape(-1)),
         waiting=count(after[still & (after != goals)]),
         visits=count(np.concatenate([positions[0], after[~still]])),
-        finished=count(after[finished]),
+        finished=count(after[finished]) * end / len(np.asarray(run.finished)),
         agents=float(active.sum()),
     )
 
