@@ -40,7 +40,7 @@ ALLOWED = {
     | PLUGS
     | {"checkpoints", "search", "pipeline", "settings", "domains", "formats"},
     "study": BASE | STAGES | PLUGS | {"domains", "pipeline", "settings", "formats", "training"},
-    "plots": BASE | {"training.records", "study.table"},
+    "plots": BASE | {"training.records", "study.table", "study.jams"},
     "commands": BASE
     | STAGES
     | PLUGS
