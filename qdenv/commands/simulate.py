@@ -114,7 +114,7 @@ def print_jams(facts: dict[str, Any], plan: Plan) -> None:
     for rank, spot in enumerate(facts["worst_cells"], 1):
         print(
             f"{rank:4} {spot['row']:4}  {spot['column']:6}  {names[spot['tile']]:{width}}  "
-            f"{spot['share']:14.1%}  {spot['waiting']:6.0%} of time  "
+            f"{spot['share']:14.2%}  {spot['waiting']:6.0%} of time  "
             f"{spot['wait_per_visit']:3.1f} steps"
         )
 
