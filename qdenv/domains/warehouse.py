@@ -63,7 +63,7 @@ class WarehouseConfig(FleetDomainConfig):
     """The numbers of a warehouse whose workstations are all drawn alike.
 
     Attributes:
-        shelves: exact number of shelves N_s.
+        shelves: how many shelves there are, exactly (N_s).
         left_odds: how much likelier a workstation on the left border is than one on the right.
     """
 
