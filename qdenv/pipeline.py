@@ -23,7 +23,7 @@ from qdenv.repair.callback import repair_in_jit
 from qdenv.repair.pool import RepairPool
 from qdenv.repair.settings import RepairConfig
 from qdenv.score.layout import similarity
-from qdenv.types import Array, Evaluation, Repair, RepairStatus, Score
+from qdenv.types import Array, Evaluation, InputError, Repair, RepairStatus, Score
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,13 @@ class EvaluationConfig:
     simulations: int = 5
     alpha: float = 5.0
     repair: RepairConfig = field(default_factory=RepairConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that score nothing."""
+        if self.simulations < 1:
+            raise InputError(f"simulations must be at least 1, not {self.simulations}")
+        if not math.isfinite(self.alpha):
+            raise InputError(f"alpha must be a finite number, not {self.alpha}")
 
 
 class Pipeline(NamedTuple):

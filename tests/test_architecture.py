@@ -32,7 +32,10 @@ ALLOWED = {
     "pipeline": BASE | STAGES | {"domains.base", "devices"},
     "search": {"types", "files", "checkpoints", "registry"},
     "presets": BASE | STAGES | {"domains", "search", "pipeline", "training.config"},
-    "training": BASE | STAGES | PLUGS | {"checkpoints", "search", "pipeline", "domains", "formats"},
+    "training": BASE
+    | STAGES
+    | PLUGS
+    | {"checkpoints", "search", "pipeline", "domains", "formats", "plots.inline"},
     "study": BASE | STAGES | PLUGS | {"domains", "pipeline", "formats", "training"},
     "plots": BASE | {"training.records", "study.table"},
     "commands": BASE

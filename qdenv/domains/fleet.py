@@ -10,6 +10,8 @@ from qdenv.score.traffic import mean_throughput
 from qdenv.simulate.mapf.fleet import FleetConfig, prepare, simulate
 from qdenv.types import TaskRule, Traffic
 
+THROUGHPUT = "throughput [tasks per timestep]"
+
 
 @dataclass(frozen=True)
 class FleetDomainConfig(DomainConfig):

@@ -11,7 +11,7 @@ import numpy as np
 
 from qdenv.domains import designs
 from qdenv.domains.base import Domain
-from qdenv.domains.fleet import FleetDomainConfig, fleet_simulator, throughput
+from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
 from qdenv.domains.measures import environment_entropy
 from qdenv.generate.decode import inside_frame, put_in_frame
 from qdenv.grid import parse
@@ -117,6 +117,7 @@ def warehouse(config: WarehouseConfig) -> Domain:
         rules=lambda: rules(config),
         simulator=fleet_simulator(TaskRule(TILES, ".ew", cycle), config.fleet),
         objective=throughput,
+        objective_name=THROUGHPUT,
         measures=(
             Measure("connected shelf components", 140, 240, 100, components),
             environment_entropy(len(GENERATED), MARGIN),

@@ -159,6 +159,14 @@ class NcaConfig:
     kernel_sizes: tuple[int, ...] = (3, 3, 3)
     hidden: int = 32
 
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no automaton."""
+        if self.steps < 0 or self.hidden < 1:
+            raise InputError(
+                f"an automaton takes 0 steps or more and has at least 1 hidden channel, not "
+                f"{self.steps} and {self.hidden}"
+            )
+
 
 def nca(config: NcaConfig, canvas: Canvas) -> Generator:
     """Make the generator that grows a canvas from its seed block.
