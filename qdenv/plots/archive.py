@@ -124,7 +124,8 @@ def draw_archive(
     if low is None and high is None and len(values) and values.min() == values.max():
         # A scale of one colour says nothing; matplotlib would invent a range around it.
         said = f"{label}: {values[0]:g} in every filled cell"
-        patch = Patch(facecolor=image.to_rgba(values[0]), label=said)
+        red, green, blue, _ = (float(part) for part in image.to_rgba(values[0]))
+        patch = Patch(facecolor=(red, green, blue), label=said)
         figure.legend(handles=[patch], loc="outside lower center", frameon=False)
     else:
         figure.colorbar(image, ax=axes, label=label)

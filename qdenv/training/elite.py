@@ -56,9 +56,9 @@ def best_row(columns: Columns, tie_break: str | None) -> int:
     """
     objective = columns["objective"]
     best = np.flatnonzero(objective == objective.max())
-    if tie_break not in columns:
+    if tie_break is None or tie_break not in columns:
         return int(best[0])
-    worth = np.asarray(columns[tie_break], float).reshape(len(objective), -1).mean(axis=1)
+    worth = columns[tie_break].astype(np.float64).reshape(len(objective), -1).mean(axis=1)
     return int(best[np.argmax(worth[best])])
 
 
