@@ -11,8 +11,8 @@ from fleet_runs import PLAIN, SERVICES, TILES, programs, random_layout
 from qdenv.grid import MOVES, parse
 from qdenv.simulate.mapf.audit import Trajectory, check_moves, replay_tasks
 from qdenv.simulate.mapf.environment import DOWN, LEFT, RIGHT, UP, WAIT, Environment, settle
-from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import InputError
 
 STEPS, AGENTS = 120, 40

@@ -14,7 +14,6 @@ from qdenv.files import write_json
 from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.repair.audit import audit
 from qdenv.repair.bounds import impossible
-from qdenv.repair.recipe import repair as repair_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.score.layout import similarity
 from qdenv.study.plans import USUAL
@@ -88,6 +87,9 @@ def repair(
     reason = impossible(rules)
     if reason:
         raise InputError(f"{layout}: no repair exists: {reason}")
+    # Only here: the repair imports a compiler and a solver.
+    from qdenv.repair.recipe import repair as repair_layout
+
     with contextlib.closing(Progress()) as progress:
         result = repair_layout(before, rules, seed, RepairConfig(polish=polish), progress)
     broken = audit(np.asarray(result.layout), rules)

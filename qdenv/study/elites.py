@@ -1,18 +1,20 @@
 """Elites of a saved run: find one, grow it on a canvas of any size, repair what it drew."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
 from qdenv.generate.generator import GENERATORS
-from qdenv.pipeline import EvaluationConfig, canvas_of
+from qdenv.lazy import jax, jnp
+from qdenv.pipeline import canvas_of
 from qdenv.repair.bounds import impossible
 from qdenv.repair.recipe import repair
 from qdenv.repair.settings import RepairConfig
+from qdenv.settings import EvaluationConfig
 from qdenv.training.elite import Elite
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, Repair, RepairStatus
@@ -86,7 +88,7 @@ def grow_series(
 
 def grow_elite(
     run: RunDirectory,
-    which: "str | Sequence[int] | Elite" = "best",
+    which: str | Sequence[int] | Elite = "best",
     shape: tuple[int | None, int | None] = (None, None),
     steps: int | None = None,
     numbers: Mapping[str, int] | None = None,

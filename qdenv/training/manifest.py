@@ -8,9 +8,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-
 from qdenv.domains.base import Domain
+from qdenv.lazy import jax
 from qdenv.search.axes import check_measures
 from qdenv.types import InputError, Measure
 

@@ -9,6 +9,8 @@ RUN/best_layout.json, archive.png, progress.png, best_layout.png
 RUN/.lock                   held by the process that writes here
 """
 
+from __future__ import annotations
+
 import dataclasses
 import json
 import logging
@@ -23,7 +25,6 @@ import numpy as np
 from qdenv.checkpoints import DamagedError, read_arrays, write_arrays
 from qdenv.files import write_csv, write_json
 from qdenv.training.archive import Archive
-from qdenv.training.checkpoint import load_checkpoint, save_checkpoint
 from qdenv.training.config import RunConfig, config_from_json, config_to_json
 from qdenv.training.elite import BestLayout, Elite, check_columns, parse_best_layout
 from qdenv.training.lock import locked
@@ -42,7 +43,7 @@ class RunDirectory:
     path: Path
 
     @classmethod
-    def create(cls, path: str | Path, config: RunConfig, meaning: Meaning) -> "RunDirectory":
+    def create(cls, path: str | Path, config: RunConfig, meaning: Meaning) -> RunDirectory:
         """Start a run's folder.
 
         Args:
@@ -62,7 +63,7 @@ class RunDirectory:
         return run
 
     @classmethod
-    def open(cls, path: str | Path) -> "RunDirectory":
+    def open(cls, path: str | Path) -> RunDirectory:
         """Open an existing run.
 
         Raises:
@@ -155,6 +156,8 @@ class RunDirectory:
             state: of the search.
             settings: JSON-ready, what decides the run's result.
         """
+        from qdenv.training.checkpoint import save_checkpoint  # imports jax and the archives
+
         target = self.path / "checkpoints" / f"{iteration:06d}.npz"
         save_checkpoint(target, state, {"iteration": iteration, "settings": settings})
         for old in self._checkpoints()[:-KEPT_CHECKPOINTS]:
@@ -169,6 +172,8 @@ class RunDirectory:
         Raises:
             InputError: all are damaged, or they are of another search or a newer qdenv.
         """
+        from qdenv.training.checkpoint import load_checkpoint
+
         saved = self._checkpoints()
         for older, path in enumerate(reversed(saved), start=1):
             try:

@@ -25,6 +25,7 @@ import numpy as np
 from qdenv.grid import MOVES, of_tiles
 from qdenv.simulate.mapf import chance, tasks
 from qdenv.simulate.mapf.agents import Fleet, drive, place
+from qdenv.simulate.mapf.goals import check_playable, service_times
 from qdenv.simulate.mapf.planner import NOBODY, World
 from qdenv.types import Array, InputError, TaskRule
 
@@ -135,7 +136,7 @@ class Environment:
         """
         if agents < 1 or timesteps < 1:
             raise InputError("an environment needs at least one robot and one timestep")
-        tasks.check_playable(layout, rule, agents)
+        check_playable(layout, rule, agents)
         self.layout, self.agents, self.timesteps = layout, agents, timesteps
         self.free = np.asarray(of_tiles(layout, rule.traversable, rule.tiles))
         self._observe = observe
@@ -144,7 +145,7 @@ class Environment:
             goals=tasks.goal_table(layout, rule, layout.size),
             # Nobody plans here, so nobody asks how far it is.
             distance=jnp.zeros((0, layout.size), jnp.int16),
-            service_time=jnp.asarray(tasks.service_times(rule)),
+            service_time=jnp.asarray(service_times(rule)),
             valid=jnp.bool_(True),
             margin=0,
         )
