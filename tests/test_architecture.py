@@ -39,6 +39,10 @@ ALLOWED = {
     | PLUGS
     | {"checkpoints", "search", "pipeline", "settings", "domains", "formats", "plots.inline"},
     "study": BASE | STAGES | PLUGS | {"domains", "pipeline", "settings", "formats", "training"},
+    "api": BASE
+    | STAGES
+    | PLUGS
+    | {"domains", "formats", "plots", "presets", "study", "training", "commands.choices"},
     "plots": BASE | {"training.records", "study.table"},
     "commands": BASE
     | STAGES
