@@ -12,7 +12,7 @@ import numpy as np
 
 from qdenv.domains import designs
 from qdenv.domains.base import Domain
-from qdenv.domains.fleet import FleetDomainConfig, fleet_simulator, throughput
+from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
 from qdenv.domains.measures import environment_entropy
 from qdenv.generate.decode import inside_frame, put_in_frame
 from qdenv.grid import parse
@@ -119,6 +119,7 @@ def warehouse(config: WarehouseConfig) -> Domain:
         rules=lambda: rules(config),
         simulator=fleet_simulator(TaskRule(TILES, ".ew", cycle), config.fleet),
         objective=throughput,
+        objective_name=THROUGHPUT,
         measures=(
             Measure("connected shelf components", 140, 240, 100, components, "shelves"),
             environment_entropy(len(GENERATED), MARGIN),
