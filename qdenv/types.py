@@ -39,6 +39,22 @@ def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
     return table[name]
 
 
+class Tile(NamedTuple):
+    """What one symbol of an alphabet means to people.
+
+    Attributes:
+        name: a word or two, as legends and messages call it.
+        about: a sentence: what it is for, and where it may stand.
+        obstacle: nothing drives over it.
+        also: other symbols that drawings may use for it.
+    """
+
+    name: str
+    about: str = ""
+    obstacle: bool = False
+    also: str = ""
+
+
 class Count(NamedTuple):
     """Bound the number of cells that hold one of `tiles`: ``low <= count <= high``."""
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import MAX_SIDE, read_layout, write_layout
+from qdenv.formats.drawings import MAX_SIDE
+from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.types import InputError
 
 TILES = ".@ew"

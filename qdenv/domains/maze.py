@@ -14,9 +14,13 @@ from qdenv.generate.decode import inside_frame
 from qdenv.registry import Entry
 from qdenv.score import layout as score
 from qdenv.simulate.maze import episode, policy, tables, world
-from qdenv.types import Array, Measure
+from qdenv.types import Array, Measure, Tile
 
 MARGIN = (1, 1)
+MEANINGS = {
+    " ": Tile("empty", "the agent walks here; the longest path joins start and goal"),
+    "X": Tile("wall", "the agent goes around it", True, also="#@"),
+}
 # On an accelerator all episodes of a population run side by side to the horizon; on a CPU one
 # layout's at a time, because then the layout's episodes may stop with the last of them.
 ACCELERATOR_LANES = 7500
@@ -104,6 +108,7 @@ def maze(config: MazeConfig) -> Domain:
         simulator=maze_simulator(config),
         objective=lambda layout, runs: world.is_solvable(layout).astype(jnp.float32),
         measures=(first, PATH_LENGTH),
+        meanings=MEANINGS,
     )
 
 
