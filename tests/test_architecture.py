@@ -34,7 +34,7 @@ ALLOWED = {
     "presets": BASE | STAGES | {"domains", "search", "pipeline", "training.config"},
     "training": BASE | STAGES | PLUGS | {"checkpoints", "search", "pipeline", "domains", "formats"},
     "study": BASE | STAGES | PLUGS | {"domains", "pipeline", "formats", "training"},
-    "plots": BASE | {"training.records", "study.table"},
+    "plots": BASE | {"training.records", "study.table", "domains.base"},
     "commands": BASE
     | STAGES
     | PLUGS

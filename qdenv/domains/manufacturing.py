@@ -18,7 +18,7 @@ from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Tile,
 
 TILES = ".012e"
 STATIONS = "012"
-MEANINGS = {
+MEANINGS: dict[str, Tile] = {
     ".": Tile("empty", "robots drive past the stations"),
     "0": Tile("station 0", "the first of three kinds; needs an endpoint beside it", True),
     "1": Tile("station 1", "the second kind, where robots go next", True),

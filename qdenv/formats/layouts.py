@@ -64,8 +64,7 @@ def to_layout(
     Raises:
         InputError: the drawing is empty or ragged, or holds a symbol that means nothing.
     """
-    known = aliases(tiles, meanings)
-    drawn = [row.translate(str.maketrans(known)) for row in rows]
+    drawn = respell(rows, aliases(tiles, meanings))
     for index, row in enumerate(drawn):
         if strange := row.translate(dict.fromkeys(map(ord, tiles))):
             column = row.index(strange[0])
@@ -92,6 +91,12 @@ def aliases(tiles: str, meanings: Mapping[str, Tile] = NO_MEANINGS) -> dict[str,
     return {other: symbol for other, symbol in (blanks | known).items() if other not in tiles}
 
 
+def respell(rows: Sequence[str], table: Mapping[str, str]) -> list[str]:
+    """Draw rows with other symbols: those of `table` in place of those it names."""
+    codes = {ord(old): new for old, new in table.items()}
+    return [row.translate(codes) for row in rows]
+
+
 def endings_for(tiles: str, meanings: Mapping[str, Tile] = NO_MEANINGS) -> tuple[str, ...]:
     """List the endings of files that can hold every tile of an alphabet."""
     every = set(tiles) <= _on_map(tiles, meanings).keys()
@@ -103,6 +108,7 @@ def write_layout(
     layout: Array,
     tiles: str,
     meanings: Mapping[str, Tile] = NO_MEANINGS,
+    /,
     **details: Any,
 ) -> None:
     """Write a layout atomically; the ending of the name says how.
@@ -144,7 +150,7 @@ def _map_rows(
             f"{path}: a .map tells open ground from obstacles only, this layout also has "
             f"{alphabet(lost, meanings)}: write a .json, .txt or .csv"
         )
-    return [row.translate(str.maketrans(table)) for row in rows]
+    return respell(rows, table)
 
 
 def _on_map(tiles: str, meanings: Mapping[str, Tile]) -> dict[str, str]:

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+from qdenv.domains.base import make_domain
 from qdenv.grid import parse
 from qdenv.plots.archive import save_heatmap, scatter_objectives
 from qdenv.plots.figure import new_figure, save_figure
@@ -28,7 +29,8 @@ def plot_run(run: RunDirectory) -> list[Path]:
     if best.exists():
         layout = parse(json.loads(best.read_text())["layout"], run.tiles)
         pictures.append(run.path / "best_layout.png")
-        save_layout(pictures[-1], layout, run.tiles)
+        names = make_domain(run.config.evaluation.domain).names
+        save_layout(pictures[-1], layout, run.tiles, names)
     return pictures
 
 

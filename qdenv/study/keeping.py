@@ -7,7 +7,7 @@ import numpy as np
 from qdenv.domains.base import Domain
 from qdenv.domains.keep import FREE, SAME, check_shape
 from qdenv.formats.drawings import read_drawing
-from qdenv.formats.layouts import BLANKS, aliases, alphabet
+from qdenv.formats.layouts import BLANKS, aliases, alphabet, respell
 from qdenv.repair.bounds import impossible
 from qdenv.types import InputError
 
@@ -40,7 +40,7 @@ def _read(path: str | Path, domain: Domain) -> list[str]:
     """Read a drawing, each tile by its own symbol; blanks are no second way to draw a tile."""
     known = aliases(domain.tiles, domain.meanings)
     table = {one: symbol for one, symbol in known.items() if one not in BLANKS + FREE + SAME}
-    return [row.translate(str.maketrans(table)) for row in read_drawing(path).rows]
+    return respell(read_drawing(path).rows, table)
 
 
 def _resolve(rows: list[str], domain: Domain, layout: np.ndarray | None) -> tuple[str, ...]:
