@@ -30,10 +30,12 @@ def test_every_tile_has_its_colour():
 
 
 def test_the_legend_counts_the_tiles_that_are_there():
-    texts = [text.get_text() for text in draw_layout(LAYOUT, ".@ew").get_legend().get_texts()]
-    assert texts == ["empty 7", "shelf 2", "endpoint 2", "workstation 1"]
+    names = {".": "empty", "@": "shelf", "e": "endpoint", "w": "workstation"}
+    legend = draw_layout(LAYOUT, ".@ew", names=names).get_legend()
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert texts == ["empty: 7 cells", "shelf: 2 cells", "endpoint: 2 cells", "workstation: 1 cell"]
     strange = draw_layout(np.array([[0, 1]]), "?!").get_legend().get_texts()
-    assert [text.get_text() for text in strange] == ["'?' 1", "'!' 1"]
+    assert [text.get_text() for text in strange] == ["'?': 1 cell", "'!': 1 cell"]
 
 
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])

@@ -1,6 +1,7 @@
 """Elites of a saved run: find one, grow it on a canvas of any size, repair what it drew."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -13,6 +14,7 @@ from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.repair.bounds import impossible
 from qdenv.repair.recipe import repair
 from qdenv.repair.settings import RepairConfig
+from qdenv.study.keeping import keep_from
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, Repair, RepairStatus
 
@@ -111,6 +113,7 @@ def grow_elite(
     shape: tuple[int | None, int | None] = (None, None),
     steps: int | None = None,
     numbers: Mapping[str, int] | None = None,
+    keep: Path | None = None,
 ) -> Grown:
     """Grow an elite of a run at any size; nothing is repaired yet.
 
@@ -121,14 +124,18 @@ def grow_elite(
         steps: steps of growth; scaled with the longer side unless given.
         numbers: exact numbers of tiles by the settings' names; those left out are scaled with
             the generated area.
+        keep: drawing of the layout's shape with the tiles that must stay; at the trained size
+            what the run kept unless given.
 
     Raises:
-        InputError: there is no such elite, or the size is impossible.
+        InputError: there is no such elite, the size is impossible, or what must stay is.
     """
     config = run.config.evaluation
     trained = make_domain(config.domain)
     rows, cols = shape[0] or trained.shape[0], shape[1] or trained.shape[1]
     domain = trained.resized(rows, cols, numbers)
+    if keep is not None:
+        domain = keep_from(keep, domain)
     if steps is None:
         longer = max(rows / trained.shape[0], cols / trained.shape[1], 1)
         steps = round(GENERATORS.make(config.generator, canvas_of(trained)).steps * longer)
