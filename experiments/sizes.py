@@ -23,9 +23,9 @@ from qdenv.plots.studies import save_peaks
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.study import sizes
+from qdenv.study.options import parse_seeds
 from qdenv.study.sweep import Trial, climb
 from qdenv.study.table import find_peak, write_rows
-from qdenv.study.traffic import parse_seeds
 from qdenv.training.records import RunDirectory
 
 # Throughput and success rate, T = 5000: S with 200 agents; S_eval with 1,400, 1,000 and 1,800.

@@ -27,7 +27,7 @@ from typing import Any
 # Public name -> (module, name there).
 _HOMES = {
     # Use it.
-    "EvaluationConfig": ("qdenv.pipeline", "EvaluationConfig"),
+    "EvaluationConfig": ("qdenv.settings", "EvaluationConfig"),
     "InputError": ("qdenv.types", "InputError"),
     "PRESETS": ("qdenv.presets", "PRESETS"),
     "RunConfig": ("qdenv.training.config", "RunConfig"),
@@ -56,18 +56,18 @@ _HOMES = {
     "Count": ("qdenv.types", "Count"),
     "Domain": ("qdenv.domains.base", "Domain"),
     "DomainConfig": ("qdenv.domains.base", "DomainConfig"),
-    "FleetConfig": ("qdenv.simulate.mapf.fleet", "FleetConfig"),
+    "FleetConfig": ("qdenv.simulate.mapf.settings", "FleetConfig"),
     "Goal": ("qdenv.types", "Goal"),
     "Measure": ("qdenv.types", "Measure"),
     "Rules": ("qdenv.types", "Rules"),
     "Simulator": ("qdenv.domains.base", "Simulator"),
     "TaskRule": ("qdenv.types", "TaskRule"),
     "Traffic": ("qdenv.types", "Traffic"),
-    "beside_goal": ("qdenv.simulate.mapf.tasks", "beside_goal"),
+    "beside_goal": ("qdenv.simulate.mapf.goals", "beside_goal"),
     "fleet_simulator": ("qdenv.domains.fleet", "fleet_simulator"),
-    "tile_goal": ("qdenv.simulate.mapf.tasks", "tile_goal"),
+    "tile_goal": ("qdenv.simulate.mapf.goals", "tile_goal"),
     # A planner.
-    "PLANNERS": ("qdenv.simulate.mapf.planner", "PLANNERS"),
+    "PLANNERS": ("qdenv.simulate.mapf.settings", "PLANNERS"),
     "AgentState": ("qdenv.simulate.mapf.planner", "AgentState"),
     "Planner": ("qdenv.simulate.mapf.planner", "Planner"),
     "World": ("qdenv.simulate.mapf.planner", "World"),
@@ -75,7 +75,7 @@ _HOMES = {
     "GENERATORS": ("qdenv.generate.generator", "GENERATORS"),
     "Canvas": ("qdenv.generate.generator", "Canvas"),
     "Generator": ("qdenv.generate.generator", "Generator"),
-    "NcaConfig": ("qdenv.generate.nca", "NcaConfig"),
+    "NcaConfig": ("qdenv.generate.settings", "NcaConfig"),
     # An algorithm.
     "ALGORITHMS": ("qdenv.search.registry", "ALGORITHMS"),
     "Algorithm": ("qdenv.search.base", "Algorithm"),

@@ -1,10 +1,11 @@
 """What jax computes on, and what follows from it: asked here and nowhere else."""
 
+from __future__ import annotations
+
 import os
-from typing import Literal
+from typing import Literal, get_args
 
-import jax
-
+from qdenv.lazy import jax
 from qdenv.types import InputError
 
 Backend = Literal["auto", "xla", "host"]  # where a planner runs; auto: host on a CPU, else xla
@@ -20,14 +21,23 @@ def on_cpu() -> bool:
     return jax.default_backend() == "cpu"
 
 
+def check_backend(backend: str) -> None:
+    """Refuse what is no backend.
+
+    Raises:
+        InputError: `backend` is none.
+    """
+    if backend not in get_args(Backend):
+        raise InputError(f"unknown backend {backend!r}: choose one of auto, xla, host")
+
+
 def runs_on_host(backend: Backend) -> bool:
     """Resolve a planner's backend: whether it runs in compiled host code.
 
     Raises:
         InputError: `backend` is none.
     """
-    if backend not in ("auto", "xla", "host"):
-        raise InputError(f"unknown backend {backend!r}: choose one of auto, xla, host")
+    check_backend(backend)
     return backend == "host" or (backend == "auto" and on_cpu())
 
 

@@ -4,19 +4,27 @@ A position is ``row * width + column``. The four moves are right, left, down, up
 everywhere; waiting is the fifth.
 """
 
-import functools
-from collections.abc import Sequence
+from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
+import functools
+import operator
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
+from qdenv.lazy import jax, jnp
 from qdenv.types import Array, InputError
 
 MOVES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # (row, column) steps: right, left, down, up
 
 
-def shift(values: Array, move: tuple[int, int], fill: object = 0) -> jax.Array:
+def _library_of(values: Array) -> Any:
+    """Choose numpy for its own arrays, so that a question about a layout waits for no compiler."""
+    return np if isinstance(values, np.ndarray) else jnp
+
+
+def shift(values: Array, move: tuple[int, int], fill: object = 0) -> Array:
     """Look one move away from every cell: result[r, c] = values[r + dr, c + dc].
 
     Args:
@@ -25,13 +33,13 @@ def shift(values: Array, move: tuple[int, int], fill: object = 0) -> jax.Array:
         fill: what lies outside the grid.
     """
     rows, cols = values.shape
-    padded = jnp.pad(values, 1, constant_values=fill)
+    padded = _library_of(values).pad(values, 1, constant_values=fill)
     return padded[1 + move[0] : 1 + move[0] + rows, 1 + move[1] : 1 + move[1] + cols]
 
 
-def count_neighbours(mask: Array) -> jax.Array:
+def count_neighbours(mask: Array) -> Array:
     """Count each cell's 4-neighbours inside `mask` (bool [H, W] -> int32 [H, W])."""
-    return functools.reduce(jnp.add, [shift(mask.astype(jnp.int32), move) for move in MOVES])
+    return functools.reduce(operator.add, [shift(mask.astype(np.int32), move) for move in MOVES])
 
 
 def count_components(mask: Array) -> jax.Array:
@@ -88,7 +96,7 @@ def draw(layout: Array, tiles: str) -> list[str]:
     return ["".join(tiles[tile] for tile in row) for row in np.asarray(layout)]
 
 
-def of_tiles(layout: Array, symbols: str, tiles: str) -> jax.Array:
+def of_tiles(layout: Array, symbols: str, tiles: str) -> Array:
     """Mark the cells of `layout` that hold one of `symbols` (int8 [H, W] -> bool [H, W])."""
     table = np.array([tile in symbols for tile in tiles])
-    return jnp.asarray(table)[layout.astype(jnp.int32)]
+    return _library_of(layout).asarray(table)[layout.astype(np.int32)]

@@ -9,7 +9,6 @@ numbers for the same key.
 import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import jax
@@ -17,32 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv import devices
-from qdenv.domains.base import DOMAINS, Domain, Simulator, make_domain
+from qdenv.domains.base import Domain, Simulator, make_domain
 from qdenv.generate.generator import GENERATORS, Canvas
 from qdenv.repair.callback import repair_in_jit
 from qdenv.repair.pool import RepairPool
-from qdenv.repair.settings import RepairConfig
 from qdenv.score.layout import similarity
+from qdenv.settings import EvaluationConfig
 from qdenv.types import Array, Evaluation, Repair, RepairStatus, Score
-
-
-@dataclass(frozen=True)
-class EvaluationConfig:
-    """What one evaluation does (Table 1 of the paper).
-
-    Attributes:
-        domain: settings of a registered domain; their type chooses it.
-        generator: settings of a registered generator, likewise.
-        simulations: simulations per layout N_e.
-        alpha: weight of the similarity score in the objective.
-        repair: limits of the repair.
-    """
-
-    domain: Any = field(default_factory=lambda: DOMAINS.config("warehouse-even"))
-    generator: Any = field(default_factory=lambda: GENERATORS.config("nca"))
-    simulations: int = 5
-    alpha: float = 5.0
-    repair: RepairConfig = field(default_factory=RepairConfig)
 
 
 class Pipeline(NamedTuple):

@@ -6,10 +6,10 @@ from typing import Any
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.maze import EntropyMazeConfig, MazeConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig, WarehouseConfig
-from qdenv.generate.nca import NcaConfig
-from qdenv.pipeline import EvaluationConfig
-from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.generate.settings import NcaConfig
+from qdenv.search.settings import CmaMaeConfig
+from qdenv.settings import EvaluationConfig
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.training.config import RunConfig
 from qdenv.types import look_up
 

@@ -25,11 +25,12 @@ class Entry(NamedTuple):
 
     Attributes:
         config: frozen dataclass of its settings, with defaults for all of them.
-        make: (settings, ...) -> the thing; each registry says what else it passes.
+        make: (settings, ...) -> the thing; each registry says what else it passes. Or where that
+            function is, as ``module:function``: then settings are known without its imports.
     """
 
     config: type
-    make: Callable[..., Any]
+    make: Callable[..., Any] | str
 
 
 class Registry:
@@ -104,7 +105,9 @@ class Registry:
         Raises:
             InputError: the type of `config` is not registered.
         """
-        return self.entry(self.name_of(config)).make(config, *details)
+        name = self.name_of(config)
+        make = self.entry(name).make
+        return (self._import(name, make) if isinstance(make, str) else make)(config, *details)
 
     def _look_for_plugins(self) -> None:
         if self._looked:
@@ -114,16 +117,20 @@ class Registry:
             self._references.setdefault(point.name, point.value)
 
     def _load(self, name: str) -> Entry:
-        module, _, attribute = self._references[name].partition(":")
+        found = self._import(name, self._references[name])
+        if not isinstance(found, Entry):
+            raise InputError(
+                f"{self._what} {name!r}: {self._references[name]} is no qdenv.Entry(settings, make)"
+            )
+        return found
+
+    def _import(self, name: str, reference: str) -> Any:
+        """Import what ``module:attribute`` names."""
+        module, _, attribute = reference.partition(":")
         try:
-            found = getattr(importlib.import_module(module), attribute)
+            return getattr(importlib.import_module(module), attribute)
         except (ImportError, AttributeError) as error:
             raise InputError(
                 f"{self._what} {name!r} cannot be loaded from {module}:{attribute} ({error}): "
                 "mend or uninstall the package it comes from"
             ) from error
-        if not isinstance(found, Entry):
-            raise InputError(
-                f"{self._what} {name!r}: {module}:{attribute} is no qdenv.Entry(settings, make)"
-            )
-        return found

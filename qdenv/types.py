@@ -12,16 +12,22 @@ A layout is an int8 array [H, W] of tile indices into its domain's alphabet (`Ru
 A position is ``row * width + column`` (int32). Records describe one item; batches add leading axes.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from enum import IntEnum
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-import jax
 import numpy as np
 
 # What crosses a stage's border: stages run on either side of the host. Code that only ever runs
 # traced says `jax.Array`, code that only ever runs on the host `np.ndarray`.
-Array: TypeAlias = jax.Array | np.ndarray
+if TYPE_CHECKING:
+    import jax
+
+    Array: TypeAlias = jax.Array | np.ndarray
+else:  # a name in annotations is no reason to import jax
+    Array: TypeAlias = Any
 
 
 class InputError(ValueError):

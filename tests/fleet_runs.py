@@ -10,8 +10,9 @@ import numpy as np
 from qdenv.registry import Entry
 from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.audit import audit, trajectory_of
-from qdenv.simulate.mapf.planner import PLANNERS, Planner
-from qdenv.simulate.mapf.tasks import check_playable, tile_goal
+from qdenv.simulate.mapf.goals import check_playable, tile_goal
+from qdenv.simulate.mapf.planner import Planner
+from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.types import InputError, TaskRule, Traffic
 
 TILES = ".#ew"

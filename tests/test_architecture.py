@@ -11,39 +11,54 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "qdenv"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"types", "grid", "files"}
+BASE = {"types", "grid", "files", "lazy"}
 STAGES = {"generate", "repair", "simulate", "score"}
 PLUGS = {"registry", "devices"}
 ALLOWED = {
-    "types": set(),
+    "lazy": set(),
+    "types": {"lazy"},
     "native": set(),
-    "grid": {"types"},
+    "grid": {"types", "lazy"},
     "files": {"types"},
     "checkpoints": {"types", "files"},
-    "devices": {"types"},
+    "devices": {"types", "lazy"},
     "registry": {"types"},
     "formats": BASE,
-    "generate": {"types", "grid", "registry"},
-    "repair": {"types", "grid", "native"},
-    "simulate": {"types", "grid", "native"} | PLUGS,
-    "score": {"types", "grid"},
+    "generate": {"types", "grid", "lazy", "registry"},
+    "repair": {"types", "grid", "lazy", "native"},
+    "simulate": {"types", "grid", "lazy", "native"} | PLUGS,
+    "score": {"types", "grid", "lazy"},
     "agent": BASE | {"checkpoints", "simulate.maze", "score", "devices"},
     "domains": BASE | STAGES | PLUGS,
-    "pipeline": BASE | STAGES | {"domains.base", "devices"},
+    "settings": STAGES | {"domains.base"},
+    "pipeline": BASE | STAGES | {"domains.base", "devices", "settings"},
     "search": {"types", "files", "checkpoints", "registry"},
-    "presets": BASE | STAGES | {"domains", "search", "pipeline", "training.config"},
-    "training": BASE | STAGES | PLUGS | {"checkpoints", "search", "pipeline", "domains", "formats"},
-    "study": BASE | STAGES | PLUGS | {"domains", "pipeline", "formats", "training"},
+    "presets": BASE | STAGES | {"domains", "search", "settings", "training.config"},
+    "training": BASE
+    | STAGES
+    | PLUGS
+    | {"checkpoints", "search", "pipeline", "settings", "domains", "formats"},
+    "study": BASE | STAGES | PLUGS | {"domains", "pipeline", "settings", "formats", "training"},
     "plots": BASE | {"training.records", "study.table", "domains.base"},
     "commands": BASE
     | STAGES
     | PLUGS
-    | {"agent", "domains", "formats", "plots", "presets", "search", "study", "training"},
+    | {
+        "agent",
+        "domains",
+        "formats",
+        "plots",
+        "presets",
+        "search",
+        "settings",
+        "study",
+        "training",
+    },
     "bench": BASE
     | STAGES
     | PLUGS
     | {"agent", "domains", "formats", "pipeline", "plots", "presets", "search"}
-    | {"study", "training"},
+    | {"settings", "study", "training"},
     "cli": {"commands", "types"},
     "__main__": {"cli"},
     "__init__": set(),  # names the public homes and imports each when it is asked for

@@ -9,7 +9,7 @@ from qdenv.domains.base import DOMAINS, find_domain
 from qdenv.generate.generator import GENERATORS
 from qdenv.registry import Entry, Registry
 from qdenv.search.registry import ALGORITHMS
-from qdenv.simulate.mapf.planner import PLANNERS
+from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.types import InputError
 
 

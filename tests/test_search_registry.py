@@ -12,13 +12,14 @@ from qdenv.registry import Entry, Registry
 from qdenv.search import registry
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Algorithm
-from qdenv.search.cma_mae import CmaMaeConfig, CmaMeConfig, cma_mae
+from qdenv.search.cma_mae import cma_mae
 from qdenv.search.insertion import Insertion
 from qdenv.search.registry import ALGORITHMS, make_algorithm
+from qdenv.search.settings import CmaMaeConfig, CmaMeConfig
 from qdenv.search.strategies.registry import STRATEGIES
 from qdenv.types import InputError
 
-BUILTIN = "qdenv.search.cma_mae:CMA_MAE"
+BUILTIN = "qdenv.search.settings:CMA_MAE"
 
 
 def test_names_and_settings_find_each_other():

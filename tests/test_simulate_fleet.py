@@ -25,11 +25,13 @@ from fleet_runs import (
 from qdenv.grid import parse
 from qdenv.registry import Entry
 from qdenv.simulate.mapf import fleet
+from qdenv.simulate.mapf.goals import beside_goal, check_playable, tile_goal
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 from qdenv.simulate.mapf.pibt.planner import rollout
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.planner import PLANNERS, Planner
-from qdenv.simulate.mapf.tasks import beside_goal, check_playable, draw_goals, goal_table, tile_goal
+from qdenv.simulate.mapf.planner import Planner
+from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulate.mapf.tasks import draw_goals, goal_table
 from qdenv.types import InputError, TaskRule
 
 NEGOTIATED = programs(SERVICES, CONFIG)

@@ -33,7 +33,8 @@ from qdenv.simulate.mapf.negotiated.xla import bitplanes
 from qdenv.simulate.mapf.negotiated.xla.observation import Planning, gather
 from qdenv.simulate.mapf.negotiated.xla.rounds import choose
 from qdenv.simulate.mapf.negotiated.xla.search import find_paths
-from qdenv.simulate.mapf.planner import PLANNERS, AgentState, World
+from qdenv.simulate.mapf.planner import AgentState, World
+from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.simulate.mapf.tasks import GoalTable
 from qdenv.types import InputError
 

@@ -10,8 +10,9 @@ import pytest
 
 import qdenv.simulate
 from qdenv.simulate.mapf.audit import Trajectory, check_moves, jammed_windows, replay_tasks
+from qdenv.simulate.mapf.goals import tile_goal
 from qdenv.simulate.mapf.padding import pad, unpad
-from qdenv.simulate.mapf.tasks import serve, tile_goal
+from qdenv.simulate.mapf.tasks import serve
 from qdenv.types import TaskRule
 
 TILES = ".#12"

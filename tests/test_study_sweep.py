@@ -9,8 +9,8 @@ import pytest
 from qdenv.grid import parse
 from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.simulate.mapf.goals import tile_goal
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.tasks import tile_goal
 from qdenv.study.sweep import Trial, parse_counts, sweep
 from qdenv.study.table import write_rows
 from qdenv.types import InputError, TaskRule

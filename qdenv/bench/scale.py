@@ -26,7 +26,8 @@ from qdenv.plots.scale import save_scale
 from qdenv.repair.recipe import repair
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study.elites import find_elite, grow_series
-from qdenv.study.traffic import broken_rules, find_planner, run_seeds
+from qdenv.study.options import find_planner
+from qdenv.study.traffic import broken_rules, run_seeds
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus, TaskRule
 

@@ -12,8 +12,8 @@ import tyro
 
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.search.registry import ALGORITHMS
+from qdenv.study.options import find_planner
 from qdenv.study.plans import USUAL, read_plan
-from qdenv.study.traffic import find_planner
 from qdenv.training.config import RunConfig
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError

@@ -9,7 +9,6 @@ from qdenv.commands.choices import FleetOptions, Options
 from qdenv.files import write_json
 from qdenv.study import sweep as studies
 from qdenv.study.plans import read_plan
-from qdenv.study.traffic import simulate_layout
 
 
 def simulate(
@@ -29,6 +28,8 @@ def simulate(
         json_file: where to write the numbers.
     """
     plan = read_plan(layout, options.domain)
+    from qdenv.study.traffic import simulate_layout  # imports the simulator
+
     with studies.about(str(layout)):
         result = simulate_layout(
             plan.layout,

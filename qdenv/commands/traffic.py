@@ -9,11 +9,11 @@ import tyro
 from qdenv.commands.choices import FleetOptions, Options
 from qdenv.domains.base import Domain
 from qdenv.plots.studies import save_comparison, save_peaks
-from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study import sweep as studies
+from qdenv.study.options import parse_counts, parse_seeds
 from qdenv.study.plans import read_plan
 from qdenv.study.table import Row, find_peak, write_rows
-from qdenv.study.traffic import parse_seeds
 from qdenv.types import InputError
 
 Files = tyro.conf.Positional[tuple[Path, ...]]
@@ -107,7 +107,7 @@ def trial_of(agents: str, options: FleetOptions, domain: Domain) -> studies.Tria
         InputError: a number or a name means nothing.
     """
     config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
-    counts, seeds = studies.parse_counts(agents), parse_seeds(options.seeds)
+    counts, seeds = parse_counts(agents), parse_seeds(options.seeds)
     return studies.Trial(domain.simulator.tasks, config, counts, seeds)
 
 

@@ -5,17 +5,19 @@ A domain is chosen by the type of its settings, a `DomainConfig` with the domain
 functions, no subclass.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import tyro
 
 from qdenv.domains.keep import keep_in_frame, keep_in_rules, kept_tiles
 from qdenv.domains.measures import weigh_alike
+from qdenv.lazy import jax
 from qdenv.registry import Registry
 from qdenv.types import Array, InputError, Measure, Rules, TaskRule, Tile
 
@@ -137,7 +139,7 @@ class Domain:
         """The exact numbers of tiles that the settings demand, by the settings' names."""
         return {name: getattr(self.config, name) for name in self.counted}
 
-    def resized(self, rows: int, cols: int, numbers: Mapping[str, int] | None = None) -> "Domain":
+    def resized(self, rows: int, cols: int, numbers: Mapping[str, int] | None = None) -> Domain:
         """Make the same domain at another size; what was to be kept is, where the size stays.
 
         Args:
@@ -152,7 +154,7 @@ class Domain:
         scaled = {name: round(number * area / own_area) for name, number in self.numbers.items()}
         return empty.with_numbers(scaled | dict(numbers or {}))
 
-    def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> "Domain":
+    def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> Domain:
         """Make the same domain at the size of a layout (int8 [H, W]).
 
         Args:
@@ -166,7 +168,7 @@ class Domain:
         rows, cols = layout.shape
         return self.resized(rows, cols, own | dict(numbers or {}))
 
-    def keeping(self, keep: tuple[str, ...]) -> "Domain":
+    def keeping(self, keep: tuple[str, ...]) -> Domain:
         """Make the same domain with other cells that must stay as they are drawn.
 
         Args:
@@ -177,7 +179,7 @@ class Domain:
         """
         return make_domain(replace(self.config, keep=keep))
 
-    def with_numbers(self, numbers: Mapping[str, int]) -> "Domain":
+    def with_numbers(self, numbers: Mapping[str, int]) -> Domain:
         """Make the same domain with other exact numbers of tiles.
 
         Raises:

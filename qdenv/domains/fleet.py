@@ -1,14 +1,15 @@
 """What the domains with fleets of robots share: their numbers, and how tasks are simulated."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax
-
 from qdenv.domains.base import DomainConfig, Simulator
+from qdenv.lazy import jax
 from qdenv.score.traffic import mean_throughput
-from qdenv.simulate.mapf.fleet import FleetConfig, prepare, simulate
-from qdenv.types import TaskRule, Traffic
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.types import Array, TaskRule, Traffic
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,21 @@ def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
         tasks: what the agents do.
         config: how many they are, for how long, and who plans their paths.
     """
-    return Simulator(
-        prepare=lambda layout: prepare(layout, tasks, config),
-        run=lambda world, key: simulate(world, key, config),
-        tasks=tasks,
-    )
+
+    def prepare(layout: Array) -> Any:
+        return _fleet().prepare(layout, tasks, config)
+
+    def run(world: Any, key: jax.Array) -> Traffic:
+        return _fleet().simulate(world, key, config)
+
+    return Simulator(prepare, run, tasks)
+
+
+def _fleet() -> Any:
+    """Import the simulation, and both compilers with it, when somebody simulates."""
+    from qdenv.simulate.mapf import fleet
+
+    return fleet
 
 
 def throughput(layout: Any, runs: Traffic) -> jax.Array:

@@ -4,12 +4,13 @@ A keep drawing has the shape of the layout and says of each cell what it must ho
 ``?`` for whatever is best. Beside a plan, ``!`` is the tile that the plan holds there.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from qdenv.lazy import jax, jnp
 from qdenv.types import Array, InputError, Rules
 
 FREE, SAME = "?", "!"

@@ -1,9 +1,9 @@
 """Manufacturing: agents visit three kinds of station in turn and stay at each (appendix B.2)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qdenv.domains import designs
@@ -11,9 +11,10 @@ from qdenv.domains.base import Domain
 from qdenv.domains.fleet import FleetDomainConfig, fleet_simulator, throughput
 from qdenv.domains.measures import environment_entropy
 from qdenv.grid import of_tiles, parse
+from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
 from qdenv.score import layout as score
-from qdenv.simulate.mapf.tasks import beside_goal
+from qdenv.simulate.mapf.goals import beside_goal
 from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Tile, Traffic
 
 TILES = ".012e"

@@ -1,20 +1,23 @@
 """Maze: one trained agent looks for the goal at the far end of the longest path (appendix B.3)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
-
-import jax
-import jax.numpy as jnp
+from typing import TYPE_CHECKING, Any
 
 from qdenv import devices
 from qdenv.domains.base import Domain, DomainConfig, Simulator
 from qdenv.domains.measures import environment_entropy
 from qdenv.generate.decode import inside_frame
+from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
 from qdenv.score import layout as score
-from qdenv.simulate.maze import episode, policy, tables, world
+from qdenv.simulate.maze import world
 from qdenv.types import Array, Measure, Tile
+
+if TYPE_CHECKING:
+    from qdenv.simulate.maze import episode, policy
 
 MARGIN = (1, 1)
 MEANINGS = {
@@ -56,7 +59,9 @@ def frame(area: Array) -> jax.Array:
 @lru_cache(maxsize=8)
 def agent_weights(agent: str) -> policy.Weights:
     """Read an agent's file once (the shipped one for "")."""
-    return policy.load_weights(agent)
+    from qdenv.simulate.maze.policy import load_weights
+
+    return load_weights(agent)
 
 
 def maze_simulator(config: MazeConfig) -> Simulator:
@@ -65,12 +70,19 @@ def maze_simulator(config: MazeConfig) -> Simulator:
     def weights() -> policy.Weights:
         return jax.tree.map(jnp.asarray, agent_weights(config.agent))
 
+    def prepare(layout: Array) -> Any:
+        from qdenv.simulate.maze import tables  # what is compiled is imported when it is run
+
+        return tables.prepare(weights(), layout)
+
     def run(prepared: Any, key: jax.Array) -> episode.Episode:
+        from qdenv.simulate.maze import episode
+
         loop = episode.until_done if devices.on_cpu() else episode.all_timesteps
         return episode.run_episode(weights(), prepared, key, config.timesteps, loop)
 
     return Simulator(
-        prepare=lambda layout: tables.prepare(weights(), layout),
+        prepare=prepare,
         run=run,
         accelerator_lanes=ACCELERATOR_LANES,
         layout_at_once=True,

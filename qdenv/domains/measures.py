@@ -1,11 +1,11 @@
 """What the domains measure alike."""
 
+from __future__ import annotations
+
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-
 from qdenv.generate.decode import inside_frame
+from qdenv.lazy import jax, jnp
 from qdenv.score import layout as score
 from qdenv.types import Array, Measure
 

@@ -4,9 +4,10 @@ Even: every workstation is drawn alike. Uneven: those on the left border five ti
 (appendix B.1).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 
 from qdenv.domains import designs
@@ -15,9 +16,10 @@ from qdenv.domains.fleet import FleetDomainConfig, fleet_simulator, throughput
 from qdenv.domains.measures import environment_entropy
 from qdenv.generate.decode import inside_frame, put_in_frame
 from qdenv.grid import parse
+from qdenv.lazy import jax
 from qdenv.registry import Entry
 from qdenv.score import layout as score
-from qdenv.simulate.mapf.tasks import favour_left, tile_goal
+from qdenv.simulate.mapf.goals import favour_left, tile_goal
 from qdenv.types import (
     Adjacency,
     Array,

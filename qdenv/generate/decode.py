@@ -1,9 +1,10 @@
 """From the automaton's real-valued cells to a framed layout of tiles."""
 
-import jax
-import jax.numpy as jnp
+from __future__ import annotations
+
 import numpy as np
 
+from qdenv.lazy import jax, jnp
 from qdenv.types import Array
 
 

@@ -3,11 +3,12 @@
 A generator is chosen by the type of its settings: `GENERATORS.make(settings, canvas)`.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
-
+from qdenv.lazy import jax
 from qdenv.registry import Registry
 
 
@@ -43,4 +44,6 @@ class Generator(NamedTuple):
 
 
 # An entry's maker is called as make(settings, canvas) and returns a `Generator`.
-GENERATORS = Registry("generator", "qdenv.generators", {"nca": "qdenv.generate.nca:NCA_GENERATOR"})
+GENERATORS = Registry(
+    "generator", "qdenv.generators", {"nca": "qdenv.generate.settings:NCA_GENERATOR"}
+)

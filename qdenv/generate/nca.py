@@ -7,7 +7,6 @@ after the last step.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import chex
@@ -19,8 +18,8 @@ from jax.flatten_util import ravel_pytree
 
 from qdenv.generate.decode import choose_tiles
 from qdenv.generate.generator import Canvas, Generator
+from qdenv.generate.settings import NcaConfig
 from qdenv.grid import parse
-from qdenv.registry import Entry
 from qdenv.types import Array, InputError
 
 
@@ -145,21 +144,6 @@ def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> n
     return np.eye(len(generated), dtype=np.float32)[canvas]
 
 
-@dataclass(frozen=True)
-class NcaConfig:
-    """The numbers of a neural cellular automaton.
-
-    Attributes:
-        steps: NCA steps C.
-        kernel_sizes: kernel widths of the convolutions.
-        hidden: channels of the hidden layers.
-    """
-
-    steps: int = 50
-    kernel_sizes: tuple[int, ...] = (3, 3, 3)
-    hidden: int = 32
-
-
 def nca(config: NcaConfig, canvas: Canvas) -> Generator:
     """Make the generator that grows a canvas from its seed block.
 
@@ -173,6 +157,3 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
         return choose_tiles(grow_population(automaton, solutions, start, steps))
 
     return Generator(automaton.size, config.steps, grow)
-
-
-NCA_GENERATOR = Entry(NcaConfig, nca)

@@ -3,11 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
+from qdenv.lazy import ndimage
 from qdenv.types import Adjacency, Count, Rules
 
-CROSS = ndimage.generate_binary_structure(2, 1)
+CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
 
 
 class Violation(NamedTuple):

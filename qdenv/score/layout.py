@@ -1,12 +1,11 @@
 """Scores of a layout alone: entropy, components, counts, similarity."""
 
+from __future__ import annotations
+
 import math
 
-import chex
-import jax
-import jax.numpy as jnp
-
 from qdenv.grid import count_components, of_tiles
+from qdenv.lazy import chex, jax, jnp
 from qdenv.types import Array
 
 

@@ -1,11 +1,10 @@
 """Scores of simulated traffic over the runs of one layout."""
 
+from __future__ import annotations
+
 import math
 
-import chex
-import jax
-import jax.numpy as jnp
-
+from qdenv.lazy import chex, jax, jnp
 from qdenv.types import InputError, Traffic
 
 NORMAL_95 = 1.959964  # two-sided 95 % quantile of the normal distribution

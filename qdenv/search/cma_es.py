@@ -4,33 +4,12 @@ Hansen 2016, "The CMA evolution strategy: a tutorial", https://arxiv.org/abs/160
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
-from qdenv.registry import Entry
 from qdenv.search.base import Algorithm
-from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
+from qdenv.search.cma_mae import cma_mae
+from qdenv.search.settings import CmaEsConfig, CmaMaeConfig
 from qdenv.types import Array, Measure
-
-
-@dataclass(frozen=True)
-class CmaEsConfig:
-    """Settings of the single-objective search.
-
-    Attributes:
-        emitters: independent evolution strategies.
-        batch: solutions of each strategy per iteration.
-        sigma0: initial step size.
-        restart: never (basic), when no cell improved, or every so many iterations. A strategy
-            whose distribution is degenerate restarts anyway, from a random elite.
-        strategy: a name of `STRATEGIES`.
-    """
-
-    emitters: int = 1
-    batch: int = 50
-    sigma0: float = 0.2
-    restart: Literal["no_improvement", "basic"] | int = "basic"
-    strategy: str = "sep"
 
 
 def cma_es(
@@ -64,6 +43,3 @@ def cma_es(
         strategy=config.strategy,
     )
     return cma_mae(settings, solution_dim, measures, extras, x0)
-
-
-CMA_ES = Entry(CmaEsConfig, cma_es)

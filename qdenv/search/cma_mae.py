@@ -5,14 +5,11 @@ https://arxiv.org/abs/2205.10752; Fontaine, Togelius, Nikolaidis and Hoover 2020
 adaptation for the rapid illumination of behavior space", https://arxiv.org/abs/1912.02400.
 """
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 
-from qdenv.registry import Entry
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Algorithm, plain_key, positive, received, start_solution
 from qdenv.search.emitters import (
@@ -23,48 +20,11 @@ from qdenv.search.emitters import (
     make_emitters,
     restart_rule,
 )
+from qdenv.search.settings import CmaMaeConfig
 from qdenv.search.store import ROW, Store, StoredElites
 from qdenv.search.strategies.registry import STRATEGIES
 from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import Array, Measure, Score, look_up
-
-
-@dataclass(frozen=True)
-class CmaMaeConfig:
-    """Settings of CMA-MAE; the defaults are the paper's (Table 1).
-
-    Attributes:
-        emitters: evolution strategies E running side by side.
-        batch: solutions b of each emitter per iteration.
-        sigma0: initial step size.
-        learning_rate: of the learning archive's thresholds, in [0, 1].
-        threshold_min: threshold of an empty cell.
-        ranker: sort rows by improvement (imp), status then improvement (2imp), objective (obj)
-            or status then objective (2obj).
-        selection: parents are the better half (mu) or as many as were accepted (filter).
-        restart: when nothing was accepted, never (basic), or every so many iterations.
-        strategy: a name of `STRATEGIES`.
-    """
-
-    emitters: int = 5
-    batch: int = 10
-    sigma0: float = 0.2
-    learning_rate: float = 0.01
-    threshold_min: float = 0.0
-    ranker: str = "imp"
-    selection: str = "mu"
-    restart: Literal["no_improvement", "basic"] | int = "no_improvement"
-    strategy: str = "iso"
-
-
-@dataclass(frozen=True)
-class CmaMeConfig(CmaMaeConfig):
-    """Settings of CMA-ME: CMA-MAE with an elitist archive (Fontaine et al. 2020)."""
-
-    learning_rate: float = 1.0
-    threshold_min: float = -math.inf
-    ranker: str = "2imp"
-    selection: str = "filter"
 
 
 class CmaMaeState(NamedTuple):
@@ -168,7 +128,3 @@ def cma_mae(
         return StoredElites(state.result, state.store).dense()
 
     return Algorithm(init, ask, tell, archive, batch_size)
-
-
-CMA_MAE = Entry(CmaMaeConfig, cma_mae)
-CMA_ME = Entry(CmaMeConfig, cma_mae)

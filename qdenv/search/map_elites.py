@@ -5,43 +5,18 @@ https://arxiv.org/abs/1504.04909; Vassiliades and Mouret 2018, "Discovering the 
 by leveraging interspecies correlation", https://arxiv.org/abs/1804.03906.
 """
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 from qdax.core.emitters.mutation_operators import isoline_variation
 
-from qdenv.registry import Entry
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Algorithm, plain_key, positive, received, start_solution
+from qdenv.search.settings import MapElitesConfig
 from qdenv.search.store import ROW, Store, StoredElites
 from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import Array, Measure, Score
-
-
-@dataclass(frozen=True)
-class MapElitesConfig:
-    """Settings of MAP-Elites.
-
-    Attributes:
-        emitters: kept beside `batch` so that algorithms compare at equal settings.
-        batch: an iteration makes ``emitters * batch`` solutions.
-        sigma_iso: standard deviation of the isotropic noise.
-        sigma_line: standard deviation of the step along the line to another elite.
-        learning_rate: of the parents' archive. 1 with a `threshold_min` of -inf is the plain
-            elitist archive; the published runs drew their parents from the soft archive of
-            CMA-MAE (0.01 and 0).
-        threshold_min: threshold of an empty cell of the parents' archive.
-    """
-
-    emitters: int = 5
-    batch: int = 10
-    sigma_iso: float = 0.01
-    sigma_line: float = 0.2
-    learning_rate: float = 1.0
-    threshold_min: float = -math.inf
 
 
 class MapElitesState(NamedTuple):
@@ -114,6 +89,3 @@ def map_elites(
         return StoredElites(state.result, state.store).dense()
 
     return Algorithm(init, ask, tell, archive, batch_size)
-
-
-MAP_ELITES = Entry(MapElitesConfig, map_elites)

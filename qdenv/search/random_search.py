@@ -1,29 +1,15 @@
 """Random search: independent Gaussian solutions, the archive kept passively."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 
-from qdenv.registry import Entry
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Algorithm, plain_key, positive, received, start_solution
+from qdenv.search.settings import RandomSearchConfig
 from qdenv.search.store import ROW, Store, StoredElites
 from qdenv.types import Array, Measure, Score
-
-
-@dataclass(frozen=True)
-class RandomSearchConfig:
-    """Settings of random search.
-
-    Attributes:
-        batch: solutions per iteration.
-        sigma: standard deviation of every parameter.
-    """
-
-    batch: int = 50
-    sigma: float = 0.2
 
 
 class RandomSearchState(NamedTuple):
@@ -81,6 +67,3 @@ def random_search(
         return StoredElites(state.result, state.store).dense()
 
     return Algorithm(init, ask, tell, archive, config.batch)
-
-
-RANDOM_SEARCH = Entry(RandomSearchConfig, random_search)

@@ -14,11 +14,11 @@ ALGORITHMS = Registry(
     "algorithm",
     "qdenv.algorithms",
     {
-        "cma-mae": "qdenv.search.cma_mae:CMA_MAE",
-        "cma-me": "qdenv.search.cma_mae:CMA_ME",
-        "map-elites": "qdenv.search.map_elites:MAP_ELITES",
-        "cma-es": "qdenv.search.cma_es:CMA_ES",
-        "random": "qdenv.search.random_search:RANDOM_SEARCH",
+        "cma-mae": "qdenv.search.settings:CMA_MAE",
+        "cma-me": "qdenv.search.settings:CMA_ME",
+        "map-elites": "qdenv.search.settings:MAP_ELITES",
+        "cma-es": "qdenv.search.settings:CMA_ES",
+        "random": "qdenv.search.settings:RANDOM_SEARCH",
     },
 )
 

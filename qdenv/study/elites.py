@@ -1,19 +1,21 @@
 """Elites of a saved run: find one, grow it on a canvas of any size, repair what it drew."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
 from qdenv.generate.generator import GENERATORS
-from qdenv.pipeline import EvaluationConfig, canvas_of
+from qdenv.lazy import jax, jnp
+from qdenv.pipeline import canvas_of
 from qdenv.repair.bounds import impossible
 from qdenv.repair.recipe import repair
 from qdenv.repair.settings import RepairConfig
+from qdenv.settings import EvaluationConfig
 from qdenv.study.keeping import keep_from
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, Repair, RepairStatus
@@ -109,7 +111,7 @@ def grow_series(
 
 def grow_elite(
     run: RunDirectory,
-    which: "str | Elite" = "best",
+    which: str | Elite = "best",
     shape: tuple[int | None, int | None] = (None, None),
     steps: int | None = None,
     numbers: Mapping[str, int] | None = None,

@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import of_tiles
-from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.simulate.mapf.tasks import check_playable
+from qdenv.simulate.mapf.goals import check_playable
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.table import Row, find_peak, summarise
-from qdenv.study.traffic import run_seeds
 from qdenv.types import InputError, TaskRule
 
 FEWEST = 64  # agents that a compiled program has room for at least
@@ -33,27 +32,6 @@ class Trial(NamedTuple):
     config: FleetConfig
     counts: Sequence[int]
     seeds: Sequence[int]
-
-
-def parse_counts(text: str) -> tuple[int, ...]:
-    """Read numbers of agents: one ("200"), a list ("50,100") or a range ("50:400:50").
-
-    The end of a range belongs to it.
-
-    Raises:
-        InputError: none of the three, or a count below one.
-    """
-    try:
-        if ":" in text:
-            first, last, *step = (int(part) for part in text.split(":"))
-            counts = tuple(range(first, last + 1, *step))
-        else:
-            counts = tuple(int(part) for part in text.split(","))
-    except (ValueError, TypeError):
-        raise InputError(f"agents {text!r}: write 200, or 50,100, or 50:400:50") from None
-    if not counts or min(counts) < 1:
-        raise InputError(f"agents {text!r} holds no number of agents above zero")
-    return counts
 
 
 def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:
@@ -88,6 +66,8 @@ def sweep(
     Raises:
         InputError: agents cannot work on this layout, or do not fit; the line names the layout.
     """
+    from qdenv.study.traffic import run_seeds  # imports the simulator
+
     tasks, counts = trial.tasks, trial.counts
     config = replace(trial.config, agents=max(counts))
     rows = []
@@ -141,6 +121,8 @@ def climb(
     Raises:
         InputError: agents cannot work on the layout, or not even the first number fits.
     """
+    from qdenv.study.traffic import run_seeds  # imports the simulator
+
     tasks, counts = trial.tasks, trial.counts
     free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
     fitting = [count for count in sorted(set(counts)) if count <= free]

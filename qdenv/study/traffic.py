@@ -13,14 +13,10 @@ from qdenv import devices
 from qdenv.domains.base import find_domain
 from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.audit import audit, trajectory_of
-from qdenv.simulate.mapf.negotiated.settings import EFFORTS
-from qdenv.simulate.mapf.planner import PLANNERS
-from qdenv.simulate.mapf.tasks import check_playable
+from qdenv.simulate.mapf.goals import check_playable
+from qdenv.study.options import describe_planner, find_planner, parse_seeds
 from qdenv.study.table import summarise
-from qdenv.types import InputError, TaskRule, Traffic, look_up
-
-LARGEST_SEED = 2**32 - 1
-MOST_SEEDS = 100_000
+from qdenv.types import InputError, TaskRule, Traffic
 
 
 class Simulated(NamedTuple):
@@ -39,31 +35,6 @@ class Simulated(NamedTuple):
     recordings: list[fleet.Recording]
     cpu_seconds: float
     compile_seconds: float
-
-
-def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
-    """Read seeds: a count, which gives the first so many, or a list.
-
-    Args:
-        seeds: 10 or "10" for ten seeds from 0 on; "3,5,9" for these three, "7," for this one. In
-            a sequence one entry is read likewise, several are a list: (10,), ("3,5",), (3, 5, 9).
-
-    Raises:
-        InputError: it is neither, or there is no seed in it.
-    """
-    parts = [seeds] if isinstance(seeds, int | str) else list(seeds)
-    text = str(parts[0]) if len(parts) == 1 else ",".join(map(str, parts))
-    try:
-        numbers = [int(part) for part in text.split(",") if part.strip()]
-    except ValueError:
-        numbers = []
-    if not numbers or min(numbers) < 0 or max(numbers) > LARGEST_SEED:
-        raise InputError(f"seeds {text!r}: write 10 for ten seeds, 3,5,9 for these, 7, for one")
-    if "," in text:
-        return tuple(numbers)
-    if not 1 <= numbers[0] <= MOST_SEEDS:
-        raise InputError(f"seeds {text!r}: simulate at least one seed, and at most {MOST_SEEDS:,}")
-    return tuple(range(numbers[0]))
 
 
 def run_seeds(
@@ -130,25 +101,6 @@ def _programs(
     world = jax.eval_shape(prepare, layout)
     arguments = (world, jax.random.key(0), jax.ShapeDtypeStruct((), np.int32))
     return prepare.lower(layout).compile(), jax.jit(run).lower(*arguments).compile()
-
-
-def find_planner(effort: str = "low", planner: str = "") -> Any:
-    """Choose a planner's settings by words.
-
-    Args:
-        effort: "low" or "high", of the package's own planner.
-        planner: name of a registered planner with all its defaults; "" for the own one.
-
-    Raises:
-        InputError: a word is unknown.
-    """
-    return PLANNERS.config(planner) if planner else look_up(EFFORTS, effort, "effort")
-
-
-def describe_planner(settings: Any) -> str:
-    """Name a planner for reports: its registered name, and its effort where that has a name."""
-    efforts = [f", {effort} effort" for effort, known in EFFORTS.items() if known == settings]
-    return PLANNERS.name_of(settings) + "".join(efforts[:1])
 
 
 def simulate_layout(

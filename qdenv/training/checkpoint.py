@@ -4,14 +4,15 @@ Only rows that hold anything but zeros are stored, and they are copied piece by 
 copy of an archive is ever made.
 """
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qdenv.checkpoints import Rows, read_state, write_state
+from qdenv.lazy import jax, jnp
 from qdenv.search.store import stores_in
 from qdenv.training.dense import upgraded
 from qdenv.types import InputError

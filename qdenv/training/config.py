@@ -10,10 +10,10 @@ from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn, overrid
 
 from qdenv.domains.base import DOMAINS
 from qdenv.generate.generator import GENERATORS
-from qdenv.pipeline import EvaluationConfig
 from qdenv.registry import Registry
 from qdenv.search.registry import ALGORITHMS
-from qdenv.simulate.mapf.planner import PLANNERS
+from qdenv.settings import EvaluationConfig
+from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.training import schema1
 from qdenv.types import InputError
 

@@ -1,10 +1,12 @@
 """Checkpoints of schema 1: each archive held its solutions itself, unchanged rows were left out."""
 
+from __future__ import annotations
+
 from typing import Any
 
-import jax
 import numpy as np
 
+from qdenv.lazy import jax
 from qdenv.search.store import stores_in
 
 Arrays = dict[str, np.ndarray]

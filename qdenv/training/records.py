@@ -8,6 +8,8 @@ RUN/archive.npz             one row per filled cell of the result archive
 RUN/best_layout.json, archive.png, best_layout.png
 """
 
+from __future__ import annotations
+
 import csv
 import dataclasses
 import json
@@ -17,14 +19,13 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
-import jax
 import numpy as np
 
 from qdenv.checkpoints import write_arrays
 from qdenv.files import write_csv, write_json
-from qdenv.training.checkpoint import load_checkpoint, save_checkpoint
+from qdenv.lazy import jax
 from qdenv.training.config import RunConfig, config_from_json, config_to_json
 from qdenv.types import InputError, Measure
 
@@ -55,7 +56,7 @@ class RunDirectory:
     @classmethod
     def create(
         cls, path: str | Path, config: RunConfig, measures: Sequence[Measure], tiles: str
-    ) -> "RunDirectory":
+    ) -> RunDirectory:
         """Start a run's folder.
 
         Args:
@@ -76,7 +77,7 @@ class RunDirectory:
         return run
 
     @classmethod
-    def open(cls, path: str | Path) -> "RunDirectory":
+    def open(cls, path: str | Path) -> RunDirectory:
         """Open an existing run.
 
         Raises:
@@ -119,7 +120,7 @@ class RunDirectory:
         Raises:
             InputError: the file is missing or damaged.
         """
-        kinds = Metrics.__annotations__
+        kinds = get_type_hints(Metrics)
         try:
             with (self.path / "metrics.csv").open(newline="") as file:
                 return [
@@ -131,6 +132,8 @@ class RunDirectory:
 
     def save_checkpoint(self, iteration: int, state: Any) -> None:
         """Save the search after `iteration` and forget all but the newest checkpoints."""
+        from qdenv.training.checkpoint import save_checkpoint  # imports jax and the archives
+
         target = self.path / "checkpoints" / f"{iteration:06d}.npz"
         save_checkpoint(target, state, {"iteration": iteration})
         for old in self._checkpoints()[:-KEPT_CHECKPOINTS]:
@@ -138,6 +141,8 @@ class RunDirectory:
 
     def load_checkpoint(self, initial: Any) -> tuple[int, Any]:
         """Load the newest checkpoint: (iteration, state), or (0, `initial`) where none is."""
+        from qdenv.training.checkpoint import load_checkpoint
+
         saved = self._checkpoints()
         if not saved:
             return 0, initial

@@ -6,13 +6,14 @@ no stream has to be carried along. The mixing is "lowbias32" of C. Wellons' sear
 hashes of low bias (https://nullprogram.com/blog/2018/07/31/).
 """
 
+from __future__ import annotations
+
 import functools
 from typing import Any, TypeVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from qdenv.lazy import jax, jnp
 from qdenv.native import shared
 from qdenv.types import Array
 

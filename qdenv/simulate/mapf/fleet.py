@@ -5,8 +5,8 @@ https://arxiv.org/abs/2005.07371; the rules are in `qdenv.simulate`). Everything
 the layout is traced, so all layouts of one size share one compiled program.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import chex
 import jax
@@ -16,6 +16,7 @@ from qdenv.grid import of_tiles
 from qdenv.simulate.mapf import chance, tasks
 from qdenv.simulate.mapf.agents import Fleet, agent_state, drive, look_ahead, place
 from qdenv.simulate.mapf.distances import goal_distances
+from qdenv.simulate.mapf.goals import service_times
 from qdenv.simulate.mapf.host.crew import Numbers
 from qdenv.simulate.mapf.host.run import run_on_host
 from qdenv.simulate.mapf.metrics import (
@@ -30,58 +31,12 @@ from qdenv.simulate.mapf.metrics import (
     recording_of,
     summarise,
 )
-from qdenv.simulate.mapf.negotiated.settings import LOW
 from qdenv.simulate.mapf.padding import pad
-from qdenv.simulate.mapf.planner import PLANNERS, UNREACHABLE, Planner, World
+from qdenv.simulate.mapf.planner import UNREACHABLE, World
+from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.types import Array, InputError, TaskRule, Traffic
 
 TABLE_ENTRIES = 1 << 26  # of a table of all distances, 128 MB; above, agents measure their own
-
-
-@dataclass(frozen=True)
-class FleetConfig:
-    """The numbers of a simulation, all compile-time.
-
-    Attributes:
-        agents: agents simulated, or the most of them when `simulate` is told fewer.
-        timesteps: length T of a run.
-        window: timesteps planned ahead without conflict (w), at most what the planner can do.
-        horizon: timesteps driven before planning again, the replanning period (h).
-        planner: settings record of the planner; its type says which one of `PLANNERS`.
-        stop_when_congested: end the run at the first congested window.
-        goal_capacity: goal cells the tables have room for; None for one per cell of the layout.
-    """
-
-    agents: int = 200
-    timesteps: int = 1000
-    window: int = 10
-    horizon: int = 5
-    planner: Any = field(default_factory=lambda: LOW)
-    stop_when_congested: bool = True
-    goal_capacity: int | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that make no simulation, or that the planner cannot plan."""
-        if self.agents < 1 or self.timesteps < 1:
-            raise InputError("a simulation needs at least one agent and one timestep")
-        if not 1 <= self.horizon <= self.window:
-            raise InputError(
-                f"need 1 <= horizon <= window, not horizon {self.horizon}, window {self.window}"
-            )
-        longest = self.make_planner().max_window
-        if self.window > longest:
-            raise InputError(
-                f"the planner {PLANNERS.name_of(self.planner)!r} plans at most {longest} timesteps "
-                f"ahead: choose a window of at most {longest}, not {self.window}"
-            )
-
-    def make_planner(self) -> Planner:
-        """Make the planner that the settings choose.
-
-        Raises:
-            InputError: no planner is registered for their type.
-        """
-        return PLANNERS.make(self.planner)
 
 
 def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
@@ -93,11 +48,16 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
         config: the numbers of the simulation.
 
     Raises:
-        InputError: a goal keeps its agents for longer than the planner understands.
+        InputError: the window, or a stay at a goal, is longer than the planner understands.
     """
     chex.assert_rank(layout, 2)
     chex.assert_type(layout, int)
-    planner, service_time = config.make_planner(), tasks.service_times(rule)
+    planner, service_time = config.make_planner(), service_times(rule)
+    if config.window > planner.max_window:
+        raise InputError(
+            f"the planner {PLANNERS.name_of(config.planner)!r} plans at most {planner.max_window} "
+            f"timesteps ahead: choose a window of at most that, not {config.window}"
+        )
     if service_time.max() > planner.max_service:
         raise InputError(
             f"the planner {PLANNERS.name_of(config.planner)!r} lets agents stay at a goal for at "
@@ -105,7 +65,7 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
         )
     rows, cols = layout.shape
     capacity = config.goal_capacity or rows * cols
-    traversable = of_tiles(layout, rule.traversable, rule.tiles)
+    traversable = jnp.asarray(of_tiles(layout, rule.traversable, rule.tiles))
     goals = tasks.goal_table(layout, rule, capacity)
     distance = None
     if planner.drive is None and capacity * layout.size <= TABLE_ENTRIES:

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, TypeAlias
 import flax.struct
 import jax
 
-from qdenv.registry import Registry
 from qdenv.simulate.mapf.tasks import GoalTable
 
 NOBODY = -1  # stands where an agent's number could stand
@@ -94,14 +93,3 @@ class Planner(NamedTuple):
     max_service: int = 1000
     margin: int = 1
     drive: Drive | None = None
-
-
-# An entry's maker is called as make(settings) and returns a `Planner`.
-PLANNERS = Registry(
-    "planner",
-    "qdenv.planners",
-    {
-        "negotiated": "qdenv.simulate.mapf.negotiated.planner:NEGOTIATED",
-        "pibt": "qdenv.simulate.mapf.pibt.planner:PIBT",
-    },
-)

@@ -1,16 +1,13 @@
-"""Task rules as data: where goals lie, how they are drawn, and in which order they are visited."""
+"""The goals of one layout: listed, drawn, and served."""
+
+from __future__ import annotations
 
 from typing import NamedTuple, TypeVar
 
-import jax
-import jax.numpy as jnp
-import numpy as np
-from scipy import ndimage
-
-from qdenv.grid import count_neighbours, of_tiles
+from qdenv.lazy import jax, jnp
 from qdenv.native import shared
 from qdenv.simulate.mapf import chance
-from qdenv.types import Array, Goal, InputError, TaskRule
+from qdenv.types import Array, TaskRule
 
 Counts = TypeVar("Counts", int, jax.Array)
 
@@ -29,77 +26,6 @@ class GoalTable(NamedTuple):
     used: jax.Array
     odds: jax.Array
     complete: jax.Array
-
-
-def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
-    """Make every cell that holds `symbol` a goal.
-
-    Args:
-        symbol: the tile agents drive onto.
-        tiles: the alphabet of the layouts.
-        stay: timesteps spent on the goal after arriving.
-    """
-    return Goal(
-        lambda layout: of_tiles(layout, symbol, tiles).astype(jnp.float32), stay, f"{symbol!r}"
-    )
-
-
-def beside_goal(symbol: str, station: str, stay: int, tiles: str) -> Goal:
-    """Make every `symbol` cell beside a `station` a goal, once per station at its sides.
-
-    Args:
-        symbol: the tile agents drive onto.
-        station: the tile that must lie at one of its four sides.
-        stay: timesteps spent on the goal after arriving.
-        tiles: the alphabet of the layouts.
-    """
-
-    def weight(layout: Array) -> jax.Array:
-        stations = count_neighbours(of_tiles(layout, station, tiles))
-        return (of_tiles(layout, symbol, tiles) * stations).astype(jnp.float32)
-
-    return Goal(weight, stay, f"{symbol!r} beside {station!r}")
-
-
-def favour_left(goal: Goal, odds: float) -> Goal:
-    """Make goals in column 0 `odds` times likelier (uneven warehouse of appendix B.1: 5)."""
-
-    def weight(layout: Array) -> jax.Array:
-        left = jnp.arange(layout.shape[1]) == 0
-        return jnp.where(left, odds, 1.0)[None, :] * goal.weight(layout)
-
-    return goal._replace(weight=weight)
-
-
-def service_times(rule: TaskRule) -> np.ndarray:
-    """List the timesteps served at each kind of goal (int32 [n])."""
-    return np.array([goal.stay for goal in rule.cycle], dtype=np.int32)
-
-
-def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:
-    """Refuse a layout (int8 [H, W]) on which the fleet could not work.
-
-    Raises:
-        InputError: there are fewer free cells than agents, a kind of goal has no cell, or some
-            free cells cannot be reached from the others.
-    """
-    free = np.asarray(of_tiles(layout, rule.traversable, rule.tiles))
-    if free.sum() < agents:
-        raise InputError(
-            f"{agents} agents need as many free cells, the layout has {free.sum()}: "
-            "simulate fewer agents"
-        )
-    for goal in rule.cycle:
-        if not (np.asarray(goal.weight(layout)) > 0).any():
-            raise InputError(f"no agent could work: the layout has no {goal.name}")
-    labels, parts = ndimage.label(free)
-    if parts > 1:
-        smallest = 1 + np.argmin(np.bincount(labels.ravel())[1:])
-        row, column = np.argwhere(labels == smallest)[0]
-        raise InputError(
-            f"the free cells fall into {parts} parts, row {row}, column {column} is cut off: "
-            "repair the layout first"
-        )
 
 
 def goal_table(layout: Array, rule: TaskRule, capacity: int) -> GoalTable:

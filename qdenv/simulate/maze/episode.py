@@ -3,12 +3,12 @@
 The 50 episodes of a layout are independent: each has its own first heading and its own actions.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
-
+from qdenv.lazy import jax, jnp
 from qdenv.simulate.maze.policy import Memory, Weights, act, blank_memory, recur
 from qdenv.simulate.maze.tables import Tables
 from qdenv.simulate.maze.world import FORWARD, TURN_LEFT, Pose

@@ -4,15 +4,16 @@ The architecture is the published one (433,953 parameters with 256 units and 7 a
 number of units and of actions read off the weights.
 """
 
+from __future__ import annotations
+
 import zipfile
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from qdenv.lazy import jax, jnp
 from qdenv.types import Array, InputError
 
 VIEW, WINDOW, CHANNELS, FILTERS, COMPASS, HEAD = 5, 3, 3, 16, 5, 32

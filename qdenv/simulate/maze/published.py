@@ -5,11 +5,11 @@ compass, and the first episodes to finish count, so short ones are over-represen
 random seed, hence the sequence of first headings. Not the default: that is `episode.run_episode`.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
-
+from qdenv.lazy import jax, jnp
 from qdenv.simulate.maze.episode import Episode, choose
 from qdenv.simulate.maze.policy import Memory, Weights, act, blank_memory, encode, recur
 from qdenv.simulate.maze.world import Pose, canvas, image, longest_path, on_canvas, step, view

@@ -1,11 +1,12 @@
 """What all episodes in one maze share, worked out once and looked up later."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from qdenv.lazy import jax, jnp
 from qdenv.simulate.maze.policy import Weights, encode
 from qdenv.simulate.maze.world import (
     FORWARD,

@@ -5,13 +5,14 @@ drives forward and every other one does nothing. Whatever lies outside a layout 
 means the same with or without its ring of walls.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qdenv.grid import MOVES, shift
+from qdenv.lazy import jax, jnp
 from qdenv.types import Array
 
 TILES = " X"

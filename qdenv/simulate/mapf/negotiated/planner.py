@@ -23,7 +23,6 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.devices import runs_on_host
-from qdenv.registry import Entry
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.negotiated.numba.drive import drive
 from qdenv.simulate.mapf.negotiated.records import PlanResult, planned_ahead
@@ -90,6 +89,3 @@ def fall_back(
         return jnp.where(beyond, paths[horizon], paths)
 
     return jax.lax.cond(result.is_reserved.all(), lambda _: result.paths, mix, None)
-
-
-NEGOTIATED = Entry(NegotiatedConfig, negotiated)

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from qdenv.devices import Backend, runs_on_host
+from qdenv.devices import Backend, check_backend
+from qdenv.registry import Entry
 from qdenv.types import InputError
 
 MAX_WINDOW = 10  # a square of 2 * 10 + 1 columns around any cell lies within one packed word
@@ -57,7 +58,7 @@ class NegotiatedConfig:
             )
         if self.last_resort not in ("pibt", "wait"):
             raise InputError(f"unknown last resort {self.last_resort!r}: choose one of pibt, wait")
-        runs_on_host(self.backend)  # refuses an unknown one
+        check_backend(self.backend)
 
 
 # Low for the inside of a search: half of high's time for 2 to 3 % less throughput. More lanes than
@@ -71,3 +72,4 @@ LOW = NegotiatedConfig(
     penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0),
 )
 EFFORTS = {"low": LOW, "high": HIGH}
+NEGOTIATED = Entry(NegotiatedConfig, "qdenv.simulate.mapf.negotiated.planner:negotiated")

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.devices import runs_on_host
-from qdenv.registry import Entry
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.pibt import rules
 from qdenv.simulate.mapf.pibt.numba import drive
@@ -42,9 +41,6 @@ class _Agents(NamedTuple):
 def pibt(settings: PibtConfig) -> Planner:
     """Make the planner; both backends give the same paths to the bit."""
     return Planner(rollout, drive=drive if runs_on_host(settings.backend) else None)
-
-
-PIBT = Entry(PibtConfig, pibt)
 
 
 def preferences(

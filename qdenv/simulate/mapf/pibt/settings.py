@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from qdenv.devices import Backend
+from qdenv.registry import Entry
 
 
 @dataclass(frozen=True)
@@ -15,3 +16,6 @@ class PibtConfig:
     """
 
     backend: Backend = "auto"
+
+
+PIBT = Entry(PibtConfig, "qdenv.simulate.mapf.pibt.planner:pibt")

@@ -1,0 +1,108 @@
+"""The settings of the search algorithms: what a user may choose."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from qdenv.registry import Entry
+
+
+@dataclass(frozen=True)
+class CmaMaeConfig:
+    """Settings of CMA-MAE; the defaults are the paper's (Table 1).
+
+    Attributes:
+        emitters: evolution strategies E running side by side.
+        batch: solutions b of each emitter per iteration.
+        sigma0: initial step size.
+        learning_rate: of the learning archive's thresholds, in [0, 1].
+        threshold_min: threshold of an empty cell.
+        ranker: sort rows by improvement (imp), status then improvement (2imp), objective (obj)
+            or status then objective (2obj).
+        selection: parents are the better half (mu) or as many as were accepted (filter).
+        restart: when nothing was accepted, never (basic), or every so many iterations.
+        strategy: a name of `STRATEGIES`.
+    """
+
+    emitters: int = 5
+    batch: int = 10
+    sigma0: float = 0.2
+    learning_rate: float = 0.01
+    threshold_min: float = 0.0
+    ranker: str = "imp"
+    selection: str = "mu"
+    restart: Literal["no_improvement", "basic"] | int = "no_improvement"
+    strategy: str = "iso"
+
+
+@dataclass(frozen=True)
+class CmaMeConfig(CmaMaeConfig):
+    """Settings of CMA-ME: CMA-MAE with an elitist archive (Fontaine et al. 2020)."""
+
+    learning_rate: float = 1.0
+    threshold_min: float = -math.inf
+    ranker: str = "2imp"
+    selection: str = "filter"
+
+
+@dataclass(frozen=True)
+class MapElitesConfig:
+    """Settings of MAP-Elites.
+
+    Attributes:
+        emitters: kept beside `batch` so that algorithms compare at equal settings.
+        batch: an iteration makes ``emitters * batch`` solutions.
+        sigma_iso: standard deviation of the isotropic noise.
+        sigma_line: standard deviation of the step along the line to another elite.
+        learning_rate: of the parents' archive. 1 with a `threshold_min` of -inf is the plain
+            elitist archive; the published runs drew their parents from the soft archive of
+            CMA-MAE (0.01 and 0).
+        threshold_min: threshold of an empty cell of the parents' archive.
+    """
+
+    emitters: int = 5
+    batch: int = 10
+    sigma_iso: float = 0.01
+    sigma_line: float = 0.2
+    learning_rate: float = 1.0
+    threshold_min: float = -math.inf
+
+
+@dataclass(frozen=True)
+class CmaEsConfig:
+    """Settings of the single-objective search.
+
+    Attributes:
+        emitters: independent evolution strategies.
+        batch: solutions of each strategy per iteration.
+        sigma0: initial step size.
+        restart: never (basic), when no cell improved, or every so many iterations. A strategy
+            whose distribution is degenerate restarts anyway, from a random elite.
+        strategy: a name of `STRATEGIES`.
+    """
+
+    emitters: int = 1
+    batch: int = 50
+    sigma0: float = 0.2
+    restart: Literal["no_improvement", "basic"] | int = "basic"
+    strategy: str = "sep"
+
+
+@dataclass(frozen=True)
+class RandomSearchConfig:
+    """Settings of random search.
+
+    Attributes:
+        batch: solutions per iteration.
+        sigma: standard deviation of every parameter.
+    """
+
+    batch: int = 50
+    sigma: float = 0.2
+
+
+CMA_MAE = Entry(CmaMaeConfig, "qdenv.search.cma_mae:cma_mae")
+CMA_ME = Entry(CmaMeConfig, "qdenv.search.cma_mae:cma_mae")
+MAP_ELITES = Entry(MapElitesConfig, "qdenv.search.map_elites:map_elites")
+CMA_ES = Entry(CmaEsConfig, "qdenv.search.cma_es:cma_es")
+RANDOM_SEARCH = Entry(RandomSearchConfig, "qdenv.search.random_search:random_search")

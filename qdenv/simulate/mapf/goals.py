@@ -1,0 +1,81 @@
+"""Task rules as data: where goals lie, and on which layouts a fleet can work."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from qdenv.grid import count_neighbours, of_tiles
+from qdenv.lazy import ndimage
+from qdenv.types import Array, Goal, InputError, TaskRule
+
+
+def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
+    """Make every cell that holds `symbol` a goal.
+
+    Args:
+        symbol: the tile agents drive onto.
+        tiles: the alphabet of the layouts.
+        stay: timesteps spent on the goal after arriving.
+    """
+    return Goal(
+        lambda layout: of_tiles(layout, symbol, tiles).astype(np.float32), stay, f"{symbol!r}"
+    )
+
+
+def beside_goal(symbol: str, station: str, stay: int, tiles: str) -> Goal:
+    """Make every `symbol` cell beside a `station` a goal, once per station at its sides.
+
+    Args:
+        symbol: the tile agents drive onto.
+        station: the tile that must lie at one of its four sides.
+        stay: timesteps spent on the goal after arriving.
+        tiles: the alphabet of the layouts.
+    """
+
+    def weight(layout: Array) -> Array:
+        stations = count_neighbours(of_tiles(layout, station, tiles))
+        weights: Array = (of_tiles(layout, symbol, tiles) * stations).astype(np.float32)
+        return weights
+
+    return Goal(weight, stay, f"{symbol!r} beside {station!r}")
+
+
+def favour_left(goal: Goal, odds: float) -> Goal:
+    """Make goals in column 0 `odds` times likelier (uneven warehouse of appendix B.1: 5)."""
+
+    def weight(layout: Array) -> Array:
+        left = np.arange(layout.shape[1]) == 0
+        return np.where(left, np.float32(odds), np.float32(1))[None, :] * goal.weight(layout)
+
+    return goal._replace(weight=weight)
+
+
+def service_times(rule: TaskRule) -> np.ndarray:
+    """List the timesteps served at each kind of goal (int32 [n])."""
+    return np.array([goal.stay for goal in rule.cycle], dtype=np.int32)
+
+
+def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:
+    """Refuse a layout (int8 [H, W]) on which the fleet could not work.
+
+    Raises:
+        InputError: there are fewer free cells than agents, a kind of goal has no cell, or some
+            free cells cannot be reached from the others.
+    """
+    free = np.asarray(of_tiles(layout, rule.traversable, rule.tiles))
+    if free.sum() < agents:
+        raise InputError(
+            f"{agents} agents need as many free cells, the layout has {free.sum()}: "
+            "simulate fewer agents"
+        )
+    for goal in rule.cycle:
+        if not (np.asarray(goal.weight(layout)) > 0).any():
+            raise InputError(f"no agent could work: the layout has no {goal.name}")
+    labels, parts = ndimage.label(free)
+    if parts > 1:
+        smallest = 1 + np.argmin(np.bincount(labels.ravel())[1:])
+        row, column = np.argwhere(labels == smallest)[0]
+        raise InputError(
+            f"the free cells fall into {parts} parts, row {row}, column {column} is cut off: "
+            "repair the layout first"
+        )

@@ -1,0 +1,63 @@
+"""The settings of a simulation of a fleet: how many drive, for how long, and who plans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from qdenv.registry import Registry
+from qdenv.simulate.mapf.negotiated.settings import LOW
+from qdenv.types import InputError
+
+if TYPE_CHECKING:  # the planners themselves import both compilers
+    from qdenv.simulate.mapf.planner import Planner
+
+# An entry's maker is called as make(settings) and returns a `Planner`.
+PLANNERS = Registry(
+    "planner",
+    "qdenv.planners",
+    {
+        "negotiated": "qdenv.simulate.mapf.negotiated.settings:NEGOTIATED",
+        "pibt": "qdenv.simulate.mapf.pibt.settings:PIBT",
+    },
+)
+
+
+@dataclass(frozen=True)
+class FleetConfig:
+    """The numbers of a simulation, all compile-time.
+
+    Attributes:
+        agents: agents simulated, or the most of them when `simulate` is told fewer.
+        timesteps: length T of a run.
+        window: timesteps planned ahead without conflict (w), at most what the planner can do.
+        horizon: timesteps driven before planning again, the replanning period (h).
+        planner: settings record of the planner; its type says which one of `PLANNERS`.
+        stop_when_congested: end the run at the first congested window.
+        goal_capacity: goal cells the tables have room for; None for one per cell of the layout.
+    """
+
+    agents: int = 200
+    timesteps: int = 1000
+    window: int = 10
+    horizon: int = 5
+    planner: Any = field(default_factory=lambda: LOW)
+    stop_when_congested: bool = True
+    goal_capacity: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no simulation, or that the planner cannot plan."""
+        if self.agents < 1 or self.timesteps < 1:
+            raise InputError("a simulation needs at least one agent and one timestep")
+        if not 1 <= self.horizon <= self.window:
+            raise InputError(
+                f"need 1 <= horizon <= window, not horizon {self.horizon}, window {self.window}"
+            )
+
+    def make_planner(self) -> Planner:
+        """Make the planner that the settings choose.
+
+        Raises:
+            InputError: no planner is registered for their type.
+        """
+        return PLANNERS.make(self.planner)

@@ -1,0 +1,76 @@
+"""What users say of a study in words: seeds, numbers of agents, who plans."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from qdenv.simulate.mapf.negotiated.settings import EFFORTS
+from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.types import InputError, look_up
+
+LARGEST_SEED = 2**32 - 1
+MOST_SEEDS = 100_000
+
+
+def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
+    """Read seeds: a count, which gives the first so many, or a list.
+
+    Args:
+        seeds: 10 or "10" for ten seeds from 0 on; "3,5,9" for these three, "7," for this one. In
+            a sequence one entry is read likewise, several are a list: (10,), ("3,5",), (3, 5, 9).
+
+    Raises:
+        InputError: it is neither, or there is no seed in it.
+    """
+    parts = [seeds] if isinstance(seeds, int | str) else list(seeds)
+    text = str(parts[0]) if len(parts) == 1 else ",".join(map(str, parts))
+    try:
+        numbers = [int(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        numbers = []
+    if not numbers or min(numbers) < 0 or max(numbers) > LARGEST_SEED:
+        raise InputError(f"seeds {text!r}: write 10 for ten seeds, 3,5,9 for these, 7, for one")
+    if "," in text:
+        return tuple(numbers)
+    if not 1 <= numbers[0] <= MOST_SEEDS:
+        raise InputError(f"seeds {text!r}: simulate at least one seed, and at most {MOST_SEEDS:,}")
+    return tuple(range(numbers[0]))
+
+
+def parse_counts(text: str) -> tuple[int, ...]:
+    """Read numbers of agents: one ("200"), a list ("50,100") or a range ("50:400:50").
+
+    The end of a range belongs to it.
+
+    Raises:
+        InputError: none of the three, or a count below one.
+    """
+    try:
+        if ":" in text:
+            first, last, *step = (int(part) for part in text.split(":"))
+            counts = tuple(range(first, last + 1, *step))
+        else:
+            counts = tuple(int(part) for part in text.split(","))
+    except (ValueError, TypeError):
+        raise InputError(f"agents {text!r}: write 200, or 50,100, or 50:400:50") from None
+    if not counts or min(counts) < 1:
+        raise InputError(f"agents {text!r} holds no number of agents above zero")
+    return counts
+
+
+def find_planner(effort: str = "low", planner: str = "") -> Any:
+    """Choose a planner's settings by words.
+
+    Args:
+        effort: "low" or "high", of the package's own planner.
+        planner: name of a registered planner with all its defaults; "" for the own one.
+
+    Raises:
+        InputError: a word is unknown.
+    """
+    return PLANNERS.config(planner) if planner else look_up(EFFORTS, effort, "effort")
+
+
+def describe_planner(settings: Any) -> str:
+    """Name a planner for reports: its registered name, and its effort where that has a name."""
+    efforts = [f", {effort} effort" for effort, known in EFFORTS.items() if known == settings]
+    return PLANNERS.name_of(settings) + "".join(efforts[:1])
