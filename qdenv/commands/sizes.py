@@ -13,12 +13,10 @@ from qdenv.domains.base import Domain, find_domain, make_domain
 from qdenv.formats.drawings import check_size
 from qdenv.formats.layouts import endings_for, write_layout
 from qdenv.repair.settings import RepairConfig
-from qdenv.study import sizes
 from qdenv.study.plans import USUAL, read_plan
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
-FIGURE_18 = tuple(f"{rows}x{cols}" for rows, cols in sizes.SIZES)
 Seed = Annotated[int, tyro.conf.arg(aliases=("--repair-seed",))]
 
 
@@ -33,6 +31,8 @@ def layout_human(rows: int, cols: int, domain: str = USUAL, out: Path | None = N
             unless given.
     """
     check_size(rows, cols)
+    from qdenv.study import sizes  # here: takes long to import, and who is refused need not wait
+
     found = find_domain(domain).resized(rows, cols)
     place = output.place(out, "layout.json", endings_for(found.tiles, found.meanings))
     layout = sizes.human_layout(found)
@@ -68,6 +68,8 @@ def layout_tile(
             LAYOUT_tiled.json unless given.
     """
     check_size(rows, cols)
+    from qdenv.study import sizes  # here: takes long to import, and who is refused need not wait
+
     plan = read_plan(layout, domain)
     found, config = plan.domain, RepairConfig(polish=polish)
     endings = endings_for(found.tiles, found.meanings)
@@ -82,7 +84,7 @@ def series(
     run_dir: tyro.conf.Positional[Path],
     numbers: ManyNumbers,
     elite: str = "best",
-    sizes_: Annotated[tuple[str, ...], tyro.conf.arg(name="sizes")] = FIGURE_18,
+    sizes_: Annotated[tuple[str, ...], tyro.conf.arg(name="sizes")] = (),
     steps: tuple[int, ...] = (),
     seed: Annotated[int | None, tyro.conf.arg(aliases=("--repair-seed",))] = None,
     human: bool = False,
@@ -94,7 +96,8 @@ def series(
         run_dir: the run directory.
         numbers: exact numbers of tiles for each size; scaled with the area unless given.
         elite: "best", or the archive cell's indices like 12,40.
-        sizes_: rows and columns of each layout, like 33x36 57x58.
+        sizes_: rows and columns of each layout, like 33x36 57x58; seven sizes from 33x36 to
+            101x102 unless given.
         steps: NCA steps for each size; scaled with the size unless given.
         seed: other seeds give other, equally good repairs; the run's own unless given.
         human: also draw what people design at each size.
@@ -102,7 +105,9 @@ def series(
     """
     run = RunDirectory.open(run_dir)
     domain = make_domain(run.config.evaluation.domain)
-    shapes = [sizes.parse_size(text) for text in sizes_]
+    from qdenv.study import sizes  # here: takes long to import, and who is refused need not wait
+
+    shapes = [sizes.parse_size(text) for text in sizes_] or list(sizes.SIZES)
     for shape in shapes:
         check_size(*shape)
     folder = out or output.place(None, "series").path

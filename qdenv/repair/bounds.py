@@ -66,7 +66,9 @@ def _find_unserved(facts: Facts) -> str | None:
         alone = facts.must(tiles) & ~ndimage.binary_dilation(facts.may(needs), BESIDE)
         if alone.any():
             row, col = np.argwhere(alone)[0]
-            return f"no cell beside row {row}, column {col}, a {tiles!r}, may hold any of {needs!r}"
+            return (
+                f"{tiles!r} needs {needs!r}, which no cell beside row {row}, column {col} may hold"
+            )
     return None
 
 
