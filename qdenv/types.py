@@ -173,6 +173,8 @@ class Measure(NamedTuple):
         cells: number of cells in between.
         value: (repaired layout int8 [H, W], runs with leading axis S) -> float32; None where
             the measures come from elsewhere.
+        limit: name of the number that it cannot exceed, with which its axis grows: one of the
+            domain's settings, or "area", the cells of the generated area; "" for none.
     """
 
     name: str
@@ -180,6 +182,7 @@ class Measure(NamedTuple):
     high: float
     cells: int
     value: Callable[[jax.Array, Any], jax.Array] | None = None
+    limit: str = ""
 
 
 class Score(NamedTuple):

@@ -115,7 +115,6 @@ def test_results_have_a_name_of_their_own_and_replace_nothing_by_themselves(fold
     ("arguments", "reason"),
     [
         (["repair", "plan.txt", "--diff", "x.xyz"], "give a name that ends in .png or .svg or"),
-        (["repair", "plan.txt", "--plot", "x.json"], "give a name that ends in .png"),
         (["repair", "plan.txt", "--out", "x.png"], "give a name that ends in .json or .txt or"),
         (["repair", "plan.txt", "--out", "x.map"], "give a name that ends in .json or .txt or"),
         (["repair", "plan.txt", "--shelves", "77"], "no repair exists"),
@@ -185,7 +184,7 @@ def test_a_repair_draws_what_changed(folder, capsys):
     command = ["repair", "plan.txt", "--polish", "none"]
     assert run([*command, "--diff", "d.png"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "d.png"
-    assert run([*command, "--plot", "auto", "--repair-seed", "3", "--out", "r.json"]) == 0
+    assert run([*command, "--plot", "--repair-seed", "3", "--out", "r.json"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "r.png"
     assert imread("d.png").shape == imread("r.png").shape
 

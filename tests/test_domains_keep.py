@@ -17,7 +17,6 @@ from qdenv.repair.audit import audit
 from qdenv.repair.bounds import impossible
 from qdenv.repair.recipe import repair
 from qdenv.repair.settings import RepairConfig
-from qdenv.search.map_elites import MapElitesConfig
 from qdenv.study.keeping import keep_from
 from qdenv.training import loop
 from qdenv.training.config import config_from_json, config_to_json
@@ -131,9 +130,8 @@ def run_config(name, tmp_path):
     evaluation = dataclasses.replace(
         preset.evaluation, domain=domain, generator=generator, simulations=1
     )
-    config = dataclasses.replace(
-        preset, evaluation=evaluation, evaluations=12, algorithm=MapElitesConfig(batch=6)
-    )
+    algorithm = dataclasses.replace(preset.algorithm, emitters=1, batch=6)
+    config = dataclasses.replace(preset, evaluation=evaluation, evaluations=12, algorithm=algorithm)
     path = tmp_path / "keep.txt"
     path.write_text("\n".join(DRAWINGS[name]) + "\n")
     return choose_keep(config, path)
@@ -168,6 +166,20 @@ def test_a_search_and_what_it_grows_keep_every_cell(name, tmp_path, capsys):
     assert len(cells) in (2, 3) and all(held == wanted for held, wanted in cells)
     assert cli.run([*grow, *size, "--keep", str(tmp_path / "keep.txt")]) == 2
     assert "drawn on 9 x 12, the layout has 11 x 14" in capsys.readouterr().err
+
+
+def test_train_takes_a_drawing(tmp_path, capsys):
+    path, out = tmp_path / "keep.txt", tmp_path / "run"
+    path.write_text("\n".join(DRAWINGS["warehouse-even"]))
+    small = ["--agents", "4", "--timesteps", "20", "--evaluations", "10", "--simulations", "1"]
+    small += ["--steps", "6", "--hidden", "4", "--emitters", "1", "--no-progress"]
+    command = ["train", "quick", *small, "--keep", str(path), "--out", str(out)]
+    assert cli.run(command) == 2
+    assert "drawn on 9 x 12, the layout has 17 x 16" in capsys.readouterr().err
+    assert not out.exists()
+    assert cli.run([*command, "--rows", "9", "--cols", "12"]) == 0
+    best = json.loads((out / "best_layout.json").read_text())["layout"]
+    assert holds(best, DRAWINGS["warehouse-even"])
 
 
 PLAN = parse(["w..@e..w", "...ee...", "w......w"], ".@ew")

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
+from qdenv.registry import Registry
 from qdenv.search.registry import ALGORITHMS
 from qdenv.study.options import find_planner
 from qdenv.study.plans import USUAL, read_plan
@@ -47,6 +48,11 @@ class FleetOptions:
 
 # How a command takes them: without a prefix of their own.
 Options = Annotated[FleetOptions, tyro.conf.arg(name="")]
+
+
+def names_of(registry: Registry) -> str:
+    """List the names of a registry's choices as help shows them, like {low,high}."""
+    return "{" + ",".join(registry.names()) + "}"
 
 
 class Numbers:

@@ -1,16 +1,15 @@
 """Commands about layouts: repair, check."""
 
-import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
-from tqdm import tqdm
 
 from qdenv.commands import output
 from qdenv.commands.choices import Numbers
+from qdenv.commands.waiting import waiting
 from qdenv.domains.base import Domain
 from qdenv.formats.layouts import endings_for, write_layout
 from qdenv.repair.audit import Violation, audit, check_allowed
@@ -22,30 +21,6 @@ from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError, Repair, RepairStatus, Rules
 
 LayoutFile = tyro.conf.Positional[Path]
-PATIENCE = 2.0  # seconds that pass before progress is shown
-BAR = "{desc} {percentage:3.0f} %|{bar:30}| {elapsed}, {remaining} left"
-
-
-class Progress:
-    """A bar on a terminal for each step of a repair that takes longer than a person waits."""
-
-    def __init__(self) -> None:
-        """Show nothing yet."""
-        self.bar: tqdm | None = None
-
-    def __call__(self, doing: str, done: float) -> None:
-        """Show which share of a step is done."""
-        if self.bar is None or self.bar.desc != doing:
-            self.close()
-            show = {"bar_format": BAR, "delay": PATIENCE, "leave": False, "disable": None}
-            self.bar = tqdm(total=1.0, desc=doing, **show)
-            self.bar.desc = doing
-        self.bar.update(done - self.bar.n)
-
-    def close(self) -> None:
-        """Take the bar away."""
-        if self.bar is not None:
-            self.bar.close()
 
 
 @dataclass(frozen=True)
@@ -96,8 +71,8 @@ def repair(
     # Only here: the repair imports a compiler and a solver.
     from qdenv.repair.recipe import repair as repair_layout
 
-    with contextlib.closing(Progress()) as progress:
-        result = repair_layout(plan.layout, rules, seed, RepairConfig(polish=polish), progress)
+    with waiting("repairing") as bar:
+        result = repair_layout(plan.layout, rules, seed, RepairConfig(polish=polish), bar)
     after = np.asarray(result.layout)
     facts, changes = facts_of(plan, result, rules), list_changes(plan.layout, after, kind)
     print("\n".join(f"{name:13} {value}" for name, value in output.tidy(facts).items()))

@@ -1,78 +1,22 @@
-"""Commands about runs: train, resume, plot, generate."""
+"""Commands about runs: resume, plot, generate."""
 
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
 
-from qdenv.commands.choices import Numbers, choose_algorithm, choose_domain, choose_planner, take
+from qdenv.commands.choices import Numbers
 from qdenv.formats.layouts import write_layout
 from qdenv.plots.layouts import save_frames, save_layout
 from qdenv.plots.run import plot_run
-from qdenv.presets import find_preset
 from qdenv.study.changes import describe_changes, list_changes
 from qdenv.study.elites import find_elite, grow_elite, repair_grown
 from qdenv.study.sizes import grow_frames
 from qdenv.training import loop
-from qdenv.training.config import RunConfig
 from qdenv.training.records import RunDirectory
 from qdenv.types import RepairStatus
-
-
-@dataclass(frozen=True)
-class Train:
-    """Search generators: qdenv train [PRESET]; every setting of the preset can be overridden.
-
-    Attributes:
-        config: what to do; defaults from the preset.
-        domain: another domain in place of the preset's, at its size.
-        effort: low inside a search, high for numbers to report.
-        planner: another registered planner, with its defaults.
-        algorithm: another registered algorithm, with its defaults, in place of the preset's.
-        run_dir: folder of the run; a fresh one under runs/ unless given.
-        progress: show a progress bar.
-    """
-
-    config: RunConfig
-    domain: str | None = None
-    effort: Literal["low", "high"] | None = None
-    planner: str | None = None
-    algorithm: str | None = None
-    run_dir: Path | None = None
-    progress: bool = True
-
-
-def train(arguments: list[str]) -> None:
-    """Run `qdenv train [PRESET] ...`; the preset decides the defaults of the other arguments.
-
-    Which options there are depends on what is chosen by name, so that is read first.
-    """
-    named = bool(arguments) and not arguments[0].startswith("-")
-    preset, rest = arguments[0] if named else "quick", arguments[named:]
-    config = find_preset(preset)
-    domain, rest = take(rest, "--domain")
-    if domain is not None:
-        config = choose_domain(config, domain)
-    algorithm, rest = take(rest, "--algorithm")
-    if algorithm is not None:
-        config = choose_algorithm(config, algorithm)
-    effort, rest = take(rest, "--effort")
-    planner, rest = take(rest, "--planner")
-    config = choose_planner(config, effort, planner)
-    asked = tyro.cli(
-        Train,
-        prog=f"qdenv train {preset}",
-        args=rest,
-        default=Train(config),
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
-    )
-    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-    path = asked.run_dir or Path("runs") / f"{preset}-{stamp}"
-    print(f"{preset}: {asked.config.evaluations} evaluations into {path}")
-    report(loop.train(asked.config, path, progress=asked.progress))
 
 
 def resume(

@@ -7,10 +7,10 @@ functions, no subclass.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import tyro
@@ -52,6 +52,16 @@ class DomainConfig:
     keep: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = field(
         default=(), kw_only=True
     )
+
+    def for_area(self, ratio: float, given: Collection[str]) -> Self:
+        """Let further numbers follow the area of the layout; numbers of tiles did already.
+
+        Args:
+            ratio: how much larger the generated area is than the one these numbers were for.
+            given: names of the settings that stay as they are.
+        """
+        del ratio, given
+        return self
 
 
 class Simulator(NamedTuple):

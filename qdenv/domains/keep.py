@@ -53,7 +53,7 @@ def check_shape(keep: Sequence[str], shape: tuple[int, int]) -> None:
     if (rows, cols) != shape or any(len(row) != cols for row in keep):
         raise InputError(
             f"the cells to keep are drawn on {rows} x {cols}, the layout has "
-            f"{shape[0]} x {shape[1]}: draw them on the same shape"
+            f"{shape[0]} x {shape[1]}: draw them on the same shape, or ask for this one"
         )
 
 

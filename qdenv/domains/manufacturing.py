@@ -82,7 +82,7 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         objective=throughput,
         similarity_weights=similarity_weights,
         measures=(
-            Measure("workstations", 0, 600, 100, workstations),
+            Measure("workstations", 0, 600, 100, workstations, "area"),
             environment_entropy(len(TILES)),
         ),
         # As many stations of each kind as agents stay there, so that none is a bottleneck.

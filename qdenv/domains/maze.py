@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from qdenv import devices
 from qdenv.domains.base import Domain, DomainConfig, Simulator
@@ -44,6 +45,12 @@ class MazeConfig(DomainConfig):
     cols: int = 18
     timesteps: int = 648
     agent: str = ""
+
+    def for_area(self, ratio: float, given: Collection[str]) -> Self:
+        """Let the length of an episode follow the area."""
+        if "timesteps" in given:
+            return self
+        return replace(self, timesteps=max(1, round(self.timesteps * ratio)))
 
 
 @dataclass(frozen=True)
@@ -101,9 +108,9 @@ def path_length(layout: jax.Array, runs: episode.Episode) -> jax.Array:
     return runs.length.mean(dtype=jnp.float32)
 
 
-WALL_COUNT = Measure("number of walls", 0, 256, 256, walls)
+WALL_COUNT = Measure("number of walls", 0, 256, 256, walls, "area")
 LAYOUT_ENTROPY = environment_entropy(len(world.TILES), MARGIN)
-PATH_LENGTH = Measure("mean agent path length", 0, 648, 162, path_length)
+PATH_LENGTH = Measure("mean agent path length", 0, 648, 162, path_length, "timesteps")
 
 
 def maze(config: MazeConfig) -> Domain:

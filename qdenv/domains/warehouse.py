@@ -136,7 +136,7 @@ def warehouse(config: WarehouseConfig) -> Domain:
         simulator=fleet_simulator(TaskRule(TILES, ".ew", cycle), config.fleet),
         objective=throughput,
         measures=(
-            Measure("connected shelf components", 140, 240, 100, components),
+            Measure("connected shelf components", 140, 240, 100, components, "shelves"),
             environment_entropy(len(GENERATED), MARGIN),
         ),
         human=lambda: design(config.rows, config.cols),

@@ -1,8 +1,20 @@
 """The settings of the generators: what a user may choose."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from qdenv.registry import Entry
+from qdenv.types import InputError
+
+
+def check_kernels(sizes: Sequence[int]) -> None:
+    """Refuse kernels that are even or not positive: without a centre cell the drawing would drift.
+
+    Raises:
+        InputError: one is, or there is none.
+    """
+    if not sizes or any(size < 1 or size % 2 == 0 for size in sizes):
+        raise InputError(f"kernel sizes {tuple(sizes)} must be positive odd numbers")
 
 
 @dataclass(frozen=True)
@@ -18,6 +30,14 @@ class NcaConfig:
     steps: int = 50
     kernel_sizes: tuple[int, ...] = (3, 3, 3)
     hidden: int = 32
+
+    def __post_init__(self) -> None:
+        """Refuse what draws nothing."""
+        if self.steps < 1 or self.hidden < 1:
+            raise InputError(
+                f"{self.steps} steps of growth, {self.hidden} hidden channels: give 1 or more"
+            )
+        check_kernels(self.kernel_sizes)
 
 
 NCA_GENERATOR = Entry(NcaConfig, "qdenv.generate.nca:nca")

@@ -46,13 +46,14 @@ class FleetConfig:
     goal_capacity: int | None = None
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no simulation, or that the planner cannot plan."""
+        """Refuse numbers that make no simulation, and what is no planner's settings."""
         if self.agents < 1 or self.timesteps < 1:
             raise InputError("a simulation needs at least one agent and one timestep")
         if not 1 <= self.horizon <= self.window:
             raise InputError(
                 f"need 1 <= horizon <= window, not horizon {self.horizon}, window {self.window}"
             )
+        PLANNERS.name_of(self.planner)
 
     def make_planner(self) -> Planner:
         """Make the planner that the settings choose.
