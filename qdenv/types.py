@@ -54,6 +54,22 @@ def choices(name: str, known: Iterable[str]) -> str:
     return f"{guess}choose one of {', '.join(known)}"
 
 
+class Tile(NamedTuple):
+    """What one symbol of an alphabet means to people.
+
+    Attributes:
+        name: a word or two, as legends and messages call it.
+        about: a sentence: what it is for, and where it may stand.
+        obstacle: nothing drives over it.
+        also: other symbols that drawings may use for it.
+    """
+
+    name: str
+    about: str = ""
+    obstacle: bool = False
+    also: str = ""
+
+
 class Count(NamedTuple):
     """Bound the number of cells that hold one of `tiles`: ``low <= count <= high``."""
 

@@ -11,6 +11,7 @@ from qdenv.commands.choices import Numbers
 from qdenv.formats.layouts import write_layout
 from qdenv.plots.layouts import save_frames, save_layout
 from qdenv.plots.run import plot_run
+from qdenv.study.changes import describe_changes, list_changes
 from qdenv.study.elites import find_elite, grow_elite, repair_grown
 from qdenv.study.sizes import grow_frames
 from qdenv.training import loop
@@ -59,11 +60,14 @@ class Growth:
         rows: rows of the layout; the trained size unless given.
         cols: columns of the layout; the trained size unless given.
         steps: NCA steps; scaled with the size unless given.
+        keep: drawing of the layout's shape: ? is free, a tile must be this tile; what the run
+            kept, at its size, unless given.
     """
 
     rows: int | None = None
     cols: int | None = None
     steps: int | None = None
+    keep: Path | None = None
 
 
 def generate(
@@ -91,7 +95,8 @@ def generate(
     run = RunDirectory.open(run_dir)
     config = run.config
     found = find_elite(run, elite)
-    grown = grow_elite(run, found, (growth.rows, growth.cols), growth.steps, numbers.given())
+    shape = growth.rows, growth.cols
+    grown = grow_elite(run, found, shape, growth.steps, numbers.given(), growth.keep)
     if frames is not None:
         after, drawn = grow_frames(run, grown, frames)
         picture = out.with_name(f"{out.stem}_frames.png")
@@ -111,5 +116,7 @@ def generate(
             "changed": float(repaired.cost),
         }
     write_layout(out, layout, grown.domain.tiles, **details)
-    save_layout(out.with_suffix(".png"), layout, grown.domain.tiles)
+    save_layout(out.with_suffix(".png"), layout, grown.domain.tiles, grown.domain.names)
+    if repaired is not None:
+        print("\n".join(describe_changes(list_changes(grown.layout, layout, grown.domain))))
     print(f"{out}: " + ", ".join(f"{name} {value}" for name, value in details.items()))

@@ -18,6 +18,7 @@ from qdenv.commands.choices import (
     take,
 )
 from qdenv.commands.costs import describe_cost
+from qdenv.commands.keeping import choose_keep
 from qdenv.domains.base import DOMAINS
 from qdenv.presets import PRESETS, find_preset
 from qdenv.search.registry import ALGORITHMS
@@ -41,6 +42,7 @@ class Setup:
         planner: another planner, with its defaults.
         algorithm: another search algorithm, with its defaults.
         out: folder of the run; a fresh one under runs/ unless given.
+        keep: drawing of the layouts' shape: ? is free, a tile must be this tile in all of them.
         progress: show a progress bar.
     """
 
@@ -50,6 +52,7 @@ class Setup:
     planner: Annotated[str | None, tyro.conf.arg(metavar=names_of(PLANNERS))] = None
     algorithm: Annotated[str | None, tyro.conf.arg(metavar=names_of(ALGORITHMS))] = None
     out: Annotated[Path | None, tyro.conf.arg(aliases=("--run-dir",))] = None
+    keep: Path | None = None
     progress: bool = True
 
 
@@ -62,6 +65,8 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
         given: names of the settings that the command line states; others follow the size.
     """
     config, followed = follow_size(setup.config, find_preset(preset), given)
+    if setup.keep is not None:
+        config = choose_keep(config, setup.keep)
     check_feasible(config)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     path = setup.out or Path("runs") / f"{preset}-{stamp}"

@@ -17,12 +17,16 @@ from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
 from qdenv.score import layout as score
 from qdenv.simulate.maze import world
-from qdenv.types import Array, Measure
+from qdenv.types import Array, Measure, Tile
 
 if TYPE_CHECKING:
     from qdenv.simulate.maze import episode, policy
 
 MARGIN = (1, 1)
+MEANINGS = {
+    " ": Tile("empty", "the agent walks here; the longest path joins start and goal"),
+    "X": Tile("wall", "the agent goes around it", True, also="#@"),
+}
 # On an accelerator all episodes of a population run side by side to the horizon; on a CPU one
 # layout's at a time, because then the layout's episodes may stop with the last of them.
 ACCELERATOR_LANES = 7500
@@ -135,6 +139,7 @@ def maze(config: MazeConfig) -> Domain:
         tie_break="shortest",
         marks=start_and_goal,
         measures=(first, PATH_LENGTH),
+        meanings=MEANINGS,
     )
 
 
