@@ -36,6 +36,8 @@ COMMANDS = {
     "scalability": "qdenv.commands.traffic:scalability",
     "layout human": "qdenv.commands.sizes:layout_human",
     "layout tile": "qdenv.commands.sizes:layout_tile",
+    "layout symbols": "qdenv.commands.drawings:layout_symbols",
+    "render": "qdenv.commands.drawings:render",
     "repair": "qdenv.commands.layouts:repair",
     "check": "qdenv.commands.layouts:check",
     "simulate": "qdenv.commands.simulate:simulate",

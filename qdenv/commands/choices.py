@@ -1,5 +1,6 @@
 """Options that depend on a choice made in the same command line: whose numbers, which planner."""
 
+import contextlib
 import dataclasses
 import functools
 import inspect
@@ -13,7 +14,7 @@ from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.registry import Registry
 from qdenv.search.registry import ALGORITHMS
 from qdenv.study.options import find_planner
-from qdenv.study.plans import USUAL
+from qdenv.study.plans import USUAL, read_plan
 from qdenv.training.config import RunConfig
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
@@ -100,7 +101,7 @@ class ManyNumbers(Numbers):
 
 
 def domain_of(arguments: Sequence[str]) -> Domain:
-    """Find the domain that a command line is about: by name, by a run, else the usual one.
+    """Find the domain that a command line is about: by name, a run, a layout, or the usual one.
 
     Raises:
         InputError: the domain is unknown, or the run cannot be read.
@@ -111,6 +112,9 @@ def domain_of(arguments: Sequence[str]) -> Domain:
     for argument in rest:
         if (Path(argument) / "config.json").exists():
             return make_domain(RunDirectory.open(argument).config.evaluation.domain)
+        if Path(argument).is_file():
+            with contextlib.suppress(InputError):  # no layout, or one that the command refuses
+                return read_plan(argument).domain
     return find_domain(USUAL)
 
 

@@ -106,8 +106,7 @@ def print_jams(facts: dict[str, Any], plan: Plan) -> None:
     print(f"waiting      {facts['waiting_share']:.1%} of the agents' time{where}")
     if not facts["worst_cells"]:
         return
-    known = getattr(plan.domain, "names", {})
-    names = [known.get(tile, repr(tile)) for tile in plan.domain.tiles]
+    names = [plan.domain.names.get(tile, repr(tile)) for tile in plan.domain.tiles]
     width = max(8, *(len(name) for name in names))
     print("the cells with the most waiting; rows and columns are counted from 0 at the top left:")
     print(f"rank  row  column  {'there is':{width}}  of all waiting  an agent waits  per visit")

@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from qdenv import interrupt
 from qdenv.commands.choices import (
     choose_algorithm,
     choose_domain,
@@ -18,7 +17,8 @@ from qdenv.commands.choices import (
     names_of,
     take,
 )
-from qdenv.commands.costs import describe_cost
+from qdenv.commands.costs import describe_cost, remember
+from qdenv.commands.keeping import choose_keep
 from qdenv.domains.base import DOMAINS
 from qdenv.presets import PRESETS, find_preset
 from qdenv.search.registry import ALGORITHMS
@@ -42,6 +42,7 @@ class Setup:
         planner: another planner, with its defaults.
         algorithm: another search algorithm, with its defaults.
         out: folder of the run; a fresh one under runs/ unless given.
+        keep: drawing of the layouts' shape: ? is free, a tile must be this tile in all of them.
         progress: show a progress bar.
     """
 
@@ -51,6 +52,7 @@ class Setup:
     planner: Annotated[str | None, tyro.conf.arg(metavar=names_of(PLANNERS))] = None
     algorithm: Annotated[str | None, tyro.conf.arg(metavar=names_of(ALGORITHMS))] = None
     out: Annotated[Path | None, tyro.conf.arg(aliases=("--run-dir",))] = None
+    keep: Path | None = None
     progress: bool = True
 
 
@@ -64,6 +66,8 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
     """
     config, followed = follow_size(setup.config, find_preset(preset), given)
     check_feasible(config)
+    if setup.keep is not None:
+        config = choose_keep(config, setup.keep)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     path = setup.out or Path("runs") / f"{preset}-{stamp}"
     if (path / "config.json").exists():
@@ -76,8 +80,11 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
     from qdenv.commands.runs import report
     from qdenv.training import loop
 
-    interrupt.advise(f"`qdenv resume {path}` goes on once a checkpoint is there")
-    report(loop.train(config, path, progress=setup.progress))
+    run = loop.train(config, path, progress=setup.progress)
+    report(run)
+    usual = find_preset(preset)
+    if (config.evaluation, config.algorithm) == (usual.evaluation, usual.algorithm):
+        remember(preset, run.read_metrics())
 
 
 def bind(command: Callable, arguments: Sequence[str]) -> Callable:
@@ -110,7 +117,7 @@ def bind(command: Callable, arguments: Sequence[str]) -> Callable:
 
     names = Literal[tuple(PRESETS)]  # type: ignore[valid-type]
     hints: dict[str, Any] = {
-        "preset": Annotated[names, tyro.conf.Positional],
+        "preset": Annotated[names, tyro.conf.Positional, tyro.conf.arg(help=_costs())],
         "setup": Annotated[Setup, tyro.conf.OmitArgPrefixes, tyro.conf.arg(name="")],
     }
     parameters = [
@@ -123,3 +130,9 @@ def bind(command: Callable, arguments: Sequence[str]) -> Callable:
     bound.__annotations__ = hints
     bound.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return bound
+
+
+def _costs() -> str:
+    """Say what each preset takes, for help."""
+    costs = {name: describe_cost(name, config) for name, config in PRESETS.items()}
+    return "where to begin: " + "; ".join(f"{name}, {cost}" for name, cost in costs.items())

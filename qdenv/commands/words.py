@@ -69,8 +69,7 @@ def describe_study(agents: str, options: FleetOptions, seeds: Sequence[int], pla
     """Say in one line what is simulated."""
     planner = f"planner {options.planner}" if options.planner else f"{options.effort} effort"
     runs = f"{len(seeds)} seeds" if len(seeds) > 1 else "1 seed"
-    whose = getattr(plan, "whose", plan.domain.name)
-    return f"{agents} agents, {options.timesteps} timesteps, {runs}, {planner}, {whose}"
+    return f"{agents} agents, {options.timesteps} timesteps, {runs}, {planner}, {plan.whose}"
 
 
 def settings_of(options: FleetOptions, seeds: Sequence[int]) -> dict[str, Any]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from qdenv import devices
 from qdenv.domains.base import Domain, DomainConfig, Simulator
 from qdenv.domains.measures import environment_entropy
@@ -15,12 +17,16 @@ from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
 from qdenv.score import layout as score
 from qdenv.simulate.maze import world
-from qdenv.types import Array, Measure
+from qdenv.types import Array, Measure, Tile
 
 if TYPE_CHECKING:
     from qdenv.simulate.maze import episode, policy
 
 MARGIN = (1, 1)
+MEANINGS = {
+    " ": Tile("empty", "the agent walks here; the longest path joins start and goal"),
+    "X": Tile("wall", "the agent goes around it", True, also="#@"),
+}
 # On an accelerator all episodes of a population run side by side to the horizon; on a CPU one
 # layout's at a time, because then the layout's episodes may stop with the last of them.
 ACCELERATOR_LANES = 7500
@@ -104,6 +110,12 @@ def path_length(layout: jax.Array, runs: episode.Episode) -> jax.Array:
     return runs.length.mean(dtype=jnp.float32)
 
 
+def start_and_goal(layout: np.ndarray) -> dict[str, int]:
+    """Name the cells between which the agent is sent; none in an unsolvable maze."""
+    course = world.longest_path(layout)
+    return {"start": int(course.start), "goal": int(course.goal)} if course.length else {}
+
+
 WALL_COUNT = Measure("number of walls", 0, 256, 256, walls, "area")
 LAYOUT_ENTROPY = environment_entropy(len(world.TILES), MARGIN)
 PATH_LENGTH = Measure("mean agent path length", 0, 648, 162, path_length, "timesteps")
@@ -122,7 +134,12 @@ def maze(config: MazeConfig) -> Domain:
         rules=None,
         simulator=maze_simulator(config),
         objective=lambda layout, runs: world.is_solvable(layout).astype(jnp.float32),
+        objective_name="solvable [1: there is a way]",
+        # Nearly every maze is solvable; among those the one with the longest way shows most.
+        tie_break="shortest",
+        marks=start_and_goal,
         measures=(first, PATH_LENGTH),
+        meanings=MEANINGS,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -13,18 +14,13 @@ from qdenv.lazy import jax, jnp
 from qdenv.pipeline import canvas_of
 from qdenv.repair.bounds import impossible
 from qdenv.repair.recipe import repair
+from qdenv.repair.result import Report, no_report
 from qdenv.repair.settings import RepairConfig
 from qdenv.settings import EvaluationConfig
+from qdenv.study.keeping import keep_from
+from qdenv.training.elite import Elite
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, Repair, RepairStatus
-
-
-class Elite(NamedTuple):
-    """One filled cell of a run's archive."""
-
-    solution: np.ndarray  # float32 [P]
-    objective: float
-    cell: tuple[int, ...]  # index along each measure
 
 
 class Grown(NamedTuple):
@@ -43,38 +39,22 @@ class Grown(NamedTuple):
     steps: int
 
 
-def find_elite(run: RunDirectory, which: str = "best") -> Elite:
+def find_elite(
+    run: RunDirectory,
+    which: str | Sequence[int] = "best",
+    measures: Sequence[float] | None = None,
+) -> Elite:
     """Find an elite.
 
     Args:
         run: a run that has saved an archive.
-        which: "best", or the cell's indices like "12,40".
+        which: "best", or the cell's indices: "12,40" or (12, 40).
+        measures: a value for each measure, in place of `which`: the elite there, or the nearest.
 
     Raises:
-        InputError: there is no archive, no elite in that cell, or `which` is neither form.
+        InputError: there is no archive, no elite in that cell, or the question has no such form.
     """
-    archive = run.load_archive()
-    shape = tuple(measure.cells for measure in run.measures)
-    if len(archive["index"]) == 0:
-        raise InputError(f"{run.path}: the archive is empty, no solution succeeded yet")
-    if which == "best":
-        row = int(np.argmax(archive["objective"]))
-    else:
-        try:
-            cell = tuple(int(part) for part in which.split(","))
-            rows = np.flatnonzero(archive["index"] == np.ravel_multi_index(cell, shape))
-        except ValueError as error:
-            raise InputError(
-                f'elite {which!r}: give "best" or indices below {shape} like "3,7"'
-            ) from error
-        if len(rows) == 0:
-            nearest = np.stack(np.unravel_index(archive["index"], shape), axis=-1)
-            distance = np.abs(nearest - np.array(cell)).sum(axis=1)
-            hint = ",".join(map(str, nearest[np.argmin(distance)]))
-            raise InputError(f"elite {which!r}: this cell is empty, the nearest elite is {hint}")
-        row = int(rows[0])
-    cell = tuple(int(index) for index in np.unravel_index(archive["index"][row], shape))
-    return Elite(archive["solution"][row], float(archive["objective"][row]), cell)
+    return run.archive.elite(which, measures)
 
 
 def grow_series(
@@ -93,8 +73,10 @@ def grow_series(
 
     Raises:
         InputError: the canvas is smaller than the seed block or the frame, or the solution is
-            one of another architecture.
+            one of another architecture, or a number of steps is negative.
     """
+    if min(steps) < 0:
+        raise InputError(f"steps must be 0 or more, not {min(steps)}")
     generator = GENERATORS.make(config.generator, canvas_of(domain))
     if solution.shape != (generator.size,):
         raise InputError(f"{len(solution)} parameters given, this generator has {generator.size}")
@@ -109,10 +91,11 @@ def grow_series(
 
 def grow_elite(
     run: RunDirectory,
-    which: str | Elite = "best",
+    which: str | Sequence[int] | Elite = "best",
     shape: tuple[int | None, int | None] = (None, None),
     steps: int | None = None,
     numbers: Mapping[str, int] | None = None,
+    keep: Path | None = None,
 ) -> Grown:
     """Grow an elite of a run at any size; nothing is repaired yet.
 
@@ -123,14 +106,18 @@ def grow_elite(
         steps: steps of growth; scaled with the longer side unless given.
         numbers: exact numbers of tiles by the settings' names; those left out are scaled with
             the generated area.
+        keep: drawing of the layout's shape with the tiles that must stay; at the trained size
+            what the run kept unless given.
 
     Raises:
-        InputError: there is no such elite, or the size is impossible.
+        InputError: there is no such elite, the size is impossible, or what must stay is.
     """
     config = run.config.evaluation
     trained = make_domain(config.domain)
     rows, cols = shape[0] or trained.shape[0], shape[1] or trained.shape[1]
     domain = trained.resized(rows, cols, numbers)
+    if keep is not None:
+        domain = keep_from(keep, domain)
     if steps is None:
         longer = max(rows / trained.shape[0], cols / trained.shape[1], 1)
         steps = round(GENERATORS.make(config.generator, canvas_of(trained)).steps * longer)
@@ -139,8 +126,16 @@ def grow_elite(
     return Grown(domain, elite, layout, steps)
 
 
-def repair_grown(grown: Grown, config: RepairConfig, seed: int = 0) -> Repair | None:
+def repair_grown(
+    grown: Grown, config: RepairConfig, seed: int = 0, report: Report = no_report
+) -> Repair | None:
     """Repair a grown layout; None where its domain has no rules.
+
+    Args:
+        grown: the layout.
+        config: limits of the repair.
+        seed: other seeds give other, equally good repairs.
+        report: told what is being done, and from 0 to 1 how much of it is.
 
     Raises:
         InputError: no layout of this size obeys the rules, or none was found.
@@ -149,7 +144,7 @@ def repair_grown(grown: Grown, config: RepairConfig, seed: int = 0) -> Repair | 
     if domain.rules is None:
         return None
     rules = domain.rules()
-    result = repair(grown.layout, rules, seed, config)
+    result = repair(grown.layout, rules, seed, config, report)
     if result.status >= RepairStatus.IMPOSSIBLE:
         rows, cols = domain.shape
         demanded = "".join(f" with {number} {name}" for name, number in domain.numbers.items())

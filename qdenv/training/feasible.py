@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from qdenv.domains.base import Domain, make_domain
+from qdenv.formats.drawings import MAX_SIDE
 from qdenv.repair.bounds import impossible
 from qdenv.training.config import RunConfig
 from qdenv.training.following import limit_of
 from qdenv.types import InputError, Rules
-
-MAX_SIDE = 1000  # rows or columns
 
 
 def check_feasible(config: RunConfig) -> None:

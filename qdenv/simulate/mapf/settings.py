@@ -31,8 +31,8 @@ class FleetConfig:
     """The numbers of a simulation, all compile-time.
 
     Attributes:
-        agents: agents simulated, or the most of them when `simulate` is told fewer.
-        timesteps: length T of a run.
+        agents: how many robots drive, or the most of them when `simulate` is told fewer.
+        timesteps: how long a simulation lasts, T.
         window: timesteps planned ahead without conflict (w), at most what the planner can do.
         horizon: timesteps driven before planning again, the replanning period (h).
         planner: settings record of the planner; its type says which one of `PLANNERS`.
