@@ -44,7 +44,8 @@ ALLOWED = {
     | STAGES
     | PLUGS
     | {"domains", "formats", "plots", "presets", "study", "training", "commands.choices"},
-    "plots": BASE | {"training.records", "study.table", "study.jams", "domains.base"},
+    "plots": BASE
+    | {"training.records", "study.table", "study.jams", "study.differences", "domains.base"},
     "commands": BASE
     | STAGES
     | PLUGS

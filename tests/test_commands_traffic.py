@@ -94,6 +94,15 @@ def test_sweep_says_where_the_peak_is_and_how_many_are_worth_it(plans, capsys):
     assert [row["agents"] for row in facts["rows"]] == [2, 4, 14]
 
 
+def test_throughput_that_falls_with_time_asks_for_more_timesteps(plans, capsys, monkeypatch):
+    monkeypatch.setattr("qdenv.study.table.fading", lambda runs: 0.12)
+    assert run(["compare", "lane.json", "--agents", "3", *QUICK]) == 0
+    said = capsys.readouterr().out
+    assert "lane: with 3 agents a jam builds up, throughput falls by 12% with time: more" in said
+    (line,) = csv.DictReader(Path("compare.csv").read_text().splitlines())
+    assert line["fading"] == "0.12"
+
+
 def test_scalability_reports_peaks_as_facts(plans, capsys):
     command = ["scalability", "lane.json", "hall.json", "--agents", "2,4,900", *QUICK]
     assert run([*command, "--json", "f.json", "--plot", "s.pdf"]) == 0

@@ -41,6 +41,29 @@ def test_one_number_of_agents_draws_bars_and_names_layouts_that_always_congest()
     assert above.get_title() == "200 agents, 10 runs each"
 
 
+def test_bars_say_how_surely_a_layout_differs_from_the_first():
+    rows = [row("one", 200, 6.1)._replace(error_of_all=0.01)]
+    rows.append(row("two", 200, 6.7)._replace(error_of_all=0.02))
+    figure = draw_comparison(rows)
+    first, second = (text.get_text() for text in figure.axes[0].texts)
+    assert first == "6.10" and second.startswith("6.70\n+10.0 %\n(+9.") and "to +10." in second
+    assert "against the first layout, over all runs" in figure.get_supxlabel()
+
+
+def test_axes_begin_at_zero_and_the_picture_explains_its_bars():
+    figure = draw_comparison([row("a", 150, 2.0), row("a", 200, 3.0)])
+    assert [axes.get_xlim()[0] for axes in figure.axes] == [0, 0]
+    assert figure.axes[0].get_ylim()[0] == 0
+    assert "standard error over 10 runs" in figure.get_supxlabel()
+
+
+def test_success_rates_of_layouts_do_not_hide_one_another():
+    rows = [row(name, agents, 2.0) for name in "abc" for agents in (50, 100)]
+    below = draw_comparison(rows).axes[1]
+    places = [line[0].get_xdata()[0] for line in below.containers]
+    np.testing.assert_allclose(places, [48, 50, 52])
+
+
 def test_peaks_are_starred_on_their_lines_and_sorted_by_size():
     rows = [row("large", 50, 2.0), row("large", 100, 5.0), row("small", 50, 1.0)]
     peaks = [

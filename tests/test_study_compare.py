@@ -71,7 +71,10 @@ def test_a_climb_stops_at_the_first_drop(layouts, monkeypatch):
 
     def runs_of(layout, tasks, config, seeds, agents, progress):
         assert config.agents == 50  # one program for all numbers
-        runs = [Traffic(throughput[agents] + seed, False, *[None] * 5) for seed in seeds]
+        nothing = np.zeros(8)
+        runs = [
+            Traffic(throughput[agents] + seed, False, 8, nothing, None, 0.0, 0.0) for seed in seeds
+        ]
         return Simulated(tuple(seeds), runs, [], 0.0, 0.0)
 
     monkeypatch.setattr("qdenv.study.runs.run_seeds", runs_of)

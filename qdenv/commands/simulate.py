@@ -34,7 +34,7 @@ def simulate(
 
     Args:
         layout: layout file.
-        agents: number of agents (agents).
+        agents: number of agents (robots).
         options: who drives.
         audit: check every trajectory against the rules of movement.
         verdict: simulate a few runs with fewer and with more agents, too, to tell whether this

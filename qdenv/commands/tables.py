@@ -10,10 +10,13 @@ from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study import sweep as studies
+from qdenv.study.jams import FADING
 from qdenv.study.options import parse_counts, parse_seeds
 from qdenv.study.plans import Plan, read_plan
 from qdenv.study.table import Peak, Row, write_rows
 from qdenv.types import InputError
+
+MOST_WARNINGS = 3
 
 
 class Study(NamedTuple):
@@ -125,6 +128,12 @@ def write(
         save_peaks(study.picture.path, rows, peaks)
     else:
         save_comparison(study.picture.path, rows)
+    falling = [row for row in rows if row.fading > FADING]
+    for row in falling[:MOST_WARNINGS]:
+        print(
+            f"{row.layout}: with {row.agents} agents a jam builds up, throughput falls by "
+            f"{row.fading:.0%} with time: more timesteps show where that ends"
+        )
     print(f"{study.table}, {study.picture}")
     lines = [
         row._asdict() | {name: values[place] for name, values in columns.items()}

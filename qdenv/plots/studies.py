@@ -9,11 +9,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from qdenv.plots.figure import new_figure, save_figure
-from qdenv.study.table import Peak, Row
+from qdenv.study.differences import Difference
+from qdenv.study.table import Peak, Row, differences
 
 THROUGHPUT = "throughput [tasks / timestep]"
 SUCCESS = "never congested"
-MEANING = "bars: +- standard error over {runs} runs above, 95 % Wilson interval below"
+MEANING = "error bars: standard error over {runs} runs above, 95 % Wilson interval below"
+AGAINST = "; per cent: against the first layout, over all runs, with 95 % interval"
 SPREAD = 0.02  # of the axis: how far lines that would hide one another are moved apart
 MARKERS = "osD^v"
 PEAK_COLOUR = "#b5432d"
@@ -38,11 +40,11 @@ def draw_comparison(rows: Sequence[Row]) -> Figure:
     figure = new_figure(7, 5.5)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     names = list(dict.fromkeys(row.layout for row in rows))
-    bars = len({row.agents for row in rows}) == 1
+    bars, against = len({row.agents for row in rows}) == 1, differences(rows)
     for place, name in enumerate(names):
         own = [row for row in rows if row.layout == name]
         if bars:
-            _draw_bar(above, place, own[0])
+            _draw_bar(above, place, own[0], against[rows.index(own[0])])
         else:
             _draw_line(above, own, MARKERS[place % len(MARKERS)])
         moved = (place - (len(names) - 1) / 2) * SPREAD * max(row.agents for row in rows)
@@ -57,21 +59,24 @@ def draw_comparison(rows: Sequence[Row]) -> Figure:
     above.set(ylabel=THROUGHPUT, ylim=(0, None))
     below.set(ylabel=SUCCESS, ylim=(-0.05, 1.05))
     below.yaxis.set_major_formatter(PercentFormatter(1.0))
-    figure.supxlabel(MEANING.format(runs=rows[0].runs), fontsize=7, color="dimgray")
+    meaning = MEANING.format(runs=rows[0].runs) + (AGAINST if bars and len(names) > 1 else "")
+    figure.supxlabel(meaning, fontsize=7, color="dimgray")
     for axes in (above, below):
         axes.grid(alpha=0.3)
         axes.set_axisbelow(True)
     return figure
 
 
-def _draw_bar(axes: Axes, place: float, row: Row) -> None:
-    """Draw one layout's throughput as a bar with its standard error, and the number in it."""
+def _draw_bar(axes: Axes, place: float, row: Row, against: Difference) -> None:
+    """Draw one layout's throughput as a bar with its standard error, and the numbers in it."""
     congested = np.isnan(row.throughput)  # no run to average over
     height, error = np.nan_to_num([row.throughput, row.standard_error])
     axes.bar([place], [height], 0.6, yerr=error, capsize=3)
     text = "every run congested" if congested else f"{row.throughput:.2f}"
+    if not congested and not np.isnan(against.low):
+        text += f"\n{against.percent:+.1f} %\n({against.low:+.1f} to {against.high:+.1f})"
     colour = "black" if congested else "white"
-    axes.annotate(text, (place, height / 2), ha="center", color=colour)
+    axes.annotate(text, (place, height / 2), ha="center", va="center", color=colour)
 
 
 def _draw_line(axes: Axes, rows: Sequence[Row], marker: str) -> None:

@@ -12,6 +12,9 @@ from qdenv.types import Traffic
 if TYPE_CHECKING:  # imports the simulator
     from qdenv.simulate.mapf.metrics import Recording
 
+FADING = 0.05  # throughput that falls by more than this is no chance, nor for long
+DOUBT = 3.0  # standard errors by which it must fall, were tasks finished independently
+
 
 class Maps(NamedTuple):
     """What happened on each cell of a layout; of one run, or the mean of several.
@@ -143,3 +146,16 @@ def throughput_over_time(runs: Sequence[Traffic], windows: int = 40) -> np.ndarr
         parts.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(parts.shape[1], np.nan)
     )
     return np.stack([ends[1:], parts.mean(axis=0), error])
+
+
+def fading(runs: Sequence[Traffic]) -> float:
+    """Say by which share of itself throughput falls while time goes on: a jam builds up.
+
+    From the second quarter of the time to the last one, all runs together; the first one is spent
+    setting out. 0 where the difference may be chance.
+    """
+    finished = np.sum([np.asarray(run.finished) for run in runs], axis=0)
+    quarter = len(finished) // 4
+    early, late = finished[quarter : 2 * quarter].sum(), finished[len(finished) - quarter :].sum()
+    sure = early - late > DOUBT * np.sqrt(early + late)
+    return float(1 - late / early) if sure else 0.0

@@ -10,6 +10,7 @@ import numpy as np
 from qdenv.files import write_csv
 from qdenv.score.traffic import wilson_interval
 from qdenv.study.differences import Difference, Sample, difference, sample_of
+from qdenv.study.jams import fading
 from qdenv.types import Traffic
 
 WORTH = 0.5  # share of what an average agent brings; one that brings less is hardly worth it
@@ -33,6 +34,7 @@ class Row(NamedTuple):
         mean_of_all: tasks per timestep, averaged over all runs.
         cpu_seconds_per_run: without compilation.
         error_of_all: standard error of `mean_of_all`; NaN with one run.
+        fading: by which share of itself throughput falls with time, see `jams.fading`.
     """
 
     layout: str
@@ -48,6 +50,7 @@ class Row(NamedTuple):
     mean_of_all: float
     cpu_seconds_per_run: float
     error_of_all: float = float("nan")
+    fading: float = 0.0
 
 
 class Peak(NamedTuple):
@@ -103,6 +106,7 @@ def summarise(
         mean_of_all=float(every.mean()),
         cpu_seconds_per_run=cpu_seconds / len(runs),
         error_of_all=sample_of(every).error,
+        fading=fading(runs),
     )
 
 

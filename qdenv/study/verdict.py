@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qdenv.study.jams import FADING, fading
 from qdenv.study.table import WORTH, value_of_an_agent
 from qdenv.types import Traffic
 
@@ -21,8 +22,6 @@ JAMMED = 0.5  # share of congested runs from which on the layout is
 PROBES = 2  # runs with another number of agents
 FEWER, FAR_FEWER, MORE = 0.75, (0.5, 0.25), 1.25  # of the agents, those numbers
 GAIN = 0.02  # more throughput than this with fewer agents: past the peak
-FADING = 0.05  # throughput that falls by more than this with time: past the peak
-DOUBT = 3.0  # ... and by so many standard errors, were tasks finished independently
 
 
 class Point(NamedTuple):
@@ -34,8 +33,7 @@ class Point(NamedTuple):
         standard_error: of it; NaN for one run.
         runs: how many.
         congested: how many of them congested.
-        fading: by which share of itself throughput falls from the second quarter of the time to
-            the last one, all runs together; 0 where that may be chance.
+        fading: by which share of itself throughput falls with time, see `jams.fading`.
     """
 
     agents: int
@@ -70,17 +68,8 @@ def point_of(agents: int, runs: Sequence[Traffic]) -> Point:
         standard_error=float(error),
         runs=len(runs),
         congested=sum(bool(run.congested) for run in runs),
-        fading=_fading(runs),
+        fading=fading(runs),
     )
-
-
-def _fading(runs: Sequence[Traffic]) -> float:
-    """Compare the last quarter of the time with the second; the first one is spent setting out."""
-    finished = np.sum([np.asarray(run.finished) for run in runs], axis=0)
-    quarter = len(finished) // 4
-    early, late = finished[quarter : 2 * quarter].sum(), finished[len(finished) - quarter :].sum()
-    sure = early - late > DOUBT * np.sqrt(early + late)
-    return float(1 - late / early) if sure else 0.0
 
 
 def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
