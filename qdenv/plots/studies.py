@@ -15,7 +15,7 @@ from qdenv.study.table import Peak, Row, differences
 THROUGHPUT = "throughput [tasks / timestep]"
 SUCCESS = "never congested"
 MEANING = "error bars: standard error over {runs} runs above, 95 % Wilson interval below"
-AGAINST = "; per cent: against the first layout, over all runs, with 95 % interval"
+AGAINST = "\nper cent: against the first layout, over all runs, with 95 % interval"
 SPREAD = 0.02  # of the axis: how far lines that would hide one another are moved apart
 MARKERS = "osD^v"
 PEAK_COLOUR = "#b5432d"
