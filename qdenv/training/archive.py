@@ -83,7 +83,7 @@ class Archive:
             cell = tuple(int(part) for part in parts)
             number = np.ravel_multi_index(cell, self.shape)
         except (ValueError, TypeError) as error:
-            text = ",".join(map(str, which)) if not isinstance(which, str) else which
+            text = which if isinstance(which, str) else str(which).strip("()[]")
             raise InputError(
                 f'elite {text!r}: give "best" or indices below {self.shape} like "3,7"'
             ) from error
