@@ -1,5 +1,15 @@
-"""`python -m qdenv`: the command line, where its script is not on the path."""
+"""The program: `qdenv`, or `python -m qdenv`."""
 
-from qdenv.cli import main
+from qdenv.interrupt import watch
 
-main()
+
+def main() -> None:
+    """Run the command line; Ctrl-C is answered before anything else is imported."""
+    watch()
+    from qdenv.cli import main as run
+
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -4,7 +4,11 @@ A command is imported when it is chosen: help is read in less time than jax take
 """
 
 import ast
+import contextlib
+import functools
 import importlib
+import inspect
+import io
 import os
 import sys
 from collections.abc import Callable
@@ -17,9 +21,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tyro
 
+from qdenv.commands.mistakes import one_line, unknown_command
+from qdenv.interrupt import EXIT_CODE, last_words
+
 # Name -> ``module:function``.
 COMMANDS = {
-    "train": "qdenv.commands.runs:Train",
+    "train": "qdenv.commands.train:train",
     "resume": "qdenv.commands.runs:resume",
     "plot": "qdenv.commands.runs:plot",
     "presets": "qdenv.commands.presets:presets",
@@ -30,6 +37,8 @@ COMMANDS = {
     "scalability": "qdenv.commands.traffic:scalability",
     "layout human": "qdenv.commands.sizes:layout_human",
     "layout tile": "qdenv.commands.sizes:layout_tile",
+    "layout symbols": "qdenv.commands.drawings:layout_symbols",
+    "render": "qdenv.commands.drawings:render",
     "repair": "qdenv.commands.layouts:repair",
     "check": "qdenv.commands.layouts:check",
     "simulate": "qdenv.commands.simulate:simulate",
@@ -38,6 +47,7 @@ COMMANDS = {
     "convert-agent": "qdenv.commands.mazes:convert_agent",
     "evaluate-agent": "qdenv.commands.mazes:evaluate_agent",
 }
+AUTO = "auto"  # the value of an option like --plot that was given none
 
 
 def run(arguments: list[str]) -> int:
@@ -49,47 +59,113 @@ def run(arguments: list[str]) -> int:
     if arguments[:1] == ["--version"]:
         print(metadata.version("qdenv"))
         return 0
+    if not arguments or arguments == ["help"]:
+        arguments = ["--help"]
+    elif arguments[0] == "help":
+        arguments = [*arguments[1:], "--help"]
     if " ".join(arguments[:2]) in COMMANDS:
         arguments = [" ".join(arguments[:2]), *arguments[2:]]
     # What prints completion for a shell asks for the options of every command.
     completion = any(argument.startswith("--tyro-") for argument in arguments)
-    wanted = COMMANDS if completion else arguments[:1]
     try:
-        if any(name in COMMANDS for name in wanted):
-            return _run_loaded(arguments, [name for name in COMMANDS if name in wanted])
-        return _choose({name: summary_of(name) for name in COMMANDS}, arguments)
+        if arguments[0] in COMMANDS or completion:
+            return _run_loaded(arguments, list(COMMANDS) if completion else arguments[:1])
+        if not arguments[0].startswith("-"):
+            return _complain(unknown_command(arguments[0], COMMANDS))
+        _parse({name: summary_of(name) for name in COMMANDS}, arguments)
     except KeyboardInterrupt:
-        print("qdenv: stopped; `qdenv resume RUN_DIR` continues a run", file=sys.stderr)
-        return 130
+        print(last_words(), file=sys.stderr)
+        return EXIT_CODE
+    except BrokenPipeError:  # whoever read has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
 
 
 def _run_loaded(arguments: list[str], wanted: list[str]) -> int:
     """Import the wanted commands and run the one that is named."""
-    from qdenv.commands.choices import bind
+    from qdenv.commands.output import words_aside
     from qdenv.types import InputError
 
     try:
-        if arguments[:1] == ["train"]:
-            _attribute("qdenv.commands.runs:train")(arguments[1:])
-            return 0
+        arguments = with_values(arguments)
         commands = {name: summary_of(name) for name in COMMANDS}
         for name in wanted:
-            given = arguments[1:] if [name] == arguments[:1] else ()
-            commands[name] = bind(_attribute(COMMANDS[name]), given)
-        return _choose(commands, arguments)
+            given = arguments[1:] if [name] == arguments[:1] else []
+            commands[name] = _loaded(name, given)
+        chosen = _parse(commands, arguments)
+        aside = " --json - " in f" {' '.join(arguments)} " or "--json=-" in arguments
+        with words_aside() if aside else contextlib.nullcontext():
+            code = chosen()
     except InputError as error:
-        print(f"qdenv: {error}", file=sys.stderr)
-        return 2
-
-
-def _choose(commands: dict[str, Callable], arguments: list[str]) -> int:
-    code = tyro.extras.subcommand_cli_from_dict(commands, prog="qdenv", args=arguments)
+        return _complain(error)
     return code if isinstance(code, int) else 0
 
 
-def _attribute(reference: str) -> Any:
-    module, _, name = reference.partition(":")
-    return getattr(importlib.import_module(module), name)
+def _complain(mistake: object) -> int:
+    print(f"qdenv: {mistake}", file=sys.stderr)
+    return 2
+
+
+def with_values(arguments: list[str]) -> list[str]:
+    """Give `--plot` without a value one: the picture's name is then chosen by the command."""
+    whole: list[str] = []
+    for word, following in zip(arguments, [*arguments[1:], "-"], strict=True):
+        whole.append(word)
+        # A layout may follow that is no picture: `simulate --plot plan.txt`.
+        if word == "--plot" and (following.startswith("-") or not _names_picture(following)):
+            whole.append(AUTO)
+    return whole
+
+
+def _names_picture(word: str) -> bool:
+    return word == AUTO or Path(word).suffix.lower() in (".png", ".svg", ".pdf")
+
+
+def _parse(commands: dict[str, Callable], arguments: list[str]) -> Callable[[], Any]:
+    """Choose a command and bind its arguments; nothing runs yet.
+
+    Raises:
+        InputError: the arguments make no sense.
+        SystemExit: help or completion was asked for, and printed.
+    """
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            chosen: Callable[[], Any] = tyro.extras.subcommand_cli_from_dict(
+                {name: _later(command) for name, command in commands.items()},
+                prog="qdenv",
+                args=arguments,
+                config=(tyro.conf.AvoidSubcommands,),
+            )
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            raise
+        from qdenv.types import InputError  # imports numpy: not for help
+
+        named = arguments[0] if arguments[0] in COMMANDS else ""
+        raise InputError(one_line(said.getvalue(), f"qdenv {named}".strip())) from None
+    return chosen
+
+
+def _later(command: Callable) -> Callable:
+    """Make a function with the same arguments that binds them and does no more."""
+
+    @functools.wraps(command)
+    def bound(*values: Any, **named: Any) -> Callable[[], Any]:
+        return functools.partial(command, *values, **named)
+
+    bound.__signature__ = inspect.signature(command)  # type: ignore[attr-defined]
+    return bound
+
+
+def _loaded(command: str, given: list[str]) -> Callable:
+    """Import a command, with the options that follow from what is chosen in its arguments."""
+    from qdenv.commands import choices
+
+    name, _, function = COMMANDS[command].partition(":")
+    module = importlib.import_module(name)
+    bind: Callable[[Callable, list[str]], Callable] = getattr(module, "bind", choices.bind)
+    return bind(getattr(module, function), given)
 
 
 def summary_of(command: str) -> Callable[[], None]:

@@ -1,5 +1,6 @@
 """Writing files so that a crash, a full disk or a kill never leaves half of one."""
 
+import contextlib
 import csv
 import io
 import json
@@ -9,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from qdenv.interrupt import unfinished
 from qdenv.types import InputError
 
 
@@ -26,6 +28,7 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        unfinished.add(temporary)
         with os.fdopen(handle, "wb") as file:
             if isinstance(content, bytes):
                 file.write(content)
@@ -36,12 +39,15 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
         os.chmod(temporary, 0o666 & ~_UMASK)
         os.replace(temporary, path)
     except OSError as error:
-        if temporary and os.path.exists(temporary):
-            os.unlink(temporary)
         raise InputError(
             f"{path}: cannot be written ({error.strerror or error}): free some space or choose "
             "another place; what was written before is intact"
         ) from error
+    finally:  # whatever went wrong, nothing half written stays
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            unfinished.discard(temporary)
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -165,9 +165,20 @@ class PipelinedEvaluator:
     accelerator one thread that feeds larger chunks.
     """
 
-    def __init__(self, pipeline: Pipeline, chunk: int | None = None) -> None:
-        """Compile nothing yet; `chunk` layouts, or a divisor of it, are simulated per call."""
-        self._pipeline = pipeline
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        chunk: int | None = None,
+        progress: Callable[[int], None] = lambda layouts: None,
+    ) -> None:
+        """Compile nothing yet.
+
+        Args:
+            pipeline: the chain.
+            chunk: layouts, or a divisor of it, that are simulated per call.
+            progress: told how many layouts more are done; by any thread.
+        """
+        self._pipeline, self._progress = pipeline, progress
         self._chunk = chunk or devices.lanes(devices.ACCELERATOR_CHUNK)
         self._grow = jax.jit(pipeline.grow)
         self._simulate = jax.jit(pipeline.simulate)
@@ -199,5 +210,6 @@ class PipelinedEvaluator:
         done = [future.result() for future in repairs]
         layouts = np.stack([repair.layout for repair in done])
         status = np.array([repair.status for repair in done], np.int32)
-        runs = self._simulate(layouts, chunk, key)
-        return layouts, status, jax.tree.map(np.asarray, runs)
+        runs = jax.tree.map(np.asarray, self._simulate(layouts, chunk, key))
+        self._progress(len(chunk))
+        return layouts, status, runs

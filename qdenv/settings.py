@@ -17,8 +17,8 @@ class EvaluationConfig:
     Attributes:
         domain: settings of a registered domain; their type chooses it.
         generator: settings of a registered generator, likewise.
-        simulations: simulations per layout N_e.
-        alpha: weight of the similarity score in the objective.
+        simulations: how often each layout is simulated, N_e.
+        alpha: how much it counts that the repair changes little.
         repair: limits of the repair.
     """
 

@@ -14,7 +14,8 @@ A position is ``row * width + column`` (int32). Records describe one item; batch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import difflib
+from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -41,8 +42,32 @@ def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
         InputError: nothing has this name; the line lists what there is.
     """
     if name not in table:
-        raise InputError(f"unknown {what} {name!r}: choose one of {', '.join(table)}")
+        raise InputError(f"unknown {what} {name!r}: {choices(name, table)}")
     return table[name]
+
+
+def choices(name: str, known: Iterable[str]) -> str:
+    """Say what there is to choose from, the likeliest first where `name` looks like a slip."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, 1)
+    guess = f"did you mean {close[0]}? " if close else ""
+    return f"{guess}choose one of {', '.join(known)}"
+
+
+class Tile(NamedTuple):
+    """What one symbol of an alphabet means to people.
+
+    Attributes:
+        name: a word or two, as legends and messages call it.
+        about: a sentence: what it is for, and where it may stand.
+        obstacle: nothing drives over it.
+        also: other symbols that drawings may use for it.
+    """
+
+    name: str
+    about: str = ""
+    obstacle: bool = False
+    also: str = ""
 
 
 class Count(NamedTuple):
@@ -157,6 +182,8 @@ class Measure(NamedTuple):
         cells: number of cells in between.
         value: (repaired layout int8 [H, W], runs with leading axis S) -> float32; None where
             the measures come from elsewhere.
+        limit: name of the number that it cannot exceed, with which its axis grows: one of the
+            domain's settings, or "area", the cells of the generated area; "" for none.
     """
 
     name: str
@@ -164,6 +191,7 @@ class Measure(NamedTuple):
     high: float
     cells: int
     value: Callable[[jax.Array, Any], jax.Array] | None = None
+    limit: str = ""
 
 
 class Score(NamedTuple):

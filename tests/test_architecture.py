@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "qdenv"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"types", "grid", "files", "lazy"}
+BASE = {"types", "grid", "files", "lazy", "interrupt"}
 STAGES = {"generate", "repair", "simulate", "score"}
 PLUGS = {"registry", "devices"}
 ALLOWED = {
@@ -19,7 +19,8 @@ ALLOWED = {
     "types": {"lazy"},
     "native": set(),
     "grid": {"types", "lazy"},
-    "files": {"types"},
+    "interrupt": set(),
+    "files": {"types", "interrupt"},
     "checkpoints": {"types", "files"},
     "devices": {"types", "lazy"},
     "registry": {"types"},
@@ -43,7 +44,7 @@ ALLOWED = {
     | STAGES
     | PLUGS
     | {"domains", "formats", "plots", "presets", "study", "training", "commands.choices"},
-    "plots": BASE | {"training.records", "study.table"},
+    "plots": BASE | {"training.records", "study.table", "domains.base"},
     "commands": BASE
     | STAGES
     | PLUGS
@@ -63,8 +64,8 @@ ALLOWED = {
     | PLUGS
     | {"agent", "domains", "formats", "pipeline", "plots", "presets", "search"}
     | {"settings", "study", "training"},
-    "cli": {"commands", "types"},
-    "__main__": {"cli"},
+    "cli": {"commands", "types", "interrupt"},
+    "__main__": {"cli", "interrupt"},
     "__init__": set(),  # names the public homes and imports each when it is asked for
 }
 # Rooms of one stage that may not look into one another: (who, whom).

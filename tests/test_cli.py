@@ -59,8 +59,20 @@ print("loaded:", *({{"jax", "numba", "numpy", "matplotlib", "qdax", "scipy"}} & 
     [
         (["--help"], "evaluate-agent", set()),
         (["--version"], "0.", set()),
-        (["nothing"], "Unrecognized", set()),
-        (["simulate", "--help"], "number of agents", {"jax", "numba", "numpy", "scipy"}),
+        (["nothing"], "unknown command", set()),
+        (["presets"], "maze-quick", {"numpy"}),
+        (["simulate", "--help"], "number of agents", {"numpy"}),
+        (["train", "--help"], "--emitters", {"numpy"}),
+        (["train", "quick", "--shelves", "1000"], "1000 '@'", {"numpy"}),
+        (["check", "nowhere.json"], "cannot be read", {"numpy"}),
+        (["simulate", "nowhere.json"], "cannot be read", {"numpy"}),
+        (["repair", "nowhere.json"], "cannot be read", {"numpy"}),
+        (["sweep", "nowhere.json"], "cannot be read", {"numpy"}),
+        (["compare", "nowhere.json"], "cannot be read", {"numpy"}),
+        (["resume", "nowhere"], "no run here", {"numpy"}),
+        (["generate", "nowhere"], "no run here", {"numpy"}),
+        (["evaluate-agent", "nowhere.json"], "cannot be read", {"numpy"}),
+        (["train-agent", "--steps", "0"], "1 step", {"numpy"}),
     ],
 )
 def test_a_command_line_imports_no_more_than_it_needs(arguments, said, loaded):
@@ -166,7 +178,7 @@ def test_other_mistakes_give_one_line(layout, tmp_path, capsys):
         (["resume", str(tmp_path)], "no run here"),
         (["generate", str(tmp_path)], "no run here"),
         (["check", layout, "--domain", "moon"], "unknown domain"),
-        (["train", "quick", "--rows", "2", "--run-dir", str(tmp_path / "r")], "smaller than"),
+        (["train", "quick", "--rows", "2", "--run-dir", str(tmp_path / "r")], "too small"),
         (["train", "quick", "--kernel-sizes", "2", "--run-dir", str(tmp_path / "r")], "odd"),
     ]:
         assert run(arguments) == 2, arguments

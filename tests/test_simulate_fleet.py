@@ -70,16 +70,16 @@ def test_other_planners_break_no_rule(planner):
 
 
 def test_a_planner_says_its_own_limits():
-    with pytest.raises(InputError, match=r"'negotiated' plans at most 10 .* not 11"):
-        fleet.FleetConfig(window=11)
-    with pytest.raises(InputError, match=r"'stand' plans at most 30 .* not 31"):
-        fleet.FleetConfig(window=31, planner=StandConfig())
-    assert fleet.FleetConfig(window=30, planner=StandConfig()).window == 30
+    layout = random_layout(np.random.default_rng(0), 0.2)
+    for name, planner, most in (("negotiated", CONFIG.planner, 10), ("stand", StandConfig(), 30)):
+        longest = replace(CONFIG, planner=planner, window=most)
+        fleet.prepare(layout, PLAIN, longest)
+        with pytest.raises(InputError, match=f"'{name}' plans at most {most} .* not {most + 1}"):
+            fleet.prepare(layout, PLAIN, replace(longest, window=most + 1))
     with pytest.raises(InputError, match="horizon 6, window 5"):
         fleet.FleetConfig(horizon=6, window=5)
     with pytest.raises(InputError, match="no planner is registered for str"):
         fleet.FleetConfig(planner="low")
-    layout = random_layout(np.random.default_rng(0), 0.2)
     for planner, limit in ((StandConfig(), 15), (fleet.FleetConfig().planner, 20)):
         config = replace(CONFIG, planner=planner)
         rule = PLAIN._replace(cycle=(tile_goal("e", TILES, limit + 1),))

@@ -178,8 +178,9 @@ def test_commands_write_layouts_pictures_and_a_table(run, tmp_path, capsys):
     frames = ["generate", str(run.path), "--frames", "4", "--out", str(target)]
     assert cli.run([*frames, "--rows", "9", "--cols", "9"]) == 0
     assert (tmp_path / "frames_frames.png").stat().st_size > 1000
-    tiled = ["layout", "tile", str(target), "--rows", "13", "--cols", "14", "--out", str(target)]
-    assert cli.run(tiled) == 0
+    tiled = ["layout", "tile", str(target), "--rows", "13", "--cols", "14", "--out"]
+    assert "that is what is read" in refusal([*tiled, str(target)], capsys)
+    assert cli.run([*tiled, str(tmp_path / "tiled.json")]) == 0
     assert "tiled_from frames.json" in capsys.readouterr().out
     design = ["--domain", "manufacturing", "--rows", "13", "--cols", "14", "--out", str(target)]
     assert cli.run(["layout", "human", *design]) == 0
@@ -247,7 +248,8 @@ def test_baselines_refuse_in_one_line(tmp_path, capsys):
     assert "too few for every kind" in said
     factory = tmp_path / "factory.json"
     write_layout(factory, MANUFACTURING.resized(9, 9).human(), MANUFACTURING.tiles)
-    assert "unknown tile" in refusal(["layout", "tile", str(factory), *size], capsys)
+    command = ["layout", "tile", str(factory), "--domain", "warehouse-even", *size]
+    assert "unknown tile" in refusal(command, capsys)
     with pytest.raises(InputError, match="nobody designs layouts"):
         sizes.human_layout(replace(WAREHOUSE, human=None))
     small = WAREHOUSE.resized(9, 9).human()

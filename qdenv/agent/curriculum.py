@@ -17,7 +17,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.agent.levels import Level, LevelConfig, draw_level, vary_level
+from qdenv.agent.levels import Level, draw_level, vary_level
+from qdenv.agent.settings import LevelConfig
 
 
 class LevelBuffer(NamedTuple):

@@ -4,12 +4,12 @@ Every level lies on one canvas of fixed size. Half of the pairs are the evaluati
 pair of the longest shortest path), the others a random tile and a random tile it can reach.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from qdenv.agent.settings import LevelConfig
 from qdenv.simulate.maze.world import (
     EMPTY,
     GOAL,
@@ -22,27 +22,6 @@ from qdenv.simulate.maze.world import (
 
 LONGEST_PERIOD = 12  # of textures
 UNSEEN = 10_000  # distance of tiles that cannot reach the goal
-
-
-@dataclass(frozen=True)
-class LevelConfig:
-    """What levels look like.
-
-    Attributes:
-        size: rows and columns.
-        most_walls: walls are drawn from 0 to this.
-        textured: share of levels with a repeated pattern instead of independent walls.
-        longest: share of levels with the longest-path pair.
-        horizon: shortest and longest horizon.
-        edits: tiles flipped when a level is varied (ACCEL).
-    """
-
-    size: int = 16
-    most_walls: int = 110
-    textured: float = 0.25
-    longest: float = 0.5
-    horizon: tuple[int, int] = (250, 648)
-    edits: int = 5
 
 
 class Level(NamedTuple):

@@ -5,7 +5,6 @@ advantages by Schulman et al. 2016, "High-dimensional continuous control using g
 estimation", https://arxiv.org/abs/1506.02438.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import chex
@@ -14,33 +13,9 @@ import jax.numpy as jnp
 import optax
 
 from qdenv.agent.rollout import Transition
+from qdenv.agent.settings import PPOConfig
 from qdenv.simulate.maze.policy import Memory, Weights, act, encode, estimate_value, recur
 from qdenv.simulate.maze.world import image
-
-
-@dataclass(frozen=True)
-class PPOConfig:
-    """Numbers of the algorithm.
-
-    Attributes:
-        lanes: environments that run side by side, E.
-        timesteps: steps T of one rollout; gradients flow through all of them.
-        epochs: passes over a rollout.
-        minibatches: groups of environments per pass.
-        clip: epsilon, range of the probability ratio.
-        discount: gamma.
-        trace: lambda of generalized advantage estimation.
-        critic: weight of the value loss.
-    """
-
-    lanes: int = 256
-    timesteps: int = 128
-    epochs: int = 2
-    minibatches: int = 4
-    clip: float = 0.2
-    discount: float = 0.995
-    trace: float = 0.95
-    critic: float = 0.5
 
 
 class Batch(NamedTuple):

@@ -1,7 +1,6 @@
 """Let the agent play training levels side by side and record what it did."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -19,19 +18,6 @@ from qdenv.simulate.maze.policy import (
     recur,
 )
 from qdenv.simulate.maze.world import Pose, image, step, view
-
-
-@dataclass(frozen=True)
-class RewardConfig:
-    """What is rewarded beside the goal.
-
-    Attributes:
-        novelty: the first visit of a tile in an episode.
-        progress: each move nearer to the goal (potential-based).
-    """
-
-    novelty: float = 0.01
-    progress: float = 0.0
 
 
 class Rewards(NamedTuple):

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +13,13 @@ import numpy as np
 
 from qdenv.agent.evaluate import default_horizon, random_mazes, run_batch
 from qdenv.agent.files import load_state, save_state, save_weights
-from qdenv.agent.update import TrainConfig, start, update
+from qdenv.agent.settings import TrainConfig
+from qdenv.agent.update import start, update
 from qdenv.files import write_json
 from qdenv.simulate.maze.policy import Weights
 from qdenv.types import InputError
 
+Progress = Callable[[int, dict[str, Any] | None], None]
 EXAM_WALLS = (60, 90)
 EXAM_EPISODES = 8
 
@@ -49,6 +52,7 @@ def train_agent(
     resume: bool = False,
     report_every: int = 50,
     cpu_seconds: float = float("inf"),
+    progress: Progress = lambda done, row: None,
 ) -> Path:
     """Train an agent and keep its log, checkpoint and weights in a folder (host side).
 
@@ -60,6 +64,7 @@ def train_agent(
         report_every: updates between two lines of the log, each with a checkpoint and an exam on
             held-out mazes.
         cpu_seconds: stop after about so many CPU seconds, ready to be resumed.
+        progress: told the number of updates done, and after some of them the new line of the log.
 
     Returns:
         the weights' file, out/agent.npz.
@@ -73,7 +78,7 @@ def train_agent(
         state, facts = load_state(checkpoint, state)
         used = facts["cpu_seconds"]
     elif checkpoint.exists():
-        raise InputError(f"{out} holds a run already: resume it or choose another folder")
+        raise InputError(f"{out}: holds a run already; `qdenv resume {out}` continues it")
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "config.json", asdict(config))
     examine = _exam(config)
@@ -83,6 +88,7 @@ def train_agent(
         state, numbers = _update(state, config)
         logs.append(numbers)
         done = int(state.update)
+        progress(done, None)
         spent = time.process_time() - began
         last = done >= config.updates or spent - used > cpu_seconds
         if done % report_every and not last:
@@ -102,6 +108,7 @@ def train_agent(
         save_weights(state.weights, out / "agent.npz")
         with (out / "curve.jsonl").open("a") as log:
             log.write(json.dumps(row) + "\n")
+        progress(done, row)
         if last:
             break
     return out / "agent.npz"

@@ -1,7 +1,6 @@
 """One update of the agent's training: propose levels, play, learn."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -17,56 +16,12 @@ from qdenv.agent.curriculum import (
     replay_probabilities,
     update_scores,
 )
-from qdenv.agent.levels import Level, LevelConfig
-from qdenv.agent.ppo import Batch, LearningLog, PPOConfig, advantages, learn
-from qdenv.agent.rollout import EnvState, RewardConfig, Rewards, Transition, collect, reset_env
+from qdenv.agent.levels import Level
+from qdenv.agent.ppo import Batch, LearningLog, advantages, learn
+from qdenv.agent.rollout import EnvState, Rewards, Transition, collect, reset_env
+from qdenv.agent.settings import TrainConfig
 from qdenv.simulate.maze.policy import Weights, draw_weights, load_weights
 from qdenv.types import InputError, look_up
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """One training run.
-
-    Attributes:
-        method: "dr" (domain randomisation), "plr" (robust PLR) or "accel".
-        steps: environment steps to learn from, in all.
-        seed: of everything.
-        units: LSTM units of the agent.
-        actions: 3 (turn left, turn right, forward) or 7 (the published set, 4 do nothing).
-        warm_start: an .npz agent to start from; "" for fresh weights.
-        bank: levels C of the buffer under replay.
-        fresh: new levels per update.
-        rate: first learning rate; falls linearly to a twentieth.
-        entropy: first weight of the entropy bonus; falls linearly to a tenth.
-        novelty_until: share of the training after which the novelty reward has faded to nothing;
-            it begins to fade halfway there.
-        exam: held-out mazes of each kind, played for every line of the log.
-        ppo: numbers of the algorithm.
-        reward: what is rewarded beside the goal.
-        levels: what levels look like.
-    """
-
-    method: str = "dr"
-    steps: int = 80_000_000
-    seed: int = 0
-    units: int = 64
-    actions: int = 3
-    warm_start: str = ""
-    bank: int = 4096
-    fresh: int = 64
-    rate: float = 1e-3
-    entropy: float = 5e-3
-    novelty_until: float = 1.0
-    exam: int = 32
-    ppo: PPOConfig = field(default_factory=PPOConfig)
-    reward: RewardConfig = field(default_factory=RewardConfig)
-    levels: LevelConfig = field(default_factory=LevelConfig)
-
-    @property
-    def updates(self) -> int:
-        """Count the updates of the whole run."""
-        return -(-self.steps // (self.ppo.lanes * self.ppo.timesteps))
 
 
 class State(NamedTuple):
@@ -95,23 +50,12 @@ def _with_rate(state: optax.OptState, rate: jax.Array) -> optax.OptState:
     return clipping, adam._replace(hyperparams={**adam.hyperparams, "learning_rate": rate})
 
 
-def _check(config: TrainConfig) -> None:
-    look_up(METHODS, config.method, "method")
-    if config.actions < 3 or config.units < 1 or config.steps < 1:
-        raise InputError("the agent needs at least 3 actions, 1 unit and 1 step")
-    if config.ppo.lanes % config.ppo.minibatches:
-        raise InputError("minibatches must divide lanes: each takes whole lanes")
-    if not 0 < config.fresh <= config.bank:
-        raise InputError("fresh levels per update must number between 1 and the bank's size")
-
-
 def start(config: TrainConfig) -> State:
     """Draw the first state of a run.
 
     Raises:
         InputError: impossible numbers, or a warm start of another architecture.
     """
-    _check(config)
     keys = jax.random.split(jax.random.key(config.seed), 5)
     weights = draw_weights(keys[0], config.units, config.actions)
     if config.warm_start:

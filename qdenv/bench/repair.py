@@ -26,7 +26,7 @@ from qdenv.files import write_json
 from qdenv.repair.audit import audit
 from qdenv.repair.pool import RepairPool
 from qdenv.repair.recipe import repair
-from qdenv.repair.settings import RepairConfig
+from qdenv.repair.settings import Polish, RepairConfig
 from qdenv.types import RepairStatus
 
 # Changed tiles of earlier measurements: annealing with 3e6 moves in C++, then HiGHS for 2.5 s.
@@ -60,7 +60,7 @@ class Options:
     """
 
     layouts: tuple[Path, ...] = ()
-    polish: tuple[str, ...] = ("quick", "full")
+    polish: tuple[Polish, ...] = ("quick", "full")
     random: int = 20
     kernel_sizes: tuple[int, ...] = KERNELS
     hard: int = 1000

@@ -15,6 +15,7 @@ import tyro
 from qdenv.files import write_json
 from qdenv.search.archive import GridArchive
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
+from qdenv.search.settings import Strategy
 from qdenv.types import Measure, Score
 
 GRID = (Measure("x", -1, 1, 100), Measure("y", -1, 1, 100))
@@ -29,7 +30,7 @@ class Case(NamedTuple):
     dim: int
     emitters: int
     batch: int
-    strategy: str
+    strategy: Strategy
     pyribs_iterations: int  # 0: too slow to be worth it
 
 

@@ -1,5 +1,6 @@
 """Options that depend on a choice made in the same command line: whose numbers, which planner."""
 
+import contextlib
 import dataclasses
 import functools
 import inspect
@@ -10,9 +11,10 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
+from qdenv.registry import Registry
 from qdenv.search.registry import ALGORITHMS
 from qdenv.study.options import find_planner
-from qdenv.study.plans import USUAL
+from qdenv.study.plans import USUAL, read_plan
 from qdenv.training.config import RunConfig
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
@@ -46,6 +48,11 @@ class FleetOptions:
 
 # How a command takes them: without a prefix of their own.
 Options = Annotated[FleetOptions, tyro.conf.arg(name="")]
+
+
+def names_of(registry: Registry) -> str:
+    """List the names of a registry's choices as help shows them, like {low,high}."""
+    return "{" + ",".join(registry.names()) + "}"
 
 
 class Numbers:
@@ -94,7 +101,7 @@ class ManyNumbers(Numbers):
 
 
 def domain_of(arguments: Sequence[str]) -> Domain:
-    """Find the domain that a command line is about: by name, by a run, else the usual one.
+    """Find the domain that a command line is about: by name, a run, a layout, or the usual one.
 
     Raises:
         InputError: the domain is unknown, or the run cannot be read.
@@ -105,6 +112,9 @@ def domain_of(arguments: Sequence[str]) -> Domain:
     for argument in rest:
         if (Path(argument) / "config.json").exists():
             return make_domain(RunDirectory.open(argument).config.evaluation.domain)
+        if Path(argument).is_file():
+            with contextlib.suppress(InputError):  # no layout, or one that the command refuses
+                return read_plan(argument).domain
     return find_domain(USUAL)
 
 

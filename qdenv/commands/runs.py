@@ -1,77 +1,22 @@
-"""Commands about runs: train, resume, plot, generate."""
+"""Commands about runs: resume, plot, generate."""
 
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
 
-from qdenv.commands.choices import Numbers, choose_algorithm, choose_domain, choose_planner, take
+from qdenv.commands.choices import Numbers
 from qdenv.formats.layouts import write_layout
 from qdenv.plots.layouts import save_frames, save_layout
 from qdenv.plots.run import plot_run
-from qdenv.presets import find_preset
+from qdenv.study.changes import describe_changes, list_changes
 from qdenv.study.elites import find_elite, grow_elite, repair_grown
 from qdenv.study.sizes import grow_frames
 from qdenv.training import loop
-from qdenv.training.config import RunConfig
 from qdenv.training.records import RunDirectory
 from qdenv.types import RepairStatus
-
-
-@dataclass(frozen=True)
-class Train:
-    """Search generators: qdenv train [PRESET]; every setting of the preset can be overridden.
-
-    Attributes:
-        config: what to do; defaults from the preset.
-        domain: another domain in place of the preset's, at its size.
-        effort: low inside a search, high for numbers to report.
-        planner: another registered planner, with its defaults.
-        algorithm: another registered algorithm, with its defaults, in place of the preset's.
-        run_dir: folder of the run; a fresh one under runs/ unless given.
-        progress: show a progress bar.
-    """
-
-    config: RunConfig
-    domain: str | None = None
-    effort: Literal["low", "high"] | None = None
-    planner: str | None = None
-    algorithm: str | None = None
-    run_dir: Path | None = None
-    progress: bool = True
-
-
-def train(arguments: list[str]) -> None:
-    """Run `qdenv train [PRESET] ...`; the preset decides the defaults of the other arguments.
-
-    Which options there are depends on what is chosen by name, so that is read first.
-    """
-    named = bool(arguments) and not arguments[0].startswith("-")
-    preset, rest = arguments[0] if named else "quick", arguments[named:]
-    config = find_preset(preset)
-    domain, rest = take(rest, "--domain")
-    if domain is not None:
-        config = choose_domain(config, domain)
-    algorithm, rest = take(rest, "--algorithm")
-    if algorithm is not None:
-        config = choose_algorithm(config, algorithm)
-    effort, rest = take(rest, "--effort")
-    planner, rest = take(rest, "--planner")
-    config = choose_planner(config, effort, planner)
-    asked = tyro.cli(
-        Train,
-        prog=f"qdenv train {preset}",
-        args=rest,
-        default=Train(config),
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
-    )
-    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-    path = asked.run_dir or Path("runs") / f"{preset}-{stamp}"
-    print(f"{preset}: {asked.config.evaluations} evaluations into {path}")
-    report(loop.train(asked.config, path, progress=asked.progress))
 
 
 def resume(
@@ -115,11 +60,14 @@ class Growth:
         rows: rows of the layout; the trained size unless given.
         cols: columns of the layout; the trained size unless given.
         steps: NCA steps; scaled with the size unless given.
+        keep: drawing of the layout's shape: ? is free, a tile must be this tile; what the run
+            kept, at its size, unless given.
     """
 
     rows: int | None = None
     cols: int | None = None
     steps: int | None = None
+    keep: Path | None = None
 
 
 def generate(
@@ -147,7 +95,8 @@ def generate(
     run = RunDirectory.open(run_dir)
     config = run.config
     found = find_elite(run, elite)
-    grown = grow_elite(run, found, (growth.rows, growth.cols), growth.steps, numbers.given())
+    shape = growth.rows, growth.cols
+    grown = grow_elite(run, found, shape, growth.steps, numbers.given(), growth.keep)
     if frames is not None:
         after, drawn = grow_frames(run, grown, frames)
         picture = out.with_name(f"{out.stem}_frames.png")
@@ -167,5 +116,7 @@ def generate(
             "changed": float(repaired.cost),
         }
     write_layout(out, layout, grown.domain.tiles, **details)
-    save_layout(out.with_suffix(".png"), layout, grown.domain.tiles)
+    save_layout(out.with_suffix(".png"), layout, grown.domain.tiles, grown.domain.names)
+    if repaired is not None:
+        print("\n".join(describe_changes(list_changes(grown.layout, layout, grown.domain))))
     print(f"{out}: " + ", ".join(f"{name} {value}" for name, value in details.items()))

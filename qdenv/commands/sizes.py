@@ -1,42 +1,47 @@
 """Commands about other sizes and the baselines: layouts by hand and tiled, series."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import tyro
 
+from qdenv.commands import output
 from qdenv.commands.choices import ManyNumbers, Numbers
-from qdenv.domains.base import find_domain, make_domain
-from qdenv.formats.layouts import read_layout, write_layout
-from qdenv.plots.layouts import save_layout
+from qdenv.domains.base import Domain, find_domain, make_domain
+from qdenv.formats.drawings import check_size
+from qdenv.formats.layouts import endings_for, write_layout
 from qdenv.repair.settings import RepairConfig
-from qdenv.study import sizes
-from qdenv.study.plans import USUAL
+from qdenv.study.plans import USUAL, read_plan
 from qdenv.training.records import RunDirectory
+from qdenv.types import InputError
 
-FIGURE_18 = tuple(f"{rows}x{cols}" for rows, cols in sizes.SIZES)
+Seed = Annotated[int, tyro.conf.arg(aliases=("--repair-seed",))]
 
 
-def layout_human(
-    rows: int,
-    cols: int,
-    domain: str = USUAL,
-    out: Path = Path("layout.json"),
-) -> None:
+def layout_human(rows: int, cols: int, domain: str = USUAL, out: Path | None = None) -> None:
     """Draw a layout as people design it by hand, at any size.
 
     Args:
         rows: rows of the layout, frame included.
         cols: columns of the layout, frame included.
         domain: whose layouts.
-        out: layout file to write; a picture is drawn beside it.
+        out: layout file to write (.json, .txt, .csv), a picture is drawn beside it; layout.json
+            unless given.
     """
+    check_size(rows, cols)
+    from qdenv.study import sizes  # here: takes long to import, and who is refused need not wait
+
     found = find_domain(domain).resized(rows, cols)
+    place = output.place(out, "layout.json", endings_for(found.tiles, found.meanings))
     layout = sizes.human_layout(found)
-    write_layout(out, layout, found.tiles, domain=found.name, design="human")
-    save_layout(out.with_suffix(".png"), layout, found.tiles)
-    counts = ", ".join(f"{(layout == k).sum()} {tile!r}" for k, tile in enumerate(found.tiles))
-    print(f"{out}: {rows} x {cols}, {counts}")
+    leave(place, layout, found, {"domain": found.name, "design": "human"})
+    counts = ", ".join(
+        f"{(layout == k).sum()} {found.names.get(tile, repr(tile))}"
+        for k, tile in enumerate(found.tiles)
+    )
+    print(f"{place}: {rows} x {cols}, {counts}")
 
 
 def layout_tile(
@@ -44,10 +49,10 @@ def layout_tile(
     rows: int,
     cols: int,
     numbers: Numbers,
-    domain: str = USUAL,
-    repair_seed: int = 0,
+    domain: str | None = None,
+    seed: Seed = 0,
     polish: Literal["none", "quick", "full"] = "quick",
-    out: Path = Path("layout.json"),
+    out: Path | None = None,
 ) -> None:
     """Repeat a small layout until it fills a larger one, and repair that (section E.4).
 
@@ -56,30 +61,34 @@ def layout_tile(
         rows: rows of the larger layout, frame included.
         cols: columns of the larger layout, frame included.
         numbers: exact numbers of tiles; scaled with the area unless given.
-        domain: whose layouts.
-        repair_seed: other seeds give other, equally good repairs.
+        domain: whose layouts; what the file says, or its tiles tell, unless given.
+        seed: other seeds give other, equally good repairs.
         polish: how hard to repair.
-        out: layout file to write; a picture is drawn beside it.
+        out: layout file to write (.json, .txt, .csv), a picture is drawn beside it;
+            LAYOUT_tiled.json unless given.
     """
-    found = find_domain(domain)
-    small = read_layout(layout, found.tiles)
-    config = RepairConfig(polish=polish)
-    tiled = sizes.tile(found, small, (rows, cols), numbers.given(), config, repair_seed)
+    check_size(rows, cols)
+    from qdenv.study import sizes  # here: takes long to import, and who is refused need not wait
+
+    plan = read_plan(layout, domain)
+    found, config = plan.domain, RepairConfig(polish=polish)
+    endings = endings_for(found.tiles, found.meanings)
+    place = output.place(out, f"{layout.stem}_tiled.json", endings, [layout])
+    tiled = sizes.tile(found, plan.layout, (rows, cols), numbers.given(), config, seed)
     details = sizes.details(tiled) | {"domain": found.name, "tiled_from": layout.name}
-    write_layout(out, tiled.layout, found.tiles, **details)
-    save_layout(out.with_suffix(".png"), tiled.layout, found.tiles)
-    print(f"{out}: " + ", ".join(f"{name} {value}" for name, value in details.items()))
+    leave(place, tiled.layout, found, details)
+    print(f"{place}: " + ", ".join(f"{name} {value}" for name, value in details.items()))
 
 
 def series(
     run_dir: tyro.conf.Positional[Path],
     numbers: ManyNumbers,
     elite: str = "best",
-    sizes_: Annotated[tuple[str, ...], tyro.conf.arg(name="sizes")] = FIGURE_18,
+    sizes_: Annotated[tuple[str, ...], tyro.conf.arg(name="sizes")] = (),
     steps: tuple[int, ...] = (),
-    repair_seed: int | None = None,
+    seed: Annotated[int | None, tyro.conf.arg(aliases=("--repair-seed",))] = None,
     human: bool = False,
-    out: Path = Path("series"),
+    out: Path | None = None,
 ) -> None:
     """Grow one elite at many sizes: those of Figure 18 unless others are given.
 
@@ -87,25 +96,51 @@ def series(
         run_dir: the run directory.
         numbers: exact numbers of tiles for each size; scaled with the area unless given.
         elite: "best", or the archive cell's indices like 12,40.
-        sizes_: rows and columns of each layout, like 33x36 57x58.
+        sizes_: rows and columns of each layout, like 33x36 57x58; seven sizes from 33x36 to
+            101x102 unless given.
         steps: NCA steps for each size; scaled with the size unless given.
-        repair_seed: other seeds give other, equally good repairs; the run's own unless given.
+        seed: other seeds give other, equally good repairs; the run's own unless given.
         human: also draw what people design at each size.
-        out: folder for the layouts, their pictures and series.csv.
+        out: folder for the layouts, their pictures and series.csv; series unless given.
     """
     run = RunDirectory.open(run_dir)
     domain = make_domain(run.config.evaluation.domain)
-    shapes = [sizes.parse_size(text) for text in sizes_]
+    from qdenv.study import sizes  # here: takes long to import, and who is refused need not wait
+
+    shapes = [sizes.parse_size(text) for text in sizes_] or list(sizes.SIZES)
+    for shape in shapes:
+        check_size(*shape)
+    folder = out or output.place(None, "series").path
+    if folder.is_file():
+        raise InputError(f"{folder}: that is a file: name a folder")
     grown = []
-    for item in sizes.grow_sizes(run, elite, shapes, steps, numbers.given(), repair_seed):
+    for item in sizes.grow_sizes(run, elite, shapes, steps, numbers.given(), seed):
         rows, cols = item.layout.shape
-        path = out / f"nca_{rows}x{cols}.json"
+        place = place_in(folder, f"nca_{rows}x{cols}.json")
         details = sizes.details(item) | {"domain": domain.name}
-        write_layout(path, item.layout, domain.tiles, **details)
-        save_layout(path.with_suffix(".png"), item.layout, domain.tiles)
-        print(f"{path}: " + ", ".join(f"{name} {value}" for name, value in details.items()))
+        leave(place, item.layout, domain, details)
+        print(f"{place}: " + ", ".join(f"{name} {value}" for name, value in details.items()))
         grown.append(item)
         if human:
-            path = out / f"human_{rows}x{cols}.json"
-            layout_human(rows, cols, domain.name, path)
-    sizes.write_series(out / "series.csv", grown)
+            layout_human(rows, cols, domain.name, folder / f"human_{rows}x{cols}.json")
+    table = place_in(folder, "series.csv")
+    sizes.write_series(table.path, grown)
+    print(table)
+
+
+def place_in(folder: Path, name: str) -> output.Place:
+    """Choose the place of a result in a folder that the command line named."""
+    return output.Place(folder / name, (folder / name).exists())
+
+
+def leave(
+    place: output.Place, layout: np.ndarray, domain: Domain, details: Mapping[str, Any]
+) -> None:
+    """Write a layout (int8 [H, W]) and a picture beside it, and say where that is."""
+    # Only here: matplotlib takes half a second to import, and who is refused need not wait.
+    from qdenv.plots.layouts import save_layout
+
+    write_layout(place.path, layout, domain.tiles, domain.meanings, **details)
+    picture = place.beside(output.PICTURES[0])
+    save_layout(picture.path, layout, domain.tiles, domain.names)
+    print(picture)

@@ -7,17 +7,19 @@ functions, no subclass.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+import tyro
 
+from qdenv.domains.keep import keep_in_frame, keep_in_rules, kept_tiles
 from qdenv.domains.measures import weigh_alike
 from qdenv.lazy import jax
 from qdenv.registry import Registry
-from qdenv.types import Array, InputError, Measure, Rules, TaskRule
+from qdenv.types import Array, InputError, Measure, Rules, TaskRule, Tile
 
 # An entry's maker is called as make(settings) and returns a `Domain`.
 DOMAINS = Registry(
@@ -40,10 +42,26 @@ class DomainConfig:
     Attributes:
         rows: rows of the whole layout, frame included.
         cols: columns of the whole layout, frame included.
+        keep: rows of a drawing of the whole layout: a tile where a cell must hold it, ``?`` where
+            anything may be; empty where nothing is kept.
     """
 
     rows: int = 33
     cols: int = 36
+    # No option of its own: a drawing comes in a file.
+    keep: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = field(
+        default=(), kw_only=True
+    )
+
+    def for_area(self, ratio: float, given: Collection[str]) -> Self:
+        """Let further numbers follow the area of the layout; numbers of tiles did already.
+
+        Args:
+            ratio: how much larger the generated area is than the one these numbers were for.
+            given: names of the settings that stay as they are.
+        """
+        del ratio, given
+        return self
 
 
 class Simulator(NamedTuple):
@@ -93,6 +111,7 @@ class Domain:
             of the archive is the best; None for the first.
         marks: layout int8 [H, W] -> cells that pictures name, like the start and the goal where
             the layout itself decides them; None for none.
+        meanings: what the tiles mean to people, by their symbols.
     """
 
     config: Any
@@ -111,6 +130,12 @@ class Domain:
     objective_name: str = "objective"
     tie_break: str | None = None
     marks: Callable[[np.ndarray], Mapping[str, int]] | None = None
+    meanings: Mapping[str, Tile] = field(default_factory=dict)
+
+    @property
+    def names(self) -> dict[str, str]:
+        """How legends and tables call the tiles, by their symbols."""
+        return {symbol: tile.name for symbol, tile in self.meanings.items()}
 
     @property
     def name(self) -> str:
@@ -133,14 +158,15 @@ class Domain:
         return {name: getattr(self.config, name) for name in self.counted}
 
     def resized(self, rows: int, cols: int, numbers: Mapping[str, int] | None = None) -> Domain:
-        """Make the same domain at another size.
+        """Make the same domain at another size; what was to be kept is, where the size stays.
 
         Args:
             rows: rows of the framed layout.
             cols: columns of the framed layout.
             numbers: exact numbers of tiles; those left out follow the generated area.
         """
-        empty = make_domain(replace(self.config, rows=rows, cols=cols))
+        stays = {} if (rows, cols) == self.shape else {"keep": ()}
+        empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
         area = empty.generated_shape[0] * empty.generated_shape[1]
         own_area = self.generated_shape[0] * self.generated_shape[1]
         scaled = {name: round(number * area / own_area) for name, number in self.numbers.items()}
@@ -159,6 +185,17 @@ class Domain:
         }
         rows, cols = layout.shape
         return self.resized(rows, cols, own | dict(numbers or {}))
+
+    def keeping(self, keep: tuple[str, ...]) -> Domain:
+        """Make the same domain with other cells that must stay as they are drawn.
+
+        Args:
+            keep: as in `DomainConfig`.
+
+        Raises:
+            InputError: the drawing has another shape, or a cell names no tile.
+        """
+        return make_domain(replace(self.config, keep=keep))
 
     def with_numbers(self, numbers: Mapping[str, int]) -> Domain:
         """Make the same domain with other exact numbers of tiles.
@@ -180,9 +217,17 @@ def make_domain(config: Any) -> Domain:
     again; settings must be hashable therefore.
 
     Raises:
-        InputError: the type of `config` is not registered.
+        InputError: the type of `config` is not registered, or the cells to keep are drawn wrong.
     """
-    return DOMAINS.make(config)
+    domain: Domain = DOMAINS.make(config)
+    if not config.keep:
+        return domain
+    kept, rules = kept_tiles(config.keep, domain.tiles, domain.shape), domain.rules
+    return replace(
+        domain,
+        frame=keep_in_frame(domain.frame, kept),
+        rules=None if rules is None else lambda: keep_in_rules(rules(), kept),
+    )
 
 
 def find_domain(name: str) -> Domain:

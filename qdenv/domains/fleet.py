@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 from qdenv.domains.base import DomainConfig, Simulator
 from qdenv.lazy import jax
@@ -23,6 +24,13 @@ class FleetDomainConfig(DomainConfig):
     """
 
     fleet: FleetConfig = field(default_factory=FleetConfig)
+
+    def for_area(self, ratio: float, given: Collection[str]) -> Self:
+        """Let the number of agents follow the area."""
+        if "agents" in given:
+            return self
+        agents = max(1, round(self.fleet.agents * ratio))
+        return replace(self, fleet=replace(self.fleet, agents=agents))
 
 
 def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:

@@ -15,10 +15,17 @@ from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
 from qdenv.score import layout as score
 from qdenv.simulate.mapf.goals import beside_goal
-from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Traffic
+from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Tile, Traffic
 
 TILES = ".012e"
 STATIONS = "012"
+MEANINGS: dict[str, Tile] = {
+    ".": Tile("empty", "robots drive past the stations"),
+    "0": Tile("station 0", "the first of three kinds; needs an endpoint beside it", True),
+    "1": Tile("station 1", "the second kind, where robots go next", True),
+    "2": Tile("station 2", "the third kind, the last of a task", True),
+    "e": Tile("endpoint", "robots stay here while served; needs a station beside it"),
+}
 STATION_WEIGHT = 5.0  # p_i of a generated station in the similarity (appendix C.2.1)
 
 
@@ -76,11 +83,12 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         objective_name=THROUGHPUT,
         similarity_weights=similarity_weights,
         measures=(
-            Measure("workstations", 0, 600, 100, workstations),
+            Measure("workstations", 0, 600, 100, workstations, "area"),
             environment_entropy(len(TILES)),
         ),
         # As many stations of each kind as agents stay there, so that none is a bottleneck.
         human=lambda: parse(designs.stations(*shape, config.stays), TILES),
+        meanings=MEANINGS,
     )
 
 

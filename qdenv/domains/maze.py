@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -16,12 +17,16 @@ from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
 from qdenv.score import layout as score
 from qdenv.simulate.maze import world
-from qdenv.types import Array, Measure
+from qdenv.types import Array, Measure, Tile
 
 if TYPE_CHECKING:
     from qdenv.simulate.maze import episode, policy
 
 MARGIN = (1, 1)
+MEANINGS = {
+    " ": Tile("empty", "the agent walks here; the longest path joins start and goal"),
+    "X": Tile("wall", "the agent goes around it", True, also="#@"),
+}
 # On an accelerator all episodes of a population run side by side to the horizon; on a CPU one
 # layout's at a time, because then the layout's episodes may stop with the last of them.
 ACCELERATOR_LANES = 7500
@@ -42,6 +47,12 @@ class MazeConfig(DomainConfig):
     cols: int = 18
     timesteps: int = 648
     agent: str = ""
+
+    def for_area(self, ratio: float, given: Collection[str]) -> Self:
+        """Let the length of an episode follow the area."""
+        if "timesteps" in given:
+            return self
+        return replace(self, timesteps=max(1, round(self.timesteps * ratio)))
 
 
 @dataclass(frozen=True)
@@ -105,9 +116,9 @@ def start_and_goal(layout: np.ndarray) -> dict[str, int]:
     return {"start": int(course.start), "goal": int(course.goal)} if course.length else {}
 
 
-WALL_COUNT = Measure("number of walls", 0, 256, 256, walls)
+WALL_COUNT = Measure("number of walls", 0, 256, 256, walls, "area")
 LAYOUT_ENTROPY = environment_entropy(len(world.TILES), MARGIN)
-PATH_LENGTH = Measure("mean agent path length", 0, 648, 162, path_length)
+PATH_LENGTH = Measure("mean agent path length", 0, 648, 162, path_length, "timesteps")
 
 
 def maze(config: MazeConfig) -> Domain:
@@ -128,6 +139,7 @@ def maze(config: MazeConfig) -> Domain:
         tie_break="shortest",
         marks=start_and_goal,
         measures=(first, PATH_LENGTH),
+        meanings=MEANINGS,
     )
 
 

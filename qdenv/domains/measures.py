@@ -20,7 +20,10 @@ def environment_entropy(kinds: int, margin: tuple[int, int] = (0, 0)) -> Measure
 
     def value(layout: jax.Array, runs: Any) -> jax.Array:
         del runs
-        return score.entropy(inside_frame(layout, margin), kinds)
+        area = inside_frame(layout, margin)
+        # A tile that no generator draws is there only where somebody keeps it: it counts as the
+        # first, since a pattern of it has no number.
+        return score.entropy(jnp.where(area < kinds, area, 0), kinds)
 
     return Measure("environment entropy", 0, 1, 100, value)
 

@@ -20,10 +20,26 @@ from qdenv.lazy import jax
 from qdenv.registry import Entry
 from qdenv.score import layout as score
 from qdenv.simulate.mapf.goals import favour_left, tile_goal
-from qdenv.types import Adjacency, Array, Count, InputError, Measure, Rules, TaskRule, Traffic
+from qdenv.types import (
+    Adjacency,
+    Array,
+    Count,
+    InputError,
+    Measure,
+    Rules,
+    TaskRule,
+    Tile,
+    Traffic,
+)
 
 TILES = ".@ew"
 GENERATED = ".@e"
+MEANINGS = {
+    ".": Tile("empty", "robots drive here"),
+    "@": Tile("shelf", "holds goods; needs an endpoint beside it", True, also="#"),
+    "e": Tile("endpoint", "robots pick goods here; needs a shelf beside it"),
+    "w": Tile("workstation", "robots deliver here; by itself in the outer columns only"),
+}
 MARGIN = (0, 2)
 STATION_SPACING = 3  # a workstation in rows 1, 4, 7, ..., never in the last row
 
@@ -63,7 +79,7 @@ class WarehouseConfig(FleetDomainConfig):
     """The numbers of a warehouse whose workstations are all drawn alike.
 
     Attributes:
-        shelves: exact number of shelves N_s.
+        shelves: how many shelves there are, exactly (N_s).
         left_odds: how much likelier a workstation on the left border is than one on the right.
     """
 
@@ -121,11 +137,12 @@ def warehouse(config: WarehouseConfig) -> Domain:
         objective=throughput,
         objective_name=THROUGHPUT,
         measures=(
-            Measure("connected shelf components", 140, 240, 100, components),
+            Measure("connected shelf components", 140, 240, 100, components, "shelves"),
             environment_entropy(len(GENERATED), MARGIN),
         ),
         human=lambda: design(config.rows, config.cols),
         counted={"shelves": "@"},
+        meanings=MEANINGS,
     )
 
 

@@ -18,7 +18,7 @@ from jax.flatten_util import ravel_pytree
 
 from qdenv.generate.decode import choose_tiles
 from qdenv.generate.generator import Canvas, Generator
-from qdenv.generate.settings import NcaConfig
+from qdenv.generate.settings import NcaConfig, check_kernels
 from qdenv.grid import parse
 from qdenv.types import Array, InputError
 
@@ -76,8 +76,7 @@ def make_automaton(
         InputError: there is no layer, or a kernel is even or not positive (an even kernel has
             no centre cell, so the drawing would drift).
     """
-    if not kernel_sizes or any(size < 1 or size % 2 == 0 for size in kernel_sizes):
-        raise InputError(f"kernel sizes {tuple(kernel_sizes)} must be positive odd numbers")
+    check_kernels(kernel_sizes)
     module = NCA(kinds, tuple(kernel_sizes), hidden)
     canvas = jnp.zeros((1, 1, kinds))
     variables = jax.tree.map(

@@ -1,9 +1,20 @@
 """The settings of the generators: what a user may choose."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from qdenv.registry import Entry
 from qdenv.types import InputError
+
+
+def check_kernels(sizes: Sequence[int]) -> None:
+    """Refuse kernels that are even or not positive: without a centre cell the drawing would drift.
+
+    Raises:
+        InputError: one is, or there is none.
+    """
+    if not sizes or any(size < 1 or size % 2 == 0 for size in sizes):
+        raise InputError(f"kernel sizes {tuple(sizes)} must be positive odd numbers")
 
 
 @dataclass(frozen=True)
@@ -11,9 +22,9 @@ class NcaConfig:
     """The numbers of a neural cellular automaton.
 
     Attributes:
-        steps: NCA steps C.
-        kernel_sizes: kernel widths of the convolutions.
-        hidden: channels of the hidden layers.
+        steps: how often the drawing grows, the NCA steps C.
+        kernel_sizes: widths of the kernels of its convolutions, in cells.
+        hidden: channels of its hidden layers.
     """
 
     steps: int = 50
@@ -21,12 +32,12 @@ class NcaConfig:
     hidden: int = 32
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no automaton."""
-        if self.steps < 0 or self.hidden < 1:
+        """Refuse what draws nothing."""
+        if self.steps < 1 or self.hidden < 1:
             raise InputError(
-                f"an automaton takes 0 steps or more and has at least 1 hidden channel, not "
-                f"{self.steps} and {self.hidden}"
+                f"{self.steps} steps of growth, {self.hidden} hidden channels: give 1 or more"
             )
+        check_kernels(self.kernel_sizes)
 
 
 NCA_GENERATOR = Entry(NcaConfig, "qdenv.generate.nca:nca")

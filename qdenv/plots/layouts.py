@@ -1,7 +1,8 @@
 """Pictures of layouts: one colour per tile, and what a repair changed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,45 +13,41 @@ from matplotlib.patches import Patch
 from qdenv.plots.figure import new_figure, save_figure
 from qdenv.types import Array
 
+# Told apart by colour-blind eyes too, within each alphabet (tests measure it).
 COLOURS = {
     ".": "#ffffff",
     "@": "#2b2b2b",
     "e": "#9dc3f2",
-    "w": "#f4a6c8",
-    "0": "#d64545",
-    "1": "#4aa564",
-    "2": "#f2c94c",
+    "w": "#e69f00",
+    "0": "#d55e00",
+    "1": "#3b2a8c",
+    "2": "#f2d64b",
     "X": "#8a8a8a",
     " ": "#ffffff",
 }
-NAMES = {
-    ".": "empty",
-    "@": "shelf",
-    "e": "endpoint",
-    "w": "workstation",
-    "0": "station 0",
-    "1": "station 1",
-    "2": "station 2",
-    "X": "wall",
-    " ": "empty",
-}
 UNKNOWN = "#b39ddb"  # tiles of a user's own domain
 LINES = "#d9d9d9"
-CHANGED = "#e8590c"
-CELL = 0.14  # inches per cell, so that the tiles of a 33 x 36 layout are told apart at a glance
-LARGEST = 14.0  # inches
-LEGEND_ENTRY = 1.15  # inches that an entry of the legend takes
+CHANGED = "#e8108c"
+CELL = 0.16  # inches per cell, so that tiles are told apart at a glance
+SMALLEST, LARGEST = 4.5, 12.0  # inches of the longer side of one layout
+FINE = 60  # rows or columns beyond which lines would hide the tiles
+LABELS = (1, 2, 5, 10, 20, 50, 100, 200)  # rows from one numbered row to the next
+LETTER = 0.52  # of a letter's height: its width
 PANEL = 2.9  # inches of a panel of a series
 PANELS = 6  # side by side, as in Figure 6
+NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
-def draw_layout(layout: Array, tiles: str, ax: Axes | None = None) -> Axes:
+def draw_layout(
+    layout: Array, tiles: str, ax: Axes | None = None, names: Mapping[str, str] = NO_NAMES
+) -> Axes:
     """Draw a layout with a legend of the tiles it holds.
 
     Args:
         layout: int8 [H, W].
         tiles: the alphabet.
         ax: where to draw; a new figure unless given.
+        names: how the legend calls the tiles, by their symbols.
 
     Returns:
         The axes; their figure is registered nowhere and vanishes with them.
@@ -60,46 +57,61 @@ def draw_layout(layout: Array, tiles: str, ax: Axes | None = None) -> Axes:
     colours = ListedColormap([COLOURS.get(tile, UNKNOWN) for tile in tiles])
     ax.imshow(layout, cmap=colours, vmin=-0.5, vmax=len(tiles) - 0.5, interpolation="nearest")
     rows, cols = layout.shape
-    if max(rows, cols) <= 60:  # finer than this, lines hide the tiles
+    if max(rows, cols) <= FINE:
         ax.set_xticks(np.arange(cols + 1) - 0.5, minor=True)
         ax.set_yticks(np.arange(rows + 1) - 0.5, minor=True)
         ax.grid(which="minor", color=LINES, linewidth=0.4)
     ax.tick_params(which="both", length=0, labelbottom=False, labelleft=False)
-    present = [kind for kind in range(len(tiles)) if (layout == kind).any()]
+    counts = [int((layout == kind).sum()) for kind in range(len(tiles))]
     handles = [
         Patch(
-            facecolor=COLOURS.get(tiles[kind], UNKNOWN),
+            facecolor=COLOURS.get(tile, UNKNOWN),
             edgecolor="#999999",
-            label=f"{NAMES.get(tiles[kind], repr(tiles[kind]))} {np.sum(layout == kind)}",
+            label=f"{names.get(tile, repr(tile))}: {count} cell{'s' * (count != 1)}",
         )
-        for kind in present
+        for tile, count in zip(tiles, counts, strict=True)
+        if count
     ]
+    _add_legend(ax, handles)
+    return ax
+
+
+def _add_legend(ax: Axes, handles: list[Patch]) -> None:
+    """Put a legend under a layout, in letters that grow with it and as wide as it is."""
     inches = ax.get_window_extent().width / ax.figure.dpi
+    points = float(np.clip(1.6 * inches, 8, 14))
+    longest = max(len(str(handle.get_label())) for handle in handles)
+    entry = (longest * LETTER + 3) * points / 72
     ax.legend(
         handles=handles,
         loc="upper center",
         bbox_to_anchor=(0.5, -0.01),
-        ncols=max(1, min(len(handles), int(inches / LEGEND_ENTRY))),
+        ncols=int(np.clip(inches / entry, 1, len(handles))),
         frameon=False,
-        fontsize=8,
+        fontsize=points,
         handlelength=1.0,
         columnspacing=1.2,
     )
-    return ax
 
 
-def save_layout(path: str | Path, layout: Array, tiles: str) -> None:
+def save_layout(
+    path: str | Path, layout: Array, tiles: str, names: Mapping[str, str] = NO_NAMES
+) -> None:
     """Save a picture of `layout` (int8 [H, W]); the ending of `path` chooses the format.
+
+    Rows and columns are numbered from 0, as messages number them; `names` are the legend's.
 
     Raises:
         InputError: the place cannot be written to.
     """
     figure = _new_figure(np.shape(layout), 1)
-    draw_layout(layout, tiles, figure.axes[0])
+    _number_cells(draw_layout(layout, tiles, figure.axes[0], names))
     save_figure(figure, path, crop=True)
 
 
-def save_difference(path: str | Path, before: Array, after: Array, tiles: str) -> None:
+def save_difference(
+    path: str | Path, before: Array, after: Array, tiles: str, names: Mapping[str, str] = NO_NAMES
+) -> None:
     """Save `before` and `after` (int8 [H, W]) side by side, every changed cell framed.
 
     Raises:
@@ -109,12 +121,21 @@ def save_difference(path: str | Path, before: Array, after: Array, tiles: str) -
     figure = _new_figure(before.shape, 2)
     changed = np.argwhere(before != after)
     for ax, layout, title in zip(figure.axes, (before, after), ("before", "after"), strict=True):
-        draw_layout(layout, tiles, ax)
+        _number_cells(draw_layout(layout, tiles, ax, names))
         ax.set_title(f"{title}, {len(changed)} cells changed" if title == "after" else title)
         row, col = changed.T if len(changed) else (np.zeros(0), np.zeros(0))
-        side = 0.85 * 72 * _scale(before.shape)
-        ax.scatter(col, row, s=side**2, marker="s", facecolors="none", edgecolors=CHANGED, lw=0.9)
+        side = 0.85 * 72 * _scale(before.shape, 2)
+        ax.scatter(col, row, s=side**2, marker="s", facecolors="none", edgecolors=CHANGED, lw=1.2)
     save_figure(figure, path, crop=True)
+
+
+def _number_cells(ax: Axes) -> None:
+    """Number rows at the left and columns at the top, as many as can be read."""
+    for axis, limits in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+        count = round(abs(limits[1] - limits[0]))
+        step = next((step for step in LABELS if count / step <= 12), LABELS[-1])
+        axis.set_ticks(np.arange(0, count, step))
+    ax.tick_params(which="major", labeltop=True, labelleft=True, labelsize=8, labelcolor="#666666")
 
 
 def save_frames(
@@ -145,17 +166,19 @@ def save_frames(
     save_figure(figure, path)
 
 
-def _scale(shape: tuple[int, ...]) -> float:
-    """Inches per cell of a layout of this shape."""
-    return min(CELL, LARGEST / max(shape))
+def _scale(shape: tuple[int, ...], panels: int = 1) -> float:
+    """Inches per cell of layouts of this shape, so many side by side."""
+    longest = max(shape)
+    return float(np.clip(CELL * longest, SMALLEST, LARGEST / np.sqrt(panels))) / longest
 
 
 def _new_figure(shape: tuple[int, ...], panels: int) -> Figure:
     """Make a figure with `panels` axes side by side, sized so that cells are square."""
-    rows, cols = (side * _scale(shape) for side in shape)
-    figure = new_figure(panels * (cols + 0.3), rows + 0.75, arrange=False)
+    rows, cols = (side * _scale(shape, panels) for side in shape)
+    gap = 0.45
+    figure = new_figure(panels * (cols + gap), rows + 0.9, arrange=False)
     width, height = figure.get_size_inches()
     for panel in range(panels):
-        left = (panel * (cols + 0.3) + 0.15) / width
-        figure.add_axes((left, 0.42 / height, cols / width, rows / height))
+        left = (panel * (cols + gap) + gap) / width
+        figure.add_axes((left, 0.45 / height, cols / width, rows / height))
     return figure

@@ -7,6 +7,7 @@ from qdenv.repair.facts import Facts
 from qdenv.types import Rules
 
 CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
+BESIDE = CROSS & ~np.pad([[True]], 1)
 
 
 def impossible(rules: Rules) -> str | None:
@@ -38,7 +39,7 @@ def find_contradiction(facts: Facts) -> str | None:
                 f"{bound.low} {bound.tiles!r} are asked for but a connected driving area "
                 f"can reach at most {most}"
             )
-    return _find_cut_off(facts)
+    return _find_unserved(facts) or _find_cut_off(facts)
 
 
 def _count_servable(facts: Facts, tiles: str) -> int:
@@ -57,6 +58,18 @@ def _count_servable(facts: Facts, tiles: str) -> int:
     joints = serves & ndimage.binary_dilation(driving & ~serves, CROSS)
     parts = max(2, int(joints.sum()))
     return int(2 * (serves.sum() + (holds & ~serves).sum()) + parts) // 3
+
+
+def _find_unserved(facts: Facts) -> str | None:
+    """Name a fixed tile that needs a neighbour which no cell beside it may be."""
+    for tiles, needs in facts.rules.adjacency:
+        alone = facts.must(tiles) & ~ndimage.binary_dilation(facts.may(needs), BESIDE)
+        if alone.any():
+            row, col = np.argwhere(alone)[0]
+            return (
+                f"{tiles!r} needs {needs!r}, which no cell beside row {row}, column {col} may hold"
+            )
+    return None
 
 
 def _find_cut_off(facts: Facts) -> str | None:

@@ -1,9 +1,12 @@
 """The settings of a repair: what a user may choose, and the numbers behind each named effort."""
 
+import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from qdenv.types import InputError
+
+Polish = Literal["none", "quick", "full"]
 
 
 class MilpLimits(NamedTuple):
@@ -90,7 +93,7 @@ class RepairConfig:
         workers: threads that repair layouts of a batch; None for one per core.
     """
 
-    polish: str = "quick"
+    polish: Polish = "quick"
     moves_per_cell: int | None = None
     gap: float = 0.0
     node_limit: int | None = None
@@ -101,6 +104,8 @@ class RepairConfig:
         """Reject a polish that does not exist and numbers that count nothing."""
         if self.polish not in EFFORTS:
             raise InputError(f"polish {self.polish!r} must be one of {', '.join(EFFORTS)}")
+        if not 0 <= self.gap < math.inf or not self.time_limit > 0:
+            raise InputError(f"gap {self.gap}, time limit {self.time_limit}: give positive numbers")
         for name in ("moves_per_cell", "node_limit", "workers"):
             value = getattr(self, name)
             # Runs saved by the first version say 0 where nothing was chosen.

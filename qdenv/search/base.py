@@ -78,14 +78,3 @@ def start_solution(x0: Array | None, solution_dim: int) -> jax.Array:
 def plain_key(key: jax.Array) -> jax.Array:
     """Give the words of a random key, uint32 [2], so that a state is plain arrays throughout."""
     return jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
-
-
-def positive(**values: float) -> None:
-    """Demand that every named setting is a finite positive number.
-
-    Raises:
-        InputError: one of them is not; the line names it.
-    """
-    for name, value in values.items():
-        if not 0 < value < float("inf"):
-            raise InputError(f"{name} must be a positive number, not {value}")

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm, plain_key, positive, received, start_solution
+from qdenv.search.base import Algorithm, plain_key, received, start_solution
 from qdenv.search.emitters import (
     RANKERS,
     SELECTIONS,
@@ -43,8 +43,6 @@ def make_team(config: CmaMaeConfig, start: jax.Array) -> Emitters:
     Raises:
         InputError: a setting is out of range or unknown.
     """
-    positive(emitters=config.emitters, batch=config.batch, sigma0=config.sigma0)
-    ThresholdArchive.check(config.learning_rate, config.threshold_min)
     make_strategy = look_up(STRATEGIES, config.strategy, "strategy")
     return make_emitters(
         make_strategy(start.shape[0], config.batch, config.sigma0),

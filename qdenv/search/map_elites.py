@@ -12,7 +12,7 @@ import jax
 from qdax.core.emitters.mutation_operators import isoline_variation
 
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm, plain_key, positive, received, start_solution
+from qdenv.search.base import Algorithm, plain_key, received, start_solution
 from qdenv.search.settings import MapElitesConfig
 from qdenv.search.store import ROW, Store, StoredElites
 from qdenv.search.threshold_archive import ThresholdArchive
@@ -50,7 +50,6 @@ def map_elites(
     Raises:
         InputError: a setting is out of range.
     """
-    positive(emitters=config.emitters, batch=config.batch, sigma_iso=config.sigma_iso)
     start = start_solution(x0, solution_dim)
     batch_size = config.emitters * config.batch
     soft = config.learning_rate, config.threshold_min

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm, plain_key, positive, received, start_solution
+from qdenv.search.base import Algorithm, plain_key, received, start_solution
 from qdenv.search.settings import RandomSearchConfig
 from qdenv.search.store import ROW, Store, StoredElites
 from qdenv.types import Array, Measure, Score
@@ -39,7 +39,6 @@ def random_search(
     Raises:
         InputError: a setting is out of range.
     """
-    positive(batch=config.batch, sigma=config.sigma)
     start = start_solution(x0, solution_dim)
 
     def init(key: jax.Array) -> RandomSearchState:

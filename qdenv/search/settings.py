@@ -5,6 +5,38 @@ from dataclasses import dataclass
 from typing import Literal
 
 from qdenv.registry import Entry
+from qdenv.types import InputError
+
+# Names of `strategies.registry.STRATEGIES`, which a user may add to, of `emitters.RANKERS` and of
+# `emitters.SELECTIONS`: said here again so that a command line knows them without jax.
+Strategy = Literal["iso", "sep", "full", "lm_ma", "CMA_ES", "CR_FM_NES", "Open_ES", "SNES"]
+Ranker = Literal["imp", "2imp", "obj", "2obj"]
+Selection = Literal["mu", "filter"]
+
+
+def positive(**values: float) -> None:
+    """Demand that every named setting is a finite positive number.
+
+    Raises:
+        InputError: one of them is not; the line names it.
+    """
+    for name, value in values.items():
+        if not 0 < value < math.inf:
+            raise InputError(f"{name} must be a positive number, not {value}")
+
+
+def check_rates(learning_rate: float, threshold_min: float) -> None:
+    """Refuse numbers of a soft archive that are out of range or do not go together.
+
+    Raises:
+        InputError: they are.
+    """
+    if not 0 <= learning_rate <= 1:
+        raise InputError(f"the archive learning rate must be in [0, 1], not {learning_rate}")
+    if math.isnan(threshold_min) or threshold_min == math.inf:
+        raise InputError(f"threshold_min must be a number or -inf, not {threshold_min}")
+    if threshold_min == -math.inf and learning_rate != 1:
+        raise InputError("threshold_min = -inf needs an archive learning rate of 1")
 
 
 @dataclass(frozen=True)
@@ -21,7 +53,8 @@ class CmaMaeConfig:
             or status then objective (2obj).
         selection: parents are the better half (mu) or as many as were accepted (filter).
         restart: when nothing was accepted, never (basic), or every so many iterations.
-        strategy: a name of `STRATEGIES`.
+        strategy: how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full),
+            its limited-memory form (lm_ma), or one of evosax'.
     """
 
     emitters: int = 5
@@ -29,10 +62,15 @@ class CmaMaeConfig:
     sigma0: float = 0.2
     learning_rate: float = 0.01
     threshold_min: float = 0.0
-    ranker: str = "imp"
-    selection: str = "mu"
+    ranker: Ranker = "imp"
+    selection: Selection = "mu"
     restart: Literal["no_improvement", "basic"] | int = "no_improvement"
-    strategy: str = "iso"
+    strategy: Strategy = "iso"
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no search."""
+        positive(emitters=self.emitters, batch=self.batch, sigma0=self.sigma0)
+        check_rates(self.learning_rate, self.threshold_min)
 
 
 @dataclass(frozen=True)
@@ -41,8 +79,8 @@ class CmaMeConfig(CmaMaeConfig):
 
     learning_rate: float = 1.0
     threshold_min: float = -math.inf
-    ranker: str = "2imp"
-    selection: str = "filter"
+    ranker: Ranker = "2imp"
+    selection: Selection = "filter"
 
 
 @dataclass(frozen=True)
@@ -67,6 +105,11 @@ class MapElitesConfig:
     learning_rate: float = 1.0
     threshold_min: float = -math.inf
 
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no search."""
+        positive(emitters=self.emitters, batch=self.batch, sigma_iso=self.sigma_iso)
+        check_rates(self.learning_rate, self.threshold_min)
+
 
 @dataclass(frozen=True)
 class CmaEsConfig:
@@ -78,14 +121,19 @@ class CmaEsConfig:
         sigma0: initial step size.
         restart: never (basic), when no cell improved, or every so many iterations. A strategy
             whose distribution is degenerate restarts anyway, from a random elite.
-        strategy: a name of `STRATEGIES`.
+        strategy: how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full),
+            its limited-memory form (lm_ma), or one of evosax'.
     """
 
     emitters: int = 1
     batch: int = 50
     sigma0: float = 0.2
     restart: Literal["no_improvement", "basic"] | int = "basic"
-    strategy: str = "sep"
+    strategy: Strategy = "sep"
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no search."""
+        positive(emitters=self.emitters, batch=self.batch, sigma0=self.sigma0)
 
 
 @dataclass(frozen=True)
@@ -99,6 +147,10 @@ class RandomSearchConfig:
 
     batch: int = 50
     sigma: float = 0.2
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no search."""
+        positive(batch=self.batch, sigma=self.sigma)
 
 
 CMA_MAE = Entry(CmaMaeConfig, "qdenv.search.cma_mae:cma_mae")

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.search.archive import GridArchive
-from qdenv.types import InputError, Measure
+from qdenv.search.settings import check_rates
+from qdenv.types import Measure
 
 
 class ThresholdArchive(GridArchive):
@@ -31,16 +32,6 @@ class ThresholdArchive(GridArchive):
     thresholds: jax.Array
     learning_rate: float = flax.struct.field(pytree_node=False)
     threshold_min: float = flax.struct.field(pytree_node=False)
-
-    @staticmethod
-    def check(learning_rate: float, threshold_min: float) -> None:
-        """Raise an `InputError` where the two numbers are out of range or do not go together."""
-        if not 0 <= learning_rate <= 1:
-            raise InputError(f"the archive learning rate must be in [0, 1], not {learning_rate}")
-        if math.isnan(threshold_min) or threshold_min == math.inf:
-            raise InputError(f"threshold_min must be a number or -inf, not {threshold_min}")
-        if threshold_min == -math.inf and learning_rate != 1:
-            raise InputError("threshold_min = -inf needs an archive learning rate of 1")
 
     @classmethod
     def empty(
@@ -63,7 +54,7 @@ class ThresholdArchive(GridArchive):
         Raises:
             InputError: the measures are no grid, or the two numbers do not go together.
         """
-        cls.check(learning_rate, threshold_min)
+        check_rates(learning_rate, threshold_min)
         blank = GridArchive.empty(solution, measures, extras)
         thresholds = jnp.full_like(blank.objectives, threshold_min)
         parts = {name: getattr(blank, name) for name in GridArchive.__dataclass_fields__}

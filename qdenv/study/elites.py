@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from qdenv.repair.bounds import impossible
 from qdenv.repair.recipe import repair
 from qdenv.repair.settings import RepairConfig
 from qdenv.settings import EvaluationConfig
+from qdenv.study.keeping import keep_from
 from qdenv.training.elite import Elite
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, Repair, RepairStatus
@@ -92,6 +94,7 @@ def grow_elite(
     shape: tuple[int | None, int | None] = (None, None),
     steps: int | None = None,
     numbers: Mapping[str, int] | None = None,
+    keep: Path | None = None,
 ) -> Grown:
     """Grow an elite of a run at any size; nothing is repaired yet.
 
@@ -102,14 +105,18 @@ def grow_elite(
         steps: steps of growth; scaled with the longer side unless given.
         numbers: exact numbers of tiles by the settings' names; those left out are scaled with
             the generated area.
+        keep: drawing of the layout's shape with the tiles that must stay; at the trained size
+            what the run kept unless given.
 
     Raises:
-        InputError: there is no such elite, or the size is impossible.
+        InputError: there is no such elite, the size is impossible, or what must stay is.
     """
     config = run.config.evaluation
     trained = make_domain(config.domain)
     rows, cols = shape[0] or trained.shape[0], shape[1] or trained.shape[1]
     domain = trained.resized(rows, cols, numbers)
+    if keep is not None:
+        domain = keep_from(keep, domain)
     if steps is None:
         longer = max(rows / trained.shape[0], cols / trained.shape[1], 1)
         steps = round(GENERATORS.make(config.generator, canvas_of(trained)).steps * longer)

@@ -1,14 +1,15 @@
 """A layout file and the domain it belongs to."""
 
 import contextlib
-import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.domains.base import Domain, find_domain
-from qdenv.formats.layouts import read_layout
+from qdenv.domains.base import DOMAINS, Domain, find_domain
+from qdenv.formats.drawings import read_drawing
+from qdenv.formats.layouts import aliases, to_layout
 from qdenv.types import InputError
 
 USUAL = "warehouse-even"  # the domain where nothing says otherwise
@@ -29,22 +30,52 @@ class Plan(NamedTuple):
     domain: Domain
     assumed: bool
 
+    @property
+    def whose(self) -> str:
+        """Say whose layout it is, and how that is known, as commands print it."""
+        how = " (assumed from the tiles; --domain chooses another)" if self.assumed else ""
+        return f"domain {self.domain.name}{how}"
+
 
 def read_plan(path: str | Path, domain: str | None = None) -> Plan:
     """Read a layout and find its domain.
 
     Args:
-        path: the file.
-        domain: name of its domain; what the file says unless given.
+        path: a .json, .txt, .csv or .map file.
+        domain: name of its domain. Unless given: what the file says, else the usual one where its
+            tiles fit, else the first one whose tiles do.
 
     Raises:
         InputError: the file holds no layout, or says that it is another domain's.
     """
-    said = None
-    with contextlib.suppress(OSError, ValueError, AttributeError):  # what is wrong is said below
-        said = json.loads(Path(path).read_text(encoding="utf-8-sig")).get("domain")
-    if said and domain and said != domain:
+    drawing = read_drawing(path)
+    said = drawing.domain
+    if said and domain and said != domain and said in DOMAINS.names():
         raise InputError(f"{path}: the file says {said}: leave --domain out, or change the file")
-    found = find_domain(domain or said or USUAL)
-    assumed = not (domain or said)
-    return Plan(Path(path).stem, read_layout(path, found.tiles), found, assumed)
+    if said and not domain and said not in DOMAINS.names():
+        raise InputError(
+            f"{path}: the file says domain {said!r}, which is unknown: "
+            f"--domain chooses one of {', '.join(DOMAINS.names())}"
+        )
+    chosen = domain or said
+    found = find_domain(chosen) if chosen else _guess_domain(set("".join(drawing.rows)))
+    layout = to_layout(drawing.rows, path, found.tiles, found.meanings, found.name)
+    return Plan(Path(path).stem, layout, found, assumed=not chosen)
+
+
+def _guess_domain(symbols: set[str]) -> Domain:
+    """Find whose tiles `symbols` are: drawn as they are, else with other symbols for the same."""
+    for domain in _domains():
+        if symbols <= set(domain.tiles):
+            return domain
+    for domain in _domains():
+        if symbols <= {*domain.tiles, *aliases(domain.tiles, domain.meanings)}:
+            return domain
+    return find_domain(USUAL)
+
+
+def _domains() -> Iterator[Domain]:
+    """Make the domains one after the other, the usual one first."""
+    for name in dict.fromkeys((USUAL, *DOMAINS.names())):
+        with contextlib.suppress(InputError):  # somebody else's broken plug-in
+            yield find_domain(name)

@@ -3,7 +3,7 @@
 import dataclasses
 from pathlib import Path
 from types import UnionType
-from typing import Any, Union, get_origin
+from typing import Any, Literal, Union, get_origin
 
 import cattrs
 from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn, override
@@ -117,9 +117,9 @@ def _converter() -> cattrs.Converter:
         }
         return make_dict_unstructure_fn(cls, converter, **hooks)
 
-    # JSON itself tells a number from a word.
+    # JSON itself tells a number from a word; a word may name what a user has registered.
     converter.register_structure_hook_func(
-        lambda kind: get_origin(kind) in (Union, UnionType), lambda value, _: value
+        lambda kind: get_origin(kind) in (Union, UnionType, Literal), lambda value, _: value
     )
     converter.register_structure_hook_factory(dataclasses.is_dataclass, structure_fields)
     converter.register_unstructure_hook_factory(dataclasses.is_dataclass, unstructure_fields)

@@ -51,15 +51,21 @@ class Progress(event.Listener):
         self._bar = tqdm(
             total=self._total, initial=done, unit="eval", disable=not self._shown, smoothing=0.1
         )
-        self._since = time.perf_counter()
+        self._done, self._since = done, time.perf_counter()
         if self._shown:
             threading.Thread(target=self._tick, daemon=True).start()
 
-    def update(self, evaluations: int, state: str) -> None:
-        """Move on by so many evaluations and say how the search stands."""
+    def advance(self, evaluations: int) -> None:
+        """Move on within an iteration; any thread may call this."""
         self._moves.set()
-        self._bar.set_postfix_str(state, refresh=False)
         self._bar.update(evaluations)
+
+    def update(self, evaluations: int, state: str) -> None:
+        """End an iteration of so many evaluations and say how the search stands."""
+        self._moves.set()
+        self._done += evaluations
+        self._bar.set_postfix_str(state, refresh=False)
+        self._bar.update(self._done - self._bar.n)
         self._bar.refresh()  # a tick a moment ago would make tqdm leave this state out
 
     def over_pipeline(self, pipeline: Pipeline) -> Pipeline:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from qdenv.devices import Backend
+from qdenv.devices import Backend, check_backend
 from qdenv.registry import Entry
 
 
@@ -16,6 +16,10 @@ class PibtConfig:
     """
 
     backend: Backend = "auto"
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown backend."""
+        check_backend(self.backend)
 
 
 PIBT = Entry(PibtConfig, "qdenv.simulate.mapf.pibt.planner:pibt")

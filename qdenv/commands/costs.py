@@ -1,0 +1,63 @@
+"""What a search costs on this machine: measured here where one ran before, else estimated."""
+
+import json
+import os
+from pathlib import Path
+
+from qdenv.files import write_json
+from qdenv.training.config import RunConfig
+from qdenv.types import InputError
+
+# CPU seconds of one evaluation, measured on two cores of a cloud machine.
+CPU_SECONDS = {
+    "quick": 0.06,
+    "laptop": 0.91,
+    "warehouse-even": 0.91,
+    "warehouse-uneven": 0.95,
+    "manufacturing": 1.08,
+    "manufacturing-quick": 0.1,
+    "maze-walls": 0.1,
+    "maze-entropy": 0.1,
+    "maze-quick": 0.02,
+}
+START = 30  # seconds until a first run is compiled; later ones find what it left
+
+
+def describe_cost(preset: str, config: RunConfig) -> str:
+    """Say how long a preset takes here, like "about 8 min"; "" where nothing is known."""
+    measured = _read().get(preset)
+    own = {"-a1": "", "-a0": ""}
+    known = CPU_SECONDS.get(preset) or CPU_SECONDS.get(preset[:-3] if preset[-3:] in own else "")
+    seconds = measured or (known / (os.cpu_count() or 1) if known else None)
+    if seconds is None:
+        return ""
+    how = "as measured here" if measured else "an estimate"
+    return f"about {in_words(seconds * config.evaluations)} ({how})"
+
+
+def in_words(seconds: float) -> str:
+    """Say a duration in the unit a person would choose."""
+    for unit, length in {"days": 86400, "h": 3600, "min": 60}.items():
+        if seconds >= 1.5 * length:
+            return f"{seconds / length:.0f} {unit}"
+    return f"{max(seconds, 1):.0f} s"
+
+
+def remember(preset: str, seconds_per_evaluation: float) -> None:
+    """Keep what an evaluation of a preset took on this machine."""
+    try:
+        write_json(_file(), _read() | {preset: float(f"{seconds_per_evaluation:.3g}")})
+    except InputError:  # a home that cannot be written to is no reason to fail a run
+        return
+
+
+def _file() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "qdenv" / "costs.json"
+
+
+def _read() -> dict[str, float]:
+    try:
+        content = json.loads(_file().read_text())
+    except (OSError, ValueError):
+        return {}
+    return {name: value for name, value in content.items() if isinstance(value, float | int)}

@@ -1,0 +1,53 @@
+"""What the parser of the command line says of a mistake, in one line."""
+
+import difflib
+import re
+from collections.abc import Iterable
+
+BORDERS = "│╭╮╰╯─"
+
+
+def one_line(box: str, program: str) -> str:
+    """Reduce the parser's framed message to one line that says what to do.
+
+    Args:
+        box: what it printed.
+        program: the command, like "qdenv simulate".
+    """
+    lines = [line.strip(BORDERS + " ") for line in box.splitlines()]
+    parts = "\n".join(lines[1:]).split("\n\n")  # a ruled line is empty without its rule
+    said, hints = " ".join(parts[0].split()), " ".join(" ".join(parts[1:]).split())
+    return f"{_reworded(said, hints)} (`{program} --help` lists the options)"
+
+
+def _reworded(said: str, hints: str) -> str:
+    """Say a message of the parser as the other messages of the program are said."""
+    if match := re.match(r"Unrecognized options: (\S+?),?(?: |$)", said):
+        word = match[1]
+        close = re.search(r"Perhaps you meant: (--[\w-]+)", hints)
+        what = "option" if word.startswith("-") else "argument"
+        return f"unknown {what} {word}" + (f": did you mean {close[1]}?" if close else "")
+    if match := re.match(r"Error parsing (\S+): invalid literal for int.*: ('.*')", said):
+        return f"{match[1]} {match[2]} is no whole number"
+    if match := re.match(r"Error parsing (\S+): could not convert string to float: ('.*')", said):
+        return f"{match[1]} {match[2]} is no number"
+    if match := re.match(
+        r"invalid choice '(.*)' for argument '(\S+)'\. Expected one of \((.*)\)", said
+    ):
+        return f"{match[2]} {match[1]}: choose one of {match[3].replace(chr(39), '').strip(' ,')}"
+    if match := re.match(r"Missing value for argument '(\S+?)'\.", said):
+        return f"{match[1].split(',')[0]} needs a value"
+    if match := re.match(r"Missing from .*?: (\S+) (?:[A-Z|{}\[\]]+ )?(.*?)\(required\)", said):
+        return f"{match[1]} is missing: {match[2].strip(' .')}"
+    return said.rstrip(".")
+
+
+def unknown_command(word: str, known: Iterable[str]) -> str:
+    """Say that no command has this name, and which one may have been meant."""
+    known = list(known)
+    longer = [name for name in known if name.startswith(f"{word} ")]
+    close = difflib.get_close_matches(word, known, 1)
+    if longer:
+        return f"{word} what? `qdenv {'`, `qdenv '.join(longer)}`"
+    guess = f"did you mean `qdenv {close[0]}`?" if close else "`qdenv --help` lists the commands"
+    return f"unknown command {word!r}: {guess}"

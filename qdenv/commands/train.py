@@ -1,0 +1,134 @@
+"""The command train: a preset, what is chosen by name, and what follows from the size."""
+
+import functools
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from qdenv.commands.choices import (
+    choose_algorithm,
+    choose_domain,
+    choose_planner,
+    names_of,
+    take,
+)
+from qdenv.commands.costs import describe_cost
+from qdenv.commands.keeping import choose_keep
+from qdenv.domains.base import DOMAINS
+from qdenv.presets import PRESETS, find_preset
+from qdenv.search.registry import ALGORITHMS
+from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.training.config import RunConfig
+from qdenv.training.feasible import check_feasible
+from qdenv.training.following import follow_size
+from qdenv.types import InputError
+
+FIRST = "quick"  # the preset where none is named
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is searched, and where the run goes.
+
+    Attributes:
+        config: the preset's settings.
+        domain: another domain in place of the preset's, at its size.
+        effort: of the fleet's planner: low inside a search, high for numbers to report.
+        planner: another planner, with its defaults.
+        algorithm: another search algorithm, with its defaults.
+        out: folder of the run; a fresh one under runs/ unless given.
+        keep: drawing of the layouts' shape: ? is free, a tile must be this tile in all of them.
+        progress: show a progress bar.
+    """
+
+    config: RunConfig
+    domain: Annotated[str | None, tyro.conf.arg(metavar=names_of(DOMAINS))] = None
+    effort: Literal["low", "high"] | None = None
+    planner: Annotated[str | None, tyro.conf.arg(metavar=names_of(PLANNERS))] = None
+    algorithm: Annotated[str | None, tyro.conf.arg(metavar=names_of(ALGORITHMS))] = None
+    out: Annotated[Path | None, tyro.conf.arg(aliases=("--run-dir",))] = None
+    keep: Path | None = None
+    progress: bool = True
+
+
+def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> None:
+    """Search generators of floor plans: a preset, any setting of which can be overridden.
+
+    Args:
+        preset: where to begin.
+        setup: what is searched, and where the run goes.
+        given: names of the settings that the command line states; others follow the size.
+    """
+    config, followed = follow_size(setup.config, find_preset(preset), given)
+    if setup.keep is not None:
+        config = choose_keep(config, setup.keep)
+    check_feasible(config)
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    path = setup.out or Path("runs") / f"{preset}-{stamp}"
+    if (path / "config.json").exists():
+        raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
+    if followed:
+        print(f"for this size: {followed}")
+    cost = describe_cost(preset, config)
+    print(f"{preset}: {config.evaluations} evaluations into {path}{cost and f', {cost}'}")
+    # Only now: what is above answers at once, and these import both compilers.
+    from qdenv.commands.runs import report
+    from qdenv.training import loop
+
+    report(loop.train(config, path, progress=setup.progress))
+
+
+def bind(command: Callable, arguments: Sequence[str]) -> Callable:
+    """Give the command its options: which there are depends on what is chosen by name.
+
+    Args:
+        command: `train`.
+        arguments: the command line after its name.
+
+    Raises:
+        InputError: a preset or a name is unknown.
+    """
+    named = bool(arguments) and not arguments[0].startswith("-")
+    preset = arguments[0] if named else FIRST
+    config, rest = find_preset(preset), list(arguments[named:])
+    # Chosen before the options are listed, which the choices decide.
+    for option, choose in {"--domain": choose_domain, "--algorithm": choose_algorithm}.items():
+        name, rest = take(rest, option)
+        config = config if name is None else choose(config, name)
+    effort, rest = take(rest, "--effort")
+    planner, rest = take(rest, "--planner")
+    config = choose_planner(config, effort, planner)
+    given = frozenset(
+        word.partition("=")[0].lstrip("-").replace("-", "_") for word in rest if word[:2] == "--"
+    )
+
+    @functools.wraps(command)
+    def bound(preset: str = preset, setup: Setup = Setup(config)) -> Any:
+        return command(preset, setup, given)
+
+    names = Literal[tuple(PRESETS)]  # type: ignore[valid-type]
+    hints: dict[str, Any] = {
+        "preset": Annotated[names, tyro.conf.Positional, tyro.conf.arg(help=_costs())],
+        "setup": Annotated[Setup, tyro.conf.OmitArgPrefixes, tyro.conf.arg(name="")],
+    }
+    parameters = [
+        inspect.Parameter(
+            name, inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=hint, default=default
+        )
+        for (name, hint), default in zip(hints.items(), (preset, Setup(config)), strict=True)
+    ]
+    del bound.__wrapped__
+    bound.__annotations__ = hints
+    bound.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return bound
+
+
+def _costs() -> str:
+    """Say what each preset takes, for help."""
+    costs = {name: describe_cost(name, config) for name, config in PRESETS.items()}
+    return "where to begin: " + "; ".join(f"{name}, {cost}" for name, cost in costs.items())

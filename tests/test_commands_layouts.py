@@ -1,0 +1,245 @@
+"""Commands about layout files: render, symbols, check, repair and what it says of a plan."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from qdenv.cli import run
+from qdenv.domains.base import find_domain
+from qdenv.formats.layouts import read_layout, write_layout
+
+TILES = ".@ew"
+PLAN = [
+    "..............",
+    "..............",
+    "..eee.eee.ee..",
+    "..@@@.@@@.@@..",
+    "..eee.eee.ee..",
+    "..............",
+    "..............",
+    "..w..w..w..w..",
+]
+DOORS = ["??????????????"] * 7 + ["??!??!??!??!??"]
+WALLS = ["!!!!!!!!!!!!!!", *["!????????????!"] * 6, "!!!!!!!!!!!!!!"]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working folder with her plan and her drawings of what must stay."""
+    monkeypatch.chdir(tmp_path)
+    for name, rows in (("plan", PLAN), ("doors", DOORS), ("walls", WALLS)):
+        (tmp_path / f"{name}.txt").write_text("\n".join(rows) + "\n")
+    return tmp_path
+
+
+def refusal(arguments: list[str], capsys) -> str:
+    """Run a command that must fail, and give the one line it says."""
+    capsys.readouterr()
+    assert run(arguments) == 2, arguments
+    said = capsys.readouterr().err
+    assert said.startswith("qdenv: ") and said.count("\n") == 1
+    return said
+
+
+def rows_of(path) -> list[str]:
+    return json.loads(path.read_text())["layout"]
+
+
+def test_a_repair_without_a_drawing_says_that_her_doors_are_gone(folder, capsys):
+    assert run(["repair", "plan.txt", "--json", "facts.json"]) == 0
+    said = capsys.readouterr().out
+    assert "warehouse-even (assumed from the tiles; --domain chooses another)" in said
+    assert "WARNING: 4 of the plan's 4 workstation cells changed, the first at row 7" in said
+    assert "--keep" in said and "plan_repaired.json" in said.splitlines()[-1]
+    after = rows_of(folder / "plan_repaired.json")
+    assert after[7] == "." * 14 and "".join(after).count("w") == 4
+    facts = json.loads((folder / "facts.json").read_text())
+    stations = next(one for one in facts["changes"] if one["tile"] == "w")
+    assert stations["removed"] == [[7, column] for column in (2, 5, 8, 11)]
+    assert stations["placed"] == [[1, 0], [1, 13], [4, 0], [4, 13]]
+    assert (stations["before"], stations["after"], stations["name"]) == (4, 4, "workstation")
+    assert facts["hamming"] == 8 and facts["valid"] and facts["settings"]["layout"] == "plan.txt"
+    # Every listed cell and no other one changed.
+    listed = {tuple(cell) for one in facts["changes"] for cell in one["removed"]}
+    pairs = ((row, col) for row in range(8) for col in range(14))
+    assert listed == {(row, col) for row, col in pairs if PLAN[row][col] != after[row][col]}
+
+
+def test_her_doors_stay_where_a_drawing_keeps_them(folder, capsys):
+    assert run(["repair", "plan.txt", "--keep", "doors.txt", "--out", "kept.json"]) == 0
+    said = capsys.readouterr().out
+    assert "WARNING" not in said and "note: 4 workstation cells are new" in said
+    after = rows_of(folder / "kept.json")
+    assert after[7] == PLAN[7] and "".join(after).count("w") == 8
+    assert run(["check", "kept.json", "--keep", "doors.txt"]) == 0
+    assert run(["check", "kept.json"]) == 1
+    assert "--keep FILE allows" in capsys.readouterr().out
+
+
+def test_a_drawing_keeps_stations_out_too(folder, capsys):
+    """With nothing but her plan on the walls, the frame's own stations are not demanded."""
+    assert run(["repair", "plan.txt", "--keep", "walls.txt"]) == 0
+    assert "nothing changed" in capsys.readouterr().out
+    assert rows_of(folder / "plan_repaired.json") == PLAN
+
+
+def test_a_plan_that_breaks_rules_is_mended_around_what_is_kept(folder):
+    rows = [row.replace("eee.eee.ee", "..e.eee.ee") for row in PLAN]
+    (folder / "broken.csv").write_text("\r\n".join(";".join(row) for row in rows))
+    assert run(["check", "broken.csv", "--keep", "walls.txt"]) == 1
+    command = ["repair", "broken.csv", "--keep", "walls.txt", "--out", "mended.txt", "--shelves"]
+    assert run([*command, "9"]) == 0
+    after = (folder / "mended.txt").read_text().splitlines()
+    assert after[0] == PLAN[0] and after[7] == PLAN[7] and "".join(after).count("@") == 9
+    assert run(["check", "mended.txt", "--keep", "walls.txt", "--shelves", "9"]) == 0
+
+
+def test_results_have_a_name_of_their_own_and_replace_nothing_by_themselves(folder, capsys):
+    assert run(["repair", "plan.txt", "--keep", "walls.txt"]) == 0
+    first = (folder / "plan_repaired.json").read_bytes()
+    assert run(["repair", "plan.txt"]) == 0
+    assert (folder / "plan_repaired.json").read_bytes() == first
+    assert (folder / "plan_repaired-2.json").read_bytes() != first
+    capsys.readouterr()
+    assert run(["repair", "plan.txt", "--out", "plan_repaired.json"]) == 0
+    assert "plan_repaired.json (replaced)" in capsys.readouterr().out
+    assert "that is what is read" in refusal(["repair", "plan.txt", "--out", "plan.txt"], capsys)
+    keep = ["repair", "plan.txt", "--keep", "doors.txt", "--out", "doors.txt"]
+    assert "that is what is read" in refusal(keep, capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["repair", "plan.txt", "--diff", "x.xyz"], "give a name that ends in .png or .svg or"),
+        (["repair", "plan.txt", "--out", "x.png"], "give a name that ends in .json or .txt or"),
+        (["repair", "plan.txt", "--out", "x.map"], "give a name that ends in .json or .txt or"),
+        (["repair", "plan.txt", "--shelves", "77"], "no repair exists"),
+        (["repair", "plan.txt", "--keep", "gone.txt"], "gone.txt: cannot be read"),
+        (["repair", "maze.txt"], "have no rules: nothing to repair"),
+        (["layout", "human", "--rows", "20", "--cols", "20", "--out", "h.png"], "ends in .json"),
+        (["layout", "human", "--rows", "10000", "--cols", "10000"], "more than 1000 rows or"),
+        (["layout", "human", "--rows", "99999999999", "--cols", "20"], "more than 1000 rows or"),
+        (["layout", "human", "--rows", "-5", "--cols", "20"], "give 1 row and 1 column or more"),
+        (["layout", "tile", "plan.txt", "--rows", "20", "--cols", "20", "--out", "h.png"], "ends"),
+        (["layout", "tile", "plan.txt", "--rows", "1001", "--cols", "20"], "more than 1000 rows"),
+        (["layout", "symbols", "--domain", "moon"], "unknown domain 'moon'"),
+        (["render", "plan.txt", "--out", "p.gif"], "ends in .png or .svg or .pdf"),
+        (["render", "plan.txt", "--out", "p.json"], "ends in .png or .svg or .pdf"),
+        (["render", "gone.txt"], "cannot be read"),
+        (["check", "plan.txt", "--domain", "manufacturing"], "'w' at row 7, column 2"),
+        (["check", "uneven.json", "--domain", "warehouse-even"], "says warehouse-uneven"),
+    ],
+)
+def test_mistakes_are_refused_in_one_line_before_a_file_is_made(arguments, reason, folder, capsys):
+    (folder / "maze.txt").write_text("XXX\nX X\nXXX\n")
+    content = {"layout": PLAN, "domain": "warehouse-uneven"}
+    (folder / "uneven.json").write_text(json.dumps(content))
+    before = sorted(folder.iterdir())
+    said = refusal(arguments, capsys)
+    # Of a tile of another domain the first one is named, wherever it is.
+    assert reason in said or re.search(r"unknown tile '@' at row 3, column 2", said)
+    assert sorted(folder.iterdir()) == before
+
+
+def test_every_format_is_checked_alike(folder, capsys):
+    layout = find_domain("warehouse-even").resized(12, 14).human()
+    meanings = find_domain("warehouse-even").meanings
+    for ending in (".json", ".txt", ".csv"):
+        write_layout(folder / f"human{ending}", layout, TILES, meanings)
+        assert run(["check", f"human{ending}", "--json", "facts.json"]) == 0
+        facts = json.loads((folder / "facts.json").read_text())
+        assert facts["valid"] and facts["broken"] == [] and facts["command"] == "check"
+        assert facts["settings"]["domain"] == "warehouse-even"
+    capsys.readouterr()
+    assert run(["check", "plan.txt", "--json", "facts.json"]) == 1
+    assert "1 rule broken" in capsys.readouterr().out
+    (broken,) = json.loads((folder / "facts.json").read_text())["broken"]
+    assert (broken["row"], broken["column"]) == (1, 0) and "(8 cells)" in broken["message"]
+
+
+def test_a_layout_of_another_domain_needs_no_option(folder, capsys):
+    factory = find_domain("manufacturing").resized(12, 14)
+    write_layout(folder / "factory.csv", factory.human(), factory.tiles)
+    assert run(["check", "factory.csv"]) == 0
+    assert "domain manufacturing (assumed" in capsys.readouterr().out
+    uneven = ["layout", "human", "--rows", "9", "--cols", "12", "--domain", "warehouse-uneven"]
+    assert run([*uneven, "--out", "un.json"]) == 0
+    capsys.readouterr()
+    assert run(["check", "un.json", "--shelves", "16"]) == 0
+    assert "domain warehouse-uneven\n" in capsys.readouterr().out
+
+
+def test_a_maze_has_no_rules_to_break(folder, capsys):
+    (folder / "maze.txt").write_text("###\n# #\n###\n")
+    assert run(["check", "maze.txt", "--domain", "maze-walls", "--json", "facts.json"]) == 0
+    assert "have no rules, none is broken" in capsys.readouterr().out
+    assert json.loads((folder / "facts.json").read_text())["rules"] is False
+
+
+def test_a_repair_draws_what_changed(folder, capsys):
+    command = ["repair", "plan.txt", "--polish", "none"]
+    assert run([*command, "--diff", "d.png"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "d.png"
+    assert run([*command, "--plot", "--repair-seed", "3", "--out", "r.json"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "r.png"
+    assert imread("d.png").shape == imread("r.png").shape
+
+
+@pytest.mark.parametrize(
+    ("ending", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")]
+)
+def test_render_draws_a_plan_of_any_format(ending, start, folder, capsys):
+    assert run(["render", "plan.txt", "--out", f"p{ending}"]) == 0
+    assert f"p{ending}: 8 x 14, domain warehouse-even (assumed" in capsys.readouterr().out
+    assert (folder / f"p{ending}").read_bytes().startswith(start)
+    if ending == ".svg":
+        drawn = (folder / "p.svg").read_text()
+        assert "<!-- shelf: 8 cells -->" in drawn and "<!-- workstation: 4 cells -->" in drawn
+
+
+def test_render_names_its_picture_after_the_plan(folder, capsys):
+    assert run(["render", "plan.txt"]) == 0 and run(["render", "plan.txt"]) == 0
+    said = capsys.readouterr().out
+    assert "plan.png: " in said and "plan-2.png: " in said and "replaced" not in said
+    height, width = imread("plan.png").shape[:2]
+    assert 600 < width < 1200 and 300 < height < width
+
+
+@pytest.mark.parametrize("side", [101, 401])
+def test_large_plans_are_drawn_a_few_pixels_a_cell(side, folder):
+    domain = find_domain("warehouse-even").resized(side, side)
+    write_layout("large.json", domain.human(), TILES)
+    assert run(["render", "large.json"]) == 0
+    height, width = imread("large.png").shape[:2]
+    assert 4 * side <= min(height, width) and max(height, width) < 2400
+
+
+def test_symbols_lists_every_tile_with_its_meaning(capsys):
+    assert run(["layout", "symbols"]) == 0
+    said = capsys.readouterr().out
+    assert "warehouse-even, warehouse-uneven\n" in said and "maze-walls, maze-entropy\n" in said
+    for line in (
+        r"'@'\s+shelf\s+drive around it\s+'#'",
+        r"'w'\s+workstation\s+drive over it",
+        r"'2'\s+station 2\s+drive around it",
+        r"'X'\s+wall\s+drive around it\s+'#' '@'",
+    ):
+        assert re.search(line, said), line
+    assert run(["layout", "symbols", "--domain", "manufacturing"]) == 0
+    assert "workstation" not in capsys.readouterr().out
+
+
+def test_baselines_go_to_files_of_their_own_and_say_so(folder, capsys):
+    human = ["layout", "human", "--rows", "9", "--cols", "12"]
+    assert run(human) == 0 and run(human) == 0
+    said = capsys.readouterr().out
+    assert "layout.json: 9 x 12, " in said and "layout-2.json: 9 x 12" in said
+    assert (folder / "layout-2.png").stat().st_size > 1000
+    tile = ["layout", "tile", "layout.json", "--rows", "13", "--cols", "16", "--seed", "4"]
+    assert run([*tile, "--out", "t.csv"]) == 0 and run([*tile[:-2], "--repair-seed", "4"]) == 0
+    one = read_layout("t.csv", TILES)
+    np.testing.assert_array_equal(one, read_layout("layout_tiled.json", TILES))
