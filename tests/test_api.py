@@ -36,6 +36,8 @@ PLAN = parse(
 )
 FLEET = {"agents": 4, "timesteps": 40, "seeds": 2, "planner": "pibt"}
 
+PIBT = {"timesteps": 40, "planner": "pibt"}  # which compiles fast
+
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
@@ -130,14 +132,14 @@ def test_repair_and_check_take_numbers_by_name(path):
 
 
 def test_compare_names_equal_names_apart(path):
-    table = qdenv.compare([path, PLAN], agents=[2, 4], domain="warehouse-uneven", timesteps=40)
+    table = qdenv.compare([path, PLAN], agents=[2, 4], domain="warehouse-uneven", **PIBT)
     assert [(row.layout, row.agents) for row in table] == [
         ("plan", 2), ("plan", 4), ("layout", 2), ("layout", 4),
     ]  # fmt: skip
     assert table[1].mean_of_all == table[3].mean_of_all
     assert table.to_pandas()["agents"].tolist() == [2, 4, 2, 4]
     assert table._repr_html_().count("<tr>") == 5
-    twice = qdenv.compare([path, path], agents=2, timesteps=40)
+    twice = qdenv.compare([path, path], agents=2, **PIBT)
     assert [row.layout for row in twice] == ["plan 1", "plan 2"]
 
 

@@ -61,5 +61,5 @@ def write_layouts(archive: Archive, folder: Path, settings: Any) -> int:
         elite = archive.elite(tuple(cell))
         details = {"objective": elite.objective, "measures": dict(elite.measures)}
         path = folder / f"{'_'.join(map(str, elite.cell))}.json"
-        write_layout(path, elite.layout, elite.tiles, domain=domain, **details)
+        write_layout(path, elite.layout, elite.meaning.tiles, domain=domain, **details)
     return len(archive)

@@ -125,7 +125,7 @@ class Archive:
             tuple(int(index) for index in self.cells[row]),
             {name: float(value) for name, value in zip(names, values, strict=True)},
             self.columns["repaired"][row],
-            self.meaning.tiles,
+            self.meaning,
         )
 
     def table(self, solutions: bool = False) -> dict[str, np.ndarray]:
