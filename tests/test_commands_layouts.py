@@ -2,15 +2,18 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from qdenv.cli import run
+from qdenv.commands.drawings import rows_of as rows_of_table
 from qdenv.domains.base import find_domain
 from qdenv.formats.layouts import read_layout, write_layout
 
+README = Path(__file__).parents[1] / "README.md"
 TILES = ".@ew"
 PLAN = [
     "..............",
@@ -231,6 +234,34 @@ def test_symbols_lists_every_tile_with_its_meaning(capsys):
         assert re.search(line, said), line
     assert run(["layout", "symbols", "--domain", "manufacturing"]) == 0
     assert "workstation" not in capsys.readouterr().out
+
+
+def test_the_readme_lists_the_symbols_as_they_are():
+    section = README.read_text().partition("## Layout files")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| (warehouse|manufacturing|maze) \| (.+) \|$", section, re.MULTILINE)
+    listed = [(domain, *(cell.strip() for cell in row.split("|"))) for domain, row in rows]
+    known = []
+    for domain, name in (("warehouse", "-even"), ("manufacturing", ""), ("maze", "-walls")):
+        for row in rows_of_table(find_domain(domain + name)):
+            symbol, tile, _, also, meaning = row
+            known.append((domain, quote(symbol), tile, quote(also), meaning))
+    assert listed == known
+
+
+def quote(cell: str) -> str:
+    return ", ".join("blank" if one == " " else f"`{one}`" for one in re.findall("'(.)'", cell))
+
+
+def test_the_readmes_plan_is_kept_as_it_says(folder):
+    section = README.read_text().partition("**What must stay.**")[2]
+    lines = section.partition("```\n")[2].partition("```")[0].splitlines()
+    plan, drawing = zip(*(line.split() for line in lines), strict=True)
+    (folder / "plan.txt").write_text("\n".join(plan))
+    (folder / "walls.txt").write_text("\n".join(drawing))
+    assert run(["repair", "plan.txt", "--keep", "walls.txt"]) == 0
+    after = rows_of(folder / "plan_repaired.json")
+    assert after == list(plan) and "".join(plan).count("w") == 6
+    assert run(["check", "plan_repaired.json", "--keep", "walls.txt"]) == 0
 
 
 def test_baselines_go_to_files_of_their_own_and_say_so(folder, capsys):
