@@ -13,8 +13,9 @@ and maze; `pipeline` is the chain on one screen; `train` is the loop with its ru
 `study` what is asked of saved layouts and runs.
 
     >>> import qdenv
-    >>> run = qdenv.train(qdenv.find_preset("quick"), "runs/first")
-    >>> qdenv.plot_run(run)
+    >>> run = qdenv.train("quick", "runs/first")
+    >>> plan = qdenv.generate(run, rows=33, cols=36)
+    >>> qdenv.simulate(plan, agents=100)
 
 A domain, planner, generator or algorithm of your own is a settings record and a function that
 makes it, paired in an `Entry`: register it (`qdenv.DOMAINS.register(name, entry)`), or name it as
@@ -22,6 +23,9 @@ an entry point of your package, so that the `qdenv` command knows it too.
 """
 
 import importlib
+import sys
+from importlib import metadata
+from types import ModuleType
 from typing import Any
 
 # Public name -> (module, name there).
@@ -32,6 +36,12 @@ _HOMES = {
     "PRESETS": ("qdenv.presets", "PRESETS"),
     "RunConfig": ("qdenv.training.config", "RunConfig"),
     "RunDirectory": ("qdenv.training.records", "RunDirectory"),
+    "check": ("qdenv.api.layouts", "check"),
+    "compare": ("qdenv.api.layouts", "compare"),
+    "render": ("qdenv.api.layouts", "render"),
+    "make_environment": ("qdenv.api.layouts", "make_environment"),
+    "read_plan": ("qdenv.api.layouts", "read_plan"),
+    "Layout": ("qdenv.api.results", "Layout"),
     "audit": ("qdenv.repair.audit", "audit"),
     "evaluate": ("qdenv.pipeline", "evaluate"),
     "find_domain": ("qdenv.domains.base", "find_domain"),
@@ -46,7 +56,7 @@ _HOMES = {
     "repair_layout": ("qdenv.repair.recipe", "repair"),
     "resume": ("qdenv.training.loop", "resume"),
     "simulate_layout": ("qdenv.study.traffic", "simulate_layout"),
-    "train": ("qdenv.training.loop", "train"),
+    "train": ("qdenv.api.runs", "train"),
     "write_layout": ("qdenv.formats.layouts", "write_layout"),
     # Extend it: any of the four.
     "Entry": ("qdenv.registry", "Entry"),
@@ -83,11 +93,53 @@ _HOMES = {
     "Score": ("qdenv.types", "Score"),
 }
 
-__all__ = sorted(_HOMES)
+# Stages of the loop whose packages are also functions of the same name: package -> its home.
+_STAGES = {
+    "generate": "qdenv.api.runs",
+    "repair": "qdenv.api.layouts",
+    "simulate": "qdenv.api.layouts",
+}
+
+__all__ = sorted({**_HOMES, **_STAGES})
+
+
+class _Stage(ModuleType):
+    """A package that is a function, too: `qdenv.repair("plan.json")` beside `qdenv.repair.audit`.
+
+    Importing a package binds it as an attribute of this module, whoever imports it and whenever: a
+    plain function of that name would be hidden by it.
+    """
+
+    @property
+    def __wrapped__(self) -> Any:
+        """The function, whose signature is this one's, too."""
+        name = self.__name__.rpartition(".")[2]
+        return getattr(importlib.import_module(_STAGES[name]), name)
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        """Call the function."""
+        return self.__wrapped__(*given, **named)
+
+
+class _Package(ModuleType):
+    """This module, which sees its packages being bound."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Make a stage callable when it is bound."""
+        if name in _STAGES and isinstance(value, ModuleType):
+            value.__class__ = _Stage
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first asked for: `import qdenv` alone is instant."""
+    if name in _STAGES:
+        return importlib.import_module(f"qdenv.{name}")
+    if name == "__version__":
+        return metadata.version("qdenv")
     if name not in _HOMES:
         raise AttributeError(f"module 'qdenv' has no attribute {name!r}")
     module, original = _HOMES[name]
@@ -96,4 +148,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """List the public names."""
-    return __all__
+    return [*__all__, "__version__"]

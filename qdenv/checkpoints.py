@@ -19,6 +19,10 @@ SCHEMA = 2  # 1: a search held one dense array of solutions for each archive; st
 PIECE = 2**24  # bytes that are copied at once
 
 
+class DamagedError(InputError):
+    """A file is not what was once written, as after a crash of the machine: others may be."""
+
+
 class Rows(NamedTuple):
     """Some rows of an array, which are copied piece by piece when they are written.
 
@@ -86,21 +90,38 @@ def write_state(
     write_arrays(path, {**arrays, member: np.frombuffer(text.encode(), np.uint8)})
 
 
+def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
+    """Read all arrays of an .npz, without pickle.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        InputError: it is damaged, or cannot be read.
+    """
+    try:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return dict(file)
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # of a dozen kinds: whatever numpy and zipfile make of wrong bytes
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise InputError(f"{path}: cannot be read ({reason})") from error
+
+
 def read_state(path: Path, member: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read what `write_state` wrote: (arrays, facts).
 
     Raises:
-        InputError: there is no such file, or it is damaged or of a newer schema.
+        DamagedError: the file is damaged.
+        InputError: there is no such file, or it is of a newer schema.
     """
     try:
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = dict(file)
+        arrays = read_arrays(path)
         facts = json.loads(arrays.pop(member).tobytes())
-        schema = facts["schema"]
+        schema = int(facts["schema"])
     except FileNotFoundError:
         raise InputError(f"there is no checkpoint {path}: nothing to resume") from None
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path} is no readable checkpoint ({error})") from error
+    except (InputError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise DamagedError(f"{path} is no readable checkpoint ({error})") from error
     if schema > SCHEMA:
         raise InputError(f"{path} was written by a newer qdenv: please upgrade")
     return arrays, facts

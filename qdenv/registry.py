@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from importlib import metadata
 from typing import Any, NamedTuple
 
-from qdenv.types import InputError
+from qdenv.types import InputError, choices
 
 
 class Entry(NamedTuple):
@@ -66,9 +66,7 @@ class Registry:
             InputError: nothing has this name, or the plug-in behind it cannot be imported.
         """
         if name not in self.names():
-            raise InputError(
-                f"unknown {self._what} {name!r}: choose one of {', '.join(self.names())}"
-            )
+            raise InputError(f"unknown {self._what} {name!r}: {choices(name, self.names())}")
         if name not in self._entries:
             self._entries[name] = self._load(name)
         return self._entries[name]

@@ -1,11 +1,13 @@
 """The settings of one evaluation: which domain, which generator, how often it is simulated."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
 from qdenv.domains.base import DOMAINS
 from qdenv.generate.generator import GENERATORS
 from qdenv.repair.settings import RepairConfig
+from qdenv.types import InputError
 
 
 @dataclass(frozen=True)
@@ -15,8 +17,8 @@ class EvaluationConfig:
     Attributes:
         domain: settings of a registered domain; their type chooses it.
         generator: settings of a registered generator, likewise.
-        simulations: simulations per layout N_e.
-        alpha: weight of the similarity score in the objective.
+        simulations: how often each layout is simulated, N_e.
+        alpha: how much it counts that the repair changes little.
         repair: limits of the repair.
     """
 
@@ -25,3 +27,10 @@ class EvaluationConfig:
     simulations: int = 5
     alpha: float = 5.0
     repair: RepairConfig = field(default_factory=RepairConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that score nothing."""
+        if self.simulations < 1:
+            raise InputError(f"simulations must be at least 1, not {self.simulations}")
+        if not math.isfinite(self.alpha):
+            raise InputError(f"alpha must be a finite number, not {self.alpha}")

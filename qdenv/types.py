@@ -14,7 +14,8 @@ A position is ``row * width + column`` (int32). Records describe one item; batch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import difflib
+from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -41,8 +42,16 @@ def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
         InputError: nothing has this name; the line lists what there is.
     """
     if name not in table:
-        raise InputError(f"unknown {what} {name!r}: choose one of {', '.join(table)}")
+        raise InputError(f"unknown {what} {name!r}: {choices(name, table)}")
     return table[name]
+
+
+def choices(name: str, known: Iterable[str]) -> str:
+    """Say what there is to choose from, the likeliest first where `name` looks like a slip."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, 1)
+    guess = f"did you mean {close[0]}? " if close else ""
+    return f"{guess}choose one of {', '.join(known)}"
 
 
 class Tile(NamedTuple):

@@ -31,15 +31,19 @@ ALLOWED = {
     "score": {"types", "grid", "lazy"},
     "agent": BASE | {"checkpoints", "simulate.maze", "score", "devices"},
     "domains": BASE | STAGES | PLUGS,
-    "settings": STAGES | {"domains.base"},
+    "settings": STAGES | {"types", "domains.base"},
     "pipeline": BASE | STAGES | {"domains.base", "devices", "settings"},
-    "search": {"types", "files", "checkpoints", "registry"},
+    "search": {"types", "lazy", "files", "checkpoints", "registry"},
     "presets": BASE | STAGES | {"domains", "search", "settings", "training.config"},
     "training": BASE
     | STAGES
     | PLUGS
-    | {"checkpoints", "search", "pipeline", "settings", "domains", "formats"},
+    | {"checkpoints", "search", "pipeline", "settings", "domains", "formats", "plots.inline"},
     "study": BASE | STAGES | PLUGS | {"domains", "pipeline", "settings", "formats", "training"},
+    "api": BASE
+    | STAGES
+    | PLUGS
+    | {"domains", "formats", "plots", "presets", "study", "training", "commands.choices"},
     "plots": BASE | {"training.records", "study.table", "domains.base"},
     "commands": BASE
     | STAGES

@@ -89,7 +89,7 @@ def test_bad_settings_give_one_clear_line(change, message):
 def test_an_unregistered_config_and_a_wrong_start_give_one_clear_line():
     with pytest.raises(InputError, match="choose from cma-mae"):
         make_algorithm(Insertion(0, 0), DIM, GRID)
-    with pytest.raises(InputError, match="unknown algorithm 'cmamae': choose one of cma-mae"):
+    with pytest.raises(InputError, match="unknown algorithm 'cmamae': did you mean cma-mae"):
         ALGORITHMS.entry("cmamae")
     with pytest.raises(InputError, match="x0"):
         cma_mae(CmaMaeConfig(), DIM, GRID, x0=np.zeros(3))

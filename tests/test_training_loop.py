@@ -111,7 +111,7 @@ import os, signal, sys
 sys.path.insert(0, {here!r})
 import toy
 from qdenv import files
-from qdenv.training import loop, records
+from qdenv.training import checkpoint, loop
 
 def die(*args, **kwargs):
     os.kill(os.getpid(), signal.SIGKILL)
@@ -120,13 +120,13 @@ if {where!r} == "iteration":
     original, calls = loop.kept, []
     loop.kept = lambda e: (calls.append(1), original(e))[1] if len(calls) < 4 else die()
 else:
-    original = records.save_checkpoint
+    original = checkpoint.save_checkpoint
     def save(path, state, manifest):
         if manifest["iteration"] < 4:
             return original(path, state, manifest)
         os.replace = die  # the temporary file is written, its renaming never happens
         original(path, state, manifest)
-    records.save_checkpoint = save
+    checkpoint.save_checkpoint = save
 loop.train(toy.CONFIG, {path!r}, progress=False)
 """
 

@@ -27,7 +27,7 @@ from qdenv.repair.recipe import repair
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study.elites import find_elite, grow_series
 from qdenv.study.options import find_planner
-from qdenv.study.traffic import broken_rules, run_seeds
+from qdenv.study.runs import auditor, run_seeds
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus, TaskRule
 
@@ -192,7 +192,8 @@ def drive(layout: np.ndarray, tasks: TaskRule, options: Options) -> dict[str, An
     )
     first = FleetConfig(agents, whole.horizon, planner=whole.planner)
     begin = run_seeds(layout, tasks, first, (0,), threads=1)
-    done = run_seeds(layout, tasks, whole, (0,), record=options.audit, threads=1)
+    read = auditor(layout, tasks, whole) if options.audit else None
+    done = run_seeds(layout, tasks, whole, (0,), read=read, threads=1)
     windows = -(-whole.timesteps // whole.horizon)
     later = (done.cpu_seconds - begin.cpu_seconds) / max(windows - 1, 1)
     return {
@@ -202,7 +203,7 @@ def drive(layout: np.ndarray, tasks: TaskRule, options: Options) -> dict[str, An
         "us_per_agent": 1e6 * done.cpu_seconds / windows / agents,
         "throughput": float(done.runs[0].throughput),
         "congested": bool(done.runs[0].congested),
-        "broken": broken_rules(layout, tasks, whole, done) if options.audit else None,
+        "broken": [rule for found in done.readings for rule in found] if read else None,
     }
 
 

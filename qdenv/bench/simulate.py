@@ -23,7 +23,7 @@ from qdenv.formats.layouts import read_layout
 from qdenv.repair.recipe import RepairConfig, repair
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
-from qdenv.study.traffic import Simulated, broken_rules, run_seeds
+from qdenv.study.runs import Simulated, auditor, run_seeds
 from qdenv.types import InputError, TaskRule
 
 DOMAINS = {
@@ -136,14 +136,15 @@ def measure(case: Case, effort: str, seeds: int, audit: bool) -> dict[str, Any]:
     """
     config = FleetConfig(agents=case.agents, timesteps=case.timesteps, planner=EFFORTS[effort])
     tasks = tasks_of(case.kind)
-    done = run_seeds(case.tiles, tasks, config, range(seeds), record=audit, threads=1)
+    read = auditor(case.tiles, tasks, config) if audit else None
+    done = run_seeds(case.tiles, tasks, config, range(seeds), read=read, threads=1)
     return compare(done, case.records) | {
         "layout": case.layout,
         "domain": case.kind,
         "agents": case.agents,
         "timesteps": case.timesteps,
         "effort": effort,
-        "broken": broken_rules(case.tiles, tasks, config, done) if audit else None,
+        "broken": [rule for found in done.readings for rule in found] if read else None,
     }
 
 

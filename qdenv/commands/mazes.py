@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -49,14 +50,16 @@ def train_agent(
         raise InputError(f"{out}: no run to resume (checkpoint.npz is missing)")
     from qdenv.agent.train import train_agent as train  # imports jax and optax
 
-    interrupt.advise(f"`qdenv resume {out}` goes on once a checkpoint is there")
+    if resume:
+        interrupt.advise(f"`qdenv resume {shlex.quote(str(out))}` goes on")
     with waiting("training the agent", config.updates) as bar:
         known = [0]
 
         def show(done: int, row: dict[str, Any] | None) -> None:
             bar.update(done - known[0])
             known[0] = done
-            if row:
+            if row:  # a checkpoint was written before
+                interrupt.advise(f"`qdenv resume {shlex.quote(str(out))}` goes on")
                 exams = ", ".join(
                     f"{row[name]:.0%} of {name[5:]} walls" for name in row if name[:5] == "exam_"
                 )

@@ -1,14 +1,24 @@
-"""The command simulate: one layout, one number of agents."""
+"""The command simulate: one layout, one number of agents; where it jams, and whether more fit."""
+
+from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import tyro
 
+from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions, Options
-from qdenv.files import write_json
+from qdenv.commands.waiting import waiting
+from qdenv.grid import of_tiles
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study import sweep as studies
-from qdenv.study.plans import read_plan
+from qdenv.study.options import describe_planner, fleet_tasks, parse_seeds
+from qdenv.study.plans import Plan, read_plan
+
+if TYPE_CHECKING:  # imports the simulator
+    from qdenv.study.traffic import Study
 
 
 def simulate(
@@ -16,48 +26,118 @@ def simulate(
     agents: int = 200,
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     audit: bool = True,
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
+    verdict: bool = True,
+    plot: words.Picture = None,
+    json_file: output.JsonFile = None,
 ) -> None:
-    """Simulate a fleet on a layout and report its throughput.
+    """Simulate a fleet on a layout: its throughput, where it jams, whether more agents would help.
 
     Args:
         layout: layout file.
-        agents: number of agents.
+        agents: number of agents (agents).
         options: who drives.
         audit: check every trajectory against the rules of movement.
-        json_file: where to write the numbers.
+        verdict: simulate a few runs with fewer and with more agents, too, to tell whether this
+            number flows, is near capacity, past its peak or congested.
+        plot: picture of where agents wait, drive and finish tasks, and of throughput over time.
+        json_file: where to write the numbers; - is standard output.
     """
+    picture = words.place_picture(plot, f"{layout.stem}_traffic.png", [layout])
+    facts_place = output.place(json_file, "facts.json", inputs=[layout])
+    per_hour, seeds = words.steps_per_hour(options), parse_seeds(options.seeds)
     plan = read_plan(layout, options.domain)
-    from qdenv.study.traffic import simulate_layout  # imports the simulator
-
     with studies.about(str(layout)):
-        result = simulate_layout(
-            plan.layout,
-            plan.domain.name,
-            agents,
-            options.timesteps,
-            options.seeds,
-            options.effort,
-            audit,
-            options.planner,
-        )
-    result = {"layout": str(layout), **result}
-    if json_file:
-        write_json(json_file, result)
-    for run in result["runs"]:
-        state = f"congested at {run['end_timestep']}" if run["congested"] else "never congested"
-        print(f"seed {run['seed']}: throughput {run['throughput']:.3f}, {state}")
-    # No mean of smooth runs where every run congested: the mean of all is another number.
-    smooth = result["mean_throughput"]
+        tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
+        config = FleetConfig(agents, options.timesteps, planner=options.planner_settings)
+    # Imports the simulator, which takes longer than to refuse what cannot be simulated.
+    from qdenv.study.traffic import Wanted, examine, facts_of
+
+    wanted = Wanted(audit, maps=audit or picture is not None, verdict=verdict)
+    with studies.about(str(layout)), waiting("simulating") as bar:
+        study = examine(plan.layout, tasks, config, seeds, wanted, bar)
+    facts = facts_of(study, plan.layout) | {"domain": plan.domain.name}
+    facts |= {"planner": describe_planner(config.planner), "agents": agents}
+    facts |= {"layout": str(layout), "timesteps": options.timesteps}
+    facts |= {"tasks_per_hour": facts["mean_of_all"] * per_hour} if per_hour else {}
+    print(words.describe_study(str(agents), options, seeds, plan))
+    print_numbers(facts)
+    print_jams(facts, plan)
+    if picture is not None:
+        draw(picture.path, plan, study, facts)
+        print(picture)
+    if json_file is not None:
+        output.write_facts(json_file, "simulate", facts, **words.settings_of(options, seeds))
+        print(facts_place)
+
+
+def print_numbers(facts: dict[str, Any]) -> None:
+    """Print the runs, their mean and the verdict."""
+    for run in facts["runs"]:
+        jam = f", congested at {run['end_timestep']}" if run["congested"] else ""
+        print(f"seed {run['seed']}: {run['throughput']:.3f} tasks per timestep{jam}")
+    error = facts["standard_error"]
+    band = f" +- {error:.3f} (standard error)" if np.isfinite(error) else ""
+    hour = f", {facts['tasks_per_hour']:,.0f} tasks per hour" if "tasks_per_hour" in facts else ""
+    print(f"throughput   {facts['mean_of_all']:.3f}{band} tasks per timestep{hour}")
+    smooth, rate = facts["mean_throughput"], facts["success_rate"]
+    if rate < 1:
+        others = "" if smooth is None else f"; the others move {smooth:.3f}"
+        print(f"congested    {1 - rate:.0%} of the runs{others}")
+    if "verdict" in facts:
+        print(f"verdict      {facts['verdict']}: {facts['verdict_reason']}")
+    checked = "every trajectory valid, " if facts["valid"] else ""
     print(
-        (
-            f"every run congested, mean of all {result['mean_of_all']:.3f}"
-            if smooth is None
-            else f"mean throughput {smooth:.3f}"
-        )
-        + f", success rate {result['success_rate']:.0%}, "
-        + f"{result['cpu_seconds_per_run']:.2f} CPU s per run, "
-        + f"compiled in {result['compile_seconds']:.1f} s"
-        + (", every trajectory valid" if result["valid"] else "")
+        f"computed     {checked}{facts['cpu_seconds_per_run']:.2f} CPU s per run, "
+        f"compiled in {facts['compile_seconds']:.1f} s"
     )
-    print("\n".join(result["broken"]), end="\n" if result["broken"] else "")
+    print("\n".join(facts["broken"]), end="\n" if facts["broken"] else "")
+
+
+def print_jams(facts: dict[str, Any], plan: Plan) -> None:
+    """Print how much agents wait and travel, and the worst cells."""
+    steps = facts["steps_per_task"]
+    if steps is not None:
+        print(f"travelled    {steps:.1f} steps per task")
+    if "worst_cells" not in facts:
+        return
+    tasks = plan.domain.simulator.tasks
+    assert tasks is not None
+    free = of_tiles(plan.layout, tasks.traversable, tasks.tiles).sum()
+    half = facts["cells_with_half_of_waiting"]
+    where = f", half of it on {half} of {free} free cells" if half else ""
+    print(f"waiting      {facts['waiting_share']:.1%} of the agents' time{where}")
+    if not facts["worst_cells"]:
+        return
+    known = getattr(plan.domain, "names", {})
+    names = [known.get(tile, repr(tile)) for tile in plan.domain.tiles]
+    width = max(8, *(len(name) for name in names))
+    print("the cells with the most waiting; rows and columns are counted from 0 at the top left:")
+    print(f"rank  row  column  {'there is':{width}}  of all waiting  an agent waits  per visit")
+    for rank, spot in enumerate(facts["worst_cells"], 1):
+        print(
+            f"{rank:4} {spot['row']:4}  {spot['column']:6}  {names[spot['tile']]:{width}}  "
+            f"{spot['share']:14.1%}  {spot['waiting']:6.0%} of time  "
+            f"{spot['wait_per_visit']:3.1f} steps"
+        )
+
+
+def draw(path: Path, plan: Plan, study: Study, facts: dict[str, Any]) -> None:
+    """Draw the traffic of a study."""
+    # Only here: matplotlib takes half a second to import.
+    from qdenv.plots.traffic import Scene, save_traffic
+    from qdenv.study.jams import throughput_over_time, worst_cells
+
+    assert study.maps is not None
+    runs, tasks = study.done.runs, plan.domain.simulator.tasks
+    assert tasks is not None
+    words = f": {facts['verdict']}, {facts['verdict_reason']}" if "verdict" in facts else ""
+    scene = Scene(
+        free=np.asarray(of_tiles(plan.layout, tasks.traversable, tasks.tiles)),
+        maps=study.maps,
+        worst=worst_cells(plan.layout, study.maps),
+        over_time=throughput_over_time(runs),
+        jams=[int(run.end_timestep) for run in runs if run.congested],
+        title=f"{plan.name}, {facts['agents']} agents{words}",
+        runs=len(runs),
+    )
+    save_traffic(path, scene)

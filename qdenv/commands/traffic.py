@@ -1,20 +1,17 @@
 """Commands about the traffic of many runs: sweep, compare, scalability."""
 
-from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 import tyro
 
+from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions, Options
-from qdenv.domains.base import Domain
-from qdenv.plots.studies import save_comparison, save_peaks
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.commands.tables import Study, prepare, table_printer, write
+from qdenv.commands.waiting import waiting
 from qdenv.study import sweep as studies
-from qdenv.study.options import parse_counts, parse_seeds
-from qdenv.study.plans import read_plan
-from qdenv.study.table import Row, find_peak, write_rows
-from qdenv.types import InputError
+from qdenv.study.differences import Difference
+from qdenv.study.table import Peak, differences, find_capacity, find_peak
 
 Files = tyro.conf.Positional[tuple[Path, ...]]
 
@@ -24,60 +21,72 @@ def sweep(
     agents: str = "50:400:50",
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path | None = None,
+    plot: words.Picture = None,
+    json_file: output.JsonFile = None,
 ) -> None:
-    """Simulate a layout with more and more agents: throughput and success rate.
+    """Simulate a layout with more and more agents: throughput, its peak, and how many are worth it.
 
     Args:
         layout: layout file.
         agents: numbers of agents, as 50:400:50 or 50,100,200.
         options: who drives.
-        out: CSV file to write, with a picture beside it; named after the layout unless given.
+        out: CSV file to write; named after the layout unless given.
+        plot: picture to write; beside the table unless given.
+        json_file: where to write the numbers; - is standard output.
     """
-    plan = read_plan(layout, options.domain)
-    trial = trial_of(agents, options, plan.domain)
-    print("agents  throughput  standard error  success rate (95 % interval)")
-
-    def show(row: Row) -> None:
-        print(
-            f"{row.agents:6}  {row.throughput:10.3f}  {row.standard_error:14.3f}  "
-            f"{row.success_rate:12.0%} ({row.success_low:.0%} to {row.success_high:.0%})",
-            flush=True,
-        )
-
-    rows = studies.sweep(layout.stem, plan.layout, trial, show)
-    table = out or Path(f"{layout.stem}_sweep.csv")
-    write_rows(table, rows)
-    save_comparison(table.with_suffix(".png"), rows)
-    print(f"{table}, {table.with_suffix('.png')}")
+    study = prepare([layout], agents, options, (out, f"{layout.stem}_sweep.csv"), plot, json_file)
+    say = describe(study, options, agents)
+    with waiting("simulating") as bar:
+        show = table_printer(study, say, bar.print)
+        rows = studies.compare(study.layouts, study.trial, show, bar)
+    rows.sort(key=lambda row: row.agents)
+    peak, worth = find_peak(rows), find_capacity(rows)
+    print(describe_peak(peak, study.per_hour))
+    print(f"worth it: up to {worth} agents each further one brings half an average one or more")
+    write(study, rows, "sweep", {"peak": peak._asdict(), "worth_it_up_to": worth})
 
 
 def compare(
     layouts: Files,
     agents: str = "200",
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
-    out: Path = Path("compare.csv"),
+    out: Path | None = None,
+    plot: words.Picture = None,
+    json_file: output.JsonFile = None,
 ) -> None:
-    """Put layouts side by side: success rate, and throughput over the runs that never congested.
+    """Put layouts side by side: throughput, success rate, and how surely they differ in per cent.
 
     Args:
-        layouts: layout files.
+        layouts: layout files; all others are compared with the first.
         agents: numbers of agents, as 200 or 50,100 or 50:400:50.
         options: who drives.
-        out: CSV file to write, with a picture beside it.
+        out: CSV file to write; compare.csv unless given.
+        plot: picture to write; beside the table unless given.
+        json_file: where to write the numbers; - is standard output.
     """
-    tiles, domain = read_layouts(layouts, options.domain)
-    trial, show = trial_of(agents, options, domain), table_printer(tiles)
-    rows = studies.compare(tiles, trial, show)
-    write_rows(out, rows)
-    save_comparison(out.with_suffix(".png"), rows)
-    print(f"{out}, {out.with_suffix('.png')}")
+    study = prepare(layouts, agents, options, (out, "compare.csv"), plot, json_file)
+    say = describe(study, options, agents)
+    with waiting("simulating") as bar:
+        show = table_printer(study, say, bar.print)
+        rows = studies.compare(study.layouts, study.trial, show, bar)
+    against = differences(rows)
+    first = rows[0].layout
+    if len(study.plans) > 1:
+        print(f"against {first}, over all runs, with 95 % interval (Welch, Fieller):")
+    for row, found in zip(rows, against, strict=True):
+        if row.layout != first:
+            print(f"{row.layout}, {row.agents} agents: {describe_difference(found)}")
+    columns = [f"difference_{name}" for name in Difference._fields[:3]] + ["significant"]
+    write(study, rows, "compare", {}, dict(zip(columns, zip(*against, strict=True), strict=True)))
 
 
 def scalability(
     layouts: Files,
     agents: str = "50:1000:50",
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
-    out: Path = Path("scalability.csv"),
+    out: Path | None = None,
+    plot: words.Picture = None,
+    json_file: output.JsonFile = None,
 ) -> None:
     """Add agents until the mean throughput drops; report the peak and where it is.
 
@@ -85,59 +94,47 @@ def scalability(
         layouts: layout files, of one size or of several.
         agents: numbers of agents to try in turn; those that do not fit are left out.
         options: who drives.
-        out: CSV file to write, with a picture beside it.
+        out: CSV file to write; scalability.csv unless given.
+        plot: picture to write; beside the table unless given.
+        json_file: where to write the numbers; - is standard output.
     """
-    tiles, domain = read_layouts(layouts, options.domain)
-    trial, show = trial_of(agents, options, domain), table_printer(tiles)
-    climbs = [studies.climb(name, layout, trial, show) for name, layout in tiles.items()]
+    study = prepare(layouts, agents, options, (out, "scalability.csv"), plot, json_file)
+    say = describe(study, options, agents)
+    for name, layout in study.layouts.items():
+        studies.check_climb(name, layout, study.trial)
+    with waiting("simulating") as bar:
+        show = table_printer(study, say, bar.print)
+        climbs = [
+            studies.climb(name, layout, study.trial, show, bar)
+            for name, layout in study.layouts.items()
+        ]
     peaks = [find_peak(rows) for rows in climbs]
     for peak in peaks:
-        end = "" if peak.dropped else ", still rising at the last number of agents"
-        print(f"{peak.layout}: peak {peak.throughput:.3f} at {peak.agents} agents{end}")
-    rows = [row for climb in climbs for row in climb]
-    write_rows(out, rows)
-    save_peaks(out.with_suffix(".png"), rows, peaks)
-    print(f"{out}, {out.with_suffix('.png')}")
+        print(describe_peak(peak, study.per_hour))
+    facts = {"peaks": [peak._asdict() for peak in peaks]}
+    write(study, [row for climb in climbs for row in climb], "scalability", facts, peaks=peaks)
 
 
-def trial_of(agents: str, options: FleetOptions, domain: Domain) -> studies.Trial:
-    """Read what a command puts its layouts to.
-
-    Raises:
-        InputError: a number or a name means nothing.
-    """
-    config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
-    counts, seeds = parse_counts(agents), parse_seeds(options.seeds)
-    return studies.Trial(domain.simulator.tasks, config, counts, seeds)
+def describe(study: Study, options: FleetOptions, agents: str) -> str:
+    """Say in one line what is simulated."""
+    return words.describe_study(
+        agents, options, study.trial.seeds, next(iter(study.plans.values()))
+    )
 
 
-def read_layouts(paths: Sequence[Path], domain: str | None) -> tuple[dict[str, np.ndarray], Domain]:
-    """Read layouts of one domain, by name.
-
-    Raises:
-        InputError: none is given, one cannot be read, or they are of several domains.
-    """
-    if not paths:
-        raise InputError("give at least one layout file")
-    plans = {name: read_plan(path, domain) for name, path in studies.name_layouts(paths).items()}
-    kinds = {plan.domain.name: plan for plan in plans.values()}
-    if len(kinds) > 1:
-        raise InputError(f"these are layouts of {' and '.join(kinds)}: put one domain side by side")
-    return {name: plan.layout for name, plan in plans.items()}, next(iter(kinds.values())).domain
+def describe_peak(peak: Peak, per_hour: float | None) -> str:
+    """Say where a layout's throughput peaks."""
+    hour = f" ({peak.throughput * per_hour:,.0f} per hour)" if per_hour else ""
+    end = "" if peak.dropped else ", still rising at the last number of agents: try more"
+    return (
+        f"{peak.layout}: peak {peak.throughput:.3f} tasks per timestep{hour} "
+        f"at {peak.agents} agents{end}"
+    )
 
 
-def table_printer(names: Iterable[str]) -> Callable[[Row], None]:
-    """Print a table's head now and each row as it comes; columns fit the names."""
-    width = max(6, *(len(name) for name in names))
-    print(f"{'layout':{width}}   size    agents  throughput (s.e.)  success (95 %)    mean of all")
-
-    def show(row: Row) -> None:
-        size, error = f"{row.rows}x{row.cols}", f"({row.standard_error:.3f})"
-        bounds = f"({row.success_low:.0%} to {row.success_high:.0%})"
-        print(
-            f"{row.layout:{width}}  {size:8} {row.agents:6}  {row.throughput:8.3f} {error:8} "
-            f" {row.success_rate:4.0%} {bounds:14} {row.mean_of_all:9.3f}",
-            flush=True,
-        )
-
-    return show
+def describe_difference(found: Difference) -> str:
+    """Say how much a layout moves more or less, and whether that may be chance."""
+    if np.isnan(found.low):
+        return f"{found.percent:+.1f} % (too few runs to say how sure)"
+    sure = "significant" if found.significant else "may be chance"
+    return f"{found.percent:+.1f} % ({found.low:+.1f} to {found.high:+.1f}), {sure}"

@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from qdenv import interrupt
 from qdenv.commands.choices import (
     choose_algorithm,
     choose_domain,
@@ -81,7 +80,6 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
     from qdenv.commands.runs import report
     from qdenv.training import loop
 
-    interrupt.advise(f"`qdenv resume {path}` goes on once a checkpoint is there")
     report(loop.train(config, path, progress=setup.progress))
 
 
@@ -115,7 +113,7 @@ def bind(command: Callable, arguments: Sequence[str]) -> Callable:
 
     names = Literal[tuple(PRESETS)]  # type: ignore[valid-type]
     hints: dict[str, Any] = {
-        "preset": Annotated[names, tyro.conf.Positional],
+        "preset": Annotated[names, tyro.conf.Positional, tyro.conf.arg(help=_costs())],
         "setup": Annotated[Setup, tyro.conf.OmitArgPrefixes, tyro.conf.arg(name="")],
     }
     parameters = [
@@ -128,3 +126,9 @@ def bind(command: Callable, arguments: Sequence[str]) -> Callable:
     bound.__annotations__ = hints
     bound.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return bound
+
+
+def _costs() -> str:
+    """Say what each preset takes, for help."""
+    costs = {name: describe_cost(name, config) for name, config in PRESETS.items()}
+    return "where to begin: " + "; ".join(f"{name}, {cost}" for name, cost in costs.items())

@@ -106,6 +106,11 @@ class Domain:
             or raises `InputError` where nothing fits; None where people design none.
         counted: settings that demand an exact number of one tile: name -> the tile's symbol. They
             scale with the generated area, can be read off a layout, and are options of commands.
+        objective_name: what the objective is, with its unit.
+        tie_break: among elites of equal objective the one with the larger number in this column
+            of the archive is the best; None for the first.
+        marks: layout int8 [H, W] -> cells that pictures name, like the start and the goal where
+            the layout itself decides them; None for none.
         meanings: what the tiles mean to people, by their symbols.
     """
 
@@ -122,6 +127,9 @@ class Domain:
     similarity_weights: Callable[[Array], jax.Array] = weigh_alike
     human: Callable[[], np.ndarray] | None = None
     counted: Mapping[str, str] = field(default_factory=dict)
+    objective_name: str = "objective"
+    tie_break: str | None = None
+    marks: Callable[[np.ndarray], Mapping[str, int]] | None = None
     meanings: Mapping[str, Tile] = field(default_factory=dict)
 
     @property

@@ -12,6 +12,8 @@ from qdenv.score.traffic import mean_throughput
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import Array, TaskRule, Traffic
 
+THROUGHPUT = "throughput [tasks per timestep]"
+
 
 @dataclass(frozen=True)
 class FleetDomainConfig(DomainConfig):

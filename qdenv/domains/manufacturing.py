@@ -8,7 +8,7 @@ import numpy as np
 
 from qdenv.domains import designs
 from qdenv.domains.base import Domain
-from qdenv.domains.fleet import FleetDomainConfig, fleet_simulator, throughput
+from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
 from qdenv.domains.measures import environment_entropy
 from qdenv.grid import of_tiles, parse
 from qdenv.lazy import jax, jnp
@@ -80,6 +80,7 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         rules=lambda: rules(*shape),
         simulator=fleet_simulator(TaskRule(TILES, ".e", cycle), config.fleet),
         objective=throughput,
+        objective_name=THROUGHPUT,
         similarity_weights=similarity_weights,
         measures=(
             Measure("workstations", 0, 600, 100, workstations, "area"),

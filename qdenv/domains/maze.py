@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from qdenv import devices
 from qdenv.domains.base import Domain, DomainConfig, Simulator
 from qdenv.domains.measures import environment_entropy
@@ -108,6 +110,12 @@ def path_length(layout: jax.Array, runs: episode.Episode) -> jax.Array:
     return runs.length.mean(dtype=jnp.float32)
 
 
+def start_and_goal(layout: np.ndarray) -> dict[str, int]:
+    """Name the cells between which the agent is sent; none in an unsolvable maze."""
+    course = world.longest_path(layout)
+    return {"start": int(course.start), "goal": int(course.goal)} if course.length else {}
+
+
 WALL_COUNT = Measure("number of walls", 0, 256, 256, walls, "area")
 LAYOUT_ENTROPY = environment_entropy(len(world.TILES), MARGIN)
 PATH_LENGTH = Measure("mean agent path length", 0, 648, 162, path_length, "timesteps")
@@ -126,6 +134,10 @@ def maze(config: MazeConfig) -> Domain:
         rules=None,
         simulator=maze_simulator(config),
         objective=lambda layout, runs: world.is_solvable(layout).astype(jnp.float32),
+        objective_name="solvable [1: there is a way]",
+        # Nearly every maze is solvable; among those the one with the longest way shows most.
+        tie_break="shortest",
+        marks=start_and_goal,
         measures=(first, PATH_LENGTH),
         meanings=MEANINGS,
     )

@@ -12,7 +12,7 @@ import numpy as np
 
 from qdenv.domains import designs
 from qdenv.domains.base import Domain
-from qdenv.domains.fleet import FleetDomainConfig, fleet_simulator, throughput
+from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
 from qdenv.domains.measures import environment_entropy
 from qdenv.generate.decode import inside_frame, put_in_frame
 from qdenv.grid import parse
@@ -79,7 +79,7 @@ class WarehouseConfig(FleetDomainConfig):
     """The numbers of a warehouse whose workstations are all drawn alike.
 
     Attributes:
-        shelves: exact number of shelves N_s.
+        shelves: how many shelves there are, exactly (N_s).
         left_odds: how much likelier a workstation on the left border is than one on the right.
     """
 
@@ -135,6 +135,7 @@ def warehouse(config: WarehouseConfig) -> Domain:
         rules=lambda: rules(config),
         simulator=fleet_simulator(TaskRule(TILES, ".ew", cycle), config.fleet),
         objective=throughput,
+        objective_name=THROUGHPUT,
         measures=(
             Measure("connected shelf components", 140, 240, 100, components, "shelves"),
             environment_entropy(len(GENERATED), MARGIN),

@@ -22,9 +22,9 @@ class NcaConfig:
     """The numbers of a neural cellular automaton.
 
     Attributes:
-        steps: NCA steps C.
-        kernel_sizes: kernel widths of the convolutions.
-        hidden: channels of the hidden layers.
+        steps: how often the drawing grows, the NCA steps C.
+        kernel_sizes: widths of the kernels of its convolutions, in cells.
+        hidden: channels of its hidden layers.
     """
 
     steps: int = 50

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
 from qdenv.plots.figure import new_figure, save_figure
@@ -91,6 +93,44 @@ def draw_heatmap(
     return image
 
 
+def draw_archive(
+    figure: Figure,
+    objectives: ArrayLike,
+    measures: Sequence[Measure],
+    title: str = "",
+    label: str = "objective",
+    low: float | None = None,
+    high: float | None = None,
+) -> None:
+    """Draw a heat map with its colour bar and heading into an empty figure.
+
+    Args:
+        figure: where.
+        objectives: float [C], row-major, not finite where a cell is empty.
+        measures: one or two.
+        title: printed above, beside the share of filled cells.
+        label: what the colours mean.
+        low: objective of the darkest colour.
+        high: objective of the brightest colour.
+
+    Raises:
+        InputError: the objectives do not fit the grid.
+    """
+    axes = figure.add_subplot()
+    image = draw_heatmap(axes, objectives, measures, low, high)
+    axes.set_title(describe_filling(objectives, title), fontsize="medium")
+    values = np.asarray(objectives, dtype=float)
+    values = values[np.isfinite(values)]
+    if low is None and high is None and len(values) and values.min() == values.max():
+        # A scale of one colour says nothing; matplotlib would invent a range around it.
+        said = f"{label}: {values[0]:g} in every filled cell"
+        red, green, blue, _ = (float(part) for part in image.to_rgba(values[0]))
+        patch = Patch(facecolor=(red, green, blue), label=said)
+        figure.legend(handles=[patch], loc="outside lower center", frameon=False)
+    else:
+        figure.colorbar(image, ax=axes, label=label)
+
+
 def save_heatmap(
     path: str | Path,
     objectives: ArrayLike,
@@ -103,7 +143,8 @@ def save_heatmap(
     """Save the heat map of an archive as an image, atomically.
 
     Args:
-        path: where; the suffix decides the format (png, pdf, svg).
+        path: where; the suffix decides the format (png, pdf, svg). The other arguments, and what
+            may go wrong, are those of `draw_archive`.
         objectives: float [C], row-major, not finite where a cell is empty.
         measures: one or two.
         title: printed above, beside the share of filled cells.
@@ -112,13 +153,10 @@ def save_heatmap(
         high: objective of the brightest colour.
 
     Raises:
-        InputError: the objectives do not fit the grid.
+        InputError: the objectives do not fit the grid, or the place cannot be written to.
     """
     figure = new_figure(6, 4.8)
-    axes = figure.add_subplot()
-    image = draw_heatmap(axes, objectives, measures, low, high)
-    figure.colorbar(image, ax=axes, label=label)
-    axes.set_title(describe_filling(objectives, title), fontsize="medium")
+    draw_archive(figure, objectives, measures, title, label, low, high)
     save_figure(figure, path)
 
 

@@ -6,12 +6,16 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
 
 from qdenv.plots.figure import new_figure, save_figure
 from qdenv.study.table import Peak, Row
 
 THROUGHPUT = "throughput [tasks / timestep]"
-SUCCESS = "success rate"
+SUCCESS = "never congested"
+MEANING = "bars: +- standard error over {runs} runs above, 95 % Wilson interval below"
+SPREAD = 0.02  # of the axis: how far lines that would hide one another are moved apart
+MARKERS = "osD^v"
 PEAK_COLOUR = "#b5432d"
 BAR_COLOUR = "#cfd8e3"
 
@@ -40,16 +44,20 @@ def draw_comparison(rows: Sequence[Row]) -> Figure:
         if bars:
             _draw_bar(above, place, own[0])
         else:
-            _draw_line(above, own)
-        _draw_success(below, [place] if bars else [row.agents for row in own], own)
+            _draw_line(above, own, MARKERS[place % len(MARKERS)])
+        moved = (place - (len(names) - 1) / 2) * SPREAD * max(row.agents for row in rows)
+        places = [place] if bars else [row.agents + moved for row in own]
+        _draw_success(below, places, own, MARKERS[0 if bars else place % len(MARKERS)])
     if bars:
         below.set_xticks(range(len(names)), names, rotation=20, ha="right")
         above.set_title(f"{rows[0].agents} agents, {rows[0].runs} runs each")
     else:
-        below.set_xlabel("agents")
+        below.set(xlabel="agents", xlim=(0, 1.05 * max(row.agents for row in rows)))
         above.legend(frameon=False)
     above.set(ylabel=THROUGHPUT, ylim=(0, None))
     below.set(ylabel=SUCCESS, ylim=(-0.05, 1.05))
+    below.yaxis.set_major_formatter(PercentFormatter(1.0))
+    figure.supxlabel(MEANING.format(runs=rows[0].runs), fontsize=7, color="dimgray")
     for axes in (above, below):
         axes.grid(alpha=0.3)
         axes.set_axisbelow(True)
@@ -66,21 +74,21 @@ def _draw_bar(axes: Axes, place: float, row: Row) -> None:
     axes.annotate(text, (place, height / 2), ha="center", color=colour)
 
 
-def _draw_line(axes: Axes, rows: Sequence[Row]) -> None:
+def _draw_line(axes: Axes, rows: Sequence[Row], marker: str) -> None:
     """Draw one layout's throughput over agents with its standard errors."""
     error = np.nan_to_num([row.standard_error for row in rows])
     agents, means = [row.agents for row in rows], [row.throughput for row in rows]
-    axes.errorbar(agents, means, error, marker="o", capsize=3, label=rows[0].layout)
+    axes.errorbar(agents, means, error, marker=marker, capsize=3, label=rows[0].layout)
 
 
-def _draw_success(axes: Axes, places: Sequence[float], rows: Sequence[Row]) -> None:
+def _draw_success(axes: Axes, places: Sequence[float], rows: Sequence[Row], marker: str) -> None:
     """Draw one layout's success rates with their Wilson intervals."""
     rate = np.array([row.success_rate for row in rows])
     low = rate - [row.success_low for row in rows]
     high = np.array([row.success_high for row in rows]) - rate
     # Rounding may put an end of the interval a hair beyond the rate.
     interval = np.maximum([low, high], 0)
-    axes.errorbar(places, rate, interval, marker="o", capsize=3, label=rows[0].layout)
+    axes.errorbar(places, rate, interval, marker=marker, capsize=3, label=rows[0].layout)
 
 
 def save_peaks(path: str | Path, rows: Sequence[Row], peaks: Sequence[Peak]) -> None:
@@ -106,7 +114,8 @@ def draw_peaks(rows: Sequence[Row], peaks: Sequence[Peak]) -> Figure:
         agents, means = [row.agents for row in own], [row.mean_of_all for row in own]
         (line,) = left.plot(agents, means, marker="o", label=peak.layout)
         left.plot(peak.agents, peak.throughput, "*", markersize=15, color=line.get_color())
-    left.set(xlabel="agents", ylabel=f"mean {THROUGHPUT}", ylim=(0, None))
+    left.set(xlabel="agents", ylabel=f"mean {THROUGHPUT}", ylim=(0, None), xlim=(0, None))
+    left.set_title(f"all of {rows[0].runs} runs each; a star is a peak", fontsize=9)
     left.legend(frameon=False, fontsize=8)
     left.grid(alpha=0.3)
     ordered = sorted(peaks, key=lambda peak: peak.rows * peak.cols)

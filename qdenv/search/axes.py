@@ -1,13 +1,14 @@
 """The axes of a grid archive: from measures to cells."""
 
+from __future__ import annotations
+
 import functools
 import math
 from collections.abc import Sequence
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from qdenv.lazy import jax, jnp
 from qdenv.types import Array, InputError, Measure
 
 EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it

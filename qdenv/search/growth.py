@@ -22,13 +22,28 @@ def growing(algorithm: Algorithm) -> Algorithm:
         algorithm: pure functions whose shapes never change.
 
     Returns:
-        the same search as jitted functions (`archive` is left as it is). `ask` and `tell` consume
-        the state that they are given.
+        the same search as jitted functions (`archive` is left as it is). `tell` consumes the state
+        that it is given, `ask` leaves it whole and copies nothing of it.
     """
     full = [
         len(store.used) for store in stores_in(jax.eval_shape(algorithm.init, jax.random.key(0)))
     ]
-    ask = jax.jit(algorithm.ask, donate_argnums=0)
+    changed: list[int] = []  # leaves of the state that `ask` changes, known once it is traced
+
+    @jax.jit
+    def ask_for_changes(state: Any) -> tuple[jax.Array, list[jax.Array]]:
+        solutions, after = algorithm.ask(state)
+        pairs = list(zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True))
+        changed[:] = [number for number, (old, new) in enumerate(pairs) if new is not old]
+        return solutions, [pairs[number][1] for number in changed]
+
+    def ask(state: Any) -> tuple[jax.Array, Any]:
+        solutions, new = ask_for_changes(state)
+        leaves, structure = jax.tree.flatten(state)
+        for number, leaf in zip(changed, new, strict=True):
+            leaves[number] = leaf
+        return solutions, jax.tree.unflatten(structure, leaves)
+
     tell = jax.jit(algorithm.tell, donate_argnums=0)
 
     @jax.jit
@@ -49,6 +64,12 @@ def growing(algorithm: Algorithm) -> Algorithm:
         return tell(_resized(state, sizes), solutions, score, extras)
 
     return algorithm._replace(init=init, ask=ask, tell=tell_with_room)
+
+
+def is_whole(state: Any) -> bool:
+    """Tell whether a state can be read: `tell` has not consumed any part of it."""
+    arrays = [leaf for leaf in jax.tree.leaves(state) if isinstance(leaf, jax.Array)]
+    return not any(array.is_deleted() for array in arrays)
 
 
 def _resized(state: Any, sizes: list[int]) -> Any:

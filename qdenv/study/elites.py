@@ -17,16 +17,9 @@ from qdenv.repair.recipe import repair
 from qdenv.repair.settings import RepairConfig
 from qdenv.settings import EvaluationConfig
 from qdenv.study.keeping import keep_from
+from qdenv.training.elite import Elite
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, Repair, RepairStatus
-
-
-class Elite(NamedTuple):
-    """One filled cell of a run's archive."""
-
-    solution: np.ndarray  # float32 [P]
-    objective: float
-    cell: tuple[int, ...]  # index along each measure
 
 
 class Grown(NamedTuple):
@@ -45,38 +38,22 @@ class Grown(NamedTuple):
     steps: int
 
 
-def find_elite(run: RunDirectory, which: str = "best") -> Elite:
+def find_elite(
+    run: RunDirectory,
+    which: str | Sequence[int] = "best",
+    measures: Sequence[float] | None = None,
+) -> Elite:
     """Find an elite.
 
     Args:
         run: a run that has saved an archive.
-        which: "best", or the cell's indices like "12,40".
+        which: "best", or the cell's indices: "12,40" or (12, 40).
+        measures: a value for each measure, in place of `which`: the elite there, or the nearest.
 
     Raises:
-        InputError: there is no archive, no elite in that cell, or `which` is neither form.
+        InputError: there is no archive, no elite in that cell, or the question has no such form.
     """
-    archive = run.load_archive()
-    shape = tuple(measure.cells for measure in run.measures)
-    if len(archive["index"]) == 0:
-        raise InputError(f"{run.path}: the archive is empty, no solution succeeded yet")
-    if which == "best":
-        row = int(np.argmax(archive["objective"]))
-    else:
-        try:
-            cell = tuple(int(part) for part in which.split(","))
-            rows = np.flatnonzero(archive["index"] == np.ravel_multi_index(cell, shape))
-        except ValueError as error:
-            raise InputError(
-                f'elite {which!r}: give "best" or indices below {shape} like "3,7"'
-            ) from error
-        if len(rows) == 0:
-            nearest = np.stack(np.unravel_index(archive["index"], shape), axis=-1)
-            distance = np.abs(nearest - np.array(cell)).sum(axis=1)
-            hint = ",".join(map(str, nearest[np.argmin(distance)]))
-            raise InputError(f"elite {which!r}: this cell is empty, the nearest elite is {hint}")
-        row = int(rows[0])
-    cell = tuple(int(index) for index in np.unravel_index(archive["index"][row], shape))
-    return Elite(archive["solution"][row], float(archive["objective"][row]), cell)
+    return run.archive.elite(which, measures)
 
 
 def grow_series(
@@ -95,8 +72,10 @@ def grow_series(
 
     Raises:
         InputError: the canvas is smaller than the seed block or the frame, or the solution is
-            one of another architecture.
+            one of another architecture, or a number of steps is negative.
     """
+    if min(steps) < 0:
+        raise InputError(f"steps must be 0 or more, not {min(steps)}")
     generator = GENERATORS.make(config.generator, canvas_of(domain))
     if solution.shape != (generator.size,):
         raise InputError(f"{len(solution)} parameters given, this generator has {generator.size}")
@@ -111,7 +90,7 @@ def grow_series(
 
 def grow_elite(
     run: RunDirectory,
-    which: str | Elite = "best",
+    which: str | Sequence[int] | Elite = "best",
     shape: tuple[int | None, int | None] = (None, None),
     steps: int | None = None,
     numbers: Mapping[str, int] | None = None,

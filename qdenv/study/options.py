@@ -3,12 +3,16 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from qdenv.simulate.mapf.goals import check_playable
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.settings import PLANNERS
-from qdenv.types import InputError, look_up
+from qdenv.types import InputError, TaskRule, look_up
 
 LARGEST_SEED = 2**32 - 1
 MOST_SEEDS = 100_000
+MOST_COUNTS = 1000  # numbers of agents in one study
 
 
 def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
@@ -42,19 +46,27 @@ def parse_counts(text: str) -> tuple[int, ...]:
     The end of a range belongs to it.
 
     Raises:
-        InputError: none of the three, or a count below one.
+        InputError: none of the three, a count below one or named twice, or too many of them.
     """
+    counts: Sequence[int]
     try:
         if ":" in text:
             first, last, *step = (int(part) for part in text.split(":"))
-            counts = tuple(range(first, last + 1, *step))
+            counts = range(first, last + 1, *step)[: MOST_COUNTS + 1]
         else:
-            counts = tuple(int(part) for part in text.split(","))
+            counts = [int(part) for part in text.split(",")]
     except (ValueError, TypeError):
         raise InputError(f"agents {text!r}: write 200, or 50,100, or 50:400:50") from None
     if not counts or min(counts) < 1:
         raise InputError(f"agents {text!r} holds no number of agents above zero")
-    return counts
+    if len(counts) > MOST_COUNTS:
+        raise InputError(
+            f"agents {text!r} are more than {MOST_COUNTS} numbers: choose a larger step, as in "
+            "50:400:50"
+        )
+    if len(set(counts)) < len(counts):
+        raise InputError(f"agents {text!r} names a number twice: name each once")
+    return tuple(counts)
 
 
 def find_planner(effort: str = "low", planner: str = "") -> Any:
@@ -74,3 +86,15 @@ def describe_planner(settings: Any) -> str:
     """Name a planner for reports: its registered name, and its effort where that has a name."""
     efforts = [f", {effort} effort" for effort, known in EFFORTS.items() if known == settings]
     return PLANNERS.name_of(settings) + "".join(efforts[:1])
+
+
+def fleet_tasks(layout: np.ndarray, tasks: TaskRule | None, agents: int) -> TaskRule:
+    """Refuse what no simulation can begin with; returns what the agents do.
+
+    Raises:
+        InputError: no fleet drives in this domain, or so many do not fit the layout.
+    """
+    if tasks is None:
+        raise InputError("no fleet drives in this domain: there is no traffic to simulate")
+    check_playable(layout, tasks, agents)
+    return tasks

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import of_tiles
-from qdenv.simulate.mapf.goals import check_playable
 from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.options import fleet_tasks
+from qdenv.study.progress import SIMULATING, Progress, silent
 from qdenv.study.table import Row, find_peak, summarise
 from qdenv.types import InputError, TaskRule
 
@@ -53,7 +54,8 @@ def sweep(
     name: str,
     layout: np.ndarray,
     trial: Trial,
-    progress: Callable[[Row], None] = lambda row: None,
+    told: Callable[[Row], None] = lambda row: None,
+    progress: Progress = silent,
 ) -> list[Row]:
     """Simulate a layout with several numbers of agents; compiles once.
 
@@ -61,50 +63,92 @@ def sweep(
         name: of the layout.
         layout: int8 [H, W].
         trial: who drives, and how often.
-        progress: told every finished row.
+        told: hears of every finished row.
+        progress: hears how far it is.
 
     Raises:
         InputError: agents cannot work on this layout, or do not fit; the line names the layout.
     """
-    from qdenv.study.traffic import run_seeds  # imports the simulator
-
-    tasks, counts = trial.tasks, trial.counts
-    config = replace(trial.config, agents=max(counts))
-    rows = []
-    with about(name):
-        if tasks is not None:
-            check_playable(layout, tasks, max(counts))
-        for agents in counts:
-            done = run_seeds(layout, tasks, config, trial.seeds, agents)
-            rows.append(summarise(name, layout, agents, done.runs, done.cpu_seconds))
-            progress(rows[-1])
-    return rows
+    return compare({name: layout}, trial, told, progress)
 
 
 def compare(
     layouts: Mapping[str, np.ndarray],
     trial: Trial,
-    progress: Callable[[Row], None] = lambda row: None,
+    told: Callable[[Row], None] = lambda row: None,
+    progress: Progress = silent,
 ) -> list[Row]:
     """Simulate layouts with the same numbers of agents and the same seeds.
 
     Args:
-        layouts: int8 [H, W] each, by name; sizes may differ. The other arguments, and what may
-            go wrong, are those of `sweep`.
+        layouts: int8 [H, W] each, by name; sizes may differ.
         trial: who drives, and how often.
-        progress: told every finished row.
+        told: hears of every finished row.
+        progress: hears how far it is.
 
     Returns:
         a row for each layout and number of agents, layout by layout.
+
+    Raises:
+        InputError: as in `sweep`, for any of the layouts, before the first run.
     """
-    return [row for name, layout in layouts.items() for row in sweep(name, layout, trial, progress)]
+    from qdenv.study.runs import run_seeds  # imports the simulator
+
+    for name, layout in layouts.items():
+        check_fleet(name, layout, trial.tasks, max(trial.counts))
+    config = replace(trial.config, agents=max(trial.counts))
+    rows: list[Row] = []
+    total = len(layouts) * sum(trial.counts)  # a run's cost grows with its agents
+    for name, layout in layouts.items():
+        for agents in trial.counts:
+            before = sum(row.agents for row in rows)
+            tell = _part(progress, f"{name}, {agents} agents", before / total, agents / total)
+            done = run_seeds(layout, trial.tasks, config, trial.seeds, agents, progress=tell)
+            rows.append(summarise(name, layout, agents, done.runs, done.cpu_seconds))
+            told(rows[-1])
+    return rows
+
+
+def check_fleet(name: str, layout: np.ndarray, tasks: TaskRule | None, agents: int) -> None:
+    """Refuse what could not be simulated, before anything is.
+
+    Raises:
+        InputError: see `traffic.fleet_tasks`; the line names the layout.
+    """
+    with about(name):
+        fleet_tasks(layout, tasks, agents)
+
+
+def check_climb(name: str, layout: np.ndarray, trial: Trial) -> list[int]:
+    """Choose the numbers of agents that fit a layout, few to many.
+
+    Raises:
+        InputError: agents cannot work on the layout, or not even the first number fits.
+    """
+    tasks, counts = trial.tasks, trial.counts
+    free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
+    fitting = [count for count in sorted(counts) if count <= free]
+    if not fitting:
+        raise InputError(f"{name}: {min(counts)} agents do not fit on {free} free cells")
+    check_fleet(name, layout, tasks, fitting[-1])
+    return fitting
+
+
+def _part(progress: Progress, state: str, before: float, size: float) -> Progress:
+    """Report a part of a larger work: which share lies before it, and how large it is."""
+
+    def tell(doing: str, share: float, note: str) -> None:
+        progress(SIMULATING, before + size * max(share, 0.0), f"{state}, {note or doing}")
+
+    return tell
 
 
 def climb(
     name: str,
     layout: np.ndarray,
     trial: Trial,
-    progress: Callable[[Row], None] = lambda row: None,
+    told: Callable[[Row], None] = lambda row: None,
+    progress: Progress = silent,
 ) -> list[Row]:
     """Add agents until the mean throughput over all runs drops (section E.3).
 
@@ -113,7 +157,8 @@ def climb(
         layout: int8 [H, W].
         trial: who drives, and how often; its numbers of agents are tried from few to many, those
             that do not fit are left out.
-        progress: told every finished row.
+        told: hears of every finished row.
+        progress: hears what is simulated; nobody knows how much will be.
 
     Returns:
         a row for each number of agents tried; `table.find_peak` reads them.
@@ -121,22 +166,21 @@ def climb(
     Raises:
         InputError: agents cannot work on the layout, or not even the first number fits.
     """
-    from qdenv.study.traffic import run_seeds  # imports the simulator
+    from qdenv.study.runs import run_seeds  # imports the simulator
 
-    tasks, counts = trial.tasks, trial.counts
-    free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
-    fitting = [count for count in sorted(set(counts)) if count <= free]
-    if not fitting:
-        raise InputError(f"{name}: {min(counts)} agents do not fit on {free} free cells")
+    tasks, fitting = trial.tasks, check_climb(name, layout, trial)
     rows: list[Row] = []
     for count in fitting:
         # Programs for fleets that double in size: few to compile, none much too large.
         room = max(FEWEST, 1 << (count - 1).bit_length())
         config = replace(trial.config, agents=min(room, fitting[-1]))
-        with about(name):
-            done = run_seeds(layout, tasks, config, trial.seeds, count)
+
+        def tell(doing: str, share: float, note: str, count: int = count) -> None:
+            progress(f"adding agents to {name}", -1, f"{count} agents, {note or doing}")
+
+        done = run_seeds(layout, tasks, config, trial.seeds, count, progress=tell)
         rows.append(summarise(name, layout, count, done.runs, done.cpu_seconds))
-        progress(rows[-1])
+        told(rows[-1])
         if find_peak(rows).dropped:
             break
     return rows

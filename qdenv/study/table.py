@@ -1,14 +1,18 @@
 """The one row record of every study: one layout at one number of agents, over some seeds."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from qdenv.files import write_csv
 from qdenv.score.traffic import wilson_interval
+from qdenv.study.differences import Difference, Sample, difference, sample_of
 from qdenv.types import Traffic
+
+WORTH = 0.5  # share of what an average agent brings; one that brings less is hardly worth it
 
 
 class Row(NamedTuple):
@@ -28,6 +32,7 @@ class Row(NamedTuple):
         success_high: upper end.
         mean_of_all: tasks per timestep, averaged over all runs.
         cpu_seconds_per_run: without compilation.
+        error_of_all: standard error of `mean_of_all`; NaN with one run.
     """
 
     layout: str
@@ -42,6 +47,7 @@ class Row(NamedTuple):
     success_high: float
     mean_of_all: float
     cpu_seconds_per_run: float
+    error_of_all: float = float("nan")
 
 
 class Peak(NamedTuple):
@@ -81,7 +87,7 @@ def summarise(
     """
     every = np.array([run.throughput for run in runs])
     good = every[[not run.congested for run in runs]]
-    error = float(good.std(ddof=1) / np.sqrt(len(good))) if len(good) > 1 else float("nan")
+    error = sample_of(good).error if len(good) else float("nan")
     low, high = wilson_interval(len(good), len(runs))
     return Row(
         layout=name,
@@ -96,6 +102,7 @@ def summarise(
         success_high=high,
         mean_of_all=float(every.mean()),
         cpu_seconds_per_run=cpu_seconds / len(runs),
+        error_of_all=sample_of(every).error,
     )
 
 
@@ -108,10 +115,67 @@ def find_peak(rows: Sequence[Row]) -> Peak:
     return Peak(at.layout, at.rows, at.cols, at.agents, means[top], at.success_rate, dropped)
 
 
-def write_rows(path: Path, rows: Sequence[Row]) -> None:
+def value_of_an_agent(fewer: tuple[int, float], more: tuple[int, float]) -> float:
+    """Compare what a further agent brings with what one brings on average.
+
+    The elasticity of throughput to the number of agents: 1 without any hindrance, 0 at the peak.
+
+    Args:
+        fewer: a number of agents and its throughput.
+        more: a larger number and its throughput.
+    """
+    added = (more[1] - fewer[1]) / (more[0] - fewer[0])
+    return added / (fewer[1] / fewer[0]) if fewer[1] else 0.0
+
+
+def find_capacity(rows: Sequence[Row]) -> int:
+    """Find up to which number of agents of one layout's rows every further one is worth it.
+
+    It is where it brings at least half of what an average one does (`WORTH`).
+
+    Args:
+        rows: sorted by agents.
+    """
+    points = [(row.agents, row.mean_of_all) for row in rows]
+    for fewer, more in pairwise(points):
+        if value_of_an_agent(fewer, more) < WORTH:
+            return fewer[0]
+    return points[-1][0]
+
+
+def differences(rows: Sequence[Row]) -> list[Difference]:
+    """Compare each row with that of the first layout at the same number of agents.
+
+    Over all runs, congested ones too: to leave them out would favour a layout that congests.
+    The first layout's own rows differ by 0 from themselves, without an interval.
+    """
+    first = {row.agents: row for row in rows if row.layout == rows[0].layout}
+    itself = Difference(0.0, float("nan"), float("nan"), False)
+    return [
+        itself
+        if row.layout == rows[0].layout
+        else difference(_sample(row), _sample(first[row.agents]))
+        for row in rows
+    ]
+
+
+def _sample(row: Row) -> Sample:
+    return Sample(row.mean_of_all, row.error_of_all, row.runs)
+
+
+def write_rows(
+    path: Path, rows: Sequence[Row], columns: Mapping[str, Sequence[Any]] | None = None
+) -> None:
     """Write rows as CSV, one line each.
+
+    Args:
+        path: the file.
+        rows: of the table.
+        columns: further ones by name, an entry for each row.
 
     Raises:
         InputError: the place cannot be written to.
     """
-    write_csv(path, Row._fields, rows)
+    columns = columns or {}
+    lines = [(*row, *rest) for row, *rest in zip(rows, *columns.values(), strict=True)]
+    write_csv(path, (*Row._fields, *columns), lines)

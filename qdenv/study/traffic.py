@@ -1,106 +1,133 @@
-"""Studies of one layout's traffic: simulate it over seeds, audit what happened, report it."""
+"""Studies of one layout's traffic: simulate it over seeds, see where it jams, judge it."""
 
-import functools
-import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
-from qdenv import devices
 from qdenv.domains.base import find_domain
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.audit import audit, trajectory_of
-from qdenv.simulate.mapf.goals import check_playable
-from qdenv.study.options import describe_planner, find_planner, parse_seeds
-from qdenv.study.table import summarise
+from qdenv.grid import of_tiles
+from qdenv.simulate.mapf.metrics import Recording
+from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
+from qdenv.study.jams import Maps, average, cells_with_half, map_run, worst_cells
+from qdenv.study.options import describe_planner, find_planner, fleet_tasks, parse_seeds
+from qdenv.study.progress import Progress, silent
+from qdenv.study.runs import Simulated, auditor, run_seeds
+from qdenv.study.table import Row, summarise
+from qdenv.study.verdict import PROBES, Point, Verdict, judge, more_than, point_of
 from qdenv.types import InputError, TaskRule, Traffic
 
+MOST_RECORDED = 50_000_000  # agent-steps of one recording: 650 MB, several times as much meanwhile
 
-class Simulated(NamedTuple):
-    """The runs of one layout.
+
+class Wanted(NamedTuple):
+    """What a study looks into beyond throughput.
 
     Attributes:
-        seeds: one per run.
-        runs: `Traffic` of numpy values.
-        recordings: trajectories where they were asked for, else empty.
-        cpu_seconds: of all runs together, compilation left out.
-        compile_seconds: CPU seconds of compiling; 0 where the program was at hand.
+        audit: check every trajectory against the rules.
+        maps: count where agents wait and work.
+        verdict: simulate other numbers of agents, too, and judge this one.
     """
 
-    seeds: tuple[int, ...]
-    runs: list[Traffic]
-    recordings: list[fleet.Recording]
-    cpu_seconds: float
-    compile_seconds: float
+    audit: bool = True
+    maps: bool = True
+    verdict: bool = True
 
 
-def run_seeds(
+class Reading(NamedTuple):
+    """What is read off the recording of one run.
+
+    Attributes:
+        maps: where agents waited and worked.
+        broken: what was done against the rules; empty without an audit.
+    """
+
+    maps: Maps
+    broken: list[str]
+
+
+class Study(NamedTuple):
+    """What is known of a fleet on a layout.
+
+    Attributes:
+        row: its numbers in brief.
+        done: its runs.
+        maps: averaged over the runs; None where they were not wanted.
+        verdict: None where it was not wanted.
+        broken: what was done against the rules; None where nobody looked.
+    """
+
+    row: Row
+    done: Simulated
+    maps: Maps | None
+    verdict: Verdict | None
+    broken: list[str] | None
+
+
+def examine(
     layout: np.ndarray,
     tasks: TaskRule | None,
-    config: fleet.FleetConfig,
+    config: FleetConfig,
     seeds: Sequence[int],
-    agents: int | None = None,
-    record: bool = False,
-    threads: int | None = None,
-) -> Simulated:
-    """Simulate a layout once per seed, on all cores.
+    wanted: Wanted = Wanted(),  # noqa: B008 (frozen)
+    progress: Progress = silent,
+) -> Study:
+    """Simulate a fleet on a layout over seeds, see where it jams, and judge the number of agents.
 
     Args:
         layout: int8 [H, W].
-        tasks: what the agents do.
-        config: numbers of the simulation; every layout of one size shares its program.
-        seeds: each decides starts, goals and ties of its run.
-        agents: how many take part, at most ``config.agents``; None for all. Compiles nothing new.
-        record: keep the trajectories.
-        threads: runs at a time; None for as many as there are cores.
+        tasks: what the agents do; None where no fleet drives, which is refused.
+        config: numbers of the simulation.
+        seeds: of the runs; the first few of them for other numbers of agents.
+        wanted: what is looked into.
+        progress: told how far it is.
 
     Raises:
-        InputError: no fleet drives in this domain, or not on this layout.
+        InputError: the fleet cannot work on this layout, or is too large to be recorded.
     """
-    if tasks is None:
-        raise InputError("no fleet drives in this domain: there is no traffic to simulate")
-    count = config.agents if agents is None else agents
-    check_playable(layout, tasks, count)
-    begin = time.process_time()
-    prepare, simulate = _programs(tasks, config, layout.shape, record)
-    compiled = time.process_time()
-    world = prepare(layout)
+    tasks = fleet_tasks(layout, tasks, config.agents)
+    recorded = wanted.audit or wanted.maps
+    if recorded and config.agents * config.timesteps > MOST_RECORDED:
+        raise InputError(
+            f"{config.agents} agents over {config.timesteps} timesteps are too much to record: "
+            f"simulate at most {MOST_RECORDED // config.agents} timesteps, or add --no-audit"
+        )
+    agents, most = config.agents, int(of_tiles(layout, tasks.traversable, tasks.tiles).sum())
+    if wanted.verdict:  # the program has room for as many as are tried
+        most = min(most, MOST_STEPS // config.timesteps)
+        config = replace(config, agents=max(agents, min(most, more_than(agents))))
+    read = _reader(layout, tasks, config, wanted) if recorded else None
+    done = run_seeds(layout, tasks, config, seeds, agents, read, progress=progress)
+    # The same program: another one for runs that are not recorded would have to be compiled.
+    probing = (lambda *run: None) if recorded else None
 
-    def one(seed: int) -> tuple:
-        return jax.tree.map(np.asarray, simulate(world, jax.random.key(seed), np.int32(count)))
+    def probe(number: int) -> Point:
+        def tell(doing: str, share: float, note: str) -> None:
+            progress(f"trying {number} agents", share, note)
 
-    # A compiled call leaves the interpreter lock, so threads use all cores.
-    with ThreadPoolExecutor(threads or devices.threads()) as pool:
-        results = list(pool.map(one, seeds))
-    spent = time.process_time() - compiled
-    return Simulated(
-        tuple(seeds),
-        [traffic for traffic, _ in results],
-        [recording for _, recording in results if record],
-        spent,
-        compiled - begin,
+        few = run_seeds(layout, tasks, config, seeds[:PROBES], number, probing, progress=tell)
+        return point_of(number, few.runs)
+
+    return Study(
+        row=summarise("", layout, agents, done.runs, done.cpu_seconds),
+        done=done,
+        maps=average([reading.maps for reading in done.readings]) if wanted.maps else None,
+        verdict=judge(point_of(agents, done.runs), probe, most) if wanted.verdict else None,
+        broken=[rule for one in done.readings for rule in one.broken] if wanted.audit else None,
     )
 
 
-@functools.lru_cache(maxsize=32)
-def _programs(
-    tasks: TaskRule, config: fleet.FleetConfig, shape: tuple[int, int], record: bool
-) -> tuple[Callable, Callable]:
-    """Compile the preparation and the simulation of layouts of one size."""
+def _reader(
+    layout: np.ndarray, tasks: TaskRule, config: FleetConfig, wanted: Wanted
+) -> Callable[[int, Traffic, Recording], Reading]:
+    find_broken = auditor(layout, tasks, config)
 
-    def run(world: Any, key: Any, count: Any) -> tuple:
-        if record:
-            return fleet.record(world, key, config, count)
-        return fleet.simulate(world, key, config, count), None
+    def read(seed: int, run: Traffic, recording: Recording) -> Reading:
+        broken = find_broken(seed, run, recording) if wanted.audit else []
+        return Reading(map_run(layout.shape, run, recording), broken)
 
-    layout = jax.ShapeDtypeStruct(shape, np.int8)
-    prepare = jax.jit(lambda layout: fleet.prepare(layout, tasks, config))
-    world = jax.eval_shape(prepare, layout)
-    arguments = (world, jax.random.key(0), jax.ShapeDtypeStruct((), np.int32))
-    return prepare.lower(layout).compile(), jax.jit(run).lower(*arguments).compile()
+    return read
 
 
 def simulate_layout(
@@ -122,49 +149,64 @@ def simulate_layout(
         timesteps: horizon T.
         seeds: how many, or a list; see `parse_seeds`.
         effort: "low" or "high".
-        check: audit every trajectory; without it "valid" is None.
+        check: audit every trajectory, and see where agents wait; without it "valid" is None.
         planner: name of another registered planner.
 
     Returns:
-        domain, planner, agents, timesteps, runs (seed, throughput, congested, end_timestep,
-        finished_tasks), mean_throughput (over the runs that never congested; None where every
-        run did), mean_of_all (over all runs), success_rate, cpu_seconds_per_run,
-        compile_seconds, valid, broken.
+        what `facts_of` reports, and domain, planner, agents, timesteps.
 
     Raises:
         InputError: a name is unknown, or the fleet cannot work on this layout.
     """
     settings = find_planner(effort, planner)
-    tasks = find_domain(domain).simulator.tasks
-    config = fleet.FleetConfig(agents=agents, timesteps=timesteps, planner=settings)
-    done = run_seeds(layout, tasks, config, parse_seeds(seeds), record=check)
-    wrong = broken_rules(layout, tasks, config, done) if check and tasks else []
-    row = summarise(domain, layout, agents, done.runs, done.cpu_seconds)
-    return {
-        "domain": domain,
-        "planner": describe_planner(settings),
-        "agents": agents,
-        "timesteps": timesteps,
+    tasks = fleet_tasks(layout, find_domain(domain).simulator.tasks, agents)
+    config = FleetConfig(agents=agents, timesteps=timesteps, planner=settings)
+    study = examine(layout, tasks, config, parse_seeds(seeds), Wanted(check, check, False))
+    about = {"domain": domain, "planner": describe_planner(settings)}
+    return {**about, "agents": agents, "timesteps": timesteps, **facts_of(study, layout)}
+
+
+def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:
+    """Report a study in JSON-ready values.
+
+    Returns:
+        runs (seed, throughput, congested, end_timestep, finished_tasks), mean_throughput (over
+        the runs that never congested; None where every run did), mean_of_all (over all runs),
+        standard_error (of the latter), success_rate, steps_per_task, cpu_seconds_per_run,
+        compile_seconds, valid, broken; where it was looked into also waiting_share (of the
+        agents' time), worst_cells, cells_with_half_of_waiting, verdict, verdict_reason,
+        evidence (the numbers of agents that were tried).
+    """
+    row, done, maps, verdict, broken = study
+    facts: dict[str, Any] = {
         "runs": [describe(seed, run) for seed, run in zip(done.seeds, done.runs, strict=True)],
         "mean_throughput": row.throughput if row.success_rate else None,
         "mean_of_all": row.mean_of_all,
+        "standard_error": row.error_of_all,
         "success_rate": row.success_rate,
+        "steps_per_task": steps_per_task(done.runs),
         "cpu_seconds_per_run": round(row.cpu_seconds_per_run, 4),
         "compile_seconds": round(done.compile_seconds, 3),
-        "valid": not wrong if check else None,
-        "broken": wrong,
+        "valid": None if broken is None else not broken,
+        "broken": broken or [],
     }
+    if maps is not None:
+        facts |= {
+            "waiting_share": maps.waiting_share,
+            "worst_cells": [spot._asdict() for spot in worst_cells(layout, maps)],
+            "cells_with_half_of_waiting": cells_with_half(maps),
+        }
+    if verdict is not None:
+        points = [point._asdict() for point in verdict.points]
+        facts |= {"verdict": verdict.word, "verdict_reason": verdict.reason, "evidence": points}
+    return facts
 
 
-def broken_rules(
-    layout: np.ndarray, tasks: TaskRule, config: fleet.FleetConfig, done: Simulated
-) -> list[str]:
-    """Audit all recorded runs; returns what they did against the rules, with the seed."""
-    return [
-        f"seed {seed}: {found}"
-        for seed, run, tape in zip(done.seeds, done.runs, done.recordings, strict=True)
-        for found in audit(layout, tasks, trajectory_of(tape), run, config.horizon)
-    ]
+def steps_per_task(runs: Sequence[Traffic]) -> float | None:
+    """Average the moves that a finished task takes over all runs; None where none is finished."""
+    tasks = np.array([run.finished.sum() for run in runs])
+    moves = tasks * [float(run.path_length) for run in runs]
+    return float(moves.sum() / tasks.sum()) if tasks.any() else None
 
 
 def describe(seed: int, run: Traffic) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from qdenv.checkpoints import Rows, read_state, write_state
+from qdenv.checkpoints import DamagedError, Rows, read_state, write_state
 from qdenv.lazy import jax, jnp
 from qdenv.search.store import stores_in
 from qdenv.training.dense import upgraded
@@ -55,9 +55,22 @@ def load_checkpoint(path: Path, initial: Any) -> tuple[Any, dict[str, Any]]:
         (state, manifest).
 
     Raises:
-        InputError: the file is damaged, of a newer schema, or of another configuration.
+        DamagedError: the file is damaged.
+        InputError: it is of a newer schema, or of another configuration.
     """
     arrays, manifest = read_state(path, _MANIFEST)
+    try:
+        return _fitted(path, arrays, manifest, initial)
+    except (KeyError, IndexError, ValueError, TypeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise DamagedError(f"{path} is no readable checkpoint ({error!r})") from error
+
+
+def _fitted(
+    path: Path, arrays: dict[str, np.ndarray], manifest: dict[str, Any], initial: Any
+) -> tuple[Any, dict[str, Any]]:
+    """Put the arrays of a checkpoint into the form of an initial state."""
     another = InputError(f"{path}: belongs to another configuration")
     leaves, structure = jax.tree.flatten(initial)
     plain = [_as_bits(leaf) for leaf in leaves]

@@ -17,6 +17,8 @@ from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.training import schema1
 from qdenv.types import InputError
 
+LARGEST = 2**31 - 1  # of a seed, and of whatever is counted
+
 # Settings whose type is a choice, wherever a field of this name stands.
 CHOICES = {
     "domain": DOMAINS,
@@ -45,6 +47,15 @@ class RunConfig:
     archive: tuple[tuple[float, float, int], ...] = ()
     seed: int = 0
     checkpoint_every: int = 5
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no run."""
+        for name in ("evaluations", "checkpoint_every"):
+            value = getattr(self, name)
+            if not 1 <= value <= LARGEST:
+                raise InputError(f"{name.replace('_', '-')} must be at least 1, not {value}")
+        if not -LARGEST <= self.seed <= LARGEST:
+            raise InputError(f"seed must be from 0 to {LARGEST}, not {self.seed}")
 
 
 def config_to_json(config: RunConfig) -> dict[str, Any]:

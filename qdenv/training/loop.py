@@ -7,19 +7,20 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from qdenv.formats.layouts import write_layout
 from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
+from qdenv.search.axes import check_measures
 from qdenv.search.base import Algorithm
-from qdenv.search.export import collector
-from qdenv.search.growth import growing
+from qdenv.search.growth import growing, is_whole
 from qdenv.search.registry import make_algorithm
 from qdenv.training.config import RunConfig
+from qdenv.training.continued import check_settings, check_total, settings_of
+from qdenv.training.manifest import meaning_of
 from qdenv.training.progress import Progress
-from qdenv.training.records import Metrics, RunDirectory
-from qdenv.types import Array, Evaluation, Measure, RepairStatus
+from qdenv.training.published import Publisher, describe, metrics_row
+from qdenv.training.records import RunDirectory
+from qdenv.types import Array, Evaluation, InputError, Measure
 
 
 class Experiment(NamedTuple):
@@ -50,19 +51,38 @@ def make_experiment(config: RunConfig) -> Experiment:
         InputError: a setting is impossible.
     """
     pipeline = make_pipeline(config.evaluation, repair_seed=config.seed)
-    own = pipeline.domain.measures
-    measures = tuple(
-        measure._replace(low=low, high=high, cells=cells)
-        for measure, (low, high, cells) in zip(
-            own, config.archive or [m[1:4] for m in own], strict=True
-        )
-    )
+    measures = archive_axes(pipeline.domain.measures, config.archive)
     search_key, evaluation_key = jax.random.split(jax.random.key(config.seed))
     one = jax.ShapeDtypeStruct((1, pipeline.solution_size), np.float32)
     shapes = jax.eval_shape(lambda p, k: evaluate(pipeline, p, k), one, evaluation_key)
     extras = {name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in kept(shapes).items()}
     algorithm = make_algorithm(config.algorithm, pipeline.solution_size, measures, extras)
     return Experiment(measures, pipeline, algorithm, search_key, evaluation_key)
+
+
+def archive_axes(
+    own: tuple[Measure, ...], ranges: tuple[tuple[float, float, int], ...]
+) -> tuple[Measure, ...]:
+    """Give a domain's measures the configured ranges.
+
+    Args:
+        own: the domain's.
+        ranges: (low, high, cells) of each; empty for their own.
+
+    Raises:
+        InputError: a range is empty, or there are more or fewer than measures.
+    """
+    if ranges and len(ranges) != len(own):
+        names = " and ".join(repr(measure.name) for measure in own)
+        raise InputError(
+            f"archive: give low, high and cells for each of {names}: {3 * len(own)} numbers"
+        )
+    measures = tuple(
+        measure._replace(low=low, high=high, cells=cells)
+        for measure, (low, high, cells) in zip(own, ranges, strict=False)
+    )
+    check_measures(measures or own)
+    return measures or own
 
 
 def kept(evaluation: Evaluation) -> dict[str, Array]:
@@ -110,8 +130,11 @@ def train(config: RunConfig, path: str | Path, progress: bool = True) -> RunDire
         InputError: a setting is impossible, the folder holds a run already or is read-only.
     """
     experiment = make_experiment(config)
-    run = RunDirectory.create(path, config, experiment.measures, experiment.pipeline.domain.tiles)
-    return _run(experiment, config, run, progress)
+    run = RunDirectory(Path(path))
+    with run.locked():
+        meaning = meaning_of(experiment.pipeline.domain, experiment.measures)
+        run = RunDirectory.create(path, config, meaning)
+        return _run(experiment, config, run, progress)
 
 
 def resume(path: str | Path, progress: bool = True, evaluations: int | None = None) -> RunDirectory:
@@ -123,97 +146,68 @@ def resume(path: str | Path, progress: bool = True, evaluations: int | None = No
         evaluations: a new total, to go on beyond the configured one.
 
     Raises:
-        InputError: there is no run, or it was written by a newer version.
+        InputError: there is no run, it was written by a newer version or with other settings,
+            more evaluations are done already, or another process is at work on it.
     """
     run = RunDirectory.open(path)
-    config = run.config
-    if evaluations is not None:
-        config = dataclasses.replace(config, evaluations=evaluations)
-        run.write_config(config)
-    return _run(make_experiment(config), config, run, progress)
+    with run.locked():
+        config = run.config
+        if evaluations is not None:
+            config = dataclasses.replace(config, evaluations=evaluations)
+        # A domain may have other ranges today than when the run began.
+        axes = config.archive or tuple(axis[1:4] for axis in run.measures)
+        return _run(
+            make_experiment(dataclasses.replace(config, archive=axes)), config, run, progress
+        )
 
 
 def _run(
     experiment: Experiment, config: RunConfig, run: RunDirectory, progress: bool
 ) -> RunDirectory:
     """Iterate until all evaluations are done, from the newest checkpoint."""
-    batch = experiment.algorithm.batch_size
+    batch, domain = experiment.algorithm.batch_size, experiment.pipeline.domain
     total = -(-config.evaluations // batch)
+    settings = settings_of(config, experiment.measures)
     with Progress(total * batch, progress) as shown:
         algorithm = growing(shown.over_algorithm(experiment.algorithm))
-        collect = collector(algorithm)
-        summarise = jax.jit(lambda state: _summary(algorithm, state))
+        publisher = Publisher(run, domain, experiment.measures, algorithm)
         evaluator = PipelinedEvaluator(shown.over_pipeline(experiment.pipeline))
 
-        done, state = run.load_checkpoint(algorithm.init(experiment.search_key))
+        manifest, state = run.load_checkpoint(algorithm.init(experiment.search_key))
+        done = saved = manifest["iteration"]
+        # Checkpoints of an older qdenv say nothing, but the manifest knows the axes.
+        known = {"archive": [list(axis[1:4]) for axis in run.measures]}
+        check_settings(settings, manifest.get("settings", known), run.path)
+        if config != run.config:
+            check_total(config.evaluations, done, batch)
+            run.write_config(config)
         # Iterations after the checkpoint are run again, so their rows are written again, too.
-        rows = [row for row in run.read_metrics() if row.iteration <= done]
+        rows = [row for row in run.read_metrics(salvage=True) if row.iteration <= done]
         elapsed = rows[-1].seconds if rows else 0.0
+        if done >= total:
+            publisher.publish(state)  # it may be older, where a run was killed at its very end
         shown.begin(done * batch)
-        for iteration in range(done + 1, total + 1):
-            start = time.perf_counter()
-            solutions, state = algorithm.ask(state)
-            # Keys follow from the number of the iteration: a resumed run draws what this one would.
-            key = jax.random.fold_in(experiment.evaluation_key, iteration)
-            evaluation = evaluator(solutions, key)
-            state = algorithm.tell(state, solutions, evaluation.score, kept(evaluation))
-            summary = [float(value) for value in summarise(state)]
-            elapsed += time.perf_counter() - start
-            row = _metrics(iteration, batch, summary, round(elapsed, 3), evaluation)
-            rows.append(row)
-            run.write_metrics(rows)
-            shown.update(
-                batch,
-                f"QD-score {row.qd_score:.1f}, coverage {row.coverage:.1%}, "
-                f"best {row.best_objective:.3f}",
-            )
-            if iteration % config.checkpoint_every == 0 or iteration == total:
-                run.save_checkpoint(iteration, state)
-                _publish(run, experiment, collect(state))
+        try:
+            while done < total:
+                start = time.perf_counter()
+                solutions, asked = algorithm.ask(state)
+                # Keys follow from the number of the iteration: a resumed run draws the same.
+                key = jax.random.fold_in(experiment.evaluation_key, done + 1)
+                evaluation = evaluator(solutions, key)
+                state = algorithm.tell(asked, solutions, evaluation.score, kept(evaluation))
+                done += 1
+                summary = publisher.summary(state)
+                elapsed += time.perf_counter() - start
+                rows.append(metrics_row(done, batch, summary, round(elapsed, 3), evaluation))
+                run.write_metrics(rows)
+                shown.update(batch, describe(rows[-1]))
+                if done % config.checkpoint_every == 0 or done == total:
+                    run.save_checkpoint(done, state, settings)
+                    saved = done
+                    publisher.publish(state)
+        except KeyboardInterrupt:
+            if done > saved and is_whole(state):
+                run.save_checkpoint(done, state, settings)
+                publisher.publish(state)
+            raise
     return run
-
-
-def _metrics(
-    iteration: int, batch: int, summary: list[float], seconds: float, evaluation: Evaluation
-) -> Metrics:
-    """Write an iteration's row: what the archive is worth, and what failed on the way there."""
-    qd_score, coverage, best = summary
-    failed = np.asarray(evaluation.status) >= RepairStatus.IMPOSSIBLE
-    # A simulator whose runs cannot congest has no such field.
-    congested = getattr(evaluation.runs, "congested", np.zeros(0, bool))
-    return Metrics(
-        iteration,
-        iteration * batch,
-        qd_score,
-        coverage,
-        best,
-        seconds,
-        failed_repairs=int(failed.sum()),
-        congested_runs=int(np.asarray(congested).sum()),
-    )
-
-
-def _publish(run: RunDirectory, experiment: Experiment, archive: dict[str, np.ndarray]) -> None:
-    """Write the archive and its best layout."""
-    run.save_archive(archive)
-    if len(archive["index"]) == 0:
-        return
-    row = int(np.argmax(archive["objective"]))
-    details = {
-        "domain": experiment.pipeline.domain.name,
-        "objective": float(archive["objective"][row]),
-        "measures": {
-            measure.name: float(value)
-            for measure, value in zip(experiment.measures, archive["measures"][row], strict=True)
-        },
-        "similarity": float(archive["similarity"][row]),
-    }
-    layout = archive["repaired"][row]
-    write_layout(run.path / "best_layout.json", layout, experiment.pipeline.domain.tiles, **details)
-
-
-def _summary(algorithm: Algorithm, state: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute QD-score, coverage and best objective of the result archive."""
-    archive = algorithm.archive(state)
-    best = jnp.where(archive.filled.any(), archive.objectives.max(), 0.0)
-    return archive.qd_score(), archive.coverage, best

@@ -1,69 +1,55 @@
 """The run directory: configuration, manifest, metrics, checkpoints, archive, best layout.
 
 RUN/config.json             every setting, resolved; enough to run it again
-RUN/manifest.json           schema, versions, device, git revision
+RUN/manifest.json           schema, measures, versions, device, git revision
 RUN/metrics.csv             one row per iteration
 RUN/checkpoints/NUMBER.npz  the search after that iteration
 RUN/archive.npz             one row per filled cell of the result archive
-RUN/best_layout.json, archive.png, best_layout.png
+RUN/best_layout.json, archive.png, progress.png, best_layout.png
+RUN/.lock                   held by the process that writes here
 """
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import json
-import platform
-import subprocess
+import logging
+import re
 from collections.abc import Sequence
-from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any
 
 import numpy as np
 
-from qdenv.checkpoints import write_arrays
+from qdenv.checkpoints import DamagedError, read_arrays, write_arrays
 from qdenv.files import write_csv, write_json
-from qdenv.lazy import jax
+from qdenv.training.archive import Archive
 from qdenv.training.config import RunConfig, config_from_json, config_to_json
+from qdenv.training.elite import BestLayout, Elite, check_columns, parse_best_layout
+from qdenv.training.lock import locked
+from qdenv.training.manifest import Meaning, check_schema, make_manifest, read_meaning
+from qdenv.training.metrics import Metrics, read_metrics
 from qdenv.types import InputError, Measure
 
-SCHEMA = 2  # 1: one flat record for the numbers of every domain; still read
 KEPT_CHECKPOINTS = 2
-_PACKAGES = ("qdenv", "jax", "jaxlib", "numpy", "flax", "qdax", "evosax", "highspy", "numba")
+LOG = logging.getLogger(__name__)
 
 
-class Metrics(NamedTuple):
-    """One row of metrics.csv: the search after an iteration."""
-
-    iteration: int
-    evaluations: int
-    qd_score: float
-    coverage: float
-    best_objective: float
-    seconds: float  # wall clock, summed over interruptions
-    failed_repairs: int = 0  # of this iteration's layouts, those without a feasible repair
-    congested_runs: int = 0  # of this iteration's simulations
-
-
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class RunDirectory:
     """The files of one run; every write leaves either the old file or the new one."""
 
     path: Path
 
     @classmethod
-    def create(
-        cls, path: str | Path, config: RunConfig, measures: Sequence[Measure], tiles: str
-    ) -> RunDirectory:
+    def create(cls, path: str | Path, config: RunConfig, meaning: Meaning) -> RunDirectory:
         """Start a run's folder.
 
         Args:
             path: the folder; made if need be.
             config: the resolved configuration.
-            measures: axes of the archive.
-            tiles: alphabet of the layouts.
+            meaning: of the archive.
 
         Raises:
             InputError: there is a run already, or the place cannot be written to.
@@ -71,7 +57,7 @@ class RunDirectory:
         run = cls(Path(path))
         if (run.path / "config.json").exists():
             raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
-        write_json(run.path / "manifest.json", _manifest(measures, tiles))
+        write_json(run.path / "manifest.json", make_manifest(meaning))
         run.write_metrics([])
         run.write_config(config)  # last: a folder with a configuration counts as a run
         return run
@@ -86,9 +72,12 @@ class RunDirectory:
         run = cls(Path(path))
         if not (run.path / "config.json").exists():
             raise InputError(f"{path}: no run here (config.json is missing)")
-        if run._read_json("manifest.json").get("schema", 0) > SCHEMA:
-            raise InputError(f"{path}: written by a newer qdenv, please upgrade")
+        check_schema(run._read_json("manifest.json"), run.path / "manifest.json")
         return run
+
+    def locked(self) -> AbstractContextManager[None]:
+        """Keep every other process from writing here."""
+        return locked(self.path)
 
     def write_config(self, config: RunConfig) -> None:
         """Write config.json."""
@@ -100,54 +89,103 @@ class RunDirectory:
         return config_from_json(self._read_json("config.json"), self.path / "config.json")
 
     @property
+    def meaning(self) -> Meaning:
+        """What the archive means: its axes, the alphabet of its layouts, its objective."""
+        return read_meaning(self._read_json("manifest.json"), self.path / "manifest.json")
+
+    @property
     def measures(self) -> tuple[Measure, ...]:
         """The axes of the archive."""
-        axes = self._read_json("manifest.json")["measures"]
-        return tuple(Measure(**axis) for axis in axes)
+        return self.meaning.measures
 
     @property
     def tiles(self) -> str:
         """The alphabet of the layouts."""
-        return self._read_json("manifest.json")["tiles"]
+        return self.meaning.tiles
+
+    @property
+    def archive(self) -> Archive:
+        """The archive as it was saved last, or an `InputError` where none was yet."""
+        return Archive(self.load_archive(), self.meaning, str(self.path))
+
+    @property
+    def best(self) -> Elite:
+        """The best elite of the archive."""
+        return self.archive.best
+
+    def elite(
+        self, which: str | Sequence[int] = "best", measures: Sequence[float] | None = None
+    ) -> Elite:
+        """Find an elite as `Archive.elite` does: "best", "12,40", (12, 40), or by measures."""
+        return self.archive.elite(which, measures)
+
+    def __repr__(self) -> str:
+        """Say where it is and how far it came."""
+        try:
+            last = self.read_metrics()[-1]
+        except (InputError, IndexError):
+            return f"RunDirectory({str(self.path)!r})"
+        return (
+            f"RunDirectory({str(self.path)!r}: {last.evaluations} evaluations, "
+            f"QD-score {last.qd_score:.4g}, coverage {last.coverage:.1%}, "
+            f"best {last.best_objective:.4g})"
+        )
+
+    def _repr_html_(self) -> str:
+        """Draw the archive and the best layout, for notebooks."""
+        try:
+            archive = self.archive
+            best = archive.best._repr_html_() if len(archive) else ""
+            return f"<p>{self!r}</p>{archive._repr_html_()}{best}"
+        except InputError as error:
+            return f"<p>{self!r}</p><p>{error}</p>"
 
     def write_metrics(self, rows: list[Metrics]) -> None:
         """Replace metrics.csv."""
         write_csv(self.path / "metrics.csv", Metrics._fields, rows)
 
-    def read_metrics(self) -> list[Metrics]:
-        """Read metrics.csv; columns that an older qdenv did not write take their defaults.
+    def read_metrics(self, salvage: bool = False) -> list[Metrics]:
+        """Read metrics.csv as `metrics.read_metrics` does."""
+        return read_metrics(self.path / "metrics.csv", salvage)
 
-        Raises:
-            InputError: the file is missing or damaged.
+    def save_checkpoint(self, iteration: int, state: Any, settings: dict[str, Any]) -> None:
+        """Save the search after `iteration` and forget all but the newest checkpoints.
+
+        Args:
+            iteration: the last that is in `state`.
+            state: of the search.
+            settings: JSON-ready, what decides the run's result.
         """
-        kinds = get_type_hints(Metrics)
-        try:
-            with (self.path / "metrics.csv").open(newline="") as file:
-                return [
-                    Metrics(**{name: kinds[name](value) for name, value in row.items()})
-                    for row in csv.DictReader(file, strict=True)
-                ]
-        except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-            raise InputError(f"{self.path}/metrics.csv: cannot be read ({error})") from error
-
-    def save_checkpoint(self, iteration: int, state: Any) -> None:
-        """Save the search after `iteration` and forget all but the newest checkpoints."""
         from qdenv.training.checkpoint import save_checkpoint  # imports jax and the archives
 
         target = self.path / "checkpoints" / f"{iteration:06d}.npz"
-        save_checkpoint(target, state, {"iteration": iteration})
+        save_checkpoint(target, state, {"iteration": iteration, "settings": settings})
         for old in self._checkpoints()[:-KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
 
-    def load_checkpoint(self, initial: Any) -> tuple[int, Any]:
-        """Load the newest checkpoint: (iteration, state), or (0, `initial`) where none is."""
+    def load_checkpoint(self, initial: Any) -> tuple[dict[str, Any], Any]:
+        """Load the newest checkpoint that is whole; says so where a newer one is not.
+
+        Returns:
+            (manifest with ``iteration``, state); iteration 0 and `initial` where none is saved.
+
+        Raises:
+            InputError: all are damaged, or they are of another search or a newer qdenv.
+        """
         from qdenv.training.checkpoint import load_checkpoint
 
         saved = self._checkpoints()
-        if not saved:
-            return 0, initial
-        state, manifest = load_checkpoint(saved[-1], initial)
-        return manifest["iteration"], state
+        for older, path in enumerate(reversed(saved), start=1):
+            try:
+                state, manifest = load_checkpoint(path, initial)
+                return {**manifest, "iteration": int(manifest["iteration"])}, state
+            except (DamagedError, KeyError, TypeError) as error:
+                if older == len(saved):
+                    raise InputError(
+                        f"{error}: no checkpoint is whole, delete {path.parent} to begin anew"
+                    ) from error
+                LOG.warning("%s: going on from the checkpoint before it", error)
+        return {"iteration": 0}, initial
 
     def save_archive(self, elites: dict[str, np.ndarray]) -> None:
         """Write archive.npz: arrays with one row per filled cell."""
@@ -160,53 +198,36 @@ class RunDirectory:
             InputError: there is none yet, or it is damaged.
         """
         try:
-            with (
-                open(self.path / "archive.npz", "rb") as stream,
-                np.load(stream, allow_pickle=False) as file,
-            ):
-                return dict(file)
-        except (OSError, ValueError, EOFError) as error:
-            raise InputError(f"{self.path}/archive.npz: cannot be read ({error})") from error
+            columns = read_arrays(self.path / "archive.npz")
+        except FileNotFoundError:
+            raise InputError(
+                f"{self.path}: no archive was saved yet; `qdenv resume {self.path}` goes on"
+            ) from None
+        check_columns(columns, self.meaning, str(self.path / "archive.npz"))
+        return columns
+
+    def read_best_layout(self) -> BestLayout | None:
+        """Read best_layout.json; None where no layout succeeded yet.
+
+        Raises:
+            InputError: the file is damaged.
+        """
+        path = self.path / "best_layout.json"
+        if not path.exists():
+            return None
+        return parse_best_layout(self._read_json(path.name), self.tiles, path)
 
     def _checkpoints(self) -> list[Path]:
-        return sorted((self.path / "checkpoints").glob("[0-9]*.npz"))
+        """List the checkpoints, the newest last; files of other names are not ours."""
+        every = (self.path / "checkpoints").glob("*.npz")
+        ours = [path for path in every if re.fullmatch(r"[0-9]{6,9}", path.stem)]
+        return sorted(ours, key=lambda path: int(path.stem))
 
     def _read_json(self, name: str) -> dict[str, Any]:
         try:
             content = json.loads((self.path / name).read_text())
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{self.path / name}: cannot be read ({error})") from error
         if not isinstance(content, dict):
             raise InputError(f"{self.path / name}: expected a JSON object")
         return content
-
-
-def _manifest(measures: Sequence[Measure], tiles: str) -> dict[str, Any]:
-    axes = ("name", "low", "high", "cells")
-    return {
-        "schema": SCHEMA,
-        "measures": [{axis: getattr(measure, axis) for axis in axes} for measure in measures],
-        "tiles": tiles,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {"python": platform.python_version()}
-        | {name: _version(name) for name in _PACKAGES},
-        "device": f"{jax.default_backend()}: {jax.devices()[0].device_kind}",
-        "machine": platform.platform(),
-        "git_revision": _git_revision(),
-    }
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
-
-
-def _git_revision() -> str | None:
-    """Name the revision of the package's own checkout; None where it was installed."""
-    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return None

@@ -12,6 +12,9 @@ from qdenv.types import InputError
 if TYPE_CHECKING:  # the planners themselves import both compilers
     from qdenv.simulate.mapf.planner import Planner
 
+MOST_TIMESTEPS = 10_000_000
+MOST_STEPS = 2**31 - 1  # agent-steps, which are counted in 32 bits
+
 # An entry's maker is called as make(settings) and returns a `Planner`.
 PLANNERS = Registry(
     "planner",
@@ -28,8 +31,8 @@ class FleetConfig:
     """The numbers of a simulation, all compile-time.
 
     Attributes:
-        agents: agents simulated, or the most of them when `simulate` is told fewer.
-        timesteps: length T of a run.
+        agents: how many robots drive, or the most of them when `simulate` is told fewer.
+        timesteps: how long a simulation lasts, T.
         window: timesteps planned ahead without conflict (w), at most what the planner can do.
         horizon: timesteps driven before planning again, the replanning period (h).
         planner: settings record of the planner; its type says which one of `PLANNERS`.
@@ -49,6 +52,12 @@ class FleetConfig:
         """Refuse numbers that make no simulation, and what is no planner's settings."""
         if self.agents < 1 or self.timesteps < 1:
             raise InputError("a simulation needs at least one agent and one timestep")
+        if self.timesteps > MOST_TIMESTEPS or self.agents * self.timesteps > MOST_STEPS:
+            most = max(1, min(MOST_TIMESTEPS, MOST_STEPS // self.agents))
+            raise InputError(
+                f"{self.agents} agents over {self.timesteps} timesteps are more than a run can "
+                f"count: simulate at most {most} timesteps"
+            )
         if not 1 <= self.horizon <= self.window:
             raise InputError(
                 f"need 1 <= horizon <= window, not horizon {self.horizon}, window {self.window}"

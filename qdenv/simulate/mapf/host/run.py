@@ -1,5 +1,7 @@
 """One run as one callback: jax's buffers in, compiled host code, jax's buffers out."""
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -74,11 +76,30 @@ def run_on_host(
         if world.valid:
             place_crew(run)
             outcome.buffer.start[: int(agents)] = run.crew.position
-            drive_to_the_end(drive, run, world.traversable.shape)
+            with _under_way(run):
+                drive_to_the_end(drive, run, world.traversable.shape)
         _report(run, outcome)
 
     result: Outcome = buffer_callback(on_host, like, vmap_method="sequential")(world, seed, agents)
     return result
+
+
+_runs: dict[int, Run] = {}  # those that are being driven now, in any thread
+
+
+@contextlib.contextmanager
+def _under_way(run: Run) -> Iterator[None]:
+    """Let others see how far a run is."""
+    _runs[id(run)] = run
+    try:
+        yield
+    finally:
+        del _runs[id(run)]
+
+
+def steps_under_way() -> int:
+    """Count the timesteps driven so far by all runs of this process that have not ended yet."""
+    return sum(int(run.tally.total[TIME]) for run in list(_runs.values()))
 
 
 def _report(run: Run, outcome: Any) -> None:

@@ -1,0 +1,1 @@
+"""The functions of a notebook: `qdenv.train`, `qdenv.simulate`, `qdenv.repair`, ..."""

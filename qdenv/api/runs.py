@@ -1,0 +1,139 @@
+"""Functions about runs, which are folders or what `train` returned."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qdenv.api.results import Layout
+from qdenv.presets import find_preset
+from qdenv.training.config import CHOICES, RunConfig
+from qdenv.training.elite import Elite
+from qdenv.training.records import RunDirectory
+from qdenv.types import InputError, RepairStatus
+
+
+def train(
+    preset: str | RunConfig = "quick",
+    path: str | Path | None = None,
+    progress: bool = True,
+    **settings: Any,
+) -> RunDirectory:
+    """Search generators and leave everything in a new run directory.
+
+    Args:
+        preset: name of a preset, or a whole configuration.
+        path: the folder to make; a fresh one under runs/ unless given.
+        progress: show a progress bar.
+        **settings: in place of the preset's, by the names of `qdenv train --help` with
+            underscores: evaluations=300, seed=3, alpha=1.0, agents=40, shelves=60. Domains,
+            planners, generators and algorithms may be named.
+
+    Raises:
+        InputError: a name is unknown, a setting is impossible, or the folder holds a run already.
+    """
+    from qdenv.training import loop
+
+    config = find_preset(preset) if isinstance(preset, str) else preset
+    config = overridden(config, settings)
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    name = preset if isinstance(preset, str) else "run"
+    return loop.train(config, path or Path("runs") / f"{name}-{stamp}", progress)
+
+
+def overridden(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
+    """Replace settings of a configuration by name, however deep they lie.
+
+    Args:
+        config: the configuration.
+        settings: values by name; a name of a domain, planner, generator or algorithm stands for
+            its settings, with all its defaults but for what the domain shares with the old one.
+
+    Raises:
+        InputError: nothing has this name, or the value is impossible.
+    """
+    # Choices first: which other names there are depends on them.
+    for name in sorted(settings, key=lambda name: name not in CHOICES):
+        value = settings[name]
+        if name == "domain" and isinstance(value, str):
+            from qdenv.commands.choices import choose_domain
+
+            config = choose_domain(config, value)
+            continue
+        if name in CHOICES and isinstance(value, str):
+            value = CHOICES[name].config(value)
+        changed = _replaced(config, name, value)
+        if changed is None:
+            known = sorted(set(_names(config)))
+            near = difflib.get_close_matches(name, known, 3) or known
+            raise InputError(f"there is no setting {name!r}: did you mean {', '.join(near)}?")
+        config = changed
+    return config
+
+
+def _replaced(record: Any, name: str, value: Any) -> Any:
+    """Replace a field of a record or of one inside it; None where there is none."""
+    fields = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+    if name in fields:
+        return dataclasses.replace(record, **{name: value})
+    for place, inner in fields.items():
+        if dataclasses.is_dataclass(inner):
+            changed = _replaced(inner, name, value)
+            if changed is not None:
+                return dataclasses.replace(record, **{place: changed})
+    return None
+
+
+def _names(record: Any) -> Iterator[str]:
+    for field in dataclasses.fields(record):
+        yield field.name
+        inner = getattr(record, field.name)
+        if dataclasses.is_dataclass(inner):
+            yield from _names(inner)
+
+
+def generate(
+    run: RunDirectory | str | Path,
+    rows: int | None = None,
+    cols: int | None = None,
+    elite: str | Sequence[int] | Elite = "best",
+    steps: int | None = None,
+    seed: int | None = None,
+    repair: bool = True,
+    **numbers: int,
+) -> Layout:
+    """Grow an elite of a run at any size and repair it.
+
+    Args:
+        run: the run, or its folder.
+        rows: of the layout; the trained size unless given.
+        cols: of the layout; the trained size unless given.
+        elite: "best", a cell like "12,40" or (12, 40), or what `run.elite` found.
+        steps: of growth; scaled with the size unless given.
+        seed: of the repair; the run's own unless given.
+        repair: False keeps what the generator drew.
+        **numbers: exact numbers of tiles; scaled with the area unless given.
+
+    Raises:
+        InputError: there is no such elite, or no layout of this size obeys the rules.
+    """
+    from qdenv.study.elites import find_elite, grow_elite, repair_grown
+
+    opened = run if isinstance(run, RunDirectory) else RunDirectory.open(run)
+    config = opened.config
+    found = elite if isinstance(elite, Elite) else find_elite(opened, elite)
+    grown = grow_elite(opened, found, (rows, cols), steps, numbers)
+    facts: dict[str, Any] = {"elite": ",".join(map(str, found.cell)), "steps": grown.steps}
+    chosen = config.seed if seed is None else seed
+    repaired = repair_grown(grown, config.evaluation.repair, chosen) if repair else None
+    if repaired is None:
+        return Layout(grown.layout, grown.domain, facts)
+    status = RepairStatus(int(repaired.status)).name.lower()
+    facts |= {"repair": status, "changed": float(repaired.cost)}
+    return Layout(np.asarray(repaired.layout), grown.domain, facts)

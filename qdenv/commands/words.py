@@ -1,0 +1,63 @@
+"""What all commands about traffic say alike: who drives, in which units, where pictures go."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from qdenv.commands import output
+from qdenv.commands.choices import FleetOptions
+from qdenv.study.plans import Plan
+from qdenv.types import InputError
+
+AUTO = Path("auto")  # what `--plot` without a name is turned into
+SECONDS_PER_HOUR = 3600
+
+# How a command takes `--plot`, with a name or without.
+Picture = Annotated[Path | None, tyro.conf.arg(metavar="[FILE]")]
+
+
+def place_picture(plot: Path | None, default: str, inputs: Iterable[Path]) -> output.Place | None:
+    """Choose where a picture goes; None where none is asked for.
+
+    Raises:
+        InputError: see `output.place`.
+    """
+    if plot is None:
+        return None
+    return output.place(None if plot == AUTO else plot, default, output.PICTURES, inputs)
+
+
+def steps_per_hour(options: FleetOptions) -> float | None:
+    """Turn the length of a timestep into timesteps per hour; None where it is not said.
+
+    Raises:
+        InputError: it is no length of time.
+    """
+    seconds = options.seconds_per_step
+    if seconds is None:
+        return None
+    if not 0 < seconds < float("inf"):
+        raise InputError(f"seconds per step {seconds}: give the length of a timestep, like 0.8")
+    return SECONDS_PER_HOUR / seconds
+
+
+def describe_study(agents: str, options: FleetOptions, seeds: Sequence[int], plan: Plan) -> str:
+    """Say in one line what is simulated."""
+    planner = f"planner {options.planner}" if options.planner else f"{options.effort} effort"
+    runs = f"{len(seeds)} seeds" if len(seeds) > 1 else "1 seed"
+    whose = getattr(plan, "whose", plan.domain.name)
+    return f"{agents} agents, {options.timesteps} timesteps, {runs}, {planner}, {whose}"
+
+
+def settings_of(options: FleetOptions, seeds: Sequence[int]) -> dict[str, Any]:
+    """List the settings of a study for its facts."""
+    return {
+        "domain": options.domain,
+        "timesteps": options.timesteps,
+        "seeds": list(seeds),
+        "effort": options.effort,
+        "planner": options.planner or None,
+        "seconds_per_step": options.seconds_per_step,
+    }

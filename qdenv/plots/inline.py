@@ -1,0 +1,42 @@
+"""Pictures inside of notebooks: HTML that holds them whole."""
+
+import base64
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from qdenv.plots.archive import draw_archive, scatter_objectives
+from qdenv.plots.figure import new_figure
+from qdenv.plots.layouts import draw_layout
+from qdenv.types import Measure
+
+DPI = 80  # pixels per inch: these are looked at beside text
+
+
+def figure_html(figure: Figure) -> str:
+    """Turn a figure into an <img> with its pixels inside."""
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=DPI, bbox_inches="tight")
+    return f'<img src="data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}">'
+
+
+def layout_html(layout: np.ndarray, tiles: str) -> str:
+    """Draw a layout (int8 [H, W]) for a notebook."""
+    # The axes' figure lives no longer than somebody holds it.
+    axes = draw_layout(layout, tiles)
+    figure = axes.get_figure()
+    assert isinstance(figure, Figure)
+    return figure_html(figure)
+
+
+def archive_html(
+    index: np.ndarray, objective: np.ndarray, measures: Sequence[Measure], label: str
+) -> str:
+    """Draw the heat map of saved elites for a notebook; nothing for more than two measures."""
+    if len(measures) > 2:
+        return ""
+    figure = new_figure(6, 4.8)
+    draw_archive(figure, scatter_objectives(index, objective, measures), measures, label=label)
+    return figure_html(figure)

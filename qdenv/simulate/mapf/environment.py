@@ -1,0 +1,226 @@
+"""The simulator step by step, for learners: one action for every robot, pure functions.
+
+The rules are those of `qdenv.simulate`; who drives is up to the caller. `reset` and `step` can be
+jitted, vmapped over keys and scanned. Starts and goals are drawn as in `fleet.simulate`: the same
+key and the same moves give the same tasks.
+
+**Actions** are int32 [A]: 0 right, 1 left, 2 down, 3 up, 4 wait. An action that the rules forbid
+becomes a wait, so no step ever breaks one:
+
+* a move off the layout or into an obstacle, and any move while serving at a goal;
+* both moves of two robots that would swap cells;
+* all moves of robots that want one cell, or the cell of a robot that waits.
+
+A robot that must wait keeps its cell, which may make others wait in turn. Following and cycles are
+allowed.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.grid import MOVES, of_tiles
+from qdenv.simulate.mapf import chance, tasks
+from qdenv.simulate.mapf.agents import Fleet, drive, place
+from qdenv.simulate.mapf.goals import check_playable, service_times
+from qdenv.simulate.mapf.planner import NOBODY, World
+from qdenv.types import Array, InputError, TaskRule
+
+RIGHT, LEFT, DOWN, UP, WAIT = range(len(MOVES) + 1)
+
+
+class EnvironmentState(NamedTuple):
+    """A simulation between two steps.
+
+    Attributes:
+        fleet: the robots, as the simulator knows them.
+        goal: int32 [2, A], cells of the current and of the next goal.
+        time: int32, steps so far.
+        seed: uint32, of all that is drawn.
+    """
+
+    fleet: Fleet
+    goal: jax.Array
+    time: jax.Array
+    seed: jax.Array
+
+    @property
+    def position(self) -> jax.Array:
+        """The cell of each robot, int32 [A]: ``row * width + column``."""
+        return self.fleet.position
+
+    @property
+    def remaining_service(self) -> jax.Array:
+        """Timesteps that each robot must still remain on its goal, int32 [A]."""
+        return self.fleet.remaining_service
+
+
+class Observation(NamedTuple):
+    """What a learner sees unless it brings a function of its own.
+
+    Attributes:
+        position: int32 [A], cells.
+        goal: int32 [A], cells.
+        next_goal: int32 [A], cells.
+        remaining_service: int32 [A], timesteps.
+        time: int32.
+    """
+
+    position: jax.Array
+    goal: jax.Array
+    next_goal: jax.Array
+    remaining_service: jax.Array
+    time: jax.Array
+
+
+class Timestep(NamedTuple):
+    """What a step gives.
+
+    Attributes:
+        observation: what the environment's `observe` made of the state.
+        reward: float32 [A], tasks that each robot finished, 0 or 1.
+        refused: bool [A], whose move became a wait.
+        last: bool, the horizon is reached; steps beyond it are possible.
+    """
+
+    observation: Any
+    reward: jax.Array
+    refused: jax.Array
+    last: jax.Array
+
+
+Observe = Callable[[EnvironmentState], Any]
+
+
+def observe_plainly(state: EnvironmentState) -> Observation:
+    """Tell positions, goals, services and the time."""
+    goal, next_goal = state.goal
+    return Observation(state.position, goal, next_goal, state.remaining_service, state.time)
+
+
+class Environment:
+    """A fleet on one layout.
+
+    Attributes:
+        layout: int8 [H, W].
+        free: bool [H, W], cells robots may drive on.
+        agents: number of robots A.
+        actions: number of actions, 5.
+        timesteps: steps until `Timestep.last`.
+    """
+
+    actions = len(MOVES) + 1
+
+    def __init__(
+        self,
+        layout: np.ndarray,
+        rule: TaskRule,
+        agents: int,
+        timesteps: int = 1000,
+        observe: Observe = observe_plainly,
+    ) -> None:
+        """Prepare a layout.
+
+        Args:
+            layout: int8 [H, W].
+            rule: what the robots do.
+            agents: how many there are.
+            timesteps: steps until `Timestep.last`.
+            observe: traceable; makes the observation of a state.
+
+        Raises:
+            InputError: the fleet could not work on this layout, or a number is below one.
+        """
+        if agents < 1 or timesteps < 1:
+            raise InputError("an environment needs at least one robot and one timestep")
+        check_playable(layout, rule, agents)
+        self.layout, self.agents, self.timesteps = layout, agents, timesteps
+        self.free = np.asarray(of_tiles(layout, rule.traversable, rule.tiles))
+        self._observe = observe
+        self._world = World(
+            traversable=jnp.asarray(self.free),
+            goals=tasks.goal_table(layout, rule, layout.size),
+            # Nobody plans here, so nobody asks how far it is.
+            distance=jnp.zeros((0, layout.size), jnp.int16),
+            service_time=jnp.asarray(service_times(rule)),
+            valid=jnp.bool_(True),
+            margin=0,
+        )
+        self._everyone = jnp.ones((agents,), bool)
+
+    def reset(self, key: jax.Array) -> tuple[EnvironmentState, Timestep]:
+        """Begin a run.
+
+        Args:
+            key: consumed; decides starts and goals.
+        """
+        seed = chance.seed_of(key)
+        fleet = place(self._world, 0, self._everyone, seed)
+        state = self._state(fleet, jnp.int32(0), seed)
+        nothing = jnp.zeros((self.agents,), jnp.float32)
+        return state, self._timestep(state, nothing, ~self._everyone)
+
+    def step(self, state: EnvironmentState, actions: Array) -> tuple[EnvironmentState, Timestep]:
+        """Drive all robots by one step.
+
+        Args:
+            state: before the step.
+            actions: int32 [A], 0 right, 1 left, 2 down, 3 up, 4 wait; whatever else waits, too.
+        """
+        fleet = state.fleet
+        wanted = self.targets(fleet.position, jnp.asarray(actions))
+        cell = jnp.where(fleet.remaining_service > 0, fleet.position, wanted)
+        cell = settle(fleet.position, cell, self.layout.size)
+        drawn = chance.draw(chance.draw(state.seed, chance.GOALS), state.time)
+        refused = (cell == fleet.position) & (actions >= 0) & (actions < WAIT)
+        fleet, finished = drive(self._world, fleet, cell, self._everyone, drawn)
+        after = self._state(fleet, state.time + 1, state.seed)
+        return after, self._timestep(after, finished.astype(jnp.float32), refused)
+
+    def targets(self, position: jax.Array, actions: jax.Array) -> jax.Array:
+        """Find the cells that actions lead to where nobody is in the way (int32 [A])."""
+        rows, cols = self.free.shape
+        steps = jnp.array([*MOVES, (0, 0)], jnp.int32)
+        known = (actions >= 0) & (actions < self.actions)
+        step = steps[jnp.where(known, actions, WAIT)]
+        row, col = position // cols + step[:, 0], position % cols + step[:, 1]
+        inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        target = jnp.where(inside, row * cols + col, position)
+        return jnp.where(self._world.traversable.reshape(-1)[target], target, position)
+
+    def _state(self, fleet: Fleet, time: jax.Array, seed: jax.Array) -> EnvironmentState:
+        return EnvironmentState(fleet, self._world.goals.cells[fleet.goal], time, seed)
+
+    def _timestep(self, state: EnvironmentState, reward: jax.Array, refused: jax.Array) -> Timestep:
+        return Timestep(self._observe(state), reward, refused, state.time >= self.timesteps)
+
+
+def settle(position: jax.Array, wanted: jax.Array, cells: int) -> jax.Array:
+    """Turn moves that conflict into waits until none does.
+
+    Every pass turns at least one move into a wait or is the last.
+
+    Args:
+        position: int32 [A], where the robots are; all different.
+        wanted: int32 [A], where they want to be: there, or on a neighbouring cell.
+        cells: number of cells of the layout.
+
+    Returns:
+        int32 [A], where they will be.
+    """
+    everyone = jnp.arange(position.shape[0], dtype=jnp.int32)
+    there = jnp.full((cells,), NOBODY, jnp.int32).at[position].set(everyone)[wanted]
+    swaps = (there != NOBODY) & (there != everyone) & (wanted[there] == position)
+    first = jnp.where(swaps, position, wanted)
+
+    def conflicts(cell: jax.Array) -> jax.Array:
+        crowd = jnp.zeros((cells,), jnp.int32).at[cell].add(1)
+        return (crowd[cell] > 1) & (cell != position)
+
+    def wait(cell: jax.Array) -> jax.Array:
+        return jnp.where(conflicts(cell), position, cell)
+
+    return jax.lax.while_loop(lambda cell: conflicts(cell).any(), wait, first)

@@ -1,0 +1,155 @@
+"""Whether a layout still takes more agents, judged by runs with fewer and with more of them.
+
+A fleet's throughput rises with its agents up to a peak, and falls beyond it. On crowded layouts it
+falls all of a sudden, when a jam forms that nobody gets out of: the hand-made warehouse of 33 x 36
+moves 6.04 tasks per timestep with 200 agents, 5.68 with 225 and 5.20 with 250. That no run was
+*congested*, i.e. that never more than half of the agents stood still at once, says little then.
+"""
+
+from collections.abc import Callable, Sequence
+from math import ceil, floor
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.study.table import WORTH, value_of_an_agent
+from qdenv.types import Traffic
+
+FLOWS, NEAR, PAST, CONGESTED = "flows", "near capacity", "past its peak", "congested"
+
+JAMMED = 0.5  # share of congested runs from which on the layout is
+PROBES = 2  # runs with another number of agents
+FEWER, FAR_FEWER, MORE = 0.75, (0.5, 0.25), 1.25  # of the agents, those numbers
+GAIN = 0.02  # more throughput than this with fewer agents: past the peak
+FADING = 0.05  # throughput that falls by more than this with time: past the peak
+DOUBT = 3.0  # ... and by so many standard errors, were tasks finished independently
+
+
+class Point(NamedTuple):
+    """The throughput at one number of agents.
+
+    Attributes:
+        agents: how many agents.
+        throughput: tasks per timestep, the mean over all runs.
+        standard_error: of it; NaN for one run.
+        runs: how many.
+        congested: how many of them congested.
+        fading: by which share of itself throughput falls from the second quarter of the time to
+            the last one, all runs together; 0 where that may be chance.
+    """
+
+    agents: int
+    throughput: float
+    standard_error: float
+    runs: int
+    congested: int
+    fading: float
+
+
+class Verdict(NamedTuple):
+    """How a layout bears a fleet.
+
+    Attributes:
+        word: "flows", "near capacity", "past its peak" or "congested".
+        reason: what shows it, in one line.
+        points: the evidence: this number of agents first, then those that were probed.
+    """
+
+    word: str
+    reason: str
+    points: tuple[Point, ...]
+
+
+def point_of(agents: int, runs: Sequence[Traffic]) -> Point:
+    """Condense runs with one number of agents."""
+    every = np.array([run.throughput for run in runs], float)
+    error = every.std(ddof=1) / np.sqrt(len(every)) if len(every) > 1 else np.nan
+    return Point(
+        agents=agents,
+        throughput=float(every.mean()),
+        standard_error=float(error),
+        runs=len(runs),
+        congested=sum(bool(run.congested) for run in runs),
+        fading=_fading(runs),
+    )
+
+
+def _fading(runs: Sequence[Traffic]) -> float:
+    """Compare the last quarter of the time with the second; the first one is spent setting out."""
+    finished = np.sum([np.asarray(run.finished) for run in runs], axis=0)
+    quarter = len(finished) // 4
+    early, late = finished[quarter : 2 * quarter].sum(), finished[len(finished) - quarter :].sum()
+    sure = early - late > DOUBT * np.sqrt(early + late)
+    return float(1 - late / early) if sure else 0.0
+
+
+def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
+    """Judge whether a layout takes this many agents, and whether it would take more.
+
+    In this order, so that runs are only spent where the verdict hangs on them:
+
+    * *congested*: in at least half of the runs, more than half of the agents stood still at once.
+    * *past its peak*: throughput fades by more than 5 % while time goes on (a jam builds up), or a
+      run congested, or three quarters, half or a quarter of the agents move 2 % more.
+    * *near capacity*: the last quarter of the agents, or a quarter more of them, brings per agent
+      less than half of what an average robot does.
+    * *flows*: none of these.
+
+    Args:
+        here: with the number of agents in question.
+        probe: simulates another number of agents.
+        most: agents that fit the layout.
+    """
+    points = [here]
+
+    def at(agents: int) -> Point:
+        points.append(probe(agents))
+        return points[-1]
+
+    def verdict(word: str, reason: str) -> Verdict:
+        return Verdict(word, reason, tuple(points))
+
+    if here.congested >= JAMMED * here.runs:
+        stuck = "more than half of the agents stood still at once"
+        return verdict(CONGESTED, f"in {here.congested} of {here.runs} runs {stuck}")
+    if here.congested:
+        return verdict(PAST, f"{here.congested} of {here.runs} runs congested")
+    if here.fading > FADING:
+        return verdict(PAST, f"a jam builds up: throughput falls by {here.fading:.0%} with time")
+    worth = 1.0
+    if here.agents > 1:
+        fewer = at(floor(FEWER * here.agents))
+        if gain(here, fewer) > GAIN:
+            return verdict(PAST, _compared(here, fewer))
+        worth = value_of_an_agent(fewer[:2], here[:2])
+        reason = f"the last {here.agents - fewer.agents} agents add {-gain(here, fewer):.0%}"
+    if worth < WORTH:
+        # Beyond the peak throughput may lie flat: it is sought where agents are far fewer.
+        for share in FAR_FEWER:
+            fewer = at(max(1, floor(share * here.agents)))
+            if gain(here, fewer) > GAIN:
+                return verdict(PAST, _compared(here, fewer))
+        return verdict(NEAR, reason)
+    if here.agents < most:
+        more = at(min(most, more_than(here.agents)))
+        word = NEAR if value_of_an_agent(here[:2], more[:2]) < WORTH else FLOWS
+        return verdict(word, _compared(here, more))
+    return verdict(FLOWS, "every free cell holds an agent")
+
+
+def more_than(agents: int) -> int:
+    """Say how many agents are tried above a number of them."""
+    return ceil(MORE * agents)
+
+
+def gain(here: Point, other: Point) -> float:
+    """Say how much more `other` moves than `here`, as a share of the latter."""
+    if not here.throughput:
+        return float(other.throughput > 0)
+    return other.throughput / here.throughput - 1
+
+
+def _compared(here: Point, other: Point) -> str:
+    share = round(gain(here, other), 2)
+    amount = f"{abs(share):.0%} {'more' if share > 0 else 'less'}" if share else "as much"
+    return f"{other.agents} agents would move {amount}"

@@ -1,0 +1,46 @@
+"""metrics.csv: one row per iteration of a run."""
+
+import csv
+import logging
+from pathlib import Path
+from typing import NamedTuple
+
+from qdenv.types import InputError
+
+LOG = logging.getLogger(__name__)
+
+
+class Metrics(NamedTuple):
+    """One row of metrics.csv: the search after an iteration."""
+
+    iteration: int
+    evaluations: int
+    qd_score: float
+    coverage: float
+    best_objective: float
+    seconds: float  # wall clock, summed over interruptions
+    failed_repairs: int = 0  # of this iteration's layouts, those without a feasible repair
+    congested_runs: int = 0  # of this iteration's simulations
+
+
+def read_metrics(path: Path, salvage: bool = False) -> list[Metrics]:
+    """Read metrics.csv; columns that an older qdenv did not write take their defaults.
+
+    Args:
+        path: the file.
+        salvage: keep the rows before the damage and say so, in place of refusing all.
+
+    Raises:
+        InputError: the file is missing or damaged.
+    """
+    kinds, rows = Metrics.__annotations__, []
+    try:
+        with path.open(newline="") as file:
+            for row in csv.DictReader(file, strict=True):
+                rows.append(Metrics(**{name: kinds[name](value) for name, value in row.items()}))
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+        damage = f"{path}: cannot be read ({error})"
+        if not salvage:
+            raise InputError(damage) from error
+        LOG.warning("%s: what follows row %d is lost", damage, len(rows))
+    return rows

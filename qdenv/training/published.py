@@ -1,0 +1,88 @@
+"""What a search shows of itself while it goes on: rows of metrics, its archive, its best layout."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.domains.base import Domain
+from qdenv.formats.layouts import write_layout
+from qdenv.search.base import Algorithm
+from qdenv.search.export import collector
+from qdenv.training.elite import best_row
+from qdenv.training.records import Metrics, RunDirectory
+from qdenv.types import Evaluation, Measure, RepairStatus
+
+
+class Publisher:
+    """Writes a search into its run directory."""
+
+    def __init__(
+        self, run: RunDirectory, domain: Domain, measures: Sequence[Measure], algorithm: Algorithm
+    ) -> None:
+        """Compile nothing yet."""
+        self._run, self._domain, self._measures = run, domain, measures
+        self._collect = collector(algorithm)
+        self._summarise = jax.jit(lambda state: _summary(algorithm, state))
+
+    def summary(self, state: Any) -> list[float]:
+        """Compute QD-score, coverage and best objective, and wait for them."""
+        return [float(value) for value in self._summarise(state)]
+
+    def publish(self, state: Any) -> None:
+        """Write the archive and its best layout."""
+        archive = self._collect(state)
+        self._run.save_archive(archive)
+        if len(archive["index"]) == 0:
+            return
+        row = best_row(archive, self._domain.tie_break)
+        layout = archive["repaired"][row]
+        measures = zip(self._measures, archive["measures"][row], strict=True)
+        details = {
+            "domain": self._domain.name,
+            "objective": float(archive["objective"][row]),
+            "measures": {measure.name: float(value) for measure, value in measures},
+            "similarity": float(archive["similarity"][row]),
+        }
+        if self._domain.marks is not None:
+            marks = self._domain.marks(layout)
+            cells = {name: divmod(int(cell), layout.shape[1]) for name, cell in marks.items()}
+            details["marks"] = {name: list(cell) for name, cell in cells.items()}
+        path = self._run.path / "best_layout.json"
+        write_layout(path, layout, self._domain.tiles, **details)
+
+
+def metrics_row(
+    iteration: int, batch: int, summary: list[float], seconds: float, evaluation: Evaluation
+) -> Metrics:
+    """Write an iteration's row: what the archive is worth, and what failed on the way there."""
+    qd_score, coverage, best = summary
+    failed = np.asarray(evaluation.status) >= RepairStatus.IMPOSSIBLE
+    # A simulator whose runs cannot congest has no such field.
+    congested = getattr(evaluation.runs, "congested", np.zeros(0, bool))
+    return Metrics(
+        iteration,
+        iteration * batch,
+        qd_score,
+        coverage,
+        best,
+        seconds,
+        failed_repairs=int(failed.sum()),
+        congested_runs=int(np.asarray(congested).sum()),
+    )
+
+
+def describe(row: Metrics) -> str:
+    """Say in a few words how a search stands."""
+    return (
+        f"QD-score {row.qd_score:.1f}, coverage {row.coverage:.1%}, best {row.best_objective:.3f}"
+    )
+
+
+def _summary(algorithm: Algorithm, state: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Compute QD-score, coverage and best objective of the result archive."""
+    archive = algorithm.archive(state)
+    best = jnp.where(archive.filled.any(), archive.objectives.max(), 0.0)
+    return archive.qd_score(), archive.coverage, best

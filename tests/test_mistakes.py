@@ -1,0 +1,114 @@
+"""Typical mistakes: one line that says what to do, exit code 2, nothing written."""
+
+from pathlib import Path
+
+import pytest
+
+from qdenv.cli import run
+
+PLAN = [
+    "...........",
+    "w..@e.e@..w",
+    "...@e.e@...",
+    "...........",
+    "w..e@.@e..w",
+    "...........",
+    "...........",
+]
+
+# Command line -> what its one line must say.
+MISTAKES = {
+    # Words that mean nothing.
+    "simulat plan.txt": "did you mean `qdenv simulate`?",
+    "layout": "`qdenv layout human`",
+    "simulate plan.txt --agent 5": "did you mean --agents?",
+    "simulate plan.txt extra": "unknown argument extra",
+    "simulate plan.txt --agents five": "'five' is no whole number",
+    "simulate plan.txt --agents": "--agents needs a value",
+    "simulate plan.txt --effort medium": "choose one of low, high",
+    "simulate": "layout file",
+    "simulate plan.txt --domain moon": "unknown domain 'moon'",
+    "simulate plan.txt --planner dijkstra": "unknown planner 'dijkstra'",
+    "train quik": "did you mean quick?",
+    "train quick --domain moon": "unknown domain 'moon'",
+    "train quick --algorithm ga": "unknown algorithm 'ga'",
+    "train quick --strategy newton": "--strategy newton: choose one of iso",
+    "repair plan.txt --polish best": "choose one of none, quick, full",
+    # Files that are not what they should be.
+    "simulate nowhere.txt": "cannot be read",
+    "check ragged.txt": "row 1 of the layout has 3 tiles, row 0 has 11",
+    "check strange.txt": "'?' at row 2, column 1",
+    "check run": "cannot be read",
+    "simulate empty.txt": "empty.txt",
+    "simulate uneven.json --domain warehouse-even": "warehouse-uneven",
+    "compare": "at least one layout file",
+    "resume nowhere": "no run here",
+    "plot nowhere": "no run here",
+    "generate nowhere": "no run here",
+    "export nowhere": "no run here",
+    # Numbers that make no simulation.
+    "simulate plan.txt --agents 0": "agents",
+    "simulate plan.txt --agents -3": "agents",
+    "simulate plan.txt --agents 900": "free cells",
+    "simulate plan.txt --timesteps 0": "timestep",
+    "simulate plan.txt --seeds 0": "at least one seed",
+    "simulate plan.txt --seeds 99999999999": "seeds",
+    "simulate maze.txt --agents 5": "no fleet",
+    "sweep plan.txt --agents 50:10": "agents '50:10'",
+    "sweep plan.txt --agents 1:99999999999": "agents",
+    "compare plan.txt --agents 1-5": "write 200, or 50,100, or 50:400:50",
+    "scalability plan.txt --agents 500": "do not fit",
+    "repair plan.txt --shelves 70": "no repair exists",
+    # Searches that cannot succeed.
+    "train quick --agents 240": "do not fit",
+    "train quick --shelves 1000": "1000 '@' are asked for",
+    "train quick --evaluations 0": "evaluations must be at least 1",
+    "train quick --archive 0 40 20": "has 2, connected shelf components",
+    "train quick --archive 40 0 20 0 1 20": "is empty",
+    "train quick --rows 99999": "choose 1 to 1000",
+    "train quick --simulations 0": "simulations must be at least 1",
+    "train quick --checkpoint-every 0": "checkpoint-every must be at least 1",
+    "train quick --alpha nan": "alpha must be a finite number",
+    "train quick --steps -3": "steps of growth",
+    "train quick --kernel-sizes 2": "odd",
+    "train quick --seed 9999999999": "seed",
+    "train-agent --steps 0": "1 step",
+    "evaluate-agent maze.txt --horizon -5": "--timesteps -5",
+    "evaluate-agent plan.txt": "the agent walks in mazes",
+    # Results that would destroy something.
+    "layout human --rows 20 --cols 20 --out h.png": "a picture's name",
+    "layout human --rows 10000 --cols 10000": "1000",
+    "repair plan.txt --out plan.txt": "that is what is read",
+    "repair plan.txt --diff x.xyz": "ends in .png",
+    "compare plan.txt --out c.png": "a picture's name",
+    "simulate plan.txt --plot --json picture.png": "picture",
+    "train quick --run-dir run": "holds a run already",
+    "repair plan.txt --keep ragged.txt": "ragged.txt",
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mistakes")
+    (folder / "plan.txt").write_text("\n".join(PLAN))
+    (folder / "ragged.txt").write_text("...........\n...\n")
+    (folder / "strange.txt").write_text("....\n....\n.?..\n")
+    (folder / "empty.txt").write_text("")
+    (folder / "maze.txt").write_text("XXXXX\nX   X\nX X X\nX   X\nXXXXX\n")
+    rows = ", ".join(f'"{row}"' for row in PLAN)
+    (folder / "uneven.json").write_text(f'{{"domain": "warehouse-uneven", "layout": [{rows}]}}')
+    (folder / "run").mkdir()
+    (folder / "run/config.json").write_text("{}")
+    return folder
+
+
+@pytest.mark.parametrize("line", MISTAKES)
+def test_a_mistake_is_answered_in_one_line_and_leaves_nothing(line, folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    before = sorted(Path().rglob("*"))
+    assert run(line.split()) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith("qdenv: ") and said.err.count("\n") == 1, said.err
+    assert MISTAKES[line] in said.err
+    assert said.out == ""
+    assert sorted(Path().rglob("*")) == before
