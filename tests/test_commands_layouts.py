@@ -72,14 +72,31 @@ def test_a_repair_without_a_drawing_says_that_her_doors_are_gone(folder, capsys)
 
 
 def test_her_doors_stay_where_a_drawing_keeps_them(folder, capsys):
-    assert run(["repair", "plan.txt", "--keep", "doors.txt", "--out", "kept.json"]) == 0
+    command = ["repair", "plan.txt", "--keep", "doors.txt", "--out"]
+    assert run([*command, "kept.txt"]) == 0 and run([*command, "kept.json"]) == 0
     said = capsys.readouterr().out
     assert "WARNING" not in said and "note: 4 workstation cells are new" in said
     after = rows_of(folder / "kept.json")
     assert after[7] == PLAN[7] and "".join(after).count("w") == 8
     assert run(["check", "kept.json", "--keep", "doors.txt"]) == 0
-    assert run(["check", "kept.json"]) == 1
+    assert run(["check", "kept.txt"]) == 1
     assert "--keep FILE allows" in capsys.readouterr().out
+
+
+def test_a_repaired_file_remembers_what_must_stay(folder, capsys):
+    assert run(["repair", "plan.txt", "--keep", "doors.txt"]) == 0
+    content = json.loads((folder / "plan_repaired.json").read_text())
+    assert content["keep"] == [*["?" * 14] * 7, "??w??w??w??w??"]
+    assert run(["check", "plan_repaired.json"]) == 0
+    rows = [row.replace("@", ".", 2) for row in content["layout"]]
+    (folder / "later.json").write_text(json.dumps(content | {"layout": rows}))
+    capsys.readouterr()
+    assert run(["repair", "later.json", "--out", "again.json"]) == 0
+    assert "WARNING" not in capsys.readouterr().out
+    assert rows_of(folder / "again.json")[7] == PLAN[7]
+    for keep in (["??"], ["q" * 14] * 8):
+        (folder / "wrong.json").write_text(json.dumps(content | {"keep": keep}))
+        assert 'its file\'s key "keep"' in refusal(["check", "wrong.json"], capsys)
 
 
 def test_a_drawing_keeps_stations_out_too(folder, capsys):
