@@ -10,6 +10,7 @@ import numpy as np
 
 from qdenv.api.results import Broken, Facts, Layout, Table
 from qdenv.domains.base import DOMAINS, Domain, find_domain
+from qdenv.repair.settings import Polish
 from qdenv.study.plans import Plan
 from qdenv.study.plans import read_plan as read_file
 from qdenv.types import InputError, RepairStatus, Rules
@@ -142,7 +143,7 @@ def repair(
     layout: Source,
     domain: str | None = None,
     seed: int = 0,
-    polish: str = "full",
+    polish: Polish = "full",
     **numbers: int,
 ) -> Layout:
     """Repair a layout: the closest one that obeys every rule of its domain.

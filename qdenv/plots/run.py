@@ -39,9 +39,8 @@ def plot_run(run: RunDirectory | str | Path) -> list[Path]:
     best = run.read_best_layout()
     if best is not None:
         pictures.append(run.path / "best_layout.png")
-        axes = draw_layout(
-            best.layout, meaning.tiles, make_domain(run.config.evaluation.domain).names
-        )
+        names = make_domain(run.config.evaluation.domain).names
+        axes = draw_layout(best.layout, meaning.tiles, names=names)
         draw_marks(axes, best.marks)
         figure = axes.get_figure()
         assert isinstance(figure, Figure)
