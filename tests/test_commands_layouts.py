@@ -138,6 +138,8 @@ def test_results_have_a_name_of_their_own_and_replace_nothing_by_themselves(fold
         (["repair", "plan.txt", "--out", "x.png"], "give a name that ends in .json or .txt or"),
         (["repair", "plan.txt", "--out", "x.map"], "give a name that ends in .json or .txt or"),
         (["repair", "plan.txt", "--shelves", "77"], "no repair exists"),
+        (["repair", "plan.txt", "--shelves", "-1"], "-1 shelves: give 0 or more"),
+        (["check", "plan.txt", "--shelves", "-1"], "-1 shelves: give 0 or more"),
         (["repair", "plan.txt", "--keep", "gone.txt"], "gone.txt: cannot be read"),
         (["repair", "maze.txt"], "have no rules: nothing to repair"),
         (["layout", "human", "--rows", "20", "--cols", "20", "--out", "h.png"], "ends in .json"),
