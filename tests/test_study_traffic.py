@@ -216,6 +216,17 @@ def test_compiling_is_not_counted_as_simulating(monkeypatch):
     assert order[3:] == [(3, 7)]
 
 
+def test_one_long_run_tells_how_far_it_is(monkeypatch):
+    monkeypatch.setattr("qdenv.study.runs.LOOK", 0.005)
+    told = []
+    config = FleetConfig(6, 40_000, planner=PibtConfig())
+    run_seeds(LANE, TASKS, config, (0,), progress=lambda *state: told.append(state))
+    assert told[0] == ("compiling the simulator", -1, "")
+    shares = [share for _, share, _ in told[1:]]
+    assert shares == sorted(shares) and shares[-1] == 1
+    assert len({share for share in shares if 0 < share < 1}) >= 3
+
+
 def test_a_recording_is_dropped_once_it_is_read():
     config = FleetConfig(5, 20, planner=PibtConfig())
     done = run_seeds(LANE, TASKS, config, (1, 2), read=lambda seed, run, tape: seed)
@@ -227,6 +238,8 @@ def test_what_is_too_large_to_record_says_what_to_do(monkeypatch):
     config = FleetConfig(10, 101, planner=PibtConfig())
     with pytest.raises(InputError, match="at most 100 timesteps, or add --no-audit"):
         examine(LANE, TASKS, config, (0,))
+    with pytest.raises(InputError, match="at most 100 timesteps, or leave the picture out"):
+        examine(LANE, TASKS, config, (0,), Wanted(False, True, False))
     study = examine(LANE, TASKS, config, (0,), Wanted(False, False, False))
     assert study.maps is None and study.row.mean_of_all > 0
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qdenv import devices
 from qdenv.domains.base import find_domain
 from qdenv.grid import of_tiles
 from qdenv.simulate.mapf.metrics import Recording
@@ -18,7 +19,7 @@ from qdenv.study.table import Row, summarise
 from qdenv.study.verdict import PROBES, Point, Verdict, judge, more_than, point_of
 from qdenv.types import InputError, TaskRule, Traffic
 
-MOST_RECORDED = 50_000_000  # agent-steps of one recording: 650 MB, several times as much meanwhile
+MOST_RECORDED = 50_000_000  # agent-steps recorded at a time: 650 MB, and copies of them
 
 
 class Wanted(NamedTuple):
@@ -89,16 +90,20 @@ def examine(
     tasks = fleet_tasks(layout, tasks, config.agents)
     recorded = wanted.audit or wanted.maps
     if recorded and config.agents * config.timesteps > MOST_RECORDED:
+        without = "add --no-audit" if wanted.audit else "leave the picture out"
         raise InputError(
             f"{config.agents} agents over {config.timesteps} timesteps are too much to record: "
-            f"simulate at most {MOST_RECORDED // config.agents} timesteps, or add --no-audit"
+            f"simulate at most {MOST_RECORDED // config.agents} timesteps, or {without}"
         )
     agents, most = config.agents, int(of_tiles(layout, tasks.traversable, tasks.tiles).sum())
     if wanted.verdict:  # the program has room for as many as are tried
         most = min(most, MOST_STEPS // config.timesteps)
         config = replace(config, agents=max(agents, min(most, more_than(agents))))
     read = _reader(layout, tasks, config, wanted) if recorded else None
-    done = run_seeds(layout, tasks, config, seeds, agents, read, progress=progress)
+    # No more recordings at a time than fit the memory.
+    at_once = MOST_RECORDED // (agents * config.timesteps)
+    threads = min(devices.threads(), at_once) if recorded else None
+    done = run_seeds(layout, tasks, config, seeds, agents, read, threads, progress)
     # The same program: another one for runs that are not recorded would have to be compiled.
     probing = (lambda *run: None) if recorded else None
 
@@ -106,7 +111,7 @@ def examine(
         def tell(doing: str, share: float, note: str) -> None:
             progress(f"trying {number} agents", share, note)
 
-        few = run_seeds(layout, tasks, config, seeds[:PROBES], number, probing, progress=tell)
+        few = run_seeds(layout, tasks, config, seeds[:PROBES], number, probing, threads, tell)
         return point_of(number, few.runs)
 
     return Study(
