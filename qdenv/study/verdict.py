@@ -5,13 +5,13 @@ falls all of a sudden, when a jam forms that nobody gets out of: the hand-made w
 moves 6.04 tasks per timestep with 200 agents, 5.68 with 225 and 5.20 with 250. That no run was
 *congested*, i.e. that never more than half of the agents stood still at once, says little then.
 
-Held against the true peaks, found by sweeps with high effort over T = 1000 in steps of 12 to 50
+Held against the true peaks, found by sweeps over T = 1000 with high effort in steps of 12 to 50
 agents, on three published warehouses of 33 x 36:
 
-| layout    | peak | flows up to | near capacity | from there on         |
-| human     |  200 |         150 |    175 to 200 | past its peak, 225    |
-| NCA       |  338 |         250 |    263 to 350 | past its peak, 400    |
-| DSAGE     |  300 |         225 |    250 to 300 | congested, 338        |
+| layout | peak at | flows         | near capacity | past its peak | congested |
+| human  |     200 | 100, 150      | 175, 200      | 225, 250      |           |
+| NCA    |     338 | 200, 250      | 300, 350      | 400           |           |
+| DSAGE  |     300 | 200, 250      | 300           |               | 350       |
 """
 
 from collections.abc import Callable, Sequence
