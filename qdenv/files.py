@@ -25,7 +25,11 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
         InputError: the place cannot be written to (read-only, full, not a folder).
     """
     temporary = None
+    path = Path(os.path.realpath(path))  # what a link stands for is written, the link stays
     try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            _write_through(path, content)
+            return
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         unfinished.add(temporary)
@@ -48,6 +52,17 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
             unfinished.discard(temporary)
+
+
+def _write_through(path: Path, content: bytes | Callable[[BinaryIO], None]) -> None:
+    """Write to a device or a pipe, like /dev/stdout, which must not become a file."""
+    buffer = io.BytesIO()
+    if isinstance(content, bytes):
+        buffer.write(content)
+    else:
+        content(buffer)
+    with path.open("wb") as device:
+        device.write(buffer.getvalue())
 
 
 def write_json(path: Path, content: Any) -> None:
