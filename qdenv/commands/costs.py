@@ -1,11 +1,14 @@
 """What a search costs on this machine: measured here where one ran before, else estimated."""
 
+import contextlib
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from qdenv.files import write_json
 from qdenv.training.config import RunConfig
+from qdenv.training.metrics import Metrics
 from qdenv.types import InputError
 
 # CPU seconds of one evaluation, measured on two cores of a cloud machine.
@@ -15,12 +18,12 @@ CPU_SECONDS = {
     "warehouse-even": 0.91,
     "warehouse-uneven": 0.95,
     "manufacturing": 1.08,
-    "manufacturing-quick": 0.1,
-    "maze-walls": 0.1,
-    "maze-entropy": 0.1,
-    "maze-quick": 0.02,
+    "manufacturing-quick": 0.092,
+    "maze-walls": 0.023,
+    "maze-entropy": 0.023,
+    "maze-quick": 0.017,
 }
-START = 30  # seconds until a first run is compiled; later ones find what it left
+FEWEST_ROWS = 5
 
 
 def describe_cost(preset: str, config: RunConfig) -> str:
@@ -43,12 +46,20 @@ def in_words(seconds: float) -> str:
     return f"{max(seconds, 1):.0f} s"
 
 
-def remember(preset: str, seconds_per_evaluation: float) -> None:
-    """Keep what an evaluation of a preset took on this machine."""
-    try:
-        write_json(_file(), _read() | {preset: float(f"{seconds_per_evaluation:.3g}")})
-    except InputError:  # a home that cannot be written to is no reason to fail a run
+def remember(preset: str, rows: Sequence[Metrics]) -> None:
+    """Keep what an evaluation of a preset took on this machine, compilation left out.
+
+    Args:
+        preset: its name.
+        rows: the run's, one per iteration; too few tell nothing.
+    """
+    if len(rows) < FEWEST_ROWS:
         return
+    seconds = rows[-1].seconds - rows[0].seconds
+    evaluations = rows[-1].evaluations - rows[0].evaluations
+    # A home that cannot be written to is no reason to fail a run.
+    with contextlib.suppress(InputError):
+        write_json(_file(), _read() | {preset: float(f"{seconds / evaluations:.3g}")})
 
 
 def _file() -> Path:

@@ -1,50 +1,62 @@
 """Commands about runs: resume, plot, generate."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
 
 from qdenv.commands.choices import Numbers
-from qdenv.formats.layouts import write_layout
-from qdenv.plots.layouts import save_frames, save_layout
-from qdenv.plots.run import plot_run
-from qdenv.study.changes import describe_changes, list_changes
-from qdenv.study.elites import find_elite, grow_elite, repair_grown
-from qdenv.study.sizes import grow_frames
-from qdenv.training import loop
+from qdenv.commands.mazes import is_agent_run, resume_agent
+from qdenv.commands.output import JsonFile, place, write_facts
+from qdenv.commands.waiting import waiting
+from qdenv.formats.drawings import check_size
+from qdenv.formats.layouts import endings_for, write_layout
 from qdenv.training.records import RunDirectory
-from qdenv.types import RepairStatus
+from qdenv.types import InputError, RepairStatus
+
+if TYPE_CHECKING:
+    from qdenv.study.elites import Grown
+
+RunFolder = tyro.conf.Positional[Path]
 
 
-def resume(
-    run_dir: tyro.conf.Positional[Path], evaluations: int | None = None, progress: bool = True
-) -> None:
-    """Continue a run where it stopped.
+def resume(run_dir: RunFolder, evaluations: int | None = None, progress: bool = True) -> None:
+    """Continue a run where it stopped, of a search or of an agent's training.
 
     Args:
-        run_dir: the run directory.
+        run_dir: folder of the run.
         evaluations: a new total, to go on beyond the configured one.
         progress: show a progress bar.
     """
+    if is_agent_run(run_dir):
+        return resume_agent(run_dir)
+    RunDirectory.open(run_dir)
+    from qdenv.training import loop  # imports both compilers: who is refused need not wait
+
     report(loop.resume(run_dir, progress=progress, evaluations=evaluations))
 
 
-def plot(run_dir: tyro.conf.Positional[Path]) -> None:
+def plot(run_dir: RunFolder) -> None:
     """Draw a run's archive and best layout again.
 
     Args:
-        run_dir: the run directory.
+        run_dir: folder of the run.
     """
     report(RunDirectory.open(run_dir))
 
 
 def report(run: RunDirectory) -> None:
     """Draw a run's pictures and say where they are."""
-    pictures = plot_run(run)
-    last = run.read_metrics()[-1]
+    rows = run.read_metrics()
+    if not rows:
+        raise InputError(f"{run.path}: nothing is done yet; `qdenv resume {run.path}` begins")
+    from qdenv.plots.run import plot_run
+
+    pictures, last = plot_run(run), rows[-1]
     print(
         f"QD-score {last.qd_score:.2f}, coverage {last.coverage:.1%}, best objective "
         f"{last.best_objective:.3f} after {last.evaluations} evaluations in {last.seconds:.0f} s"
@@ -59,64 +71,103 @@ class Growth:
     Attributes:
         rows: rows of the layout; the trained size unless given.
         cols: columns of the layout; the trained size unless given.
-        steps: NCA steps; scaled with the size unless given.
+        steps: steps of growth; scaled with the size unless given.
         keep: drawing of the layout's shape: ? is free, a tile must be this tile; what the run
             kept, at its size, unless given.
+        frames: also draw the layout after every so many steps (Figure 6).
     """
 
     rows: int | None = None
     cols: int | None = None
     steps: int | None = None
     keep: Path | None = None
+    frames: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what nothing could grow to."""
+        check_size(1 if self.rows is None else self.rows, 1 if self.cols is None else self.cols)
+        for name in ("steps", "frames"):
+            value = getattr(self, name)
+            if value is not None and not 1 <= value < 2**31:
+                raise InputError(f"--{name} {value}: give 1 or more, or leave it out")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which elite of the archive.
+
+    Attributes:
+        elite: "best", or the archive cell's indices like 12,40.
+        measures: in place of that a value for each measure, like 200 0.8; the nearest elite.
+    """
+
+    elite: str = "best"
+    measures: tuple[float, ...] = ()
 
 
 def generate(
-    run_dir: tyro.conf.Positional[Path],
+    run_dir: RunFolder,
     numbers: Numbers,
     growth: Annotated[Growth, tyro.conf.arg(name="")] = Growth(),
-    elite: str = "best",
-    repair_seed: int | None = None,
+    choice: Annotated[Choice, tyro.conf.arg(name="")] = Choice(),
+    seed: Annotated[int | None, tyro.conf.arg(aliases=("--repair-seed",))] = None,
     repair: bool = True,
-    frames: int | None = None,
-    out: Path = Path("layout.json"),
+    out: Path | None = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Grow an elite of a run at any size and repair it.
 
     Args:
-        run_dir: the run directory.
+        run_dir: folder of the run.
         numbers: exact numbers of tiles; scaled with the area unless given.
         growth: size and steps.
-        elite: "best", or the archive cell's indices like 12,40.
-        repair_seed: other seeds give other, equally good repairs; the run's own unless given.
-        repair: --no-repair keeps what the NCA drew.
-        frames: also draw the layout after every so many steps (Figure 6).
-        out: layout file to write; a picture is drawn beside it.
+        choice: which elite.
+        seed: other seeds give other, equally good repairs; the run's own unless given.
+        repair: --no-repair keeps what the automaton drew.
+        out: layout file to write (.json, .txt, .csv), a picture is drawn beside it; layout.json
+            unless given.
+        json_file: where to write the facts; - for standard output.
     """
     run = RunDirectory.open(run_dir)
-    config = run.config
-    found = find_elite(run, elite)
-    shape = growth.rows, growth.cols
-    grown = grow_elite(run, found, shape, growth.steps, numbers.given(), growth.keep)
-    if frames is not None:
-        after, drawn = grow_frames(run, grown, frames)
-        picture = out.with_name(f"{out.stem}_frames.png")
-        save_frames(picture, drawn, after, grown.domain.tiles)
-        print(f"{picture}: after {', '.join(map(str, after))} steps")
-    seed = config.seed if repair_seed is None else repair_seed
-    repaired = repair_grown(grown, config.evaluation.repair, seed) if repair else None
+    config, found = run.config, run.archive.elite(choice.elite, choice.measures or None)
+    # Only now: who is refused need not wait for what these import.
+    from qdenv.domains.base import make_domain
+    from qdenv.study.changes import describe_changes, list_changes
+    from qdenv.study.elites import grow_elite, repair_grown
+
+    trained = make_domain(config.evaluation.domain)
+    target = place(out, "layout.json", endings_for(trained.tiles, trained.meanings))
+    with waiting("growing") as bar:
+        shape = (growth.rows, growth.cols)
+        grown = grow_elite(run, found, shape, growth.steps, numbers.given(), growth.keep)
+        if growth.frames is not None:
+            _draw_frames(run, grown, growth.frames, target.beside(".png", "_frames").path)
+        chosen = config.seed if seed is None else seed
+        repaired = repair_grown(grown, config.evaluation.repair, chosen, bar) if repair else None
     layout = grown.layout if repaired is None else np.asarray(repaired.layout)
-    details: dict[str, Any] = {
-        "domain": grown.domain.name,
-        "elite": found.cell,
-        "steps": grown.steps,
-    }
+    details: dict[str, Any] = {"domain": grown.domain.name, "elite": found.cell}
+    details["steps"] = grown.steps
     if repaired is not None:
-        details |= {
-            "repair": RepairStatus(int(repaired.status)).name.lower(),
-            "changed": float(repaired.cost),
-        }
-    write_layout(out, layout, grown.domain.tiles, **details)
-    save_layout(out.with_suffix(".png"), layout, grown.domain.tiles, grown.domain.names)
-    if repaired is not None:
+        status = RepairStatus(int(repaired.status)).name.lower()
+        details |= {"repair": status, "changed": float(repaired.cost)}
         print("\n".join(describe_changes(list_changes(grown.layout, layout, grown.domain))))
-    print(f"{out}: " + ", ".join(f"{name} {value}" for name, value in details.items()))
+    write_layout(target.path, layout, grown.domain.tiles, grown.domain.meanings, **details)
+    picture = target.beside(".png")
+    from qdenv.plots.layouts import save_layout
+
+    save_layout(picture.path, layout, grown.domain.tiles, grown.domain.names)
+    rows, cols = layout.shape
+    facts = {"rows": rows, "cols": cols, **grown.domain.numbers, **details}
+    write_facts(json_file, "generate", facts, run=run_dir, elite=found.cell, seed=chosen)
+    print(f"{target}: " + ", ".join(f"{name} {value}" for name, value in facts.items()))
+    print(picture)
+
+
+def _draw_frames(run: RunDirectory, grown: Grown, every: int, picture: Path) -> None:
+    """Draw how a layout grows, and say where and when."""
+    from qdenv.plots.layouts import save_frames
+    from qdenv.study.sizes import grow_frames
+
+    after, drawn = grow_frames(run, grown, every)
+    save_frames(picture, drawn, after, grown.domain.tiles)
+    print(f"{picture}: after {', '.join(map(str, after))} steps")

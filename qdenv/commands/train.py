@@ -17,7 +17,7 @@ from qdenv.commands.choices import (
     names_of,
     take,
 )
-from qdenv.commands.costs import describe_cost
+from qdenv.commands.costs import describe_cost, remember
 from qdenv.commands.keeping import choose_keep
 from qdenv.domains.base import DOMAINS
 from qdenv.presets import PRESETS, find_preset
@@ -65,9 +65,9 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
         given: names of the settings that the command line states; others follow the size.
     """
     config, followed = follow_size(setup.config, find_preset(preset), given)
+    check_feasible(config)
     if setup.keep is not None:
         config = choose_keep(config, setup.keep)
-    check_feasible(config)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     path = setup.out or Path("runs") / f"{preset}-{stamp}"
     if (path / "config.json").exists():
@@ -80,7 +80,11 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
     from qdenv.commands.runs import report
     from qdenv.training import loop
 
-    report(loop.train(config, path, progress=setup.progress))
+    run = loop.train(config, path, progress=setup.progress)
+    report(run)
+    usual = find_preset(preset)
+    if (config.evaluation, config.algorithm) == (usual.evaluation, usual.algorithm):
+        remember(preset, run.read_metrics())
 
 
 def bind(command: Callable, arguments: Sequence[str]) -> Callable:

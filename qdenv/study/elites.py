@@ -14,6 +14,7 @@ from qdenv.lazy import jax, jnp
 from qdenv.pipeline import canvas_of
 from qdenv.repair.bounds import impossible
 from qdenv.repair.recipe import repair
+from qdenv.repair.result import Report, no_report
 from qdenv.repair.settings import RepairConfig
 from qdenv.settings import EvaluationConfig
 from qdenv.study.keeping import keep_from
@@ -125,8 +126,16 @@ def grow_elite(
     return Grown(domain, elite, layout, steps)
 
 
-def repair_grown(grown: Grown, config: RepairConfig, seed: int = 0) -> Repair | None:
+def repair_grown(
+    grown: Grown, config: RepairConfig, seed: int = 0, report: Report = no_report
+) -> Repair | None:
     """Repair a grown layout; None where its domain has no rules.
+
+    Args:
+        grown: the layout.
+        config: limits of the repair.
+        seed: other seeds give other, equally good repairs.
+        report: told what is being done, and from 0 to 1 how much of it is.
 
     Raises:
         InputError: no layout of this size obeys the rules, or none was found.
@@ -135,7 +144,7 @@ def repair_grown(grown: Grown, config: RepairConfig, seed: int = 0) -> Repair | 
     if domain.rules is None:
         return None
     rules = domain.rules()
-    result = repair(grown.layout, rules, seed, config)
+    result = repair(grown.layout, rules, seed, config, report)
     if result.status >= RepairStatus.IMPOSSIBLE:
         rows, cols = domain.shape
         demanded = "".join(f" with {number} {name}" for name, number in domain.numbers.items())

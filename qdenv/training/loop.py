@@ -1,6 +1,7 @@
 """The loop of a run: ask, evaluate, tell, log, checkpoint."""
 
 import dataclasses
+import shlex
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from qdenv.interrupt import advise
 from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.search.axes import check_measures
 from qdenv.search.base import Algorithm
@@ -167,14 +169,16 @@ def _run(
     """Iterate until all evaluations are done, from the newest checkpoint."""
     batch, domain = experiment.algorithm.batch_size, experiment.pipeline.domain
     total = -(-config.evaluations // batch)
+    advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
     settings = settings_of(config, experiment.measures)
     with Progress(total * batch, progress) as shown:
         algorithm = growing(shown.over_algorithm(experiment.algorithm))
         publisher = Publisher(run, domain, experiment.measures, algorithm)
-        evaluator = PipelinedEvaluator(shown.over_pipeline(experiment.pipeline))
+        pipeline = shown.over_pipeline(experiment.pipeline)
+        evaluator = PipelinedEvaluator(pipeline, progress=shown.advance)
 
         manifest, state = run.load_checkpoint(algorithm.init(experiment.search_key))
-        done = saved = manifest["iteration"]
+        done = manifest["iteration"]
         # Checkpoints of an older qdenv say nothing, but the manifest knows the axes.
         known = {"archive": [list(axis[1:4]) for axis in run.measures]}
         check_settings(settings, manifest.get("settings", known), run.path)
@@ -201,13 +205,11 @@ def _run(
                 rows.append(metrics_row(done, batch, summary, round(elapsed, 3), evaluation))
                 run.write_metrics(rows)
                 shown.update(batch, describe(rows[-1]))
-                if done % config.checkpoint_every == 0 or done == total:
-                    run.save_checkpoint(done, state, settings)
-                    saved = done
-                    publisher.publish(state)
+                due = done % config.checkpoint_every == 0 or done == total
+                if due or publisher.has_time:
+                    publisher.save(done, state, settings)
         except KeyboardInterrupt:
-            if done > saved and is_whole(state):
-                run.save_checkpoint(done, state, settings)
-                publisher.publish(state)
+            if done > manifest["iteration"] and not publisher.is_saved(done) and is_whole(state):
+                publisher.save(done, state, settings)
             raise
     return run

@@ -1,5 +1,6 @@
 """What a search shows of itself while it goes on: rows of metrics, its archive, its best layout."""
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +16,8 @@ from qdenv.training.elite import best_row
 from qdenv.training.records import Metrics, RunDirectory
 from qdenv.types import Evaluation, Measure, RepairStatus
 
+SAVING_SHARE = 0.03  # of a run's time, for checkpoints beyond those that its settings ask for
+
 
 class Publisher:
     """Writes a search into its run directory."""
@@ -24,12 +27,31 @@ class Publisher:
     ) -> None:
         """Compile nothing yet."""
         self._run, self._domain, self._measures = run, domain, measures
+        self._saved, self._begun, self._spent, self._last = 0, time.perf_counter(), 0.0, 0.0
         self._collect = collector(algorithm)
         self._summarise = jax.jit(lambda state: _summary(algorithm, state))
 
     def summary(self, state: Any) -> list[float]:
         """Compute QD-score, coverage and best objective, and wait for them."""
         return [float(value) for value in self._summarise(state)]
+
+    @property
+    def has_time(self) -> bool:
+        """Tell whether another checkpoint would keep saving to a small share of the time."""
+        worked = time.perf_counter() - self._begun
+        return self._spent + self._last <= SAVING_SHARE * worked
+
+    def is_saved(self, iteration: int) -> bool:
+        """Tell whether this process has saved the search after an iteration."""
+        return self._saved == iteration
+
+    def save(self, iteration: int, state: Any, settings: dict[str, Any]) -> None:
+        """Write a checkpoint, then the archive and its best layout."""
+        begun = time.perf_counter()
+        self._run.save_checkpoint(iteration, state, settings)
+        self.publish(state)
+        self._last = time.perf_counter() - begun
+        self._saved, self._spent = iteration, self._spent + self._last
 
     def publish(self, state: Any) -> None:
         """Write the archive and its best layout."""
