@@ -2,15 +2,18 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from qdenv.cli import run
+from qdenv.commands.drawings import rows_of as rows_of_table
 from qdenv.domains.base import find_domain
 from qdenv.formats.layouts import read_layout, write_layout
 
+README = Path(__file__).parents[1] / "README.md"
 TILES = ".@ew"
 PLAN = [
     "..............",
@@ -69,14 +72,31 @@ def test_a_repair_without_a_drawing_says_that_her_doors_are_gone(folder, capsys)
 
 
 def test_her_doors_stay_where_a_drawing_keeps_them(folder, capsys):
-    assert run(["repair", "plan.txt", "--keep", "doors.txt", "--out", "kept.json"]) == 0
+    command = ["repair", "plan.txt", "--keep", "doors.txt", "--out"]
+    assert run([*command, "kept.txt"]) == 0 and run([*command, "kept.json"]) == 0
     said = capsys.readouterr().out
     assert "WARNING" not in said and "note: 4 workstation cells are new" in said
     after = rows_of(folder / "kept.json")
     assert after[7] == PLAN[7] and "".join(after).count("w") == 8
     assert run(["check", "kept.json", "--keep", "doors.txt"]) == 0
-    assert run(["check", "kept.json"]) == 1
+    assert run(["check", "kept.txt"]) == 1
     assert "--keep FILE allows" in capsys.readouterr().out
+
+
+def test_a_repaired_file_remembers_what_must_stay(folder, capsys):
+    assert run(["repair", "plan.txt", "--keep", "doors.txt"]) == 0
+    content = json.loads((folder / "plan_repaired.json").read_text())
+    assert content["keep"] == [*["?" * 14] * 7, "??w??w??w??w??"]
+    assert run(["check", "plan_repaired.json"]) == 0
+    rows = [row.replace("@", ".", 2) for row in content["layout"]]
+    (folder / "later.json").write_text(json.dumps(content | {"layout": rows}))
+    capsys.readouterr()
+    assert run(["repair", "later.json", "--out", "again.json"]) == 0
+    assert "WARNING" not in capsys.readouterr().out
+    assert rows_of(folder / "again.json")[7] == PLAN[7]
+    for keep in (["??"], ["q" * 14] * 8):
+        (folder / "wrong.json").write_text(json.dumps(content | {"keep": keep}))
+        assert 'its file\'s key "keep"' in refusal(["check", "wrong.json"], capsys)
 
 
 def test_a_drawing_keeps_stations_out_too(folder, capsys):
@@ -118,6 +138,8 @@ def test_results_have_a_name_of_their_own_and_replace_nothing_by_themselves(fold
         (["repair", "plan.txt", "--out", "x.png"], "give a name that ends in .json or .txt or"),
         (["repair", "plan.txt", "--out", "x.map"], "give a name that ends in .json or .txt or"),
         (["repair", "plan.txt", "--shelves", "77"], "no repair exists"),
+        (["repair", "plan.txt", "--shelves", "-1"], "-1 shelves: give 0 or more"),
+        (["check", "plan.txt", "--shelves", "-1"], "-1 shelves: give 0 or more"),
         (["repair", "plan.txt", "--keep", "gone.txt"], "gone.txt: cannot be read"),
         (["repair", "maze.txt"], "have no rules: nothing to repair"),
         (["layout", "human", "--rows", "20", "--cols", "20", "--out", "h.png"], "ends in .json"),
@@ -231,6 +253,34 @@ def test_symbols_lists_every_tile_with_its_meaning(capsys):
         assert re.search(line, said), line
     assert run(["layout", "symbols", "--domain", "manufacturing"]) == 0
     assert "workstation" not in capsys.readouterr().out
+
+
+def test_the_readme_lists_the_symbols_as_they_are():
+    section = README.read_text().partition("## Layout files")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| (warehouse|manufacturing|maze) \| (.+) \|$", section, re.MULTILINE)
+    listed = [(domain, *(cell.strip() for cell in row.split("|"))) for domain, row in rows]
+    known = []
+    for domain, name in (("warehouse", "-even"), ("manufacturing", ""), ("maze", "-walls")):
+        for row in rows_of_table(find_domain(domain + name)):
+            symbol, tile, _, also, meaning = row
+            known.append((domain, quote(symbol), tile, quote(also), meaning))
+    assert listed == known
+
+
+def quote(cell: str) -> str:
+    return ", ".join("blank" if one == " " else f"`{one}`" for one in re.findall("'(.)'", cell))
+
+
+def test_the_readmes_plan_is_kept_as_it_says(folder):
+    section = README.read_text().partition("**What must stay.**")[2]
+    lines = section.partition("```\n")[2].partition("```")[0].splitlines()
+    plan, drawing = zip(*(line.split() for line in lines), strict=True)
+    (folder / "plan.txt").write_text("\n".join(plan))
+    (folder / "walls.txt").write_text("\n".join(drawing))
+    assert run(["repair", "plan.txt", "--keep", "walls.txt"]) == 0
+    after = rows_of(folder / "plan_repaired.json")
+    assert after == list(plan) and "".join(plan).count("w") == 6
+    assert run(["check", "plan_repaired.json", "--keep", "walls.txt"]) == 0
 
 
 def test_baselines_go_to_files_of_their_own_and_say_so(folder, capsys):

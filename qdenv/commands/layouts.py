@@ -16,7 +16,6 @@ from qdenv.repair.audit import Violation, audit, check_allowed
 from qdenv.repair.bounds import impossible
 from qdenv.repair.settings import RepairConfig
 from qdenv.study.changes import describe_changes, list_changes, warn_of_changes
-from qdenv.study.keeping import keep_from
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError, Repair, RepairStatus, Rules
 
@@ -59,10 +58,8 @@ def repair(
         results: what to write.
     """
     plan = read_plan(layout, domain)
-    rules = possible_rules(fit(plan, numbers), layout)
-    kind = fit(plan, numbers, keep)
-    if keep is not None:
-        rules = possible_rules(kind, layout)
+    kind = plan.fitted(numbers.given(), keep)
+    rules = possible_rules(kind, layout)
     endings, read = endings_for(kind.tiles, kind.meanings), [layout, *([keep] if keep else [])]
     place = output.place(results.out, f"{layout.stem}_repaired.json", endings, read)
     picture = place_plot(results.plot, place, read)
@@ -85,6 +82,8 @@ def repair(
         raise InputError(f"{layout}: no feasible layout was found: try another seed")
     print("\n".join([*describe_changes(changes), *warn_of_changes(changes)]))
     details = {"domain": kind.name, "repaired_from": layout.name}
+    if kind.config.keep:
+        details["keep"] = kind.config.keep
     write_layout(place.path, after, kind.tiles, kind.meanings, **details)
     print(place)
     if picture is not None:
@@ -111,16 +110,6 @@ def place_plot(plot: Path | None, beside: output.Place, inputs: list[Path]) -> o
     named = None if str(plot) == "auto" else plot
     default = beside.path.with_suffix(output.PICTURES[0])
     return output.place(named, str(default), output.PICTURES, inputs)
-
-
-def fit(plan: Plan, numbers: Numbers, keep: Path | None = None) -> Domain:
-    """Make the domain that a plan is measured by: its size, its numbers, what must stay.
-
-    Raises:
-        InputError: what must stay is drawn wrong, or can be in no layout.
-    """
-    fitted = plan.domain.fitted(plan.layout, numbers.given())
-    return fitted if keep is None else keep_from(keep, fitted, plan.layout)
 
 
 def possible_rules(domain: Domain, path: Path) -> Rules:
@@ -172,7 +161,7 @@ def check(
         json_file: facts to write; - for standard output.
     """
     plan = read_plan(layout, domain)
-    kind = fit(plan, numbers, keep)
+    kind = plan.fitted(numbers.given(), keep)
     rules = kind.rules() if kind.rules else None
     broken = audit(plan.layout, rules) if rules else []
     facts = {"valid": not broken, "rules": rules is not None, "broken": list_broken(broken)}

@@ -4,7 +4,15 @@ import difflib
 import re
 from collections.abc import Iterable
 
-BORDERS = "│╭╮╰╯─"
+SIDES = "│| "  # of the frame, on terminals that know its characters and on others
+RULE = re.compile(r"^[╭╰+]|^[─-]{5,}$")
+TITLES = (
+    "Unrecognized options",
+    "Required options",
+    "Value error",
+    "Invalid choice",
+    "Missing argument",
+)
 
 
 def one_line(box: str, program: str) -> str:
@@ -14,10 +22,14 @@ def one_line(box: str, program: str) -> str:
         box: what it printed.
         program: the command, like "qdenv simulate".
     """
-    lines = [line.strip(BORDERS + " ") for line in box.splitlines()]
-    parts = "\n".join(lines[1:]).split("\n\n")  # a ruled line is empty without its rule
-    said, hints = " ".join(parts[0].split()), " ".join(" ".join(parts[1:]).split())
-    return f"{_reworded(said, hints)} (`{program} --help` lists the options)"
+    lines = [line.strip(SIDES) for line in box.splitlines()]
+    # On a terminal the title is part of the frame, elsewhere a line of its own.
+    ruled = ["\0" if RULE.search(line) else line for line in lines]
+    parts = [part.strip() for part in " ".join(" ".join(ruled).split()).split("\0")]
+    said, *hints = [part for part in parts if part and part not in TITLES] or [box.strip()]
+    if match := re.match(r"Error parsing \S*__tyro\S*: (.*)", said):
+        return match[1]  # said by the settings themselves
+    return f"{_reworded(said, ' '.join(hints))} (`{program} --help` lists the options)"
 
 
 def _reworded(said: str, hints: str) -> str:
@@ -38,7 +50,8 @@ def _reworded(said: str, hints: str) -> str:
     if match := re.match(r"Missing value for argument '(\S+?)'\.", said):
         return f"{match[1].split(',')[0]} needs a value"
     if match := re.match(r"Missing from .*?: (\S+) (?:[A-Z|{}\[\]]+ )?(.*?)\(required\)", said):
-        return f"{match[1]} is missing: {match[2].strip(' .')}"
+        what = match[2].strip(" .")
+        return f"{match[1]} is missing: {what}" if match[1][:2] == "--" else f"{what} is missing"
     return said.rstrip(".")
 
 

@@ -201,11 +201,13 @@ class Domain:
         """Make the same domain with other exact numbers of tiles.
 
         Raises:
-            InputError: a number is not this domain's.
+            InputError: a number is not this domain's, or is negative.
         """
-        for name in numbers:
+        for name, number in numbers.items():
             if name not in self.counted:
                 raise InputError(f"{self.name} has no number of {name}: leave --{name} out")
+            if number < 0:
+                raise InputError(f"{number} {name}: give 0 or more")
         return make_domain(replace(self.config, **numbers))
 
 

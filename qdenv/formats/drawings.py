@@ -4,7 +4,7 @@ import codecs
 import csv
 import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 from qdenv.types import InputError
 
@@ -24,10 +24,12 @@ class Drawing(NamedTuple):
     Attributes:
         rows: the drawing.
         domain: whose drawing the file says it is; None where it says nothing.
+        keep: which cells must stay, as the file says; empty where it says nothing.
     """
 
     rows: list[str]
     domain: str | None = None
+    keep: tuple[str, ...] = ()
 
 
 def read_drawing(path: str | Path) -> Drawing:
@@ -99,11 +101,16 @@ def _json(text: str) -> Drawing:
         raise InputError(
             f"not a JSON file ({error}): layouts end in {', '.join(ENDINGS)}"
         ) from error
-    rows = content.get("layout") if isinstance(content, dict) else content
-    if not isinstance(rows, list) or not all(isinstance(row, str) for row in rows):
+    content = content if isinstance(content, dict) else {"layout": content}
+    rows, domain, keep = (content.get(name) for name in ("layout", "domain", "keep"))
+    if not _are_rows(rows):
         raise InputError('expected an object with a list of strings under "layout", or the list')
-    domain = content.get("domain") if isinstance(content, dict) else None
-    return Drawing(rows, domain if isinstance(domain, str) else None)
+    kept = tuple(keep) if _are_rows(keep) else ()
+    return Drawing(rows, domain if isinstance(domain, str) else None, kept)
+
+
+def _are_rows(value: Any) -> TypeGuard[list[str]]:
+    return isinstance(value, list) and all(isinstance(row, str) for row in value)
 
 
 def _cells(text: str) -> list[str]:

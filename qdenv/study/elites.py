@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
 from qdenv.generate.generator import GENERATORS
 from qdenv.lazy import jax, jnp
-from qdenv.pipeline import canvas_of
 from qdenv.repair.bounds import impossible
-from qdenv.repair.recipe import repair
 from qdenv.repair.result import Report, no_report
 from qdenv.repair.settings import RepairConfig
 from qdenv.settings import EvaluationConfig
@@ -77,7 +75,7 @@ def grow_series(
     """
     if min(steps) < 0:
         raise InputError(f"steps must be 0 or more, not {min(steps)}")
-    generator = GENERATORS.make(config.generator, canvas_of(domain))
+    generator = _generator_of(config, domain)
     if solution.shape != (generator.size,):
         raise InputError(f"{len(solution)} parameters given, this generator has {generator.size}")
 
@@ -87,6 +85,13 @@ def grow_series(
         return jnp.asarray(domain.frame(generator.grow(jnp.asarray(solution)[None], number)[0]))
 
     return [np.asarray(grow(jnp.asarray(number, jnp.int32))) for number in steps]
+
+
+def _generator_of(config: EvaluationConfig, domain: Domain) -> Any:
+    # Only here: imports both compilers, and who is refused need not wait.
+    from qdenv.pipeline import canvas_of
+
+    return GENERATORS.make(config.generator, canvas_of(domain))
 
 
 def grow_elite(
@@ -120,7 +125,7 @@ def grow_elite(
         domain = keep_from(keep, domain)
     if steps is None:
         longer = max(rows / trained.shape[0], cols / trained.shape[1], 1)
-        steps = round(GENERATORS.make(config.generator, canvas_of(trained)).steps * longer)
+        steps = round(_generator_of(config, trained).steps * longer)
     elite = which if isinstance(which, Elite) else find_elite(run, which)
     layout = grow_series(config, domain, elite.solution, [steps])[0]
     return Grown(domain, elite, layout, steps)
@@ -143,6 +148,9 @@ def repair_grown(
     domain = grown.domain
     if domain.rules is None:
         return None
+    # Only here: imports a compiler and a solver.
+    from qdenv.repair.recipe import repair
+
     rules = domain.rules()
     result = repair(grown.layout, rules, seed, config, report)
     if result.status >= RepairStatus.IMPOSSIBLE:

@@ -1,7 +1,7 @@
 """A layout file and the domain it belongs to."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ import numpy as np
 from qdenv.domains.base import DOMAINS, Domain, find_domain
 from qdenv.formats.drawings import read_drawing
 from qdenv.formats.layouts import aliases, to_layout
+from qdenv.study.keeping import keep_from
 from qdenv.types import InputError
 
 USUAL = "warehouse-even"  # the domain where nothing says otherwise
@@ -23,18 +24,40 @@ class Plan(NamedTuple):
         layout: int8 [H, W].
         domain: whose layout; at its default size, not fitted to this one.
         assumed: nothing but the tiles said whose layout it is.
+        keep: rows of a drawing of what must stay, as in `DomainConfig`; empty where nothing must.
     """
 
     name: str
     layout: np.ndarray
     domain: Domain
     assumed: bool
+    keep: tuple[str, ...] = ()
 
     @property
     def whose(self) -> str:
         """Say whose layout it is, and how that is known, as commands print it."""
         how = " (assumed from the tiles; --domain chooses another)" if self.assumed else ""
         return f"domain {self.domain.name}{how}"
+
+    def fitted(
+        self, numbers: Mapping[str, int] | None = None, keep: str | Path | None = None
+    ) -> Domain:
+        """Make the domain that the plan is measured by: its size, its numbers, what must stay.
+
+        Args:
+            numbers: exact numbers of tiles; the plan's own where left out.
+            keep: drawing of what must stay; what the plan's file says unless given.
+
+        Raises:
+            InputError: what must stay is drawn wrong, or can be in no layout.
+        """
+        domain = self.domain.fitted(self.layout, numbers)
+        if keep is not None:
+            return keep_from(keep, domain, self.layout)
+        try:
+            return domain.keeping(self.keep) if self.keep else domain
+        except InputError as error:
+            raise InputError(f'{self.name}: its file\'s key "keep": {error}') from error
 
 
 def read_plan(path: str | Path, domain: str | None = None) -> Plan:
@@ -60,7 +83,7 @@ def read_plan(path: str | Path, domain: str | None = None) -> Plan:
     chosen = domain or said
     found = find_domain(chosen) if chosen else _guess_domain(set("".join(drawing.rows)))
     layout = to_layout(drawing.rows, path, found.tiles, found.meanings, found.name)
-    return Plan(Path(path).stem, layout, found, assumed=not chosen)
+    return Plan(Path(path).stem, layout, found, assumed=not chosen, keep=drawing.keep)
 
 
 def _guess_domain(symbols: set[str]) -> Domain:
