@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from qdenv.api.plans import Source, read_plan
 from qdenv.api.results import Broken, Facts, Layout, Table
 from qdenv.domains.base import Domain
+from qdenv.repair.settings import Polish
 from qdenv.study.plans import Plan
 from qdenv.types import InputError, RepairStatus, Rules
 
@@ -111,7 +112,7 @@ def repair(
     layout: Source,
     domain: str | None = None,
     seed: int = 0,
-    polish: Literal["none", "quick", "full"] = "full",
+    polish: Polish = "full",
     keep: str | Path | None = None,
     **numbers: int,
 ) -> Layout:

@@ -134,7 +134,7 @@ def maze(config: MazeConfig) -> Domain:
         rules=None,
         simulator=maze_simulator(config),
         objective=lambda layout, runs: world.is_solvable(layout).astype(jnp.float32),
-        objective_name="solvable [1: there is a way]",
+        objective_name="solvable [0 or 1]",
         # Nearly every maze is solvable; among those the one with the longest way shows most.
         tie_break="shortest",
         marks=start_and_goal,

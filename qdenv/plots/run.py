@@ -77,17 +77,14 @@ def save_progress(path: Path, run: RunDirectory) -> None:
     if not rows:
         raise InputError(f"{run.path}/metrics.csv: no iteration is finished, there is no progress")
     figure = new_figure(9, 2.6, dpi=120)
-    panels = {
-        "QD-score": "qd_score",
-        "coverage": "coverage",
-        run.meaning.objective: "best_objective",
-    }
+    panels = {"QD-score": "qd_score", "coverage": "coverage", "best objective": "best_objective"}
+    evaluations = [row.evaluations for row in rows]
     for axes, (title, column) in zip(figure.subplots(1, 3), panels.items(), strict=True):
-        # A line through one point is nothing: the last point is marked.
-        evaluations = [row.evaluations for row in rows]
         values = [getattr(row, column) for row in rows]
+        # A line through one point is nothing: the last point is marked.
         axes.plot(evaluations, values, marker="o", markersize=4, markevery=[len(rows) - 1])
         axes.set(title=title, xlabel="evaluations", ymargin=0.1)
         axes.set_ylim(bottom=min(0, *values))
         axes.spines[["top", "right"]].set_visible(False)
+    axes.set_ylabel(run.meaning.objective, fontsize="small")
     save_figure(figure, path)

@@ -4,8 +4,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import filelock
-
 from qdenv.types import InputError
 
 
@@ -21,6 +19,9 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         InputError: another process is at work there, or the place cannot be written to.
     """
+    # Only here: it imports asyncio, a good part of what `check` takes altogether.
+    import filelock
+
     lock = filelock.FileLock(folder / ".lock", blocking=False)
     try:
         folder.mkdir(parents=True, exist_ok=True)
