@@ -79,7 +79,8 @@ def repair(
         results.json_file, "repair", facts | listed, **settings, numbers=numbers.given()
     )
     if not facts["valid"]:
-        raise InputError(f"{layout}: no feasible layout was found: try another seed")
+        less = ", or keep fewer cells" if kind.config.keep else ""
+        raise InputError(f"{layout}: no feasible layout was found: try another seed{less}")
     print("\n".join([*describe_changes(changes), *warn_of_changes(changes)]))
     details = {"domain": kind.name, "repaired_from": layout.name}
     if kind.config.keep:
