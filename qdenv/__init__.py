@@ -40,7 +40,7 @@ _HOMES = {
     "compare": ("qdenv.api.layouts", "compare"),
     "render": ("qdenv.api.layouts", "render"),
     "make_environment": ("qdenv.api.layouts", "make_environment"),
-    "read_plan": ("qdenv.api.layouts", "read_plan"),
+    "read_plan": ("qdenv.api.plans", "read_plan"),
     "Layout": ("qdenv.api.results", "Layout"),
     "audit": ("qdenv.repair.audit", "audit"),
     "evaluate": ("qdenv.pipeline", "evaluate"),

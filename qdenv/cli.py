@@ -31,6 +31,7 @@ COMMANDS = {
     "plot": "qdenv.commands.runs:plot",
     "presets": "qdenv.commands.presets:presets",
     "generate": "qdenv.commands.runs:generate",
+    "export": "qdenv.commands.export:export",
     "series": "qdenv.commands.sizes:series",
     "compare": "qdenv.commands.traffic:compare",
     "scalability": "qdenv.commands.traffic:scalability",

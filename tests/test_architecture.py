@@ -44,7 +44,7 @@ ALLOWED = {
     | STAGES
     | PLUGS
     | {"domains", "formats", "plots", "presets", "study", "training", "commands.choices"},
-    "plots": BASE | {"training.records", "study.table", "domains.base"},
+    "plots": BASE | {"training.records", "study.table", "study.jams", "domains.base"},
     "commands": BASE
     | STAGES
     | PLUGS

@@ -1,5 +1,7 @@
 """Archives as tables and files."""
 
+import json
+
 import numpy as np
 import pytest
 from matplotlib import pyplot
@@ -89,6 +91,20 @@ def test_a_runs_archive_reads_back_with_the_measures_of_its_run(tmp_path):
     for wrong in (GRID[:1], (Measure("x", 0, 4, 2), GRID[1])):
         with pytest.raises(InputError, match="other measures"):
             load_npz(tmp_path / "archive.npz", wrong)
+
+
+def test_a_runs_archive_finds_its_axes_in_the_manifest_beside_it(tmp_path):
+    archive = example()
+    np.savez_compressed(tmp_path / "archive.npz", **elites(archive))
+    axes = [{"name": m.name, "low": m.low, "high": m.high, "cells": m.cells} for m in GRID]
+    (tmp_path / "manifest.json").write_text(json.dumps({"schema": 2, "measures": axes}))
+    again = load_npz(tmp_path / "archive.npz")
+    assert again.measures == archive.measures
+    np.testing.assert_array_equal(again.fitnesses, archive.fitnesses)
+    for content in ("", "[]", '{"measures": 3}', '{"measures": [{"nom": 1}]}'):
+        (tmp_path / "manifest.json").write_text(content)
+        with pytest.raises(InputError, match="no saved archive"):
+            load_npz(tmp_path / "archive.npz")
 
 
 def test_columns_of_a_run_and_of_a_soft_archive():

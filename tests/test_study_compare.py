@@ -12,9 +12,9 @@ from qdenv.formats.layouts import write_layout
 from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.study.runs import Simulated, run_seeds
 from qdenv.study.sweep import Trial, climb, compare, name_layouts
-from qdenv.study.table import Row, find_peak, write_rows
-from qdenv.study.traffic import Simulated, run_seeds
+from qdenv.study.table import Row, find_capacity, find_peak, write_rows
 from qdenv.types import InputError, Traffic
 
 WAREHOUSE = find_domain("warehouse-even")
@@ -69,12 +69,12 @@ def test_rows_agree_with_the_runs_they_summarise(layouts):
 def test_a_climb_stops_at_the_first_drop(layouts, monkeypatch):
     throughput = {10: 1.0, 20: 1.9, 30: 2.4, 40: 2.3, 50: 9.0}
 
-    def runs_of(layout, tasks, config, seeds, agents):
+    def runs_of(layout, tasks, config, seeds, agents, progress):
         assert config.agents == 50  # one program for all numbers
         runs = [Traffic(throughput[agents] + seed, False, *[None] * 5) for seed in seeds]
         return Simulated(tuple(seeds), runs, [], 0.0, 0.0)
 
-    monkeypatch.setattr("qdenv.study.sweep.run_seeds", runs_of)
+    monkeypatch.setattr("qdenv.study.runs.run_seeds", runs_of)
     told = []
     counts = [30, 10, 20, 40, 50, 5000]
     way = climb("a", layouts["human"], Trial(TASKS, CONFIG, counts, (0, 1)), told.append)
@@ -101,11 +101,40 @@ def test_names_are_short_where_they_can_be():
     assert names == {str(one): one, str(other): other, "human": third}
 
 
+def test_nothing_is_simulated_before_all_layouts_are_checked(layouts):
+    told = []
+    cut = layouts["human"].copy()
+    cut[1:, 5] = WAREHOUSE.tiles.index("@")
+    cut[0, 5] = WAREHOUSE.tiles.index("@")
+    with pytest.raises(InputError, match="cut: the free cells fall into"):
+        compare({**layouts, "cut": cut}, Trial(TASKS, CONFIG, (12,), SEEDS), told.append)
+    assert told == []
+
+
+def test_progress_grows_to_the_whole_and_names_what_is_simulated(layouts):
+    told = []
+    trial = Trial(TASKS, CONFIG, (12, 60), SEEDS)
+    compare(layouts, trial, progress=lambda *state: told.append(state))
+    shares = [share for _, share, _ in told]
+    assert shares == sorted(shares) and shares[-1] == pytest.approx(1)
+    assert any("narrow, 60 agents, run 3 of 3" in note for _, _, note in told)
+
+
 def test_the_table_holds_every_number(tmp_path):
-    write_rows(tmp_path / "a.csv", [row(50, 1.5), row(50, 2.5, "b")])
+    rows = [row(50, 1.5), row(50, 2.5, "b")]
+    write_rows(tmp_path / "a.csv", rows, {"tasks_per_hour": [5400, 9000]})
     table = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
     assert [(line["layout"], line["throughput"]) for line in table] == [("a", "1.5"), ("b", "2.5")]
-    assert list(table[0]) == list(Row._fields)
+    assert [line["tasks_per_hour"] for line in table] == ["5400", "9000"]
+    assert list(table[0]) == [*Row._fields, "tasks_per_hour"]
+
+
+def test_agents_are_worth_it_while_each_further_one_brings_half_of_an_average_one():
+    """One more brings 0.9, 0.57 and 0.4 of what an average one does; the third is too little."""
+    rows = [row(50, 1.0), row(100, 1.9), row(150, 2.44), row(200, 2.76)]
+    assert find_capacity(rows) == 150
+    assert find_capacity(rows[:2]) == 100
+    assert find_capacity([row(50, 1.0), row(100, 1.2), row(150, 2.0)]) == 50
 
 
 def test_commands_compare_and_climb(layouts, tmp_path, capsys):
@@ -124,7 +153,7 @@ def test_commands_compare_and_climb(layouts, tmp_path, capsys):
         str(tmp_path / "t.csv"),
     ]
     assert cli.run(["compare", *paths, "--agents", "2,60", *out]) == 0
-    lines = [line.split()[:3] for line in capsys.readouterr().out.splitlines()[1:-1]]
+    lines = [line.split()[:3] for line in capsys.readouterr().out.splitlines()[2:6]]
     assert lines == [[n, "9x12", a] for n in ("human", "narrow") for a in ("2", "60")]
     assert (tmp_path / "t.png").stat().st_size > 5000
     assert cli.run(["scalability", *paths, "--agents", "2,60", *out]) == 0

@@ -11,7 +11,8 @@ from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.goals import tile_goal
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.study.sweep import Trial, parse_counts, sweep
+from qdenv.study.options import parse_counts
+from qdenv.study.sweep import Trial, sweep
 from qdenv.study.table import write_rows
 from qdenv.types import InputError, TaskRule
 
@@ -26,6 +27,20 @@ def test_numbers_of_agents_are_read():
     for text in ("", "many", "0", "10:5", "1:2:3:4", "5:10:0"):
         with pytest.raises(InputError):
             parse_counts(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1:99999999999", "choose a larger step"),
+        (f"1:{10**30}", "choose a larger step"),
+        ("1,1,1", "names a number twice"),
+        ("-5,10", "no number of agents above zero"),
+    ],
+)
+def test_numbers_that_make_no_study_are_refused_at_once(text, said):
+    with pytest.raises(InputError, match=said):
+        parse_counts(text)
 
 
 def test_wilson_interval_agrees_with_published_values():

@@ -183,7 +183,7 @@ def test_an_interrupted_run_keeps_its_last_iteration(whole, tmp_path, monkeypatc
         loop.train(replace(SHORT, checkpoint_every=10), tmp_path / "run", progress=False)
     monkeypatch.undo()
     stopped = RunDirectory.open(tmp_path / "run")
-    assert [path.name for path in stopped.path.glob("checkpoints/*")] == ["000003.npz"]
+    assert max(path.name for path in stopped.path.glob("checkpoints/*")) == "000003.npz"
     assert len(stopped.archive) > 0 and len(stopped.read_metrics()) == 3
     assert same(loop.resume(stopped.path, False).load_archive(), whole.load_archive())
 

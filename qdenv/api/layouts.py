@@ -2,52 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from qdenv.api.plans import Source, read_plan
 from qdenv.api.results import Broken, Facts, Layout, Table
-from qdenv.domains.base import DOMAINS, Domain, find_domain
-from qdenv.repair.settings import Polish
+from qdenv.domains.base import Domain
 from qdenv.study.plans import Plan
-from qdenv.study.plans import read_plan as read_file
 from qdenv.types import InputError, RepairStatus, Rules
 
 if TYPE_CHECKING:
     from qdenv.simulate.mapf.environment import Environment, Observe
-
-# Path of a layout file, a `Plan`, a `Layout`, or int [H, W] with ``domain=`` beside it.
-Source: TypeAlias = "str | Path | Plan | Layout | np.ndarray | Sequence[Sequence[int]]"
-
-
-def read_plan(layout: Source, domain: str | None = None) -> Plan:
-    """Read a layout, whatever form it has.
-
-    Args:
-        layout: path of a file, a `Plan`, a `Layout`, or an int array [H, W] of tiles.
-        domain: whose layout; arrays do not say it, the others do.
-
-    Raises:
-        InputError: it is no layout, or of another domain.
-    """
-    if isinstance(layout, str | Path):
-        return read_file(layout, domain)
-    if isinstance(layout, Plan | Layout):
-        if domain not in (None, layout.domain.name):
-            raise InputError(f"this layout is of {layout.domain.name}: leave domain out")
-        name = layout.name if isinstance(layout, Plan) else "layout"
-        return Plan(name, layout.layout, layout.domain, assumed=False)
-    if domain is None:
-        names = ", ".join(repr(name) for name in DOMAINS.names())
-        raise InputError(f"an array does not say whose layout it is: give domain, one of {names}")
-    found, tiles = find_domain(domain), np.asarray(layout)
-    if tiles.ndim != 2 or tiles.dtype.kind not in "iu" or not tiles.size:
-        raise InputError("a layout is an array of whole numbers with rows and columns")
-    if tiles.min() < 0 or tiles.max() >= len(found.tiles):
-        raise InputError(f"tiles of {domain} are 0 to {len(found.tiles) - 1} ({found.tiles!r})")
-    return Plan("layout", tiles.astype(np.int8), found, assumed=False)
 
 
 def simulate(
@@ -143,7 +111,8 @@ def repair(
     layout: Source,
     domain: str | None = None,
     seed: int = 0,
-    polish: Polish = "full",
+    polish: Literal["none", "quick", "full"] = "full",
+    keep: str | Path | None = None,
     **numbers: int,
 ) -> Layout:
     """Repair a layout: the closest one that obeys every rule of its domain.
@@ -153,6 +122,7 @@ def repair(
         domain: whose rules.
         seed: other seeds may give other, equally good layouts.
         polish: "none", "quick" or "full", how hard to try.
+        keep: a drawing of the layout's shape: ``?`` may change, ``!`` stays, a tile must be this.
         **numbers: exact numbers of tiles (shelves=240); as many as the layout has unless given.
 
     Returns:
@@ -166,7 +136,7 @@ def repair(
     from qdenv.repair.settings import RepairConfig
 
     plan = read_plan(layout, domain)
-    fitted = plan.domain.fitted(plan.layout, numbers)
+    fitted = _fitted(plan, numbers, keep)
     rules = _rules_of(fitted)
     if reason := impossible(rules):
         raise InputError(f"no repair exists: {reason}")
@@ -182,12 +152,15 @@ def repair(
     return Layout(np.asarray(result.layout), fitted, facts)
 
 
-def check(layout: Source, domain: str | None = None, **numbers: int) -> list[Broken]:
+def check(
+    layout: Source, domain: str | None = None, keep: str | Path | None = None, **numbers: int
+) -> list[Broken]:
     """Name every rule that a layout breaks, and a cell; empty where it obeys them all.
 
     Args:
         layout: see `read_plan`.
         domain: whose rules.
+        keep: a drawing of what is meant to be as it is, as in `repair`.
         **numbers: exact numbers of tiles to demand; as many as the layout has unless given.
 
     Raises:
@@ -196,7 +169,7 @@ def check(layout: Source, domain: str | None = None, **numbers: int) -> list[Bro
     from qdenv.repair.audit import audit
 
     plan = read_plan(layout, domain)
-    broken = audit(plan.layout, _rules_of(plan.domain.fitted(plan.layout, numbers)))
+    broken = audit(plan.layout, _rules_of(_fitted(plan, numbers, keep)))
     return [Broken(one.message, *map(int, one.cell)) for one in broken]
 
 
@@ -216,7 +189,7 @@ def render(layout: Source, path: str | Path | None = None, domain: str | None = 
         # Only here: matplotlib takes half a second to import.
         from qdenv.plots.layouts import save_layout
 
-        save_layout(path, plan.layout, plan.domain.tiles)
+        save_layout(path, plan.layout, plan.domain.tiles, plan.domain.names)
     return Layout(plan.layout, plan.domain)
 
 
@@ -246,6 +219,14 @@ def make_environment(
     if tasks is None:
         raise InputError(f"no fleet drives in {plan.domain.name}")
     return Environment(plan.layout, tasks, agents, timesteps, observe or observe_plainly)
+
+
+def _fitted(plan: Plan, numbers: Mapping[str, int], keep: str | Path | None) -> Domain:
+    """Make the domain that a plan is measured by: its size, its numbers, what must stay."""
+    from qdenv.study.keeping import keep_from
+
+    fitted = plan.domain.fitted(plan.layout, numbers)
+    return fitted if keep is None else keep_from(keep, fitted, plan.layout)
 
 
 def _rules_of(domain: Domain) -> Rules:

@@ -55,7 +55,8 @@ class Layout:
         # Only here: matplotlib takes half a second to import.
         from qdenv.plots.inline import layout_html
 
-        return layout_html(self.layout, self.domain.tiles) + table_html([self.facts])
+        picture = layout_html(self.layout, self.domain.tiles, self.domain.names)
+        return picture + table_html([self.facts])
 
 
 class Facts(dict):

@@ -15,6 +15,8 @@ from qdenv.api.results import Layout
 from qdenv.presets import find_preset
 from qdenv.training.config import CHOICES, RunConfig
 from qdenv.training.elite import Elite
+from qdenv.training.feasible import check_feasible
+from qdenv.training.following import follow_size
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus
 
@@ -33,15 +35,19 @@ def train(
         progress: show a progress bar.
         **settings: in place of the preset's, by the names of `qdenv train --help` with
             underscores: evaluations=300, seed=3, alpha=1.0, agents=40, shelves=60. Domains,
-            planners, generators and algorithms may be named.
+            planners, generators and algorithms may be named. What is not stated follows the size:
+            numbers of tiles, agents, steps and axes.
 
     Raises:
         InputError: a name is unknown, a setting is impossible, or the folder holds a run already.
     """
     from qdenv.training import loop
 
-    config = find_preset(preset) if isinstance(preset, str) else preset
-    config = overridden(config, settings)
+    base = find_preset(preset) if isinstance(preset, str) else preset
+    config, followed = follow_size(overridden(base, settings), base, settings)
+    check_feasible(config)
+    if progress and followed:
+        print(followed)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     name = preset if isinstance(preset, str) else "run"
     return loop.train(config, path or Path("runs") / f"{name}-{stamp}", progress)

@@ -6,7 +6,7 @@ import functools
 import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
 
 import tyro
 
@@ -78,7 +78,7 @@ def bind(command: Callable, arguments: Sequence[str]) -> Callable:
     signature = inspect.signature(command)
     if "numbers" not in signature.parameters:
         return command
-    many = signature.parameters["numbers"].annotation is ManyNumbers
+    many = get_type_hints(command)["numbers"] is ManyNumbers
     kind = _numbers_of(domain_of(arguments), tuple[int, ...] if many else int | None)
     hint: Any = Annotated[kind, tyro.conf.arg(name="")]
 
@@ -86,12 +86,13 @@ def bind(command: Callable, arguments: Sequence[str]) -> Callable:
     def bound(**given: Any) -> Any:
         return command(**given)
 
+    hints = get_type_hints(command, include_extras=True) | {"numbers": hint}
     parameters = [
-        one.replace(annotation=hint, default=kind()) if name == "numbers" else one
+        one.replace(annotation=hints[name], default=kind() if name == "numbers" else one.default)
         for name, one in signature.parameters.items()
     ]
     del bound.__wrapped__  # tyro would read the signature there
-    bound.__annotations__ = command.__annotations__ | {"numbers": hint}
+    bound.__annotations__ = hints
     bound.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     return bound
 

@@ -4,7 +4,8 @@ import difflib
 import re
 from collections.abc import Iterable
 
-BORDERS = "│╭╮╰╯─"
+SIDES = "│| "  # of the frame, on terminals that know its characters and on others
+RULE = re.compile(r"[─-]{5,}")
 
 
 def one_line(box: str, program: str) -> str:
@@ -14,9 +15,10 @@ def one_line(box: str, program: str) -> str:
         box: what it printed.
         program: the command, like "qdenv simulate".
     """
-    lines = [line.strip(BORDERS + " ") for line in box.splitlines()]
-    parts = "\n".join(lines[1:]).split("\n\n")  # a ruled line is empty without its rule
-    said, hints = " ".join(parts[0].split()), " ".join(" ".join(parts[1:]).split())
+    inside = [line.strip(SIDES) for line in box.splitlines()[1:-1]]
+    ruled = ["\0" if RULE.fullmatch(line) else line for line in inside]
+    said, _, hints = " ".join(" ".join(ruled).split()).partition("\0")
+    said, hints = said.strip(), hints.replace("\0", "")
     return f"{_reworded(said, hints)} (`{program} --help` lists the options)"
 
 

@@ -43,7 +43,7 @@ def simulate(
         json_file: where to write the numbers; - is standard output.
     """
     picture = words.place_picture(plot, f"{layout.stem}_traffic.png", [layout])
-    facts_place = output.place(json_file, "facts.json", inputs=[layout])
+    facts_place = words.place_facts(json_file, [layout])
     per_hour, seeds = words.steps_per_hour(options), parse_seeds(options.seeds)
     plan = read_plan(layout, options.domain)
     with studies.about(str(layout)):
@@ -65,9 +65,7 @@ def simulate(
     if picture is not None:
         draw(picture.path, plan, study, facts)
         print(picture)
-    if json_file is not None:
-        output.write_facts(json_file, "simulate", facts, **words.settings_of(options, seeds))
-        print(facts_place)
+    words.write_facts(facts_place, "simulate", facts, words.settings_of(options, seeds))
 
 
 def print_numbers(facts: dict[str, Any]) -> None:
@@ -116,7 +114,7 @@ def print_jams(facts: dict[str, Any], plan: Plan) -> None:
     for rank, spot in enumerate(facts["worst_cells"], 1):
         print(
             f"{rank:4} {spot['row']:4}  {spot['column']:6}  {names[spot['tile']]:{width}}  "
-            f"{spot['share']:14.1%}  {spot['waiting']:6.0%} of time  "
+            f"{spot['share']:14.2%}  {spot['waiting']:6.0%} of time  "
             f"{spot['wait_per_visit']:3.1f} steps"
         )
 

@@ -34,7 +34,7 @@ class Study(NamedTuple):
     per_hour: float | None
     table: output.Place
     picture: output.Place
-    facts: Path | None
+    facts: output.Place | None
     settings: dict[str, Any]
 
     @property
@@ -68,7 +68,7 @@ def prepare(
     config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
     per_hour = words.steps_per_hour(options)
     table = output.place(*out, inputs=paths)
-    output.place(json_file, "facts.json", inputs=paths)
+    facts = words.place_facts(json_file, paths)
     picture = words.place_picture(plot or words.AUTO, f"{table.path.stem}.png", paths)
     if out[0] is not None and plot in (None, words.AUTO):
         picture = table.beside(".png")
@@ -78,7 +78,7 @@ def prepare(
     trial = studies.Trial(tasks, config, counts, seeds)
     settings = words.settings_of(options, seeds) | {"agents": list(counts)}
     settings["layouts"] = {name: str(path) for name, path in studies.name_layouts(paths).items()}
-    return Study(plans, trial, per_hour, table, picture, json_file, settings)
+    return Study(plans, trial, per_hour, table, picture, facts, settings)
 
 
 def read_plans(paths: Sequence[Path], domain: str | None) -> dict[str, Plan]:
@@ -130,7 +130,7 @@ def write(
         row._asdict() | {name: values[place] for name, values in columns.items()}
         for place, row in enumerate(rows)
     ]
-    output.write_facts(study.facts, command, {**facts, "rows": lines}, **study.settings)
+    words.write_facts(study.facts, command, {**facts, "rows": lines}, study.settings)
 
 
 def table_printer(study: Study, title: str, say: Callable[[str], None]) -> Callable[[Row], None]:

@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -22,10 +22,10 @@ def figure_html(figure: Figure) -> str:
     return f'<img src="data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}">'
 
 
-def layout_html(layout: np.ndarray, tiles: str) -> str:
-    """Draw a layout (int8 [H, W]) for a notebook."""
+def layout_html(layout: np.ndarray, tiles: str, names: Mapping[str, str]) -> str:
+    """Draw a layout (int8 [H, W]) for a notebook; `names` are the legend's."""
     # The axes' figure lives no longer than somebody holds it.
-    axes = draw_layout(layout, tiles)
+    axes = draw_layout(layout, tiles, names=names)
     figure = axes.get_figure()
     assert isinstance(figure, Figure)
     return figure_html(figure)

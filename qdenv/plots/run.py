@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from qdenv.domains.base import make_domain
 from qdenv.plots.archive import save_heatmap, scatter_objectives
 from qdenv.plots.figure import new_figure, save_figure
 from qdenv.plots.layouts import draw_layout
@@ -39,8 +38,7 @@ def plot_run(run: RunDirectory | str | Path) -> list[Path]:
     best = run.read_best_layout()
     if best is not None:
         pictures.append(run.path / "best_layout.png")
-        names = make_domain(run.config.evaluation.domain).names
-        axes = draw_layout(best.layout, meaning.tiles, names=names)
+        axes = draw_layout(best.layout, meaning.tiles, names=meaning.names)
         draw_marks(axes, best.marks)
         figure = axes.get_figure()
         assert isinstance(figure, Figure)

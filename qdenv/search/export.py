@@ -1,5 +1,6 @@
 """Archives as tables and files: one column layout for npz, CSV and pandas (pyribs' names)."""
 
+import json
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from qdenv.checkpoints import write_arrays
+from qdenv.checkpoints import read_arrays, write_arrays
 from qdenv.files import write_atomically
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Algorithm
@@ -146,19 +147,17 @@ def load_npz(path: str | os.PathLike, measures: Sequence[Measure] | None = None)
 
     Args:
         path: a file of `save_npz`, or the archive.npz of a run.
-        measures: the axes; needed for the archive of a run, whose manifest.json holds them
-            (`RunDirectory.measures`).
+        measures: the axes; the archive of a run finds them in the manifest.json beside it.
 
     Raises:
         InputError: the file is missing, no archive, or has no axes and none were given.
     """
     try:
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
-            rows = dict(file)
+        rows = read_arrays(Path(path))
         index, solution = rows.pop("index"), rows.pop("solution")
         objective, places = rows.pop("objective"), rows.pop("measures")
-        stored = _pop_axes(rows)
-    except (OSError, ValueError, KeyError, EOFError) as error:
+        stored = _pop_axes(rows) or _axes_of_run(Path(path).with_name("manifest.json"))
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is no saved archive ({error})") from error
     axes = measures or stored
     if not axes:
@@ -182,6 +181,13 @@ def load_npz(path: str | os.PathLike, measures: Sequence[Measure] | None = None)
             name: blank.extra_scores[name].at[index].set(values) for name, values in rows.items()
         },
     )
+
+
+def _axes_of_run(manifest: Path) -> tuple[Measure, ...]:
+    """Read the axes of a run's archive, which its manifest holds; none where there is no such."""
+    if not manifest.exists():
+        return ()
+    return tuple(Measure(**axis) for axis in json.loads(manifest.read_text())["measures"])
 
 
 def _pop_axes(rows: dict[str, np.ndarray]) -> tuple[Measure, ...]:

@@ -83,7 +83,7 @@ class Archive:
             cell = tuple(int(part) for part in parts)
             number = np.ravel_multi_index(cell, self.shape)
         except (ValueError, TypeError) as error:
-            text = ",".join(map(str, which)) if not isinstance(which, str) else which
+            text = which if isinstance(which, str) else str(which).strip("()[]")
             raise InputError(
                 f'elite {text!r}: give "best" or indices below {self.shape} like "3,7"'
             ) from error
@@ -125,7 +125,7 @@ class Archive:
             tuple(int(index) for index in self.cells[row]),
             {name: float(value) for name, value in zip(names, values, strict=True)},
             self.columns["repaired"][row],
-            self.meaning.tiles,
+            self.meaning,
         )
 
     def table(self, solutions: bool = False) -> dict[str, np.ndarray]:

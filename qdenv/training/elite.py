@@ -23,7 +23,7 @@ class Elite(NamedTuple):
         cell: index along each measure.
         measures: value of each measure, by its name.
         layout: int8 [H, W], repaired, as it was simulated.
-        tiles: the alphabet of the layout.
+        meaning: of the archive; `Meaning.tiles` is the alphabet of the layout.
     """
 
     solution: np.ndarray
@@ -31,7 +31,7 @@ class Elite(NamedTuple):
     cell: tuple[int, ...]
     measures: Mapping[str, float]
     layout: np.ndarray
-    tiles: str
+    meaning: Meaning
 
     def __repr__(self) -> str:
         """Say where it is in the archive and what it is worth, without its parameters."""
@@ -44,7 +44,7 @@ class Elite(NamedTuple):
         # Only here: matplotlib takes half a second to import.
         from qdenv.plots.inline import layout_html
 
-        return f"<p>{self!r}</p>{layout_html(self.layout, self.tiles)}"
+        return f"<p>{self!r}</p>{layout_html(self.layout, self.meaning.tiles, self.meaning.names)}"
 
 
 def best_row(columns: Columns, tie_break: str | None) -> int:

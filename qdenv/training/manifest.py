@@ -2,7 +2,7 @@
 
 import platform
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,19 +23,22 @@ class Meaning(NamedTuple):
     Attributes:
         measures: the axes of the archive.
         tiles: the alphabet of the layouts.
+        names: how pictures call the tiles, by their symbols.
         objective: what is maximised, with its unit.
         tie_break: the column that chooses among elites of equal objective; None for none.
     """
 
     measures: tuple[Measure, ...]
     tiles: str
+    names: Mapping[str, str]
     objective: str = "objective"
     tie_break: str | None = None
 
 
 def meaning_of(domain: Domain, measures: Sequence[Measure]) -> Meaning:
     """Say what an archive of this domain means, over these axes."""
-    return Meaning(tuple(measures), domain.tiles, domain.objective_name, domain.tie_break)
+    axes, tiles = tuple(measures), domain.tiles
+    return Meaning(axes, tiles, domain.names, domain.objective_name, domain.tie_break)
 
 
 def read_meaning(content: dict[str, Any], source: Path) -> Meaning:
@@ -47,14 +50,14 @@ def read_meaning(content: dict[str, Any], source: Path) -> Meaning:
     try:
         axes = check_measures([Measure(**axis) for axis in content["measures"]])
         tiles, objective = content["tiles"], content.get("objective", "objective")
-        tie_break = content.get("tie_break")
+        names, tie_break = dict(content.get("tile_names", {})), content.get("tie_break")
         if not (isinstance(tiles, str) and tiles and isinstance(objective, str)):
             raise TypeError("tiles and objective must be words")
         if not isinstance(tie_break, str | None):
             raise TypeError("tie_break must be a word")
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{source}: no manifest of a run ({error})") from error
-    return Meaning(axes, tiles, objective, tie_break)
+    return Meaning(axes, tiles, names, objective, tie_break)
 
 
 def check_schema(content: dict[str, Any], source: Path) -> None:
@@ -77,6 +80,7 @@ def make_manifest(meaning: Meaning) -> dict[str, Any]:
         "schema": SCHEMA,
         "measures": [{axis: getattr(one, axis) for axis in axes} for one in meaning.measures],
         "tiles": meaning.tiles,
+        "tile_names": dict(meaning.names),
         "objective": meaning.objective,
         "tie_break": meaning.tie_break,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -1,0 +1,37 @@
+"""The command export: a run's elites for other programs."""
+
+from pathlib import Path
+
+import tyro
+
+from qdenv.commands import output
+from qdenv.study.exports import TABLES, write_layouts, write_table
+from qdenv.training.records import RunDirectory
+
+
+def export(
+    run_dir: tyro.conf.Positional[Path],
+    out: Path | None = None,
+    layouts: Path | None = None,
+    solutions: bool = False,
+) -> None:
+    """Write the elites of a run as a table, and all their layouts.
+
+    The table has a row for each elite: its cell (as --elite takes it), its objective, each measure
+    by its name, and what was counted in its simulations.
+
+    Args:
+        run_dir: the run directory.
+        out: table to write, .csv or .parquet; RUN_elites.csv unless given.
+        layouts: folder to write a layout file for each elite into, named by its cell.
+        solutions: add the parameters of the generators to the table.
+    """
+    run = RunDirectory.open(run_dir)
+    name = run_dir.resolve().name
+    place = output.place(out, f"{name}_elites.csv", TABLES)
+    archive, domain = run.archive, run.config.evaluation.domain
+    write_table(archive, place.path, solutions)
+    print(f"{place}: {len(archive)} elites")
+    if layouts is not None:
+        written = write_layouts(archive, layouts, domain)
+        print(f"{layouts}: {written} layouts")

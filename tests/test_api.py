@@ -1,0 +1,300 @@
+"""The Python door: names as strings, results that show themselves, stages that are functions."""
+
+import inspect
+import subprocess
+import sys
+from dataclasses import replace
+from importlib import metadata
+
+import numpy as np
+import pytest
+import toy
+
+import qdenv
+from qdenv.api.runs import overridden
+from qdenv.cli import run as command
+from qdenv.domains.manufacturing import ManufacturingConfig
+from qdenv.formats.layouts import read_layout, write_layout
+from qdenv.grid import parse
+from qdenv.presets import PRESETS
+from qdenv.training import loop
+from qdenv.training.records import RunDirectory
+from qdenv.types import InputError
+
+TILES = ".@ew"
+PLAN = parse(
+    [
+        "...........",
+        "w..@e.e@..w",
+        "...@e.e@...",
+        "...........",
+        "w..e@.@e..w",
+        "...........",
+        "...........",
+    ],
+    TILES,
+)
+FLEET = {"agents": 4, "timesteps": 40, "seeds": 2, "planner": "pibt"}
+
+PIBT = {"timesteps": 40, "planner": "pibt"}  # which compiles fast
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("plan") / "plan.json"
+    write_layout(path, PLAN, TILES, domain="warehouse-uneven")
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> RunDirectory:
+    path = tmp_path_factory.mktemp("run") / "garden"
+    return loop.train(replace(toy.CONFIG, evaluations=32), path, progress=False)
+
+
+# Public functions that share a name with a package, before and after it is imported by others.
+ORDERS = [
+    "import qdenv; door = qdenv.{0}; import qdenv.{0}.{1}; import qdenv.{2}",
+    "import qdenv.{0}.{1}; import qdenv.{2}; import qdenv; door = qdenv.{0}",
+    "from qdenv.{0} import {1}; import qdenv; door = qdenv.{0}",
+]
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize(
+    ("stage", "inside", "parameter"),
+    [("simulate", "mapf", "agents"), ("repair", "audit", "polish"), ("generate", "nca", "elite")],
+)
+def test_a_stage_is_a_function_and_a_package_in_any_order(order, stage, inside, parameter):
+    script = order.format(stage, inside, "study.sizes") + (
+        f"\nimport inspect\nassert qdenv.{stage} is door and callable(door)"
+        f"\nassert qdenv.{stage}.{inside}.__name__ == 'qdenv.{stage}.{inside}'"
+        f"\nprint(*inspect.signature(qdenv.{stage}).parameters)"
+        f"\ntry:\n    qdenv.{stage}('nothing.json')"
+        "\nexcept qdenv.InputError as error:\n    print('refused:', error)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert parameter in done.stdout and "refused: nothing.json" in done.stdout
+
+
+def test_every_public_name_is_there_and_has_a_docstring():
+    for name in qdenv.__all__:
+        assert inspect.getdoc(getattr(qdenv, name)), name
+    assert qdenv.__version__ == metadata.version("qdenv")
+    assert {"train", "simulate", "repair", "check", "generate", "render", "compare"} <= set(
+        qdenv.__all__
+    )
+
+
+def test_a_file_an_array_and_a_plan_give_the_same_numbers(path):
+    by_name = qdenv.simulate(str(path), **FLEET)
+    assert by_name["domain"] == "warehouse-uneven" and by_name["mean_throughput"] > 0.2
+    assert qdenv.simulate(path, **FLEET)["runs"] == by_name["runs"]
+    assert qdenv.simulate(PLAN, domain="warehouse-uneven", **FLEET)["runs"] == by_name["runs"]
+    as_lists = qdenv.simulate(PLAN.tolist(), domain="warehouse-even", **FLEET)
+    assert as_lists["domain"] == "warehouse-even" and as_lists["layout"] == "layout"
+    assert qdenv.simulate(qdenv.render(path), **FLEET)["runs"] == by_name["runs"]
+    (only,) = qdenv.simulate(path, **{**FLEET, "seeds": [1]})["runs"]
+    assert only == by_name["runs"][1]
+    assert "<td>mean_throughput</td>" in by_name._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("layout", "settings", "said"),
+    [
+        (PLAN, {}, "an array does not say whose layout it is"),
+        (PLAN + 3, {"domain": "warehouse-even"}, "0 to 3"),
+        (PLAN[0], {"domain": "warehouse-even"}, "rows and columns"),
+        (PLAN + 0.5, {"domain": "warehouse-even"}, "whole numbers"),
+        (PLAN, {"domain": "moon"}, "unknown domain 'moon'"),
+        ("missing.json", {}, "missing.json"),
+    ],
+)
+def test_what_is_no_layout_gives_one_line(layout, settings, said):
+    for function in (qdenv.simulate, qdenv.repair, qdenv.check, qdenv.render):
+        with pytest.raises(InputError) as refusal:
+            function(layout, **settings)
+        assert said in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_repair_and_check_take_numbers_by_name(path):
+    assert qdenv.check(path) == []
+    (broken,) = qdenv.check(path, shelves=8)
+    assert "8" in broken.message and 0 <= broken.row < 7 and 0 <= broken.column < 11
+    repaired = qdenv.repair(path, shelves=8, polish="quick")
+    assert (np.asarray(repaired) == 1).sum() == 8 and qdenv.check(repaired, shelves=8) == []
+    assert repaired.facts["hamming"] == (repaired.layout != PLAN).sum() > 0
+    assert "data:image/png;base64," in repaired._repr_html_()
+    assert repr(repaired).startswith("Layout(7 x 11 of warehouse-uneven, status ")
+    with pytest.raises(InputError, match="no repair exists"):
+        qdenv.repair(path, shelves=70)
+
+
+def test_compare_names_equal_names_apart(path):
+    table = qdenv.compare([path, PLAN], agents=[2, 4], domain="warehouse-uneven", **PIBT)
+    assert [(row.layout, row.agents) for row in table] == [
+        ("plan", 2), ("plan", 4), ("layout", 2), ("layout", 4),
+    ]  # fmt: skip
+    assert table[1].mean_of_all == table[3].mean_of_all
+    assert table.to_pandas()["agents"].tolist() == [2, 4, 2, 4]
+    assert table._repr_html_().count("<tr>") == 5
+    twice = qdenv.compare([path, path], agents=2, **PIBT)
+    assert [row.layout for row in twice] == ["plan 1", "plan 2"]
+
+
+def test_render_writes_a_picture_and_a_layout_saves_itself(path, tmp_path):
+    drawn = qdenv.render(path, tmp_path / "plan.svg")
+    assert (tmp_path / "plan.svg").read_text().startswith("<?xml")
+    again = read_layout(drawn.save(tmp_path / "again.json"), TILES)
+    np.testing.assert_array_equal(again, PLAN)
+
+
+def test_an_environment_is_made_by_a_files_name(path):
+    import jax
+
+    environment = qdenv.make_environment(str(path), agents=5, timesteps=30)
+    _, timestep = environment.reset(jax.random.key(0))
+    assert timestep.observation.position.shape == (5,) and environment.actions == 5
+    with pytest.raises(InputError, match="no fleet drives"):
+        qdenv.make_environment(np.zeros((5, 5), np.int8), domain="maze-walls")
+
+
+def test_settings_are_replaced_by_name_however_deep_they_lie():
+    quick = PRESETS["quick"]
+    config = overridden(
+        quick,
+        {"evaluations": 7, "agents": 3, "shelves": 30, "hidden": 4, "alpha": 0.5, "sigma0": 0.4},
+    )
+    domain = config.evaluation.domain
+    assert (config.evaluations, domain.fleet.agents, domain.shelves) == (7, 3, 30)
+    assert (config.evaluation.generator.hidden, config.evaluation.alpha) == (4, 0.5)
+    assert config.algorithm == replace(quick.algorithm, sigma0=0.4)
+    other = overridden(quick, {"sigma_iso": 0.4, "algorithm": "map-elites", "planner": "pibt"})
+    assert type(other.algorithm).__name__ == "MapElitesConfig" and other.algorithm.sigma_iso == 0.4
+    assert type(other.evaluation.domain.fleet.planner).__name__ == "PibtConfig"
+    factory = overridden(quick, {"domain": "manufacturing"}).evaluation.domain
+    assert isinstance(factory, ManufacturingConfig) and (factory.rows, factory.cols) == (17, 16)
+    for settings, said in (
+        ({"agent": 3}, "did you mean agents"),
+        ({"evaluations": 0}, "at least 1"),
+        ({"algorithm": "luck"}, "unknown algorithm 'luck'"),
+    ):
+        with pytest.raises(InputError, match=said):
+            overridden(quick, settings)
+
+
+def test_train_takes_a_name_and_overrides(tmp_path):
+    run = qdenv.train(
+        "quick", tmp_path / "run", progress=False, rows=9, cols=10, shelves=6, agents=6,
+        timesteps=20, steps=6, hidden=4, emitters=2, batch=3, evaluations=6, seed=1, simulations=1,
+    )  # fmt: skip
+    assert run.config.evaluation.domain.fleet.agents == 6 and len(run.read_metrics()) == 1
+    grown = qdenv.generate(run, rows=14, cols=15)
+    assert grown.layout.shape == (14, 15) and qdenv.check(grown) == []
+    raw = qdenv.generate(str(run.path), elite=run.best, repair=False)
+    assert raw.facts["elite"] == ",".join(map(str, run.best.cell))
+    with pytest.raises(InputError, match="unknown preset 'nothing'"):
+        qdenv.train("nothing", tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
+def test_an_archive_is_asked_by_cell_and_by_measures(run):
+    archive = run.archive
+    columns = run.load_archive()
+    assert len(archive) == len(columns["index"]) > 4 and archive.shape == (10, 6)
+    assert archive.coverage == len(archive) / 60
+    assert archive.qd_score == pytest.approx(run.read_metrics()[-1].qd_score, rel=1e-5)
+    assert run.best.objective == columns["objective"].max() == archive.best.objective
+    for row, cell in enumerate(archive.cells):
+        text = ",".join(map(str, cell))
+        found = run.elite(text)
+        assert found.cell == tuple(cell) and run.elite(tuple(cell)).cell == found.cell
+        np.testing.assert_array_equal(found.solution, columns["solution"][row])
+        # Its own measures lead back to it.
+        assert run.elite(measures=list(found.measures.values())).cell == found.cell
+    spans = np.array([30.0, 6.0])
+    rng = np.random.default_rng(0)
+    for point in rng.uniform([-5, -1], [40, 8], (50, 2)):
+        cell = tuple(np.clip(np.floor(point / spans * [10, 6]), 0, [9, 5]).astype(int))
+        if cell not in set(map(tuple, archive.cells.tolist())):
+            distance = (((columns["measures"] - point) / spans) ** 2).sum(axis=1)
+            cell = tuple(archive.cells[np.argmin(distance)])
+        assert run.elite(measures=point).cell == cell
+    for wrong in ({"which": "nonsense"}, {"which": "99,99"}, {"measures": (1,)}, {"which": 3},
+                  {"measures": (1, float("nan"))}):  # fmt: skip
+        with pytest.raises(InputError):
+            run.elite(**wrong)
+
+
+def test_an_archive_reaches_pandas_and_pyribs(run):
+    archive = run.archive
+    frame = archive.to_pandas()
+    assert list(frame.columns[:4]) == ["cell", "objective", "paths", "flowers on top"]
+    assert {"similarity", "status", "seen_0", "seen_2"} <= set(frame.columns)
+    assert run.elite(frame["cell"][0]).objective == pytest.approx(frame["objective"][0])
+    assert "solution_0" in archive.to_pandas(solutions=True).columns
+    pytest.importorskip("ribs", reason="needs pip install 'qdenv[pyribs]'")
+    theirs = archive.to_ribs()
+    assert len(theirs) == len(archive)
+    assert theirs.stats.qd_score == pytest.approx(archive.qd_score, rel=1e-5)
+    assert theirs.stats.coverage == archive.coverage
+    rows = theirs.data()
+    order = np.argsort(rows["index"])
+    np.testing.assert_array_equal(rows["index"][order], archive.columns["index"])
+    np.testing.assert_array_equal(rows["repaired"][order], archive.columns["repaired"])
+
+
+def test_notebooks_show_a_run_its_archive_and_an_elite(run):
+    assert "data:image/png;base64," in run._repr_html_()
+    assert run._repr_html_().count("<img") == 2
+    assert repr(run).endswith("32 evaluations, " + repr(run).partition("32 evaluations, ")[2])
+    assert repr(run.archive).startswith(f"Archive({len(run.archive)} elites, coverage ")
+    assert repr(run.best).startswith("Elite(cell ") and "paths" in repr(run.best)
+    assert "<img" in run.best._repr_html_()
+
+
+def test_a_run_without_an_archive_shows_what_is_wrong(tmp_path, run):
+    for name in ("config.json", "manifest.json", "metrics.csv"):
+        (tmp_path / name).write_bytes((run.path / name).read_bytes())
+    bare = RunDirectory.open(tmp_path)
+    assert "no archive was saved yet" in bare._repr_html_()
+    with pytest.raises(InputError, match="no archive was saved yet"):
+        _ = bare.archive
+
+
+def test_export_writes_tables_and_every_layout(run, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert command(["export", str(run.path), "--layouts", "plans"]) == 0
+    assert "garden_elites.csv" in capsys.readouterr().out
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.read_csv("garden_elites.csv")
+    expected = run.archive.to_pandas()
+    pandas.testing.assert_frame_equal(frame, expected, check_dtype=False, check_exact=False)
+    files = sorted((tmp_path / "plans").glob("*.json"))
+    assert len(files) == len(run.archive)
+    one = run.elite(files[0].stem.replace("_", ","))
+    np.testing.assert_array_equal(read_layout(files[0], toy.TILES), one.layout)
+    assert command(["export", str(run.path), "--solutions", "--out", "s.csv"]) == 0
+    width = run.archive.columns["solution"].shape[1]
+    assert len(pandas.read_csv("s.csv").columns) == len(frame.columns) + width
+    for arguments, said in (
+        (["--out", "x.png"], "ends in .csv or .parquet"),
+        (["--out", "plans"], ".csv or .parquet"),
+    ):
+        assert command(["export", str(run.path), *arguments]) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_parquet_is_written_or_says_what_it_needs(run, tmp_path, capsys):
+    out = tmp_path / "elites.parquet"
+    code = command(["export", str(run.path), "--out", str(out)])
+    try:
+        import pyarrow.parquet
+    except ImportError:
+        assert code == 2 and not out.exists()
+        said = capsys.readouterr().err
+        assert "pip install 'qdenv[data]'" in said and said.count("\n") == 1
+    else:
+        assert code == 0
+        assert pyarrow.parquet.read_table(out).num_rows == len(run.archive)

@@ -1,0 +1,171 @@
+"""Commands about traffic: what they print, write, draw and refuse."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+from matplotlib.image import imread
+
+from qdenv.cli import run
+from qdenv.domains.base import find_domain
+from qdenv.formats.layouts import write_layout
+from qdenv.grid import parse
+
+WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
+LANE = parse(["w...@@@@@...e", "w.........e.e", "w...@@@@@...e"], WAREHOUSE.tiles)
+HALL = parse(["w...........e", "w.........e.e", "w...........e"], WAREHOUSE.tiles)
+QUICK = ["--planner", "pibt", "--timesteps", "120", "--seeds", "3"]
+
+
+@pytest.fixture
+def plans(tmp_path, monkeypatch) -> Path:
+    """A folder with two plans to work in."""
+    monkeypatch.chdir(tmp_path)
+    for name, layout in (("lane", LANE), ("hall", HALL)):
+        tiles = WAREHOUSE.tiles
+        write_layout(Path(f"{name}.json"), layout, tiles, domain="warehouse-even")
+    return tmp_path
+
+
+def test_simulate_says_where_it_jams_and_whether_more_would_help(plans, capsys):
+    command = ["simulate", "lane.json", "--agents", "20", *QUICK, "--json", "f.json", "--plot"]
+    assert run([*command, "--seconds-per-step", "0.5"]) == 0
+    said, facts = capsys.readouterr().out, json.loads(Path("f.json").read_text())
+    assert said.startswith("20 agents, 120 timesteps, 3 seeds, planner pibt, ")
+    assert facts["verdict"] == "congested"
+    assert "verdict      congested: in 3 of 3 runs" in said
+    assert "never congested" not in said
+    assert f"waiting      {facts['waiting_share']:.1%} of the agents' time, half of it on " in said
+    assert facts["tasks_per_hour"] == pytest.approx(7200 * facts["mean_of_all"], rel=1e-5)
+    assert f"{facts['tasks_per_hour']:,.0f} tasks per hour" in said
+    worst = [line.split()[:3] for line in said.splitlines() if "% of time" in line]
+    spots = [[str(spot["row"]), str(spot["column"])] for spot in facts["worst_cells"]]
+    assert [line[1:] for line in worst] == spots and len(spots) == 10
+    assert facts["settings"]["seeds"] == [0, 1, 2] and facts["command"] == "simulate"
+    assert imread("lane_traffic.png").shape[2] == 4
+    assert said.splitlines()[-2:] == ["lane_traffic.png", "f.json"]
+
+
+def test_simulate_without_verdict_and_audit_gives_the_same_numbers(plans, capsys):
+    def facts_of(*more):
+        command = ["simulate", "lane.json", "--agents", "6", *QUICK, "--json", "f.json", *more]
+        assert run(command) == 0
+        return json.loads(Path("f.json").read_text())
+
+    whole, bare = facts_of(), facts_of("--no-verdict", "--no-audit")
+    assert whole["runs"] == bare["runs"] and whole["valid"] is True and bare["valid"] is None
+    assert [point["agents"] for point in whole["evidence"]] == [6, 4, 8]
+    assert not {"verdict", "worst_cells"} & bare.keys()
+    capsys.readouterr()
+    assert facts_of("--no-audit", "--plot", "p.svg")["worst_cells"] == whole["worst_cells"]
+    assert Path("p.svg").read_text().count("time in which one waits here") == 1
+
+
+def test_compare_says_how_surely_layouts_differ(plans, capsys):
+    command = ["compare", "lane.json", "hall.json", "--agents", "3,12", *QUICK, "--json", "f.json"]
+    assert run([*command, "--seconds-per-step", "1"]) == 0
+    said, facts = capsys.readouterr().out, json.loads(Path("f.json").read_text())
+    last = facts["rows"][-1]
+    assert (last["layout"], last["agents"]) == ("hall", 12)
+    ratio = last["mean_of_all"] / facts["rows"][1]["mean_of_all"]
+    assert last["difference_percent"] == pytest.approx(100 * (ratio - 1), rel=1e-4)
+    assert last["significant"] and 0 < last["difference_low"] < last["difference_percent"]
+    line = (
+        f"hall, 12 agents: {last['difference_percent']:+.1f} % ({last['difference_low']:+.1f} to "
+    )
+    assert line in said and "significant" in said
+    table = list(csv.DictReader(Path("compare.csv").read_text().splitlines()))
+    assert float(table[-1]["difference_high"]) == pytest.approx(last["difference_high"], rel=1e-4)
+    assert table[-1]["significant"] == "True"
+    hours = [float(line["tasks_per_hour"]) for line in table]
+    assert hours == pytest.approx([3600 * float(line["mean_of_all"]) for line in table])
+    assert facts["settings"]["layouts"] == {"lane": "lane.json", "hall": "hall.json"}
+    assert "compare.csv, compare.png\nf.json\n" in said
+
+
+def test_sweep_says_where_the_peak_is_and_how_many_are_worth_it(plans, capsys):
+    assert run(["sweep", "lane.json", "--agents", "14,2,4", *QUICK, "--json", "f.json"]) == 0
+    said, facts = capsys.readouterr().out, json.loads(Path("f.json").read_text())
+    assert facts["peak"]["agents"] == facts["worth_it_up_to"] == 4
+    assert facts["peak"]["dropped"] is True
+    assert f"lane: peak {facts['peak']['throughput']:.3f} tasks per timestep at 4 agents\n" in said
+    assert "worth it: up to 4 agents" in said
+    assert [row["agents"] for row in facts["rows"]] == [2, 4, 14]
+
+
+def test_scalability_reports_peaks_as_facts(plans, capsys):
+    command = ["scalability", "lane.json", "hall.json", "--agents", "2,4,900", *QUICK]
+    assert run([*command, "--json", "f.json", "--plot", "s.pdf"]) == 0
+    said, facts = capsys.readouterr().out, json.loads(Path("f.json").read_text())
+    assert [peak["layout"] for peak in facts["peaks"]] == ["lane", "hall"]
+    assert "hall: peak " in said and "still rising at the last number of agents: try more" in said
+    assert Path("s.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("command", ["simulate", "sweep", "compare", "scalability"])
+def test_facts_alone_go_to_standard_output(plans, capsys, command):
+    assert run([command, "hall.json", "--agents", "2", *QUICK, "--json", "-"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["command"] == command
+    assert "tasks per timestep" in said.err or "throughput (s.e.)" in said.err
+
+
+def test_nothing_is_written_over_unless_it_is_named(plans, capsys):
+    for name in ("compare.csv", "compare.png", "lane_traffic.png"):
+        Path(name).write_text("mine")
+    assert run(["compare", "lane.json", "--agents", "2", *QUICK]) == 0
+    assert "compare-2.csv, compare-2.png" in capsys.readouterr().out
+    assert run(["simulate", "lane.json", "--agents", "2", *QUICK, "--plot"]) == 0
+    assert "lane_traffic-2.png" in capsys.readouterr().out
+    for name in ("compare.csv", "compare.png", "lane_traffic.png"):
+        assert Path(name).read_text() == "mine"
+    assert run(["compare", "lane.json", "--agents", "2", *QUICK, "--out", "compare.csv"]) == 0
+    assert "compare.csv (replaced), compare.png (replaced)" in capsys.readouterr().out
+
+
+MISTAKES = [
+    (["simulate", "lane.json", "--agents", "900"], "the layout has 29"),
+    (["simulate", "lane.json", "--agents", "99999999999"], "the layout has 29"),
+    (["simulate", "lane.json", "--agents", "0"], "at least one agent"),
+    (["simulate", "lane.json", "--agents", "-4"], "at least one agent"),
+    (["simulate", "lane.json", "--agents", "9", "--timesteps", "2147483648"], "simulate at most"),
+    (["simulate", "lane.json", "--agents", "9", "--timesteps", "-1"], "one timestep"),
+    (["simulate", "lane.json", "--agents", "9", "--seeds", "99999999999"], "write 10 for ten"),
+    (["simulate", "lane.json", "--agents", "9", "--seeds", "0"], "at least one seed"),
+    (["simulate", "lane.json", "--agents", "9", "--seconds-per-step", "0"], "length of a times"),
+    (["simulate", "lane.json", "--agents", "9", "--seconds-per-step", "nan"], "length of a times"),
+    (["simulate", "lane.json", "--agents", "9", "--domain", "moon"], "leave --domain out"),
+    (["simulate", "lane.json", "--agents", "9", "--plot=p.csv"], "ends in .png or"),
+    (["simulate", "lane.json", "--agents", "9", "--json", "lane.json"], "that is what is read"),
+    (["simulate", "maze.json", "--agents", "2"], "no fleet drives"),
+    (["sweep", "lane.json", "--agents", "1:99999999999"], "choose a larger step"),
+    (["sweep", "lane.json", "--agents", "2,900"], "the layout has 29"),
+    (["sweep", "lane.json", "--agents", "2", "--out", "t.png"], "name the data"),
+    (["compare", "lane.json", "--agents", "1,1,1"], "names a number twice"),
+    (["compare", "lane.json", "--agents", "2", "--out", "c.png"], "name the data"),
+    (["compare", "lane.json", "--agents", "2", "--out", "lane.json"], "that is what is read"),
+    (["compare", "lane.json", "maze.json", "--agents", "2"], "one domain side by side"),
+    (["compare", "maze.json", "--agents", "2"], "no fleet drives"),
+    (["scalability", "lane.json", "--agents", "30,40"], "do not fit on 29 free cells"),
+    (["scalability", "maze.json", "--agents", "2"], "no fleet drives"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "said"), MISTAKES)
+def test_a_mistake_is_one_line_before_anything_is_simulated(
+    plans, capsys, monkeypatch, arguments, said
+):
+    write_layout(
+        Path("maze.json"), parse(["X ", "  "], MAZE.tiles), MAZE.tiles, domain="maze-walls"
+    )
+    before = sorted(plans.iterdir())
+
+    def never(*given, **more):
+        raise AssertionError("something was simulated")
+
+    monkeypatch.setattr("qdenv.study.runs._program", never)
+    assert run(arguments) == 2
+    answer = capsys.readouterr()
+    assert answer.out == "" and answer.err.count("\n") == 1 and said in answer.err
+    assert sorted(plans.iterdir()) == before

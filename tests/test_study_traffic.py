@@ -1,0 +1,239 @@
+"""Where a fleet waits and works, and how many agents a layout takes: oracles and known jams."""
+
+import numpy as np
+import pytest
+
+from qdenv.domains.base import find_domain
+from qdenv.grid import parse
+from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study import traffic
+from qdenv.study.jams import (
+    Maps,
+    average,
+    cells_with_half,
+    map_run,
+    throughput_over_time,
+    worst_cells,
+)
+from qdenv.study.options import find_planner
+from qdenv.study.runs import run_seeds
+from qdenv.study.traffic import Wanted, examine, simulate_layout
+from qdenv.study.verdict import Point, judge, point_of
+from qdenv.types import InputError, Traffic
+
+WAREHOUSE, MAKING = find_domain("warehouse-even"), find_domain("manufacturing")
+# Two halls and a lane with one bay in between: whoever meets in the lane is in the way.
+LANE = parse(["w...@@@@@...e", "w.........e.e", "w...@@@@@...e"], WAREHOUSE.tiles)
+TASKS = WAREHOUSE.simulator.tasks
+
+
+def recorded(layout, tasks, agents, timesteps, planner=None):
+    """Run two seeds; returns (traffic, recording) of each."""
+    config = FleetConfig(agents + 3, timesteps, planner=planner or PibtConfig())
+    kept = []
+    run_seeds(layout, tasks, config, (4, 5), agents, lambda *run: kept.append(run[1:]), threads=1)
+    return kept
+
+
+@pytest.mark.parametrize("domain", [WAREHOUSE, MAKING], ids=["warehouse", "manufacturing"])
+def test_maps_agree_with_a_walk_through_the_recording(domain):
+    """Manufacturing robots are served for 2, 5 or 10 timesteps, which is no waiting."""
+    layout, tasks = domain.resized(12, 14).human(), domain.simulator.tasks
+    for run, tape in recorded(layout, tasks, 25, 70):
+        maps = map_run(layout.shape, run, tape)
+        cells = layout.size
+        waiting, visits, finished, served = (np.zeros(cells) for _ in range(4))
+        for agent in range(25):
+            visits[tape.positions[0, agent]] += 1
+            for step in range(run.end_timestep):
+                before, after = tape.positions[step : step + 2, agent]
+                visits[after] += before != after
+                finished[after] += tape.finished[step, agent]
+                if before == after:
+                    at_work = after == tape.goals[step, agent]
+                    assert at_work or tape.remaining_service[step, agent] == 0
+                    served[after] += at_work
+                    waiting[after] += not at_work
+        end = int(run.end_timestep)
+        np.testing.assert_allclose(maps.waiting.reshape(-1), waiting / end)
+        np.testing.assert_allclose(maps.visits.reshape(-1), visits / end)
+        np.testing.assert_allclose(maps.finished.reshape(-1), finished / 70)
+        np.testing.assert_allclose(maps.usage, 25 * run.usage, atol=1e-5)
+        assert maps.finished.sum() == pytest.approx(float(run.throughput))
+        standing = maps.waiting_share + served.sum() / end / 25
+        assert standing == pytest.approx(float(run.waiting), abs=1e-5)
+        assert waiting.sum() > 0 and (served.sum() > 0) == (domain is MAKING)
+
+
+def test_maps_of_a_congested_run_end_with_it():
+    config = FleetConfig(25, 100, planner=PibtConfig())
+    kept = []
+    run_seeds(LANE, TASKS, config, (0,), read=lambda *run: kept.append(run[1:]))
+    (run, tape) = kept[0]
+    assert run.congested and run.end_timestep < 100
+    maps = map_run(LANE.shape, run, tape)
+    assert maps.usage.sum() == pytest.approx(25)
+    assert maps.finished.sum() == pytest.approx(float(run.throughput))
+
+
+def test_the_worst_cells_come_first_with_their_share_and_wait_per_visit():
+    waiting, visits = np.zeros((2, 3)), np.full((2, 3), 0.1)
+    waiting[0, 2], waiting[1, 0], visits[1, 0] = 0.3, 0.6, 0.2
+    maps = Maps(np.zeros((2, 3)), waiting, visits, np.zeros((2, 3)), 3.0)
+    layout = np.array([[0, 0, 1], [2, 0, 0]], np.int8)
+    first, second = worst_cells(layout, maps)
+    assert first == (1, 0, 2, pytest.approx(2 / 3), 0.6, pytest.approx(3.0))
+    assert second == (0, 2, 1, pytest.approx(1 / 3), 0.3, pytest.approx(3.0))
+    assert maps.waiting_share == pytest.approx(0.3)
+    assert cells_with_half(maps) == 1
+    assert len(worst_cells(layout, maps, 1)) == 1
+    calm = maps._replace(waiting=np.zeros((2, 3)))
+    assert worst_cells(layout, calm) == [] and cells_with_half(calm) == 0
+    assert average([maps, calm]).waiting[1, 0] == pytest.approx(0.3)
+
+
+def run_of(finished, congested=False, end=None) -> Traffic:
+    """A run that finishes so many tasks at each timestep."""
+    finished = np.array(finished)
+    steps = len(finished) if end is None else end
+    return Traffic(finished.mean(), congested, steps, finished, None, 0.0, 2.0)
+
+
+def test_throughput_over_time_is_averaged_in_windows_over_the_runs():
+    runs = [run_of([0, 2, 4, 6, 1]), run_of([2, 4, 6, 8, 3])]
+    ends, mean, error = throughput_over_time(runs, 2)
+    assert ends.tolist() == [2, 5]
+    np.testing.assert_allclose(mean, [2, 14 / 3])
+    np.testing.assert_allclose(error, [1, 1])
+    assert np.isnan(throughput_over_time(runs[:1])[2]).all()
+
+
+def point(agents, throughput, **changes) -> Point:
+    return Point(agents, throughput, 0.01, 10, 0, 0.0)._replace(**changes)
+
+
+def probing(throughputs):
+    return lambda agents: point(agents, throughputs[agents])
+
+
+@pytest.mark.parametrize(
+    ("here", "others", "word", "reason", "probed"),
+    [
+        (point(200, 6.0, congested=5), {}, "congested", "5 of 10", []),
+        (point(200, 6.0, congested=1), {}, "past its peak", "1 of 10", []),
+        (point(200, 6.0, fading=0.06), {}, "past its peak", "falls by 6% with time", []),
+        (point(200, 6.0), {150: 6.2}, "past its peak", "150 agents would move 3% more", [150]),
+        (point(200, 6.0), {150: 5.8, 100: 6.2}, "past its peak", "100 agents", [150, 100]),
+        (
+            point(200, 6.0),
+            {150: 5.8, 100: 5, 50: 3},
+            "near capacity",
+            "the last 50 agents add 3%",
+            [150, 100, 50],
+        ),
+        (point(200, 6.0), {150: 5, 250: 5.4}, "near capacity", "move 10% less", [150, 250]),
+        (point(200, 6.0), {150: 4.6, 250: 7.3}, "flows", "move 22% more", [150, 250]),
+        (point(1, 0.1), {2: 0.2}, "flows", "2 agents would move 100% more", [2]),
+        (point(2, 0.2), {1: 0.1, 3: 0.3}, "flows", "3 agents", [1, 3]),
+        (point(300, 9.0), {225: 6.8}, "flows", "every free cell", [225]),
+        (point(9, 0.0), {6: 0.0, 4: 0.0, 2: 0.5}, "past its peak", "2 agents", [6, 4, 2]),
+    ],
+)
+def test_a_verdict_follows_from_the_runs_with_other_numbers(here, others, word, reason, probed):
+    verdict = judge(here, probing(others), 300)
+    assert verdict.word == word and reason in verdict.reason
+    assert [one.agents for one in verdict.points] == [here.agents, *probed]
+
+
+def test_fading_is_told_from_chance():
+    fades = run_of([1] * 25 + [8] * 25 + [7] * 25 + [5] * 25)
+    assert point_of(9, [fades, fades]).fading == pytest.approx(3 / 8)
+    once = run_of([0, 0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0])
+    assert point_of(9, [once]).fading == 0.0
+    assert point_of(9, [run_of([1, 0])]).fading == 0.0
+
+
+@pytest.mark.parametrize(
+    ("agents", "word"),
+    [(4, "flows"), (8, "near capacity"), (12, "past its peak"), (20, "congested")],
+)
+def test_a_lane_between_two_halls_jams_with_its_agents(agents, word):
+    config = FleetConfig(agents, 300, planner=PibtConfig())
+    study = examine(LANE, TASKS, config, (0, 1, 2))
+    assert study.verdict.word == word and study.broken == []
+    if agents == 12:  # beside the two mouths of the lane
+        worst = {(spot.row, spot.column) for spot in worst_cells(LANE, study.maps, 4)}
+        assert worst == {(0, 3), (2, 3), (0, 9), (2, 9)}
+
+
+def test_nine_hundred_robots_on_948_cells_are_past_the_peak():
+    config = FleetConfig(900, 100, planner=find_planner("low"))
+    study = examine(WAREHOUSE.human(), TASKS, config, (0,), Wanted(False, False, True))
+    assert not study.done.runs[0].congested  # the jam rule sees nothing
+    assert study.verdict.word == "past its peak"
+    assert "675 agents would move" in study.verdict.reason
+
+
+def test_a_verdict_changes_no_number_of_the_runs():
+    """Its program has room for more agents."""
+    config = FleetConfig(12, 80, planner=PibtConfig())
+    plain = examine(LANE, TASKS, config, (0, 1), Wanted(False, False, False))
+    judged = examine(LANE, TASKS, config, (0, 1))
+    for one, other in zip(plain.done.runs, judged.done.runs, strict=True):
+        np.testing.assert_array_equal(one.finished, other.finished)
+        np.testing.assert_array_equal(one.usage, other.usage)
+
+
+def test_a_report_counts_what_the_runs_did():
+    facts = simulate_layout(LANE, agents=12, timesteps=90, seeds=2, check=True, planner="pibt")
+    assert facts["valid"] is True and "verdict" not in facts
+    assert 0.1 < facts["waiting_share"] < 0.9
+    assert len(facts["worst_cells"]) == 10
+    shares = [spot["share"] for spot in facts["worst_cells"]]
+    assert shares == sorted(shares, reverse=True) and sum(shares) <= 1
+    done = run_seeds(LANE, TASKS, FleetConfig(12, 90, planner=PibtConfig()), (0, 1))
+    tasks = [int(run.finished.sum()) for run in done.runs]
+    moves = [round(float(run.path_length) * n) for run, n in zip(done.runs, tasks, strict=True)]
+    assert facts["steps_per_task"] == pytest.approx(sum(moves) / sum(tasks))
+    assert facts["mean_of_all"] == pytest.approx(sum(tasks) / 180)
+
+
+def test_compiling_is_not_counted_as_simulating(monkeypatch):
+    """The first run of a process compiles for 17 s where its machine code is not kept."""
+    order = []
+    from qdenv.study import runs
+
+    drive = runs._Program.drive
+    monkeypatch.setattr(
+        runs._Program, "drive", lambda self, *run: (order.append(run[1:]), drive(self, *run))[1]
+    )
+    config = FleetConfig(7, 31, planner=PibtConfig())
+    first = run_seeds(LANE, TASKS, config, (3, 4), threads=1)
+    assert order == [(0, 0), (3, 7), (4, 7)]  # nobody is driven around first
+    assert first.compile_seconds > 10 * first.cpu_seconds
+    run_seeds(LANE, TASKS, config, (3,), threads=1)
+    assert order[3:] == [(3, 7)]
+
+
+def test_a_recording_is_dropped_once_it_is_read():
+    config = FleetConfig(5, 20, planner=PibtConfig())
+    done = run_seeds(LANE, TASKS, config, (1, 2), read=lambda seed, run, tape: seed)
+    assert done.readings == [1, 2] and len(done.runs) == 2
+
+
+def test_what_is_too_large_to_record_says_what_to_do(monkeypatch):
+    monkeypatch.setattr(traffic, "MOST_RECORDED", 1000)
+    config = FleetConfig(10, 101, planner=PibtConfig())
+    with pytest.raises(InputError, match="at most 100 timesteps, or add --no-audit"):
+        examine(LANE, TASKS, config, (0,))
+    study = examine(LANE, TASKS, config, (0,), Wanted(False, False, False))
+    assert study.maps is None and study.row.mean_of_all > 0
+
+
+@pytest.mark.parametrize(
+    ("agents", "timesteps"), [(1, 2**31), (200, 20_000_000), (10**11, 10), (300, 9_999_999)]
+)
+def test_runs_that_cannot_be_counted_are_refused(agents, timesteps):
+    with pytest.raises(InputError, match="simulate at most"):
+        FleetConfig(agents, timesteps)
