@@ -5,7 +5,14 @@ import re
 from collections.abc import Iterable
 
 SIDES = "│| "  # of the frame, on terminals that know its characters and on others
-RULE = re.compile(r"[─-]{5,}")
+RULE = re.compile(r"^[╭╰+]|^[─-]{5,}$")
+TITLES = (
+    "Unrecognized options",
+    "Required options",
+    "Value error",
+    "Invalid choice",
+    "Missing argument",
+)
 
 
 def one_line(box: str, program: str) -> str:
@@ -15,11 +22,14 @@ def one_line(box: str, program: str) -> str:
         box: what it printed.
         program: the command, like "qdenv simulate".
     """
-    inside = [line.strip(SIDES) for line in box.splitlines()[1:-1]]
-    ruled = ["\0" if RULE.fullmatch(line) else line for line in inside]
-    said, _, hints = " ".join(" ".join(ruled).split()).partition("\0")
-    said, hints = said.strip(), hints.replace("\0", "")
-    return f"{_reworded(said, hints)} (`{program} --help` lists the options)"
+    lines = [line.strip(SIDES) for line in box.splitlines()]
+    # On a terminal the title is part of the frame, elsewhere a line of its own.
+    ruled = ["\0" if RULE.search(line) else line for line in lines]
+    parts = [part.strip() for part in " ".join(" ".join(ruled).split()).split("\0")]
+    said, *hints = [part for part in parts if part and part not in TITLES] or [box.strip()]
+    if match := re.match(r"Error parsing \S*__tyro\S*: (.*)", said):
+        return match[1]  # said by the settings themselves
+    return f"{_reworded(said, ' '.join(hints))} (`{program} --help` lists the options)"
 
 
 def _reworded(said: str, hints: str) -> str:
@@ -40,7 +50,8 @@ def _reworded(said: str, hints: str) -> str:
     if match := re.match(r"Missing value for argument '(\S+?)'\.", said):
         return f"{match[1].split(',')[0]} needs a value"
     if match := re.match(r"Missing from .*?: (\S+) (?:[A-Z|{}\[\]]+ )?(.*?)\(required\)", said):
-        return f"{match[1]} is missing: {match[2].strip(' .')}"
+        what = match[2].strip(" .")
+        return f"{match[1]} is missing: {what}" if match[1][:2] == "--" else f"{what} is missing"
     return said.rstrip(".")
 
 
