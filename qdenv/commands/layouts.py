@@ -8,7 +8,7 @@ import numpy as np
 import tyro
 
 from qdenv.commands import output
-from qdenv.commands.choices import Numbers
+from qdenv.commands.choices import DomainName, Numbers
 from qdenv.commands.waiting import waiting
 from qdenv.domains.base import Domain
 from qdenv.formats.layouts import endings_for, write_layout
@@ -40,7 +40,7 @@ class Results:
 def repair(
     layout: LayoutFile,
     numbers: Numbers,
-    domain: str | None = None,
+    domain: DomainName = None,
     keep: Path | None = None,
     seed: Annotated[int, tyro.conf.arg(aliases=("--repair-seed",))] = 0,
     polish: Literal["none", "quick", "full"] = "full",
@@ -148,7 +148,7 @@ def facts_of(plan: Plan, result: Repair, rules: Rules) -> dict[str, Any]:
 def check(
     layout: LayoutFile,
     numbers: Numbers,
-    domain: str | None = None,
+    domain: DomainName = None,
     keep: Path | None = None,
     json_file: output.JsonFile = None,
 ) -> int | None:
