@@ -82,9 +82,7 @@ def repair(
         less = ", or keep fewer cells" if kind.config.keep else ""
         raise InputError(f"{layout}: no feasible layout was found: try another seed{less}")
     print("\n".join([*describe_changes(changes), *warn_of_changes(changes)]))
-    details = {"domain": kind.name, "repaired_from": layout.name}
-    if kind.config.keep:
-        details["keep"] = kind.config.keep
+    details = kind.details | {"repaired_from": layout.name}
     write_layout(place.path, after, kind.tiles, kind.meanings, **details)
     print(place)
     if picture is not None:

@@ -143,6 +143,11 @@ class Domain:
         return DOMAINS.name_of(self.config)
 
     @property
+    def details(self) -> dict[str, Any]:
+        """What a layout file says of its domain: the name, and what must stay."""
+        return {"domain": self.name} | ({"keep": self.config.keep} if self.config.keep else {})
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the framed layout."""
         return self.config.rows, self.config.cols
