@@ -155,6 +155,8 @@ def test_a_search_and_what_it_grows_keep_every_cell(name, tmp_path, capsys):
     assert cli.run(grow) == 0
     assert json.loads(out.read_text())["layout"] == best
     assert cli.run(["check", str(out), "--keep", str(tmp_path / "keep.txt")]) == 0
+    for path in (out, run.path / "best_layout.json"):
+        assert cli.run(["check", str(path)]) == 0  # the files remember what was kept
     # Another size keeps what is drawn for it, and nothing else.
     larger = tuple("?" * 14 for _ in range(10)) + (
         ("???w??w????w??",) if name == "warehouse-even" else ("e0????????????",)

@@ -24,6 +24,7 @@ from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study import sizes
 from qdenv.study.elites import grow_elite, grow_series, repair_grown
 from qdenv.training.config import RunConfig
+from qdenv.training.manifest import meaning_of
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
@@ -41,13 +42,15 @@ def make_run(path: Path, evaluation: EvaluationConfig = SMALL) -> RunDirectory:
     config = RunConfig(evaluation=evaluation, seed=7)
     domain = make_domain(evaluation.domain)
     measures = [measure._replace(cells=5) for measure in domain.measures]
-    run = RunDirectory.create(path, config, measures, domain.tiles)
+    run = RunDirectory.create(path, config, meaning_of(domain, measures))
     size = GENERATORS.make(evaluation.generator, canvas_of(domain)).size
     solutions = np.random.default_rng(1).normal(0, 0.6, (3, size)).astype(np.float32)
     objective = np.array([1.0, 3.0, 2.0], np.float32)
-    run.save_archive(
-        {"index": np.array([7, 15, 19]), "solution": solutions, "objective": objective}
-    )
+    cells = np.array([7, 15, 19])
+    lows, sides = np.array([(axis.low, (axis.high - axis.low) / 5) for axis in measures]).T
+    values = lows + sides * (np.stack(np.unravel_index(cells, (5, 5)), 1) + 0.5)
+    columns = {"index": cells, "solution": solutions, "objective": objective, "measures": values}
+    run.save_archive(columns | {"repaired": np.zeros((3, *domain.shape), np.int8)})
     return run
 
 

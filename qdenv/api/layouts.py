@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,6 @@ from qdenv.api.plans import Source, read_plan
 from qdenv.api.results import Broken, Facts, Layout, Table
 from qdenv.domains.base import Domain
 from qdenv.repair.settings import Polish
-from qdenv.study.plans import Plan
 from qdenv.types import InputError, RepairStatus, Rules
 
 if TYPE_CHECKING:
@@ -137,7 +136,7 @@ def repair(
     from qdenv.repair.settings import RepairConfig
 
     plan = read_plan(layout, domain)
-    fitted = _fitted(plan, numbers, keep)
+    fitted = plan.fitted(numbers, keep)
     rules = _rules_of(fitted)
     if reason := impossible(rules):
         raise InputError(f"no repair exists: {reason}")
@@ -170,7 +169,7 @@ def check(
     from qdenv.repair.audit import audit
 
     plan = read_plan(layout, domain)
-    broken = audit(plan.layout, _rules_of(_fitted(plan, numbers, keep)))
+    broken = audit(plan.layout, _rules_of(plan.fitted(numbers, keep)))
     return [Broken(one.message, *map(int, one.cell)) for one in broken]
 
 
@@ -220,14 +219,6 @@ def make_environment(
     if tasks is None:
         raise InputError(f"no fleet drives in {plan.domain.name}")
     return Environment(plan.layout, tasks, agents, timesteps, observe or observe_plainly)
-
-
-def _fitted(plan: Plan, numbers: Mapping[str, int], keep: str | Path | None) -> Domain:
-    """Make the domain that a plan is measured by: its size, its numbers, what must stay."""
-    from qdenv.study.keeping import keep_from
-
-    fitted = plan.domain.fitted(plan.layout, numbers)
-    return fitted if keep is None else keep_from(keep, fitted, plan.layout)
 
 
 def _rules_of(domain: Domain) -> Rules:

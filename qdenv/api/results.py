@@ -36,8 +36,8 @@ class Layout:
         Raises:
             InputError: the place cannot be written to.
         """
-        details = {"domain": self.domain.name, **self.facts}
-        write_layout(path, self.layout, self.domain.tiles, **details)
+        details = {**self.domain.details, **self.facts}
+        write_layout(path, self.layout, self.domain.tiles, self.domain.meanings, **details)
         return Path(path)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:

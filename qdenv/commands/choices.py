@@ -20,6 +20,15 @@ from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
 
+def names_of(registry: Registry) -> str:
+    """List the names of a registry's choices as help shows them, like {low,high}."""
+    return "{" + ",".join(registry.names()) + "}"
+
+
+# How a command takes the name of a domain that a layout file may say itself.
+DomainName = Annotated[str | None, tyro.conf.arg(metavar=names_of(DOMAINS))]
+
+
 @dataclasses.dataclass(frozen=True)
 class FleetOptions:
     """Who drives on a layout, for how long, and how often.
@@ -33,7 +42,7 @@ class FleetOptions:
         seconds_per_step: of one timestep, to report tasks per hour, too.
     """
 
-    domain: str | None = None
+    domain: DomainName = None
     timesteps: int = 1000
     seeds: tuple[str, ...] = ("10",)
     effort: Literal["low", "high"] = "high"
@@ -48,11 +57,6 @@ class FleetOptions:
 
 # How a command takes them: without a prefix of their own.
 Options = Annotated[FleetOptions, tyro.conf.arg(name="")]
-
-
-def names_of(registry: Registry) -> str:
-    """List the names of a registry's choices as help shows them, like {low,high}."""
-    return "{" + ",".join(registry.names()) + "}"
 
 
 class Numbers:

@@ -5,13 +5,14 @@ from pathlib import Path
 import tyro
 
 from qdenv.commands import output
+from qdenv.commands.choices import DomainName
 from qdenv.domains.base import DOMAINS, Domain, find_domain
 from qdenv.formats.layouts import aliases
 from qdenv.study.plans import read_plan
 
 
 def render(
-    layout: tyro.conf.Positional[Path], domain: str | None = None, out: Path | None = None
+    layout: tyro.conf.Positional[Path], domain: DomainName = None, out: Path | None = None
 ) -> None:
     """Draw a layout as a picture: PNG, SVG or PDF.
 
@@ -30,7 +31,7 @@ def render(
     print(f"{place}: {rows} x {cols}, {plan.whose}")
 
 
-def layout_symbols(domain: str | None = None) -> None:
+def layout_symbols(domain: DomainName = None) -> None:
     """List the symbols of layout files: what each means in each domain.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 import tyro
 
 from qdenv.commands import output
-from qdenv.commands.choices import Numbers
+from qdenv.commands.choices import DomainName, Numbers
 from qdenv.commands.waiting import waiting
 from qdenv.domains.base import Domain
 from qdenv.formats.layouts import endings_for, write_layout
@@ -40,7 +40,7 @@ class Results:
 def repair(
     layout: LayoutFile,
     numbers: Numbers,
-    domain: str | None = None,
+    domain: DomainName = None,
     keep: Path | None = None,
     seed: Annotated[int, tyro.conf.arg(aliases=("--repair-seed",))] = 0,
     polish: Literal["none", "quick", "full"] = "full",
@@ -79,11 +79,10 @@ def repair(
         results.json_file, "repair", facts | listed, **settings, numbers=numbers.given()
     )
     if not facts["valid"]:
-        raise InputError(f"{layout}: no feasible layout was found: try another seed")
+        less = ", or keep fewer cells" if kind.config.keep else ""
+        raise InputError(f"{layout}: no feasible layout was found: try another seed{less}")
     print("\n".join([*describe_changes(changes), *warn_of_changes(changes)]))
-    details = {"domain": kind.name, "repaired_from": layout.name}
-    if kind.config.keep:
-        details["keep"] = kind.config.keep
+    details = kind.details | {"repaired_from": layout.name}
     write_layout(place.path, after, kind.tiles, kind.meanings, **details)
     print(place)
     if picture is not None:
@@ -147,7 +146,7 @@ def facts_of(plan: Plan, result: Repair, rules: Rules) -> dict[str, Any]:
 def check(
     layout: LayoutFile,
     numbers: Numbers,
-    domain: str | None = None,
+    domain: DomainName = None,
     keep: Path | None = None,
     json_file: output.JsonFile = None,
 ) -> int | None:

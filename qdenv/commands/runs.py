@@ -151,7 +151,8 @@ def generate(
         status = RepairStatus(int(repaired.status)).name.lower()
         details |= {"repair": status, "changed": float(repaired.cost)}
         print("\n".join(describe_changes(list_changes(grown.layout, layout, grown.domain))))
-    write_layout(target.path, layout, grown.domain.tiles, grown.domain.meanings, **details)
+    kept = grown.domain.details | details
+    write_layout(target.path, layout, grown.domain.tiles, grown.domain.meanings, **kept)
     picture = target.beside(".png")
     from qdenv.plots.layouts import save_layout
 

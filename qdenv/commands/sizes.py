@@ -8,8 +8,8 @@ import numpy as np
 import tyro
 
 from qdenv.commands import output
-from qdenv.commands.choices import ManyNumbers, Numbers
-from qdenv.domains.base import Domain, find_domain, make_domain
+from qdenv.commands.choices import DomainName, ManyNumbers, Numbers, names_of
+from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.formats.drawings import check_size
 from qdenv.formats.layouts import endings_for, write_layout
 from qdenv.repair.settings import RepairConfig
@@ -20,7 +20,12 @@ from qdenv.types import InputError
 Seed = Annotated[int, tyro.conf.arg(aliases=("--repair-seed",))]
 
 
-def layout_human(rows: int, cols: int, domain: str = USUAL, out: Path | None = None) -> None:
+def layout_human(
+    rows: int,
+    cols: int,
+    domain: Annotated[str, tyro.conf.arg(metavar=names_of(DOMAINS))] = USUAL,
+    out: Path | None = None,
+) -> None:
     """Draw a layout as people design it by hand, at any size.
 
     Args:
@@ -49,7 +54,7 @@ def layout_tile(
     rows: int,
     cols: int,
     numbers: Numbers,
-    domain: str | None = None,
+    domain: DomainName = None,
     seed: Seed = 0,
     polish: Literal["none", "quick", "full"] = "quick",
     out: Path | None = None,

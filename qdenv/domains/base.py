@@ -143,6 +143,11 @@ class Domain:
         return DOMAINS.name_of(self.config)
 
     @property
+    def details(self) -> dict[str, Any]:
+        """What a layout file says of its domain: the name, and what must stay."""
+        return {"domain": self.name} | ({"keep": self.config.keep} if self.config.keep else {})
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the framed layout."""
         return self.config.rows, self.config.cols
@@ -167,7 +172,7 @@ class Domain:
         """
         stays = {} if (rows, cols) == self.shape else {"keep": ()}
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
-        area = empty.generated_shape[0] * empty.generated_shape[1]
+        area = max(empty.generated_shape[0], 0) * max(empty.generated_shape[1], 0)
         own_area = self.generated_shape[0] * self.generated_shape[1]
         scaled = {name: round(number * area / own_area) for name, number in self.numbers.items()}
         return empty.with_numbers(scaled | dict(numbers or {}))

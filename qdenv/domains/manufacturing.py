@@ -63,6 +63,9 @@ def workstations(layout: jax.Array, runs: Traffic) -> jax.Array:
     return score.count(layout, STATIONS, TILES)
 
 
+STATION_COUNT = Measure("workstations", 0, 600, 100, workstations, "area")
+
+
 def manufacturing(config: ManufacturingConfig) -> Domain:
     """Make a factory of one size."""
     shape = (config.rows, config.cols)
@@ -82,10 +85,7 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         objective=throughput,
         objective_name=THROUGHPUT,
         similarity_weights=similarity_weights,
-        measures=(
-            Measure("workstations", 0, 600, 100, workstations, "area"),
-            environment_entropy(len(TILES)),
-        ),
+        measures=(STATION_COUNT, environment_entropy(len(TILES))),
         # As many stations of each kind as agents stay there, so that none is a bottleneck.
         human=lambda: parse(designs.stations(*shape, config.stays), TILES),
         meanings=MEANINGS,

@@ -63,7 +63,7 @@ class Publisher:
         layout = archive["repaired"][row]
         measures = zip(self._measures, archive["measures"][row], strict=True)
         details = {
-            "domain": self._domain.name,
+            **self._domain.details,
             "objective": float(archive["objective"][row]),
             "measures": {measure.name: float(value) for measure, value in measures},
             "similarity": float(archive["similarity"][row]),
