@@ -224,3 +224,28 @@ def test_an_alphabet_is_listed_with_its_meanings():
     said = alphabet(WAREHOUSE.tiles, WAREHOUSE.meanings)
     assert said == "'.' empty, '@' shelf, 'e' endpoint, 'w' workstation"
     assert alphabet("?!") == "'?', '!'"
+
+
+PIECES = [
+    *'.@ewX #\n,;"{}[]',
+    "\r\n",
+    "map\n",
+    "height 2\n",
+    "sep=;\n",
+    "sep=\n",
+    '"layout":',
+    "\0",
+]
+
+
+@settings(max_examples=300, deadline=None)
+@given(pieces=st.lists(st.sampled_from(PIECES), max_size=30), ending=st.sampled_from(ENDINGS))
+def test_no_text_gets_more_than_one_line_of_refusal(pieces, ending, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / f"any{ending}"
+    path.write_text("".join(pieces), newline="")
+    try:
+        layout = read_layout(path, TILES, WAREHOUSE.meanings)
+    except InputError as error:
+        assert str(error).startswith(str(path)) and "\n" not in str(error)
+    else:
+        assert layout.dtype == np.int8 and layout.size and layout.max() < len(TILES)
