@@ -53,7 +53,6 @@ def map_elites(
     start = start_solution(x0, solution_dim)
     batch_size = config.emitters * config.batch
     soft = config.learning_rate, config.threshold_min
-    ThresholdArchive.check(*soft)
 
     def init(key: jax.Array) -> MapElitesState:
         parents = ThresholdArchive.empty(ROW, measures, None, *soft)
