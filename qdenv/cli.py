@@ -45,6 +45,7 @@ COMMANDS = {
     "sweep": "qdenv.commands.traffic:sweep",
     "train-agent": "qdenv.commands.mazes:train_agent",
     "convert-agent": "qdenv.commands.mazes:convert_agent",
+    "completion": "qdenv.commands.completion:completion",
     "evaluate-agent": "qdenv.commands.mazes:evaluate_agent",
 }
 AUTO = "auto"  # the value of an option like --plot that was given none

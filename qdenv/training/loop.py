@@ -18,6 +18,7 @@ from qdenv.search.growth import growing, is_whole
 from qdenv.search.registry import make_algorithm
 from qdenv.training.config import RunConfig
 from qdenv.training.continued import check_settings, check_total, settings_of
+from qdenv.training.feasible import check_feasible
 from qdenv.training.manifest import meaning_of
 from qdenv.training.progress import Progress
 from qdenv.training.published import Publisher, describe, metrics_row
@@ -129,8 +130,10 @@ def train(config: RunConfig, path: str | Path, progress: bool = True) -> RunDire
         progress: show a progress bar.
 
     Raises:
-        InputError: a setting is impossible, the folder holds a run already or is read-only.
+        InputError: a setting is impossible, no layout could count, the folder holds a run already
+            or is read-only.
     """
+    check_feasible(config)
     experiment = make_experiment(config)
     run = RunDirectory(Path(path))
     with run.locked():

@@ -1,0 +1,57 @@
+"""The command completion: a script that lets a shell complete commands, options and names."""
+
+import ast
+import contextlib
+import io
+import re
+from typing import Any, Literal
+
+import tyro
+
+from qdenv.presets import PRESETS
+
+SPEC = re.compile(r"^(COMPLETION_SPEC = )(\{.*\})$", re.MULTILINE)
+CHOICES = re.compile(r"^(?:\{None\}\|)?\{([^}]*,[^}]*)\}")
+
+
+def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
+    """Print what lets a shell complete commands, options and names.
+
+    Args:
+        shell: which shell.
+    """
+    from qdenv.cli import run  # it lists this command
+
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
+        run(["--tyro-print-completion", shell])
+    print(SPEC.sub(lambda match: match[1] + repr(_as_spoken(match[2])), said.getvalue()), end="")
+
+
+def _as_spoken(spec: str) -> dict[str, Any]:
+    """Let the parser's description of the program know two-word commands, presets and names."""
+    root: dict[str, Any] = ast.literal_eval(spec)
+    commands: dict[str, Any] = {}
+    for name, command in root["subcommands"].items():
+        for option in command["options"]:
+            _know_choices(option)
+        first, _, second = name.partition(" ")
+        if second:
+            group = commands.setdefault(first, _group(first))
+            group["subcommands"][second] = command
+        else:
+            commands[name] = command
+    train = commands["train"]
+    train["subcommands"] = {name: {**train, "description": "preset"} for name in PRESETS}
+    return root | {"subcommands": commands}
+
+
+def _group(name: str) -> dict[str, Any]:
+    return {"description": name, "options": [], "subcommands": {}, "frontier_groups": []}
+
+
+def _know_choices(option: dict[str, Any]) -> None:
+    """Complete an option's names where its help lists them."""
+    listed = CHOICES.match(option["description"])
+    if listed and option["type"] != "choice":
+        option |= {"type": "choice", "choices": listed[1].split(",")}

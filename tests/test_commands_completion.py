@@ -1,0 +1,54 @@
+"""Completion in a shell knows what the commands know, and nothing else."""
+
+import shutil
+import subprocess
+
+import pytest
+
+from qdenv.cli import run
+
+# What a shell does when somebody presses the tab key after these words.
+ASK = """
+source script.bash
+COMP_WORDS=("$@")
+COMP_CWORD=$(( $# - 1 ))
+_tyro_qdenv qdenv "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD-1]}"
+printf '%s\\n' "${COMPREPLY[@]}"
+"""
+
+WANTED = {
+    "qdenv si": ["simulate"],
+    "qdenv lay": ["layout"],
+    "qdenv layout hu": ["human"],
+    "qdenv layout human --ro": ["--rows"],
+    "qdenv train man": ["manufacturing", "manufacturing-quick"],
+    "qdenv train quick --emi": ["--emitters"],
+    "qdenv train --config": [],  # no such option
+    "qdenv train --domain war": ["warehouse-even", "warehouse-uneven"],
+    "qdenv simulate --effort ": ["low", "high"],
+    "qdenv repair plan.txt --polish f": ["full"],
+}
+
+
+@pytest.fixture(scope="module")
+def script(tmp_path_factory):
+    if not shutil.which("bash"):
+        pytest.skip("no bash on this machine")
+    return tmp_path_factory.mktemp("completion")
+
+
+def test_the_tab_key_knows_commands_options_presets_and_names(script, capsys):
+    assert run(["completion", "bash"]) == 0
+    (script / "script.bash").write_text(capsys.readouterr().out)
+    for line, wanted in WANTED.items():
+        words = line.split(" ")
+        command = ["bash", "-c", ASK, "bash", *words]
+        said = subprocess.run(command, cwd=script, capture_output=True, text=True, check=True)
+        assert sorted(said.stdout.split()) == sorted(wanted), (line, said.stderr)
+
+
+def test_zsh_is_told_the_same(capsys):
+    assert run(["completion", "zsh"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("#compdef qdenv") and "'manufacturing-quick'" in said
+    assert run(["completion", "fish"]) == 2
