@@ -24,29 +24,29 @@ import tyro
 from qdenv.commands.mistakes import one_line, unknown_command
 from qdenv.interrupt import EXIT_CODE, last_words
 
-# Name -> ``module:function``.
+# Name -> ``module:function``, in the order of help: plans, studies, searches, mazes.
 COMMANDS = {
-    "train": "qdenv.commands.train:train",
-    "resume": "qdenv.commands.runs:resume",
-    "plot": "qdenv.commands.runs:plot",
-    "presets": "qdenv.commands.presets:presets",
-    "generate": "qdenv.commands.runs:generate",
-    "export": "qdenv.commands.export:export",
-    "series": "qdenv.commands.sizes:series",
+    "render": "qdenv.commands.drawings:render",
+    "check": "qdenv.commands.layouts:check",
+    "simulate": "qdenv.commands.simulate:simulate",
+    "repair": "qdenv.commands.layouts:repair",
     "compare": "qdenv.commands.traffic:compare",
+    "sweep": "qdenv.commands.traffic:sweep",
     "scalability": "qdenv.commands.traffic:scalability",
     "layout human": "qdenv.commands.sizes:layout_human",
     "layout tile": "qdenv.commands.sizes:layout_tile",
     "layout symbols": "qdenv.commands.drawings:layout_symbols",
-    "render": "qdenv.commands.drawings:render",
-    "repair": "qdenv.commands.layouts:repair",
-    "check": "qdenv.commands.layouts:check",
-    "simulate": "qdenv.commands.simulate:simulate",
-    "sweep": "qdenv.commands.traffic:sweep",
+    "presets": "qdenv.commands.presets:presets",
+    "train": "qdenv.commands.train:train",
+    "resume": "qdenv.commands.runs:resume",
+    "plot": "qdenv.commands.runs:plot",
+    "generate": "qdenv.commands.runs:generate",
+    "series": "qdenv.commands.sizes:series",
+    "export": "qdenv.commands.export:export",
     "train-agent": "qdenv.commands.mazes:train_agent",
+    "evaluate-agent": "qdenv.commands.mazes:evaluate_agent",
     "convert-agent": "qdenv.commands.mazes:convert_agent",
     "completion": "qdenv.commands.completion:completion",
-    "evaluate-agent": "qdenv.commands.mazes:evaluate_agent",
 }
 AUTO = "auto"  # the value of an option like --plot that was given none
 

@@ -13,6 +13,7 @@ import tyro
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.registry import Registry
 from qdenv.search.registry import ALGORITHMS
+from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.study.options import find_planner
 from qdenv.study.plans import USUAL, read_plan
 from qdenv.training.config import RunConfig
@@ -24,6 +25,11 @@ def names_of(registry: Registry) -> str:
     """List the names of a registry's choices as help shows them, like {low,high}."""
     return "{" + ",".join(registry.names()) + "}"
 
+
+# What commands read, without an option, and how help calls it.
+LayoutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT")]
+LayoutFiles = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT ...")]
+RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
 
 # How a command takes the name of a domain that a layout file may say itself.
 DomainName = Annotated[str | None, tyro.conf.arg(metavar=names_of(DOMAINS))]
@@ -38,7 +44,7 @@ class FleetOptions:
         timesteps: how long to simulate.
         seeds: 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one.
         effort: low for a quick look, high for numbers to report.
-        planner: another registered planner, with its defaults, in place of the package's own.
+        planner: another planner, with its defaults, in place of the negotiated one.
         seconds_per_step: of one timestep, to report tasks per hour, too.
     """
 
@@ -46,7 +52,7 @@ class FleetOptions:
     timesteps: int = 1000
     seeds: tuple[str, ...] = ("10",)
     effort: Literal["low", "high"] = "high"
-    planner: str = ""
+    planner: Annotated[str, tyro.conf.arg(metavar=names_of(PLANNERS))] = ""
     seconds_per_step: float | None = None
 
     @property

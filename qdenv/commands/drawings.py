@@ -2,18 +2,14 @@
 
 from pathlib import Path
 
-import tyro
-
 from qdenv.commands import output
-from qdenv.commands.choices import DomainName
+from qdenv.commands.choices import DomainName, LayoutFile
 from qdenv.domains.base import DOMAINS, Domain, find_domain
 from qdenv.formats.layouts import aliases
 from qdenv.study.plans import read_plan
 
 
-def render(
-    layout: tyro.conf.Positional[Path], domain: DomainName = None, out: Path | None = None
-) -> None:
+def render(layout: LayoutFile, domain: DomainName = None, out: Path | None = None) -> None:
     """Draw a layout as a picture: PNG, SVG or PDF.
 
     Args:

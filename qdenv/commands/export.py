@@ -2,15 +2,14 @@
 
 from pathlib import Path
 
-import tyro
-
 from qdenv.commands import output
+from qdenv.commands.choices import RunFolder
 from qdenv.study.exports import TABLES, write_layouts, write_table
 from qdenv.training.records import RunDirectory
 
 
 def export(
-    run_dir: tyro.conf.Positional[Path],
+    run_dir: RunFolder,
     out: Path | None = None,
     layouts: Path | None = None,
     solutions: bool = False,

@@ -8,7 +8,7 @@ import numpy as np
 import tyro
 
 from qdenv.commands import output
-from qdenv.commands.choices import DomainName, Numbers
+from qdenv.commands.choices import DomainName, LayoutFile, Numbers
 from qdenv.commands.waiting import waiting
 from qdenv.domains.base import Domain
 from qdenv.formats.layouts import endings_for, write_layout
@@ -18,8 +18,6 @@ from qdenv.repair.settings import RepairConfig
 from qdenv.study.changes import describe_changes, list_changes, warn_of_changes
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError, Repair, RepairStatus, Rules
-
-LayoutFile = tyro.conf.Positional[Path]
 
 
 @dataclass(frozen=True)

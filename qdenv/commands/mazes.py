@@ -14,6 +14,7 @@ import tyro
 
 from qdenv import interrupt
 from qdenv.agent.settings import TrainConfig
+from qdenv.commands.choices import LayoutFile
 from qdenv.commands.output import MOVING_PICTURES, JsonFile, place, write_facts
 from qdenv.commands.waiting import waiting
 from qdenv.study.plans import read_plan
@@ -130,7 +131,7 @@ class Episodes:
 
 
 def evaluate_agent(
-    layout: tyro.conf.Positional[Path],
+    layout: LayoutFile,
     episodes: Annotated[Episodes, tyro.conf.arg(name="")] = Episodes(),
     random_mazes: int = 0,
     gif: Path | None = None,

@@ -49,7 +49,7 @@ def _reworded(said: str, hints: str) -> str:
         return f"{match[2]} {match[1]}: choose one of {match[3].replace(chr(39), '').strip(' ,')}"
     if match := re.match(r"Missing value for argument '(\S+?)'\.", said):
         return f"{match[1].split(',')[0]} needs a value"
-    if match := re.match(r"Missing from .*?: (\S+) (?:[A-Z|{}\[\]]+ )?(.*?)\(required\)", said):
+    if match := re.match(r"Missing from .*?: (\S+) (?:[A-Z|{}\[\].]+ )*(.*?)\(required\)", said):
         what = match[2].strip(" .")
         return f"{match[1]} is missing: {what}" if match[1][:2] == "--" else f"{what} is missing"
     return said.rstrip(".")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from qdenv.commands.choices import Numbers
+from qdenv.commands.choices import Numbers, RunFolder
 from qdenv.commands.mazes import is_agent_run, resume_agent
 from qdenv.commands.output import JsonFile, place, write_facts
 from qdenv.commands.waiting import waiting
@@ -20,8 +20,6 @@ from qdenv.types import InputError, RepairStatus
 
 if TYPE_CHECKING:
     from qdenv.study.elites import Grown
-
-RunFolder = tyro.conf.Positional[Path]
 
 
 def resume(run_dir: RunFolder, evaluations: int | None = None, progress: bool = True) -> None:

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tyro
 
 from qdenv.commands import output, words
-from qdenv.commands.choices import FleetOptions, Options
+from qdenv.commands.choices import FleetOptions, LayoutFile, Options
 from qdenv.commands.waiting import waiting
 from qdenv.grid import of_tiles
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -22,7 +21,7 @@ if TYPE_CHECKING:  # imports the simulator
 
 
 def simulate(
-    layout: tyro.conf.Positional[Path],
+    layout: LayoutFile,
     agents: int = 200,
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     audit: bool = True,

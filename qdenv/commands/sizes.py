@@ -8,7 +8,7 @@ import numpy as np
 import tyro
 
 from qdenv.commands import output
-from qdenv.commands.choices import DomainName, ManyNumbers, Numbers, names_of
+from qdenv.commands.choices import DomainName, LayoutFile, ManyNumbers, Numbers, RunFolder, names_of
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.formats.drawings import check_size
 from qdenv.formats.layouts import endings_for, write_layout
@@ -50,7 +50,7 @@ def layout_human(
 
 
 def layout_tile(
-    layout: tyro.conf.Positional[Path],
+    layout: LayoutFile,
     rows: int,
     cols: int,
     numbers: Numbers,
@@ -86,7 +86,7 @@ def layout_tile(
 
 
 def series(
-    run_dir: tyro.conf.Positional[Path],
+    run_dir: RunFolder,
     numbers: ManyNumbers,
     elite: str = "best",
     sizes_: Annotated[tuple[str, ...], tyro.conf.arg(name="sizes")] = (),

@@ -3,21 +3,18 @@
 from pathlib import Path
 
 import numpy as np
-import tyro
 
 from qdenv.commands import output, words
-from qdenv.commands.choices import FleetOptions, Options
+from qdenv.commands.choices import FleetOptions, LayoutFile, LayoutFiles, Options
 from qdenv.commands.tables import Study, prepare, table_printer, write
 from qdenv.commands.waiting import waiting
 from qdenv.study import sweep as studies
 from qdenv.study.differences import Difference
 from qdenv.study.table import Peak, differences, find_capacity, find_peak
 
-Files = tyro.conf.Positional[tuple[Path, ...]]
-
 
 def sweep(
-    layout: tyro.conf.Positional[Path],
+    layout: LayoutFile,
     agents: str = "50:400:50",
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path | None = None,
@@ -47,7 +44,7 @@ def sweep(
 
 
 def compare(
-    layouts: Files,
+    layouts: LayoutFiles,
     agents: str = "200",
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path | None = None,
@@ -81,7 +78,7 @@ def compare(
 
 
 def scalability(
-    layouts: Files,
+    layouts: LayoutFiles,
     agents: str = "50:1000:50",
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path | None = None,
