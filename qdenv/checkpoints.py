@@ -121,7 +121,8 @@ def read_state(path: Path, member: str) -> tuple[dict[str, np.ndarray], dict[str
     except FileNotFoundError:
         raise InputError(f"there is no checkpoint {path}: nothing to resume") from None
     except (InputError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise DamagedError(f"{path} is no readable checkpoint ({error})") from error
+        reason = str(error).removeprefix(f"{path}: ")
+        raise DamagedError(f"{path} is no readable checkpoint ({reason})") from error
     if schema > SCHEMA:
         raise InputError(f"{path} was written by a newer qdenv: please upgrade")
     return arrays, facts
