@@ -40,10 +40,7 @@ ALLOWED = {
     | PLUGS
     | {"checkpoints", "search", "pipeline", "settings", "domains", "formats", "plots.inline"},
     "study": BASE | STAGES | PLUGS | {"domains", "pipeline", "settings", "formats", "training"},
-    "api": BASE
-    | STAGES
-    | PLUGS
-    | {"domains", "formats", "plots", "presets", "study", "training", "commands.choices"},
+    "api": BASE | STAGES | PLUGS | {"domains", "formats", "plots", "presets", "study", "training"},
     "plots": BASE
     | {"training.records", "study.table", "study.jams", "study.differences", "domains.base"},
     "commands": BASE

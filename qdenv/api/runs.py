@@ -68,7 +68,7 @@ def overridden(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
     for name in sorted(settings, key=lambda name: name not in CHOICES):
         value = settings[name]
         if name == "domain" and isinstance(value, str):
-            from qdenv.commands.choices import choose_domain
+            from qdenv.training.choosing import choose_domain
 
             config = choose_domain(config, value)
             continue

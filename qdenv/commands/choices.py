@@ -12,11 +12,9 @@ import tyro
 
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.registry import Registry
-from qdenv.search.registry import ALGORITHMS
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.study.options import find_planner
 from qdenv.study.plans import USUAL, read_plan
-from qdenv.training.config import RunConfig
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
@@ -149,61 +147,6 @@ def take(arguments: Sequence[str], option: str) -> tuple[str | None, list[str]]:
         value = argument.partition("=")[2]
         rest.remove(argument)
     return value, rest
-
-
-def choose_domain(config: RunConfig, name: str) -> RunConfig:
-    """Put another domain into a configuration, at the size and with the numbers it states.
-
-    Raises:
-        InputError: the name is unknown.
-    """
-    old = make_domain(config.evaluation.domain)
-    new = make_domain(recast(old.config, DOMAINS.entry(name).config))
-    # Ranges of the archive that were stated for other measures mean nothing here.
-    alike = [one.name for one in old.measures] == [one.name for one in new.measures]
-    evaluation = dataclasses.replace(config.evaluation, domain=new.config)
-    archive = config.archive if alike else ()
-    return dataclasses.replace(config, evaluation=evaluation, archive=archive)
-
-
-def choose_planner(config: RunConfig, effort: str | None, planner: str | None) -> RunConfig:
-    """Put another planner into a configuration; neither word given changes nothing.
-
-    Raises:
-        InputError: a word is unknown, or no fleet drives in the domain.
-    """
-    if effort is None and planner is None:
-        return config
-    domain = config.evaluation.domain
-    if not hasattr(domain, "fleet"):
-        raise InputError("no fleet drives in this domain: leave --effort and --planner out")
-    chosen = find_planner(effort or "low", planner or "")
-    domain = dataclasses.replace(domain, fleet=dataclasses.replace(domain.fleet, planner=chosen))
-    return dataclasses.replace(
-        config, evaluation=dataclasses.replace(config.evaluation, domain=domain)
-    )
-
-
-def choose_algorithm(config: RunConfig, name: str) -> RunConfig:
-    """Put another algorithm with all its defaults into a configuration.
-
-    Nothing is carried over: settings of one name, like learning rates, mean different things.
-
-    Raises:
-        InputError: the name is unknown.
-    """
-    return dataclasses.replace(config, algorithm=ALGORITHMS.config(name))
-
-
-def recast(settings: Any, kind: type) -> Any:
-    """Carry what `settings` states beyond its type's defaults over to settings of another type."""
-    usual, known = type(settings)(), {field.name for field in dataclasses.fields(kind)}
-    stated = {
-        field.name: getattr(settings, field.name)
-        for field in dataclasses.fields(settings)
-        if getattr(settings, field.name) != getattr(usual, field.name)
-    }
-    return kind(**{name: value for name, value in stated.items() if name in known})
 
 
 def _numbers_of(domain: Domain, hint: Any) -> type:

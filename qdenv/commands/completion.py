@@ -1,9 +1,9 @@
 """The command completion: a script that lets a shell complete commands, options and names."""
 
 import ast
-import contextlib
-import io
 import re
+import subprocess
+import sys
 from typing import Any, Literal
 
 import tyro
@@ -20,12 +20,10 @@ def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
     Args:
         shell: which shell.
     """
-    from qdenv.cli import run  # it lists this command
-
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
-        run(["--tyro-print-completion", shell])
-    print(SPEC.sub(lambda match: match[1] + repr(_as_spoken(match[2])), said.getvalue()), end="")
+    # Asked of another process: this one is in the middle of reading its own command line.
+    command = [sys.executable, "-m", "qdenv", "--tyro-print-completion", shell]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    print(SPEC.sub(lambda match: match[1] + repr(_as_spoken(match[2])), said), end="")
 
 
 def _as_spoken(spec: str) -> dict[str, Any]:

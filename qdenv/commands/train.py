@@ -10,19 +10,14 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from qdenv.commands.choices import (
-    choose_algorithm,
-    choose_domain,
-    choose_planner,
-    names_of,
-    take,
-)
+from qdenv.commands.choices import names_of, take
 from qdenv.commands.costs import describe_cost, remember
 from qdenv.commands.keeping import choose_keep
 from qdenv.domains.base import DOMAINS
 from qdenv.presets import PRESETS, find_preset
 from qdenv.search.registry import ALGORITHMS
 from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.training.choosing import choose_algorithm, choose_domain, choose_planner
 from qdenv.training.config import RunConfig
 from qdenv.training.feasible import check_feasible
 from qdenv.training.following import follow_size

@@ -1,0 +1,66 @@
+"""Configurations with another domain, planner or algorithm, chosen by name."""
+
+import dataclasses
+from typing import Any
+
+from qdenv.domains.base import DOMAINS, make_domain
+from qdenv.search.registry import ALGORITHMS
+from qdenv.simulate.mapf.negotiated.settings import EFFORTS
+from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.training.config import RunConfig
+from qdenv.types import InputError, look_up
+
+
+def choose_domain(config: RunConfig, name: str) -> RunConfig:
+    """Put another domain into a configuration, at the size and with the numbers it states.
+
+    Raises:
+        InputError: the name is unknown.
+    """
+    old = make_domain(config.evaluation.domain)
+    new = make_domain(recast(old.config, DOMAINS.entry(name).config))
+    # Ranges of the archive that were stated for other measures mean nothing here.
+    alike = [one.name for one in old.measures] == [one.name for one in new.measures]
+    evaluation = dataclasses.replace(config.evaluation, domain=new.config)
+    archive = config.archive if alike else ()
+    return dataclasses.replace(config, evaluation=evaluation, archive=archive)
+
+
+def choose_planner(config: RunConfig, effort: str | None, planner: str | None) -> RunConfig:
+    """Put another planner into a configuration; neither word given changes nothing.
+
+    Raises:
+        InputError: a word is unknown, or no fleet drives in the domain.
+    """
+    if effort is None and planner is None:
+        return config
+    domain = config.evaluation.domain
+    if not hasattr(domain, "fleet"):
+        raise InputError("no fleet drives in this domain: leave --effort and --planner out")
+    chosen = PLANNERS.config(planner) if planner else look_up(EFFORTS, effort or "low", "effort")
+    domain = dataclasses.replace(domain, fleet=dataclasses.replace(domain.fleet, planner=chosen))
+    return dataclasses.replace(
+        config, evaluation=dataclasses.replace(config.evaluation, domain=domain)
+    )
+
+
+def choose_algorithm(config: RunConfig, name: str) -> RunConfig:
+    """Put another algorithm with all its defaults into a configuration.
+
+    Nothing is carried over: settings of one name, like learning rates, mean different things.
+
+    Raises:
+        InputError: the name is unknown.
+    """
+    return dataclasses.replace(config, algorithm=ALGORITHMS.config(name))
+
+
+def recast(settings: Any, kind: type) -> Any:
+    """Carry what `settings` states beyond its type's defaults over to settings of another type."""
+    usual, known = type(settings)(), {field.name for field in dataclasses.fields(kind)}
+    stated = {
+        field.name: getattr(settings, field.name)
+        for field in dataclasses.fields(settings)
+        if getattr(settings, field.name) != getattr(usual, field.name)
+    }
+    return kind(**{name: value for name, value in stated.items() if name in known})
