@@ -17,6 +17,7 @@ from qdenv.simulate.mapf.pibt import numba as pibt_on_host
 from qdenv.simulate.mapf.pibt import xla as pibt_in_xla
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.planner import NOBODY
+from qdenv.study.runs import _program
 from qdenv.types import InputError
 
 # The settings of each planner with the backends "host" and "xla".
@@ -51,6 +52,29 @@ def test_a_simulation_in_xla_is_exported_whole_and_gives_the_hosts_numbers(plann
     jax.tree.map(np.testing.assert_array_equal, exported, on_host)
     with pytest.raises(Exception, match="callback"):
         jax.export.export(simulation(host))(*arguments).serialize()
+
+
+@pytest.mark.parametrize("keep", [False, True])
+@pytest.mark.parametrize("planner", BACKENDS)
+def test_a_run_outside_of_xla_is_the_one_inside_bit_for_bit(planner, keep):
+    """Studies drive on the host without a program around it; seven agents have room for nine."""
+    config = fleet.FleetConfig(agents=9, timesteps=53, planner=BACKENDS[planner][0])
+    layout = random_layout(np.random.default_rng(5), 0.2)
+    program = _program(SERVICES, config, layout.shape, keep)
+
+    @jax.jit
+    def inside(layout, key, count):
+        return fleet.record(fleet.prepare(layout, SERVICES, config), key, config, count)
+
+    for seed, agents in ((0, 7), (3, 9), (0, 10)):
+        world = program.make_ready(layout)
+        outside, recording = program.drive(world, seed, agents)
+        traffic, tape = inside(layout, jax.random.key(seed), np.int32(agents))
+        jax.tree.map(np.testing.assert_array_equal, outside, traffic)
+        assert outside.finished.sum() > 0 or agents > 9
+        if keep and agents <= 9:
+            jax.tree.map(np.testing.assert_array_equal, recording, tape)
+        assert (recording is None) != keep
 
 
 def test_an_unknown_backend_is_refused():

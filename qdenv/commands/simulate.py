@@ -52,14 +52,23 @@ def simulate(
     from qdenv.study.traffic import Wanted, examine, facts_of
 
     wanted = Wanted(audit, maps=audit or picture is not None, verdict=verdict)
+    about: dict[str, Any] = {"domain": plan.domain.name, "agents": agents, "layout": str(layout)}
+    about |= {"planner": describe_planner(config.planner), "timesteps": options.timesteps}
+
+    def report(study: Study) -> dict[str, Any]:
+        facts = facts_of(study, plan.layout) | about
+        return facts | ({"tasks_per_hour": facts["mean_of_all"] * per_hour} if per_hour else {})
+
     with studies.about(str(layout)), waiting("simulating") as bar:
-        study = examine(plan.layout, tasks, config, seeds, wanted, bar)
-    facts = facts_of(study, plan.layout) | {"domain": plan.domain.name}
-    facts |= {"planner": describe_planner(config.planner), "agents": agents}
-    facts |= {"layout": str(layout), "timesteps": options.timesteps}
-    facts |= {"tasks_per_hour": facts["mean_of_all"] * per_hour} if per_hour else {}
-    print(words.describe_study(str(agents), options, seeds, plan))
-    print_numbers(facts)
+
+        def tell(study: Study) -> None:
+            lines = [words.describe_study(str(agents), options, seeds, plan)]
+            bar.print("\n".join(lines + describe_numbers(report(study))))
+
+        study = examine(plan.layout, tasks, config, seeds, wanted, bar, tell)
+    facts = report(study)
+    if "verdict" in facts:
+        print(f"verdict      {facts['verdict']}: {facts['verdict_reason']}")
     print_jams(facts, plan)
     if picture is not None:
         draw(picture.path, plan, study, facts)
@@ -67,27 +76,26 @@ def simulate(
     words.write_facts(facts_place, "simulate", facts, words.settings_of(options, seeds))
 
 
-def print_numbers(facts: dict[str, Any]) -> None:
-    """Print the runs, their mean and the verdict."""
+def describe_numbers(facts: dict[str, Any]) -> list[str]:
+    """Say the throughput of the runs and their mean, and what the runs took."""
+    lines = []
     for run in facts["runs"]:
         jam = f", congested at {run['end_timestep']}" if run["congested"] else ""
-        print(f"seed {run['seed']}: {run['throughput']:.3f} tasks per timestep{jam}")
+        lines.append(f"seed {run['seed']}: {run['throughput']:.3f} tasks per timestep{jam}")
     error = facts["standard_error"]
     band = f" +- {error:.3f} (standard error)" if np.isfinite(error) else ""
     hour = f", {facts['tasks_per_hour']:,.0f} tasks per hour" if "tasks_per_hour" in facts else ""
-    print(f"throughput   {facts['mean_of_all']:.3f}{band} tasks per timestep{hour}")
+    lines.append(f"throughput   {facts['mean_of_all']:.3f}{band} tasks per timestep{hour}")
     smooth, rate = facts["mean_throughput"], facts["success_rate"]
     if rate < 1:
         others = "" if smooth is None else f"; the others move {smooth:.3f}"
-        print(f"congested    {1 - rate:.0%} of the runs{others}")
-    if "verdict" in facts:
-        print(f"verdict      {facts['verdict']}: {facts['verdict_reason']}")
+        lines.append(f"congested    {1 - rate:.0%} of the runs{others}")
     checked = "every trajectory valid, " if facts["valid"] else ""
-    print(
+    lines.append(
         f"computed     {checked}{facts['cpu_seconds_per_run']:.2f} CPU s per run, "
         f"compiled in {facts['compile_seconds']:.1f} s"
     )
-    print("\n".join(facts["broken"]), end="\n" if facts["broken"] else "")
+    return lines + facts["broken"]
 
 
 def print_jams(facts: dict[str, Any], plan: Plan) -> None:

@@ -66,6 +66,7 @@ class waiting:  # noqa: N801 (read as a verb: `with waiting("simulating") as bar
         from tqdm import tqdm  # here: who is refused should not wait for it
 
         tqdm.write(line)
+        sys.stdout.flush()  # a reader behind a pipe waits for it, too
 
     def __enter__(self) -> Self:
         """Start the clock."""

@@ -11,10 +11,10 @@ import jax
 import numpy as np
 
 from qdenv import devices
-from qdenv.simulate.mapf import fleet
+from qdenv.simulate.mapf import chance, fleet
 from qdenv.simulate.mapf.audit import audit, trajectory_of
 from qdenv.simulate.mapf.host.run import steps_under_way
-from qdenv.simulate.mapf.metrics import Recording
+from qdenv.simulate.mapf.metrics import Recording, summarise
 from qdenv.study.options import fleet_tasks
 from qdenv.study.progress import COMPILING, SIMULATING, Progress, silent
 from qdenv.types import TaskRule, Traffic
@@ -120,8 +120,8 @@ class _Program:
     """The simulation of layouts of one size.
 
     Attributes:
-        prepare: compiled, layout -> world.
-        run: compiled, (world, key, number of agents) -> traffic and recording.
+        prepare: layout -> world.
+        run: (world, seed, number of agents) -> traffic and recording.
         on_host: runs are driven by compiled code of the host.
         ready: that code has been loaded, or compiled.
     """
@@ -141,8 +141,7 @@ class _Program:
 
     def drive(self, world: Any, seed: int, agents: int) -> tuple[Traffic, Any]:
         """Run once; the values are numpy's."""
-        outcome = self.run(world, jax.random.key(seed), np.int32(agents))
-        traffic, recording = jax.tree.map(np.asarray, outcome)
+        traffic, recording = jax.tree.map(np.asarray, self.run(world, seed, agents))
         return traffic, recording
 
 
@@ -151,21 +150,47 @@ def _program(
     tasks: TaskRule, config: fleet.FleetConfig, shape: tuple[int, int], record: bool
 ) -> _Program:
     """Compile the preparation and the simulation of layouts of one size."""
+    layout = jax.ShapeDtypeStruct(shape, np.int8)
+    prepare = jax.jit(lambda layout: fleet.prepare(layout, tasks, config))
+    world, count = jax.eval_shape(prepare, layout), jax.ShapeDtypeStruct((), np.int32)
+    on_host = config.make_planner().drive is not None
+    run = (_on_host if on_host else _on_device)(config, world, count, record)
+    compiled = prepare.lower(layout).compile()
+    if not on_host:
+        return _Program(compiled, run, on_host)
+    return _Program(lambda layout: jax.tree.map(np.asarray, compiled(layout)), run, on_host)
 
-    def run(world: Any, key: Any, count: Any) -> tuple:
+
+def _on_device(config: fleet.FleetConfig, world: Any, count: Any, record: bool) -> Callable:
+    """Compile whole runs."""
+
+    def simulate(world: Any, key: Any, count: Any) -> tuple:
         if record:
             return fleet.record(world, key, config, count)
         return fleet.simulate(world, key, config, count), None
 
-    layout = jax.ShapeDtypeStruct(shape, np.int8)
-    prepare = jax.jit(lambda layout: fleet.prepare(layout, tasks, config))
-    world = jax.eval_shape(prepare, layout)
-    arguments = (world, jax.random.key(0), jax.ShapeDtypeStruct((), np.int32))
-    return _Program(
-        prepare.lower(layout).compile(),
-        jax.jit(run).lower(*arguments).compile(),
-        on_host=config.make_planner().drive is not None,
-    )
+    program = jax.jit(simulate).lower(world, jax.random.key(0), count).compile()
+    return lambda world, seed, agents: program(world, jax.random.key(seed), np.int32(agents))
+
+
+def _on_host(config: fleet.FleetConfig, world: Any, count: Any, record: bool) -> Callable:
+    """Compile what turns the outcome of a run on the host into records."""
+
+    def report(world: Any, outcome: Any, count: Any) -> tuple:
+        world, active = fleet.enlist(world, config, count)
+        if record:
+            return fleet.report(world, config, outcome, active)
+        return summarise(world, outcome.metrics, active, config.timesteps), None
+
+    like = jax.eval_shape(lambda: fleet.blank_outcome(world, config, record))
+    program = jax.jit(report).lower(world, like, count).compile()
+
+    def run(world: Any, seed: int, agents: int) -> tuple:
+        drawn = int(chance.seed_of(jax.random.key(seed)))
+        outcome = fleet.drive_on_host(world, drawn, config, agents, record)
+        return program(world, outcome, np.int32(agents))
+
+    return run
 
 
 def auditor(layout: np.ndarray, tasks: TaskRule, config: fleet.FleetConfig) -> Reader:

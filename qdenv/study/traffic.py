@@ -1,5 +1,7 @@
 """Studies of one layout's traffic: simulate it over seeds, see where it jams, judge it."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -73,6 +75,7 @@ def examine(
     seeds: Sequence[int],
     wanted: Wanted = Wanted(),  # noqa: B008 (frozen)
     progress: Progress = silent,
+    tell: Callable[[Study], None] = lambda study: None,
 ) -> Study:
     """Simulate a fleet on a layout over seeds, see where it jams, and judge the number of agents.
 
@@ -83,6 +86,7 @@ def examine(
         seeds: of the runs; the first few of them for other numbers of agents.
         wanted: what is looked into.
         progress: told how far it is.
+        tell: told the study without its verdict, before the runs that this takes.
 
     Raises:
         InputError: the fleet cannot work on this layout, or is too large to be recorded.
@@ -114,13 +118,17 @@ def examine(
         few = run_seeds(layout, tasks, config, seeds[:PROBES], number, probing, threads, tell)
         return point_of(number, few.runs)
 
-    return Study(
+    study = Study(
         row=summarise("", layout, agents, done.runs, done.cpu_seconds),
         done=done,
         maps=average([reading.maps for reading in done.readings]) if wanted.maps else None,
-        verdict=judge(point_of(agents, done.runs), probe, most) if wanted.verdict else None,
+        verdict=None,
         broken=[rule for one in done.readings for rule in one.broken] if wanted.audit else None,
     )
+    tell(study)
+    if not wanted.verdict:
+        return study
+    return study._replace(verdict=judge(point_of(agents, done.runs), probe, most))
 
 
 def _reader(

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import chex
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from qdenv.grid import of_tiles
 from qdenv.simulate.mapf import chance, tasks
@@ -18,7 +19,7 @@ from qdenv.simulate.mapf.agents import Fleet, agent_state, drive, look_ahead, pl
 from qdenv.simulate.mapf.distances import goal_distances
 from qdenv.simulate.mapf.goals import service_times
 from qdenv.simulate.mapf.host.crew import Numbers
-from qdenv.simulate.mapf.host.run import run_on_host
+from qdenv.simulate.mapf.host.run import drive_into, run_on_host
 from qdenv.simulate.mapf.metrics import (
     Block,
     Metrics,
@@ -127,21 +128,36 @@ class _Run(NamedTuple):
     buffer: TrajectoryBuffer
 
 
+def blank_outcome(world: World, config: FleetConfig, keep: bool) -> Outcome:
+    """Make room for what a run leaves behind, all zeros.
+
+    Args:
+        world: where it runs.
+        config: the numbers.
+        keep: room for every step.
+    """
+    windows = -(-config.timesteps // config.horizon) * config.horizon
+    nowhere = jnp.zeros((config.agents,), jnp.int32)
+    buffer = TrajectoryBuffer.empty(nowhere, windows if keep else 0)
+    return Outcome(empty_metrics(world, windows), nowhere, buffer)
+
+
+def numbers_of(config: FleetConfig, seed: int = 0) -> Numbers:
+    """Say to the host's code what it needs to know of a simulation."""
+    return Numbers(
+        seed, config.timesteps, config.window, config.horizon, config.stop_when_congested
+    )
+
+
 def _run(
     world: World, seed: jax.Array, config: FleetConfig, active: jax.Array, keep: bool
 ) -> Outcome:
     """Simulate until T or congestion, keeping every step if asked."""
     planner = config.make_planner()
-    windows = -(-config.timesteps // config.horizon) * config.horizon
-    metrics = empty_metrics(world, windows)
-    nowhere = jnp.zeros((config.agents,), jnp.int32)
-    buffer = TrajectoryBuffer.empty(nowhere, windows if keep else 0)
     if planner.drive is not None:
-        numbers = Numbers(
-            0, config.timesteps, config.window, config.horizon, config.stop_when_congested
-        )
-        like = jax.eval_shape(lambda: Outcome(metrics, nowhere, buffer))
-        return run_on_host(planner.drive, world, seed, active.sum(), numbers, like)
+        like = jax.eval_shape(lambda: blank_outcome(world, config, keep))
+        return run_on_host(planner.drive, world, seed, active.sum(), numbers_of(config), like)
+    metrics, _, buffer = blank_outcome(world, config, keep)
     fleet = place(world, config.window, active, seed)
 
     def going(run: _Run) -> jax.Array:
@@ -164,7 +180,7 @@ def _run(
     return Outcome(last.metrics, world.goals.cells[last.fleet.goal[0]], last.buffer)
 
 
-def _enlist(world: World, config: FleetConfig, agents: Array | None) -> tuple[World, jax.Array]:
+def enlist(world: World, config: FleetConfig, agents: Array | None) -> tuple[World, jax.Array]:
     """Choose who takes part (bool [A]); without room for them the world is not valid."""
     chex.assert_rank(world.traversable, 2)
     asked = jnp.asarray(config.agents if agents is None else agents)
@@ -187,7 +203,7 @@ def simulate(
     Returns:
         `Traffic`. A layout with too few free cells or without goals counts as congested at once.
     """
-    world, active = _enlist(world, config, agents)
+    world, active = enlist(world, config, agents)
     outcome = _run(world, chance.seed_of(key), config, active, keep=False)
     return summarise(world, outcome.metrics, active, config.timesteps)
 
@@ -196,7 +212,36 @@ def record(
     world: World, key: jax.Array, config: FleetConfig, agents: Array | None = None
 ) -> tuple[Traffic, Recording]:
     """Run the same simulation as `simulate` and keep every step of it."""
-    world, active = _enlist(world, config, agents)
-    outcome = _run(world, chance.seed_of(key), config, active, keep=True)
+    world, active = enlist(world, config, agents)
+    return report(world, config, _run(world, chance.seed_of(key), config, active, True), active)
+
+
+def report(
+    world: World, config: FleetConfig, outcome: Outcome, active: jax.Array
+) -> tuple[Traffic, Recording]:
+    """Turn what a recorded run left behind into the records that others read."""
     recording = recording_of(outcome, active, world, config.timesteps)
     return summarise(world, outcome.metrics, active, config.timesteps), recording
+
+
+def drive_on_host(world: World, seed: int, config: FleetConfig, agents: int, keep: bool) -> Outcome:
+    """Run one simulation in compiled host code, outside of any program of XLA's.
+
+    What XLA compiles around a callback it forgets with the process; without, there is nothing to
+    compile but what turns the outcome into records.
+
+    Args:
+        world: from `prepare`, of numpy arrays.
+        seed: of all that is drawn, as `chance.seed_of` gives it.
+        config: the numbers, of a planner that drives on the host.
+        agents: how many take part.
+        keep: keep every step.
+    """
+    drive = config.make_planner().drive
+    assert drive is not None
+    shapes = jax.eval_shape(lambda: blank_outcome(world, config, keep))
+    outcome: Outcome = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+    fits = agents <= min(int(np.asarray(world.traversable).sum()), config.agents)
+    if fits:  # else nobody drives, and the report calls that congested
+        drive_into(outcome, drive, world, agents, numbers_of(config, seed))
+    return outcome

@@ -71,17 +71,30 @@ def run_on_host(
     def on_host(_: Any, *buffers: Any) -> None:
         # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
         outcome, world, seed, agents = jax.tree.map(np.asarray, buffers)
-        tape = Tape(*outcome.buffer.block)
-        run = empty_run(world, numbers._replace(seed=int(seed)), int(agents), tape)
-        if world.valid:
-            place_crew(run)
-            outcome.buffer.start[: int(agents)] = run.crew.position
-            with _under_way(run):
-                drive_to_the_end(drive, run, world.traversable.shape)
-        _report(run, outcome)
+        drive_into(outcome, drive, world, int(agents), numbers._replace(seed=int(seed)))
 
     result: Outcome = buffer_callback(on_host, like, vmap_method="sequential")(world, seed, agents)
     return result
+
+
+def drive_into(outcome: Any, drive: Drive, world: World, agents: int, numbers: Numbers) -> None:
+    """Run a simulation and write what happens into the numpy arrays of an `Outcome`.
+
+    Args:
+        outcome: all zeros, of the shapes that `fleet.blank_outcome` gives.
+        drive: of the planner.
+        world: of numpy arrays.
+        agents: how many take part.
+        numbers: of the run, its seed among them.
+    """
+    run = empty_run(world, numbers, agents, Tape(*outcome.buffer.block))
+    if world.valid:
+        place_crew(run)
+        outcome.buffer.start[:agents] = run.crew.position
+        with _under_way(run):
+            rows, cols = world.traversable.shape
+            drive_to_the_end(drive, run, (rows, cols))
+    _report(run, outcome)
 
 
 _runs: dict[int, Run] = {}  # those that are being driven now, in any thread
