@@ -22,9 +22,13 @@ unfinished: set[str] = set()  # files under way, which are taken away
 _way: list[str] = [""]  # how to go on
 
 
-def watch() -> None:
-    """Answer Ctrl-C from now on; for programs, not for notebooks."""
-    advise(f"`{shlex.join(['qdenv', *sys.argv[1:]])}` begins anew")
+def watch(program: str = "qdenv") -> None:
+    """Answer Ctrl-C from now on; for programs, not for notebooks.
+
+    Args:
+        program: how it was called, to say how to call it again.
+    """
+    advise(f"`{program} {shlex.join(sys.argv[1:])}` begins anew")
     reader, writer = socket.socketpair()
     writer.setblocking(False)
     # Python's own handler does nothing; the number of the signal arrives at the socket at once.

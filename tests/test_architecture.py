@@ -60,6 +60,7 @@ ALLOWED = {
     "bench": BASE
     | STAGES
     | PLUGS
+    | {"commands.waiting"}
     | {"agent", "domains", "formats", "pipeline", "plots", "presets", "search"}
     | {"settings", "study", "training"},
     "cli": {"commands", "types", "interrupt"},

@@ -4,27 +4,37 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from qdenv import interrupt
+
+if __name__ == "__main__":
+    interrupt.watch("python -m qdenv.bench")
+
 import importlib
 import sys
 
 import tyro
 
+from qdenv.commands.waiting import waiting
 from qdenv.types import InputError
 
 BENCHMARKS = ("pipeline", "simulate", "repair", "search", "maze", "scale")
 
 
-def main() -> None:
+def main() -> int:
     """Run the benchmark named on the command line; each has a `run` with its own options."""
     if len(sys.argv) < 2 or sys.argv[1] not in BENCHMARKS:
-        sys.exit(f"usage: python -m qdenv.bench {{{','.join(BENCHMARKS)}}} [--help]")
+        print(f"qdenv: usage: python -m qdenv.bench {{{','.join(BENCHMARKS)}}}", file=sys.stderr)
+        return 2
     name = sys.argv[1]
     benchmark = importlib.import_module(f"qdenv.bench.{name}").run
     try:
-        tyro.cli(benchmark, prog=f"python -m qdenv.bench {name}", args=sys.argv[2:])
+        with waiting(f"measuring: {name}"):
+            tyro.cli(benchmark, prog=f"python -m qdenv.bench {name}", args=sys.argv[2:])
     except InputError as error:
-        sys.exit(f"qdenv: {error}")
+        print(f"qdenv: {error}", file=sys.stderr)
+        return 2
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
