@@ -43,6 +43,8 @@ def test_it_names_what_is_compiled_until_the_first_evaluations_are_done(capsys):
         said = wait_for("compiling repair.anneal, once on this machine", capsys)
         assert "compiling repair.anneal, once on this machine" in said
 
+        shown.advance(1)
+        shown.advance(1)
         shown.update(4, "QD-score 3")
         assert "4/8" in wait_for("QD-score 3", capsys)
         time.sleep(0.05)

@@ -28,8 +28,8 @@ def write_table(archive: Archive, path: Path, solutions: bool = False) -> None:
     """
     if path.suffix.lower() != ".parquet":
         table = archive.table(solutions)
-        # As Python's own numbers: they are written with as many digits as tell them apart.
-        columns = [column.tolist() for column in table.values()]
+        # Not as Python's numbers, which would tell apart what single precision does not hold.
+        columns = [list(column) for column in table.values()]
         write_csv(path, list(table), zip(*columns, strict=True))
         return
     content = io.BytesIO()

@@ -182,4 +182,10 @@ def write_rows(
     """
     columns = columns or {}
     lines = [(*row, *rest) for row, *rest in zip(rows, *columns.values(), strict=True)]
+    lines = [tuple(map(_in_digits, line)) for line in lines]
     write_csv(path, (*Row._fields, *columns), lines)
+
+
+def _in_digits(value: Any) -> Any:
+    """Write a number with six digits, more than any of these means."""
+    return float(f"{value:.6g}") if isinstance(value, float) else value

@@ -1,6 +1,7 @@
 """The progress bar of a run, which says what it waits for until the first evaluations are done."""
 
 import functools
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -48,8 +49,10 @@ class Progress(event.Listener):
 
     def begin(self, done: int) -> None:
         """Show the bar of a run of which `done` evaluations were done before."""
+        # Into a file a line now and then will do.
+        often = {"mininterval": 0.1 if sys.stderr.isatty() else 10.0, "smoothing": 0.1}
         self._bar = tqdm(
-            total=self._total, initial=done, unit="eval", disable=not self._shown, smoothing=0.1
+            total=self._total, initial=done, unit="eval", disable=not self._shown, **often
         )
         self._done, self._since = done, time.perf_counter()
         if self._shown:
@@ -57,7 +60,9 @@ class Progress(event.Listener):
 
     def advance(self, evaluations: int) -> None:
         """Move on within an iteration; any thread may call this."""
-        self._moves.set()
+        if not self._moves.is_set():
+            self._moves.set()
+            self._bar.set_postfix_str("", refresh=False)
         self._bar.update(evaluations)
 
     def update(self, evaluations: int, state: str) -> None:
