@@ -9,6 +9,7 @@ import functools
 import importlib
 import inspect
 import io
+import itertools
 import os
 import sys
 from collections.abc import Callable
@@ -84,7 +85,7 @@ def run(arguments: list[str]) -> int:
 
 def _run_loaded(arguments: list[str], wanted: list[str]) -> int:
     """Import the wanted commands and run the one that is named."""
-    from qdenv.commands.output import words_aside
+    from qdenv.commands.output import place, words_aside
     from qdenv.types import InputError
 
     try:
@@ -94,12 +95,36 @@ def _run_loaded(arguments: list[str], wanted: list[str]) -> int:
             given = arguments[1:] if [name] == arguments[:1] else []
             commands[name] = _loaded(name, given)
         chosen = _parse(commands, arguments)
-        aside = " --json - " in f" {' '.join(arguments)} " or "--json=-" in arguments
-        with words_aside() if aside else contextlib.nullcontext():
+        facts = _facts_place(arguments)
+        if facts and facts != "-":
+            place(Path(facts), "facts.json", inputs=_files_but(facts, arguments))
+        with words_aside() if facts == "-" else contextlib.nullcontext():
             code = chosen()
     except InputError as error:
         return _complain(error)
     return code if isinstance(code, int) else 0
+
+
+def _facts_place(arguments: list[str]) -> str | None:
+    """Find what follows the last `--json`, which all commands take alike."""
+    found = None
+    for word, following in itertools.pairwise([*arguments, ""]):
+        if word == "--json":
+            found = following
+        elif word.startswith("--json="):
+            found = word.partition("=")[2]
+    return found
+
+
+def _files_but(facts: str, arguments: list[str]) -> list[Path]:
+    """List the files that a command line names beside the one for its facts."""
+    others = list(arguments)
+    others.remove(facts if facts in others else f"--json={facts}")
+    if facts in others:  # it may not exist yet
+        from qdenv.types import InputError
+
+        raise InputError(f"{facts}: named twice: give the facts a file of their own")
+    return [Path(word) for word in others if not word.startswith("-")]
 
 
 def _complain(mistake: object) -> int:

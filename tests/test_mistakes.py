@@ -82,6 +82,8 @@ MISTAKES = {
     "repair plan.txt --diff x.xyz": "ends in .png",
     "compare plan.txt --out c.png": "a picture's name",
     "simulate plan.txt --plot --json picture.png": "picture",
+    "repair plan.txt --out a.json --json a.json": "named twice",
+    "check plan.txt --json c.svg": "a picture's name",
     "train quick --run-dir run": "holds a run already",
     "repair plan.txt --keep ragged.txt": "ragged.txt",
 }

@@ -88,7 +88,9 @@ def _free(path: Path) -> Path:
 
 
 def write_facts(path: Path | None, command: str, facts: Mapping[str, Any], **settings: Any) -> None:
-    """Write what a command found out as JSON that explains itself; nothing without a path.
+    """Write what a command found out as JSON that explains itself, and say where.
+
+    Nothing without a path. The command line has checked the place before the command began.
 
     Args:
         path: the file, or "-" for standard output.
@@ -106,7 +108,9 @@ def write_facts(path: Path | None, command: str, facts: Mapping[str, Any], **set
     if str(path) == "-":
         print(json.dumps(content, indent=1), file=_answers or sys.stdout)
     else:
-        write_json(path, content)
+        target = place(path, "facts.json")
+        write_json(target.path, content)
+        print(target)
 
 
 def tidy(value: Any) -> Any:

@@ -42,7 +42,6 @@ def simulate(
         json_file: where to write the numbers; - is standard output.
     """
     picture = words.place_picture(plot, f"{layout.stem}_traffic.png", [layout])
-    facts_place = words.place_facts(json_file, [layout])
     per_hour, seeds = words.steps_per_hour(options), parse_seeds(options.seeds)
     plan = read_plan(layout, options.domain)
     with studies.about(str(layout)):
@@ -73,7 +72,7 @@ def simulate(
     if picture is not None:
         draw(picture.path, plan, study, facts)
         print(picture)
-    words.write_facts(facts_place, "simulate", facts, words.settings_of(options, seeds))
+    output.write_facts(json_file, "simulate", facts, **words.settings_of(options, seeds))
 
 
 def describe_numbers(facts: dict[str, Any]) -> list[str]:

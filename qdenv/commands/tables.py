@@ -37,7 +37,7 @@ class Study(NamedTuple):
     per_hour: float | None
     table: output.Place
     picture: output.Place
-    facts: output.Place | None
+    facts: Path | None
     settings: dict[str, Any]
 
     @property
@@ -71,7 +71,6 @@ def prepare(
     config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
     per_hour = words.steps_per_hour(options)
     table = output.place(*out, inputs=paths)
-    facts = words.place_facts(json_file, paths)
     picture = words.place_picture(plot or words.AUTO, f"{table.path.stem}.png", paths)
     if out[0] is not None and plot in (None, words.AUTO):
         picture = table.beside(".png")
@@ -81,7 +80,7 @@ def prepare(
     trial = studies.Trial(tasks, config, counts, seeds)
     settings = words.settings_of(options, seeds) | {"agents": list(counts)}
     settings["layouts"] = {name: str(path) for name, path in studies.name_layouts(paths).items()}
-    return Study(plans, trial, per_hour, table, picture, facts, settings)
+    return Study(plans, trial, per_hour, table, picture, json_file, settings)
 
 
 def read_plans(paths: Sequence[Path], domain: str | None) -> dict[str, Plan]:
@@ -139,7 +138,7 @@ def write(
         row._asdict() | {name: values[place] for name, values in columns.items()}
         for place, row in enumerate(rows)
     ]
-    words.write_facts(study.facts, command, {**facts, "rows": lines}, study.settings)
+    output.write_facts(study.facts, command, {**facts, "rows": lines}, **study.settings)
 
 
 def table_printer(study: Study, title: str, say: Callable[[str], None]) -> Callable[[Row], None]:

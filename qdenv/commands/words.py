@@ -11,7 +11,6 @@ from qdenv.commands.choices import FleetOptions
 from qdenv.study.plans import Plan
 from qdenv.types import InputError
 
-STANDARD_OUTPUT = Path("-")
 AUTO = Path("auto")  # what `--plot` without a name is turned into
 SECONDS_PER_HOUR = 3600
 
@@ -28,27 +27,6 @@ def place_picture(plot: Path | None, default: str, inputs: Iterable[Path]) -> ou
     if plot is None:
         return None
     return output.place(None if plot == AUTO else plot, default, output.PICTURES, inputs)
-
-
-def place_facts(json_file: Path | None, inputs: Iterable[Path]) -> output.Place | None:
-    """Choose where facts go; None where none are asked for.
-
-    Raises:
-        InputError: see `output.place`.
-    """
-    if json_file is None or json_file == STANDARD_OUTPUT:
-        return None if json_file is None else output.Place(json_file, False)
-    return output.place(json_file, "facts.json", inputs=inputs)
-
-
-def write_facts(
-    place: output.Place | None, command: str, facts: dict[str, Any], settings: dict[str, Any]
-) -> None:
-    """Write facts where they are asked for, and say where."""
-    if place is not None:
-        output.write_facts(place.path, command, facts, **settings)
-        if place.path != STANDARD_OUTPUT:
-            print(place)
 
 
 def steps_per_hour(options: FleetOptions) -> float | None:
