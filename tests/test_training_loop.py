@@ -184,7 +184,9 @@ def test_failed_evaluations_enter_nothing():
     assert len(elites(experiment.algorithm.archive(state))["index"]) == 0
 
 
-def test_metrics_count_failed_repairs(tmp_path):
+def test_metrics_count_failed_repairs(tmp_path, monkeypatch):
+    # Rules that counting finds possible may be impossible all the same; these let it be seen.
+    monkeypatch.setattr(loop, "check_feasible", lambda config: None)
     evaluation = replace(toy.CONFIG.evaluation, domain=toy.GardenConfig(hedges=40))
     config = replace(toy.CONFIG, evaluation=evaluation, evaluations=16)
     rows = loop.train(config, tmp_path / "run", progress=False).read_metrics()
@@ -195,7 +197,8 @@ def test_metrics_count_congested_runs(tmp_path):
     fleet = FleetConfig(agents=4, timesteps=20, planner=StandConfig())
     domain = WarehouseConfig(rows=9, cols=10, shelves=6, fleet=fleet)
     evaluation = replace(toy.CONFIG.evaluation, domain=domain)
-    config = replace(toy.CONFIG, evaluation=evaluation, evaluations=8)
+    archive = ((0, 6, 6), (0, 1, 10))
+    config = replace(toy.CONFIG, evaluation=evaluation, evaluations=8, archive=archive)
     (row,) = loop.train(config, tmp_path / "run", progress=False).read_metrics()
     assert (row.failed_repairs, row.congested_runs) == (0, 8 * 3)  # nobody ever moves
 
