@@ -144,7 +144,7 @@ def finish(grown: Grown, config: RepairConfig, seed: int) -> Sized:
         numbers=domain.fitted(after).numbers,
         repair=status_name(repaired),
         changed=int((before != after).sum()),
-        cpu_seconds=0.0 if repaired is None else float(repaired.seconds),
+        cpu_seconds=0.0 if repaired is None else round(float(repaired.seconds), 3),
     )
 
 
