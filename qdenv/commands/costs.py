@@ -17,7 +17,7 @@ CPU_SECONDS = {
     "laptop": 0.91,
     "warehouse-even": 0.91,
     "warehouse-uneven": 1.14,
-    "manufacturing": 1.08,
+    "manufacturing": 1.14,
     "manufacturing-quick": 0.092,
     "maze-walls": 0.023,
     "maze-entropy": 0.023,
@@ -29,8 +29,7 @@ FEWEST_ROWS = 5
 def describe_cost(preset: str, config: RunConfig) -> str:
     """Say how long a preset takes here, like "about 8 min"; "" where nothing is known."""
     measured = _read().get(preset)
-    own = {"-a1": "", "-a0": ""}
-    known = CPU_SECONDS.get(preset) or CPU_SECONDS.get(preset[:-3] if preset[-3:] in own else "")
+    known = CPU_SECONDS.get(preset.removesuffix("-a1").removesuffix("-a0"))
     seconds = measured or (known / (os.cpu_count() or 1) if known else None)
     if seconds is None:
         return ""

@@ -1,0 +1,36 @@
+"""What a preset takes: as measured here, else an estimate."""
+
+import pytest
+
+from qdenv.commands import costs
+from qdenv.presets import PRESETS
+from qdenv.training.metrics import Metrics
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(costs.os, "cpu_count", lambda: 2)
+
+
+def test_every_preset_says_what_it_takes_on_two_cores():
+    said = {name: costs.describe_cost(name, config) for name, config in PRESETS.items()}
+    assert said["quick"] == "about 18 s (an estimate)"  # 600 evaluations of 0.06 CPU s
+    assert said["warehouse-even-a1"] == said["warehouse-even"] == "about 76 min (an estimate)"
+    assert all(said.values())
+
+
+def test_a_run_is_remembered_without_its_compilation():
+    rows = [Metrics(n, 50 * n, 0.0, 0.0, 0.0, 30.0 + 2 * n) for n in range(1, 13)]
+    costs.remember("quick", rows[:4])  # too few to tell
+    assert "estimate" in costs.describe_cost("quick", PRESETS["quick"])
+    costs.remember("quick", rows)  # 2 s for every 50 evaluations
+    assert costs.describe_cost("quick", PRESETS["quick"]) == "about 24 s (as measured here)"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.2, "1 s"), (89, "89 s"), (91, "2 min"), (7200, "2 h"), (2e5, "2 days")],
+)
+def test_durations_are_said_in_the_unit_a_person_would_choose(seconds, words):
+    assert costs.in_words(seconds) == words
