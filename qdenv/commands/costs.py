@@ -40,7 +40,7 @@ def describe_cost(preset: str, config: RunConfig) -> str:
 def in_words(seconds: float) -> str:
     """Say a duration in the unit a person would choose."""
     for unit, length in {"days": 86400, "h": 3600, "min": 60}.items():
-        if seconds >= 1.5 * length:
+        if seconds >= 2.5 * length:
             return f"{seconds / length:.0f} {unit}"
     return f"{max(seconds, 1):.0f} s"
 
