@@ -30,7 +30,7 @@ def test_a_run_is_remembered_without_its_compilation():
 
 @pytest.mark.parametrize(
     ("seconds", "words"),
-    [(0.2, "1 s"), (89, "89 s"), (91, "2 min"), (7200, "2 h"), (2e5, "2 days")],
+    [(0.2, "1 s"), (89, "89 s"), (160, "3 min"), (5700, "95 min"), (10800, "3 h"), (3e5, "3 days")],
 )
 def test_durations_are_said_in_the_unit_a_person_would_choose(seconds, words):
     assert costs.in_words(seconds) == words
