@@ -3,6 +3,7 @@
 import importlib
 import inspect
 import json
+import os
 import subprocess
 import sys
 
@@ -90,6 +91,18 @@ def test_the_package_runs_as_a_module():
     command = [sys.executable, "-m", "qdenv", "--version"]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert said == importlib.metadata.version("qdenv") + "\n"
+
+
+@pytest.mark.parametrize("arguments", [["train", "--help"], ["--help"], ["presets"]])
+def test_a_reader_who_has_read_enough_is_no_error(arguments):
+    command = [sys.executable, "-m", "qdenv", *arguments]
+    reader, writer = os.pipe()
+    os.close(reader)  # as `| head` does
+    try:
+        done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True)
+    finally:
+        os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_completion_knows_the_options_of_a_command(capsys):
