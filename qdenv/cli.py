@@ -74,6 +74,8 @@ def run(arguments: list[str]) -> int:
             return _run_loaded(arguments, list(COMMANDS) if completion else arguments[:1])
         if not arguments[0].startswith("-"):
             return _complain(unknown_command(arguments[0], COMMANDS))
+        if arguments[0] not in ("-h", "--help"):
+            return _complain(f"give a command before {arguments[0]}: `qdenv --help` lists them")
         _parse({name: summary_of(name) for name in COMMANDS}, arguments)
     except KeyboardInterrupt:
         print(last_words(), file=sys.stderr)

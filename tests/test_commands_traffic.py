@@ -153,7 +153,7 @@ MISTAKES = [
     (["sweep", "lane.json", "--agents", "2", "--out", "t.png"], "name the data"),
     (["compare", "lane.json", "--agents", "1,1,1"], "names a number twice"),
     (["compare", "lane.json", "--agents", "2", "--out", "c.png"], "name the data"),
-    (["compare", "lane.json", "--agents", "2", "--out", "lane.json"], "that is what is read"),
+    (["compare", "lane.json", "--agents", "2", "--out", "lane.json"], "ends in .csv"),
     (["compare", "lane.json", "maze.json", "--agents", "2"], "one domain side by side"),
     (["compare", "maze.json", "--agents", "2"], "no fleet drives"),
     (["scalability", "lane.json", "--agents", "30,40"], "do not fit on 29 free cells"),

@@ -21,6 +21,8 @@ MISTAKES = {
     # Words that mean nothing.
     "simulat plan.txt": "did you mean `qdenv simulate`?",
     "layout": "`qdenv layout human`",
+    "--json": "give a command before --json",
+    "--agents 5 simulate plan.txt": "give a command before --agents",
     "simulate plan.txt --agent 5": "did you mean --agents?",
     "simulate plan.txt extra": "unknown argument extra",
     "simulate plan.txt --agents five": "'five' is no whole number",
@@ -76,7 +78,7 @@ MISTAKES = {
     "evaluate-agent maze.txt --horizon -5": "--timesteps -5",
     "evaluate-agent plan.txt": "the agent walks in mazes",
     # Results that would destroy something.
-    "layout human --rows 20 --cols 20 --out h.png": "ends in .json",
+    "layout human --rows 20 --cols 20 --out h.png": "a picture's name",
     "layout human --rows 10000 --cols 10000": "1000",
     "repair plan.txt --out plan.txt": "that is what is read",
     "repair plan.txt --diff x.xyz": "ends in .png",
@@ -85,6 +87,11 @@ MISTAKES = {
     "repair plan.txt --out a.json --json a.json": "named twice",
     "check plan.txt --json c.svg": "a picture's name",
     "train quick --run-dir run": "holds a run already",
+    "train quick --out plan.txt/run": "plan.txt is a file: name a folder",
+    "train-agent --out plan.txt": "that is a file",
+    "train quick --seed -1": "seed -1: give 0 or more",
+    "sweep plan.txt --agents 5 --out a.json": "ends in .csv",
+    "resume run": "manifest.json",
     "repair plan.txt --keep ragged.txt": "ragged.txt",
 }
 

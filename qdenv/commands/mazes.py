@@ -45,6 +45,8 @@ def train_agent(
     """
     if report_every < 1:
         raise InputError(f"--report-every {report_every}: give 1 or more")
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: that is a file: name a folder")
     if not resume and (out / "checkpoint.npz").exists():
         raise InputError(f"{out}: holds a run already; `qdenv resume {out}` continues it")
     if resume and not (out / "checkpoint.npz").exists():

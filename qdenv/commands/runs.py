@@ -32,8 +32,8 @@ def resume(run_dir: RunFolder, evaluations: int | None = None, progress: bool = 
     """
     if is_agent_run(run_dir):
         return resume_agent(run_dir)
-    RunDirectory.open(run_dir)
-    from qdenv.training import loop  # imports both compilers: who is refused need not wait
+    _ = RunDirectory.open(run_dir).config  # read now: who is refused need not wait
+    from qdenv.training import loop  # imports both compilers
 
     report(loop.resume(run_dir, progress=progress, evaluations=evaluations))
 

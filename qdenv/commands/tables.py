@@ -70,7 +70,7 @@ def prepare(
     counts, seeds = parse_counts(agents), parse_seeds(options.seeds)
     config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
     per_hour = words.steps_per_hour(options)
-    table = output.place(*out, inputs=paths)
+    table = output.place(*out, (".csv",), paths)
     picture = words.place_picture(plot or words.AUTO, f"{table.path.stem}.png", paths)
     if out[0] is not None and plot in (None, words.AUTO):
         picture = table.beside(".png")

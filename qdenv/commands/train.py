@@ -65,6 +65,9 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
         config = choose_keep(config, setup.keep)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     path = setup.out or Path("runs") / f"{preset}-{stamp}"
+    files = [place for place in (path, *path.parents) if place.exists() and not place.is_dir()]
+    if files:
+        raise InputError(f"{path}: {files[0]} is a file: name a folder")
     if (path / "config.json").exists():
         raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
     if followed:

@@ -21,6 +21,8 @@ def check_feasible(config: RunConfig) -> None:
     if not (1 <= settings.rows <= MAX_SIDE and 1 <= settings.cols <= MAX_SIDE):
         size = f"{settings.rows} x {settings.cols}"
         raise InputError(f"a layout of {size}: choose 1 to {MAX_SIDE} rows and columns")
+    if config.seed < 0:  # an older qdenv took them, so a run may have one
+        raise InputError(f"seed {config.seed}: give 0 or more")
     domain = make_domain(settings)
     for name, number in domain.numbers.items():
         if number < 0:
