@@ -146,7 +146,8 @@ def with_values(arguments: list[str]) -> list[str]:
 
 
 def _names_picture(word: str) -> bool:
-    return word == AUTO or Path(word).suffix.lower() in (".png", ".svg", ".pdf")
+    endings = (".png", ".svg", ".pdf", ".gif", ".jpg", ".jpeg", ".webp", ".tif", ".bmp")
+    return word == AUTO or Path(word).suffix.lower() in endings  # some are refused, with a reason
 
 
 def _parse(commands: dict[str, Callable], arguments: list[str]) -> Callable[[], Any]:
@@ -223,4 +224,11 @@ def main() -> None:
     # Read when jax is imported, which is later. By itself jax keeps what took a second.
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
-    sys.exit(run(sys.argv[1:]))
+    try:
+        code = run(sys.argv[1:])
+    except SystemExit as stop:  # help was printed
+        code = stop.code if isinstance(stop.code, int) else 0
+    with contextlib.suppress(BrokenPipeError):
+        sys.stdout.flush()
+    # All is written. What follows would take its time, and answer Ctrl-C by dying of it.
+    os._exit(code)

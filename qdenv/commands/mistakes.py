@@ -41,6 +41,12 @@ def _reworded(said: str, hints: str) -> str:
         return f"unknown {what} {word}" + (f": did you mean {close[1]}?" if close else "")
     if match := re.match(r"Error parsing (\S+): invalid literal for int.*: ('.*')", said):
         return f"{match[1]} {match[2]} is no whole number"
+    if match := re.match(r"Error parsing (\S+): no type matching (\S+) .* from \['(.*?)'", said):
+        kinds = match[2].replace("{None}|", "").lower().replace("int", "whole number")
+        return f"{match[1]} {match[3]!r} is no {kinds.replace('float', 'number')}"
+    if match := re.match(r"Error parsing (\S+): Could not find valid parse .*: \[(.*)\]", said):
+        words = match[2].replace("'", "").replace(",", "")
+        return f"{match[1]} {words} has not the form that help shows"
     if match := re.match(r"Error parsing (\S+): could not convert string to float: ('.*')", said):
         return f"{match[1]} {match[2]} is no number"
     if match := re.match(

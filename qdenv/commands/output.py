@@ -64,14 +64,13 @@ def place(
     if out is None:
         return Place(_free(Path(default)), False)
     ending = out.suffix.lower()
-    wants_picture = set(endings) & {*PICTURES, *MOVING_PICTURES}
-    if ending in PICTURES + MOVING_PICTURES and not wants_picture:
+    if endings and ending not in endings:
+        raise InputError(f"{out}: give a name that ends in {' or '.join(endings)}")
+    if not endings and ending in PICTURES + MOVING_PICTURES:
         better = out.with_suffix(Path(default).suffix)
         raise InputError(
             f"{out}: that is a picture's name: name the data {better}, pictures are drawn beside it"
         )
-    if endings and ending not in endings:
-        raise InputError(f"{out}: give a name that ends in {' or '.join(endings)}")
     if out.is_dir():
         raise InputError(f"{out}: that is a folder: name a file in it, like {out / default}")
     if any(out.exists() and one.exists() and out.samefile(one) for one in inputs):

@@ -32,7 +32,12 @@ def resume(run_dir: RunFolder, evaluations: int | None = None, progress: bool = 
     """
     if is_agent_run(run_dir):
         return resume_agent(run_dir)
-    _ = RunDirectory.open(run_dir).config  # read now: who is refused need not wait
+    config = RunDirectory.open(run_dir).config
+    if evaluations is not None and evaluations < config.evaluations:
+        raise InputError(
+            f"{run_dir}: {config.evaluations} evaluations are asked for already: ask for more, or "
+            "leave --evaluations out"
+        )
     from qdenv.training import loop  # imports both compilers
 
     report(loop.resume(run_dir, progress=progress, evaluations=evaluations))
@@ -142,6 +147,11 @@ def generate(
             _draw_frames(run, grown, growth.frames, target.beside(".png", "_frames").path)
         chosen = config.seed if seed is None else seed
         repaired = repair_grown(grown, config.evaluation.repair, chosen, bar) if repair else None
+    if config.evaluation.domain.keep and not grown.domain.config.keep:
+        print(
+            "WARNING: what the run kept is drawn for {} x {}, so nothing is kept at this size: "
+            "--keep FILE draws what shall be".format(*trained.shape)
+        )
     layout = grown.layout if repaired is None else np.asarray(repaired.layout)
     details: dict[str, Any] = {"domain": grown.domain.name, "elite": found.cell}
     details["steps"] = grown.steps

@@ -76,6 +76,9 @@ def layout_tile(
     from qdenv.study import sizes  # here: takes long to import, and who is refused need not wait
 
     plan = read_plan(layout, domain)
+    if rows < plan.layout.shape[0] or cols < plan.layout.shape[1]:
+        size = "{} x {}".format(*plan.layout.shape)
+        raise InputError(f"{rows} x {cols} is smaller than the layout it repeats, {size}")
     found, config = plan.domain, RepairConfig(polish=polish)
     endings = endings_for(found.tiles, found.meanings)
     place = output.place(out, f"{layout.stem}_tiled.json", endings, [layout])

@@ -33,6 +33,8 @@ def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
         numbers = []
     if not numbers or min(numbers) < 0 or max(numbers) > LARGEST_SEED:
         raise InputError(f"seeds {text!r}: write 10 for ten seeds, 3,5,9 for these, 7, for one")
+    if len(set(numbers)) < len(numbers):
+        raise InputError(f"seeds {text!r} names a seed twice, which tells nothing new")
     if "," in text:
         return tuple(numbers)
     if not 1 <= numbers[0] <= MOST_SEEDS:
