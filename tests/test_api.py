@@ -9,6 +9,7 @@ from importlib import metadata
 import numpy as np
 import pytest
 import toy
+from small_warehouse import ROWS, TILES
 
 import qdenv
 from qdenv.api.runs import overridden
@@ -21,17 +22,8 @@ from qdenv.training import loop
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
-TILES = ".@ew"
 PLAN = parse(
-    [
-        "...........",
-        "w..@e.e@..w",
-        "...@e.e@...",
-        "...........",
-        "w..e@.@e..w",
-        "...........",
-        "...........",
-    ],
+    ROWS,
     TILES,
 )
 FLEET = {"agents": 4, "timesteps": 40, "seeds": 2, "planner": "pibt"}

@@ -9,23 +9,14 @@ import sys
 
 import numpy as np
 import pytest
+from small_warehouse import ROWS as GOOD
+from small_warehouse import TILES
 
 from qdenv import cli
 from qdenv.cli import run
 from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.grid import parse
 from qdenv.presets import PRESETS
-
-TILES = ".@ew"
-GOOD = [
-    "...........",
-    "w..@e.e@..w",
-    "...@e.e@...",
-    "...........",
-    "w..e@.@e..w",
-    "...........",
-    "...........",
-]
 
 
 def write(path, rows=GOOD):

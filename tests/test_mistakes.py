@@ -3,18 +3,9 @@
 from pathlib import Path
 
 import pytest
+from small_warehouse import ROWS as PLAN
 
 from qdenv.cli import run
-
-PLAN = [
-    "...........",
-    "w..@e.e@..w",
-    "...@e.e@...",
-    "...........",
-    "w..e@.@e..w",
-    "...........",
-    "...........",
-]
 
 # Command line -> what its one line must say.
 MISTAKES = {
@@ -79,6 +70,7 @@ MISTAKES = {
     "train quick --kernel-sizes 2": "odd",
     "train quick --seed 9999999999": "seed",
     "train-agent --steps 0": "1 step",
+    "train-agent --resume --out agent --steps 50": "more steps are asked for already",
     "evaluate-agent maze.txt --horizon -5": "--timesteps -5",
     "evaluate-agent plan.txt": "the agent walks in mazes",
     # Results that would destroy something.
@@ -112,6 +104,9 @@ def folder(tmp_path_factory):
     (folder / "maze.txt").write_text("XXXXX\nX   X\nX X X\nX   X\nXXXXX\n")
     rows = ", ".join(f'"{row}"' for row in PLAN)
     (folder / "uneven.json").write_text(f'{{"domain": "warehouse-uneven", "layout": [{rows}]}}')
+    (folder / "agent").mkdir()
+    (folder / "agent/config.json").write_text('{"steps": 100}')
+    (folder / "agent/checkpoint.npz").touch()
     (folder / "run").mkdir()
     (folder / "run/config.json").write_text("{}")
     return folder

@@ -51,6 +51,8 @@ def train_agent(
         raise InputError(f"{out}: holds a run already; `qdenv resume {out}` continues it")
     if resume and not (out / "checkpoint.npz").exists():
         raise InputError(f"{out}: no run to resume (checkpoint.npz is missing)")
+    if resume and config.steps < read_config(out).steps:
+        raise InputError(f"{out}: more steps are asked for already: ask for more, or as many")
     from qdenv.agent.train import train_agent as train  # imports jax and optax
 
     if resume:
@@ -78,16 +80,20 @@ def is_agent_run(path: Path) -> bool:
 
 
 def resume_agent(path: Path) -> None:
-    """Go on with an agent's training as it was configured.
+    """Go on with an agent's training as it was configured."""
+    train_agent(read_config(path), path, resume=True)
+
+
+def read_config(path: Path) -> TrainConfig:
+    """Read how the training in a folder was configured.
 
     Raises:
         InputError: its configuration cannot be read.
     """
     try:
-        config = cattrs.structure(json.loads((path / "config.json").read_text()), TrainConfig)
+        return cattrs.structure(json.loads((path / "config.json").read_text()), TrainConfig)
     except (OSError, ValueError, cattrs.BaseValidationError, KeyError) as error:
         raise InputError(f"{path}/config.json: cannot be read ({error})") from error
-    train_agent(config, path, resume=True)
 
 
 def convert_agent(checkpoint: tyro.conf.Positional[Path], out: Path | None = None) -> None:
