@@ -33,13 +33,17 @@ ALLOWED = {
     "domains": BASE | STAGES | PLUGS,
     "settings": STAGES | {"types", "domains.base"},
     "pipeline": BASE | STAGES | {"domains.base", "devices", "settings"},
-    "search": {"types", "lazy", "files", "checkpoints", "registry"},
+    "surrogate": {"types"},
+    "search": {"types", "lazy", "files", "checkpoints", "registry", "surrogate"},
     "presets": BASE | STAGES | {"domains", "search", "settings", "training.config"},
     "training": BASE
     | STAGES
     | PLUGS
     | {"checkpoints", "search", "pipeline", "settings", "domains", "formats", "plots.inline"},
-    "study": BASE | STAGES | PLUGS | {"domains", "pipeline", "settings", "formats", "training"},
+    "study": BASE
+    | STAGES
+    | PLUGS
+    | {"domains", "pipeline", "settings", "formats", "surrogate", "training"},
     "api": BASE | STAGES | PLUGS | {"domains", "formats", "plots", "presets", "study", "training"},
     "plots": BASE
     | {"training.records", "study.table", "study.jams", "study.differences", "domains.base"},
@@ -55,6 +59,7 @@ ALLOWED = {
         "search",
         "settings",
         "study",
+        "surrogate",
         "training",
     },
     "bench": BASE
@@ -62,7 +67,7 @@ ALLOWED = {
     | PLUGS
     | {"commands.waiting"}
     | {"agent", "domains", "formats", "pipeline", "plots", "presets", "search"}
-    | {"settings", "study", "training"},
+    | {"settings", "study", "surrogate", "training"},
     "cli": {"commands", "types", "interrupt"},
     "__main__": {"cli", "interrupt"},
     "__init__": set(),  # names the public homes and imports each when it is asked for

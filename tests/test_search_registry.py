@@ -11,7 +11,7 @@ from search_harness import DIM, GRID, compiled, iterate
 from qdenv.registry import Entry, Registry
 from qdenv.search import registry
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm
+from qdenv.search.base import Algorithm, Problem
 from qdenv.search.cma_mae import cma_mae
 from qdenv.search.insertion import Insertion
 from qdenv.search.registry import ALGORITHMS, make_algorithm
@@ -36,12 +36,14 @@ def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
     class RingConfig:
         radius: float = 0.5
 
-    def ring(config, solution_dim, measures, extras=None):
+    def ring(config, problem):
         def init(key):
-            return GridArchive.empty(jnp.zeros(solution_dim), measures, extras)
+            return GridArchive.empty(
+                jnp.zeros(problem.solution_dim), problem.measures, problem.extras
+            )
 
         def ask(archive):
-            angle = jnp.linspace(0, 6, 4)[:, None] + jnp.arange(solution_dim)[None]
+            angle = jnp.linspace(0, 6, 4)[:, None] + jnp.arange(problem.solution_dim)[None]
             return config.radius * jnp.sin(angle), archive
 
         def tell(archive, solutions, score, extras):
@@ -61,7 +63,7 @@ def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
 
 def test_a_users_strategy_plugs_in_by_name(monkeypatch):
     monkeypatch.setitem(STRATEGIES, "mine", lambda dim, batch, s: STRATEGIES["iso"](dim, batch, 1))
-    algorithm = make_algorithm(CmaMaeConfig(strategy="mine"), DIM, GRID)
+    algorithm = make_algorithm(CmaMaeConfig(strategy="mine"), Problem(DIM, GRID))
     solutions, _ = algorithm.ask(algorithm.init(jax.random.key(0)))
     assert 0.9 < float(solutions.std()) < 1.1
 
@@ -83,13 +85,13 @@ def test_a_users_strategy_plugs_in_by_name(monkeypatch):
 )
 def test_bad_settings_give_one_clear_line(change, message):
     with pytest.raises(InputError, match=message):
-        make_algorithm(dataclasses.replace(CmaMaeConfig(), **change), DIM, GRID)
+        make_algorithm(dataclasses.replace(CmaMaeConfig(), **change), Problem(DIM, GRID))
 
 
 def test_an_unregistered_config_and_a_wrong_start_give_one_clear_line():
     with pytest.raises(InputError, match="choose from cma-mae"):
-        make_algorithm(Insertion(0, 0), DIM, GRID)
+        make_algorithm(Insertion(0, 0), Problem(DIM, GRID))
     with pytest.raises(InputError, match="unknown algorithm 'cmamae': did you mean cma-mae"):
         ALGORITHMS.entry("cmamae")
     with pytest.raises(InputError, match="x0"):
-        cma_mae(CmaMaeConfig(), DIM, GRID, x0=np.zeros(3))
+        cma_mae(CmaMaeConfig(), Problem(DIM, GRID), x0=np.zeros(3))
