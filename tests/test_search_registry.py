@@ -73,12 +73,14 @@ def test_a_users_strategy_plugs_in_by_name(monkeypatch):
         ({"sigma0": float("nan")}, "sigma0"),
         ({"ranker": "best"}, "unknown ranker 'best': choose one of imp"),
         ({"selection": "all"}, "unknown selection"),
-        ({"strategy": "LM_MA_ES"}, "unknown strategy"),
+        ({"strategy": "newton"}, "unknown strategy"),
+        ({"strategy": "LM_MA_ES"}, "LM_MA_ES is not offered: .* use lm_ma"),
         ({"restart": 0}, "restart"),
         ({"restart": "sometimes"}, "restart"),
         ({"learning_rate": 2.0}, "learning rate"),
         ({"strategy": "lm_ma", "batch": 99}, "batch of at most 12"),
         ({"strategy": "Open_ES", "batch": 5}, "even batch"),
+        ({"strategy": "PGPE", "batch": 5}, "even batch"),
     ],
 )
 def test_bad_settings_give_one_clear_line(change, message):
