@@ -70,9 +70,9 @@ PRESETS: dict[str, RunConfig] = {
 }
 
 # What the paper compares CMA-MAE with (Tables 4 and 5). MAP-Elites as the authors' public
-# configuration files have it, although the text describes the plain one: in warehouses and factories
-# its parents come from the soft archive of CMA-MAE, in mazes from an elitist one. How they ran CMA-ES
-# is not published: it has its defaults.
+# configuration files have it, although the text describes the plain one: in warehouses and
+# factories its parents come from the soft archive of CMA-MAE, in mazes from an elitist one. How
+# they ran CMA-ES is not published: it has its defaults.
 _SOFT = MapElitesConfig(learning_rate=0.01, threshold_min=0.0)
 _COMPARED: dict[str, dict[str, Any]] = {
     "warehouse-even": {"map-elites": _SOFT, "cma-es": CmaEsConfig()},
