@@ -76,9 +76,9 @@ def test_which_nca_prints_the_final_metrics_of_each_automaton(preset, tmp_path, 
 
 
 def test_algorithms_averages_seeds_draws_and_goes_on(preset, tmp_path, capsys):
-    compare, names = load("algorithms"), ("cma-me", "random")
-    compare.main(preset, 1, 50, names, tmp_path)
-    compare.main(preset, 2, 100, names, tmp_path)  # goes on with the first seed, begins a second
+    compare, names = load("algorithms"), ("map-elites", "random")
+    compare.main(preset, 1, 50, ("random",), tmp_path)
+    compare.main(preset, 2, 100, names, tmp_path)  # goes on with one run, begins three
     said = capsys.readouterr().out
     runs = {
         name: [RunDirectory.open(tmp_path / f"small-{name}-{seed}") for seed in (0, 1)]

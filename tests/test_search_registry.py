@@ -1,6 +1,7 @@
 """Algorithms and strategies by name, a user's own among them; settings that are impossible."""
 
 import dataclasses
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from qdenv.search.base import Algorithm
 from qdenv.search.cma_mae import cma_mae
 from qdenv.search.insertion import Insertion
 from qdenv.search.registry import ALGORITHMS, make_algorithm
-from qdenv.search.settings import CmaMaeConfig, CmaMeConfig
+from qdenv.search.settings import UNSOUND, CmaMaeConfig, CmaMeConfig, Strategy
 from qdenv.search.strategies.registry import STRATEGIES
 from qdenv.types import InputError
 
@@ -57,6 +58,13 @@ def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
     assert algorithms.name_of(RingConfig(radius=0.7)) == "ring"
     state = iterate(search, search.init(jax.random.key(0)))
     assert int(search.algorithm.archive(state).filled.sum()) == 4
+
+
+def test_the_command_line_knows_every_strategy_and_none_that_is_unsound():
+    assert set(get_args(Strategy)) == set(STRATEGIES)
+    for name, reason in UNSOUND.items():
+        assert name not in STRATEGIES
+        assert set(reason.partition("; use ")[2].split(" or ")) <= set(STRATEGIES)
 
 
 def test_a_users_strategy_plugs_in_by_name(monkeypatch):
