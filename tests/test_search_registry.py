@@ -1,6 +1,7 @@
 """Algorithms and strategies by name, a user's own among them; settings that are impossible."""
 
 import dataclasses
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from qdenv.search.base import Algorithm, Problem
 from qdenv.search.cma_mae import cma_mae
 from qdenv.search.insertion import Insertion
 from qdenv.search.registry import ALGORITHMS, make_algorithm
-from qdenv.search.settings import CmaMaeConfig, CmaMeConfig
+from qdenv.search.settings import UNSOUND, CmaMaeConfig, CmaMeConfig, Strategy
 from qdenv.search.strategies.registry import STRATEGIES
 from qdenv.types import InputError
 
@@ -61,6 +62,13 @@ def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
     assert int(search.algorithm.archive(state).filled.sum()) == 4
 
 
+def test_the_command_line_knows_every_strategy_and_none_that_is_unsound():
+    assert set(get_args(Strategy)) == set(STRATEGIES)
+    for name, reason in UNSOUND.items():
+        assert name not in STRATEGIES
+        assert set(reason.partition("; use ")[2].split(" or ")) <= set(STRATEGIES)
+
+
 def test_a_users_strategy_plugs_in_by_name(monkeypatch):
     monkeypatch.setitem(STRATEGIES, "mine", lambda dim, batch, s: STRATEGIES["iso"](dim, batch, 1))
     algorithm = make_algorithm(CmaMaeConfig(strategy="mine"), Problem(DIM, GRID))
@@ -75,12 +83,14 @@ def test_a_users_strategy_plugs_in_by_name(monkeypatch):
         ({"sigma0": float("nan")}, "sigma0"),
         ({"ranker": "best"}, "unknown ranker 'best': choose one of imp"),
         ({"selection": "all"}, "unknown selection"),
-        ({"strategy": "LM_MA_ES"}, "unknown strategy"),
+        ({"strategy": "newton"}, "unknown strategy"),
+        ({"strategy": "LM_MA_ES"}, "LM_MA_ES is not offered: .* use lm_ma"),
         ({"restart": 0}, "restart"),
         ({"restart": "sometimes"}, "restart"),
         ({"learning_rate": 2.0}, "learning rate"),
         ({"strategy": "lm_ma", "batch": 99}, "batch of at most 12"),
         ({"strategy": "Open_ES", "batch": 5}, "even batch"),
+        ({"strategy": "PGPE", "batch": 5}, "even batch"),
     ],
 )
 def test_bad_settings_give_one_clear_line(change, message):
