@@ -53,7 +53,7 @@ class Fitted(NamedTuple):
         learners: its networks, by the names of `STAGES` that there are.
         centre: float32 [heads], what is subtracted from objective and measures.
         spread: float32 [heads], what they are divided by after that.
-        fits: int32, how often it was fitted.
+        fits: int32, how often it was fitted to samples.
     """
 
     learners: dict[str, Learner]
@@ -135,7 +135,7 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
                 config.epochs,
                 jax.random.fold_in(key, number),
             )
-        return Fitted(learners, centre, spread, fitted.fits + 1), losses
+        return Fitted(learners, centre, spread, fitted.fits + (ring.known > 0)), losses
 
     def predict(fitted: Fitted, drawn: jax.Array) -> Prediction:
         seen = _inputs(networks, fitted.learners, aspect, config, drawn)
