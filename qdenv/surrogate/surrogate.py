@@ -68,7 +68,7 @@ class Prediction(NamedTuple):
     Attributes:
         score: `Score` with leading axis B; a success where every number is finite.
         repaired: int8 [B, H, W].
-        usage: float32 [B, H, W]; zeros where no usage is learnt.
+        usage: float32 [B, H, W], in units of an even share; zeros where no usage is learnt.
     """
 
     score: Score
