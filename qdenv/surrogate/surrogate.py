@@ -81,6 +81,8 @@ class Surrogate(NamedTuple):
 
     Attributes:
         init: key -> `Fitted` that knows nothing; consumes the key.
+        teach: (name of `STAGES`, fitted, ring, key) -> (that network, mean loss of its last epoch);
+            consumes the key.
         fit: (fitted, ring, key) -> (fitted, mean losses of each network's last epoch by the names
             of `STAGES`); consumes the key.
         predict: (fitted, drawn layouts int8 [B, H, W]) -> `Prediction`.
@@ -88,6 +90,7 @@ class Surrogate(NamedTuple):
     """
 
     init: Callable[[jax.Array], Fitted]
+    teach: Callable[[str, Fitted, Ring, jax.Array], tuple[Learner, jax.Array]]
     fit: Callable[[Fitted, Ring, jax.Array], tuple[Fitted, dict[str, jax.Array]]]
     predict: Callable[[Fitted, jax.Array], Prediction]
     heads: int
@@ -122,20 +125,27 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
             learners[name] = make_learner(variables, optimiser)
         return Fitted(learners, jnp.zeros(heads), jnp.ones(heads), jnp.int32(0))
 
+    def teach(name: str, fitted: Fitted, ring: Ring, key: jax.Array) -> tuple[Learner, jax.Array]:
+        scale, learners = (fitted.centre, fitted.spread), dict(fitted.learners)
+        return learn(
+            _loss(name, networks, learners, aspect, config, scale),
+            learners[name],
+            optimiser,
+            ring,
+            config.minibatch,
+            config.epochs,
+            key,
+        )
+
     def fit(fitted: Fitted, ring: Ring, key: jax.Array) -> tuple[Fitted, dict[str, jax.Array]]:
-        centre, spread = _scale(ring) if config.standardise else (fitted.centre, fitted.spread)
-        learners, losses = dict(fitted.learners), {}
+        if config.standardise:
+            centre, spread = _scale(ring)
+            fitted = fitted._replace(centre=centre, spread=spread)
+        losses = {}
         for number, name in enumerate(stages):
-            learners[name], losses[name] = learn(
-                _loss(name, networks, dict(learners), aspect, config, (centre, spread)),
-                learners[name],
-                optimiser,
-                ring,
-                config.minibatch,
-                config.epochs,
-                jax.random.fold_in(key, number),
-            )
-        return Fitted(learners, centre, spread, fitted.fits + (ring.known > 0)), losses
+            learner, losses[name] = teach(name, fitted, ring, jax.random.fold_in(key, number))
+            fitted = fitted._replace(learners=fitted.learners | {name: learner})
+        return fitted._replace(fits=fitted.fits + (ring.known > 0)), losses
 
     def predict(fitted: Fitted, drawn: jax.Array) -> Prediction:
         seen = _inputs(networks, fitted.learners, aspect, config, drawn)
@@ -147,7 +157,7 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
         usage = seen["score"][..., aspect.kinds] if aspect.usage else jnp.zeros(drawn.shape)
         return Prediction(score, repaired, usage)
 
-    return Surrogate(init, fit, predict, heads)
+    return Surrogate(init, teach, fit, predict, heads)
 
 
 def _inputs(
