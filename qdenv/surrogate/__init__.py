@@ -4,6 +4,7 @@
     convolution    a convolution whose gradients are fast inside compiled loops
     networks       maps from maps, numbers from maps
     samples        true evaluations, the newest kept
+    losses         what they make small
     training       one network after the other, each by Adam
     surrogate      `Surrogate`: init, fit, predict
 
