@@ -10,7 +10,7 @@ from search_harness import QUICK
 from qdenv.surrogate.report import errors
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Aspect, make_surrogate, stages_of
+from qdenv.surrogate.surrogate import STAGES, Aspect, make_surrogate, stages_of
 from qdenv.surrogate.training import learn, make_learner
 from qdenv.types import InputError
 
@@ -147,3 +147,14 @@ def test_a_sample_is_seen_as_often_as_any_other_by_the_last_minibatch_too():
     for epoch in (np.concatenate(seen[:3]), np.concatenate(seen[3:])):
         assert sorted(epoch[:7]) == list(range(7))
         np.testing.assert_array_equal(epoch[7:], epoch[:2])  # filled up with its first
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_no_network_learns_by_scatters(name):
+    # XLA would take seconds to fold one of a map's size, and say so on the screen.
+    surrogate = make_surrogate(SurrogateConfig(samples=8), Aspect((4, 4), KINDS, 2))
+    arguments = jax.eval_shape(
+        lambda key: (surrogate.init(key), Ring.empty(8, (4, 4), 4), key), jax.random.key(0)
+    )
+    steps = str(jax.make_jaxpr(lambda *given: surrogate.teach(name, *given))(*arguments))
+    assert "gather" in steps and "scatter" not in steps

@@ -7,8 +7,8 @@ import optax
 
 def map_loss(logits: jax.Array, tiles: jax.Array) -> jax.Array:
     """Average the cross entropy of tiles int8 [B, H, W] under logits [B, H, W, K]."""
-    labels = tiles.astype(jnp.int32)
-    return optax.softmax_cross_entropy_with_integer_labels(logits, labels).mean()
+    # The gradient of looking a label up is a scatter: XLA takes seconds to compile it, and says so.
+    return optax.softmax_cross_entropy(logits, jax.nn.one_hot(tiles, logits.shape[-1])).mean()
 
 
 def usage_loss(predicted: jax.Array, usage: jax.Array, kind: str) -> jax.Array:
