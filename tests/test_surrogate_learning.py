@@ -1,5 +1,7 @@
 """The surrogate learns a rule that is known, whatever a domain has, and nothing of nothing."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -121,6 +123,22 @@ def test_a_surrogate_of_a_few_cells_does_without_what_a_domain_lacks(shape, repa
         np.testing.assert_array_equal(prediction.repaired, samples.drawn)
     if not usage:  # numbers in their own units
         np.testing.assert_array_equal(fitted.spread, 1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "word"),
+    [
+        ({"channels": 0}, "channels"),
+        ({"minibatch": 0}, "minibatch"),
+        ({"blocks": -1}, "blocks"),
+        ({"rate": math.nan}, "rate"),
+        ({"weights": (1, -1, 1, 1)}, "weights"),
+        ({"weights": (1, math.nan, 1, 1)}, "weights"),
+    ],
+)
+def test_settings_that_learn_nothing_are_refused(settings, word):
+    with pytest.raises(InputError, match=word):
+        SurrogateConfig(**settings)
 
 
 def test_weights_for_another_number_of_heads_are_refused():

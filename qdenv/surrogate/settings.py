@@ -45,6 +45,8 @@ class SurrogateConfig:
             raise InputError(f"blocks must be 0 or more, not {self.blocks}")
         if not 0 < self.rate < math.inf:
             raise InputError(f"rate must be a positive number, not {self.rate}")
+        if not all(0 <= weight < math.inf for weight in self.weights):
+            raise InputError(f"weights must be 0 or more, not {self.weights}")
 
 
 # The published size, for GPUs; `python -m qdenv.bench surrogate` says what each takes.

@@ -167,6 +167,8 @@ def _take_in(
 ) -> DsageState:
     """Put a batch into the archive and the ring, after a look at what was thought of it."""
     samples, success = _samples(outer.drawing, solutions, score, extras), jnp.asarray(score.success)
+    # The archive takes a layout whose usage nobody could count; a network would never recover.
+    sound = success & jnp.isfinite(samples.usage).all(axis=(1, 2))
     prediction = outer.surrogate.predict(state.fitted, samples.drawn)
     rows = state.store.free_rows(outer.config.batch)
     told = score.result_objective, score.measures, extras, success
@@ -174,8 +176,8 @@ def _take_in(
     store = state.store.keep(rows, solutions, result.cells_of(score.measures), result)
     return state._replace(
         waiting=state.waiting - outer.config.batch,
-        ring=state.ring.add(samples, success),
-        report=report_errors(state.report, prediction, samples, success),
+        ring=state.ring.add(samples, sound),
+        report=report_errors(state.report, prediction, samples, sound),
         result=result,
         store=store,
     )
