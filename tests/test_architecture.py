@@ -33,13 +33,17 @@ ALLOWED = {
     "domains": BASE | STAGES | PLUGS,
     "settings": STAGES | {"types", "domains.base"},
     "pipeline": BASE | STAGES | {"domains.base", "devices", "settings"},
+    "surrogate": {"types"},
     "search": {"types", "lazy", "files", "checkpoints", "registry"},
     "presets": BASE | STAGES | {"domains", "search", "settings", "training.config"},
     "training": BASE
     | STAGES
     | PLUGS
     | {"checkpoints", "search", "pipeline", "settings", "domains", "formats", "plots.inline"},
-    "study": BASE | STAGES | PLUGS | {"domains", "pipeline", "settings", "formats", "training"},
+    "study": BASE
+    | STAGES
+    | PLUGS
+    | {"domains", "pipeline", "settings", "formats", "surrogate", "training"},
     "api": BASE | STAGES | PLUGS | {"domains", "formats", "plots", "presets", "study", "training"},
     "plots": BASE
     | {"training.records", "study.table", "study.jams", "study.differences", "domains.base"},
@@ -55,6 +59,7 @@ ALLOWED = {
         "search",
         "settings",
         "study",
+        "surrogate",
         "training",
     },
     "bench": BASE
