@@ -17,6 +17,7 @@ import numpy as np
 import tyro
 
 from qdenv.plots.archive import save_heatmap
+from qdenv.search.base import Problem
 from qdenv.search.export import save_csv
 from qdenv.search.registry import ALGORITHMS, make_algorithm
 from qdenv.types import Measure, Score
@@ -44,7 +45,7 @@ def main(
         out: files ``OUT.csv`` and ``OUT.png`` are written.
     """
     config = ALGORITHMS.config(algorithm)
-    search = make_algorithm(config, LINKS, MEASURES, extras={"tip": np.zeros(2, np.float32)})
+    search = make_algorithm(config, Problem(LINKS, MEASURES, {"tip": np.zeros(2, np.float32)}))
     ask, tell = jax.jit(search.ask), jax.jit(search.tell, donate_argnums=0)
     state = search.init(jax.random.key(seed))
     for _ in range(iterations):

@@ -34,6 +34,7 @@ import numpy as np
 import tyro
 
 from qdenv.plots.archive import save_heatmap
+from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.types import Array, Measure, Score
 
@@ -60,7 +61,7 @@ def search_sphere(config: CmaMaeConfig, dim: int, iterations: int) -> Any:
     """Make the function key -> archive that runs a whole search as one compiled loop."""
     reach = BOUND * dim / 2
     measures = [Measure(name, -reach, reach, 100) for name in ("first half", "second half")]
-    algorithm = cma_mae(config, dim, measures)
+    algorithm = cma_mae(config, Problem(dim, measures))
 
     def step(state: Any, _: None) -> tuple[Any, None]:
         solutions, state = algorithm.ask(state)

@@ -89,6 +89,7 @@ _HOMES = {
     # An algorithm.
     "ALGORITHMS": ("qdenv.search.registry", "ALGORITHMS"),
     "Algorithm": ("qdenv.search.base", "Algorithm"),
+    "Problem": ("qdenv.search.base", "Problem"),
     "GridArchive": ("qdenv.search.archive", "GridArchive"),
     "Score": ("qdenv.types", "Score"),
 }

@@ -31,6 +31,7 @@ class Pipeline(NamedTuple):
     Attributes:
         domain: what is generated, repaired and simulated.
         solution_size: parameters P of one solution.
+        choices: where each parameter names a tile, how many there are; 0 for real numbers.
         grow: float32 [B, P] -> unrepaired layouts int8 [B, H, W].
         pool: repairs layouts on the host; None where the domain repairs nothing.
         repair_seed: the layout's own content and this number decide its repair.
@@ -40,6 +41,7 @@ class Pipeline(NamedTuple):
 
     domain: Domain
     solution_size: int
+    choices: int
     grow: Callable[[jax.Array], jax.Array]
     pool: RepairPool | None
     repair_seed: int
@@ -81,7 +83,9 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
 
         return jax.vmap(one)(unrepaired, repaired, status, runs)
 
-    return Pipeline(domain, generator.size, grow, pool, repair_seed, simulate, score)
+    return Pipeline(
+        domain, generator.size, generator.choices, grow, pool, repair_seed, simulate, score
+    )
 
 
 def in_lanes(function: Callable, items: Any, lanes: int) -> Any:

@@ -7,19 +7,41 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from qdenv.search.base import Algorithm
+from qdenv.search.base import Algorithm, Drawing, Problem
 from qdenv.search.cma_mae import CmaMaeConfig
+from qdenv.search.dsage.settings import DsageConfig
 from qdenv.search.registry import ALGORITHMS, make_algorithm
+from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import Measure, Score
 
 DIM = 12
 GRID = (Measure("x", -1, 1, 8), Measure("y", -1, 1, 9))
 QUICK = {"xla_backend_optimization_level": 0}  # these searches compile longer than they run
 EXTRAS = {"layout": np.zeros((2, 3), np.int8), "runs": np.zeros(4, np.float32)}
-CONFIGS = {name: ALGORITHMS.config(name) for name in ALGORITHMS.names()} | {
-    f"cma-mae with {name}": CmaMaeConfig(emitters=2, batch=6, strategy=name)
-    for name in ("full", "lm_ma", "SNES")
-}
+# What algorithms that look at solutions see: 3 x 4 tiles of three kinds.
+TILES = Drawing(
+    draw=lambda solutions: solutions.astype(np.int8).reshape(-1, 3, 4),
+    shape=(3, 4),
+    kinds=3,
+    choices=3,
+    repairs=True,
+    usage=True,
+)
+PROBLEM = Problem(DIM, GRID, EXTRAS, TILES)
+TINY = SurrogateConfig(channels=4, blocks=1, epochs=1, minibatch=8, samples=64)
+SMALL_DSAGE = DsageConfig(
+    batch=8, initial=16, inner_iterations=4, inner_batch=8, downsample=(4, 3), surrogate=TINY
+)
+CONFIGS = (
+    {name: ALGORITHMS.config(name) for name in ALGORITHMS.names()}
+    | {
+        "dsage": SMALL_DSAGE,
+    }
+    | {
+        f"cma-mae with {name}": CmaMaeConfig(emitters=2, batch=6, strategy=name)
+        for name in ("full", "lm_ma", "SNES")
+    }
+)
 
 
 class Compiled(NamedTuple):
@@ -34,7 +56,7 @@ class Compiled(NamedTuple):
 
 @functools.cache
 def compiled(config):
-    algorithm, traced = make_algorithm(config, DIM, GRID, EXTRAS), []
+    algorithm, traced = make_algorithm(config, PROBLEM), []
 
     def jit(name, donate=()):
         def call(*args):
@@ -55,7 +77,10 @@ def score_of(solutions, success=None, numbers=np):
 
 def extras_of(solutions, numbers=np):
     layouts = (numbers.abs(solutions[:, :6]) * 10).astype(np.int8).reshape(-1, 2, 3)
-    return {"layout": layouts, "runs": solutions[:, :4]}
+    tiles = numbers.abs(solutions).astype(np.int8).reshape(-1, 3, 4) % 3
+    usage = (tiles + 1) / (tiles + 1).sum(axis=(1, 2), keepdims=True)
+    told = {"repaired": tiles, "usage": usage.astype(np.float32)}
+    return {"layout": layouts, "runs": solutions[:, :4], **told}
 
 
 def iterate(search, state, change=lambda score: score):

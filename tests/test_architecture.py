@@ -34,7 +34,7 @@ ALLOWED = {
     "settings": STAGES | {"types", "domains.base"},
     "pipeline": BASE | STAGES | {"domains.base", "devices", "settings"},
     "surrogate": {"types"},
-    "search": {"types", "lazy", "files", "checkpoints", "registry"},
+    "search": {"types", "lazy", "files", "checkpoints", "registry", "surrogate"},
     "presets": BASE | STAGES | {"domains", "search", "settings", "training.config"},
     "training": BASE
     | STAGES
@@ -67,7 +67,7 @@ ALLOWED = {
     | PLUGS
     | {"commands.waiting"}
     | {"agent", "domains", "formats", "pipeline", "plots", "presets", "search"}
-    | {"settings", "study", "training"},
+    | {"settings", "study", "surrogate", "training"},
     "cli": {"commands", "types", "interrupt"},
     "__main__": {"cli", "interrupt"},
     "__init__": set(),  # names the public homes and imports each when it is asked for

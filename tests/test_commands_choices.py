@@ -1,15 +1,18 @@
 """What a command line chooses by name: domain, planner, algorithm, and a domain's own numbers."""
 
 import inspect
-from dataclasses import fields
+import re
+from dataclasses import fields, is_dataclass
 
 import pytest
 
+from qdenv.cli import run
 from qdenv.commands import choices, layouts, simulate, sizes
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig
 from qdenv.presets import PRESETS
 from qdenv.search.map_elites import MapElitesConfig
+from qdenv.search.registry import ALGORITHMS
 from qdenv.simulate.mapf.negotiated.settings import HIGH
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.training import choosing
@@ -50,6 +53,23 @@ def test_planners_are_chosen_by_effort_or_name_where_a_fleet_drives():
 
 def test_an_algorithm_comes_with_its_own_defaults():
     assert choosing.choose_algorithm(QUICK, "map-elites").algorithm == MapElitesConfig()
+
+
+@pytest.mark.parametrize("name", ALGORITHMS.names())
+def test_help_lists_the_settings_of_the_algorithm_that_is_named_and_no_others(name, capsys):
+    with pytest.raises(SystemExit):
+        run(["train", "quick", "--algorithm", name, "--help"])
+    options = set(re.findall(r"--([a-z][\w-]*)", capsys.readouterr().out))
+
+    def settings(algorithm):
+        config = ALGORITHMS.config(algorithm)
+        plain = (one.name for one in fields(config) if not is_dataclass(getattr(config, one.name)))
+        return {one.replace("_", "-") for one in plain}
+
+    own, others = settings(name), set().union(*map(settings, ALGORITHMS.names()))
+    assert own and own <= options
+    shared = {"seed", "evaluations", "archive"}
+    assert not (others - own - shared) & options
 
 
 @pytest.mark.parametrize(

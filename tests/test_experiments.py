@@ -13,6 +13,7 @@ from matplotlib.image import imread
 from qdenv.cli import run as qdenv
 from qdenv.presets import PRESETS
 from qdenv.training.records import RunDirectory
+from qdenv.types import InputError
 
 FOLDER = Path(__file__).parents[1] / "experiments"
 SMALL = (
@@ -49,7 +50,7 @@ def preset(small_run, monkeypatch) -> str:
 
 
 def test_every_experiment_is_tested_here():
-    tested = {"warehouse", "which_nca", "sizes", "sphere", "own_objective"}
+    tested = {"warehouse", "which_nca", "algorithms", "sizes", "sphere", "own_objective"}
     assert {path.stem for path in FOLDER.glob("*.py")} == tested
 
 
@@ -72,6 +73,49 @@ def test_which_nca_prints_the_final_metrics_of_each_automaton(preset, tmp_path, 
         means = numbers(row.replace("(nan)", "")[9:])
         expected = [last.qd_score, last.coverage, last.best_objective]
         np.testing.assert_allclose(means, expected, atol=6e-4)
+
+
+def test_algorithms_averages_seeds_draws_and_goes_on(preset, tmp_path, capsys):
+    compare, names = load("algorithms"), ("map-elites", "random")
+    compare.main(preset, 1, 50, ("random",), tmp_path)
+    compare.main(preset, 2, 100, names, tmp_path)  # goes on with one run, begins three
+    said = capsys.readouterr().out
+    runs = {
+        name: [RunDirectory.open(tmp_path / f"small-{name}-{seed}") for seed in (0, 1)]
+        for name in names
+    }
+    rows = list(csv.DictReader((tmp_path / "algorithms.csv").read_text().splitlines()))
+    assert [(row["algorithm"], row["seeds"], row["evaluations"]) for row in rows] == [
+        (name, "2", "100") for name in names
+    ]
+    for row in rows:
+        one, other = (run.read_metrics()[-1] for run in runs[row["algorithm"]])
+        for metric in ("qd_score", "coverage", "best_objective"):
+            pair = np.array([getattr(one, metric), getattr(other, metric)])
+            assert float(row[metric]) == pytest.approx(pair.mean(), rel=1e-5)
+            # The 97.5 % point of Student's t with one degree of freedom is 12.706.
+            margin = 12.7062 * pair.std(ddof=1) / np.sqrt(2)
+            assert float(row[f"{metric}_margin"]) == pytest.approx(margin, rel=1e-4, abs=1e-6)
+        elites = [run.load_archive()["measures"][:, 1] for run in runs[row["algorithm"]]]
+        lowest = np.mean([values.min() for values in elites])
+        assert float(row["lowest_entropy"]) == pytest.approx(lowest, rel=1e-5)
+        assert f"{row['algorithm']:11}  {float(row['qd_score']):.1f} +- " in said
+    assert "20366, 0.33" not in said and "4 of 4: " in said
+    assert imread(tmp_path / "algorithms.png").shape[:2] == (540, 1500)
+    before = [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*/*"))]
+    compare.main(preset, 2, 100, names, tmp_path)  # everything is done: runs are only read
+    assert [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*/*"))] == before
+    with pytest.raises(InputError, match="more than that"):
+        compare.main(preset, 2, 50, names, tmp_path)
+    with pytest.raises(InputError, match="other settings"):
+        compare.main("quick", 2, 100, names, rename(tmp_path))
+
+
+def rename(folder: Path) -> Path:
+    """Let the runs of one preset look like those of another."""
+    for path in folder.glob("small-*"):
+        path.rename(folder / path.name.replace("small", "quick"))
+    return folder
 
 
 def test_sizes_writes_a_layout_of_each_kind_and_size_and_every_row(small_run, tmp_path, capsys):

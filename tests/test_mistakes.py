@@ -29,6 +29,12 @@ MISTAKES = {
     "train quick --domain moon": "unknown domain 'moon'",
     "train quick --algorithm ga": "unknown algorithm 'ga'",
     "train quick --strategy newton": "--strategy newton: choose one of iso",
+    "train quick --strategy LM_MA_ES": "its matrix update ignores the ranking; use lm_ma",
+    "train quick --strategy=MA_ES": "its rank-mu update ignores the ranking; use full",
+    "train quick --algorithm cma-es --strategy Sep_CMA_ES": "its diagonal hardly moves; use sep",
+    "train quick --algorithm cma-es --strategy xNES": "element by element; use SNES or full",
+    "train quick --algorithm cma-es --strategy Rm_ES": "ranks carry none; use lm_ma",
+    "train quick --algorithm cma-es --strategy GuidedES": "it needs gradients",
     "repair plan.txt --polish best": "choose one of none, quick, full",
     # Files that are not what they should be.
     "simulate nowhere.txt": "cannot be read",

@@ -11,6 +11,7 @@ from qdax.core.map_elites import MAPElites
 from qdax.utils.metrics import default_qd_metrics
 
 from qdenv.search.archive import GridArchive
+from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.qdax_emitter import CmaMaeEmitter
 from qdenv.types import Measure, Score
@@ -74,7 +75,7 @@ def test_the_driver_runs_cma_mae_and_reaches_what_our_own_loop_reaches():
     check_elites(repertoire)
     assert (state.learning.thresholds >= 0).all() and state.learning.filled.sum() > 0
 
-    algorithm = cma_mae(config, DIM, GRID)
+    algorithm = cma_mae(config, Problem(DIM, GRID))
 
     def step(carry, _):
         solutions, carry = algorithm.ask(carry)

@@ -1,6 +1,7 @@
 """Algorithms and strategies by name, a user's own among them; settings that are impossible."""
 
 import dataclasses
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -11,11 +12,11 @@ from search_harness import DIM, GRID, compiled, iterate
 from qdenv.registry import Entry, Registry
 from qdenv.search import registry
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm
+from qdenv.search.base import Algorithm, Problem
 from qdenv.search.cma_mae import cma_mae
 from qdenv.search.insertion import Insertion
 from qdenv.search.registry import ALGORITHMS, make_algorithm
-from qdenv.search.settings import CmaMaeConfig, CmaMeConfig
+from qdenv.search.settings import UNSOUND, CmaMaeConfig, CmaMeConfig, Strategy
 from qdenv.search.strategies.registry import STRATEGIES
 from qdenv.types import InputError
 
@@ -36,12 +37,14 @@ def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
     class RingConfig:
         radius: float = 0.5
 
-    def ring(config, solution_dim, measures, extras=None):
+    def ring(config, problem):
         def init(key):
-            return GridArchive.empty(jnp.zeros(solution_dim), measures, extras)
+            return GridArchive.empty(
+                jnp.zeros(problem.solution_dim), problem.measures, problem.extras
+            )
 
         def ask(archive):
-            angle = jnp.linspace(0, 6, 4)[:, None] + jnp.arange(solution_dim)[None]
+            angle = jnp.linspace(0, 6, 4)[:, None] + jnp.arange(problem.solution_dim)[None]
             return config.radius * jnp.sin(angle), archive
 
         def tell(archive, solutions, score, extras):
@@ -59,9 +62,16 @@ def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
     assert int(search.algorithm.archive(state).filled.sum()) == 4
 
 
+def test_the_command_line_knows_every_strategy_and_none_that_is_unsound():
+    assert set(get_args(Strategy)) == set(STRATEGIES)
+    for name, reason in UNSOUND.items():
+        assert name not in STRATEGIES
+        assert set(reason.partition("; use ")[2].split(" or ")) <= set(STRATEGIES)
+
+
 def test_a_users_strategy_plugs_in_by_name(monkeypatch):
     monkeypatch.setitem(STRATEGIES, "mine", lambda dim, batch, s: STRATEGIES["iso"](dim, batch, 1))
-    algorithm = make_algorithm(CmaMaeConfig(strategy="mine"), DIM, GRID)
+    algorithm = make_algorithm(CmaMaeConfig(strategy="mine"), Problem(DIM, GRID))
     solutions, _ = algorithm.ask(algorithm.init(jax.random.key(0)))
     assert 0.9 < float(solutions.std()) < 1.1
 
@@ -73,23 +83,25 @@ def test_a_users_strategy_plugs_in_by_name(monkeypatch):
         ({"sigma0": float("nan")}, "sigma0"),
         ({"ranker": "best"}, "unknown ranker 'best': choose one of imp"),
         ({"selection": "all"}, "unknown selection"),
-        ({"strategy": "LM_MA_ES"}, "unknown strategy"),
+        ({"strategy": "newton"}, "unknown strategy"),
+        ({"strategy": "LM_MA_ES"}, "LM_MA_ES is not offered: .* use lm_ma"),
         ({"restart": 0}, "restart"),
         ({"restart": "sometimes"}, "restart"),
         ({"learning_rate": 2.0}, "learning rate"),
         ({"strategy": "lm_ma", "batch": 99}, "batch of at most 12"),
         ({"strategy": "Open_ES", "batch": 5}, "even batch"),
+        ({"strategy": "PGPE", "batch": 5}, "even batch"),
     ],
 )
 def test_bad_settings_give_one_clear_line(change, message):
     with pytest.raises(InputError, match=message):
-        make_algorithm(dataclasses.replace(CmaMaeConfig(), **change), DIM, GRID)
+        make_algorithm(dataclasses.replace(CmaMaeConfig(), **change), Problem(DIM, GRID))
 
 
 def test_an_unregistered_config_and_a_wrong_start_give_one_clear_line():
     with pytest.raises(InputError, match="choose from cma-mae"):
-        make_algorithm(Insertion(0, 0), DIM, GRID)
+        make_algorithm(Insertion(0, 0), Problem(DIM, GRID))
     with pytest.raises(InputError, match="unknown algorithm 'cmamae': did you mean cma-mae"):
         ALGORITHMS.entry("cmamae")
     with pytest.raises(InputError, match="x0"):
-        cma_mae(CmaMaeConfig(), DIM, GRID, x0=np.zeros(3))
+        cma_mae(CmaMaeConfig(), Problem(DIM, GRID), x0=np.zeros(3))

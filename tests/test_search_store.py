@@ -4,10 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from search_harness import CONFIGS, DIM, EXTRAS, GRID, extras_of, score_of
+from search_harness import CONFIGS, EXTRAS, GRID, PROBLEM, extras_of, score_of
 
 from qdenv.search import growth
 from qdenv.search.archive import GridArchive
+from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.export import collector, elites
 from qdenv.search.map_elites import MapElitesConfig
@@ -60,7 +61,7 @@ def test_archives_of_rows_hold_what_archives_of_solutions_hold():
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
     monkeypatch.setattr(growth, "FIRST_ROWS", 1)
-    algorithm = make_algorithm(SEARCHES[name], DIM, GRID, EXTRAS)
+    algorithm = make_algorithm(SEARCHES[name], PROBLEM)
     found_by = growth.growing(algorithm)
     ask, tell = jax.jit(algorithm.ask), jax.jit(algorithm.tell)
     small, full = search(found_by, 5), search(algorithm._replace(ask=ask, tell=tell), 5)
@@ -81,7 +82,7 @@ def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
 
 def test_a_store_grows_to_its_full_size_and_no_further(monkeypatch):
     monkeypatch.setattr(growth, "FIRST_ROWS", 1)
-    algorithm = growth.growing(make_algorithm(CmaMaeConfig(), DIM, GRID, EXTRAS))
+    algorithm = growth.growing(make_algorithm(CmaMaeConfig(), PROBLEM))
     state, sizes = algorithm.init(jax.random.key(0)), set()
     rng = np.random.default_rng(1)
     for number in range(12):
@@ -98,7 +99,7 @@ def test_a_store_grows_to_its_full_size_and_no_further(monkeypatch):
 
 def test_nothing_ever_holds_a_solution_for_every_cell():
     size = 4096
-    algorithm = make_algorithm(CmaMaeConfig(), size, GRID, EXTRAS)
+    algorithm = make_algorithm(CmaMaeConfig(), Problem(size, GRID, EXTRAS))
     dense = 4 * size * 8 * 9
     key = jax.random.key(0)
     running = growth.growing(algorithm)

@@ -9,7 +9,7 @@ import pytest
 from search_harness import QUICK
 
 from qdenv.search.strategies.evosax import EVOSAX_NAMES
-from qdenv.search.strategies.full import full
+from qdenv.search.strategies.full import full, refresh_gap
 from qdenv.search.strategies.rates import full_rates, rates_table
 from qdenv.search.strategies.registry import STRATEGIES
 
@@ -95,3 +95,16 @@ def test_the_table_of_rates_has_the_textbook_numbers_and_an_idle_first_row():
         table.rank_mu[5], 2 * (mu_eff - 2 + 1 / mu_eff) / (102**2 + mu_eff), rtol=1e-6
     )
     assert [float(table[field][0]) for field in (2, 4, 5, 6)] == [0, 0, 0, 0]
+
+
+@pytest.mark.parametrize(("emitters", "batch"), [(5, 10), (1, 50)])
+def test_the_paper_budget_ends_before_a_full_matrix_would_be_refreshed(emitters, batch):
+    # pyribs' rule at the 11,011 parameters of the warehouse's automaton, by hand: half the
+    # batch over n (c_1 + c_mu) evaluations of one emitter.
+    weights = np.log(batch // 2 + 0.5) - np.log(np.arange(1, batch // 2 + 1))
+    mu_eff = weights.sum() ** 2 / np.square(weights).sum()
+    rank_one = 2 / (11_012.3**2 + mu_eff)
+    rank_mu = 2 * (mu_eff - 2 + 1 / mu_eff) / (11_013**2 + mu_eff)
+    gap = 0.5 * batch / (11_011 * (rank_one + rank_mu))
+    assert refresh_gap(11_011, batch) == pytest.approx(gap)
+    assert refresh_gap(11_011, batch) > 10_000 / emitters

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from qdenv.study.differences import Sample, difference, sample_of
+from qdenv.study.differences import Sample, difference, margin, sample_of
 from qdenv.study.table import Row, differences
 
 NAN = float("nan")
@@ -42,6 +42,13 @@ def test_an_interval_holds_the_true_ratio_in_95_of_100_studies():
         found = difference(sample_of(ours), sample_of(theirs))
         held += found.low <= 10.0 <= found.high
     assert 0.935 < held / 2000 < 0.965
+
+
+def test_the_margin_of_a_mean_is_scipys_t_interval():
+    values = np.array([5.5, 6.0, 6.2, 5.9, 7.1])
+    low, high = stats.t.interval(0.95, 4, values.mean(), stats.sem(values))
+    assert margin(sample_of(values)) == pytest.approx((high - low) / 2)
+    assert np.isnan(margin(sample_of(values[:1])))
 
 
 def test_there_is_no_interval_where_nothing_can_be_said():

@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from search_harness import DIM, EXTRAS, GRID, extras_of, score_of
+from search_harness import DIM, EXTRAS, GRID, PROBLEM, extras_of, score_of
 
 from qdenv.checkpoints import PIECE
+from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.export import elites
 from qdenv.search.growth import growing
@@ -69,7 +70,7 @@ def test_writing_copies_pieces_and_never_a_whole_array(tmp_path):
 
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_search_of_schema_1_goes_on_as_it_did_then(name):
-    search = growing(make_algorithm(SEARCHES[name], DIM, GRID, EXTRAS))
+    search = growing(make_algorithm(SEARCHES[name], PROBLEM))
     saved = RECORDED / f"schema1_{name}.npz"
     state, manifest = load_checkpoint(saved, search.init(jax.random.key(0)))
     assert manifest["iteration"] == 4
@@ -83,7 +84,7 @@ def test_a_search_of_schema_1_goes_on_as_it_did_then(name):
 
 @pytest.mark.parametrize("name", SEARCHES)
 def test_schema_1_holds_the_same_solutions_bit_for_bit(name):
-    search = growing(make_algorithm(SEARCHES[name], DIM, GRID, EXTRAS))
+    search = growing(make_algorithm(SEARCHES[name], PROBLEM))
     state = load_checkpoint(RECORDED / f"schema1_{name}.npz", search.init(jax.random.key(0)))[0]
     dense = np.asarray(search.archive(state).genotypes)
     with np.load(RECORDED / f"schema1_{name}.npz") as file:
@@ -97,7 +98,7 @@ def test_schema_1_holds_the_same_solutions_bit_for_bit(name):
 
 
 def test_a_checkpoint_of_another_search_is_refused_in_one_line(tmp_path):
-    make = lambda config, dim, grid: growing(make_algorithm(config, dim, grid, EXTRAS))  # noqa: E731
+    make = lambda config, dim, grid: growing(make_algorithm(config, Problem(dim, grid, EXTRAS)))  # noqa: E731
     search = make(SEARCHES["cma_mae"], DIM, GRID)
     save_checkpoint(tmp_path / "c.npz", go_on(search, search.init(jax.random.key(0)), 1), {})
     coarse = (Measure("x", -1, 1, 4), GRID[1])

@@ -14,6 +14,7 @@ import tyro
 
 from qdenv.files import write_json
 from qdenv.search.archive import GridArchive
+from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.settings import Strategy
 from qdenv.types import Measure, Score
@@ -105,7 +106,7 @@ def stopwatch(work: Callable[[], Any], times: int) -> dict[str, float]:
 def time_ours(case: Case, iterations: int) -> dict[str, float]:
     """Time ask and tell as two jitted calls per iteration, the state donated to both."""
     config = CmaMaeConfig(case.emitters, case.batch, strategy=case.strategy)
-    algorithm = cma_mae(config, case.dim, GRID)
+    algorithm = cma_mae(config, Problem(case.dim, GRID))
     ask = jax.jit(algorithm.ask, donate_argnums=0)
     tell = jax.jit(algorithm.tell, donate_argnums=0)
 

@@ -28,13 +28,23 @@ FEWEST_ROWS = 5
 
 def describe_cost(preset: str, config: RunConfig) -> str:
     """Say how long a preset takes here, like "about 8 min"; "" where nothing is known."""
-    measured = _read().get(preset)
-    known = CPU_SECONDS.get(preset.removesuffix("-a1").removesuffix("-a0"))
+    base = _base_of(preset)
+    measured = _read().get(preset) or _read().get(base)
+    known = CPU_SECONDS.get(base)
     seconds = measured or (known / (os.cpu_count() or 1) if known else None)
     if seconds is None:
         return ""
     how = "as measured here" if measured else "an estimate"
     return f"about {in_words(seconds * config.evaluations)} ({how})"
+
+
+def _base_of(preset: str) -> str:
+    """Find the preset whose evaluations cost as much, by its name; "" where there is none.
+
+    Rows that differ in alpha or in the algorithm alone are called like ``warehouse-even-cma-es``.
+    """
+    bases = [name for name in CPU_SECONDS if f"{preset}-".startswith(f"{name}-")]
+    return max(bases, key=len, default="")
 
 
 def in_words(seconds: float) -> str:

@@ -9,7 +9,7 @@ from qdenv.presets import PRESETS
 from qdenv.search.registry import ALGORITHMS
 from qdenv.training.config import RunConfig
 
-HEAD = ("preset", "domain", "size", "agents", "steps", "evaluations", "takes")
+HEAD = ("preset", "domain", "algorithm", "size", "agents", "steps", "evaluations", "takes")
 
 
 def presets(json_file: JsonFile = None) -> None:

@@ -16,6 +16,7 @@ from qdenv.commands.keeping import choose_keep
 from qdenv.domains.base import DOMAINS
 from qdenv.presets import PRESETS, find_preset
 from qdenv.search.registry import ALGORITHMS
+from qdenv.search.settings import check_strategy
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.training.choosing import choose_algorithm, choose_domain, choose_planner
 from qdenv.training.config import RunConfig
@@ -105,6 +106,7 @@ def bind(command: Callable, arguments: Sequence[str]) -> Callable:
     effort, rest = take(rest, "--effort")
     planner, rest = take(rest, "--planner")
     config = choose_planner(config, effort, planner)
+    check_strategy(take(rest, "--strategy")[0] or "")  # the parser would not say why
     given = frozenset(
         word.partition("=")[0].lstrip("-").replace("-", "_") for word in rest if word[:2] == "--"
     )

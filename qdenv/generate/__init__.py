@@ -1,1 +1,1 @@
-"""The generator: a neural cellular automaton that draws tiles."""
+"""The generators: a neural cellular automaton that draws tiles, or the tiles themselves."""

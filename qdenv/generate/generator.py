@@ -36,14 +36,21 @@ class Generator(NamedTuple):
         steps: steps of growth at the size it was configured for; 0 where nothing grows.
         grow: (solutions float32 [B, P], steps) -> tiles int8 [B, h, w]; traceable. Generators
             that do not grow ignore the number of steps.
+        choices: where each parameter names a tile, how many there are; 0 for real numbers.
     """
 
     size: int
     steps: int
     grow: Callable[[jax.Array, jax.Array | int], jax.Array]
+    choices: int = 0
 
 
 # An entry's maker is called as make(settings, canvas) and returns a `Generator`.
 GENERATORS = Registry(
-    "generator", "qdenv.generators", {"nca": "qdenv.generate.settings:NCA_GENERATOR"}
+    "generator",
+    "qdenv.generators",
+    {
+        "nca": "qdenv.generate.settings:NCA_GENERATOR",
+        "direct": "qdenv.generate.settings:DIRECT_GENERATOR",
+    },
 )

@@ -40,4 +40,10 @@ class NcaConfig:
         check_kernels(self.kernel_sizes)
 
 
+@dataclass(frozen=True)
+class DirectConfig:
+    """The numbers of the generator that draws nothing: a solution is the tiles themselves."""
+
+
+DIRECT_GENERATOR = Entry(DirectConfig, "qdenv.generate.direct:direct")
 NCA_GENERATOR = Entry(NcaConfig, "qdenv.generate.nca:nca")

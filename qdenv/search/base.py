@@ -1,6 +1,6 @@
 """The one face of all search algorithms: `init / ask / tell` on a single pytree of state."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import chex
@@ -9,7 +9,43 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.search.archive import GridArchive
-from qdenv.types import Array, InputError, Score
+from qdenv.types import Array, InputError, Measure, Score
+
+
+class Drawing(NamedTuple):
+    """What solutions look like, for algorithms that look at them.
+
+    Attributes:
+        draw: float [B, P] -> int8 [B, H, W], traceable.
+        shape: rows H and columns W.
+        kinds: kinds of tile K.
+        choices: how many tiles each parameter may name; 0 where parameters are real numbers.
+        repairs: what is drawn is changed before it is scored; `tell` is handed "repaired".
+        usage: `tell` is handed "usage", the share of agent-steps on each cell.
+    """
+
+    draw: Callable[[Array], jax.Array]
+    shape: tuple[int, int]
+    kinds: int
+    choices: int = 0
+    repairs: bool = False
+    usage: bool = False
+
+
+class Problem(NamedTuple):
+    """What an algorithm knows of what it searches.
+
+    Attributes:
+        solution_dim: P, the parameters of a solution.
+        measures: axes of the archives.
+        extras: one example of what the result archive stores beside each elite.
+        drawing: what solutions look like; None where they are nothing but numbers.
+    """
+
+    solution_dim: int
+    measures: Sequence[Measure]
+    extras: Mapping[str, Any] | None = None
+    drawing: Drawing | None = None
 
 
 class Algorithm(NamedTuple):
@@ -19,10 +55,13 @@ class Algorithm(NamedTuple):
         init: key -> state. The state is one pytree of arrays with the random key inside; its
             shapes never change.
         ask: state -> (solutions float [B, P], state).
-        tell: (state, solutions, `Score` with a leading axis B, extras: dict of arrays [B, ...])
-            -> state. Rows whose score is no success enter no archive and change nobody's rank.
+        tell: (state, solutions, `Score` with a leading axis B, extras: dict of arrays [B, ...],
+            those of the problem and others) -> state. Rows whose score is no success enter no
+            archive and change nobody's rank.
         archive: state -> the result archive.
         batch_size: B, the number of solutions of every ask.
+        notes: state -> numbers by name that a run logs after each iteration; NaN where there is
+            nothing to say yet. The names never change.
     """
 
     init: Callable[[jax.Array], Any]
@@ -30,6 +69,7 @@ class Algorithm(NamedTuple):
     tell: Callable[[Any, Array, Score, Mapping[str, Array]], Any]
     archive: Callable[[Any], GridArchive]
     batch_size: int
+    notes: Callable[[Any], Mapping[str, jax.Array]] = lambda state: {}
 
 
 def received(solutions: Array, score: Score) -> tuple[jax.Array, Score]:

@@ -3,29 +3,22 @@
 Hansen 2016, "The CMA evolution strategy: a tutorial", https://arxiv.org/abs/1604.00772.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
-from qdenv.search.base import Algorithm
+from qdenv.search.base import Algorithm, Problem
 from qdenv.search.cma_mae import cma_mae
 from qdenv.search.settings import CmaEsConfig, CmaMaeConfig
-from qdenv.types import Array, Measure
+from qdenv.types import Array
 
 
 def cma_es(
     config: CmaEsConfig,
-    solution_dim: int,
-    measures: Sequence[Measure],
-    extras: Mapping[str, Any] | None = None,
+    problem: Problem,
     x0: Array | None = None,
 ) -> Algorithm:
     """Make CMA-ES: emitters that rank by the objective and recombine the better half.
 
     Args:
         config: the settings.
-        solution_dim: P.
-        measures: axes of the archive, which steers nothing here.
-        extras: one example of what the archive stores beside each elite.
+        problem: what is searched; the measures steer nothing here.
         x0: where all strategies start, float [P]; zeros where None.
 
     Raises:
@@ -42,4 +35,4 @@ def cma_es(
         restart=config.restart,
         strategy=config.strategy,
     )
-    return cma_mae(settings, solution_dim, measures, extras, x0)
+    return cma_mae(settings, problem, x0)

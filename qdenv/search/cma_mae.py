@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm, plain_key, received, start_solution
+from qdenv.search.base import Algorithm, Problem, plain_key, received, start_solution
 from qdenv.search.emitters import (
     RANKERS,
     SELECTIONS,
@@ -65,9 +65,7 @@ def new_learning_archive(
 
 def cma_mae(
     config: CmaMaeConfig,
-    solution_dim: int,
-    measures: Sequence[Measure],
-    extras: Mapping[str, Any] | None = None,
+    problem: Problem,
     x0: Array | None = None,
 ) -> Algorithm:
     """Make CMA-MAE (Fontaine and Nikolaidis 2023), as pyribs' scheduler runs it.
@@ -77,22 +75,20 @@ def cma_mae(
 
     Args:
         config: the settings.
-        solution_dim: P.
-        measures: axes of the archives.
-        extras: one example of what the result archive stores beside each elite.
+        problem: what is searched.
         x0: where all emitters start, float [P]; zeros where None.
 
     Raises:
         InputError: a setting is out of range or unknown.
     """
-    start = start_solution(x0, solution_dim)
+    start = start_solution(x0, problem.solution_dim)
     team = make_team(config, start)
     batch_size = config.emitters * config.batch
 
     def init(key: jax.Array) -> CmaMaeState:
         key, team_key = jax.random.split(plain_key(key))
-        learning = new_learning_archive(config, ROW, measures)
-        result = GridArchive.empty(ROW, measures, extras)
+        learning = new_learning_archive(config, ROW, problem.measures)
+        result = GridArchive.empty(ROW, problem.measures, problem.extras)
         store = Store.empty(start, batch_size, learning, result)
         return CmaMaeState(key, team.init(team_key), learning, result, store)
 

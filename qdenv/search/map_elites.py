@@ -5,18 +5,18 @@ https://arxiv.org/abs/1504.04909; Vassiliades and Mouret 2018, "Discovering the 
 by leveraging interspecies correlation", https://arxiv.org/abs/1804.03906.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import jax
 from qdax.core.emitters.mutation_operators import isoline_variation
 
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm, plain_key, received, start_solution
+from qdenv.search.base import Algorithm, Problem, plain_key, received, start_solution
 from qdenv.search.settings import MapElitesConfig
 from qdenv.search.store import ROW, Store, StoredElites
 from qdenv.search.threshold_archive import ThresholdArchive
-from qdenv.types import Array, Measure, Score
+from qdenv.types import Array, Score
 
 
 class MapElitesState(NamedTuple):
@@ -30,9 +30,7 @@ class MapElitesState(NamedTuple):
 
 def map_elites(
     config: MapElitesConfig,
-    solution_dim: int,
-    measures: Sequence[Measure],
-    extras: Mapping[str, Any] | None = None,
+    problem: Problem,
     x0: Array | None = None,
 ) -> Algorithm:
     """Make MAP-Elites (Mouret and Clune 2015) with Iso+LineDD (Vassiliades and Mouret 2018).
@@ -42,21 +40,19 @@ def map_elites(
 
     Args:
         config: the settings.
-        solution_dim: P.
-        measures: axes of the archives.
-        extras: one example of what the result archive stores beside each elite.
+        problem: what is searched.
         x0: the parent while there is none, float [P]; zeros where None.
 
     Raises:
         InputError: a setting is out of range.
     """
-    start = start_solution(x0, solution_dim)
+    start = start_solution(x0, problem.solution_dim)
     batch_size = config.emitters * config.batch
     soft = config.learning_rate, config.threshold_min
 
     def init(key: jax.Array) -> MapElitesState:
-        parents = ThresholdArchive.empty(ROW, measures, None, *soft)
-        result = GridArchive.empty(ROW, measures, extras)
+        parents = ThresholdArchive.empty(ROW, problem.measures, None, *soft)
+        result = GridArchive.empty(ROW, problem.measures, problem.extras)
         store = Store.empty(start, batch_size, parents, result)
         return MapElitesState(plain_key(key), parents, result, store)
 

@@ -1,15 +1,15 @@
 """Random search: independent Gaussian solutions, the archive kept passively."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import jax
 
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm, plain_key, received, start_solution
+from qdenv.search.base import Algorithm, Problem, plain_key, received, start_solution
 from qdenv.search.settings import RandomSearchConfig
 from qdenv.search.store import ROW, Store, StoredElites
-from qdenv.types import Array, Measure, Score
+from qdenv.types import Array, Score
 
 
 class RandomSearchState(NamedTuple):
@@ -22,32 +22,28 @@ class RandomSearchState(NamedTuple):
 
 def random_search(
     config: RandomSearchConfig,
-    solution_dim: int,
-    measures: Sequence[Measure],
-    extras: Mapping[str, Any] | None = None,
+    problem: Problem,
     x0: Array | None = None,
 ) -> Algorithm:
     """Make random search: every solution is drawn from N(x0, sigma^2 I).
 
     Args:
         config: the settings.
-        solution_dim: P.
-        measures: axes of the archives.
-        extras: one example of what the result archive stores beside each elite.
+        problem: what is searched.
         x0: the centre, float [P]; zeros where None.
 
     Raises:
         InputError: a setting is out of range.
     """
-    start = start_solution(x0, solution_dim)
+    start = start_solution(x0, problem.solution_dim)
 
     def init(key: jax.Array) -> RandomSearchState:
-        result = GridArchive.empty(ROW, measures, extras)
+        result = GridArchive.empty(ROW, problem.measures, problem.extras)
         return RandomSearchState(plain_key(key), result, Store.empty(start, config.batch, result))
 
     def ask(state: RandomSearchState) -> tuple[jax.Array, RandomSearchState]:
         key, noise_key = jax.random.split(state.key)
-        noise = jax.random.normal(noise_key, (config.batch, solution_dim), start.dtype)
+        noise = jax.random.normal(noise_key, (config.batch, problem.solution_dim), start.dtype)
         return start[None] + config.sigma * noise, state._replace(key=key)
 
     def tell(

@@ -9,9 +9,39 @@ from qdenv.types import InputError
 
 # Names of `strategies.registry.STRATEGIES`, which a user may add to, of `emitters.RANKERS` and of
 # `emitters.SELECTIONS`: said here again so that a command line knows them without jax.
-Strategy = Literal["iso", "sep", "full", "lm_ma", "CMA_ES", "CR_FM_NES", "Open_ES", "SNES"]
+Strategy = Literal[
+    "iso", "sep", "full", "lm_ma",
+    "CMA_ES", "CR_FM_NES", "DiscoveredES", "Open_ES", "PGPE", "SimpleES", "SNES",
+]  # fmt: skip
 Ranker = Literal["imp", "2imp", "obj", "2obj"]
 Selection = Literal["mu", "filter"]
+
+# Strategies of evosax that would run and mislead (read and measured with evosax 0.3.2).
+_REMEMBERS = "it compares fitness across generations, ranks carry none"
+UNSOUND = {
+    "ASEBO": "it multiplies matrices of all parameters; use Open_ES",
+    "GradientlessDescent": f"{_REMEMBERS}; use iso",
+    "GuidedES": "it needs gradients, a simulation has none; use Open_ES",
+    "HillClimbing": f"{_REMEMBERS}; use iso",
+    "iAMaLGaM_Full": f"{_REMEMBERS}; use full",
+    "iAMaLGaM_Univariate": f"{_REMEMBERS}; use sep",
+    "LM_MA_ES": "its matrix update ignores the ranking; use lm_ma",
+    "MA_ES": "its rank-mu update ignores the ranking; use full",
+    "Rm_ES": f"{_REMEMBERS}; use lm_ma",
+    "Sep_CMA_ES": "it keeps the rates of the full matrix, so its diagonal hardly moves; use sep",
+    "SimulatedAnnealing": f"{_REMEMBERS}; use iso",
+    "xNES": "it exponentiates its matrix element by element; use SNES or full",
+}
+
+
+def check_strategy(name: str) -> None:
+    """Refuse strategies of evosax that are known to be unsound; others may be a user's own.
+
+    Raises:
+        InputError: it is one; the line says why, and what to take.
+    """
+    if name in UNSOUND:
+        raise InputError(f"the evosax strategy {name} is not offered: {UNSOUND[name]}")
 
 
 def positive(**values: float) -> None:
@@ -71,6 +101,7 @@ class CmaMaeConfig:
         """Refuse numbers that make no search."""
         positive(emitters=self.emitters, batch=self.batch, sigma0=self.sigma0)
         check_rates(self.learning_rate, self.threshold_min)
+        check_strategy(self.strategy)
 
 
 @dataclass(frozen=True)
@@ -134,6 +165,7 @@ class CmaEsConfig:
     def __post_init__(self) -> None:
         """Refuse numbers that make no search."""
         positive(emitters=self.emitters, batch=self.batch, sigma0=self.sigma0)
+        check_strategy(self.strategy)
 
 
 @dataclass(frozen=True)

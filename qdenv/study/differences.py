@@ -44,6 +44,13 @@ def sample_of(values: np.ndarray) -> Sample:
     return Sample(float(values.mean()), float(error), len(values))
 
 
+def margin(sample: Sample) -> float:
+    """Bound a mean by Student's t: half the width of its 95 % interval, NaN for one run."""
+    from scipy.special import stdtrit  # here: who only reads about a command need not wait for it
+
+    return float(stdtrit(sample.runs - 1, SURE)) * sample.error if sample.runs > 1 else np.nan
+
+
 def difference(ours: Sample, theirs: Sample) -> Difference:
     """Bound the ratio of two means of independent runs.
 

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from qdenv.interrupt import advise
 from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.search.axes import check_measures
-from qdenv.search.base import Algorithm
+from qdenv.search.base import Algorithm, Drawing, Problem
 from qdenv.search.growth import growing, is_whole
 from qdenv.search.registry import make_algorithm
 from qdenv.training.config import RunConfig
@@ -59,7 +60,17 @@ def make_experiment(config: RunConfig) -> Experiment:
     one = jax.ShapeDtypeStruct((1, pipeline.solution_size), np.float32)
     shapes = jax.eval_shape(lambda p, k: evaluate(pipeline, p, k), one, evaluation_key)
     extras = {name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in kept(shapes).items()}
-    algorithm = make_algorithm(config.algorithm, pipeline.solution_size, measures, extras)
+    domain = pipeline.domain
+    drawing = Drawing(
+        lambda solutions: pipeline.grow(jnp.asarray(solutions)),
+        domain.shape,
+        len(domain.tiles),
+        pipeline.choices,
+        repairs=domain.rules is not None,
+        usage="usage" in jax.eval_shape(seen, shapes),
+    )
+    problem = Problem(pipeline.solution_size, measures, extras, drawing)
+    algorithm = make_algorithm(config.algorithm, problem)
     return Experiment(measures, pipeline, algorithm, search_key, evaluation_key)
 
 
@@ -104,6 +115,16 @@ def kept(evaluation: Evaluation) -> dict[str, Array]:
     }
 
 
+def seen(evaluation: Evaluation) -> dict[str, Array]:
+    """Choose what an algorithm is told of an evaluation: what is kept, and how cells are used.
+
+    ``usage`` is the share of agent-steps on each cell, float32 [B, H, W], averaged over the runs;
+    absent where the simulator draws no such map.
+    """
+    usage = getattr(evaluation.runs, "usage", None)
+    return kept(evaluation) | ({} if usage is None else {"usage": usage.mean(axis=1)})
+
+
 def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
     """Make one whole iteration as one traceable function: (state, iteration) -> state.
 
@@ -116,7 +137,7 @@ def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
         solutions, state = experiment.algorithm.ask(state)
         key = jax.random.fold_in(experiment.evaluation_key, iteration)
         evaluation = evaluate(experiment.pipeline, solutions, key)
-        return experiment.algorithm.tell(state, solutions, evaluation.score, kept(evaluation))
+        return experiment.algorithm.tell(state, solutions, evaluation.score, seen(evaluation))
 
     return iterate
 
@@ -201,7 +222,7 @@ def _run(
                 # Keys follow from the number of the iteration: a resumed run draws the same.
                 key = jax.random.fold_in(experiment.evaluation_key, done + 1)
                 evaluation = evaluator(solutions, key)
-                state = algorithm.tell(asked, solutions, evaluation.score, kept(evaluation))
+                state = algorithm.tell(asked, solutions, evaluation.score, seen(evaluation))
                 done += 1
                 summary = publisher.summary(state)
                 elapsed += time.perf_counter() - start

@@ -116,13 +116,12 @@ class MutateBestConfig:
     sigma: float = 0.3
 
 
-def mutate_best(
-    config: MutateBestConfig, solution_dim: int, measures: Any, extras: Any
-) -> qdenv.Algorithm:
+def mutate_best(config: MutateBestConfig, problem: qdenv.Problem) -> qdenv.Algorithm:
     """Make the algorithm; its state is the words of a random key, and the archive."""
 
     def init(key: jax.Array) -> tuple:
-        archive = qdenv.GridArchive.empty(jnp.zeros(solution_dim), measures, extras)
+        blank = jnp.zeros(problem.solution_dim)
+        archive = qdenv.GridArchive.empty(blank, problem.measures, problem.extras)
         return jax.random.key_data(key), archive
 
     def ask(state: tuple) -> tuple[jax.Array, tuple]:
@@ -130,7 +129,7 @@ def mutate_best(
         key, now = jax.random.split(jax.random.wrap_key_data(words))
         best = archive.genotypes[jnp.argmax(archive.objectives)]
         parent = jnp.where(archive.filled.any(), best, 0.0)
-        noise = config.sigma * jax.random.normal(now, (config.batch, solution_dim))
+        noise = config.sigma * jax.random.normal(now, (config.batch, problem.solution_dim))
         return parent[None] + noise, (jax.random.key_data(key), archive)
 
     def tell(state: tuple, solutions: jax.Array, score: qdenv.Score, extras: Any) -> tuple:

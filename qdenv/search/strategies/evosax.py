@@ -9,20 +9,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from qdenv.search.settings import check_strategy
 from qdenv.search.strategies.base import SMALLEST_STEP, Strategy
 from qdenv.types import InputError
 
-EVOSAX_NAMES = ("CMA_ES", "CR_FM_NES", "Open_ES", "SNES")
-ADAM_RATE = 0.1  # of Open_ES, in initial step sizes; evosax' plain SGD at 1e-3 stands still
-
-# Names that would run and mislead (read and measured with evosax 0.3.2).
-UNSOUND = {
-    "LM_MA_ES": "its matrix update ignores the ranking; use lm_ma",
-    "MA_ES": "its rank-mu update ignores the ranking; use full",
-    "Sep_CMA_ES": "it keeps the rates of the full matrix, so its diagonal hardly moves; use sep",
-    "xNES": "it exponentiates its matrix element by element; use SNES or full",
-    "Rm_ES": "its success rule compares fitness across generations, ranks carry none; use lm_ma",
-}
+EVOSAX_NAMES = ("CMA_ES", "CR_FM_NES", "DiscoveredES", "Open_ES", "PGPE", "SimpleES", "SNES")
+MIRRORED = ("CR_FM_NES", "Open_ES", "PGPE")  # draw every solution together with its mirror image
+ADAM_RATE = 0.1  # in initial step sizes; with evosax' own optimizers these stand still
 
 
 class EvosaxState(NamedTuple):
@@ -45,8 +38,7 @@ def evosax_strategy(name: str, **settings: Any) -> Callable[[int, int, float], S
     Raises:
         InputError: evosax has no such strategy, or a known defect makes it unfit.
     """
-    if name in UNSOUND:
-        raise InputError(f"the evosax strategy {name} is not offered: {UNSOUND[name]}")
+    check_strategy(name)
 
     def make(dim: int, batch: int, sigma0: float) -> Strategy:
         return wrap(build(name, dim, batch, sigma0, settings), sigma0)
@@ -61,16 +53,15 @@ def build(name: str, dim: int, batch: int, sigma0: float, settings: dict[str, An
 
     if not hasattr(evosax.algorithms, name):
         raise InputError(f"evosax has no strategy {name!r}")
-    if name in ("Open_ES", "CR_FM_NES") and batch % 2:
+    if name in MIRRORED and batch % 2:
         raise InputError(f"the strategy {name} needs an even batch, not {batch}")
+    defaults: dict[str, Any] = {}
+    if name in ("Open_ES", "PGPE"):
+        defaults["optimizer"] = optax.adam(ADAM_RATE * sigma0)
     if name == "Open_ES":
-        defaults = {
-            "optimizer": optax.adam(ADAM_RATE * sigma0),
-            "std_schedule": optax.constant_schedule(sigma0),
-        }
-        settings = {**defaults, **settings}
+        defaults["std_schedule"] = optax.constant_schedule(sigma0)
     return getattr(evosax.algorithms, name)(
-        population_size=batch, solution=jnp.zeros(dim), **settings
+        population_size=batch, solution=jnp.zeros(dim), **{**defaults, **settings}
     )
 
 

@@ -1,0 +1,194 @@
+"""Compare all search algorithms at equal true evaluations, several seeds each (Table 4).
+
+    python experiments/algorithms.py                                             # on quick
+    python experiments/algorithms.py --preset laptop --seeds 1 --evaluations 1000
+
+Every algorithm has its defaults. Each run has a folder of its own: finished ones are read,
+half-done ones go on, so this can be stopped and started again, with more seeds, too.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import itertools
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import tyro
+
+import qdenv
+from qdenv.commands.costs import in_words
+from qdenv.files import write_csv
+from qdenv.plots.figure import new_figure, save_figure
+from qdenv.study.differences import margin, sample_of
+from qdenv.training.choosing import choose_algorithm
+from qdenv.training.config import RunConfig
+
+ALGORITHMS = ("cma-mae", "cma-me", "map-elites", "cma-es", "random")
+COLOURS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#999999", "#CC79A7")  # Okabe and Ito 2008
+STYLES = ("-", "--", "-", "--", ":", "-.")  # grey prints tell them apart, too
+METRICS = {"qd_score": "QD-score", "coverage": "coverage", "best_objective": "best objective"}
+ENTROPY = ("mean_entropy", "lowest_entropy", "share_below_half")
+
+# QD-score and coverage of 5 runs at the paper's size, after 10,000 evaluations (mazes 100,000).
+TABLE_4 = {
+    "warehouse-even": {"cma-mae": "20366, 0.33", "dsage": "915, 0.02", "map-elites": "6893, 0.15"},
+    "warehouse-uneven": {"cma-mae": "19985, 0.33", "dsage": "927", "map-elites": "5907"},
+    "manufacturing": {"cma-mae": "6450, 0.18", "dsage": "378", "map-elites": "2399"},
+    "maze-walls": {"cma-mae": "22299, 0.54", "dsage": "16447, 0.40", "map-elites": "12447, 0.30"},
+    "maze-entropy": {"cma-mae": "12468, 0.77", "dsage": "1444", "map-elites": "9289"},
+}
+
+
+class Runs(NamedTuple):
+    """The runs of one algorithm.
+
+    Attributes:
+        evaluations: int [N], where its metrics were taken.
+        metrics: float [seeds, N, 3], in the order of `METRICS`.
+        entropy: float [seeds, 3], over the elites, in the order of `ENTROPY`.
+    """
+
+    evaluations: np.ndarray
+    metrics: np.ndarray
+    entropy: np.ndarray
+
+
+def run_of(config: RunConfig, path: Path) -> qdenv.RunDirectory:
+    """Read a finished run, or begin or continue one.
+
+    Raises:
+        InputError: the run was made with other settings or for more evaluations.
+    """
+    if not (path / "config.json").exists():
+        return qdenv.train(config, path)
+    run = qdenv.RunDirectory.open(path)
+    if replace(run.config, evaluations=config.evaluations) != config:
+        raise qdenv.InputError(
+            f"{path}: a run with other settings: remove it or choose another --out"
+        )
+    rows = run.read_metrics(salvage=True)
+    finished = rows and rows[-1].evaluations >= config.evaluations == run.config.evaluations
+    if finished and (path / "archive.npz").exists():
+        return run
+    return qdenv.resume(path, evaluations=config.evaluations)
+
+
+def entropies_of(run: qdenv.RunDirectory) -> np.ndarray:
+    """Describe the entropy of a run's elites, float [3]; NaN where it is no measure."""
+    found = [place for place, axis in enumerate(run.measures) if "entropy" in axis.name]
+    values = run.load_archive()["measures"][:, found].ravel()
+    if not len(values):
+        return np.full(len(ENTROPY), np.nan)
+    return np.array([values.mean(), values.min(), (values < 0.5).mean()])
+
+
+def collect(runs: Iterable[qdenv.RunDirectory]) -> Runs:
+    """Put the metrics of an algorithm's runs side by side."""
+    runs = list(runs)
+    tables = [run.read_metrics() for run in runs]
+    metrics = [[[getattr(row, name) for name in METRICS] for row in rows] for rows in tables]
+    evaluations = np.array([row.evaluations for row in tables[0]])
+    return Runs(evaluations, np.array(metrics), np.array([entropies_of(run) for run in runs]))
+
+
+def interval(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Average float [seeds, ...] and bound the means by half of their 95 % intervals."""
+    samples = [sample_of(column) for column in values.reshape(len(values), -1).T]
+    halves = np.array([margin(sample) for sample in samples])
+    return values.mean(axis=0), halves.reshape(values.shape[1:])
+
+
+def write_table(path: Path, found: dict[str, Runs]) -> None:
+    """Write one row per algorithm: final means, half-widths of their intervals, entropies."""
+    head = ["algorithm", "seeds", "evaluations"]
+    head += [name for metric in METRICS for name in (metric, f"{metric}_margin")]
+    rows = []
+    for name, runs in found.items():
+        numbers = np.stack(interval(runs.metrics[:, -1]), axis=1).ravel()
+        numbers = [f"{number:.6g}" for number in (*numbers, *runs.entropy.mean(axis=0))]
+        rows.append((name, len(runs.metrics), runs.evaluations[-1], *numbers))
+    write_csv(path, [*head, *ENTROPY], rows)
+
+
+def print_table(found: dict[str, Runs], published: dict[str, str]) -> None:
+    """Print the table beside the paper's."""
+    print(
+        "mean +- half of its 95 % interval (Student's t); share: of elites with entropy below 0.5"
+    )
+    head = "".join(f"{title:18}" for title in METRICS.values())
+    print(f"algorithm    {head}entropy  lowest  share  Table 4: QD-score, coverage")
+    for name, runs in found.items():
+        means, halves = interval(runs.metrics[:, -1])
+        numbers = zip(means, halves, (1, 4, 3), strict=True)
+        cells = [f"{mean:.{digits}f} +- {half:.{digits}f}" for mean, half, digits in numbers]
+        mean, lowest, share = runs.entropy.mean(axis=0)
+        paper = published.get(name, "")
+        said = "".join(f"{cell:18}" for cell in cells)
+        print(f"{name:11}  {said}{mean:7.2f}  {lowest:6.2f}  {share:5.1%}  {paper}".rstrip())
+
+
+def draw(path: Path, found: dict[str, Runs], title: str) -> None:
+    """Draw the three metrics over true evaluations: means, and their 95 % intervals shaded."""
+    figure = new_figure(10, 3.6)
+    panels = figure.subplots(1, len(METRICS))
+    for column, (axes, label) in enumerate(zip(panels, METRICS.values(), strict=True)):
+        for (name, runs), colour, style in zip(found.items(), COLOURS, STYLES, strict=False):
+            mean, half = interval(runs.metrics[:, :, column])
+            axes.plot(runs.evaluations, mean, style, color=colour, label=name)
+            half = np.nan_to_num(half)
+            axes.fill_between(
+                runs.evaluations, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0
+            )
+        axes.set(title=label, xlabel="true evaluations")
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.suptitle(title, fontsize="medium")
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False
+    )
+    save_figure(figure, path)
+
+
+def main(
+    preset: str = "quick",
+    seeds: int = 5,
+    evaluations: int | None = None,
+    algorithms: tuple[str, ...] = ALGORITHMS,
+    out: Path = Path("runs/algorithms"),
+) -> None:
+    """Run what is missing, write algorithms.csv and algorithms.png, print the table.
+
+    Args:
+        preset: the domain, generator and archive that all share.
+        seeds: runs of each algorithm.
+        evaluations: true ones of each run; as many as the preset has unless given.
+        algorithms: which to compare.
+        out: folder of the runs, the table and the picture.
+    """
+    base = qdenv.find_preset(preset)
+    base = replace(base, evaluations=evaluations or base.evaluations)
+    todo = list(itertools.product(range(seeds), algorithms))
+    found: dict[str, list[qdenv.RunDirectory]] = {name: [] for name in algorithms}
+    start = time.time()
+    for done, (seed, name) in enumerate(todo, start=1):
+        config = replace(choose_algorithm(base, name), seed=seed)
+        run = run_of(config, out / f"{preset}-{name}-{seed}")
+        found[name].append(run)
+        left = (time.time() - start) / done * (len(todo) - done)
+        print(f"{done} of {len(todo)}: {run!r}, about {in_words(left)} left", flush=True)
+    collected = {name: collect(runs) for name, runs in found.items()}
+    write_table(out / "algorithms.csv", collected)
+    spread = "mean and 95 % interval" if seeds > 1 else "one run each"
+    draw(out / "algorithms.png", collected, f"{preset}, {seeds} seeds: {spread}")
+    domain = qdenv.DOMAINS.name_of(base.evaluation.domain)
+    print_table(collected, TABLE_4.get(domain, {}))
+    print(f"{out / 'algorithms.csv'}, {out / 'algorithms.png'}")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

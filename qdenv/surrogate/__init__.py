@@ -1,0 +1,11 @@
+"""The surrogate: a network that predicts what a true evaluation of a layout would say.
+
+    settings       what a user may choose
+    convolution    a convolution whose gradients are fast inside compiled loops
+    networks       maps from maps, numbers from maps
+    samples        true evaluations, the newest kept
+    training       one network after the other, each by Adam
+    surrogate      `Surrogate`: init, fit, predict
+
+Nothing here knows what a layout means or who asks.
+"""

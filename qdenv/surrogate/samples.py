@@ -1,0 +1,74 @@
+"""True evaluations as the surrogate learns from them: a ring of the newest."""
+
+from typing import NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+
+
+class Samples(NamedTuple):
+    """What is known of N layouts.
+
+    Attributes:
+        drawn: int8 [N, H, W], before the repair.
+        repaired: int8 [N, H, W].
+        usage: float16 [N, H, W], share of agent-steps on each cell; zeros where nobody says.
+        numbers: float32 [N, heads], objective, result objective, measures.
+    """
+
+    drawn: jax.Array
+    repaired: jax.Array
+    usage: jax.Array
+    numbers: jax.Array
+
+
+class Ring(NamedTuple):
+    """The newest samples.
+
+    Attributes:
+        samples: with leading axis N; those from `known` on are blank while it is not full.
+        told: int32, samples ever added.
+    """
+
+    samples: Samples
+    told: jax.Array
+
+    @classmethod
+    def empty(cls, size: int, shape: tuple[int, int], heads: int) -> Self:
+        """Make a ring for `size` samples of layouts of `shape`."""
+        maps = (size, *shape)
+        blank = Samples(
+            jnp.zeros(maps, jnp.int8),
+            jnp.zeros(maps, jnp.int8),
+            jnp.zeros(maps, jnp.float16),
+            jnp.zeros((size, heads), jnp.float32),
+        )
+        return cls(blank, jnp.int32(0))
+
+    @property
+    def known(self) -> jax.Array:
+        """How many samples there are (int32)."""
+        return jnp.minimum(self.told, self.samples.numbers.shape[0])
+
+    def add(self, batch: Samples, valid: jax.Array) -> Self:
+        """Add the samples of a batch [B, ...] that are `valid` (bool [B]), over the oldest."""
+        size = self.samples.numbers.shape[0]
+        place = (self.told + jnp.cumsum(valid) - 1) % size
+        # Of a batch longer than the ring the last remain.
+        newest = valid & (jnp.cumsum(valid[::-1])[::-1] <= size)
+        target = jnp.where(newest, place, size)  # others: out of bounds
+        samples = jax.tree.map(
+            lambda old, new: old.at[target].set(new.astype(old.dtype), mode="drop"),
+            self.samples,
+            batch,
+        )
+        return self._replace(samples=samples, told=self.told + valid.sum(dtype=jnp.int32))
+
+
+def shuffled(key: jax.Array, size: int, count: jax.Array) -> jax.Array:
+    """Order the first `count` of `size` samples at random (int32 [size]; the rest follow).
+
+    Consumes `key`.
+    """
+    draws = jax.random.uniform(key, (size,))
+    return jnp.argsort(jnp.where(jnp.arange(size) < count, draws, 2.0)).astype(jnp.int32)

@@ -1,0 +1,243 @@
+"""The surrogate as a record of functions: init, fit, predict.
+
+Three networks in a row, each learnt while those before it stand still (the surrogate of Zhang et
+al. 2023, after Bhatt et al. 2022, https://arxiv.org/abs/2206.04199): the repaired map from the
+drawn one, the tile usage from that, objective and measures from both. What a domain does not have,
+a repair or a usage map, is left out.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from qdenv.surrogate.networks import MapPredictor, ScorePredictor
+from qdenv.surrogate.samples import Ring, Samples
+from qdenv.surrogate.settings import SurrogateConfig
+from qdenv.surrogate.training import Learner, Loss, learn, make_learner
+from qdenv.types import InputError, Score
+
+STAGES = ("repair", "usage", "score")
+
+
+class Aspect(NamedTuple):
+    """What the surrogate sees of layouts.
+
+    Attributes:
+        shape: rows H and columns W.
+        kinds: kinds of tile K.
+        measures: how many measures are predicted.
+        repairs: layouts are repaired before they are simulated.
+        usage: samples say how much each cell is used.
+    """
+
+    shape: tuple[int, int]
+    kinds: int
+    measures: int
+    repairs: bool = True
+    usage: bool = True
+
+
+def stages_of(aspect: Aspect) -> list[str]:
+    """List the networks that there are, in the order in which they learn."""
+    present = {"repair": aspect.repairs, "usage": aspect.usage, "score": True}
+    return [name for name in STAGES if present[name]]
+
+
+class Fitted(NamedTuple):
+    """What the surrogate has learnt; one pytree.
+
+    Attributes:
+        learners: its networks, by the names of `STAGES` that there are.
+        centre: float32 [heads], what is subtracted from objective and measures.
+        spread: float32 [heads], what they are divided by after that.
+        fits: int32, how often it was fitted.
+    """
+
+    learners: dict[str, Learner]
+    centre: jax.Array
+    spread: jax.Array
+    fits: jax.Array
+
+
+class Prediction(NamedTuple):
+    """What the surrogate says of layouts.
+
+    Attributes:
+        score: `Score` with leading axis B; a success where every number is finite.
+        repaired: int8 [B, H, W].
+        usage: float32 [B, H, W]; zeros where no usage is learnt.
+    """
+
+    score: Score
+    repaired: jax.Array
+    usage: jax.Array
+
+
+class Surrogate(NamedTuple):
+    """A surrogate of true evaluations.
+
+    Attributes:
+        init: key -> `Fitted` that knows nothing; consumes the key.
+        fit: (fitted, ring, key) -> (fitted, mean losses of each network's last epoch by the names
+            of `STAGES`); consumes the key.
+        predict: (fitted, drawn layouts int8 [B, H, W]) -> `Prediction`.
+        heads: numbers predicted of a layout: objective, result objective, measures.
+    """
+
+    init: Callable[[jax.Array], Fitted]
+    fit: Callable[[Fitted, Ring, jax.Array], tuple[Fitted, dict[str, jax.Array]]]
+    predict: Callable[[Fitted, jax.Array], Prediction]
+    heads: int
+
+
+def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
+    """Make the surrogate of layouts of one shape.
+
+    Raises:
+        InputError: there is another number of weights than of numbers to predict.
+    """
+    heads = 2 + aspect.measures
+    if config.weights and len(config.weights) != heads:
+        raise InputError(
+            f"{len(config.weights)} weights: give {heads}, for objective, result objective and "
+            "each measure"
+        )
+    networks: dict[str, Any] = {
+        "repair": MapPredictor(config.channels, config.blocks, aspect.kinds),
+        "usage": MapPredictor(config.channels, config.blocks, 1),
+        "score": ScorePredictor(config.channels, heads),
+    }
+    stages = stages_of(aspect)
+    optimiser = optax.adam(config.rate)
+
+    def init(key: jax.Array) -> Fitted:
+        learners: dict[str, Learner] = {}
+        blank = jnp.zeros((1, *aspect.shape), jnp.int8)
+        for number, name in enumerate(stages):
+            maps = _inputs(networks, learners, aspect, config, blank)[name]
+            variables = networks[name].init(jax.random.fold_in(key, number), maps, False)
+            learners[name] = make_learner(variables, optimiser)
+        return Fitted(learners, jnp.zeros(heads), jnp.ones(heads), jnp.int32(0))
+
+    def fit(fitted: Fitted, ring: Ring, key: jax.Array) -> tuple[Fitted, dict[str, jax.Array]]:
+        centre, spread = _scale(ring) if config.standardise else (fitted.centre, fitted.spread)
+        learners, losses = dict(fitted.learners), {}
+        for number, name in enumerate(stages):
+            learners[name], losses[name] = learn(
+                _loss(name, networks, dict(learners), aspect, config, (centre, spread)),
+                learners[name],
+                optimiser,
+                ring,
+                config.minibatch,
+                config.epochs,
+                jax.random.fold_in(key, number),
+            )
+        return Fitted(learners, centre, spread, fitted.fits + 1), losses
+
+    def predict(fitted: Fitted, drawn: jax.Array) -> Prediction:
+        seen = _inputs(networks, fitted.learners, aspect, config, drawn)
+        heads = networks["score"].apply(fitted.learners["score"].variables, seen["score"], False)
+        numbers = heads * fitted.spread[None] + fitted.centre[None]
+        success = jnp.isfinite(numbers).all(axis=-1)
+        score = Score(numbers[:, 0], numbers[:, 1], numbers[:, 2:], success)
+        repaired = seen["usage"].argmax(axis=-1).astype(jnp.int8)
+        usage = seen["score"][..., aspect.kinds] if aspect.usage else jnp.zeros(drawn.shape)
+        return Prediction(score, repaired, usage)
+
+    return Surrogate(init, fit, predict, heads)
+
+
+def _inputs(
+    networks: dict[str, Any],
+    learners: dict[str, Learner],
+    aspect: Aspect,
+    config: SurrogateConfig,
+    drawn: jax.Array,
+) -> dict[str, jax.Array]:
+    """Compute what each network is given, by those before it; stops where one is not made yet."""
+
+    def output(name: str, maps: jax.Array) -> jax.Array:
+        return networks[name].apply(learners[name].variables, maps, False)
+
+    tiles = jax.nn.one_hot(drawn, aspect.kinds)
+    seen = {"repair": tiles}
+    if aspect.repairs:
+        if "repair" not in learners:
+            return seen
+        tiles = output("repair", tiles)
+    seen["usage"] = tiles
+    chosen = jax.nn.one_hot(tiles.argmax(axis=-1), aspect.kinds)
+    if not aspect.usage:
+        return seen | {"score": chosen}
+    if "usage" not in learners:
+        return seen
+    used = output("usage", tiles)
+    if config.usage_loss == "kl":
+        # A distribution over the cells, in units of an even one.
+        flat = used.reshape(len(used), -1)
+        used = (jax.nn.softmax(flat, axis=-1) * flat.shape[-1]).reshape(used.shape)
+    return seen | {"score": jnp.concatenate([chosen, used], axis=-1)}
+
+
+def _loss(
+    name: str,
+    networks: dict[str, Any],
+    learners: dict[str, Learner],
+    aspect: Aspect,
+    config: SurrogateConfig,
+    scale: tuple[jax.Array, jax.Array],
+) -> Loss:
+    """Make the loss of one network; those before it stand still."""
+
+    def loss(variables: Any, batch: Samples) -> tuple[jax.Array, Any]:
+        maps = _inputs(networks, learners, aspect, config, batch.drawn)[name]
+        result, changed = networks[name].apply(variables, maps, True, mutable=["batch_stats"])
+        stats = changed.get("batch_stats", {})
+        if name == "repair":
+            return map_loss(result, batch.repaired), stats
+        if name == "usage":
+            return usage_loss(result[..., 0], batch.usage, config.usage_loss), stats
+        target = (batch.numbers - scale[0][None]) / scale[1][None]
+        weights = jnp.asarray(config.weights or (1.0,) * target.shape[-1])
+        return score_loss(result, target, weights), stats
+
+    return loss
+
+
+def map_loss(logits: jax.Array, tiles: jax.Array) -> jax.Array:
+    """Average the cross entropy of tiles int8 [B, H, W] under logits [B, H, W, K]."""
+    labels = tiles.astype(jnp.int32)
+    return optax.softmax_cross_entropy_with_integer_labels(logits, labels).mean()
+
+
+def usage_loss(predicted: jax.Array, usage: jax.Array, kind: str) -> jax.Array:
+    """Compare usage maps [B, H, W] with logits ("kl", summed over cells) or numbers ("mse").
+
+    Both are averaged over the batch.
+    """
+    rows = len(usage)
+    flat, usage = predicted.reshape(rows, -1), usage.astype(jnp.float32).reshape(rows, -1)
+    # float16 has rounded the shares: they must sum to 1 again.
+    share = usage / jnp.maximum(usage.sum(axis=-1, keepdims=True), 1e-12)
+    if kind == "kl":
+        return optax.losses.kl_divergence(jax.nn.log_softmax(flat, axis=-1), share).mean()
+    # In units of an even distribution, as the next network sees them.
+    return jnp.square(flat - share * flat.shape[-1]).mean()
+
+
+def score_loss(predicted: jax.Array, target: jax.Array, weights: jax.Array) -> jax.Array:
+    """Average the weighted squared errors of numbers [B, heads] over batch and heads."""
+    return (jnp.square(predicted - target) * weights[None]).mean()
+
+
+def _scale(ring: Ring) -> tuple[jax.Array, jax.Array]:
+    """Compute mean and standard deviation of the samples' numbers, each float32 [heads]."""
+    numbers = ring.samples.numbers
+    known = (jnp.arange(len(numbers)) < ring.known)[:, None]
+    total = jnp.maximum(ring.known, 1)
+    centre = jnp.sum(numbers, axis=0, where=known) / total
+    variance = jnp.sum(jnp.square(numbers - centre[None]), axis=0, where=known) / total
+    return centre, jnp.where(variance > 1e-12, jnp.sqrt(variance), 1.0)
