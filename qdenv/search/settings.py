@@ -1,10 +1,11 @@
 """The settings of the search algorithms: what a user may choose."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from qdenv.registry import Entry
+from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import InputError
 
 # Names of `strategies.registry.STRATEGIES`, which a user may add to, of `emitters.RANKERS` and of
@@ -115,6 +116,26 @@ class CmaMeConfig(CmaMaeConfig):
 
 
 @dataclass(frozen=True)
+class ScreenedConfig(CmaMaeConfig):
+    """Settings of CMA-MAE whose offspring a surrogate screens.
+
+    Attributes:
+        screen: offspring drawn for each that is evaluated; 1 screens nothing.
+        refit: iterations from one fit of the surrogate to the next.
+        surrogate: its size, and how it learns.
+    """
+
+    screen: int = 4
+    refit: int = 1
+    surrogate: SurrogateConfig = field(default_factory=SurrogateConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no search."""
+        super().__post_init__()
+        positive(screen=self.screen, refit=self.refit)
+
+
+@dataclass(frozen=True)
 class MapElitesConfig:
     """Settings of MAP-Elites.
 
@@ -197,6 +218,7 @@ class RandomSearchConfig:
 
 CMA_MAE = Entry(CmaMaeConfig, "qdenv.search.cma_mae:cma_mae")
 CMA_ME = Entry(CmaMeConfig, "qdenv.search.cma_mae:cma_mae")
+SCREENED = Entry(ScreenedConfig, "qdenv.search.screening:screened")
 MAP_ELITES = Entry(MapElitesConfig, "qdenv.search.map_elites:map_elites")
 CMA_ES = Entry(CmaEsConfig, "qdenv.search.cma_es:cma_es")
 RANDOM_SEARCH = Entry(RandomSearchConfig, "qdenv.search.random_search:random_search")
