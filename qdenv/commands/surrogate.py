@@ -14,14 +14,12 @@ from qdenv.commands.choices import RunFolder
 from qdenv.commands.waiting import waiting
 from qdenv.files import write_csv
 from qdenv.study.held_out import Evaluated, read_elites
-from qdenv.study.options import parse_seeds
-from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
+from qdenv.study.options import find_surrogate, parse_seeds
+from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.training.records import RunDirectory
 
 if TYPE_CHECKING:  # imports jax
     from qdenv.study.surrogate import Trial
-
-SIZES = {"small": SurrogateConfig(), "published": PUBLISHED}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,11 +29,11 @@ class Learning:
     Attributes:
         size: small suits a CPU, published is the paper's, for a GPU; what follows replaces
             single numbers of it.
-        channels: hidden channels of its networks.
-        blocks: residual blocks of the network that predicts repaired layouts.
-        epochs: how often each network sees all elites it learns from.
-        minibatch: elites per step of learning.
-        rate: learning rate of Adam.
+        channels: hidden channels of its networks, 16 or 64.
+        blocks: residual blocks of the network that predicts repaired layouts, 1 or 2.
+        epochs: how often each network sees all elites it learns from, 20 unless given.
+        minibatch: elites per step of learning, 64 unless given.
+        rate: learning rate of Adam, 0.001 unless given.
     """
 
     size: Literal["small", "published"] = "small"
@@ -49,9 +47,7 @@ class Learning:
     def config(self) -> SurrogateConfig:
         """The surrogate's settings; `InputError` where a number learns nothing."""
         stated = dataclasses.asdict(self)
-        chosen = SIZES[stated.pop("size")]
-        given = {name: value for name, value in stated.items() if value is not None}
-        return dataclasses.replace(chosen, **given)
+        return find_surrogate(stated.pop("size"), stated)
 
 
 def surrogate(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -85,17 +86,16 @@ def make_learner(
 ) -> Callable[[np.ndarray, np.ndarray, int], tuple[np.ndarray, np.ndarray]]:
     """Make a function (known, held, seed) -> (numbers, repaired layouts) predicted of the held.
 
-    It compiles once for all splits of one size.
+    It compiles once for all archives of one size.
     """
-    numbers = elites.numbers.shape[1]
     shape = elites.drawn.shape[1], elites.drawn.shape[2]
-    aspect = Aspect(shape, elites.kinds, numbers - 1, elites.repairs, usage=False)
-    surrogate = make_surrogate(config, aspect)
-    fit, predict = jax.jit(surrogate.fit), jax.jit(surrogate.predict)
+    measures = elites.numbers.shape[1] - 1
+    aspect = Aspect(shape, elites.kinds, measures, elites.repairs, usage=False)
+    init, fit, predict = _programs(config, aspect)
 
     def learn(known: np.ndarray, held: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
         first, second = jax.random.split(jax.random.key(seed))
-        fitted, _ = fit(surrogate.init(first), _ring(elites, known), second)
+        fitted, _ = fit(init(first), _ring(elites, known), second)
         # Whole chunks, so that one program predicts all of them.
         rows = np.resize(held, -(-len(held) // CHUNK) * CHUNK).reshape(-1, CHUNK)
         said: list[Any] = [predict(fitted, jnp.asarray(elites.drawn[chunk])) for chunk in rows]
@@ -105,6 +105,13 @@ def make_learner(
         return np.column_stack([objective, measures])[: len(held)], repaired[: len(held)]
 
     return learn
+
+
+@functools.lru_cache(maxsize=4)
+def _programs(config: SurrogateConfig, aspect: Aspect) -> tuple[Callable, Callable, Callable]:
+    """Make the surrogate's three functions, compiled when they are first called."""
+    surrogate = make_surrogate(config, aspect)
+    return jax.jit(surrogate.init), jax.jit(surrogate.fit), jax.jit(surrogate.predict)
 
 
 def _ring(elites: Evaluated, known: np.ndarray) -> Ring:
