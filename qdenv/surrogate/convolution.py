@@ -22,8 +22,13 @@ def convolve(maps: jax.Array, kernel: jax.Array, stride: int) -> jax.Array:
     slower than outside of one. Here that gradient is one product of matrices.
 
     Returns:
-        float32 [B, H / stride, W / stride, F].
+        float32 [B, H // stride, W // stride, F] where the kernel is odd with a stride of 1 and
+        even with a stride of 2; every cell is seen, those of odd sides too.
+
+    Raises:
+        AssertionError: the kernel is even with a stride of 1: the size could not stay.
     """
+    assert stride > 1 or kernel.shape[0] % 2, "an even kernel has no centre"
     around = (_pad(kernel.shape[0], stride),) * 2
     return jax.lax.conv_general_dilated(
         maps, kernel, (stride, stride), (around, around), dimension_numbers=LAYOUT

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.surrogate.samples import Samples
+from qdenv.surrogate.samples import Samples, spread_of
 from qdenv.surrogate.surrogate import Aspect, Prediction, stages_of
 from qdenv.types import Measure
 
@@ -76,7 +76,6 @@ def errors(predicted: jax.Array, truth: jax.Array, valid: jax.Array) -> tuple[ja
     """
     counts = valid[:, None]
     squared = jnp.mean(jnp.square(predicted - truth), axis=0, where=counts)
-    centre = jnp.mean(truth, axis=0, where=counts)
-    variance = jnp.mean(jnp.square(truth - centre[None]), axis=0, where=counts)
+    variance = spread_of(truth, valid)[1]
     share = jnp.where(variance > 0, 1 - squared / jnp.where(variance > 0, variance, 1), 0.0)
     return jnp.sqrt(squared), share

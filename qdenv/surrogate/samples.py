@@ -65,6 +65,21 @@ class Ring(NamedTuple):
         return self._replace(samples=samples, told=self.told + valid.sum(dtype=jnp.int32))
 
 
+def spread_of(numbers: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Compute mean and variance of the rows of numbers [N, heads] that are `valid` (bool [N]).
+
+    Returns:
+        both float32 [heads]; zeros where no row is valid.
+    """
+    # Counted from one of the rows: numbers that never vary have a variance of exactly zero.
+    origin = jnp.where(valid.any(), numbers[jnp.argmax(valid)], 0.0)
+    shifted, counts = numbers - origin[None], valid[:, None]
+    total = jnp.maximum(valid.sum(), 1)
+    centre = jnp.sum(shifted, axis=0, where=counts) / total
+    variance = jnp.sum(jnp.square(shifted - centre[None]), axis=0, where=counts) / total
+    return origin + centre, variance
+
+
 def shuffled(key: jax.Array, size: int, count: jax.Array) -> jax.Array:
     """Order the first `count` of `size` samples at random (int32 [size]; the rest follow).
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import optax
 
 from qdenv.surrogate.networks import MapPredictor, ScorePredictor
-from qdenv.surrogate.samples import Ring, Samples
+from qdenv.surrogate.samples import Ring, Samples, spread_of
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.surrogate.training import Learner, Loss, learn, make_learner
 from qdenv.types import InputError, Score
@@ -234,10 +234,10 @@ def score_loss(predicted: jax.Array, target: jax.Array, weights: jax.Array) -> j
 
 
 def _scale(ring: Ring) -> tuple[jax.Array, jax.Array]:
-    """Compute mean and standard deviation of the samples' numbers, each float32 [heads]."""
-    numbers = ring.samples.numbers
-    known = (jnp.arange(len(numbers)) < ring.known)[:, None]
-    total = jnp.maximum(ring.known, 1)
-    centre = jnp.sum(numbers, axis=0, where=known) / total
-    variance = jnp.sum(jnp.square(numbers - centre[None]), axis=0, where=known) / total
-    return centre, jnp.where(variance > 1e-12, jnp.sqrt(variance), 1.0)
+    """Compute mean and standard deviation of the samples' numbers, each float32 [heads].
+
+    The deviation of a number that never varies is 1.
+    """
+    numbers, known = ring.samples.numbers, jnp.arange(len(ring.samples.numbers)) < ring.known
+    centre, variance = spread_of(numbers, known)
+    return centre, jnp.where(variance > 0, jnp.sqrt(variance), 1.0)

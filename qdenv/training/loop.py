@@ -21,6 +21,7 @@ from qdenv.training.config import RunConfig
 from qdenv.training.continued import check_settings, check_total, settings_of
 from qdenv.training.feasible import check_feasible
 from qdenv.training.manifest import meaning_of
+from qdenv.training.notes import NOTES, note_of, read_notes, write_notes
 from qdenv.training.progress import Progress
 from qdenv.training.published import Publisher, describe, metrics_row
 from qdenv.training.records import RunDirectory
@@ -211,6 +212,7 @@ def _run(
             run.write_config(config)
         # Iterations after the checkpoint are run again, so their rows are written again, too.
         rows = [row for row in run.read_metrics(salvage=True) if row.iteration <= done]
+        said = [note for note in read_notes(run.path / NOTES) if note["iteration"] <= done]
         elapsed = rows[-1].seconds if rows else 0.0
         if done >= total:
             publisher.publish(state)  # it may be older, where a run was killed at its very end
@@ -218,7 +220,8 @@ def _run(
         try:
             while done < total:
                 start = time.perf_counter()
-                solutions, asked = algorithm.ask(state)
+                with shown.during("the search prepares its next questions"):
+                    solutions, asked = jax.block_until_ready(algorithm.ask(state))
                 # Keys follow from the number of the iteration: a resumed run draws the same.
                 key = jax.random.fold_in(experiment.evaluation_key, done + 1)
                 evaluation = evaluator(solutions, key)
@@ -228,6 +231,8 @@ def _run(
                 elapsed += time.perf_counter() - start
                 rows.append(metrics_row(done, batch, summary, round(elapsed, 3), evaluation))
                 run.write_metrics(rows)
+                said.append(note_of(done, batch, algorithm.notes(state)))
+                write_notes(run.path / NOTES, said)
                 shown.update(batch, describe(rows[-1]))
                 due = done % config.checkpoint_every == 0 or done == total
                 if due or publisher.has_time:
