@@ -159,7 +159,7 @@ def test_the_command_writes_what_it_says(run, tmp_path, monkeypatch, capsys):
                 for column in (name, f"predicted {name}")
             )
             assert judge(predicted, truth).r2 == pytest.approx(r2, abs=1e-4)
-        assert f"{figures['r2']['mean']:.3g}" in said
+        assert f"{figures['r2']['mean']:.2f}" in said
     archive = run.archive
     assert archive.elite(rows[0]["cell"]).objective == pytest.approx(float(rows[0]["objective"]))
 

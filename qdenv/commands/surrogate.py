@@ -73,13 +73,12 @@ def surrogate(
         json_file: where to write the figures; - is standard output.
     """
     config, chosen = learning.config, parse_seeds(seeds)
-    run = RunDirectory.open(run_dir)
     name = run_dir.resolve().name
     table = output.place(out, f"{name}_surrogate.csv", (".csv",))
     picture = table.beside(".png")
     if plot not in (None, words.AUTO):
         picture = output.place(plot, "surrogate.png", output.PICTURES)
-    elites = read_elites(run)
+    elites = read_elites(RunDirectory.open(run_dir))
     # Only now: imports jax, and who is refused need not wait.
     from qdenv.study.surrogate import facts_of, try_surrogate
 
@@ -111,8 +110,8 @@ def list_skills(facts: dict[str, Any]) -> list[str]:
     width = max(map(len, skills))
     lines = [f"{'held out':{width}}  R2 (s.d.)        RMSE (s.d.)      rank correlation (s.d.)"]
     for name, figures in skills.items():
-        cells = [in_words(figures[one]) for one in ("r2", "rmse", "rank")]
-        lines.append(f"{name:{width}}  {cells[0]:15}  {cells[1]:15}  {cells[2]}")
+        r2, rmse, rank = in_words(figures["r2"]), in_words(figures["rmse"], ".3g"), figures["rank"]
+        lines.append(f"{name:{width}}  {r2:15}  {rmse:15}  {in_words(rank)}")
     lines.append(
         "R2: 1 is perfect, 0 no better than the mean of the elites held out; s.d. over the splits"
     )
@@ -124,12 +123,12 @@ def list_skills(facts: dict[str, Any]) -> list[str]:
     return lines
 
 
-def in_words(figure: dict[str, Any]) -> str:
-    """Write a mean and its spread, as far as they are known."""
+def in_words(figure: dict[str, Any], form: str = ".2f") -> str:
+    """Write a mean and its spread, as far as they are known, with so many digits."""
     mean, spread = figure["mean"], figure["spread"]
     if np.isnan(mean):
         return "does not vary"
-    return f"{mean:.3g}" + ("" if np.isnan(spread) else f" ({spread:.2g})")
+    return f"{mean:{form}}" + ("" if np.isnan(spread) else f" ({spread:{form}})")
 
 
 def write_table(path: Path, elites: Evaluated, trials: list[Trial]) -> None:
