@@ -173,8 +173,7 @@ class CmaEsConfig:
     warehouse's 11,011 parameters with one emitter of 50, and after 11,090 evaluations of each with
     emitters of 10: beyond the paper's budget of 10,000. Until then CMA-ES samples N(m, sigma^2 I)
     and adapts sigma by its path, which is `iso`, at linear cost. Strategies that adapt more than a
-    step size earlier, `sep` and `lm_ma` among them, found no better layouts on
-    the preset quick.
+    step size earlier, `sep` and `lm_ma` among them, found no better layouts on the preset quick.
 
     Attributes:
         emitters: independent evolution strategies.
@@ -183,8 +182,8 @@ class CmaEsConfig:
         restart: never (basic), when no cell improved, or every so many iterations. A strategy
             whose distribution is degenerate restarts anyway, from a random elite.
         strategy: how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full),
-            its limited-memory form (lm_ma), or one of evosax'; of these CMA_ES decomposes its full
-            matrix at every step, for some hundreds of parameters.
+            its limited-memory form (lm_ma), or one of evosax', of which CMA_ES decomposes its full
+            matrix at every step: for some hundreds of parameters at most.
     """
 
     emitters: int = 1
