@@ -29,7 +29,7 @@ from qdenv.study.differences import margin, sample_of
 from qdenv.training.choosing import choose_algorithm
 from qdenv.training.config import RunConfig
 
-ALGORITHMS = ("cma-mae", "cma-me", "map-elites", "cma-es", "random")
+ALGORITHMS = ("cma-mae", "cma-me", "map-elites", "cma-es", "random", "dsage")
 COLOURS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#999999", "#CC79A7")  # Okabe and Ito 2008
 STYLES = ("-", "--", "-", "--", ":", "-.")  # grey prints tell them apart, too
 METRICS = {"qd_score": "QD-score", "coverage": "coverage", "best_objective": "best objective"}

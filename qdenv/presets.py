@@ -12,6 +12,7 @@ from qdenv.search.dsage.settings import DsageConfig
 from qdenv.search.settings import CmaEsConfig, CmaMaeConfig, MapElitesConfig
 from qdenv.settings import EvaluationConfig
 from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.training.choosing import with_algorithm
 from qdenv.training.config import RunConfig
 from qdenv.types import look_up
@@ -108,7 +109,9 @@ PRESETS |= {
 PRESETS |= {
     "dsage-quick": with_algorithm(_QUICK, DsageConfig()),
     "dsage-laptop": with_algorithm(
-        PRESETS["warehouse-even"], DsageConfig(inner_iterations=2000, downsample=(50, 25))
+        PRESETS["warehouse-even"],
+        # Networks go on from where they are: few epochs each time are enough.
+        DsageConfig(downsample=(50, 25), surrogate=SurrogateConfig(epochs=5)),
     ),
 }
 

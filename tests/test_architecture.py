@@ -37,7 +37,7 @@ ALLOWED = {
     "search": {"types", "lazy", "files", "checkpoints", "registry", "surrogate"},
     "presets": BASE
     | STAGES
-    | {"domains", "search", "settings", "training.config", "training.choosing"},
+    | {"domains", "search", "settings", "surrogate", "training.config", "training.choosing"},
     "training": BASE
     | STAGES
     | PLUGS

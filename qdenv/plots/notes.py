@@ -5,9 +5,10 @@ from pathlib import Path
 from qdenv.plots.figure import new_figure, save_figure
 from qdenv.training.notes import Note
 
+UNSAID = ("iteration", "evaluations", "fits")  # what a curve would tell nobody
 LOGARITHMIC = ("loss", "rmse")  # what shrinks by factors
 LOWEST_R2 = -1.0  # further down it says no more than "bad"
-COLUMNS = 3
+COLUMNS = 4
 
 
 def save_notes(path: Path, notes: list[Note]) -> None:
@@ -19,10 +20,10 @@ def save_notes(path: Path, notes: list[Note]) -> None:
     """
     kinds: dict[str, list[str]] = {}
     for name in notes[0]:
-        if name not in ("iteration", "evaluations"):
+        if name not in UNSAID:
             kinds.setdefault(name.partition("_")[0], []).append(name)
     rows = -(-len(kinds) // COLUMNS)
-    figure = new_figure(10, 2.8 * rows, dpi=120)
+    figure = new_figure(10, 3.4 * rows, dpi=120)
     panels = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
     evaluations = [note["evaluations"] for note in notes]
     for axes, (kind, names) in zip(panels, kinds.items(), strict=False):
@@ -36,7 +37,9 @@ def save_notes(path: Path, notes: list[Note]) -> None:
         if kind == "r2":
             axes.set_ylim(LOWEST_R2, 1)
         if len(names) > 1:
-            axes.legend(fontsize="x-small", frameon=False)
+            # Below the panel: inside, it would cover the curves.
+            place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2}
+            axes.legend(fontsize="x-small", frameon=False, **place)
         axes.spines[["top", "right"]].set_visible(False)
     for axes in panels[len(kinds) :]:
         axes.set_visible(False)

@@ -34,7 +34,7 @@ class Progress(event.Listener):
         self._total, self._shown = total, shown
         self._bar: Any = None
         self._moves = threading.Event()
-        self._waits_for = ""
+        self._waits_for = self._state = ""
 
     def __enter__(self) -> Self:
         """Start to watch."""
@@ -71,6 +71,7 @@ class Progress(event.Listener):
         """End an iteration of so many evaluations and say how the search stands."""
         self._moves.set()
         self._done += evaluations
+        self._state = state
         self._bar.set_postfix_str(state, refresh=False)
         self._bar.update(self._done - self._bar.n)
         self._bar.refresh()  # a tick a moment ago would make tqdm leave this state out
@@ -90,6 +91,8 @@ class Progress(event.Listener):
             yield
         finally:
             done.set()
+            if self._moves.is_set():
+                self._bar.set_postfix_str(self._state, refresh=False)
 
     def over_pipeline(self, pipeline: Pipeline) -> Pipeline:
         """Watch the stages of an evaluation."""
