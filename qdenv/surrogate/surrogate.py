@@ -129,17 +129,10 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
         fitted: Fitted, ring: Ring, key: jax.Array, name: str, first: Any, last: Any
     ) -> tuple[Fitted, jax.Array]:
         scale = _scale(ring) if config.standardise else (fitted.centre, fitted.spread)
-        learner, loss = learn(
-            _loss(name, networks, fitted.learners, aspect, config, scale),
-            fitted.learners[name],
-            optimiser,
-            ring,
-            config.minibatch,
-            last,
-            jax.random.fold_in(key, stages.index(name)),
-            first,
-        )
-        return Fitted({**fitted.learners, name: learner}, *scale, fitted.fits), loss
+        loss = _loss(name, networks, fitted.learners, aspect, config, scale)
+        learner, key = fitted.learners[name], jax.random.fold_in(key, stages.index(name))
+        learner, mean = learn(loss, learner, optimiser, ring, config.minibatch, last, key, first)
+        return Fitted({**fitted.learners, name: learner}, *scale, fitted.fits), mean
 
     def fit(fitted: Fitted, ring: Ring, key: jax.Array) -> tuple[Fitted, dict[str, jax.Array]]:
         losses = {}
