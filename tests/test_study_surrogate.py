@@ -5,6 +5,8 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import toy
@@ -15,7 +17,9 @@ from qdenv.cli import run as command
 from qdenv.domains.base import make_domain
 from qdenv.study.held_out import FEWEST, Evaluated, judge, read_elites, split
 from qdenv.study.surrogate import facts_of, mean_of, try_surrogate
+from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
+from qdenv.surrogate.surrogate import Aspect, make_surrogate, stages_of
 from qdenv.training.manifest import meaning_of
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
@@ -116,6 +120,42 @@ def test_a_surrogate_counts_the_flowers_of_gardens_it_has_not_seen(elites, trial
     assert facts_of(elites, TINY, trials)["skills"]["paths"]["r2"]["splits"] == [
         trial.skills[1].r2 for trial in trials
     ]
+
+
+def test_a_fit_in_pieces_is_the_fit():
+    rng = np.random.default_rng(2)
+    maps = rng.integers(0, 3, (20, 6, 6)).astype(np.int8)
+    numbers = rng.normal(size=(20, 3)).astype(np.float32)
+    samples = Samples(*map(jnp.asarray, (maps, maps, np.zeros(maps.shape, np.float16), numbers)))
+    ring = Ring(samples, jnp.int32(20))
+    config = SurrogateConfig(channels=2, blocks=0, epochs=4, minibatch=8)
+    aspect = Aspect((6, 6), 3, 1, usage=False)
+    surrogate = make_surrogate(config, aspect)
+    fit_part = jax.jit(surrogate.fit_part, static_argnames="name")
+    key = jax.random.key(1)
+    start = parts = jax.jit(surrogate.init)(key)
+    whole, losses = jax.jit(surrogate.fit)(start, ring, key)
+    for name in stages_of(aspect):
+        for first, last in ((0, 1), (1, 4)):
+            parts, loss = fit_part(parts, ring, key, name, first, last)
+        np.testing.assert_allclose(loss, losses[name], rtol=1e-5)
+    assert (whole.fits, parts.fits) == (1, 0)
+    jax.tree.map(
+        lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-6),
+        (whole.learners, whole.centre, whole.spread),
+        (parts.learners, parts.centre, parts.spread),
+    )
+    moved = jax.tree.map(lambda one, other: bool((one != other).any()), whole, start)
+    assert all(jax.tree.leaves(moved.learners["score"].variables["params"]))
+
+
+def test_progress_is_told_from_nothing_to_nearly_all(elites):
+    told = []
+    try_surrogate(elites, TINY, (0, 1), lambda doing, share, note: told.append((share, note)))
+    shares = [share for share, _ in told]
+    # Two splits, two networks, sixty epochs.
+    assert shares == sorted(shares) and len(set(shares)) == 240
+    assert told[0] == (0, "split 1 of 2") and told[-1][1] == "split 2 of 2"
 
 
 def test_nothing_is_predicted_where_the_numbers_were_shuffled(elites):

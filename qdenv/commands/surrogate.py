@@ -157,6 +157,7 @@ def draw(
         unit = f" [{elites.units}]" if number == 0 and elites.units else ""
         said = f"R2 {in_words(figures['r2'])}, rank {in_words(figures['rank'])}"
         panels[one + unit] = (truth[:, number], predicted[:, number], said)
-    splits = f"{len(trials)} splits" if len(trials) > 1 else "1 split"
+    many = f"{len(trials)} splits; in brackets the standard deviation over them"
+    splits = many if len(trials) > 1 else "1 split"
     title = f"{name}: {facts['held_out']} of {facts['elites']} elites held out, {splits}"
     save_predictions(path, panels, title)

@@ -35,7 +35,7 @@ def draw_predictions(
         panels: by the label of the number: true values, predicted values, what the title says.
         title: of the figure.
     """
-    figure = new_figure(SIDE * len(panels), SIDE + 0.35)
+    figure = new_figure(SIDE * len(panels), SIDE + 0.45)
     every: Sequence[Axes] = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (label, (truth, predicted, said)) in zip(every, panels.items(), strict=True):
         both = np.concatenate([truth, predicted])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -15,10 +15,16 @@ from qdenv.study.held_out import Evaluated, Skill, judge, split
 from qdenv.study.progress import Progress, silent
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Aspect, make_surrogate
+from qdenv.surrogate.surrogate import Aspect, make_surrogate, stages_of
 
 CHUNK = 64  # layouts predicted at a time
 LEARNING = "learning"
+
+# (elites to learn from, those held out, seed, told which share is done) -> (numbers, repaired
+# layouts) predicted of those held out
+Predictor: TypeAlias = Callable[
+    [np.ndarray, np.ndarray, int, Callable[[float], None]], tuple[np.ndarray, np.ndarray]
+]
 
 
 class Trial(NamedTuple):
@@ -66,14 +72,18 @@ def try_surrogate(
         elites: of a run.
         config: the surrogate's size, and how it learns.
         seeds: each decides its split and its networks' first weights.
-        progress: told how many splits are done.
+        progress: told which share is done.
     """
-    learn = make_learner(elites, config)
+    predict = make_predictor(elites, config)
     trials = []
     for number, seed in enumerate(seeds):
-        progress(LEARNING, number / len(seeds), f"split {number + 1} of {len(seeds)}")
+        note = f"split {number + 1} of {len(seeds)}"
+
+        def tell(share: float, done: int = number, note: str = note) -> None:
+            progress(LEARNING, (done + share) / len(seeds), note)
+
         known, held = split(len(elites), seed)
-        predicted, repaired = learn(known, held, seed)
+        predicted, repaired = predict(known, held, seed, tell)
         truth = elites.numbers[held]
         skills = tuple(judge(*pair) for pair in zip(predicted.T, truth.T, strict=True))
         alike = float((repaired == elites.repaired[held]).mean())
@@ -81,21 +91,26 @@ def try_surrogate(
     return trials
 
 
-def make_learner(
-    elites: Evaluated, config: SurrogateConfig
-) -> Callable[[np.ndarray, np.ndarray, int], tuple[np.ndarray, np.ndarray]]:
-    """Make a function (known, held, seed) -> (numbers, repaired layouts) predicted of the held.
+def make_predictor(elites: Evaluated, config: SurrogateConfig) -> Predictor:
+    """Make a function that learns from some elites and predicts others.
 
     It compiles once for all archives of one size.
     """
     shape = elites.drawn.shape[1], elites.drawn.shape[2]
     measures = elites.numbers.shape[1] - 1
     aspect = Aspect(shape, elites.kinds, measures, elites.repairs, usage=False)
-    init, fit, predict = _programs(config, aspect)
+    init, fit_part, predict = _programs(config, aspect)
+    parts = [(name, epoch) for name in stages_of(aspect) for epoch in range(config.epochs)]
 
-    def learn(known: np.ndarray, held: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    def learn_and_predict(
+        known: np.ndarray, held: np.ndarray, seed: int, tell: Callable[[float], None]
+    ) -> tuple[np.ndarray, np.ndarray]:
         first, second = jax.random.split(jax.random.key(seed))
-        fitted, _ = fit(init(first), _ring(elites, known), second)
+        fitted, ring = init(first), _ring(elites, known)
+        for done, (name, epoch) in enumerate(parts):
+            tell(done / len(parts))
+            fitted, loss = fit_part(fitted, ring, second, name, epoch, epoch + 1)
+            loss.block_until_ready()  # else nothing would tell how far it is
         # Whole chunks, so that one program predicts all of them.
         rows = np.resize(held, -(-len(held) // CHUNK) * CHUNK).reshape(-1, CHUNK)
         said: list[Any] = [predict(fitted, jnp.asarray(elites.drawn[chunk])) for chunk in rows]
@@ -104,14 +119,15 @@ def make_learner(
         repaired = np.concatenate([one.repaired for one in said])
         return np.column_stack([objective, measures])[: len(held)], repaired[: len(held)]
 
-    return learn
+    return learn_and_predict
 
 
 @functools.lru_cache(maxsize=4)
 def _programs(config: SurrogateConfig, aspect: Aspect) -> tuple[Callable, Callable, Callable]:
-    """Make the surrogate's three functions, compiled when they are first called."""
+    """Make the surrogate's init, fit_part and predict, compiled when they are first called."""
     surrogate = make_surrogate(config, aspect)
-    return jax.jit(surrogate.init), jax.jit(surrogate.fit), jax.jit(surrogate.predict)
+    part = jax.jit(surrogate.fit_part, static_argnames="name")
+    return jax.jit(surrogate.init), part, jax.jit(surrogate.predict)
 
 
 def _ring(elites: Evaluated, known: np.ndarray) -> Ring:

@@ -83,12 +83,15 @@ class Surrogate(NamedTuple):
         init: key -> `Fitted` that knows nothing; consumes the key.
         fit: (fitted, ring, key) -> (fitted, mean losses of each network's last epoch by the names
             of `STAGES`); consumes the key.
+        fit_part: (fitted, ring, key, one of `STAGES`, first epoch, the one after the last) ->
+            (fitted, mean loss): the same in pieces, for one who waits; all with the same key.
         predict: (fitted, drawn layouts int8 [B, H, W]) -> `Prediction`.
         heads: numbers predicted of a layout: objective, result objective, measures.
     """
 
     init: Callable[[jax.Array], Fitted]
     fit: Callable[[Fitted, Ring, jax.Array], tuple[Fitted, dict[str, jax.Array]]]
+    fit_part: Callable[..., tuple[Fitted, jax.Array]]
     predict: Callable[[Fitted, jax.Array], Prediction]
     heads: int
 
@@ -122,20 +125,20 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
             learners[name] = make_learner(variables, optimiser)
         return Fitted(learners, jnp.zeros(heads), jnp.ones(heads), jnp.int32(0))
 
+    def fit_part(
+        fitted: Fitted, ring: Ring, key: jax.Array, name: str, first: Any, last: Any
+    ) -> tuple[Fitted, jax.Array]:
+        scale = _scale(ring) if config.standardise else (fitted.centre, fitted.spread)
+        loss = _loss(name, networks, fitted.learners, aspect, config, scale)
+        learner, key = fitted.learners[name], jax.random.fold_in(key, stages.index(name))
+        learner, mean = learn(loss, learner, optimiser, ring, config.minibatch, last, key, first)
+        return Fitted({**fitted.learners, name: learner}, *scale, fitted.fits), mean
+
     def fit(fitted: Fitted, ring: Ring, key: jax.Array) -> tuple[Fitted, dict[str, jax.Array]]:
-        centre, spread = _scale(ring) if config.standardise else (fitted.centre, fitted.spread)
-        learners, losses = dict(fitted.learners), {}
-        for number, name in enumerate(stages):
-            learners[name], losses[name] = learn(
-                _loss(name, networks, dict(learners), aspect, config, (centre, spread)),
-                learners[name],
-                optimiser,
-                ring,
-                config.minibatch,
-                config.epochs,
-                jax.random.fold_in(key, number),
-            )
-        return Fitted(learners, centre, spread, fitted.fits + 1), losses
+        losses = {}
+        for name in stages:
+            fitted, losses[name] = fit_part(fitted, ring, key, name, 0, config.epochs)
+        return fitted._replace(fits=fitted.fits + 1), losses
 
     def predict(fitted: Fitted, drawn: jax.Array) -> Prediction:
         seen = _inputs(networks, fitted.learners, aspect, config, drawn)
@@ -147,7 +150,7 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
         usage = seen["score"][..., aspect.kinds] if aspect.usage else jnp.zeros(drawn.shape)
         return Prediction(score, repaired, usage)
 
-    return Surrogate(init, fit, predict, heads)
+    return Surrogate(init, fit, fit_part, predict, heads)
 
 
 def _inputs(
