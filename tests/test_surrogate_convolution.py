@@ -14,7 +14,7 @@ from qdenv.surrogate.networks import MapPredictor, ScorePredictor, fill_up
 
 def own(maps, kernel, stride):
     """Convolve as jax does; so many zeros around that the size stays, or is halved."""
-    zeros = {(1, 1): 0, (3, 1): 1, (5, 1): 2, (4, 2): 1, (3, 2): 1}[kernel.shape[0], stride]
+    zeros = {(1, 1): 0, (3, 1): 1, (5, 1): 2, (4, 2): 1}[kernel.shape[0], stride]
     around = ((zeros, zeros), (zeros, zeros))
     return jax.lax.conv_general_dilated(
         maps, kernel, (stride, stride), around, dimension_numbers=LAYOUT
@@ -35,7 +35,7 @@ def drawn(*shape, seed=0):
     return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
 
 
-@pytest.mark.parametrize(("size", "stride"), [(1, 1), (3, 1), (5, 1), (4, 2), (3, 2)])
+@pytest.mark.parametrize(("size", "stride"), [(1, 1), (3, 1), (5, 1), (4, 2)])
 @pytest.mark.parametrize("side", [(8, 8), (7, 12)])
 def test_result_and_gradients_are_those_of_jax_itself(size, stride, side):
     maps, kernel = drawn(2, *side, 3), drawn(size, size, 3, 5, seed=1)
@@ -66,10 +66,10 @@ def test_a_stride_of_two_halves_odd_sides_downwards_and_still_sees_every_cell():
         assert (np.asarray(seen) > 0).all()
 
 
-@pytest.mark.parametrize("size", [2, 4])
-def test_a_kernel_without_a_centre_is_refused_where_the_size_must_stay(size):
+@pytest.mark.parametrize(("size", "stride"), [(2, 1), (4, 1), (3, 2), (2, 2), (6, 3)])
+def test_a_kernel_that_would_give_another_size_is_refused(size, stride):
     with pytest.raises(AssertionError):
-        convolve(jnp.zeros((1, 6, 6, 1)), jnp.zeros((size, size, 1, 1)), 1)
+        convolve(jnp.zeros((1, 6, 6, 1)), jnp.zeros((size, size, 1, 1)), stride)
 
 
 def test_gradients_inside_a_compiled_loop_are_those_outside():

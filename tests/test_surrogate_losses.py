@@ -7,9 +7,10 @@ import pytest
 from scipy.special import log_softmax, softmax
 from scipy.stats import entropy
 
+from qdenv.surrogate.losses import map_loss, score_loss, usage_loss
 from qdenv.surrogate.report import errors
 from qdenv.surrogate.samples import Ring, Samples
-from qdenv.surrogate.surrogate import _scale, map_loss, score_loss, usage_loss
+from qdenv.surrogate.surrogate import _scale
 
 usage_loss, scale = jax.jit(usage_loss, static_argnums=2), jax.jit(_scale)
 

@@ -14,25 +14,36 @@ def _pad(kernel: int, stride: int) -> int:
     return (kernel - stride + 1) // 2
 
 
+def _plain(maps: jax.Array, kernel: jax.Array, stride: int, around: int) -> jax.Array:
+    """Convolve with as many zeros around; fast in compiled loops, unlike its gradients."""
+    zeros = ((around, around), (around, around))
+    return jax.lax.conv_general_dilated(
+        maps, kernel, (stride, stride), zeros, dimension_numbers=LAYOUT
+    )
+
+
 @functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
 def convolve(maps: jax.Array, kernel: jax.Array, stride: int) -> jax.Array:
     """Convolve float32 [B, H, W, C] with a square kernel [k, k, C, F].
 
-    In a compiled loop XLA has no fast code on CPUs for the gradient by the kernel: 15 to 40 times
-    slower than outside of one. Here that gradient is one product of matrices.
+    In a compiled loop XLA has no fast code on CPUs for the gradients: 7 to 40 times slower than
+    outside of one. Here that by the kernel is one product of matrices, and that by the maps a
+    convolution, too.
+
+    Args:
+        maps: of any size; of odd sides with a stride of 2 the last row and column count, too.
+        kernel: of odd width with a stride of 1, of width 4 with a stride of 2.
+        stride: 1 or 2.
 
     Returns:
-        float32 [B, H // stride, W // stride, F] where the kernel is odd with a stride of 1 and
-        even with a stride of 2; every cell is seen, those of odd sides too.
+        float32 [B, H // stride, W // stride, F].
 
     Raises:
-        AssertionError: the kernel is even with a stride of 1: the size could not stay.
+        AssertionError: kernel and stride do not go together (when tracing).
     """
-    assert stride > 1 or kernel.shape[0] % 2, "an even kernel has no centre"
-    around = (_pad(kernel.shape[0], stride),) * 2
-    return jax.lax.conv_general_dilated(
-        maps, kernel, (stride, stride), (around, around), dimension_numbers=LAYOUT
-    )
+    size = kernel.shape[0]
+    assert (size % 2, stride) == (1, 1) or (size, stride) == (4, 2), "no such convolution"
+    return _plain(maps, kernel, stride, _pad(size, stride))
 
 
 def _forward(
@@ -45,20 +56,31 @@ def _backward(
     stride: int, kept: tuple[jax.Array, jax.Array], gradient: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     maps, kernel = kept
+    by_maps = _by_maps(stride, maps.shape, kernel, gradient)
+    return by_maps, _by_kernel(stride, maps, kernel, gradient)
+
+
+def _by_maps(
+    stride: int, shape: tuple[int, ...], kernel: jax.Array, gradient: jax.Array
+) -> jax.Array:
+    """Convolve the gradient with the kernel turned around, once for each place in a stride."""
+    size, (_, rows, cols, channels) = kernel.shape[0], shape
+    many, around = size // stride, _pad(size, stride)
+    # Cells of one parity are reached by every second row and column of the kernel alone.
+    parts = kernel.reshape(many, stride, many, stride, channels, -1)[::-1, :, ::-1]
+    turned = parts.transpose(0, 2, 5, 1, 3, 4).reshape(many, many, -1, stride**2 * channels)
+    wide = _plain(gradient, turned, 1, many - 1)
+    apart = wide.reshape(*wide.shape[:3], stride, stride, channels).transpose(0, 1, 3, 2, 4, 5)
+    whole = apart.reshape(len(gradient), stride * wide.shape[1], stride * wide.shape[2], channels)
+    return whole[:, around : around + rows, around : around + cols]
+
+
+def _by_kernel(stride: int, maps: jax.Array, kernel: jax.Array, gradient: jax.Array) -> jax.Array:
+    """Multiply the gradient with what each weight of the kernel was multiplied with."""
     size, around = kernel.shape[0], _pad(kernel.shape[0], stride)
-    if stride == 1:  # the convolution with the kernel turned around
-        turned = kernel[::-1, ::-1].transpose(0, 1, 3, 2)
-        by_maps = convolve(gradient, turned, 1)
-    else:
-        by_maps = jax.linear_transpose(
-            lambda maps: jax.lax.conv_general_dilated(
-                maps, kernel, (stride, stride), ((around, around),) * 2, dimension_numbers=LAYOUT
-            ),
-            maps,
-        )(gradient)[0]
     rows, cols = gradient.shape[1:3]
     padded = jnp.pad(maps, ((0, 0), (around, around), (around, around), (0, 0)))
-    seen = [  # what each weight of the kernel was multiplied with
+    seen = [
         padded[
             :, i : i + stride * (rows - 1) + 1 : stride, j : j + stride * (cols - 1) + 1 : stride
         ]
@@ -67,7 +89,7 @@ def _backward(
     ]
     columns = jnp.concatenate(seen, axis=-1).reshape(-1, size * size * maps.shape[-1])
     by_kernel = columns.T @ gradient.reshape(-1, gradient.shape[-1])
-    return by_maps, by_kernel.reshape(kernel.shape)
+    return by_kernel.reshape(kernel.shape)
 
 
 convolve.defvjp(_forward, _backward)
@@ -78,7 +100,7 @@ class Convolution(nn.Module):
 
     Attributes:
         features: channels F of the result.
-        size: width of the kernel: odd with a stride of 1, even with a stride of 2.
+        size: width of the kernel: odd with a stride of 1, 4 with a stride of 2.
         stride: cells between the centres.
         bias: whether a number is added to each channel.
     """

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from qdenv.surrogate.losses import map_loss, score_loss, usage_loss
 from qdenv.surrogate.networks import MapPredictor, ScorePredictor
 from qdenv.surrogate.samples import Ring, Samples, spread_of
 from qdenv.surrogate.settings import SurrogateConfig
@@ -46,6 +47,14 @@ def stages_of(aspect: Aspect) -> list[str]:
     return [name for name in STAGES if present[name]]
 
 
+class Chain(NamedTuple):
+    """The networks in a row, fixed while they learn."""
+
+    config: SurrogateConfig
+    aspect: Aspect
+    networks: dict[str, Any]  # Flax modules by the names of `STAGES`
+
+
 class Fitted(NamedTuple):
     """What the surrogate has learnt; one pytree.
 
@@ -53,7 +62,7 @@ class Fitted(NamedTuple):
         learners: its networks, by the names of `STAGES` that there are.
         centre: float32 [heads], what is subtracted from objective and measures.
         spread: float32 [heads], what they are divided by after that.
-        fits: int32, how often it was fitted.
+        fits: int32, how often it was fitted to samples.
     """
 
     learners: dict[str, Learner]
@@ -68,7 +77,7 @@ class Prediction(NamedTuple):
     Attributes:
         score: `Score` with leading axis B; a success where every number is finite.
         repaired: int8 [B, H, W].
-        usage: float32 [B, H, W]; zeros where no usage is learnt.
+        usage: float32 [B, H, W], in units of an even share; zeros where no usage is learnt.
     """
 
     score: Score
@@ -113,14 +122,14 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
         "usage": MapPredictor(config.channels, config.blocks, 1),
         "score": ScorePredictor(config.channels, heads),
     }
-    stages = stages_of(aspect)
+    chain, stages = Chain(config, aspect, networks), stages_of(aspect)
     optimiser = optax.adam(config.rate)
 
     def init(key: jax.Array) -> Fitted:
         learners: dict[str, Learner] = {}
         blank = jnp.zeros((1, *aspect.shape), jnp.int8)
         for number, name in enumerate(stages):
-            maps = _inputs(networks, learners, aspect, config, blank)[name]
+            maps = _inputs(chain, learners, blank)[name]
             variables = networks[name].init(jax.random.fold_in(key, number), maps, False)
             learners[name] = make_learner(variables, optimiser)
         return Fitted(learners, jnp.zeros(heads), jnp.ones(heads), jnp.int32(0))
@@ -129,7 +138,7 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
         fitted: Fitted, ring: Ring, key: jax.Array, name: str, first: Any, last: Any
     ) -> tuple[Fitted, jax.Array]:
         scale = _scale(ring) if config.standardise else (fitted.centre, fitted.spread)
-        loss = _loss(name, networks, fitted.learners, aspect, config, scale)
+        loss = _loss(chain, name, fitted.learners, scale)
         learner, key = fitted.learners[name], jax.random.fold_in(key, stages.index(name))
         learner, mean = learn(loss, learner, optimiser, ring, config.minibatch, last, key, first)
         return Fitted({**fitted.learners, name: learner}, *scale, fitted.fits), mean
@@ -138,10 +147,10 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
         losses = {}
         for name in stages:
             fitted, losses[name] = fit_part(fitted, ring, key, name, 0, config.epochs)
-        return fitted._replace(fits=fitted.fits + 1), losses
+        return fitted._replace(fits=fitted.fits + (ring.known > 0)), losses
 
     def predict(fitted: Fitted, drawn: jax.Array) -> Prediction:
-        seen = _inputs(networks, fitted.learners, aspect, config, drawn)
+        seen = _inputs(chain, fitted.learners, drawn)
         heads = networks["score"].apply(fitted.learners["score"].variables, seen["score"], False)
         numbers = heads * fitted.spread[None] + fitted.centre[None]
         success = jnp.isfinite(numbers).all(axis=-1)
@@ -153,17 +162,12 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
     return Surrogate(init, fit, fit_part, predict, heads)
 
 
-def _inputs(
-    networks: dict[str, Any],
-    learners: dict[str, Learner],
-    aspect: Aspect,
-    config: SurrogateConfig,
-    drawn: jax.Array,
-) -> dict[str, jax.Array]:
+def _inputs(chain: Chain, learners: dict[str, Learner], drawn: jax.Array) -> dict[str, jax.Array]:
     """Compute what each network is given, by those before it; stops where one is not made yet."""
+    config, aspect = chain.config, chain.aspect
 
     def output(name: str, maps: jax.Array) -> jax.Array:
-        return networks[name].apply(learners[name].variables, maps, False)
+        return chain.networks[name].apply(learners[name].variables, maps, False)
 
     tiles = jax.nn.one_hot(drawn, aspect.kinds)
     seen = {"repair": tiles}
@@ -186,54 +190,23 @@ def _inputs(
 
 
 def _loss(
-    name: str,
-    networks: dict[str, Any],
-    learners: dict[str, Learner],
-    aspect: Aspect,
-    config: SurrogateConfig,
-    scale: tuple[jax.Array, jax.Array],
+    chain: Chain, name: str, learners: dict[str, Learner], scale: tuple[jax.Array, jax.Array]
 ) -> Loss:
     """Make the loss of one network; those before it stand still."""
 
     def loss(variables: Any, batch: Samples) -> tuple[jax.Array, Any]:
-        maps = _inputs(networks, learners, aspect, config, batch.drawn)[name]
-        result, changed = networks[name].apply(variables, maps, True, mutable=["batch_stats"])
+        maps = _inputs(chain, learners, batch.drawn)[name]
+        result, changed = chain.networks[name].apply(variables, maps, True, mutable=["batch_stats"])
         stats = changed.get("batch_stats", {})
         if name == "repair":
             return map_loss(result, batch.repaired), stats
         if name == "usage":
-            return usage_loss(result[..., 0], batch.usage, config.usage_loss), stats
+            return usage_loss(result[..., 0], batch.usage, chain.config.usage_loss), stats
         target = (batch.numbers - scale[0][None]) / scale[1][None]
-        weights = jnp.asarray(config.weights or (1.0,) * target.shape[-1])
+        weights = jnp.asarray(chain.config.weights or (1.0,) * target.shape[-1])
         return score_loss(result, target, weights), stats
 
     return loss
-
-
-def map_loss(logits: jax.Array, tiles: jax.Array) -> jax.Array:
-    """Average the cross entropy of tiles int8 [B, H, W] under logits [B, H, W, K]."""
-    labels = tiles.astype(jnp.int32)
-    return optax.softmax_cross_entropy_with_integer_labels(logits, labels).mean()
-
-
-def usage_loss(predicted: jax.Array, usage: jax.Array, kind: str) -> jax.Array:
-    """Compare usage maps [B, H, W] with logits ("kl", summed over cells) or numbers ("mse").
-
-    Both are averaged over the batch.
-    """
-    rows = len(usage)
-    flat, usage = predicted.reshape(rows, -1), usage.astype(jnp.float32).reshape(rows, -1)
-    # float16 has rounded the shares: they must sum to 1 again.
-    share = usage / jnp.maximum(usage.sum(axis=-1, keepdims=True), 1e-12)
-    if kind == "kl":
-        return optax.losses.kl_divergence(jax.nn.log_softmax(flat, axis=-1), share).mean()
-    # In units of an even distribution, as the next network sees them.
-    return jnp.square(flat - share * flat.shape[-1]).mean()
-
-
-def score_loss(predicted: jax.Array, target: jax.Array, weights: jax.Array) -> jax.Array:
-    """Average the weighted squared errors of numbers [B, heads] over batch and heads."""
-    return (jnp.square(predicted - target) * weights[None]).mean()
 
 
 def _scale(ring: Ring) -> tuple[jax.Array, jax.Array]:

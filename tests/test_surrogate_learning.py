@@ -1,0 +1,149 @@
+"""The surrogate learns a rule that is known, whatever a domain has, and nothing of nothing."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from search_harness import QUICK
+
+from qdenv.surrogate.report import errors
+from qdenv.surrogate.samples import Ring, Samples
+from qdenv.surrogate.settings import SurrogateConfig
+from qdenv.surrogate.surrogate import Aspect, make_surrogate, stages_of
+from qdenv.surrogate.training import learn, make_learner
+from qdenv.types import InputError
+
+KINDS = 3
+
+
+def truth(rng, count, shape):
+    """Make samples of a rule.
+
+    The repair turns a 2 right of a 2 into a 0; cells that hold a 1 are used five times as often as
+    others; the objective falls with the 2s and grows with the share of use in the upper half.
+    """
+    odds = rng.dirichlet(np.ones(KINDS), count)
+    draws = rng.random((count, *shape))
+    drawn = (draws[..., None] > np.cumsum(odds, axis=1)[:, None, None, :2]).sum(axis=-1)
+    before = np.pad(drawn, ((0, 0), (0, 0), (1, 0)))[:, :, :-1]
+    repaired = np.where((drawn == 2) & (before == 2), 0, drawn)
+    visits = 1.0 + 4 * (repaired == 1)
+    usage = visits / visits.sum(axis=(1, 2), keepdims=True)
+    ones, twos = ((repaired == kind).mean(axis=(1, 2)) for kind in (1, 2))
+    objective = 10 - 6 * twos + 4 * usage[:, : (shape[0] + 1) // 2].sum(axis=(1, 2))
+    area = shape[0] * shape[1]
+    numbers = np.stack([objective + 5, objective, area * ones, area * twos], axis=1)
+    maps = (np.asarray(drawn, np.int8), np.asarray(repaired, np.int8), usage.astype(np.float32))
+    return Samples(*(jnp.asarray(leaf) for leaf in maps), jnp.asarray(numbers, jnp.float32))
+
+
+def full_ring(samples):
+    count, *shape = samples.drawn.shape
+    heads = samples.numbers.shape[1]
+    return Ring.empty(count, tuple(shape), heads).add(samples, jnp.ones(count, bool))
+
+
+def compiled(config, aspect):
+    surrogate = make_surrogate(config, aspect)
+    parts = surrogate.init, surrogate.fit, surrogate.predict
+    return [jax.jit(function, compiler_options=QUICK) for function in parts]
+
+
+def explained(prediction, samples):
+    score = prediction.score
+    heads = [score.objective[:, None], score.result_objective[:, None], score.measures]
+    valid = np.ones(len(samples.numbers), bool)
+    return np.asarray(errors(np.concatenate(heads, axis=1), samples.numbers, valid)[1])
+
+
+# Explained of unseen layouts over three seeds: 0.93 to 0.98 with all networks, 0.83 to 0.97 with
+# the last alone, which is told nothing of the repair; 0.997 of the tiles and more.
+@pytest.mark.parametrize(
+    ("shape", "all_stages", "least"), [((8, 7), True, 0.85), ((9, 10), False, 0.7)]
+)
+def test_a_small_surrogate_explains_layouts_that_it_has_not_seen(shape, all_stages, least):
+    config = SurrogateConfig(channels=8, epochs=20, minibatch=32, samples=512)
+    aspect = Aspect(shape, KINDS, 2, repairs=all_stages, usage=all_stages)
+    init, fit, predict = compiled(config, aspect)
+    rng = np.random.default_rng(0)
+    ring, unseen = full_ring(truth(rng, 512, shape)), truth(rng, 256, shape)
+    untaught = init(jax.random.key(0))
+    fitted, losses = fit(untaught, ring, jax.random.key(1))
+    assert explained(predict(untaught, unseen.drawn), unseen).max() < 0.1
+    prediction = predict(fitted, unseen.drawn)
+    assert explained(prediction, unseen).min() > least
+    assert set(losses) == set(stages_of(aspect)) == set(fitted.learners)
+    if all_stages:
+        assert (prediction.repaired == unseen.repaired).mean() > 0.98
+        even = jnp.abs(unseen.usage - 1 / 56).mean()
+        used = prediction.usage / 56  # told in units of an even share
+        assert jnp.abs(used - unseen.usage).mean() < 0.6 * even  # measured: 0.36
+        np.testing.assert_allclose(used.sum(axis=(1, 2)), 1, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("shape", "repairs", "usage", "loss"),
+    [((1, 1), False, True, "mse"), ((3, 5), True, False, "kl")],
+)
+def test_a_surrogate_of_a_few_cells_does_without_what_a_domain_lacks(shape, repairs, usage, loss):
+    config = SurrogateConfig(
+        channels=4,
+        blocks=0,
+        epochs=2,
+        minibatch=10,
+        samples=16,
+        usage_loss=loss,
+        standardise=usage,
+        weights=(1, 1, 10, 0),
+    )
+    aspect = Aspect(shape, KINDS, 2, repairs, usage)
+    init, fit, predict = compiled(config, aspect)
+    untaught, samples = init(jax.random.key(0)), truth(np.random.default_rng(0), 16, shape)
+    assert ("repair" in untaught.learners, "usage" in untaught.learners) == (repairs, usage)
+
+    nothing = Ring.empty(16, shape, 4)
+    same, losses = fit(untaught, nothing, jax.random.key(1))
+    jax.tree.map(np.testing.assert_array_equal, same, untaught)
+    assert all(float(loss) == 0 for loss in losses.values())
+
+    fitted, losses = fit(same, full_ring(samples), jax.random.key(1))
+    assert int(fitted.fits) == 1 and all(float(loss) > 0 for loss in losses.values())
+    for leaf in jax.tree.leaves(fitted):
+        assert np.isfinite(leaf).all()
+    for name, learner in fitted.learners.items():
+        old, new = (jax.tree.leaves(each.variables) for each in (untaught.learners[name], learner))
+        assert any((one != other).any() for one, other in zip(old, new, strict=True)), name
+    prediction = predict(fitted, samples.drawn)
+    assert prediction.score.success.all() and prediction.score.measures.shape == (16, 2)
+    assert prediction.usage.any() == usage
+    if not repairs:
+        np.testing.assert_array_equal(prediction.repaired, samples.drawn)
+    if not usage:  # numbers in their own units
+        np.testing.assert_array_equal(fitted.spread, 1)
+
+
+def test_weights_for_another_number_of_heads_are_refused():
+    with pytest.raises(InputError, match="3 weights: give 4"):
+        make_surrogate(SurrogateConfig(weights=(1, 1, 10)), Aspect((4, 4), KINDS, 2))
+
+
+def test_a_sample_is_seen_as_often_as_any_other_by_the_last_minibatch_too():
+    # A loss that tells which rows it was given: 7 samples in minibatches of 3, for two epochs.
+    seen = []
+
+    def loss(variables, batch):
+        jax.debug.callback(lambda rows: seen.append(np.array(rows)), batch.numbers[:, 0])
+        return jnp.square(variables["params"]).sum(), {}
+
+    optimiser = optax.adam(1e-3)
+    numbers = jnp.arange(7.0)[:, None]
+    blank = jnp.zeros((7, 1, 1))
+    ring = Ring.empty(9, (1, 1), 1).add(Samples(blank, blank, blank, numbers), jnp.ones(7, bool))
+    learner = make_learner({"params": jnp.ones(2)}, optimiser)
+    _, value = learn(loss, learner, optimiser, ring, 3, 2, jax.random.key(0))
+    jax.effects_barrier()
+    assert len(seen) == 6 and float(value) < 2
+    for epoch in (np.concatenate(seen[:3]), np.concatenate(seen[3:])):
+        assert sorted(epoch[:7]) == list(range(7))
+        np.testing.assert_array_equal(epoch[7:], epoch[:2])  # filled up with its first
