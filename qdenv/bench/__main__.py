@@ -17,7 +17,7 @@ import tyro
 from qdenv.commands.waiting import waiting
 from qdenv.types import InputError
 
-BENCHMARKS = ("pipeline", "simulate", "repair", "search", "maze", "scale")
+BENCHMARKS = ("pipeline", "simulate", "repair", "search", "maze", "scale", "surrogate")
 
 
 def main() -> int:
