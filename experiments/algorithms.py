@@ -29,7 +29,7 @@ from qdenv.study.differences import margin, sample_of
 from qdenv.training.choosing import choose_algorithm
 from qdenv.training.config import RunConfig
 
-ALGORITHMS = ("cma-mae", "cma-me", "map-elites", "cma-es", "random")
+ALGORITHMS = ("cma-mae", "cma-me", "map-elites", "cma-es", "random", "dsage")
 COLOURS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#999999", "#CC79A7")  # Okabe and Ito 2008
 STYLES = ("-", "--", "-", "--", ":", "-.")  # grey prints tell them apart, too
 METRICS = {"qd_score": "QD-score", "coverage": "coverage", "best_objective": "best objective"}
@@ -135,7 +135,7 @@ def print_table(found: dict[str, Runs], published: dict[str, str]) -> None:
 
 def draw(path: Path, found: dict[str, Runs], title: str) -> None:
     """Draw the three metrics over true evaluations: means, and their 95 % intervals shaded."""
-    figure = new_figure(10, 3.6)
+    figure = new_figure(10, 3.6, dpi=110)
     panels = figure.subplots(1, len(METRICS))
     for column, (axes, label) in enumerate(zip(panels, METRICS.values(), strict=True)):
         for (name, runs), colour, style in zip(found.items(), COLOURS, STYLES, strict=False):
@@ -180,7 +180,8 @@ def main(
         run = run_of(config, out / f"{preset}-{name}-{seed}")
         found[name].append(run)
         left = (time.time() - start) / done * (len(todo) - done)
-        print(f"{done} of {len(todo)}: {run!r}, about {in_words(left)} left", flush=True)
+        rest = f", about {in_words(left)} left" if done < len(todo) else ""
+        print(f"{done} of {len(todo)}: {run!r}{rest}", flush=True)
     collected = {name: collect(runs) for name, runs in found.items()}
     write_table(out / "algorithms.csv", collected)
     spread = "mean and 95 % interval" if seeds > 1 else "one run each"

@@ -94,11 +94,12 @@ _HOMES = {
     "Score": ("qdenv.types", "Score"),
 }
 
-# Stages of the loop whose packages are also functions of the same name: package -> its home.
+# Packages that are also functions of the same name: package -> its home.
 _STAGES = {
     "generate": "qdenv.api.runs",
     "repair": "qdenv.api.layouts",
     "simulate": "qdenv.api.layouts",
+    "surrogate": "qdenv.api.runs",
 }
 
 __all__ = sorted({**_HOMES, **_STAGES})

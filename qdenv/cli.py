@@ -44,6 +44,7 @@ COMMANDS = {
     "generate": "qdenv.commands.runs:generate",
     "series": "qdenv.commands.sizes:series",
     "export": "qdenv.commands.export:export",
+    "surrogate": "qdenv.commands.surrogate:surrogate",
     "train-agent": "qdenv.commands.mazes:train_agent",
     "evaluate-agent": "qdenv.commands.mazes:evaluate_agent",
     "convert-agent": "qdenv.commands.mazes:convert_agent",

@@ -11,6 +11,7 @@ from qdenv.search.base import Algorithm, Drawing, Problem
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.dsage.settings import DsageConfig
 from qdenv.search.registry import ALGORITHMS, make_algorithm
+from qdenv.search.settings import ScreenedConfig
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import Measure, Score
 
@@ -35,6 +36,7 @@ SMALL_DSAGE = DsageConfig(
 CONFIGS = (
     {name: ALGORITHMS.config(name) for name in ALGORITHMS.names()}
     | {
+        "cma-mae-screened": ScreenedConfig(emitters=2, batch=6, screen=2, refit=2, surrogate=TINY),
         "dsage": SMALL_DSAGE,
     }
     | {

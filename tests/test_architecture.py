@@ -35,7 +35,9 @@ ALLOWED = {
     "pipeline": BASE | STAGES | {"domains.base", "devices", "settings"},
     "surrogate": {"types"},
     "search": {"types", "lazy", "files", "checkpoints", "registry", "surrogate"},
-    "presets": BASE | STAGES | {"domains", "search", "settings", "training.config"},
+    "presets": BASE
+    | STAGES
+    | {"domains", "search", "settings", "surrogate", "training.config", "training.choosing"},
     "training": BASE
     | STAGES
     | PLUGS
@@ -46,7 +48,14 @@ ALLOWED = {
     | {"domains", "pipeline", "settings", "formats", "surrogate", "training"},
     "api": BASE | STAGES | PLUGS | {"domains", "formats", "plots", "presets", "study", "training"},
     "plots": BASE
-    | {"training.records", "study.table", "study.jams", "study.differences", "domains.base"},
+    | {
+        "training.records",
+        "training.notes",
+        "study.table",
+        "study.jams",
+        "study.differences",
+        "domains.base",
+    },
     "commands": BASE
     | STAGES
     | PLUGS

@@ -21,7 +21,13 @@ WANTED = {
     "qdenv lay": ["layout"],
     "qdenv layout hu": ["human"],
     "qdenv layout human --ro": ["--rows"],
-    "qdenv train man": ["manufacturing", "manufacturing-quick"],
+    "qdenv train man": [
+        "manufacturing",
+        "manufacturing-quick",
+        "manufacturing-map-elites",
+        "manufacturing-cma-es",
+        "manufacturing-dsage",
+    ],
     "qdenv train quick --emi": ["--emitters"],
     "qdenv train --config": [],  # no such option
     "qdenv train --domain war": ["warehouse-even", "warehouse-uneven"],

@@ -96,6 +96,18 @@ def test_loops_batches_and_traces_give_the_same_episodes(mild, level):
         jax.tree.map(np.testing.assert_array_equal, whole, runs)
 
 
+def test_usage_is_the_share_of_actions_on_each_cell(mild, level):
+    shared = prepare(mild, level)
+    keys = jax.random.split(jax.random.key(5), 8)
+    dropped = run_dropping(mild, shared, keys, HORIZON)
+    for index, key in enumerate(keys):
+        episode, poses = trace(mild, shared, key, HORIZON)
+        cells = np.asarray(poses.position)[: int(episode.length)]
+        expected = np.bincount(cells, minlength=level.size) / len(cells)
+        np.testing.assert_allclose(episode.usage, expected.reshape(level.shape), atol=1e-6)
+        np.testing.assert_allclose(dropped.usage[index], episode.usage, atol=1e-6)
+
+
 def test_an_unsolvable_level_is_not_run(weights):
     for drawing in (["XX", "XX"], [" X", "X "]):
         tables = prepare(weights, jnp.asarray(parse(drawing, " X")))

@@ -48,6 +48,7 @@ MISTAKES = {
     "plot nowhere": "no run here",
     "generate nowhere": "no run here",
     "export nowhere": "no run here",
+    "surrogate nowhere": "no run here",
     # Numbers that make no simulation.
     "simulate plan.txt --agents 0": "at least one agent",
     "simulate plan.txt --agents -3": "at least one agent",
@@ -96,6 +97,12 @@ MISTAKES = {
     "train quick --seed -1": "seed -1: give 0 or more",
     "sweep plan.txt --agents 5 --out a.json": "ends in .csv",
     "resume run": "manifest.json",
+    "surrogate run": "manifest.json",
+    "surrogate run --size huge": "choose one of small, published",
+    "surrogate run --epochs 0": "epochs must be at least 1",
+    "surrogate run --seeds 2,2": "names a seed twice",
+    "surrogate run --seeds 0": "seeds '0'",
+    "surrogate run --out s.png": "ends in .csv",
     "repair plan.txt --keep ragged.txt": "ragged.txt",
 }
 

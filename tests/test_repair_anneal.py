@@ -85,7 +85,7 @@ def plan_of(moves: int, seed: int, periods: int = 100) -> Plan:
     """Plan a hot run."""
     period = max(moves // periods, 1)
     count = max(-(-moves // period), 1)
-    return Plan(np.uint64(seed), moves, period, count, (2.0, 1.0), (0.5, 0.5))
+    return Plan(np.uint64(seed), moves, period, count, (2.0, 1.0), (0.5, 0.5), -np.inf)
 
 
 @pytest.mark.parametrize("aisle", [1, 2])

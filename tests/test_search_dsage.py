@@ -249,9 +249,11 @@ def test_searches_of_odd_sizes_end_and_stay_finite(name):
 
 
 def test_what_has_no_tiles_or_a_start_is_refused():
-    for nothing in (None, TOY.drawing._replace(choices=0), TOY.drawing._replace(choices=1)):
+    for choices in (0, 1):
         with pytest.raises(InputError, match="its generator is direct"):
-            dsage(CONFIG, TOY._replace(drawing=nothing))
+            dsage(CONFIG, TOY._replace(drawing=TOY.drawing._replace(choices=choices)))
+    with pytest.raises(InputError, match="has none"):
+        dsage(CONFIG, TOY._replace(drawing=None))
     with pytest.raises(InputError, match="leave x0 out"):
         dsage(CONFIG, TOY, np.zeros(SIDE**2))
     with pytest.raises(InputError, match="give 2 numbers of blocks"):

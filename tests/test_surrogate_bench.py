@@ -19,7 +19,7 @@ def test_an_outer_loop_is_reckoned_from_iterations_and_steps():
     ("preset", "shape", "kinds", "repairs", "size"),
     [
         ("warehouse-even", (33, 36), 4, True, 33 * 32),
-        ("maze-walls", (16, 16), 2, False, 256),
+        ("maze-walls", (18, 18), 2, False, 256),
     ],
 )
 def test_a_preset_says_what_is_searched(preset, shape, kinds, repairs, size):

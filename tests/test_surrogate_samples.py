@@ -50,12 +50,14 @@ def test_a_ring_keeps_the_newest_valid_samples_each_at_its_turn(size, batch):
             assert not np.asarray(one)[blank].any()
 
 
-def test_what_a_failed_row_holds_reaches_no_sample():
-    batch = batch_of(np.arange(1, 5))
-    numbers = np.array(batch.numbers)
-    numbers[2] = np.nan
-    ring = Ring.empty(3, SHAPE, 3).add(batch._replace(numbers=numbers), numbers[:, 0] > 0)
-    np.testing.assert_array_equal(ring.samples.numbers[:, 0], [1, 2, 4])
+def test_what_failed_or_cannot_be_counted_is_no_sample():
+    batch = batch_of(np.arange(1, 7))
+    numbers, usage = np.array(batch.numbers), np.array(batch.usage)
+    numbers[2, 1], usage[4, 0, 0] = np.nan, np.inf
+    spoilt = batch._replace(numbers=numbers, usage=usage)
+    ring = adder()(Ring.empty(3, SHAPE, 3), spoilt, np.arange(6) != 1)
+    np.testing.assert_array_equal(ring.samples.numbers[:, 0], [1, 4, 6])
+    assert int(ring.told) == 3
 
 
 @pytest.mark.parametrize("count", [0, 1, 6, 10])

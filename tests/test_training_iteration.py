@@ -14,7 +14,7 @@ from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.export import elites
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.negotiated.settings import LOW
-from qdenv.training.loop import kept
+from qdenv.training.problem import seen
 
 ITERATIONS = 3
 
@@ -64,7 +64,7 @@ def test_one_program_in_xla_finds_what_the_pipelined_loop_on_the_host_finds(in_x
         solutions, state = ask(state)
         key = jax.random.fold_in(on_host.evaluation_key, number)
         evaluation = evaluator(solutions, key)
-        state = tell(state, solutions, evaluation.score, kept(evaluation))
+        state = tell(state, solutions, evaluation.score, seen(evaluation))
     apart = elites(on_host.algorithm.archive(state))
     assert len(apart["index"]) >= 1
     assert apart.keys() == together.keys()

@@ -117,8 +117,8 @@ def die(*args, **kwargs):
     os.kill(os.getpid(), signal.SIGKILL)
 
 if {where!r} == "iteration":
-    original, calls = loop.kept, []
-    loop.kept = lambda e: (calls.append(1), original(e))[1] if len(calls) < 4 else die()
+    original, calls = loop.seen, []
+    loop.seen = lambda e: (calls.append(1), original(e))[1] if len(calls) < 4 else die()
 else:
     original = checkpoint.save_checkpoint
     def save(path, state, manifest):
@@ -180,7 +180,7 @@ def test_failed_evaluations_enter_nothing():
     assert (np.asarray(evaluation.status) == RepairStatus.IMPOSSIBLE).all()
     assert not np.asarray(evaluation.score.success).any()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(evaluation.score))
-    state = experiment.algorithm.tell(state, solutions, evaluation.score, loop.kept(evaluation))
+    state = experiment.algorithm.tell(state, solutions, evaluation.score, loop.seen(evaluation))
     assert len(elites(experiment.algorithm.archive(state))["index"]) == 0
 
 

@@ -53,6 +53,21 @@ def test_it_names_what_is_compiled_until_the_first_evaluations_are_done(capsys):
         assert not capsys.readouterr().err  # it ticks no more
 
 
+def test_it_says_what_a_search_does_between_iterations_and_then_how_it_stands(capsys):
+    with Progress(8, True) as shown:
+        shown.begin(0)
+        with shown.during("the search thinks"):
+            time.sleep(0.05)  # before the first evaluations are done others speak
+        assert "the search thinks" not in capsys.readouterr().err
+        shown.update(4, "QD-score 3")
+        with shown.during("the search thinks"):
+            assert "the search thinks: 0 s" in wait_for("the search thinks: 0 s", capsys)
+        shown.update(2, "QD-score 4")
+        assert "QD-score 4" in wait_for("QD-score 4", capsys)
+        time.sleep(0.05)
+        assert "thinks" not in capsys.readouterr().err
+
+
 def test_it_shows_nothing_unless_asked(capsys):
     with Progress(8, False) as shown:
         shown.begin(4)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from qdenv.api.results import Layout
+from qdenv.api.results import Facts, Layout
 from qdenv.presets import find_preset
 from qdenv.training.config import CHOICES, RunConfig
 from qdenv.training.elite import Elite
@@ -143,3 +143,31 @@ def generate(
     status = RepairStatus(int(repaired.status)).name.lower()
     facts |= {"repair": status, "changed": float(repaired.cost)}
     return Layout(np.asarray(repaired.layout), grown.domain, facts)
+
+
+def surrogate(
+    run: RunDirectory | str | Path,
+    seeds: int | str | Sequence[int] = 3,
+    size: str = "small",
+    **settings: Any,
+) -> Facts:
+    """Predict a run's elites by a surrogate that learns from the others: R2, RMSE, rank.
+
+    Args:
+        run: the run, or its folder; its archive needs 50 elites or more.
+        seeds: 3 for three random splits, "3,5,9" or (3, 5, 9) for these.
+        size: "small" or "published".
+        **settings: single numbers of the surrogate, like epochs=100, by the names of
+            `qdenv surrogate --help`.
+
+    Raises:
+        InputError: there are too few elites, or a setting means nothing.
+    """
+    from qdenv.study.held_out import read_elites
+    from qdenv.study.options import find_surrogate, parse_seeds
+
+    config, chosen = find_surrogate(size, settings), parse_seeds(seeds)
+    elites = read_elites(run if isinstance(run, RunDirectory) else RunDirectory.open(run))
+    from qdenv.study.surrogate import facts_of, try_surrogate
+
+    return Facts(facts_of(elites, config, try_surrogate(elites, config, chosen)))

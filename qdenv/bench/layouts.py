@@ -9,21 +9,25 @@ import numpy as np
 
 from qdenv.domains.base import Domain, find_domain, make_domain
 from qdenv.domains.manufacturing import ManufacturingConfig
-from qdenv.domains.warehouse import WarehouseConfig
+from qdenv.domains.warehouse import UnevenWarehouseConfig, WarehouseConfig
 from qdenv.formats.layouts import read_layout
+from qdenv.generate.decode import inside_frame
 from qdenv.generate.generator import GENERATORS
 from qdenv.generate.nca import NcaConfig
 from qdenv.pipeline import canvas_of
 from qdenv.types import InputError, Rules
 
 SIZE, EVAL_SIZE = (33, 36), (101, 102)  # S and S_eval
-# The domains measured here at S_eval, with the published number of shelves.
+# The domains with fleets at S_eval, with the published number of shelves.
 LARGE = {
     "warehouse-even": WarehouseConfig(*EVAL_SIZE, shelves=2500),
+    "warehouse-uneven": UnevenWarehouseConfig(*EVAL_SIZE, shelves=2500),
     "manufacturing": ManufacturingConfig(*EVAL_SIZE),
 }
-DOMAINS = tuple(LARGE)
+FLEETS = tuple(LARGE)
+DOMAINS = ("warehouse-even", "manufacturing")  # whose rules differ
 KERNELS = (3, 3, 3)
+MUTATED = 10  # cells drawn anew by one mutation, at most
 
 
 class Case(NamedTuple):
@@ -111,6 +115,26 @@ def grow_large(kind: str) -> Case:
     """Grow one layout of size S_eval from a fixed key."""
     (layout,) = grow_random(kind, 1, shape=EVAL_SIZE)
     return Case(f"{kind} random 0 of S_eval", kind, layout)
+
+
+def random_tiles(kind: str, count: int, seed: int = 0, shape: tuple[int, int] = SIZE) -> np.ndarray:
+    """Draw every generated tile uniformly (int8 [count, H, W]): where a search of tiles begins."""
+    domain, rng = at_size(kind, shape), np.random.default_rng(seed)
+    inside = rng.integers(len(domain.generated), size=(count, *domain.generated_shape))
+    return np.stack([np.asarray(domain.frame(tiles)) for tiles in inside.astype(np.int8)])
+
+
+def mutated_tiles(kind: str, layouts: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Draw one to ten tiles of each layout (int8 [count, H, W]) anew, as a search of tiles does."""
+    domain = at_size(kind, (layouts.shape[1], layouts.shape[2]))
+    rng, mutated = np.random.default_rng(seed), layouts.copy()
+    for layout in mutated:
+        inside = inside_frame(layout, domain.margin)
+        cells = rng.choice(inside.size, rng.integers(1, MUTATED + 1), replace=False)
+        inside[np.unravel_index(cells, inside.shape)] = rng.integers(
+            len(domain.generated), size=cells.size
+        )
+    return mutated
 
 
 def hard_layouts(kind: str, count: int, seed: int = 0) -> Iterator[np.ndarray]:

@@ -17,7 +17,8 @@ from qdenv.files import write_json
 from qdenv.pipeline import PipelinedEvaluator
 from qdenv.presets import find_preset
 from qdenv.search.growth import growing
-from qdenv.training.loop import Experiment, kept, make_experiment
+from qdenv.training.loop import Experiment, make_experiment
+from qdenv.training.problem import seen
 from qdenv.types import InputError
 
 
@@ -45,7 +46,7 @@ def run(
     def step(state: Any, number: int) -> Any:
         solutions, state = algorithm.ask(state)
         evaluation = evaluator(solutions, jax.random.fold_in(experiment.evaluation_key, number))
-        return algorithm.tell(state, solutions, evaluation.score, kept(evaluation))
+        return algorithm.tell(state, solutions, evaluation.score, seen(evaluation))
 
     def repeat(state: Any) -> Any:
         for number in range(iterations):
@@ -107,7 +108,7 @@ def split(experiment: Experiment, state: Any) -> dict[str, float]:
     evaluation = clock_compiled(
         "score", pipeline.score, unrepaired, repair.layout, repair.status, runs
     )
-    clock("search", algorithm.tell, state, solutions, evaluation.score, kept(evaluation))
+    clock("search", algorithm.tell, state, solutions, evaluation.score, seen(evaluation))
     total = sum(spent.values())
     return {name: round(100 * seconds / total, 2) for name, seconds in spent.items()}
 

@@ -12,6 +12,8 @@ import tyro
 
 from qdenv.bench.layouts import (
     DOMAINS,
+    EVAL_SIZE,
+    FLEETS,
     KERNELS,
     SIZE,
     Case,
@@ -19,6 +21,8 @@ from qdenv.bench.layouts import (
     grow_random,
     hard_layouts,
     layouts_at_size,
+    mutated_tiles,
+    random_tiles,
     read_unrepaired,
     rules_at_size,
 )
@@ -27,8 +31,9 @@ from qdenv.repair.audit import audit
 from qdenv.repair.pool import RepairPool
 from qdenv.repair.recipe import repair
 from qdenv.repair.settings import Polish, RepairConfig
-from qdenv.types import RepairStatus
+from qdenv.types import RepairStatus, Rules
 
+SMALL = (17, 16)  # of the preset `quick`
 # Changed tiles of earlier measurements: annealing with 3e6 moves in C++, then HiGHS for 2.5 s.
 BEFORE = {
     "warehouse_even_nca_a5_unrepaired": 32,
@@ -55,6 +60,8 @@ class Options:
         kernel_sizes: of the random generators.
         hard: noise, stripes, pockets and one-tile layouts per domain, annealed and audited.
         population: layouts repaired in one call, 0 for none.
+        tiles: random tile maps per domain and size, and mutations of them, as a search of tiles
+            asks for; a tenth of them at S_eval.
         eval_size: layouts of size S_eval as well: the given ones, else one grown per domain.
         seeds: repairs of each layout.
     """
@@ -65,6 +72,7 @@ class Options:
     kernel_sizes: tuple[int, ...] = KERNELS
     hard: int = 1000
     population: int = 50
+    tiles: int = 50
     eval_size: bool = True
     seeds: int = 2
 
@@ -101,10 +109,18 @@ def run(
         result["population"] = [measure_population(kind, options.population) for kind in DOMAINS]
     if options.hard:
         result["hard"] = [count_failures(kind, options.hard) for kind in DOMAINS]
+    if options.tiles:
+        shapes = (SMALL, SIZE, EVAL_SIZE) if options.eval_size else (SMALL, SIZE)
+        result["tiles"] = [
+            row
+            for shape in shapes
+            for kind in FLEETS
+            for row in compare_tiles(kind, shape, options.tiles)
+        ]
     result["peak_megabytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
     if json_file:
         write_json(json_file, result)
-    for section in ("summary", "population", "hard", "peak_megabytes"):
+    for section in ("summary", "population", "tiles", "hard", "peak_megabytes"):
         print(section, result.get(section))
     return result
 
@@ -166,6 +182,42 @@ def measure_population(kind: str, count: int) -> dict[str, Any]:
         "wall_seconds": round(wall, 2),
         "failed": int((records.status >= RepairStatus.IMPOSSIBLE).sum()),
     }
+
+
+def compare_tiles(kind: str, shape: tuple[int, int], count: int) -> list[dict[str, Any]]:
+    """Repair tile maps as a search of tiles draws them, beside as many grown ones."""
+    if shape == EVAL_SIZE:
+        count = -(-count // 10)
+    rules = rules_at_size(kind, shape)
+    drawn, row = random_tiles(kind, count, shape=shape), {"domain": kind, "shape": shape}
+    grown, _ = repair_all(grow_random(kind, count, shape=shape), rules)
+    first, repaired = repair_all(drawn, rules)
+    again, _ = repair_all(mutated_tiles(kind, repaired), rules)
+    named = {"grown": grown, "random tiles": first, "mutated repaired tiles": again}
+    rows = [{**row, "layouts": name, **numbers} for name, numbers in named.items()]
+    for numbers in rows:
+        print(*numbers.values(), flush=True)
+    return rows
+
+
+def repair_all(layouts: np.ndarray, rules: Rules) -> tuple[dict[str, Any], np.ndarray]:
+    """Repair layouts (int8 [B, H, W]) one by one; returns the figures and the repaired layouts."""
+    records = [repair(layout, rules) for layout in layouts]
+    repaired = np.stack([record.layout for record in records])
+    cost, seconds = (
+        np.array([getattr(record, name) for record in records], float)
+        for name in ("cost", "seconds")
+    )
+    figures = {
+        "count": len(records),
+        "feasible": sum(not audit(layout, rules) for layout in repaired),
+        "hamming_mean": round(float(cost.mean()), 1),
+        "hamming_max": float(cost.max()),
+        "lower_bound_mean": round(float(np.mean([record.lower_bound for record in records])), 1),
+        "cpu_seconds_mean": round(float(seconds.mean()), 3),
+        "cpu_seconds_max": round(float(seconds.max()), 3),
+    }
+    return figures, repaired
 
 
 def count_failures(kind: str, count: int) -> dict[str, Any]:

@@ -18,15 +18,16 @@ import tyro
 
 from qdenv.files import write_json
 from qdenv.generate.settings import DirectConfig
-from qdenv.pipeline import evaluate, make_pipeline
+from qdenv.pipeline import make_pipeline
 from qdenv.presets import find_preset
-from qdenv.search.base import Drawing, Problem
+from qdenv.search.base import Problem
 from qdenv.search.dsage.inner import search_surrogate
 from qdenv.search.dsage.settings import DsageConfig
+from qdenv.search.observed import aspect_of, drawing_of
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.surrogate.surrogate import Aspect, Fitted, Surrogate, make_surrogate, stages_of
-from qdenv.training.loop import archive_axes
+from qdenv.training.problem import archive_axes, problem_of
 from qdenv.types import Score
 
 SIZES = {"small": SurrogateConfig(), "published": PUBLISHED}
@@ -82,7 +83,8 @@ def run(
     Raises:
         InputError: no preset has this name.
     """
-    problem, aspect = searched(options.preset)
+    problem = searched(options.preset)
+    aspect = aspect_of(problem, drawing_of(problem, "dsage"))
     config = replace(SIZES[options.size], samples=64 * options.timed, epochs=1, minibatch=64)
     surrogate = make_surrogate(config, aspect)
     fitted = jax.jit(surrogate.init)(jax.random.key(0))
@@ -104,30 +106,16 @@ def run(
     return result
 
 
-def searched(preset: str) -> tuple[Problem, Aspect]:
-    """Say what DSAGE searches with the layouts of a preset, and what its surrogate sees."""
+def searched(preset: str) -> Problem:
+    """Say what DSAGE searches with the layouts of a preset."""
     config = find_preset(preset)
     pipeline = make_pipeline(replace(config.evaluation, generator=DirectConfig()))
-    domain, size = pipeline.domain, pipeline.solution_size
-    one = jax.ShapeDtypeStruct((1, size), np.float32)
-    seen = jax.eval_shape(lambda p, k: evaluate(pipeline, p, k), one, jax.random.key(0))
-    drawing = Drawing(
-        lambda solutions: pipeline.grow(jnp.asarray(solutions)),
-        domain.shape,
-        len(domain.tiles),
-        pipeline.choices,
-        repairs=domain.rules is not None,
-        usage=hasattr(seen.runs, "usage"),
-    )
-    measures = archive_axes(domain.measures, config.archive)
-    aspect = Aspect(domain.shape, len(domain.tiles), len(measures), drawing.repairs, drawing.usage)
-    return Problem(size, measures, None, drawing), aspect
+    return problem_of(pipeline, archive_axes(pipeline.domain.measures, config.archive))
 
 
 def time_inner(options: Options, problem: Problem, surrogate: Surrogate, fitted: Fitted) -> Spent:
     """Time an inner iteration, inside its loop: 50 solutions are mutated, predicted, inserted."""
-    drawing = problem.drawing
-    assert drawing is not None
+    drawing = drawing_of(problem, "dsage")
     config = DsageConfig(inner_iterations=options.timed)
 
     def search(fitted: Fitted, key: jax.Array) -> Any:
@@ -155,7 +143,7 @@ def time_step(
     )
 
     def learn(fitted: Fitted, ring: Ring, key: jax.Array) -> Any:
-        return surrogate.teach(name, fitted, ring, key)
+        return surrogate.fit_part(fitted, ring, key, name, 0, 1)[0].learners[name]
 
     return spent(learn, (fitted, ring, jax.random.key(2)), options)
 

@@ -28,7 +28,8 @@ FEWEST_ROWS = 5
 
 def describe_cost(preset: str, config: RunConfig) -> str:
     """Say how long a preset takes here, like "about 8 min"; "" where nothing is known."""
-    base = _base_of(preset)
+    # What a surrogate learns is no part of what its base takes.
+    base = preset if hasattr(config.algorithm, "surrogate") else _base_of(preset)
     measured = _read().get(preset) or _read().get(base)
     known = CPU_SECONDS.get(base)
     seconds = measured or (known / (os.cpu_count() or 1) if known else None)

@@ -10,6 +10,8 @@ from matplotlib.figure import Figure
 from qdenv.plots.archive import save_heatmap, scatter_objectives
 from qdenv.plots.figure import new_figure, save_figure
 from qdenv.plots.layouts import draw_layout
+from qdenv.plots.notes import save_notes
+from qdenv.training.notes import NOTES, read_notes
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
@@ -19,6 +21,8 @@ MARKERS = {"start": "o", "goal": "*"}  # any other mark is a square
 
 def plot_run(run: RunDirectory | str | Path) -> list[Path]:
     """Draw archive.png, progress.png and best_layout.png into a run's folder.
+
+    And notes.png, where its algorithm says anything of itself.
 
     Args:
         run: the run, or its folder.
@@ -35,6 +39,10 @@ def plot_run(run: RunDirectory | str | Path) -> list[Path]:
     objectives = scatter_objectives(archive["index"], archive["objective"], meaning.measures)
     save_heatmap(pictures[0], objectives, meaning.measures, label=meaning.objective)
     save_progress(pictures[1], run)
+    notes = read_notes(run.path / NOTES)
+    if notes:
+        pictures.append(run.path / "notes.png")
+        save_notes(pictures[-1], notes)
     best = run.read_best_layout()
     if best is not None:
         pictures.append(run.path / "best_layout.png")

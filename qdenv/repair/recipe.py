@@ -61,7 +61,7 @@ def _repair_possible(
 ) -> Result:
     """Repair a layout whose rules do not contradict each other."""
     bound, effort = bound_cost(layout, facts), config.effort
-    candidate, cost = _anneal_until_feasible(layout, facts, seed, config, report)
+    candidate, cost = _anneal_until_feasible(layout, facts, seed, config, bound, report)
     if candidate is None:
         return Result(layout, np.inf, bound, RepairStatus.FAILED)
     best = Result(candidate, cost, bound, RepairStatus.ANNEALED)
@@ -77,12 +77,19 @@ def _repair_possible(
 
 
 def _anneal_until_feasible(
-    layout: np.ndarray, facts: Facts, seed: int, config: RepairConfig, report: Report
+    layout: np.ndarray,
+    facts: Facts,
+    seed: int,
+    config: RepairConfig,
+    bound: float,
+    report: Report,
 ) -> tuple[np.ndarray | None, float]:
     """Anneal until a layout passes the audit: from the input, then from regular layouts."""
     moves = config.count_moves(facts.free_cells)
     for attempt, (start, schedule) in enumerate(_starts(layout, facts)):
-        candidate, cost = anneal(layout, facts, seed + attempt, moves, start, schedule, report)
+        candidate, cost = anneal(
+            layout, facts, seed + attempt, moves, start, schedule, report, bound
+        )
         if candidate is not None and not audit(candidate, facts.rules):
             return balance(candidate, cost, layout, facts, seed)
     return None, np.inf

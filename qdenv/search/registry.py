@@ -14,6 +14,7 @@ ALGORITHMS = Registry(
     {
         "cma-mae": "qdenv.search.settings:CMA_MAE",
         "cma-me": "qdenv.search.settings:CMA_ME",
+        "cma-mae-screened": "qdenv.search.settings:SCREENED",
         "map-elites": "qdenv.search.settings:MAP_ELITES",
         "cma-es": "qdenv.search.settings:CMA_ES",
         "random": "qdenv.search.settings:RANDOM_SEARCH",

@@ -1,10 +1,11 @@
 """The settings of the search algorithms: what a user may choose."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from qdenv.registry import Entry
+from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import InputError
 
 # Names of `strategies.registry.STRATEGIES`, which a user may add to, of `emitters.RANKERS` and of
@@ -115,6 +116,26 @@ class CmaMeConfig(CmaMaeConfig):
 
 
 @dataclass(frozen=True)
+class ScreenedConfig(CmaMaeConfig):
+    """Settings of CMA-MAE whose offspring a surrogate screens.
+
+    Attributes:
+        screen: offspring drawn for each that is evaluated; 1 screens nothing.
+        refit: iterations from one fit of the surrogate to the next.
+        surrogate: its size, and how it learns.
+    """
+
+    screen: int = 4
+    refit: int = 1
+    surrogate: SurrogateConfig = field(default_factory=SurrogateConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no search."""
+        super().__post_init__()
+        positive(screen=self.screen, refit=self.refit)
+
+
+@dataclass(frozen=True)
 class MapElitesConfig:
     """Settings of MAP-Elites.
 
@@ -146,6 +167,14 @@ class MapElitesConfig:
 class CmaEsConfig:
     """Settings of the single-objective search.
 
+    The default strategy, `iso`, is what CMA-ES is at the size of a layout's generator. To decompose
+    a covariance matrix of n parameters costs n^3, so implementations wait until it has changed
+    enough to be worth it. By pyribs' rule (`refresh_gap`) that is after 10,573 evaluations at the
+    warehouse's 11,011 parameters with one emitter of 50, and after 11,090 evaluations of each with
+    emitters of 10: beyond the paper's budget of 10,000. Until then CMA-ES samples N(m, sigma^2 I)
+    and adapts sigma by its path, which is `iso`, at linear cost. Strategies that adapt more than a
+    step size earlier, `sep` and `lm_ma` among them, found no better layouts on the preset quick.
+
     Attributes:
         emitters: independent evolution strategies.
         batch: solutions of each strategy per iteration.
@@ -153,14 +182,15 @@ class CmaEsConfig:
         restart: never (basic), when no cell improved, or every so many iterations. A strategy
             whose distribution is degenerate restarts anyway, from a random elite.
         strategy: how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full),
-            its limited-memory form (lm_ma), or one of evosax'.
+            its limited-memory form (lm_ma), or one of evosax', of which CMA_ES decomposes its full
+            matrix at every step: for some hundreds of parameters at most.
     """
 
     emitters: int = 1
     batch: int = 50
     sigma0: float = 0.2
     restart: Literal["no_improvement", "basic"] | int = "basic"
-    strategy: Strategy = "sep"
+    strategy: Strategy = "iso"
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no search."""
@@ -187,6 +217,7 @@ class RandomSearchConfig:
 
 CMA_MAE = Entry(CmaMaeConfig, "qdenv.search.cma_mae:cma_mae")
 CMA_ME = Entry(CmaMeConfig, "qdenv.search.cma_mae:cma_mae")
+SCREENED = Entry(ScreenedConfig, "qdenv.search.screening:screened")
 MAP_ELITES = Entry(MapElitesConfig, "qdenv.search.map_elites:map_elites")
 CMA_ES = Entry(CmaEsConfig, "qdenv.search.cma_es:cma_es")
 RANDOM_SEARCH = Entry(RandomSearchConfig, "qdenv.search.random_search:random_search")

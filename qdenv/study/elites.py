@@ -76,6 +76,10 @@ def grow_series(
     if min(steps) < 0:
         raise InputError(f"steps must be 0 or more, not {min(steps)}")
     generator = _generator_of(config, domain)
+    if generator.choices and solution.shape != (generator.size,):
+        raise InputError(
+            "this run searched tiles, not automata: its layouts have the size of the run alone"
+        )
     if solution.shape != (generator.size,):
         raise InputError(f"{len(solution)} parameters given, this generator has {generator.size}")
 

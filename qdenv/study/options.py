@@ -1,6 +1,7 @@
 """What users say of a study in words: seeds, numbers of agents, who plans."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,10 @@ import numpy as np
 from qdenv.simulate.mapf.goals import check_playable
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.types import InputError, TaskRule, look_up
 
+SURROGATES = {"small": SurrogateConfig(), "published": PUBLISHED}
 LARGEST_SEED = 2**32 - 1
 MOST_SEEDS = 100_000
 MOST_COUNTS = 1000  # numbers of agents in one study
@@ -82,6 +85,23 @@ def find_planner(effort: str = "low", planner: str = "") -> Any:
         InputError: a word is unknown.
     """
     return PLANNERS.config(planner) if planner else look_up(EFFORTS, effort, "effort")
+
+
+def find_surrogate(size: str, numbers: Mapping[str, Any]) -> SurrogateConfig:
+    """Choose a surrogate's settings by words.
+
+    Args:
+        size: "small" or "published".
+        numbers: in place of those of this size, by the settings' names; None stands for nothing.
+
+    Raises:
+        InputError: a word is unknown, or a number learns nothing.
+    """
+    stated = {name: value for name, value in numbers.items() if value is not None}
+    chosen: SurrogateConfig = look_up(SURROGATES, size, "size")
+    for name in stated:
+        look_up(vars(chosen), name, "setting")
+    return replace(chosen, **stated)
 
 
 def describe_planner(settings: Any) -> str:

@@ -1,4 +1,4 @@
-"""What the networks of the surrogate make small."""
+"""What the surrogate's networks make small, as published."""
 
 import jax
 import jax.numpy as jnp

@@ -51,7 +51,12 @@ class Ring(NamedTuple):
         return jnp.minimum(self.told, self.samples.numbers.shape[0])
 
     def add(self, batch: Samples, valid: jax.Array) -> Self:
-        """Add the samples of a batch [B, ...] that are `valid` (bool [B]), over the oldest."""
+        """Add the samples of a batch [B, ...] that are `valid` (bool [B]), over the oldest.
+
+        Samples whose usage or numbers are not finite are none: no network would recover from them.
+        """
+        valid &= jnp.isfinite(batch.usage).all(axis=(1, 2))
+        valid &= jnp.isfinite(batch.numbers).all(axis=-1)
         size = self.samples.numbers.shape[0]
         place = (self.told + jnp.cumsum(valid) - 1) % size
         # Of a batch longer than the ring the last remain.

@@ -47,6 +47,14 @@ def stages_of(aspect: Aspect) -> list[str]:
     return [name for name in STAGES if present[name]]
 
 
+class Chain(NamedTuple):
+    """The networks in a row, fixed while they learn."""
+
+    config: SurrogateConfig
+    aspect: Aspect
+    networks: dict[str, Any]  # Flax modules by the names of `STAGES`
+
+
 class Fitted(NamedTuple):
     """What the surrogate has learnt; one pytree.
 
@@ -82,17 +90,17 @@ class Surrogate(NamedTuple):
 
     Attributes:
         init: key -> `Fitted` that knows nothing; consumes the key.
-        teach: (name of `STAGES`, fitted, ring, key) -> (that network, mean loss of its last epoch);
-            consumes the key.
         fit: (fitted, ring, key) -> (fitted, mean losses of each network's last epoch by the names
             of `STAGES`); consumes the key.
+        fit_part: (fitted, ring, key, one of `STAGES`, first epoch, the one after the last) ->
+            (fitted, mean loss): the same in pieces, for one who waits; all with the same key.
         predict: (fitted, drawn layouts int8 [B, H, W]) -> `Prediction`.
         heads: numbers predicted of a layout: objective, result objective, measures.
     """
 
     init: Callable[[jax.Array], Fitted]
-    teach: Callable[[str, Fitted, Ring, jax.Array], tuple[Learner, jax.Array]]
     fit: Callable[[Fitted, Ring, jax.Array], tuple[Fitted, dict[str, jax.Array]]]
+    fit_part: Callable[..., tuple[Fitted, jax.Array]]
     predict: Callable[[Fitted, jax.Array], Prediction]
     heads: int
 
@@ -114,42 +122,35 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
         "usage": MapPredictor(config.channels, config.blocks, 1),
         "score": ScorePredictor(config.channels, heads),
     }
-    stages = stages_of(aspect)
+    chain, stages = Chain(config, aspect, networks), stages_of(aspect)
     optimiser = optax.adam(config.rate)
 
     def init(key: jax.Array) -> Fitted:
         learners: dict[str, Learner] = {}
         blank = jnp.zeros((1, *aspect.shape), jnp.int8)
         for number, name in enumerate(stages):
-            maps = _inputs(networks, learners, aspect, config, blank)[name]
+            maps = _inputs(chain, learners, blank)[name]
             variables = networks[name].init(jax.random.fold_in(key, number), maps, False)
             learners[name] = make_learner(variables, optimiser)
         return Fitted(learners, jnp.zeros(heads), jnp.ones(heads), jnp.int32(0))
 
-    def teach(name: str, fitted: Fitted, ring: Ring, key: jax.Array) -> tuple[Learner, jax.Array]:
-        scale, learners = (fitted.centre, fitted.spread), dict(fitted.learners)
-        return learn(
-            _loss(name, networks, learners, aspect, config, scale),
-            learners[name],
-            optimiser,
-            ring,
-            config.minibatch,
-            config.epochs,
-            key,
-        )
+    def fit_part(
+        fitted: Fitted, ring: Ring, key: jax.Array, name: str, first: Any, last: Any
+    ) -> tuple[Fitted, jax.Array]:
+        scale = _scale(ring) if config.standardise else (fitted.centre, fitted.spread)
+        loss = _loss(chain, name, fitted.learners, scale)
+        learner, key = fitted.learners[name], jax.random.fold_in(key, stages.index(name))
+        learner, mean = learn(loss, learner, optimiser, ring, config.minibatch, last, key, first)
+        return Fitted({**fitted.learners, name: learner}, *scale, fitted.fits), mean
 
     def fit(fitted: Fitted, ring: Ring, key: jax.Array) -> tuple[Fitted, dict[str, jax.Array]]:
-        if config.standardise:
-            centre, spread = _scale(ring)
-            fitted = fitted._replace(centre=centre, spread=spread)
         losses = {}
-        for number, name in enumerate(stages):
-            learner, losses[name] = teach(name, fitted, ring, jax.random.fold_in(key, number))
-            fitted = fitted._replace(learners=fitted.learners | {name: learner})
+        for name in stages:
+            fitted, losses[name] = fit_part(fitted, ring, key, name, 0, config.epochs)
         return fitted._replace(fits=fitted.fits + (ring.known > 0)), losses
 
     def predict(fitted: Fitted, drawn: jax.Array) -> Prediction:
-        seen = _inputs(networks, fitted.learners, aspect, config, drawn)
+        seen = _inputs(chain, fitted.learners, drawn)
         heads = networks["score"].apply(fitted.learners["score"].variables, seen["score"], False)
         numbers = heads * fitted.spread[None] + fitted.centre[None]
         success = jnp.isfinite(numbers).all(axis=-1)
@@ -158,20 +159,15 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
         usage = seen["score"][..., aspect.kinds] if aspect.usage else jnp.zeros(drawn.shape)
         return Prediction(score, repaired, usage)
 
-    return Surrogate(init, teach, fit, predict, heads)
+    return Surrogate(init, fit, fit_part, predict, heads)
 
 
-def _inputs(
-    networks: dict[str, Any],
-    learners: dict[str, Learner],
-    aspect: Aspect,
-    config: SurrogateConfig,
-    drawn: jax.Array,
-) -> dict[str, jax.Array]:
+def _inputs(chain: Chain, learners: dict[str, Learner], drawn: jax.Array) -> dict[str, jax.Array]:
     """Compute what each network is given, by those before it; stops where one is not made yet."""
+    config, aspect = chain.config, chain.aspect
 
     def output(name: str, maps: jax.Array) -> jax.Array:
-        return networks[name].apply(learners[name].variables, maps, False)
+        return chain.networks[name].apply(learners[name].variables, maps, False)
 
     tiles = jax.nn.one_hot(drawn, aspect.kinds)
     seen = {"repair": tiles}
@@ -194,25 +190,20 @@ def _inputs(
 
 
 def _loss(
-    name: str,
-    networks: dict[str, Any],
-    learners: dict[str, Learner],
-    aspect: Aspect,
-    config: SurrogateConfig,
-    scale: tuple[jax.Array, jax.Array],
+    chain: Chain, name: str, learners: dict[str, Learner], scale: tuple[jax.Array, jax.Array]
 ) -> Loss:
     """Make the loss of one network; those before it stand still."""
 
     def loss(variables: Any, batch: Samples) -> tuple[jax.Array, Any]:
-        maps = _inputs(networks, learners, aspect, config, batch.drawn)[name]
-        result, changed = networks[name].apply(variables, maps, True, mutable=["batch_stats"])
+        maps = _inputs(chain, learners, batch.drawn)[name]
+        result, changed = chain.networks[name].apply(variables, maps, True, mutable=["batch_stats"])
         stats = changed.get("batch_stats", {})
         if name == "repair":
             return map_loss(result, batch.repaired), stats
         if name == "usage":
-            return usage_loss(result[..., 0], batch.usage, config.usage_loss), stats
+            return usage_loss(result[..., 0], batch.usage, chain.config.usage_loss), stats
         target = (batch.numbers - scale[0][None]) / scale[1][None]
-        weights = jnp.asarray(config.weights or (1.0,) * target.shape[-1])
+        weights = jnp.asarray(chain.config.weights or (1.0,) * target.shape[-1])
         return score_loss(result, target, weights), stats
 
     return loss

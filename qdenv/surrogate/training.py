@@ -38,8 +38,9 @@ def learn(
     optimiser: optax.GradientTransformation,
     ring: Ring,
     minibatch: int,
-    epochs: int,
+    epochs: int | jax.Array,
     key: jax.Array,
+    first: int | jax.Array = 0,
 ) -> tuple[Learner, jax.Array]:
     """Fit one network to all samples of a ring; traceable, with loops over epochs and steps.
 
@@ -53,6 +54,7 @@ def learn(
         minibatch: samples per step.
         epochs: passes over the samples.
         key: consumed.
+        first: epoch to begin with: where a fit is cut in pieces makes no difference.
 
     Returns:
         the network, and the mean loss of its last epoch.
@@ -82,4 +84,4 @@ def learn(
         learner, total = jax.lax.fori_loop(0, steps, once, (now[0], jnp.float32(0)))
         return learner, total / jnp.maximum(steps, 1)
 
-    return jax.lax.fori_loop(0, epochs, epoch, (learner, jnp.float32(0)))
+    return jax.lax.fori_loop(first, epochs, epoch, (learner, jnp.float32(0)))

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 from qdenv.domains.base import DOMAINS, make_domain
+from qdenv.generate.generator import GENERATORS
 from qdenv.search.registry import ALGORITHMS
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.settings import PLANNERS
@@ -52,7 +53,25 @@ def choose_algorithm(config: RunConfig, name: str) -> RunConfig:
     Raises:
         InputError: the name is unknown.
     """
-    return dataclasses.replace(config, algorithm=ALGORITHMS.config(name))
+    return with_algorithm(config, ALGORITHMS.config(name))
+
+
+def with_algorithm(config: RunConfig, algorithm: Any) -> RunConfig:
+    """Put an algorithm into a configuration, with the generator that it searches.
+
+    Most search whatever numbers a generator takes; one whose settings name an ``encoding`` needs
+    the generator of that name, which others cannot use.
+
+    Args:
+        config: the configuration.
+        algorithm: settings of a registered algorithm.
+    """
+    now = GENERATORS.name_of(config.evaluation.generator)
+    wanted = getattr(algorithm, "encoding", "nca" if now == "direct" else now)
+    evaluation = config.evaluation
+    if wanted != now:
+        evaluation = dataclasses.replace(evaluation, generator=GENERATORS.config(wanted))
+    return dataclasses.replace(config, evaluation=evaluation, algorithm=algorithm)
 
 
 def recast(settings: Any, kind: type) -> Any:

@@ -8,23 +8,22 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 
 from qdenv.interrupt import advise
 from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
-from qdenv.search.axes import check_measures
-from qdenv.search.base import Algorithm, Drawing, Problem
+from qdenv.search.base import Algorithm
 from qdenv.search.growth import growing, is_whole
 from qdenv.search.registry import make_algorithm
 from qdenv.training.config import RunConfig
 from qdenv.training.continued import check_settings, check_total, settings_of
 from qdenv.training.feasible import check_feasible
 from qdenv.training.manifest import meaning_of
+from qdenv.training.notes import NOTES, note_of, read_notes, write_notes
+from qdenv.training.problem import archive_axes, problem_of, seen
 from qdenv.training.progress import Progress
 from qdenv.training.published import Publisher, describe, metrics_row
 from qdenv.training.records import RunDirectory
-from qdenv.types import Array, Evaluation, InputError, Measure
+from qdenv.types import Measure
 
 
 class Experiment(NamedTuple):
@@ -57,72 +56,8 @@ def make_experiment(config: RunConfig) -> Experiment:
     pipeline = make_pipeline(config.evaluation, repair_seed=config.seed)
     measures = archive_axes(pipeline.domain.measures, config.archive)
     search_key, evaluation_key = jax.random.split(jax.random.key(config.seed))
-    one = jax.ShapeDtypeStruct((1, pipeline.solution_size), np.float32)
-    shapes = jax.eval_shape(lambda p, k: evaluate(pipeline, p, k), one, evaluation_key)
-    extras = {name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in kept(shapes).items()}
-    domain = pipeline.domain
-    drawing = Drawing(
-        lambda solutions: pipeline.grow(jnp.asarray(solutions)),
-        domain.shape,
-        len(domain.tiles),
-        pipeline.choices,
-        repairs=domain.rules is not None,
-        usage="usage" in jax.eval_shape(seen, shapes),
-    )
-    problem = Problem(pipeline.solution_size, measures, extras, drawing)
-    algorithm = make_algorithm(config.algorithm, problem)
+    algorithm = make_algorithm(config.algorithm, problem_of(pipeline, measures))
     return Experiment(measures, pipeline, algorithm, search_key, evaluation_key)
-
-
-def archive_axes(
-    own: tuple[Measure, ...], ranges: tuple[tuple[float, float, int], ...]
-) -> tuple[Measure, ...]:
-    """Give a domain's measures the configured ranges.
-
-    Args:
-        own: the domain's.
-        ranges: (low, high, cells) of each; empty for their own.
-
-    Raises:
-        InputError: a range is empty, or there are more or fewer than measures.
-    """
-    if ranges and len(ranges) != len(own):
-        names = " and ".join(repr(measure.name) for measure in own)
-        raise InputError(
-            f"archive: give low, high and cells for each of {names}: {3 * len(own)} numbers"
-        )
-    measures = tuple(
-        measure._replace(low=low, high=high, cells=cells)
-        for measure, (low, high, cells) in zip(own, ranges, strict=False)
-    )
-    check_measures(measures or own)
-    return measures or own
-
-
-def kept(evaluation: Evaluation) -> dict[str, Array]:
-    """Choose what the archive keeps of an evaluation beside its score.
-
-    Both layouts, similarity, repair status, and every per-run number [B, S] of the simulator.
-    """
-    per_run = {
-        name: leaf for name, leaf in evaluation.runs._asdict().items() if len(leaf.shape) == 2
-    }
-    return per_run | {
-        "unrepaired": evaluation.unrepaired,
-        "repaired": evaluation.repaired,
-        "similarity": evaluation.similarity,
-        "status": evaluation.status,
-    }
-
-
-def seen(evaluation: Evaluation) -> dict[str, Array]:
-    """Choose what an algorithm is told of an evaluation: what is kept, and how cells are used.
-
-    ``usage`` is the share of agent-steps on each cell, float32 [B, H, W], averaged over the runs;
-    absent where the simulator draws no such map.
-    """
-    usage = getattr(evaluation.runs, "usage", None)
-    return kept(evaluation) | ({} if usage is None else {"usage": usage.mean(axis=1)})
 
 
 def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
@@ -211,6 +146,7 @@ def _run(
             run.write_config(config)
         # Iterations after the checkpoint are run again, so their rows are written again, too.
         rows = [row for row in run.read_metrics(salvage=True) if row.iteration <= done]
+        said = [note for note in read_notes(run.path / NOTES) if note["iteration"] <= done]
         elapsed = rows[-1].seconds if rows else 0.0
         if done >= total:
             publisher.publish(state)  # it may be older, where a run was killed at its very end
@@ -218,7 +154,8 @@ def _run(
         try:
             while done < total:
                 start = time.perf_counter()
-                solutions, asked = algorithm.ask(state)
+                with shown.during("the search prepares its next questions"):
+                    solutions, asked = jax.block_until_ready(algorithm.ask(state))
                 # Keys follow from the number of the iteration: a resumed run draws the same.
                 key = jax.random.fold_in(experiment.evaluation_key, done + 1)
                 evaluation = evaluator(solutions, key)
@@ -228,6 +165,8 @@ def _run(
                 elapsed += time.perf_counter() - start
                 rows.append(metrics_row(done, batch, summary, round(elapsed, 3), evaluation))
                 run.write_metrics(rows)
+                said.append(note_of(done, batch, algorithm.notes(state)))
+                write_notes(run.path / NOTES, said)
                 shown.update(batch, describe(rows[-1]))
                 due = done % config.checkpoint_every == 0 or done == total
                 if due or publisher.has_time:

@@ -1,10 +1,11 @@
 """The progress bar of a run, which says what it waits for until the first evaluations are done."""
 
+import contextlib
 import functools
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Self
 
 from numba.core import event
@@ -33,7 +34,7 @@ class Progress(event.Listener):
         self._total, self._shown = total, shown
         self._bar: Any = None
         self._moves = threading.Event()
-        self._waits_for = ""
+        self._waits_for = self._state = ""
 
     def __enter__(self) -> Self:
         """Start to watch."""
@@ -56,7 +57,8 @@ class Progress(event.Listener):
         )
         self._done, self._since = done, time.perf_counter()
         if self._shown:
-            threading.Thread(target=self._tick, daemon=True).start()
+            waits_for = (lambda: self._waits_for), self._since, self._moves
+            threading.Thread(target=self._tell, args=waits_for, daemon=True).start()
 
     def advance(self, evaluations: int) -> None:
         """Move on within an iteration; any thread may call this."""
@@ -69,9 +71,28 @@ class Progress(event.Listener):
         """End an iteration of so many evaluations and say how the search stands."""
         self._moves.set()
         self._done += evaluations
+        self._state = state
         self._bar.set_postfix_str(state, refresh=False)
         self._bar.update(self._done - self._bar.n)
         self._bar.refresh()  # a tick a moment ago would make tqdm leave this state out
+
+    @contextlib.contextmanager
+    def during(self, what: str) -> Iterator[None]:
+        """Say what an iteration waits for, where nothing else moves for a while."""
+        done = threading.Event()
+        if (
+            self._shown and self._moves.is_set()
+        ):  # until the first evaluations are done others speak
+            since = time.perf_counter()
+            threading.Thread(
+                target=self._tell, args=(lambda: what, since, done), daemon=True
+            ).start()
+        try:
+            yield
+        finally:
+            done.set()
+            if self._moves.is_set():
+                self._bar.set_postfix_str(self._state, refresh=False)
 
     def over_pipeline(self, pipeline: Pipeline) -> Pipeline:
         """Watch the stages of an evaluation."""
@@ -107,7 +128,6 @@ class Progress(event.Listener):
 
         return traced
 
-    def _tick(self) -> None:
-        while not self._moves.wait(TICK):
-            seconds = time.perf_counter() - self._since
-            self._bar.set_postfix_str(f"{self._waits_for}: {seconds:.0f} s")
+    def _tell(self, what: Callable[[], str], since: float, done: threading.Event) -> None:
+        while not done.wait(TICK):
+            self._bar.set_postfix_str(f"{what()}: {time.perf_counter() - since:.0f} s")

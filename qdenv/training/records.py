@@ -3,9 +3,10 @@
 RUN/config.json             every setting, resolved; enough to run it again
 RUN/manifest.json           schema, measures, versions, device, git revision
 RUN/metrics.csv             one row per iteration
+RUN/notes.csv               one row per iteration of what the algorithm says of itself, if it does
 RUN/checkpoints/NUMBER.npz  the search after that iteration
 RUN/archive.npz             one row per filled cell of the result archive
-RUN/best_layout.json, archive.png, progress.png, best_layout.png
+RUN/best_layout.json, archive.png, progress.png, notes.png, best_layout.png
 RUN/.lock                   held by the process that writes here
 """
 

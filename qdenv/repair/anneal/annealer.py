@@ -51,6 +51,7 @@ def anneal(
     start: np.ndarray,
     schedule: Schedule = GENTLE,
     report: Report = no_report,
+    bound: float = -np.inf,
 ) -> tuple[np.ndarray | None, float]:
     """Find a cheap layout that obeys every rule.
 
@@ -62,6 +63,7 @@ def anneal(
         start: int8 [H, W], where to start; the input itself will do.
         schedule: how to cool down.
         report: told now and then which share of the moves is done.
+        bound: no layout costs less: reaching it ends the run, and changes nothing else.
 
     Returns:
         The best feasible layout (int8 [H, W]) and its cost, or (None, inf).
@@ -70,7 +72,7 @@ def anneal(
     candidate, move = project(board, start, rng), no_move()
     aisles = initial_aisles(board, candidate, facts.rules.aisle)
     state = initial_state(board, candidate, aisles)
-    plan = _make_plan(board, int(rng.integers(1 << 63)), moves, schedule)
+    plan = _make_plan(board, int(rng.integers(1 << 63)), moves, schedule, bound)
     # In pieces, so that a long run can tell how far it is.
     chunk = max(CHUNK // plan.period, 1)
     for first in range(0, plan.periods, chunk):
@@ -83,7 +85,7 @@ def anneal(
     return best, facts.cost(best, layout)
 
 
-def _make_plan(board: Board, seed: int, moves: int, schedule: Schedule) -> Plan:
+def _make_plan(board: Board, seed: int, moves: int, schedule: Schedule, bound: float) -> Plan:
     """Turn a schedule into numbers for one board."""
     costs, moves = board.change_cost[board.free], moves if board.free.size else 0
     mean, top = (float(costs.mean()), float(costs.max())) if costs.any() else (1.0, 1.0)
@@ -95,4 +97,5 @@ def _make_plan(board: Board, seed: int, moves: int, schedule: Schedule) -> Plan:
         periods=max(-(-moves // period), 1),
         temperatures=(schedule.temperatures[0] * mean, schedule.temperatures[1] * mean),
         penalty_weights=(schedule.penalty_weights[0] * top, schedule.penalty_weights[1] * top),
+        enough=bound,
     )

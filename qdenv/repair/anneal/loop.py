@@ -108,6 +108,8 @@ def anneal_periods(
 ) -> None:
     """Anneal for the periods `first` to `last` - 1; where they are cut makes no difference.
 
+    Ends early once nothing can be cheaper.
+
     The temperature falls geometrically; the penalty weight rises linearly, and faster while no
     feasible layout comes by. `state.best` receives the cheapest layout that broke nothing, and
     `state.sums[1]` its cost.
@@ -127,6 +129,9 @@ def anneal_periods(
         temperature = hot * (cold / hot) ** done
         penalty = _raise_penalty(state, done, period) * (light + (heavy - light) * done)
         _note_feasible(state, period)
+        # Only a cheaper layout would be kept: the moves saved change nothing.
+        if state.sums[1] <= plan.enough:
+            return
         for index in range(period * plan.period, min((period + 1) * plan.period, plan.moves)):
             changes = propose(board, state, move, plan.seed, WORDS * index)
             if changes == 0:

@@ -145,6 +145,7 @@ class Plan(NamedTuple):
         periods: how many of them there are.
         temperatures: the first and the last.
         penalty_weights: the first and the last cost of a broken demand.
+        enough: a cost that no layout undercuts: the run ends where one reaches it.
     """
 
     seed: np.uint64
@@ -153,6 +154,7 @@ class Plan(NamedTuple):
     periods: int
     temperatures: tuple[float, float]
     penalty_weights: tuple[float, float]
+    enough: float
 
 
 def no_move() -> Move:

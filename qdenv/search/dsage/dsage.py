@@ -18,9 +18,10 @@ from qdenv.search.dsage.downsample import block_of_cells, blocks_along, choose_w
 from qdenv.search.dsage.inner import search_surrogate
 from qdenv.search.dsage.settings import DsageConfig
 from qdenv.search.dsage.tiles import random_tiles
+from qdenv.search.observed import aspect_of, drawing_of, samples_of
 from qdenv.search.store import ROW, Store, StoredElites
 from qdenv.surrogate.report import Report, blank_report, report_errors
-from qdenv.surrogate.samples import Ring, Samples
+from qdenv.surrogate.samples import Ring
 from qdenv.surrogate.surrogate import Aspect, Fitted, Surrogate, make_surrogate
 from qdenv.types import Array, InputError, Score
 
@@ -65,7 +66,8 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
     Raises:
         InputError: solutions are no tiles, or a setting is out of range.
     """
-    if problem.drawing is None or problem.drawing.choices < 2:
+    drawing = drawing_of(problem, "dsage")
+    if drawing.choices < 2:
         raise InputError(
             "dsage searches tiles, one per parameter: its generator is direct, not an automaton"
         )
@@ -73,11 +75,11 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
         raise InputError("dsage starts from random solutions: leave x0 out")
     blocks = blocks_along(problem.measures, config.downsample)
     first = _whole_batches(config.initial, config.batch)
-    aspect = _aspect(problem, problem.drawing)
+    aspect = aspect_of(problem, drawing)
     outer = Outer(
         config,
         problem,
-        problem.drawing,
+        drawing,
         make_surrogate(config.surrogate, aspect),
         block_of_cells(problem.measures, blocks),
         first,
@@ -97,11 +99,6 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
         batch_size=config.batch,
         notes=lambda state: state.report.columns(problem.measures, state.fitted.fits),
     )
-
-
-def _aspect(problem: Problem, drawing: Drawing) -> Aspect:
-    measures = len(problem.measures)
-    return Aspect(drawing.shape, drawing.kinds, measures, drawing.repairs, drawing.usage)
 
 
 def _whole_batches(count: int, batch: int) -> int:
@@ -166,9 +163,10 @@ def _take_in(
     extras: Mapping[str, Array],
 ) -> DsageState:
     """Put a batch into the archive and the ring, after a look at what was thought of it."""
-    samples, success = _samples(outer.drawing, solutions, score, extras), jnp.asarray(score.success)
-    # The archive takes a layout whose usage nobody could count; a network would never recover.
-    sound = success & jnp.isfinite(samples.usage).all(axis=(1, 2))
+    samples, success = (
+        samples_of(outer.drawing, solutions, score, extras),
+        jnp.asarray(score.success),
+    )
     prediction = outer.surrogate.predict(state.fitted, samples.drawn)
     rows = state.store.free_rows(outer.config.batch)
     told = score.result_objective, score.measures, extras, success
@@ -176,22 +174,8 @@ def _take_in(
     store = state.store.keep(rows, solutions, result.cells_of(score.measures), result)
     return state._replace(
         waiting=state.waiting - outer.config.batch,
-        ring=state.ring.add(samples, sound),
-        report=report_errors(state.report, prediction, samples, sound),
+        ring=state.ring.add(samples, success),
+        report=report_errors(state.report, prediction, samples, success),
         result=result,
         store=store,
-    )
-
-
-def _samples(
-    drawing: Drawing, solutions: jax.Array, score: Score, extras: Mapping[str, Array]
-) -> Samples:
-    """Collect what the surrogate learns of a batch."""
-    drawn = drawing.draw(solutions)
-    numbers = [score.objective[:, None], score.result_objective[:, None], score.measures]
-    return Samples(
-        drawn,
-        jnp.asarray(extras["repaired"]) if drawing.repairs else drawn,
-        jnp.asarray(extras["usage"]) if drawing.usage else jnp.zeros(drawn.shape),
-        jnp.concatenate(numbers, axis=1),
     )

@@ -6,6 +6,7 @@ The 50 episodes of a layout are independent: each has its own first heading and 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from qdenv.lazy import jax, jnp
@@ -23,11 +24,13 @@ class Episode(NamedTuple):
         success: bool, the goal was reached within T timesteps.
         length: int32, actions taken; T after a failure, 0 in an unsolvable level.
         shortest: int32, moves of the shortest path; 0 in an unsolvable level.
+        usage: float32 [H, W], share of the actions taken on each cell; zeros where none was.
     """
 
     success: jax.Array
     length: jax.Array
     shortest: jax.Array
+    usage: jax.Array
 
 
 def choose(logits: jax.Array, uniform: jax.Array) -> jax.Array:
@@ -50,6 +53,7 @@ class EpisodeState(NamedTuple):
         length: int32, actions taken.
         done: bool, the goal is reached, or there is none to reach.
         success: bool.
+        actions: int32 [H W], how many were taken on each cell.
     """
 
     state: jax.Array
@@ -57,6 +61,7 @@ class EpisodeState(NamedTuple):
     length: jax.Array
     done: jax.Array
     success: jax.Array
+    actions: jax.Array
 
 
 Body = Callable[[EpisodeState, jax.Array], EpisodeState]
@@ -102,7 +107,13 @@ def run_episode(
     """
     first, draws = _begin(weights, tables, key, timesteps)
     last = loop(lambda now, draw: _act_once(weights, tables, now, draw), first, draws)
-    return Episode(last.success, last.length, tables.course.length)
+    return _report(tables, last.success, last.length, last.actions)
+
+
+def _report(tables: Tables, success: jax.Array, length: jax.Array, actions: jax.Array) -> Episode:
+    """Write what became of an episode."""
+    usage = actions / jnp.maximum(length, 1)
+    return Episode(success, length, tables.course.length, usage.reshape(tables.layout.shape))
 
 
 def run_episodes(weights: Weights, tables: Tables, keys: jax.Array, timesteps: int) -> Episode:
@@ -122,15 +133,16 @@ def run_episodes(weights: Weights, tables: Tables, keys: jax.Array, timesteps: i
     """
     now, draws = jax.vmap(lambda key: _begin(weights, tables, key, timesteps))(keys)
     place, t = jnp.arange(keys.shape[0]), jnp.int32(0)  # which episodes `now` holds
-    success, length = now.success, now.length
+    success, length, actions = now.success, now.length, now.actions
     while place.size:
         rest = place.size // 2 if place.size >= FEWEST else 0
         t, now = _until_few(weights, tables, draws[place], rest, (t, now))
         success = success.at[place].set(now.success)
         length = length.at[place].set(now.length)
+        actions = actions.at[place].set(now.actions)
         keep = jnp.argsort(now.done)[:rest]  # those under way come first
         place, now = jax.tree.map(lambda x, keep=keep: x[keep], (place, now))
-    return Episode(success, length, jnp.full(success.shape, tables.course.length))
+    return jax.vmap(partial(_report, tables))(success, length, actions)
 
 
 def _until_few(
@@ -170,7 +182,7 @@ def trace_episode(
 
     last, states = jax.lax.scan(body, first, draws)
     states = jnp.concatenate([first.state[None], states])
-    episode = Episode(last.success, last.length, tables.course.length)
+    episode = _report(tables, last.success, last.length, last.actions)
     return episode, Pose(states // 4, states % 4)
 
 
@@ -186,6 +198,7 @@ def _begin(
         length=jnp.int32(0),
         done=tables.course.length < 1,
         success=jnp.bool_(False),
+        actions=jnp.zeros(tables.layout.size, jnp.int32),
     )
     return first, jax.random.uniform(draw_key, (timesteps,))
 
@@ -203,4 +216,5 @@ def _act_once(weights: Weights, tables: Tables, now: EpisodeState, draw: jax.Arr
         length=now.length + ~now.done,
         done=now.done | reached,
         success=now.success | reached,
+        actions=now.actions.at[now.state // 4].add(~now.done),
     )

@@ -27,12 +27,14 @@ class Tables(NamedTuple):
     """Everything an episode looks up; state ``position * 4 + heading`` indexes the rows.
 
     Attributes:
+        layout: int8 [H, W].
         course: start and goal.
         ahead: int32 [4 H W], state after driving forward.
         wins: bool [4 H W], driving forward reaches the goal.
         gates: float32 [4 H W, 4 L], input of the LSTM's gates.
     """
 
+    layout: jax.Array
     course: Course
     ahead: jax.Array
     wins: jax.Array
@@ -61,4 +63,4 @@ def prepare(weights: Weights, layout: Array) -> Tables:
     ahead = jnp.where(moved[:, 0], cell + strides[heading], cell) * 4 + heading
     views = image(jax.vmap(view, (None, 0, 0))(kinds, place, heading))
     gates = encode(weights, views, jax.nn.one_hot(heading, 4))
-    return Tables(course, ahead, wins, gates)
+    return Tables(jnp.asarray(layout), course, ahead, wins, gates)

@@ -1,0 +1,119 @@
+"""How well a surrogate predicts true evaluations, by how many it has learnt from.
+
+    qdenv train laptop --algorithm cma-mae-screened --screen 1 --refit 100000 --evaluations 2000 \
+        --out runs/recorded        # CMA-MAE as it is, every evaluation remembered
+    python experiments/surrogate.py runs/recorded
+
+`qdenv surrogate` learns from the elites of any run. This learns from everything that a run with a
+surrogate (`dsage`, `cma-mae-screened`) remembers, elites or not, tile usage included. A fifth is
+held out, drawn at random; the others are learnt from, all of them and fewer.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+import qdenv
+from qdenv.files import write_csv
+from qdenv.search.growth import growing
+from qdenv.study.held_out import judge, split
+from qdenv.surrogate.samples import Ring, Samples
+from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
+from qdenv.surrogate.surrogate import Aspect, make_surrogate
+
+SIZES = {"small": SurrogateConfig(), "published": PUBLISHED}
+CHUNK = 50  # layouts predicted at a time
+HEAD = ("size", "learnt_from", "held_out", "seed", "number", "r2", "rmse", "rank", "cpu_seconds")
+
+
+def remembered(run: qdenv.RunDirectory) -> tuple[Samples, Aspect, list[str]]:
+    """Read all that a run's surrogate may learn from, and what its numbers are called.
+
+    Raises:
+        InputError: the run's algorithm remembers nothing.
+    """
+    experiment = qdenv.make_experiment(run.config)
+    domain = experiment.pipeline.domain
+    _, state = run.load_checkpoint(growing(experiment.algorithm).init(experiment.search_key))
+    if not hasattr(state, "ring"):
+        raise qdenv.InputError(f"{run.path}: its algorithm has no surrogate: use `qdenv surrogate`")
+    samples = jax.tree.map(
+        lambda leaf: np.asarray(leaf)[: int(state.ring.known)], state.ring.samples
+    )
+    measures = [axis.name for axis in experiment.measures]
+    usage = bool(samples.usage.any())
+    aspect = Aspect(domain.shape, len(domain.tiles), len(measures), domain.rules is not None, usage)
+    return samples, aspect, ["objective", domain.objective_name.partition(" [")[0], *measures]
+
+
+def try_once(
+    config: SurrogateConfig, aspect: Aspect, samples: Samples, counts: list[int], seed: int
+) -> Iterator[tuple[int, int, np.ndarray, np.ndarray, float]]:
+    """Learn from some of the samples and predict those held out; yields one result per count."""
+    known, held = split(len(samples.numbers), seed)
+    known = np.random.default_rng(seed).permutation(known)
+    surrogate = make_surrogate(config, aspect)
+    fit, predict = jax.jit(surrogate.fit), jax.jit(surrogate.predict)
+    rows = np.resize(held, -(-len(held) // CHUNK) * CHUNK).reshape(-1, CHUNK)
+    for count in counts:
+        begun = time.process_time()
+        first, second = jax.random.split(jax.random.key(seed))
+        # Every ring has the same size, so that one program learns from all of them.
+        chosen = np.resize(known[:count], len(known))
+        ring = Ring(
+            jax.tree.map(lambda leaf, at=chosen: jnp.asarray(leaf[at]), samples), jnp.int32(count)
+        )
+        fitted, _ = fit(surrogate.init(first), ring, second)
+        said: list[Any] = [predict(fitted, jnp.asarray(samples.drawn[one])).score for one in rows]
+        parts = [
+            np.column_stack([one.objective, one.result_objective, one.measures]) for one in said
+        ]
+        predicted = np.concatenate(parts)[: len(held)]
+        spent = time.process_time() - begun
+        yield min(count, len(known)), len(held), predicted, samples.numbers[held], spent
+
+
+def main(
+    run: Annotated[Path, tyro.conf.Positional],
+    sizes: tuple[Literal["small", "published"], ...] = ("small",),
+    counts: tuple[int, ...] = (400, 800, 1600),
+    seeds: int = 3,
+    out: Path = Path("runs/surrogate.csv"),
+) -> None:
+    """Print and write R^2, RMSE and rank correlation on held-out evaluations.
+
+    Args:
+        run: folder of a run whose algorithm has a surrogate.
+        sizes: of the surrogate.
+        counts: evaluations to learn from; more than there are means all.
+        seeds: of the split and the networks.
+        out: table to write.
+    """
+    samples, aspect, names = remembered(qdenv.RunDirectory.open(run))
+    rows: list[tuple] = []
+    for size in sizes:
+        for seed in range(seeds):
+            for known, held, predicted, truth, spent in try_once(
+                SIZES[size], aspect, samples, list(counts), seed
+            ):
+                for place, name in enumerate(names):
+                    skill = judge(predicted[:, place], truth[:, place])
+                    figures = [f"{value:.4g}" for value in (*skill, spent)]
+                    rows.append((size, known, held, seed, name, *figures))
+                print(*(" ".join(map(str, row)) for row in rows[-len(names) :]), sep="\n")
+                write_csv(out, HEAD, rows)
+    print(out)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

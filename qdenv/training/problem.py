@@ -1,0 +1,78 @@
+"""What a run searches: its axes, what its archive keeps, and what its algorithm is told."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.pipeline import Pipeline, evaluate
+from qdenv.search.axes import check_measures
+from qdenv.search.base import Drawing, Problem
+from qdenv.types import Array, Evaluation, InputError, Measure
+
+
+def problem_of(pipeline: Pipeline, measures: tuple[Measure, ...]) -> Problem:
+    """Say what a pipeline gives an algorithm to search, over these axes."""
+    domain = pipeline.domain
+    one = jax.ShapeDtypeStruct((1, pipeline.solution_size), np.float32)
+    shapes = jax.eval_shape(lambda p, k: evaluate(pipeline, p, k), one, jax.random.key(0))
+    extras = {name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in kept(shapes).items()}
+    drawing = Drawing(
+        lambda solutions: pipeline.grow(jnp.asarray(solutions)),
+        domain.shape,
+        len(domain.tiles),
+        pipeline.choices,
+        repairs=domain.rules is not None,
+        usage="usage" in jax.eval_shape(seen, shapes),
+    )
+    return Problem(pipeline.solution_size, measures, extras, drawing)
+
+
+def archive_axes(
+    own: tuple[Measure, ...], ranges: tuple[tuple[float, float, int], ...]
+) -> tuple[Measure, ...]:
+    """Give a domain's measures the configured ranges.
+
+    Args:
+        own: the domain's.
+        ranges: (low, high, cells) of each; empty for their own.
+
+    Raises:
+        InputError: a range is empty, or there are more or fewer than measures.
+    """
+    if ranges and len(ranges) != len(own):
+        names = " and ".join(repr(measure.name) for measure in own)
+        raise InputError(
+            f"archive: give low, high and cells for each of {names}: {3 * len(own)} numbers"
+        )
+    measures = tuple(
+        measure._replace(low=low, high=high, cells=cells)
+        for measure, (low, high, cells) in zip(own, ranges, strict=False)
+    )
+    check_measures(measures or own)
+    return measures or own
+
+
+def kept(evaluation: Evaluation) -> dict[str, Array]:
+    """Choose what the archive keeps of an evaluation beside its score.
+
+    Both layouts, similarity, repair status, and every per-run number [B, S] of the simulator.
+    """
+    per_run = {
+        name: leaf for name, leaf in evaluation.runs._asdict().items() if len(leaf.shape) == 2
+    }
+    return per_run | {
+        "unrepaired": evaluation.unrepaired,
+        "repaired": evaluation.repaired,
+        "similarity": evaluation.similarity,
+        "status": evaluation.status,
+    }
+
+
+def seen(evaluation: Evaluation) -> dict[str, Array]:
+    """Choose what an algorithm is told of an evaluation: what is kept, and how cells are used.
+
+    ``usage`` is the share of agent-steps on each cell, float32 [B, H, W], averaged over the runs;
+    absent where the simulator draws no such map.
+    """
+    usage = getattr(evaluation.runs, "usage", None)
+    return kept(evaluation) | ({} if usage is None else {"usage": usage.mean(axis=1)})
