@@ -23,9 +23,10 @@ def test_an_outer_loop_is_reckoned_from_iterations_and_steps():
     ],
 )
 def test_a_preset_says_what_is_searched(preset, shape, kinds, repairs, size):
-    problem, aspect = searched(preset)
-    assert (aspect.shape, aspect.kinds, aspect.repairs) == (shape, kinds, repairs)
-    assert problem.solution_dim == size and aspect.measures == 2
+    problem = searched(preset)
+    drawing = problem.drawing
+    assert (drawing.shape, drawing.kinds, drawing.repairs) == (shape, kinds, repairs)
+    assert problem.solution_dim == size and len(problem.measures) == 2
 
 
 def test_everything_is_measured_and_written(tmp_path, capsys):
