@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from qdenv.bench.surrogate import Options, reckon, run, searched
+from qdenv.bench.surrogate import SIZES, Options, reckon, run, searched
+from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import InputError
 
 
@@ -29,7 +30,8 @@ def test_a_preset_says_what_is_searched(preset, shape, kinds, repairs, size):
     assert problem.solution_dim == size and len(problem.measures) == 2
 
 
-def test_everything_is_measured_and_written(tmp_path, capsys):
+def test_everything_is_measured_and_written(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(SIZES, "small", SurrogateConfig(channels=1, blocks=0))
     file = tmp_path / "surrogate.json"
     run(Options(preset="maze-quick", timed=1, repeats=1), file)
     result = json.loads(file.read_text())
