@@ -53,7 +53,11 @@ def remembered(run: qdenv.RunDirectory) -> tuple[Samples, Aspect, list[str]]:
     measures = [axis.name for axis in experiment.measures]
     usage = bool(samples.usage.any())
     aspect = Aspect(domain.shape, len(domain.tiles), len(measures), domain.rules is not None, usage)
-    return samples, aspect, ["objective", domain.objective_name.partition(" [")[0], *measures]
+    return (
+        samples,
+        aspect,
+        ["learning objective", domain.objective_name.partition(" [")[0], *measures],
+    )
 
 
 def try_once(

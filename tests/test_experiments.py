@@ -51,7 +51,32 @@ def preset(small_run, monkeypatch) -> str:
 
 def test_every_experiment_is_tested_here():
     tested = {"warehouse", "which_nca", "algorithms", "sizes", "sphere", "own_objective"}
-    assert {path.stem for path in FOLDER.glob("*.py")} == tested
+    assert {path.stem for path in FOLDER.glob("*.py")} == tested | {"surrogate"}
+
+
+def test_surrogate_judges_what_a_run_remembers(tmp_path, monkeypatch, capsys):
+    import toy
+
+    from qdenv.search.settings import ScreenedConfig
+    from qdenv.surrogate.settings import SurrogateConfig
+    from qdenv.training.choosing import with_algorithm
+    from qdenv.training.loop import train
+
+    tiny = SurrogateConfig(channels=4, epochs=1, minibatch=8, samples=64)
+    search = ScreenedConfig(emitters=2, batch=4, screen=1, refit=1000, surrogate=tiny)
+    train(with_algorithm(toy.CONFIG, search), tmp_path / "run", progress=False)
+    script = load("surrogate")
+    monkeypatch.setitem(script.SIZES, "small", tiny)
+    script.main(tmp_path / "run", counts=(10, 1000), seeds=1, out=tmp_path / "table.csv")
+    rows = list(csv.DictReader((tmp_path / "table.csv").read_text().splitlines()))
+    # 48 evaluations: a fifth is held out, and whoever asks for more than the others gets these.
+    assert {(row["learnt_from"], row["held_out"]) for row in rows} == {("10", "10"), ("38", "10")}
+    names = {"learning objective", "objective", "paths", "flowers on top"}
+    assert {row["number"] for row in rows} == names
+    assert all(float(row["rmse"]) > 0 and float(row["r2"]) < 1 for row in rows)
+    with pytest.raises(InputError, match="has no surrogate"):
+        train(toy.CONFIG, tmp_path / "plain", progress=False)
+        script.main(tmp_path / "plain")
 
 
 def test_warehouse_starts_a_run_and_continues_it_to_the_metrics_it_prints(preset, tmp_path, capsys):

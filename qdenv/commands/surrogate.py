@@ -83,7 +83,7 @@ def surrogate(
     from qdenv.study.surrogate import facts_of, try_surrogate
 
     print(describe(name, elites, config, len(chosen)), flush=True)
-    with waiting("learning") as bar:
+    with waiting("learning", total=1) as bar:
         trials = try_surrogate(elites, config, chosen, bar)
     facts = facts_of(elites, config, trials)
     print("\n".join(list_skills(facts)))
