@@ -4,6 +4,7 @@ import pytest
 
 from qdenv.commands import costs
 from qdenv.presets import PRESETS
+from qdenv.training.choosing import choose_algorithm
 from qdenv.training.metrics import Metrics
 
 
@@ -17,10 +18,11 @@ def test_every_preset_says_what_it_takes_on_two_cores():
     said = {name: costs.describe_cost(name, config) for name, config in PRESETS.items()}
     assert said["quick"] == "about 18 s (an estimate)"  # 600 evaluations of 0.06 CPU s
     assert said["warehouse-even-a1"] == said["warehouse-even"] == "about 76 min (an estimate)"
+    assert all(said.values())
     # A surrogate learns for longer than a simulation takes: nothing follows from the base.
-    learning = {name for name, preset in PRESETS.items() if hasattr(preset.algorithm, "surrogate")}
-    assert {name for name, words in said.items() if not words} <= learning
-    assert said["warehouse-even-dsage"] != said["warehouse-even"]
+    assert said["dsage-laptop"] == "about 7 h (an estimate)"
+    assert said["warehouse-even-dsage"] == "about 16 days (an estimate)"
+    assert costs.describe_cost("quick", choose_algorithm(PRESETS["quick"], "dsage")) == ""
 
 
 def test_another_algorithm_takes_what_its_base_takes_and_an_exact_name_comes_first():

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from qdenv.files import write_json
+from qdenv.presets import find_preset
 from qdenv.training.config import RunConfig
 from qdenv.training.metrics import Metrics
 from qdenv.types import InputError
@@ -22,15 +23,27 @@ CPU_SECONDS = {
     "maze-walls": 0.023,
     "maze-entropy": 0.023,
     "maze-quick": 0.017,
+    "dsage-quick": 0.25,
+    # Reckoned: the surrogate's part from `python -m qdenv.bench surrogate`, for outer loops of one
+    # batch of 50 (mazes: 400 evaluations) that learn from half of the evaluations.
+    "dsage-laptop": 4.8,
+    "warehouse-even-dsage": 280.0,
+    "warehouse-uneven-dsage": 280.0,
+    "manufacturing-dsage": 280.0,
+    "maze-walls-dsage": 60.0,
+    "maze-entropy-dsage": 60.0,
 }
 FEWEST_ROWS = 5
 
 
 def describe_cost(preset: str, config: RunConfig) -> str:
     """Say how long a preset takes here, like "about 8 min"; "" where nothing is known."""
-    # What a surrogate learns is no part of what its base takes.
-    base = preset if hasattr(config.algorithm, "surrogate") else _base_of(preset)
-    measured = _read().get(preset) or _read().get(base)
+    base = _base_of(preset)
+    if hasattr(config.algorithm, "surrogate"):
+        # What a surrogate learns is no part of what another algorithm takes.
+        usual = find_preset(preset).algorithm
+        base = preset if type(usual) is type(config.algorithm) else ""
+    measured = base and (_read().get(preset) or _read().get(base))
     known = CPU_SECONDS.get(base)
     seconds = measured or (known / (os.cpu_count() or 1) if known else None)
     if seconds is None:
