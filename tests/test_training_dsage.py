@@ -12,7 +12,7 @@ from qdenv.study.elites import grow_elite
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.training.choosing import choose_algorithm, with_algorithm
 from qdenv.training.loop import resume, train
-from qdenv.training.notes import NOTES, read_notes
+from qdenv.training.notes import NOTES, notes_until, read_notes
 from qdenv.types import InputError
 
 TINY = SurrogateConfig(channels=4, blocks=1, epochs=2, minibatch=8, samples=64)
@@ -48,6 +48,17 @@ def test_notes_are_blank_until_the_surrogate_has_learnt(tmp_path):
     assert np.isnan([note["rmse_paths"] for note in notes]).tolist() == [True, True, False, False]
     assert notes[-1]["loss_repair"] > 0 and 0 <= notes[-1]["tiles_right"] <= 1
     assert "loss_usage" not in notes[0]  # a stroll leaves no map of usage
+
+
+@pytest.mark.parametrize(
+    "damage", [b"iteration\n1,2,3\n", b"a,b\n1,2\n", b"\xff\xfe", b"iteration\nx\n"]
+)
+def test_damaged_notes_are_one_line_and_stop_no_run(damage, tmp_path, caplog):
+    (tmp_path / NOTES).write_bytes(damage)
+    with pytest.raises(InputError, match=r"notes\.csv: cannot be read"):
+        read_notes(tmp_path / NOTES)
+    assert notes_until(tmp_path / NOTES, 3) == []
+    assert "the notes so far are lost" in caplog.text
 
 
 def test_elites_of_dsage_are_the_tiles_that_were_evaluated(tmp_path):

@@ -18,7 +18,7 @@ from qdenv.training.config import RunConfig
 from qdenv.training.continued import check_settings, check_total, settings_of
 from qdenv.training.feasible import check_feasible
 from qdenv.training.manifest import meaning_of
-from qdenv.training.notes import NOTES, note_of, read_notes, write_notes
+from qdenv.training.notes import NOTES, note_of, notes_until, write_notes
 from qdenv.training.problem import archive_axes, problem_of, seen
 from qdenv.training.progress import Progress
 from qdenv.training.published import Publisher, describe, metrics_row
@@ -126,13 +126,13 @@ def _run(
     experiment: Experiment, config: RunConfig, run: RunDirectory, progress: bool
 ) -> RunDirectory:
     """Iterate until all evaluations are done, from the newest checkpoint."""
-    batch, domain = experiment.algorithm.batch_size, experiment.pipeline.domain
+    batch = experiment.algorithm.batch_size
     total = -(-config.evaluations // batch)
     advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
     settings = settings_of(config, experiment.measures)
     with Progress(total * batch, progress) as shown:
         algorithm = growing(shown.over_algorithm(experiment.algorithm))
-        publisher = Publisher(run, domain, experiment.measures, algorithm)
+        publisher = Publisher(run, experiment.pipeline.domain, experiment.measures, algorithm)
         pipeline = shown.over_pipeline(experiment.pipeline)
         evaluator = PipelinedEvaluator(pipeline, progress=shown.advance)
 
@@ -146,7 +146,7 @@ def _run(
             run.write_config(config)
         # Iterations after the checkpoint are run again, so their rows are written again, too.
         rows = [row for row in run.read_metrics(salvage=True) if row.iteration <= done]
-        said = [note for note in read_notes(run.path / NOTES) if note["iteration"] <= done]
+        said = notes_until(run.path / NOTES, done)
         elapsed = rows[-1].seconds if rows else 0.0
         if done >= total:
             publisher.publish(state)  # it may be older, where a run was killed at its very end

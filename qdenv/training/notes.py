@@ -1,6 +1,7 @@
 """notes.csv: what an algorithm says of itself after each iteration, like a surrogate's losses."""
 
 import csv
+import logging
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,6 +11,8 @@ from qdenv.files import write_csv
 from qdenv.types import InputError
 
 NOTES = "notes.csv"
+PLACE = {"iteration", "evaluations"}  # columns of every note
+LOG = logging.getLogger(__name__)
 Note = dict[str, float]  # numbers by name; NaN where there was nothing to say
 
 
@@ -39,9 +42,21 @@ def read_notes(path: Path) -> list[Note]:
         return []
     try:
         with path.open(newline="") as file:
-            return [
+            notes = [
                 {name: float(value) if value else math.nan for name, value in row.items()}
                 for row in csv.DictReader(file, strict=True)
             ]
-    except (OSError, ValueError, TypeError, csv.Error) as error:
+        if any(not note.keys() >= PLACE for note in notes):
+            raise ValueError("a column is missing")
+        return notes
+    except (OSError, ValueError, TypeError, AttributeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read ({error})") from error
+
+
+def notes_until(path: Path, iteration: int) -> list[Note]:
+    """Read the notes up to an iteration; damaged ones are lost, which is said and stops no run."""
+    try:
+        return [note for note in read_notes(path) if note["iteration"] <= iteration]
+    except InputError as error:
+        LOG.warning("%s: the notes so far are lost", error)
+        return []
