@@ -21,6 +21,7 @@ PLANNERS = Registry(
     "qdenv.planners",
     {
         "negotiated": "qdenv.simulate.mapf.negotiated.settings:NEGOTIATED",
+        "pbs": "qdenv.simulate.mapf.pbs.settings:PBS",
         "pibt": "qdenv.simulate.mapf.pibt.settings:PIBT",
     },
 )

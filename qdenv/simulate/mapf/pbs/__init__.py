@@ -1,0 +1,1 @@
+"""PBS: priority-based search over windows, the planner of the published simulator (RHCR)."""
