@@ -21,7 +21,8 @@ FINISHED, LACKS_FIELDS, LACKS_DEPTH = range(3)  # how driving ended
 def drive(config: PbsConfig, run: Run, fields: Fields) -> bool:
     """Drive a whole run; returns whether `fields` had room for it (`Planner.drive`)."""
     agents, horizon = run.crew.position.size, run.numbers.horizon
-    terms = Terms(config.rule == "published", config.node_limit, horizon)
+    nodes = int(config.nodes_per_agent * agents)
+    terms = Terms(config.rule == "published", nodes, horizon)
     resort = make_resort(agents, horizon, run.site.free.size)
     depth, end = FIRST_DEPTH, LACKS_DEPTH
     while end == LACKS_DEPTH:

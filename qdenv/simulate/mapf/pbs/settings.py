@@ -7,6 +7,7 @@ from qdenv.registry import Entry
 from qdenv.types import InputError
 
 MAX_WINDOW = 30  # the timesteps of conflicts are the bits of one word
+MOST_NODES = 1_000_000
 
 Rule = Literal["published", "plain"]
 
@@ -20,21 +21,24 @@ class PbsConfig:
             "published": it stays where it is, against all reservations, and whoever waits at its
             start has precedence there; so plans never fail, and crowds freeze. "plain": the search
             tries another order.
-        node_limit: most nodes of the search tree that are expanded per window; a window that is
-            still unsolved is driven by PIBT where its best plan has conflicts.
+        nodes_per_agent: most nodes of the search tree that are expanded per window, in units of the
+            number of agents; a window that is still unsolved is driven by PIBT where its best plan
+            has conflicts.
     """
 
     rule: Rule = "published"
-    node_limit: int = 20_000
+    nodes_per_agent: float = 10.0
 
     def __post_init__(self) -> None:
         """Refuse an unknown rule, and a search without nodes."""
         if self.rule not in get_args(Rule):
+            known = ", ".join(get_args(Rule))
+            raise InputError(f"unknown rule {self.rule!r}: choose one of {known}")
+        if not 0 <= self.nodes_per_agent <= MOST_NODES:
             raise InputError(
-                f"unknown rule {self.rule!r}: choose one of {', '.join(get_args(Rule))}"
+                f"priority-based search expands 0 to {MOST_NODES:,} nodes per agent and window, "
+                f"not {self.nodes_per_agent}"
             )
-        if self.node_limit < 0:
-            raise InputError("priority-based search expands 0 nodes a window, or more")
 
 
 PBS = Entry(PbsConfig, "qdenv.simulate.mapf.pbs.planner:pbs")
