@@ -1,0 +1,84 @@
+"""Pictures of judges: what several say of layouts over what one says of them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from qdenv.plots.figure import new_figure, save_figure
+
+LOOKS = (("#0072B2", "^"), ("#E69F00", "o"), ("#009E73", "s"), ("#CC79A7", "D"))  # Okabe, Ito 2008
+
+
+class Opinion(NamedTuple):
+    """What one judge says of layouts.
+
+    Attributes:
+        throughput: float [layouts].
+        flows: bool [layouts], no run of either judge congested.
+    """
+
+    throughput: np.ndarray
+    flows: np.ndarray
+
+
+def save_agreement(
+    path: Path,
+    theirs: np.ndarray,
+    opinions: Mapping[str, Opinion],
+    names: Mapping[int, str],
+    title: str,
+    label: str,
+) -> None:
+    """Draw the throughput by several judges over that by one: all layouts, and a nearer look.
+
+    Args:
+        path: the picture.
+        theirs: float [layouts], along the horizontal axis.
+        opinions: by judge, along the vertical axis.
+        names: of layouts that are named in the picture, by their place.
+        title: of the picture.
+        label: of the horizontal axis.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    figure = new_figure(10, 5.4)
+    whole, near = figure.subplots(1, 2)
+    flows = np.all([opinion.flows for opinion in opinions.values()], axis=0)
+    shown = [theirs[flows], *(opinion.throughput[flows] for opinion in opinions.values())]
+    for axes, heading in ((whole, "all layouts"), (near, "layouts that flow, a nearer look")):
+        _scatter(axes, theirs, opinions)
+        axes.set(title=heading, xlabel=label, aspect="equal")
+    whole.set(xlim=(0, None), ylim=(0, None), ylabel="throughput [tasks / timestep]")
+    lowest = np.min([opinion.throughput for opinion in opinions.values()], axis=0)
+    for place, name in names.items():
+        spot = (theirs[place], lowest[place])
+        style = {"arrowstyle": "-", "color": "grey", "linewidth": 0.6}
+        off = (14, -28)
+        whole.annotate(
+            name, spot, off, textcoords="offset points", fontsize=7, arrowprops=style, va="top"
+        )
+    if flows.any():
+        least, most = np.min(shown), np.max(shown)
+        margin = 0.05 * (most - least) + 0.01
+        near.set(xlim=(least - margin, most + margin), ylim=(least - margin, most + margin))
+    handles = whole.get_legend_handles_labels()
+    figure.legend(*handles, loc="outside lower center", ncols=4, frameon=False, fontsize="small")
+    figure.suptitle(title, fontsize="medium")
+    save_figure(figure, path)
+
+
+def _scatter(axes: Axes, theirs: np.ndarray, opinions: Mapping[str, Opinion]) -> None:
+    """Draw a point per judge and layout, hollow where a run congests, and the diagonal."""
+    for (name, opinion), (colour, marker) in zip(opinions.items(), LOOKS, strict=False):
+        for chosen, face, label in (
+            (opinion.flows, colour, name),
+            (~opinion.flows, "none", f"{name}, a run congests"),
+        ):
+            spots = theirs[chosen], opinion.throughput[chosen]
+            axes.scatter(*spots, s=26, c=face, marker=marker, edgecolors=colour, label=label)
+    axes.axline((0, 0), slope=1, color="grey", linewidth=0.8, zorder=0)
+    axes.spines[["top", "right"]].set_visible(False)
