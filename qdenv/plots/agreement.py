@@ -52,15 +52,15 @@ def save_agreement(
     for axes, heading in ((whole, "all layouts"), (near, "layouts that flow, a nearer look")):
         _scatter(axes, theirs, opinions)
         axes.set(title=heading, xlabel=label, aspect="equal")
-    whole.set(xlim=(0, None), ylim=(0, None), ylabel="throughput [tasks / timestep]")
+    end = 1.05 * max(theirs.max(), *(opinion.throughput.max() for opinion in opinions.values()))
+    whole.set(xlim=(0, end), ylim=(0, end), ylabel="throughput [tasks / timestep]")
     lowest = np.min([opinion.throughput for opinion in opinions.values()], axis=0)
-    for place, name in names.items():
+    for number, place in enumerate(names, start=1):
         spot = (theirs[place], lowest[place])
-        style = {"arrowstyle": "-", "color": "grey", "linewidth": 0.6}
-        off = (14, -28)
-        whole.annotate(
-            name, spot, off, textcoords="offset points", fontsize=7, arrowprops=style, va="top"
-        )
+        whole.annotate(str(number), spot, (4, -9), textcoords="offset points", fontsize=8)
+    # Below the diagonal is room: nobody drives much worse than the judge along it.
+    key = "\n".join(f"{number}: {name}" for number, name in enumerate(names.values(), start=1))
+    whole.text(0.98, 0.03, key, transform=whole.transAxes, ha="right", fontsize=8)
     if flows.any():
         least, most = np.min(shown), np.max(shown)
         margin = 0.05 * (most - least) + 0.01
