@@ -64,6 +64,8 @@ LOOKS = {  # Okabe and Ito 2008
     "low": ("#E69F00", "v"),
 }
 COLUMNS = 3  # panels side by side
+HEAD = ("layout", "agents", "T", "planner", "success (95 %)", "tasks / timestep")
+HEAD += ("paper, T = 5000", "CPU s / run", "congested at")
 
 
 def paper_on(row: Outcome) -> str:
@@ -81,11 +83,8 @@ def who(row: Outcome) -> str:
 
 def lines_of(rows: Sequence[Outcome]) -> Iterator[str]:
     """Write the table in markdown."""
-    head = (
-        "layout, agents, T, planner, success (95 %), tasks / timestep, paper, CPU s, congested at"
-    )
-    yield f"| {head.replace(', ', ' | ')} |"
-    yield "| --- " * 9 + "|"
+    yield f"| {' | '.join(HEAD)} |"
+    yield "| --- " * len(HEAD) + "|"
     for row in rows:
         rate = f"{row.successes}/{row.runs} ({row.low:.0%} to {row.high:.0%})"
         moved = f"{row.throughput:.3f} +- {row.error:.3f}" if row.successes else "none"
@@ -106,13 +105,14 @@ def plot(axes: Axes, rows: Sequence[Outcome]) -> None:
         style, error = "-" if own[0].stop else "--", [row.error_of_all for row in own]
         axes.errorbar(agents, means, np.nan_to_num(error), color=colour, ls=style, capsize=3)
         label = f"{name}, T = {timesteps}"
-        axes.plot(agents, means, marker, color=colour, mfc="none", ls=style, label=label)
-        for row in own:
-            full, spot = row.successes == row.runs, (row.agents, row.mean_of_all)
-            axes.plot(*spot, marker, color=colour, mfc=colour if full else "white")
-            said = "" if full else f"{row.successes / row.runs:.0%}"
-            place = {"xytext": (5, -10), "textcoords": "offset points", "fontsize": 7}
-            axes.annotate(said, spot, color=colour, **place)
+        axes.plot(agents, means, marker, color=colour, ls=style, label=label)
+        for row in (row for row in own if row.successes < row.runs):
+            spot, said = (row.agents, row.mean_of_all), f"{row.successes / row.runs:.0%}"
+            axes.plot(*spot, marker, color=colour, mfc="white")
+            axes.annotate(
+                said, spot, (5, -10), textcoords="offset points", color=colour, fontsize=7
+            )
+    axes.set_xticks(sorted({row.agents for row in rows}))
 
 
 def draw(path: Path, rows: Sequence[Outcome]) -> None:

@@ -32,7 +32,7 @@ class Agreement(NamedTuple):
         layouts: how many both judged.
         spearman: rank correlation.
         kendall: the correlation tau-b of the order of pairs.
-        ratio: mean over layouts of the one's throughput over the other's.
+        ratio: mean of what the one says over what the other says, where that is above 0.
         ratio_error: its standard error.
     """
 
@@ -51,10 +51,15 @@ def agree(ours: np.ndarray, theirs: np.ndarray, seed: int = 0) -> Agreement:
         theirs: float [layouts], what the other says.
         seed: of the resampling.
     """
-    known = np.isfinite(ours / theirs)
-    ratio = sample_of((ours / theirs)[known] if known.any() else np.array([np.nan]))
-    both = (correlate(kind, ours, theirs, seed) for kind in ("spearman", "kendall"))
-    return Agreement(len(ours), *both, ratio.mean, ratio.error)
+    moved = theirs > 0
+    ratio = sample_of(ours[moved] / theirs[moved] if moved.any() else np.array([np.nan]))
+    return Agreement(
+        layouts=len(ours),
+        spearman=correlate("spearman", ours, theirs, seed),
+        kendall=correlate("kendall", ours, theirs, seed),
+        ratio=ratio.mean,
+        ratio_error=ratio.error,
+    )
 
 
 def correlate(kind: str, ours: np.ndarray, theirs: np.ndarray, seed: int = 0) -> Correlation:

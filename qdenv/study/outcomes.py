@@ -68,12 +68,12 @@ def outcomes_of(runs: Iterable[Run]) -> list[Outcome]:
 def _condense(runs: Sequence[Run]) -> Outcome:
     one, every = runs[0], np.array([run.throughput for run in runs])
     good = every[[not run.congested for run in runs]]
-    jams = [run.end_timestep for run in runs if run.congested and run.stop] or [np.nan]
+    jams = np.array([run.end_timestep for run in runs if run.congested and run.stop] or [np.nan])
     success, whole = sample_of(good if len(good) else np.array([np.nan])), sample_of(every)
     return Outcome(
         *(one.layout, one.domain, one.agents, one.timesteps, one.planner, one.stop),
         *(len(runs), len(good), *wilson_interval(len(good), len(runs))),
         *(success.mean, success.error, whole.mean, whole.error),
-        *(float(np.median(jams)), float(min(jams)), float(max(jams))),
+        *(float(np.median(jams)), float(jams.min()), float(jams.max())),
         cpu_seconds=float(np.mean([run.cpu_seconds for run in runs])),
     )
