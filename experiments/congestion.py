@@ -35,7 +35,8 @@ from qdenv.study.plans import read_plan
 from qdenv.study.sweep import name_layouts
 
 # Throughput over 50 runs of T = 5000 (and success rate, where it is known) by domain, maker and
-# agents: 200 at 33 x 36; at 101 x 102 as many as fit the published throughput.
+# agents: 200 at 33 x 36; at 101 x 102 as many as fit the published throughput. The first that fits
+# counts: a tiled layout's name may say whose layout was tiled.
 PAPER = {
     ("warehouse-even", "nca_a0", 200): "6.79",
     ("warehouse-even", "nca_a1", 200): "6.73",

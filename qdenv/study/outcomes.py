@@ -68,7 +68,8 @@ def outcomes_of(runs: Iterable[Run]) -> list[Outcome]:
 def _condense(runs: Sequence[Run]) -> Outcome:
     one, every = runs[0], np.array([run.throughput for run in runs])
     good = every[[not run.congested for run in runs]]
-    jams = np.array([run.end_timestep for run in runs if run.congested and run.stop] or [np.nan])
+    ends = [float(run.end_timestep) for run in runs if run.congested and run.stop]
+    jams = np.array(ends or [np.nan])
     success, whole = sample_of(good if len(good) else np.array([np.nan])), sample_of(every)
     return Outcome(
         *(one.layout, one.domain, one.agents, one.timesteps, one.planner, one.stop),
