@@ -49,7 +49,7 @@ def save_agreement(
     whole, near = figure.subplots(1, 2)
     flows = np.all([opinion.flows for opinion in opinions.values()], axis=0)
     shown = [theirs[flows], *(opinion.throughput[flows] for opinion in opinions.values())]
-    for axes, heading in ((whole, "all layouts"), (near, "layouts that flow, a nearer look")):
+    for axes, heading in ((whole, "all layouts"), (near, "layouts that flow, from near by")):
         _scatter(axes, theirs, opinions)
         axes.set(title=heading, xlabel=label, aspect="equal")
     end = 1.05 * max(theirs.max(), *(opinion.throughput.max() for opinion in opinions.values()))
@@ -62,7 +62,8 @@ def save_agreement(
     key = "\n".join(f"{number}: {name}" for number, name in enumerate(names.values(), start=1))
     whole.text(0.98, 0.03, key, transform=whole.transAxes, ha="right", fontsize=8)
     if flows.any():
-        least, most = np.min(shown), np.max(shown)
+        # The worst layouts lie far below the others, which they would press into a corner.
+        least, most = np.quantile(shown, 0.1), np.max(shown)
         margin = 0.05 * (most - least) + 0.01
         near.set(xlim=(least - margin, most + margin), ylim=(least - margin, most + margin))
     handles = whole.get_legend_handles_labels()
