@@ -11,7 +11,10 @@ import pytest
 from matplotlib.image import imread
 
 from qdenv.cli import run as qdenv
+from qdenv.files import write_csv
+from qdenv.formats.layouts import write_layout
 from qdenv.presets import PRESETS
+from qdenv.study.ledger import Run, read_runs
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
@@ -51,7 +54,8 @@ def preset(small_run, monkeypatch) -> str:
 
 def test_every_experiment_is_tested_here():
     tested = {"warehouse", "which_nca", "algorithms", "sizes", "sphere", "own_objective"}
-    assert {path.stem for path in FOLDER.glob("*.py")} == tested | {"surrogate"}
+    tested |= {"surrogate", "agreement", "congestion"}
+    assert {path.stem for path in FOLDER.glob("*.py")} == tested
 
 
 def test_surrogate_judges_what_a_run_remembers(tmp_path, monkeypatch, capsys):
@@ -174,3 +178,72 @@ def test_own_objective_saves_a_row_per_elite(tmp_path, capsys):
     assert 0 < elites < 3600
     assert coverage == pytest.approx(100 * elites / 3600, abs=0.051)
     assert (tmp_path / "chain.png").exists()
+
+
+def test_agreement_judges_elites_and_files_and_simulates_nothing_again(
+    small_run, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr("qdenv.study.agreement.RESAMPLES", 20)
+    script, settings = load("agreement"), dict(agents=6, timesteps=20, seeds="2", out=tmp_path)
+    hall = tmp_path / "hall.json"
+    write_layout(hall, small_run.best.layout, small_run.tiles)
+    script.main(small_run.path, (hall,), 3, **settings)
+    runs, first = read_runs(tmp_path / "runs.csv"), capsys.readouterr().out
+    assert len(runs) == 4 * 4 * 2 and {run.planner for run in runs} == set(script.PLANNERS)
+    table = list(csv.DictReader((tmp_path / "agreement.csv").read_text().splitlines()))
+    assert [row["layout"].split()[0] for row in table] == ["elite", "elite", "elite", "hall"]
+    for row in table:
+        own = [
+            run.throughput for run in runs if (run.layout, run.planner) == (row["layout"], "low")
+        ]
+        assert float(row["low"]) == pytest.approx(np.mean(own), rel=1e-5)
+    assert (tmp_path / "agreement.png").exists()
+    monkeypatch.setattr("qdenv.study.ledger.simulate", None)  # nobody may simulate now
+    script.main(small_run.path, (hall,), 3, **settings)
+    again = capsys.readouterr().out
+    assert again[again.index("|") :] == first[first.index("|") :]
+
+
+def test_agreement_leaves_out_what_congests_under_either_planner(monkeypatch):
+    monkeypatch.setattr("qdenv.study.agreement.RESAMPLES", 20)
+    script = load("agreement")
+    paper, low = np.array([1, 2, 3, 4, 5, 0.0]), np.array([2, 1, 3, 5, 4, 9.0])
+    means = {"low": low, "high": paper, "plain": paper, "published": paper}
+    jams = {name: np.zeros(6, int) for name in means}
+    jams["low"][5] = 1
+    judged = script.Judged({name: one[:, None] for name, one in means.items()}, jams)
+    subjects = [script.Subject(str(one), None, np.nan, True, None) for one in range(6)]
+    found = script.compare(subjects, judged)
+    # Squared differences of ranks sum to 4: 1 - 6 * 4 / (5 * 24); two of ten pairs swapped.
+    assert found["low", "flowing"].layouts == 5
+    assert found["low", "flowing"].spearman.value == pytest.approx(0.8)
+    assert found["low", "flowing"].kendall.value == pytest.approx(0.6)
+    # The sixth, the best for low and the worst for the paper, adds 25 and shifts the other five.
+    assert found["low", "all"].spearman.value == pytest.approx(1 - 6 * (4 + 5 + 25) / (6 * 35))
+    assert found["high", "flowing"].layouts == 6
+
+
+def test_congestion_puts_several_files_into_one_table(own_layout, tmp_path, capsys, monkeypatch):
+    script, layout = load("congestion"), own_layout("warehouse_human")
+    settings = dict(agents="5,8", timesteps=20, seeds="2", planners="low")
+    script.main((layout,), **settings, out=tmp_path / "a.csv")
+    runs = read_runs(tmp_path / "a.csv")
+    assert [(run.agents, run.seed) for run in runs] == [(5, 0), (5, 1), (8, 0), (8, 1)]
+    jammed = [run._replace(agents=200, throughput=1.5, congested=True) for run in runs[:2]]
+    jammed = [run._replace(end_timestep=10 * (2 + run.seed)) for run in jammed]
+    good = runs[0]._replace(agents=200, seed=2, throughput=5.0)
+    write_csv(tmp_path / "b.csv", Run._fields, [*jammed, good])
+    capsys.readouterr()
+    monkeypatch.setattr("qdenv.study.ledger.simulate", None)  # nobody may simulate now
+    script.main((layout,), **settings, out=tmp_path / "a.csv", read=(tmp_path / "b.csv",))
+    said = capsys.readouterr().out.splitlines()
+    # One of three succeeds: Wilson's interval is 6 to 79 %; runs end at 20 and 30.
+    start = "| warehouse_human (warehouse-even) | 200 | 20 | low | 1/3 (6% to 79%) | 5.000 +- nan "
+    assert said[2].startswith(start + "| congests |") and said[2].endswith("| 25 (20 to 30) |")
+    assert [line.split(" | ")[1] for line in said[3:5]] == ["5", "8"]
+    rows = list(csv.DictReader((tmp_path / "a-table.csv").read_text().splitlines()))
+    assert [int(row["runs"]) for row in rows] == [3, 2, 2]
+    assert float(rows[0]["mean_of_all"]) == pytest.approx(8 / 3)
+    assert (tmp_path / "a.png").exists()
+    with pytest.raises(InputError, match="no runs"):
+        script.main(out=tmp_path / "c.csv")

@@ -1,0 +1,186 @@
+"""How often fleets congest, and what they move: Tables 2 and 5, Figure 17's rule, section E.4.
+
+    python experiments/congestion.py human.json dsage.json --agents 150,200,250,300 \
+        --timesteps 5000 --seeds 50 --planners published,plain,high,low --out runs/s.csv
+    qdenv layout tile nca_a5.json --rows 101 --cols 102 --out nca_a5_tiled.json    # section E.4
+    python experiments/congestion.py nca_a5_tiled.json --agents 1400 --out runs/tiled.csv
+    python experiments/congestion.py --out runs/all.csv --read runs/s.csv runs/tiled.csv
+
+Each run is a row of a file and is not simulated again, so this can be stopped and started again,
+and several can work at once, each with a file of its own. The paper's figures appear where a file's
+name says whose layout it is: nca_a0, nca_a1, nca_a5, dsage, human or tiled.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from matplotlib.axes import Axes
+
+import qdenv
+from qdenv.files import write_csv
+from qdenv.plots.figure import new_figure, save_figure
+from qdenv.study.ledger import Case, complete, read_runs
+from qdenv.study.options import parse_counts, parse_seeds
+from qdenv.study.outcomes import Outcome, outcomes_of
+from qdenv.study.plans import read_plan
+from qdenv.study.sweep import name_layouts
+
+# Throughput over 50 runs of T = 5000 (and success rate, where it is known) by domain, maker and
+# agents: 200 at 33 x 36; at 101 x 102 as many as fit the published throughput. The first that fits
+# counts: a tiled layout's name may say whose layout was tiled.
+PAPER = {
+    ("warehouse-even", "nca_a0", 200): "6.79",
+    ("warehouse-even", "nca_a1", 200): "6.73",
+    ("warehouse-even", "nca_a5", 200): "6.74",
+    ("warehouse-even", "dsage", 200): "6.35",
+    ("warehouse-even", "human", 200): "congests",
+    ("warehouse-uneven", "nca_a0", 200): "6.89",
+    ("warehouse-uneven", "nca_a1", 200): "6.70",
+    ("warehouse-uneven", "nca_a5", 200): "6.82",
+    ("warehouse-uneven", "dsage", 200): "6.40",
+    ("warehouse-uneven", "human", 200): "congests",
+    ("manufacturing", "nca", 200): "6.82",
+    ("manufacturing", "dsage", 200): "5.61",
+    ("manufacturing", "human", 200): "5.92",
+    ("warehouse-even", "tiled", 1400): "0 %",
+    ("warehouse-even", "nca_a5", 1400): "16.01 (90 %)",
+    ("warehouse-uneven", "tiled", 1000): "23 %",
+    ("warehouse-uneven", "nca_a5", 1000): "12.03 (84 %)",
+    ("manufacturing", "tiled", 1800): "22.73 (100 %)",
+    ("manufacturing", "nca", 1800): "23.11 (100 %)",
+}
+LOOKS = {  # Okabe and Ito 2008
+    "published": ("#D55E00", "o"),
+    "plain": ("#CC79A7", "s"),
+    "high": ("#0072B2", "^"),
+    "low": ("#E69F00", "v"),
+}
+COLUMNS = 3  # panels side by side
+HEAD = ("layout", "agents", "T", "planner", "success (95 %)", "tasks / timestep")
+HEAD += ("paper, T = 5000", "CPU s / run", "congested at")
+
+
+def paper_on(row: Outcome) -> str:
+    """Find what the paper says of a case by the layout's name; "" for nothing."""
+    for (domain, maker, agents), said in PAPER.items():
+        if maker in row.layout and (domain, agents) == (row.domain, row.agents):
+            return said
+    return ""
+
+
+def who(row: Outcome) -> str:
+    """Name who drove."""
+    return row.planner if row.stop else f"{row.planner}, going on"
+
+
+def lines_of(rows: Sequence[Outcome]) -> Iterator[str]:
+    """Write the table in markdown."""
+    yield f"| {' | '.join(HEAD)} |"
+    yield "| --- " * len(HEAD) + "|"
+    for row in rows:
+        rate = f"{row.successes}/{row.runs} ({row.low:.0%} to {row.high:.0%})"
+        moved = f"{row.throughput:.3f} +- {row.error:.3f}" if row.successes else "none"
+        jams = f"{row.jam_median:.0f} ({row.jam_least:.0f} to {row.jam_most:.0f})"
+        cells = [f"{row.layout} ({row.domain})", row.agents, row.timesteps, who(row), rate, moved]
+        cells += [paper_on(row), f"{row.cpu_seconds:.2f}", "" if np.isnan(row.jam_median) else jams]
+        yield f"| {' | '.join(map(str, cells))} |"
+
+
+def plot(axes: Axes, rows: Sequence[Outcome]) -> None:
+    """Draw the mean over all runs of one layout over agents, with success rates below 100 %."""
+    lines: dict[tuple, list[Outcome]] = {}
+    for row in sorted(rows, key=lambda row: row.agents):
+        lines.setdefault((who(row), row.timesteps), []).append(row)
+    for (name, timesteps), own in lines.items():
+        colour, marker = LOOKS[own[0].planner]
+        agents, means = [row.agents for row in own], [row.mean_of_all for row in own]
+        style, error = "-" if own[0].stop else "--", [row.error_of_all for row in own]
+        axes.errorbar(agents, means, np.nan_to_num(error), color=colour, ls=style, capsize=3)
+        label = f"{name}, T = {timesteps}"
+        axes.plot(agents, means, marker, color=colour, ls=style, label=label)
+        for row in (row for row in own if row.successes < row.runs):
+            spot, said = (row.agents, row.mean_of_all), f"{row.successes / row.runs:.0%}"
+            axes.plot(*spot, marker, color=colour, mfc="white")
+            axes.annotate(
+                said, spot, (5, -10), textcoords="offset points", color=colour, fontsize=7
+            )
+    axes.set_xticks(sorted({row.agents for row in rows}))
+
+
+def draw(path: Path, rows: Sequence[Outcome]) -> None:
+    """Draw throughput over agents, a panel per layout."""
+    panels: dict[tuple[str, str], list[Outcome]] = {}
+    for row in rows:
+        panels.setdefault((row.layout, row.domain), []).append(row)
+    columns = min(COLUMNS, len(panels))
+    height = -(-len(panels) // columns)
+    figure = new_figure(1 + 3.6 * columns, 0.9 + 3 * height)
+    grid = figure.subplots(height, columns, squeeze=False).ravel()
+    labels = {}
+    for axes, (name, own) in zip(grid, panels.items(), strict=False):
+        plot(axes, own)
+        axes.set_title(f"{name[0]} ({name[1]})", fontsize="small")
+        axes.set(xlabel="agents", ylabel="tasks / timestep, all runs", ylim=(0, None))
+        axes.spines[["top", "right"]].set_visible(False)
+        labels |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    for axes in grid[len(panels) :]:
+        axes.remove()
+    figure.legend(labels.values(), labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle("hollow: some runs congest; per cent: how many do not", fontsize="small")
+    save_figure(figure, path)
+
+
+def main(
+    layouts: Annotated[tuple[Path, ...], tyro.conf.Positional] = (),
+    agents: str = "200",
+    timesteps: int = 5000,
+    seeds: str = "50",
+    planners: str = "published,plain,high,low",
+    domain: str | None = None,
+    stop: bool = True,
+    out: Path = Path("runs/congestion.csv"),
+    read: tuple[Path, ...] = (),
+) -> None:
+    """Simulate what is missing; print the table of all runs in the files, and draw it.
+
+    Args:
+        layouts: layout files; none to simulate nothing.
+        agents: numbers of agents: 200, or 150,200, or 50:400:50.
+        timesteps: horizon T.
+        seeds: how many seeds, or a list of them.
+        planners: published, plain, high, low: those of priority-based search, and ours.
+        domain: whose tasks the agents do; what each file says, or its tiles tell, unless given.
+        stop: end a run where it congests.
+        out: file of runs that grows; the table (-table.csv) and the picture go beside it.
+        read: further files of runs.
+    """
+    plans = {name: read_plan(path, domain) for name, path in name_layouts(layouts).items()}
+    cases = [
+        Case(name, plan.layout, plan.domain, count, timesteps, planner, stop)
+        for (name, plan), count, planner in product(
+            plans.items(), parse_counts(agents), planners.split(",")
+        )
+    ]
+    complete(out, cases, parse_seeds(seeds), read, partial(print, flush=True))
+    files = [*read, *([out] if out.exists() else [])]
+    rows = outcomes_of(run for path in files for run in read_runs(path))
+    if not rows:
+        raise qdenv.InputError("no runs: give layout files, or tables of runs with --read")
+    print("\n".join(lines_of(rows)))
+    table, picture = out.with_name(f"{out.stem}-table.csv"), out.with_suffix(".png")
+    write_csv(table, (*Outcome._fields, "paper"), [(*row, paper_on(row)) for row in rows])
+    draw(picture, rows)
+    print(f"{out}, {table}, {picture}")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

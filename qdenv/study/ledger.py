@@ -1,0 +1,208 @@
+"""Runs written down: a CSV file with a row per run; what it holds is not simulated again."""
+
+from __future__ import annotations
+
+import csv
+import time
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias, get_type_hints
+
+import numpy as np
+
+from qdenv.domains.base import Domain
+from qdenv.files import write_csv
+from qdenv.simulate.mapf.negotiated.settings import EFFORTS
+from qdenv.simulate.mapf.pbs.settings import PbsConfig
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.sweep import check_fleet
+from qdenv.types import InputError, look_up
+
+# Who drives, by a word: our planner at two efforts, the paper's by two rules.
+DRIVERS: Mapping[str, Any] = {
+    **EFFORTS,
+    "published": PbsConfig(rule="published"),
+    "plain": PbsConfig(rule="plain"),
+}
+PAUSE = 30.0  # seconds between two words on how far it is
+Key: TypeAlias = tuple[str, str, int, int, str, bool, str, int]
+
+
+class Case(NamedTuple):
+    """What is simulated once per seed.
+
+    Attributes:
+        layout: how tables call it.
+        tiles: int8 [H, W].
+        domain: whose tasks the agents do.
+        agents: how many.
+        timesteps: horizon T.
+        planner: one of `DRIVERS`.
+        stop: end a run where it congests.
+    """
+
+    layout: str
+    tiles: np.ndarray
+    domain: Domain
+    agents: int
+    timesteps: int
+    planner: str
+    stop: bool = True
+
+    def key(self, seed: int) -> Key:
+        """Tell the run of a seed from all others."""
+        drawn = f"{zlib.crc32(self.tiles.astype(np.int8).tobytes()):08x}"
+        numbers = (self.agents, self.timesteps, self.planner, self.stop)
+        return (self.layout, self.domain.name, *numbers, drawn, seed)
+
+
+class Run(NamedTuple):
+    """One run, a row of the file.
+
+    Attributes:
+        layout: its name.
+        domain: name of the domain.
+        agents: how many drove.
+        timesteps: horizon T.
+        planner: one of `DRIVERS`.
+        stop: it would have ended where it congested.
+        tiles: checksum of the layout: another one of the same name has other runs.
+        seed: of starts, goals and ties.
+        throughput: tasks per timestep, over all of T.
+        congested: it congested.
+        end_timestep: timesteps driven.
+        cpu_seconds: of driving, without preparing and compiling.
+    """
+
+    layout: str
+    domain: str
+    agents: int
+    timesteps: int
+    planner: str
+    stop: bool
+    tiles: str
+    seed: int
+    throughput: float
+    congested: bool
+    end_timestep: int
+    cpu_seconds: float
+
+    @property
+    def key(self) -> Key:
+        """Tell it from all other runs, as `Case.key` does."""
+        numbers = (self.agents, self.timesteps, self.planner, self.stop)
+        return (self.layout, self.domain, *numbers, self.tiles, self.seed)
+
+
+def read_runs(path: Path) -> list[Run]:
+    """Read the runs of a file.
+
+    Raises:
+        InputError: there is no such file, or it is no table of runs.
+    """
+    kinds = {**get_type_hints(Run), "stop": _truth, "congested": _truth}
+    try:
+        head, *rows = csv.reader(path.read_text().splitlines())
+        if tuple(head) != Run._fields:
+            raise ValueError(f"columns {', '.join(head)}")
+        pairs = [zip(Run._fields, row, strict=True) for row in rows]
+        return [Run(*(kinds[name](text) for name, text in row)) for row in pairs]
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: no table of runs ({error}): name another file") from error
+
+
+def _truth(text: str) -> bool:
+    return {"True": True, "False": False}[text]
+
+
+def complete(
+    path: Path,
+    cases: Sequence[Case],
+    seeds: Sequence[int],
+    others: Sequence[Path] = (),
+    say: Callable[[str], None] = lambda line: None,
+) -> list[Run]:
+    """Simulate what stands in no file yet, one run at a time, and write each down as it ends.
+
+    Several processes may share a file. If two write in the same instant a row can get lost; it is
+    simulated again the next time.
+
+    Args:
+        path: the file that grows.
+        cases: what to simulate.
+        seeds: of each case.
+        others: further files of runs; only read.
+        say: told every half minute how far it is.
+
+    Returns:
+        the runs of all cases, case by case.
+
+    Raises:
+        InputError: a case cannot be simulated, or a file is no table of runs.
+    """
+    for case in cases:
+        look_up(DRIVERS, case.planner, "planner")
+        check_fleet(case.layout, case.tiles, case.domain.simulator.tasks, case.agents)
+    known = {run.key: run for file in others for run in read_runs(file)}
+    known |= {run.key: run for run in _written(path)}
+    todo = [(case, seed) for case in cases for seed in seeds if case.key(seed) not in known]
+    said = time.time()
+    for done, (case, seed) in enumerate(todo, start=1):
+        run = simulate(case, seed)
+        known[run.key] = run
+        write_csv(path, Run._fields, [*_written(path), run])
+        if time.time() - said > PAUSE or done == len(todo):
+            said = time.time()
+            rest = [case for case, _ in todo[done:]]
+            left = timedelta(seconds=round(seconds_for(rest, list(known.values()))))
+            say(
+                f"{done} of {len(todo)} runs, about {left} left: {run.layout}, {run.agents} "
+                f"agents, {run.planner}, seed {seed}: {run.throughput:.3f}"
+                + f", congested at {run.end_timestep}"
+                * run.congested
+            )
+    return [known[case.key(seed)] for case in cases for seed in seeds]
+
+
+def _written(path: Path) -> list[Run]:
+    return read_runs(path) if path.exists() else []
+
+
+def simulate(case: Case, seed: int) -> Run:
+    """Simulate one run on one core; the program has been loaded before its clock starts."""
+    from qdenv.study.runs import run_seeds  # imports the simulator
+
+    config = FleetConfig(
+        agents=case.agents,
+        timesteps=case.timesteps,
+        planner=DRIVERS[case.planner],
+        stop_when_congested=case.stop,
+    )
+    done = run_seeds(case.tiles, case.domain.simulator.tasks, config, [seed], threads=1)
+    (run,) = done.runs
+    return Run(
+        *case.key(seed),
+        throughput=float(f"{run.throughput:.6g}"),
+        congested=bool(run.congested),
+        end_timestep=int(run.end_timestep),
+        cpu_seconds=round(done.cpu_seconds, 4),
+    )
+
+
+def seconds_for(cases: Sequence[Case], runs: Sequence[Run]) -> float:
+    """Reckon the CPU seconds of a run of each case from other runs, best of the same planner.
+
+    Args:
+        cases: to be simulated.
+        runs: at least one, unless there is no case; a run costs by its agents and timesteps.
+    """
+
+    def rate(planner: str) -> float:
+        same = [run for run in runs if run.planner == planner] or runs
+        work = sum(run.agents * run.timesteps for run in same)
+        return sum(run.cpu_seconds for run in same) / work
+
+    rates = {planner: rate(planner) for planner in {case.planner for case in cases}}
+    return sum(rates[case.planner] * case.agents * case.timesteps for case in cases)
