@@ -10,15 +10,22 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from qdenv.commands.choices import names_of, take
+from qdenv.commands.arguments import take
+from qdenv.commands.choices import names_of
 from qdenv.commands.costs import describe_cost, remember
 from qdenv.commands.keeping import choose_keep
+from qdenv.commands.planners import check_options
 from qdenv.domains.base import DOMAINS
 from qdenv.presets import PRESETS, find_preset
 from qdenv.search.registry import ALGORITHMS
 from qdenv.search.settings import check_strategy
 from qdenv.simulate.mapf.settings import PLANNERS
-from qdenv.training.choosing import choose_algorithm, choose_domain, choose_planner
+from qdenv.training.choosing import (
+    choose_algorithm,
+    choose_domain,
+    choose_planner,
+    planner_of,
+)
 from qdenv.training.config import RunConfig
 from qdenv.training.feasible import check_feasible
 from qdenv.training.following import follow_size
@@ -34,8 +41,8 @@ class Setup:
     Attributes:
         config: the preset's settings.
         domain: another domain in place of the preset's, at its size.
-        effort: of the fleet's planner: low inside a search, high for numbers to report.
-        planner: another planner, with its defaults.
+        effort: of the negotiated planner: low inside a search, high for numbers to report.
+        planner: another planner, with its defaults; what it can be told is listed below.
         algorithm: another search algorithm, with its defaults.
         out: folder of the run; a fresh one under runs/ unless given.
         keep: drawing of the layouts' shape: ? is free, a tile must be this tile in all of them.
@@ -106,6 +113,7 @@ def bind(command: Callable, arguments: Sequence[str]) -> Callable:
     effort, rest = take(rest, "--effort")
     planner, rest = take(rest, "--planner")
     config = choose_planner(config, effort, planner)
+    check_options(rest, planner_of(config))
     check_strategy(take(rest, "--strategy")[0] or "")  # the parser would not say why
     given = frozenset(
         word.partition("=")[0].lstrip("-").replace("-", "_") for word in rest if word[:2] == "--"
