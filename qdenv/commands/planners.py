@@ -62,15 +62,16 @@ def check_options(arguments: Sequence[str], settings: Any) -> None:
     """
     if settings is None:
         return
-    own = _settings_of(settings)
+    planner, own = PLANNERS.name_of(settings), _settings_of(settings)
     for word in arguments:
         option = word.partition("=")[0]
-        name = option.removeprefix(f"--{PREFIX}").removeprefix("no-").replace("-", "_")
-        if not option.startswith(f"--{PREFIX}") or name in own:
+        name = option.removeprefix(f"--{PREFIX}").replace("-", "_")
+        if not option.startswith(f"--{PREFIX}") or {name, name.removeprefix("no_")} & set(own):
             continue
         homes = [home for home in PLANNERS.names() if name in _names_in(home)]
-        advice = f"add --planner {homes[0]}" if homes else choices(name, own)
-        raise InputError(f"{option}: {PLANNERS.name_of(settings)} has no such setting: {advice}")
+        known = [one.replace("_", "-") for one in own]
+        advice = f"add --planner {homes[0]}" if homes else choices(name.replace("_", "-"), known)
+        raise InputError(f"{option}: {planner} has no such setting: {advice}")
 
 
 def _settings_of(kind: Any) -> list[str]:
