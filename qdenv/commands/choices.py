@@ -6,7 +6,7 @@ import functools
 import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import tyro
 
@@ -35,6 +35,9 @@ RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
 # How a command takes the name of a domain that a layout file may say itself.
 DomainName = Annotated[str | None, tyro.conf.arg(metavar=names_of(DOMAINS))]
 
+# How a command takes the effort of the negotiated planner, which others have none of.
+Effort = Annotated[str | None, tyro.conf.arg(metavar="{low,high}")]
+
 
 @dataclasses.dataclass(frozen=True)
 class FleetOptions:
@@ -55,7 +58,7 @@ class FleetOptions:
     domain: DomainName = None
     timesteps: int = 1000
     seeds: tuple[str, ...] = ("10",)
-    effort: Literal["low", "high"] | None = None
+    effort: Effort = None
     planner: Annotated[str, tyro.conf.arg(metavar=names_of(PLANNERS))] = OWN
     planner_settings: Annotated[Any, tyro.conf.arg(name="")] = HIGH
     stop: bool = True

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from qdenv.commands.arguments import take
-from qdenv.commands.choices import names_of
+from qdenv.commands.choices import Effort, names_of
 from qdenv.commands.costs import describe_cost, remember
 from qdenv.commands.keeping import choose_keep
 from qdenv.commands.planners import check_options
@@ -51,7 +51,7 @@ class Setup:
 
     config: RunConfig
     domain: Annotated[str | None, tyro.conf.arg(metavar=names_of(DOMAINS))] = None
-    effort: Literal["low", "high"] | None = None
+    effort: Effort = None
     planner: Annotated[str | None, tyro.conf.arg(metavar=names_of(PLANNERS))] = None
     algorithm: Annotated[str | None, tyro.conf.arg(metavar=names_of(ALGORITHMS))] = None
     out: Annotated[Path | None, tyro.conf.arg(aliases=("--run-dir",))] = None
