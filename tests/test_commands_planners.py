@@ -72,11 +72,14 @@ def test_every_study_hands_the_planners_settings_to_the_simulation(command, caug
     assert [one.stop_when_congested for one in given] == [False, True, True]
 
 
-def test_a_search_takes_a_planners_settings_and_keeps_those_of_the_repair_apart(caught):
+def test_a_search_takes_a_planners_settings_and_keeps_those_of_the_repair_apart(caught, capsys):
     with pytest.raises(CaughtError):
         run(["train", "quick", *CHOSEN, "--node-limit", "9"])
     with pytest.raises(CaughtError):
         run(["train", "quick", "--planner", "negotiated"])
+    said = capsys.readouterr().out.splitlines()
+    assert re.search(r"; planner: pbs, rule plain, node limit 5\b", said[0])
+    assert said[1].endswith("; planner: negotiated, low effort")
     (config, *_), (usual, *_) = caught
     assert config.evaluation.domain.fleet.planner == SPARSE
     assert config.evaluation.repair.node_limit == 9

@@ -19,6 +19,7 @@ from qdenv.domains.base import DOMAINS
 from qdenv.presets import PRESETS, find_preset
 from qdenv.search.registry import ALGORITHMS
 from qdenv.search.settings import check_strategy
+from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.training.choosing import (
     choose_algorithm,
@@ -80,8 +81,9 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
         raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
     if followed:
         print(f"for this size: {followed}")
-    cost = describe_cost(preset, config)
-    print(f"{preset}: {config.evaluations} evaluations into {path}{cost and f', {cost}'}")
+    cost, planner = describe_cost(preset, config), planner_of(config)
+    who = f"; planner: {describe_planner(planner)}" if planner else ""
+    print(f"{preset}: {config.evaluations} evaluations into {path}{cost and f', {cost}'}{who}")
     # Only now: what is above answers at once, and these import both compilers.
     from qdenv.commands.runs import report
     from qdenv.training import loop
