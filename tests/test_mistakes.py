@@ -33,6 +33,7 @@ MISTAKES = {
     "scalability plan.txt --planner pbs --planner.node-limt 3": "did you mean node-limit?",
     "simulate plan.txt --planner pbs --planner.rule best": "choose one of published, plain",
     "train quick --planner pbs --planner.node-limit -3": "0 nodes a window, or more",
+    "train quick --lanes 4": "unknown option --lanes: did you mean --planner.lanes?",
     "train maze-quick --planner pbs": "no fleet drives in this domain",
     "train quik": "did you mean quick?",
     "train quick --domain moon": "unknown domain 'moon'",
