@@ -79,6 +79,9 @@ _HOMES = {
     # A planner.
     "PLANNERS": ("qdenv.simulate.mapf.settings", "PLANNERS"),
     "AgentState": ("qdenv.simulate.mapf.planner", "AgentState"),
+    "NegotiatedConfig": ("qdenv.simulate.mapf.negotiated.settings", "NegotiatedConfig"),
+    "PbsConfig": ("qdenv.simulate.mapf.pbs.settings", "PbsConfig"),
+    "PibtConfig": ("qdenv.simulate.mapf.pibt.settings", "PibtConfig"),
     "Planner": ("qdenv.simulate.mapf.planner", "Planner"),
     "World": ("qdenv.simulate.mapf.planner", "World"),
     # A generator.

@@ -89,6 +89,7 @@ def run(arguments: list[str]) -> int:
 def _run_loaded(arguments: list[str], wanted: list[str]) -> int:
     """Import the wanted commands and run the one that is named."""
     from qdenv.commands.output import place, words_aside
+    from qdenv.commands.planners import OPTIONS
     from qdenv.types import InputError
 
     try:
@@ -97,7 +98,7 @@ def _run_loaded(arguments: list[str], wanted: list[str]) -> int:
         for name in wanted:
             given = arguments[1:] if [name] == arguments[:1] else []
             commands[name] = _loaded(name, given)
-        chosen = _parse(commands, arguments)
+        chosen = _parse(commands, arguments, OPTIONS)
         facts = _facts_place(arguments)
         if facts and facts != "-":
             place(Path(facts), "facts.json", inputs=_files_but(facts, arguments))
@@ -151,8 +152,17 @@ def _names_picture(word: str) -> bool:
     return word == AUTO or Path(word).suffix.lower() in endings  # some are refused, with a reason
 
 
-def _parse(commands: dict[str, Callable], arguments: list[str]) -> Callable[[], Any]:
+def _parse(
+    commands: dict[str, Callable],
+    arguments: list[str],
+    names: tyro.constructors.ConstructorRegistry | None = None,
+) -> Callable[[], Any]:
     """Choose a command and bind its arguments; nothing runs yet.
+
+    Args:
+        commands: by name.
+        arguments: the command line.
+        names: what the parser is told of how options are called.
 
     Raises:
         InputError: the arguments make no sense.
@@ -166,6 +176,7 @@ def _parse(commands: dict[str, Callable], arguments: list[str]) -> Callable[[], 
                 prog="qdenv",
                 args=arguments,
                 config=(tyro.conf.AvoidSubcommands,),
+                registry=names,
             )
     except SystemExit as stop:
         if stop.code in (0, None):

@@ -97,6 +97,10 @@ class Registry:
             f"{', '.join(self.names())}"
         )
 
+    def has_loaded(self, kind: type) -> bool:
+        """Tell whether the settings of a choice that was asked for before are of this type."""
+        return any(entry.config is kind for entry in self._entries.values())
+
     def make(self, config: Any, *details: Any) -> Any:
         """Make what `config` chooses; `details` follow the settings as arguments of its maker.
 

@@ -170,6 +170,7 @@ class Traffic(NamedTuple):
     usage: Array  # float32 [H, W], share of agent-steps spent on each cell, sums to 1
     waiting: Array  # float32, share of agent-steps without a move
     path_length: Array  # float32, mean number of moves per finished task
+    congested_at: Array | int = 0  # int32, the end of the first such window; 0 for none
 
 
 class Measure(NamedTuple):

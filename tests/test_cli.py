@@ -141,7 +141,7 @@ def test_simulate_writes_what_it_promises(layout, tmp_path):
     }  # fmt: skip
     assert content["valid"] is True and content["layout"] == layout
     assert [one["seed"] for one in content["runs"]] == [0, 1]
-    keys = {"seed", "throughput", "congested", "end_timestep", "finished_tasks"}
+    keys = {*("seed", "throughput", "congested", "congested_at", "end_timestep", "finished_tasks")}
     for one in content["runs"]:
         assert one.keys() == keys
         assert one["throughput"] == pytest.approx(one["finished_tasks"] / 40)

@@ -7,7 +7,7 @@ from dataclasses import fields, is_dataclass
 import pytest
 
 from qdenv.cli import run
-from qdenv.commands import choices, layouts, simulate, sizes
+from qdenv.commands import arguments, choices, drawings, layouts, sizes
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig
 from qdenv.presets import PRESETS
@@ -23,10 +23,10 @@ QUICK = PRESETS["quick"]
 
 def test_the_last_value_of_an_option_counts_and_the_rest_stays_in_order():
     words = ["a", "--domain", "x", "b", "--domain=y", "--rows", "3"]
-    assert choices.take(words, "--domain") == ("y", ["a", "b", "--rows", "3"])
-    assert choices.take(["--rows", "3"], "--domain") == (None, ["--rows", "3"])
+    assert arguments.take(words, "--domain") == ("y", ["a", "b", "--rows", "3"])
+    assert arguments.take(["--rows", "3"], "--domain") == (None, ["--rows", "3"])
     with pytest.raises(InputError, match="--domain needs a value"):
-        choices.take(["a", "--domain"], "--domain")
+        arguments.take(["a", "--domain"], "--domain")
 
 
 def test_another_domain_keeps_what_the_preset_states_and_both_have():
@@ -90,4 +90,4 @@ def test_a_stated_zero_is_no_missing_number():
 
 
 def test_other_commands_stay_as_they_are():
-    assert choices.bind(simulate.simulate, ["--domain", "moon"]) is simulate.simulate
+    assert choices.bind(drawings.render, ["--domain", "moon"]) is drawings.render

@@ -4,7 +4,7 @@ import pytest
 
 from qdenv.commands import costs
 from qdenv.presets import PRESETS
-from qdenv.training.choosing import choose_algorithm
+from qdenv.training.choosing import choose_algorithm, choose_planner
 from qdenv.training.metrics import Metrics
 
 
@@ -23,6 +23,9 @@ def test_every_preset_says_what_it_takes_on_two_cores():
     assert said["dsage-laptop"] == "about 7 h (an estimate)"
     assert said["warehouse-even-dsage"] == "about 16 days (an estimate)"
     assert costs.describe_cost("quick", choose_algorithm(PRESETS["quick"], "dsage")) == ""
+    for effort, planner in (("high", None), (None, "pbs")):
+        other = choose_planner(PRESETS["quick"], effort, planner)
+        assert costs.describe_cost("quick", other) == ""
 
 
 def test_another_algorithm_takes_what_its_base_takes_and_an_exact_name_comes_first():

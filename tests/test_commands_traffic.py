@@ -32,7 +32,9 @@ def test_simulate_says_where_it_jams_and_whether_more_would_help(plans, capsys):
     command = ["simulate", "lane.json", "--agents", "20", *QUICK, "--json", "f.json", "--plot"]
     assert run([*command, "--seconds-per-step", "0.5"]) == 0
     said, facts = capsys.readouterr().out, json.loads(Path("f.json").read_text())
-    assert said.startswith("20 agents, 120 timesteps, 3 seeds, planner pibt, ")
+    assert said.startswith(
+        "20 agents, 120 timesteps, 3 seeds, domain warehouse-even; planner: pibt\n"
+    )
     assert facts["verdict"] == "congested"
     assert "verdict      congested: in 3 of 3 runs" in said
     assert "never congested" not in said
@@ -45,6 +47,42 @@ def test_simulate_says_where_it_jams_and_whether_more_would_help(plans, capsys):
     assert facts["settings"]["seeds"] == [0, 1, 2] and facts["command"] == "simulate"
     assert imread("lane_traffic.png").shape[2] == 4
     assert said.splitlines()[-2:] == ["lane_traffic.png", "f.json"]
+
+
+def test_a_run_that_goes_on_after_congestion_counts_all_its_tasks(plans, capsys):
+    def facts_of(*more):
+        command = ["simulate", "lane.json", "--agents", "20", *QUICK, "--json", "f.json", *more]
+        assert run(command) == 0
+        return json.loads(Path("f.json").read_text()), capsys.readouterr().out
+
+    (ended, _), (whole, said) = facts_of(), facts_of("--no-stop", "--plot", "p.svg")
+    assert ended["success_rate"] == whole["success_rate"] == 0 and whole["valid"] is True
+    for one, other in zip(ended["runs"], whole["runs"], strict=True):
+        assert one["congested_at"] == one["end_timestep"] == other["congested_at"] < 120
+        assert other["end_timestep"] == 120 and other["congested"]
+        assert other["finished_tasks"] >= one["finished_tasks"]
+        line = f"{other['throughput']:.3f} tasks per timestep, congested at {one['congested_at']}"
+        assert line in said
+    assert ended["mean_throughput"] is None
+    assert whole["mean_throughput"] == whole["mean_of_all"] >= ended["mean_of_all"]
+    assert "congested    100% of the runs, and went on" in said
+    assert whole["verdict"] == "congested"
+    assert "3 of 3 runs congested, and went on" in Path("p.svg").read_text()
+
+
+@pytest.mark.parametrize("command", ["sweep", "compare", "scalability"])
+def test_tables_of_runs_that_go_on_average_all_of_them(plans, capsys, command):
+    def rows_of(*more):
+        assert run([command, "lane.json", "--agents", "4,20", *QUICK, "--out", "t.csv", *more]) == 0
+        return list(csv.DictReader(Path("t.csv").read_text().splitlines()))
+
+    ended, whole = rows_of(), rows_of("--no-stop")
+    assert [float(row["success_rate"]) for row in whole] == [1, 0]
+    assert whole[0]["throughput"] == ended[0]["throughput"]
+    assert ended[1]["throughput"] == "nan"
+    assert whole[1]["throughput"] == whole[1]["mean_of_all"]
+    assert whole[1]["standard_error"] == whole[1]["error_of_all"]
+    assert "no stop at congestion" in capsys.readouterr().out
 
 
 def test_simulate_without_verdict_and_audit_gives_the_same_numbers(plans, capsys):

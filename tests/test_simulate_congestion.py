@@ -1,11 +1,16 @@
 """Congestion: which plans jam a fleet, where, and what a jam does to a run."""
 
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from fleet_runs import PLAIN, TILES, StandConfig, programs, random_layout, run_audited
 
 from qdenv.grid import parse
 from qdenv.simulate.mapf import fleet
+from qdenv.simulate.mapf.audit import audit, trajectory_of
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 
 
@@ -16,6 +21,26 @@ def test_a_planner_plugs_in_from_outside_and_a_jam_ends_the_run():
     assert traffic.congested
     assert traffic.end_timestep == config.horizon
     assert traffic.waiting == 1.0
+
+
+@pytest.mark.parametrize("planner", [StandConfig(), NegotiatedConfig(last_resort="wait")])
+def test_a_run_that_goes_on_says_when_it_congested_first(planner):
+    """A crowd in a hall: the audit finds the jams on its own, and that the first one is told."""
+    agents = int((HALL != 1).sum()) // 2
+    config = fleet.FleetConfig(agents, 300, planner=planner, stop_when_congested=False)
+    prepare, run = programs(PLAIN, config)
+    layout = jnp.asarray(HALL.astype(np.int8))
+    numbers = run(prepare(layout), jax.random.key(0), jnp.int32(agents))
+    traffic, recording = jax.tree.map(np.asarray, numbers)
+    assert traffic.congested and traffic.end_timestep == 300 > traffic.congested_at > 0
+    steps = trajectory_of(recording)
+    assert audit(HALL, PLAIN, steps, traffic) == []
+    late = traffic._replace(congested_at=traffic.congested_at + 5)
+    (found,) = audit(HALL, PLAIN, steps, late)
+    assert found.endswith(f"but congested at {traffic.congested_at + 5}")
+    stopping = programs(PLAIN, replace(config, stop_when_congested=True))[1]
+    ended, _ = stopping(prepare(layout), jax.random.key(0), jnp.int32(agents))
+    assert ended.end_timestep == ended.congested_at == traffic.congested_at
 
 
 # Every second goal is one of four workstations, and every second free cell holds an agent.

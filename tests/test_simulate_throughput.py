@@ -22,7 +22,7 @@ AGENTS = 200
 def report(path: Path, domain: str, effort: str) -> dict:
     """Simulate a layout with two seeds over 400 steps, every trajectory audited."""
     layout = read_layout(path, find_domain(domain).tiles)
-    return simulate_layout(layout, domain, AGENTS, 400, (2,), effort, True)
+    return simulate_layout(layout, domain, AGENTS, 400, (2,), True, effort=effort)
 
 
 def congestion(path: Path, seeds: Sequence[int], **changes) -> list[bool]:

@@ -5,6 +5,7 @@ import pytest
 
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
+from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study import traffic
@@ -16,7 +17,6 @@ from qdenv.study.jams import (
     throughput_over_time,
     worst_cells,
 )
-from qdenv.study.options import find_planner
 from qdenv.study.runs import run_seeds
 from qdenv.study.traffic import Wanted, examine, simulate_layout
 from qdenv.study.verdict import Point, judge, point_of

@@ -45,6 +45,13 @@ def in_xla():
     return experiment("xla")
 
 
+def test_an_archive_keeps_the_numbers_of_runs_that_earlier_archives_hold(in_xla):
+    state = in_xla.algorithm.init(in_xla.search_key)
+    held = set(in_xla.algorithm.archive(state).extra_scores) - {"unrepaired", "repaired"}
+    runs = {"throughput", "congested", "end_timestep", "waiting", "path_length"}
+    assert held == {"similarity", "status", *runs}
+
+
 def test_only_the_repair_leaves_the_device(in_xla):
     assert callbacks(in_xla) == 1
     assert callbacks(experiment("host")) > 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from qdenv.types import InputError, RepairStatus, Rules
 
 if TYPE_CHECKING:
     from qdenv.simulate.mapf.environment import Environment, Observe
+    from qdenv.study.options import Driving
 
 
 def simulate(
@@ -24,9 +25,8 @@ def simulate(
     domain: str | None = None,
     timesteps: int = 1000,
     seeds: int | str | Sequence[int] = 10,
-    effort: str = "high",
     check: bool = False,
-    planner: str = "",
+    **driving: Unpack[Driving],
 ) -> Facts:
     """Simulate a fleet on a layout.
 
@@ -36,9 +36,10 @@ def simulate(
         domain: whose tasks they do; what the file says unless given.
         timesteps: horizon T.
         seeds: how many runs, or a list of their seeds.
-        effort: "low" for a quick look, "high" for numbers to report.
         check: audit every trajectory.
-        planner: name of another registered planner.
+        **driving: ``effort`` of the negotiated planner: "low" for a quick look, "high", for
+            numbers to report, unless given; ``planner``, a registered name or settings like
+            ``PbsConfig(rule="plain")``; ``stop=False`` to go on after congestion.
 
     Returns:
         what `qdenv simulate --json` writes: ``mean_throughput`` in tasks per timestep, and more.
@@ -49,8 +50,8 @@ def simulate(
     from qdenv.study.traffic import simulate_layout
 
     plan = read_plan(layout, domain)
-    given = (plan.domain.name, agents, timesteps, _seeds(seeds), effort, check, planner)
-    return Facts({"layout": plan.name, **simulate_layout(plan.layout, *given)})
+    given = (plan.domain.name, agents, timesteps, _seeds(seeds), check)
+    return Facts({"layout": plan.name, **simulate_layout(plan.layout, *given, **driving)})
 
 
 def _seeds(seeds: int | str | Sequence[int]) -> int | str:
@@ -66,8 +67,7 @@ def compare(
     domain: str | None = None,
     timesteps: int = 1000,
     seeds: int | str | Sequence[int] = 10,
-    effort: str = "high",
-    planner: str = "",
+    **driving: Unpack[Driving],
 ) -> Table:
     """Put layouts side by side: the same agents, the same seeds.
 
@@ -77,8 +77,7 @@ def compare(
         domain: whose tasks the agents do.
         timesteps: horizon T.
         seeds: how many runs, or a list of their seeds.
-        effort: "low" or "high".
-        planner: name of another registered planner.
+        **driving: effort, planner and stop, as in `simulate`.
 
     Returns:
         a `study.table.Row` for each layout and number of agents.
@@ -86,17 +85,16 @@ def compare(
     Raises:
         InputError: no layout is given, they are of several domains, or a fleet cannot work there.
     """
-    from qdenv.simulate.mapf.settings import FleetConfig
     from qdenv.study import sweep
-    from qdenv.study.options import find_planner, parse_seeds
+    from qdenv.study.options import make_fleet, parse_seeds
 
     plans = [read_plan(layout, domain) for layout in layouts]
     kinds = {plan.domain.name: plan.domain for plan in plans}
     if len(kinds) != 1:
         said = " and ".join(kinds) or "no domain at all"
         raise InputError(f"these are layouts of {said}: put one domain side by side")
-    config = FleetConfig(timesteps=timesteps, planner=find_planner(effort, planner))
     counts = (agents,) if isinstance(agents, int) else tuple(agents)
+    config = make_fleet(max(counts), timesteps, **driving)
     (only,) = kinds.values()
     trial = sweep.Trial(only.simulator.tasks, config, counts, parse_seeds(_seeds(seeds)))
     names = [

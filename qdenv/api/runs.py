@@ -13,6 +13,7 @@ import numpy as np
 
 from qdenv.api.results import Facts, Layout
 from qdenv.presets import find_preset
+from qdenv.training.choosing import choose_domain, choose_planner
 from qdenv.training.config import CHOICES, RunConfig
 from qdenv.training.elite import Elite
 from qdenv.training.feasible import check_feasible
@@ -35,7 +36,8 @@ def train(
         progress: show a progress bar.
         **settings: in place of the preset's, by the names of `qdenv train --help` with
             underscores: evaluations=300, seed=3, alpha=1.0, agents=40, shelves=60. Domains,
-            planners, generators and algorithms may be named. What is not stated follows the size:
+            planners, generators and algorithms may be named, or given as settings:
+            planner="pbs", planner=PbsConfig(rule="plain"). What is not stated follows the size:
             numbers of tiles, agents, steps and axes.
 
     Raises:
@@ -60,40 +62,50 @@ def overridden(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
         config: the configuration.
         settings: values by name; a name of a domain, planner, generator or algorithm stands for
             its settings, with all its defaults but for what the domain shares with the old one.
+            ``effort`` is that of the negotiated planner.
 
     Raises:
-        InputError: nothing has this name, or the value is impossible.
+        InputError: nothing or more than one thing has this name, or the value is impossible.
     """
     # Choices first: which other names there are depends on them.
-    for name in sorted(settings, key=lambda name: name not in CHOICES):
+    for name in sorted(settings, key=lambda name: name not in (*CHOICES, "effort")):
         value = settings[name]
         if name == "domain" and isinstance(value, str):
-            from qdenv.training.choosing import choose_domain
-
             config = choose_domain(config, value)
+            continue
+        if name in ("effort", "planner"):
+            config = choose_planner(config, settings.get("effort"), settings.get("planner"))
             continue
         if name in CHOICES and isinstance(value, str):
             value = CHOICES[name].config(value)
-        changed = _replaced(config, name, value)
-        if changed is None:
+        homes = _homes(config, name)
+        if not homes:
             known = sorted(set(_names(config)))
             near = difflib.get_close_matches(name, known, 3) or known
             raise InputError(f"there is no setting {name!r}: did you mean {', '.join(near)}?")
-        config = changed
+        if len(homes) > 1:
+            records = " or ".join(home[-1] for home in homes)
+            raise InputError(f"several records hold a setting {name!r}: give a whole {records}")
+        config = _replaced(config, homes[0], name, value)
     return config
 
 
-def _replaced(record: Any, name: str, value: Any) -> Any:
-    """Replace a field of a record or of one inside it; None where there is none."""
-    fields = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
-    if name in fields:
-        return dataclasses.replace(record, **{name: value})
-    for place, inner in fields.items():
-        if dataclasses.is_dataclass(inner):
-            changed = _replaced(inner, name, value)
-            if changed is not None:
-                return dataclasses.replace(record, **{place: changed})
-    return None
+def _homes(record: Any, name: str) -> list[tuple[str, ...]]:
+    """List the ways, field by field, to the records inside of one that hold a field `name`."""
+    inside = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+    return [()] * (name in inside) + [
+        (place, *way)
+        for place, inner in inside.items()
+        if dataclasses.is_dataclass(inner)
+        for way in _homes(inner, name)
+    ]
+
+
+def _replaced(record: Any, way: Sequence[str], name: str, value: Any) -> Any:
+    """Replace a field of the record to which a way leads."""
+    if way:
+        name, value = way[0], _replaced(getattr(record, way[0]), way[1:], name, value)
+    return dataclasses.replace(record, **{name: value})
 
 
 def _names(record: Any) -> Iterator[str]:

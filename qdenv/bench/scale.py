@@ -24,9 +24,9 @@ from qdenv.generate.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.plots.scale import save_scale
 from qdenv.repair.recipe import repair
+from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study.elites import find_elite, grow_series
-from qdenv.study.options import find_planner
 from qdenv.study.runs import auditor, run_seeds
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus, TaskRule

@@ -6,14 +6,17 @@ import functools
 import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import tyro
 
+from qdenv.commands.arguments import take
+from qdenv.commands.planners import stated_planner
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.registry import Registry
-from qdenv.simulate.mapf.settings import PLANNERS
-from qdenv.study.options import find_planner
+from qdenv.simulate.mapf.choosing import OWN
+from qdenv.simulate.mapf.negotiated.settings import HIGH
+from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.study.plans import USUAL, read_plan
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
@@ -32,6 +35,9 @@ RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
 # How a command takes the name of a domain that a layout file may say itself.
 DomainName = Annotated[str | None, tyro.conf.arg(metavar=names_of(DOMAINS))]
 
+# How a command takes the effort of the negotiated planner, which others have none of.
+Effort = Annotated[str | None, tyro.conf.arg(metavar="{low,high}")]
+
 
 @dataclasses.dataclass(frozen=True)
 class FleetOptions:
@@ -41,22 +47,35 @@ class FleetOptions:
         domain: whose tasks the agents do; what the layout file says unless given.
         timesteps: how long to simulate.
         seeds: 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one.
-        effort: low for a quick look, high for numbers to report.
-        planner: another planner, with its defaults, in place of the negotiated one.
+        effort: of the negotiated planner: low for a quick look, high, for numbers to report,
+            unless given.
+        planner: who plans, with the defaults below.
+        planner_settings: of the chosen planner.
+        stop: end a run at its first congested window, as published; --no-stop goes on (Figure 17).
         seconds_per_step: of one timestep, to report tasks per hour, too.
     """
 
     domain: DomainName = None
     timesteps: int = 1000
     seeds: tuple[str, ...] = ("10",)
-    effort: Literal["low", "high"] = "high"
-    planner: Annotated[str, tyro.conf.arg(metavar=names_of(PLANNERS))] = ""
+    effort: Effort = None
+    planner: Annotated[str, tyro.conf.arg(metavar=names_of(PLANNERS))] = OWN
+    planner_settings: Annotated[Any, tyro.conf.arg(name="")] = HIGH
+    stop: bool = True
     seconds_per_step: float | None = None
 
-    @property
-    def planner_settings(self) -> Any:
-        """The chosen planner's settings; `InputError` where nothing has this name."""
-        return find_planner(self.effort, self.planner)
+    def fleet(self, agents: int) -> FleetConfig:
+        """Make the numbers of a simulation.
+
+        Raises:
+            InputError: they make none.
+        """
+        return FleetConfig(
+            agents,
+            self.timesteps,
+            planner=self.planner_settings,
+            stop_when_congested=self.stop,
+        )
 
 
 # How a command takes them: without a prefix of their own.
@@ -74,29 +93,36 @@ class Numbers:
 
 
 def bind(command: Callable, arguments: Sequence[str]) -> Callable:
-    """Give a command's parameter `numbers` one option for each number of the chosen domain.
+    """Give a command the options that follow from what its command line chooses.
+
+    A parameter `numbers` gets one for each number of the chosen domain, a parameter `options` one
+    for each setting of the chosen planner.
 
     Args:
-        command: a function; one without such a parameter is returned as it is.
-        arguments: the command line, which names the domain or a run.
+        command: a function; one without such parameters is returned as it is.
+        arguments: the command line, which names a domain, a run, a planner.
 
     Raises:
-        InputError: the domain is unknown, or the run cannot be read.
+        InputError: what is named is unknown, or the run cannot be read.
     """
     signature = inspect.signature(command)
-    if "numbers" not in signature.parameters:
+    hints = get_type_hints(command, include_extras=True)
+    defaults: dict[str, Any] = {}
+    if "options" in signature.parameters:
+        defaults["options"] = FleetOptions(planner_settings=stated_planner(arguments, "high"))
+    if "numbers" in signature.parameters:
+        many = get_type_hints(command)["numbers"] is ManyNumbers
+        kind = _numbers_of(domain_of(arguments), tuple[int, ...] if many else int | None)
+        defaults["numbers"], hints["numbers"] = kind(), Annotated[kind, tyro.conf.arg(name="")]
+    if not defaults:
         return command
-    many = get_type_hints(command)["numbers"] is ManyNumbers
-    kind = _numbers_of(domain_of(arguments), tuple[int, ...] if many else int | None)
-    hint: Any = Annotated[kind, tyro.conf.arg(name="")]
 
     @functools.wraps(command)
     def bound(**given: Any) -> Any:
         return command(**given)
 
-    hints = get_type_hints(command, include_extras=True) | {"numbers": hint}
     parameters = [
-        one.replace(annotation=hints[name], default=kind() if name == "numbers" else one.default)
+        one.replace(annotation=hints[name], default=defaults.get(name, one.default))
         for name, one in signature.parameters.items()
     ]
     del bound.__wrapped__  # tyro would read the signature there
@@ -125,28 +151,6 @@ def domain_of(arguments: Sequence[str]) -> Domain:
             with contextlib.suppress(InputError):  # no layout, or one that the command refuses
                 return read_plan(argument).domain
     return find_domain(USUAL)
-
-
-def take(arguments: Sequence[str], option: str) -> tuple[str | None, list[str]]:
-    """Take one option and its value out of a command line.
-
-    Returns:
-        the last value given (None where there is none), and the other arguments.
-
-    Raises:
-        InputError: the option is the last word.
-    """
-    value, rest = None, list(arguments)
-    while option in rest:
-        at = rest.index(option)
-        if at + 1 == len(rest):
-            raise InputError(f"{option} needs a value")
-        value = rest[at + 1]
-        del rest[at : at + 2]
-    for argument in [one for one in rest if one.startswith(f"{option}=")]:
-        value = argument.partition("=")[2]
-        rest.remove(argument)
-    return value, rest
 
 
 def _numbers_of(domain: Domain, hint: Any) -> type:

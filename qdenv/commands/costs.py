@@ -8,6 +8,7 @@ from pathlib import Path
 
 from qdenv.files import write_json
 from qdenv.presets import find_preset
+from qdenv.training.choosing import planner_of
 from qdenv.training.config import RunConfig
 from qdenv.training.metrics import Metrics
 from qdenv.types import InputError
@@ -39,10 +40,12 @@ FEWEST_ROWS = 5
 def describe_cost(preset: str, config: RunConfig) -> str:
     """Say how long a preset takes here, like "about 8 min"; "" where nothing is known."""
     base = _base_of(preset)
+    usual = find_preset(preset) if base else config
     if hasattr(config.algorithm, "surrogate"):
         # What a surrogate learns is no part of what another algorithm takes.
-        usual = find_preset(preset).algorithm
-        base = preset if type(usual) is type(config.algorithm) else ""
+        base = preset if type(usual.algorithm) is type(config.algorithm) else ""
+    if planner_of(config) != planner_of(usual):  # which may take ten times as long
+        return ""
     measured = base and (_read().get(preset) or _read().get(base))
     known = CPU_SECONDS.get(base)
     seconds = measured or (known / (os.cpu_count() or 1) if known else None)

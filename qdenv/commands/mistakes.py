@@ -36,7 +36,7 @@ def _reworded(said: str, hints: str) -> str:
     """Say a message of the parser as the other messages of the program are said."""
     if match := re.match(r"Unrecognized options: (\S+?),?(?: |$)", said):
         word = match[1]
-        close = re.search(r"Perhaps you meant: (--[\w-]+)", hints)
+        close = re.search(r"Perhaps you meant: (--[\w.-]+)", hints)
         what = "option" if word.startswith("-") else "argument"
         return f"unknown {what} {word}" + (f": did you mean {close[1]}?" if close else "")
     if match := re.match(r"Error parsing (\S+): invalid literal for int.*: ('.*')", said):

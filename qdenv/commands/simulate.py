@@ -11,9 +11,9 @@ from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions, LayoutFile, Options
 from qdenv.commands.waiting import waiting
 from qdenv.grid import of_tiles
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.study import sweep as studies
-from qdenv.study.options import describe_planner, fleet_tasks, parse_seeds
+from qdenv.study.options import fleet_tasks, parse_seeds
 from qdenv.study.plans import Plan, read_plan
 
 if TYPE_CHECKING:  # imports the simulator
@@ -46,13 +46,14 @@ def simulate(
     plan = read_plan(layout, options.domain)
     with studies.about(str(layout)):
         tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
-        config = FleetConfig(agents, options.timesteps, planner=options.planner_settings)
+        config = options.fleet(agents)
     # Imports the simulator, which takes longer than to refuse what cannot be simulated.
     from qdenv.study.traffic import Wanted, examine, facts_of
 
     wanted = Wanted(audit, maps=audit or picture is not None, verdict=verdict)
     about: dict[str, Any] = {"domain": plan.domain.name, "agents": agents, "layout": str(layout)}
     about |= {"planner": describe_planner(config.planner), "timesteps": options.timesteps}
+    about["stop"] = options.stop
 
     def report(study: Study) -> dict[str, Any]:
         facts = facts_of(study, plan.layout) | about
@@ -79,7 +80,7 @@ def describe_numbers(facts: dict[str, Any]) -> list[str]:
     """Say the throughput of the runs and their mean, and what the runs took."""
     lines = []
     for run in facts["runs"]:
-        jam = f", congested at {run['end_timestep']}" if run["congested"] else ""
+        jam = f", congested at {run['congested_at']}" if run["congested"] else ""
         lines.append(f"seed {run['seed']}: {run['throughput']:.3f} tasks per timestep{jam}")
     error = facts["standard_error"]
     band = f" +- {error:.3f} (standard error)" if np.isfinite(error) else ""
@@ -88,7 +89,8 @@ def describe_numbers(facts: dict[str, Any]) -> list[str]:
     smooth, rate = facts["mean_throughput"], facts["success_rate"]
     if rate < 1:
         others = "" if smooth is None else f"; the others move {smooth:.3f}"
-        lines.append(f"congested    {1 - rate:.0%} of the runs{others}")
+        after = others if facts["stop"] else ", and went on"
+        lines.append(f"congested    {1 - rate:.0%} of the runs{after}")
     checked = "every trajectory valid, " if facts["valid"] else ""
     lines.append(
         f"computed     {checked}{facts['cpu_seconds_per_run']:.2f} CPU s per run, "
@@ -139,8 +141,9 @@ def draw(path: Path, plan: Plan, study: Study, facts: dict[str, Any]) -> None:
         maps=study.maps,
         worst=worst_cells(plan.layout, study.maps),
         over_time=throughput_over_time(runs),
-        jams=[int(run.end_timestep) for run in runs if run.congested],
+        jams=[int(run.congested_at) for run in runs if run.congested],
         title=f"{plan.name}, {facts['agents']} agents{words}",
         runs=len(runs),
+        stop=facts["stop"],
     )
     save_traffic(path, scene)

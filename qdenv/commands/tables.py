@@ -8,7 +8,6 @@ import numpy as np
 
 from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions
-from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study import sweep as studies
 from qdenv.study.jams import FADING
 from qdenv.study.options import parse_counts, parse_seeds
@@ -68,7 +67,7 @@ def prepare(
         InputError: a number or a name means nothing, or a file cannot be read or written.
     """
     counts, seeds = parse_counts(agents), parse_seeds(options.seeds)
-    config = FleetConfig(timesteps=options.timesteps, planner=options.planner_settings)
+    config = options.fleet(max(counts))
     per_hour = words.steps_per_hour(options)
     table = output.place(*out, (".csv",), paths)
     picture = words.place_picture(plot or words.AUTO, f"{table.path.stem}.png", paths)

@@ -10,15 +10,23 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from qdenv.commands.choices import names_of, take
+from qdenv.commands.arguments import take
+from qdenv.commands.choices import Effort, names_of
 from qdenv.commands.costs import describe_cost, remember
 from qdenv.commands.keeping import choose_keep
+from qdenv.commands.planners import check_options
 from qdenv.domains.base import DOMAINS
 from qdenv.presets import PRESETS, find_preset
 from qdenv.search.registry import ALGORITHMS
 from qdenv.search.settings import check_strategy
+from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.simulate.mapf.settings import PLANNERS
-from qdenv.training.choosing import choose_algorithm, choose_domain, choose_planner
+from qdenv.training.choosing import (
+    choose_algorithm,
+    choose_domain,
+    choose_planner,
+    planner_of,
+)
 from qdenv.training.config import RunConfig
 from qdenv.training.feasible import check_feasible
 from qdenv.training.following import follow_size
@@ -34,8 +42,8 @@ class Setup:
     Attributes:
         config: the preset's settings.
         domain: another domain in place of the preset's, at its size.
-        effort: of the fleet's planner: low inside a search, high for numbers to report.
-        planner: another planner, with its defaults.
+        effort: of the negotiated planner: low inside a search, high for numbers to report.
+        planner: another planner, with its defaults; what it can be told is listed below.
         algorithm: another search algorithm, with its defaults.
         out: folder of the run; a fresh one under runs/ unless given.
         keep: drawing of the layouts' shape: ? is free, a tile must be this tile in all of them.
@@ -44,7 +52,7 @@ class Setup:
 
     config: RunConfig
     domain: Annotated[str | None, tyro.conf.arg(metavar=names_of(DOMAINS))] = None
-    effort: Literal["low", "high"] | None = None
+    effort: Effort = None
     planner: Annotated[str | None, tyro.conf.arg(metavar=names_of(PLANNERS))] = None
     algorithm: Annotated[str | None, tyro.conf.arg(metavar=names_of(ALGORITHMS))] = None
     out: Annotated[Path | None, tyro.conf.arg(aliases=("--run-dir",))] = None
@@ -73,8 +81,9 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
         raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
     if followed:
         print(f"for this size: {followed}")
-    cost = describe_cost(preset, config)
-    print(f"{preset}: {config.evaluations} evaluations into {path}{cost and f', {cost}'}")
+    cost, planner = describe_cost(preset, config), planner_of(config)
+    who = f"; planner: {describe_planner(planner)}" if planner else ""
+    print(f"{preset}: {config.evaluations} evaluations into {path}{cost and f', {cost}'}{who}")
     # Only now: what is above answers at once, and these import both compilers.
     from qdenv.commands.runs import report
     from qdenv.training import loop
@@ -106,6 +115,7 @@ def bind(command: Callable, arguments: Sequence[str]) -> Callable:
     effort, rest = take(rest, "--effort")
     planner, rest = take(rest, "--planner")
     config = choose_planner(config, effort, planner)
+    check_options(rest, planner_of(config))
     check_strategy(take(rest, "--strategy")[0] or "")  # the parser would not say why
     given = frozenset(
         word.partition("=")[0].lstrip("-").replace("-", "_") for word in rest if word[:2] == "--"

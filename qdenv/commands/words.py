@@ -8,6 +8,7 @@ import tyro
 
 from qdenv.commands import output
 from qdenv.commands.choices import FleetOptions
+from qdenv.simulate.mapf.choosing import describe_planner, record_planner
 from qdenv.study.plans import Plan
 from qdenv.types import InputError
 
@@ -45,9 +46,13 @@ def steps_per_hour(options: FleetOptions) -> float | None:
 
 def describe_study(agents: str, options: FleetOptions, seeds: Sequence[int], plan: Plan) -> str:
     """Say in one line what is simulated."""
-    planner = f"planner {options.planner}" if options.planner else f"{options.effort} effort"
+    planner = describe_planner(options.planner_settings)
     runs = f"{len(seeds)} seeds" if len(seeds) > 1 else "1 seed"
-    return f"{agents} agents, {options.timesteps} timesteps, {runs}, {planner}, {plan.whose}"
+    end = "" if options.stop else ", no stop at congestion"
+    return (
+        f"{agents} agents, {options.timesteps} timesteps{end}, {runs}, {plan.whose}; "
+        f"planner: {planner}"
+    )
 
 
 def settings_of(options: FleetOptions, seeds: Sequence[int]) -> dict[str, Any]:
@@ -57,6 +62,7 @@ def settings_of(options: FleetOptions, seeds: Sequence[int]) -> dict[str, Any]:
         "timesteps": options.timesteps,
         "seeds": list(seeds),
         "effort": options.effort,
-        "planner": options.planner or None,
+        "planner": record_planner(options.planner_settings),
+        "stop": options.stop,
         "seconds_per_step": options.seconds_per_step,
     }

@@ -36,6 +36,7 @@ class Scene(NamedTuple):
         jams: timesteps at which runs congested.
         title: of the whole picture.
         runs: how many there were.
+        stop: congestion ended those that congested.
     """
 
     free: np.ndarray
@@ -45,6 +46,7 @@ class Scene(NamedTuple):
     jams: Sequence[int]
     title: str
     runs: int
+    stop: bool = True
 
 
 def save_traffic(path: str | Path, scene: Scene) -> None:
@@ -126,7 +128,8 @@ def _draw_time(axes: Axes, scene: Scene) -> None:
         label = "+- standard error"
         axes.fill_between(steps, low, high, step="post", alpha=0.25, color=LINE, label=label)
     for place, jam in enumerate(scene.jams):
-        word = f"{len(scene.jams)} of {scene.runs} runs congested, and ended"
+        after = "ended" if scene.stop else "went on"
+        word = f"{len(scene.jams)} of {scene.runs} runs congested, and {after}"
         axes.axvline(jam, color=JAM, linestyle=":", label=None if place else word)
     axes.set(xlabel="timestep", ylabel="throughput [tasks / timestep]")
     axes.set(xlim=(0, ends[-1]), ylim=(0, None), title="throughput over time")

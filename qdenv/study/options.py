@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
+from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.simulate.mapf.goals import check_playable
-from qdenv.simulate.mapf.negotiated.settings import EFFORTS
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.types import InputError, TaskRule, look_up
 
@@ -74,17 +74,41 @@ def parse_counts(text: str) -> tuple[int, ...]:
     return tuple(counts)
 
 
-def find_planner(effort: str = "low", planner: str = "") -> Any:
-    """Choose a planner's settings by words.
+class Driving(TypedDict, total=False):
+    """Who plans, and until when.
+
+    Attributes:
+        effort: "low" for a quick look, "high" for numbers to report; of the negotiated planner.
+        planner: name of a registered planner, or settings like ``PbsConfig(rule="plain")``.
+        stop: end a run at its first congested window, as published; else it goes on.
+    """
+
+    effort: str
+    planner: Any
+    stop: bool
+
+
+def make_fleet(
+    agents: int,
+    timesteps: int,
+    effort: str | None = None,
+    planner: Any = "",
+    stop: bool = True,
+) -> FleetConfig:
+    """Make the numbers of a simulation from words.
 
     Args:
-        effort: "low" or "high", of the package's own planner.
-        planner: name of a registered planner with all its defaults; "" for the own one.
+        agents: how many take part.
+        timesteps: horizon T.
+        effort: see `Driving`, as the others.
+        planner: the negotiated one with high effort unless given.
+        stop: at the first congested window.
 
     Raises:
-        InputError: a word is unknown.
+        InputError: a word is unknown, or the numbers make no simulation.
     """
-    return PLANNERS.config(planner) if planner else look_up(EFFORTS, effort, "effort")
+    settings = find_planner(effort, planner)
+    return FleetConfig(agents, timesteps, planner=settings, stop_when_congested=stop)
 
 
 def find_surrogate(size: str, numbers: Mapping[str, Any]) -> SurrogateConfig:
@@ -102,12 +126,6 @@ def find_surrogate(size: str, numbers: Mapping[str, Any]) -> SurrogateConfig:
     for name in stated:
         look_up(vars(chosen), name, "setting")
     return replace(chosen, **stated)
-
-
-def describe_planner(settings: Any) -> str:
-    """Name a planner for reports: its registered name, and its effort where that has a name."""
-    efforts = [f", {effort} effort" for effort, known in EFFORTS.items() if known == settings]
-    return PLANNERS.name_of(settings) + "".join(efforts[:1])
 
 
 def fleet_tasks(layout: np.ndarray, tasks: TaskRule | None, agents: int) -> TaskRule:

@@ -104,7 +104,8 @@ def compare(
             before = sum(row.agents for row in rows)
             tell = _part(progress, f"{name}, {agents} agents", before / total, agents / total)
             done = run_seeds(layout, trial.tasks, config, trial.seeds, agents, progress=tell)
-            rows.append(summarise(name, layout, agents, done.runs, done.cpu_seconds))
+            stop = config.stop_when_congested
+            rows.append(summarise(name, layout, agents, done.runs, done.cpu_seconds, stop))
             told(rows[-1])
     return rows
 
@@ -179,7 +180,8 @@ def climb(
             progress(f"adding agents to {name}", -1, f"{count} agents, {note or doing}")
 
         done = run_seeds(layout, tasks, config, trial.seeds, count, progress=tell)
-        rows.append(summarise(name, layout, count, done.runs, done.cpu_seconds))
+        stop = config.stop_when_congested
+        rows.append(summarise(name, layout, count, done.runs, done.cpu_seconds, stop))
         told(rows[-1])
         if find_peak(rows).dropped:
             break

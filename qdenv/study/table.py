@@ -26,7 +26,7 @@ class Row(NamedTuple):
         agents: how many took part.
         runs: how many simulations, one per seed.
         throughput: tasks per timestep, averaged over the runs that never congested (as published
-            tables do); NaN where every run congested.
+            tables do); NaN where every run congested. Over all runs where congestion ends none.
         standard_error: of `throughput`; NaN with fewer than two such runs.
         success_rate: share of the runs that never congested.
         success_low: lower end of its 95 % Wilson interval.
@@ -77,7 +77,12 @@ class Peak(NamedTuple):
 
 
 def summarise(
-    name: str, layout: np.ndarray, agents: int, runs: Sequence[Traffic], cpu_seconds: float
+    name: str,
+    layout: np.ndarray,
+    agents: int,
+    runs: Sequence[Traffic],
+    cpu_seconds: float,
+    stop: bool = True,
 ) -> Row:
     """Condense the runs of one layout with one number of agents.
 
@@ -87,11 +92,14 @@ def summarise(
         agents: how many took part.
         runs: one per seed.
         cpu_seconds: of all of them together.
+        stop: congestion ended those that congested.
     """
     every = np.array([run.throughput for run in runs])
-    good = every[[not run.congested for run in runs]]
+    flowed = np.array([not run.congested for run in runs])
+    good = every[flowed] if stop else every
     error = sample_of(good).error if len(good) else float("nan")
-    low, high = wilson_interval(len(good), len(runs))
+    successes = int(flowed.sum())
+    low, high = wilson_interval(successes, len(runs))
     return Row(
         layout=name,
         rows=layout.shape[0],
@@ -100,7 +108,7 @@ def summarise(
         runs=len(runs),
         throughput=float(good.mean()) if len(good) else float("nan"),
         standard_error=error,
-        success_rate=len(good) / len(runs),
+        success_rate=successes / len(runs),
         success_low=low,
         success_high=high,
         mean_of_all=float(every.mean()),

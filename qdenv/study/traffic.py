@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
 from qdenv import devices
 from qdenv.domains.base import find_domain
 from qdenv.grid import of_tiles
+from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.simulate.mapf.metrics import Recording
 from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
 from qdenv.study.jams import Maps, average, cells_with_half, map_run, worst_cells
-from qdenv.study.options import describe_planner, find_planner, fleet_tasks, parse_seeds
+from qdenv.study.options import Driving, fleet_tasks, make_fleet, parse_seeds
 from qdenv.study.progress import Progress, silent
 from qdenv.study.runs import Simulated, auditor, run_seeds
 from qdenv.study.table import Row, summarise
@@ -119,7 +120,7 @@ def examine(
         return point_of(number, few.runs)
 
     study = Study(
-        row=summarise("", layout, agents, done.runs, done.cpu_seconds),
+        row=summarise("", layout, agents, done.runs, done.cpu_seconds, config.stop_when_congested),
         done=done,
         maps=average([reading.maps for reading in done.readings]) if wanted.maps else None,
         verdict=None,
@@ -149,9 +150,8 @@ def simulate_layout(
     agents: int = 200,
     timesteps: int = 1000,
     seeds: int | str | Sequence[int | str] = 10,
-    effort: str = "high",
     check: bool = False,
-    planner: str = "",
+    **driving: Unpack[Driving],
 ) -> dict[str, Any]:
     """Simulate a layout over seeds and report it in JSON-ready values.
 
@@ -161,30 +161,29 @@ def simulate_layout(
         agents: number of agents.
         timesteps: horizon T.
         seeds: how many, or a list; see `parse_seeds`.
-        effort: "low" or "high".
         check: audit every trajectory, and see where agents wait; without it "valid" is None.
-        planner: name of another registered planner.
+        **driving: effort, planner, stop, see `options.Driving`.
 
     Returns:
-        what `facts_of` reports, and domain, planner, agents, timesteps.
+        what `facts_of` reports, and domain, planner, agents, timesteps, stop.
 
     Raises:
         InputError: a name is unknown, or the fleet cannot work on this layout.
     """
-    settings = find_planner(effort, planner)
     tasks = fleet_tasks(layout, find_domain(domain).simulator.tasks, agents)
-    config = FleetConfig(agents=agents, timesteps=timesteps, planner=settings)
+    config = make_fleet(agents, timesteps, **driving)
     study = examine(layout, tasks, config, parse_seeds(seeds), Wanted(check, check, False))
-    about = {"domain": domain, "planner": describe_planner(settings)}
-    return {**about, "agents": agents, "timesteps": timesteps, **facts_of(study, layout)}
+    about = {"domain": domain, "planner": describe_planner(config.planner), "agents": agents}
+    about |= {"timesteps": timesteps, "stop": config.stop_when_congested}
+    return about | facts_of(study, layout)
 
 
 def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:
     """Report a study in JSON-ready values.
 
     Returns:
-        runs (seed, throughput, congested, end_timestep, finished_tasks), mean_throughput (over
-        the runs that never congested; None where every run did), mean_of_all (over all runs),
+        runs (seed, throughput, congested, congested_at, end_timestep, finished_tasks),
+        mean_throughput (see `Row.throughput`; None where it is none), mean_of_all (over all runs),
         standard_error (of the latter), success_rate, steps_per_task, cpu_seconds_per_run,
         compile_seconds, valid, broken; where it was looked into also waiting_share (of the
         agents' time), worst_cells, cells_with_half_of_waiting, verdict, verdict_reason,
@@ -193,7 +192,7 @@ def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:
     row, done, maps, verdict, broken = study
     facts: dict[str, Any] = {
         "runs": [describe(seed, run) for seed, run in zip(done.seeds, done.runs, strict=True)],
-        "mean_throughput": row.throughput if row.success_rate else None,
+        "mean_throughput": None if np.isnan(row.throughput) else row.throughput,
         "mean_of_all": row.mean_of_all,
         "standard_error": row.error_of_all,
         "success_rate": row.success_rate,
@@ -228,6 +227,7 @@ def describe(seed: int, run: Traffic) -> dict[str, Any]:
         "seed": int(seed),
         "throughput": float(run.throughput),
         "congested": bool(run.congested),
+        "congested_at": int(run.congested_at) if run.congested else None,
         "end_timestep": int(run.end_timestep),
         "finished_tasks": int(run.finished.sum()),
     }

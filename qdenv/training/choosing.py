@@ -6,10 +6,9 @@ from typing import Any
 from qdenv.domains.base import DOMAINS, make_domain
 from qdenv.generate.generator import GENERATORS
 from qdenv.search.registry import ALGORITHMS
-from qdenv.simulate.mapf.negotiated.settings import EFFORTS
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.training.config import RunConfig
-from qdenv.types import InputError, look_up
+from qdenv.types import InputError
 
 
 def choose_domain(config: RunConfig, name: str) -> RunConfig:
@@ -27,8 +26,13 @@ def choose_domain(config: RunConfig, name: str) -> RunConfig:
     return dataclasses.replace(config, evaluation=evaluation, archive=archive)
 
 
-def choose_planner(config: RunConfig, effort: str | None, planner: str | None) -> RunConfig:
+def choose_planner(config: RunConfig, effort: str | None, planner: Any) -> RunConfig:
     """Put another planner into a configuration; neither word given changes nothing.
+
+    Args:
+        config: the configuration.
+        effort: of the negotiated planner; low unless given.
+        planner: a planner's name, or its settings.
 
     Raises:
         InputError: a word is unknown, or no fleet drives in the domain.
@@ -37,12 +41,18 @@ def choose_planner(config: RunConfig, effort: str | None, planner: str | None) -
         return config
     domain = config.evaluation.domain
     if not hasattr(domain, "fleet"):
-        raise InputError("no fleet drives in this domain: leave --effort and --planner out")
-    chosen = PLANNERS.config(planner) if planner else look_up(EFFORTS, effort or "low", "effort")
+        raise InputError("no fleet drives in this domain: leave effort and planner out")
+    chosen = find_planner(effort, planner or "", usual="low")
     domain = dataclasses.replace(domain, fleet=dataclasses.replace(domain.fleet, planner=chosen))
     return dataclasses.replace(
         config, evaluation=dataclasses.replace(config.evaluation, domain=domain)
     )
+
+
+def planner_of(config: RunConfig) -> Any:
+    """Find the settings of the planner in a configuration; None where no fleet drives."""
+    fleet = getattr(config.evaluation.domain, "fleet", None)
+    return None if fleet is None else fleet.planner
 
 
 def choose_algorithm(config: RunConfig, name: str) -> RunConfig:

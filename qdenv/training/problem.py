@@ -9,6 +9,9 @@ from qdenv.search.axes import check_measures
 from qdenv.search.base import Drawing, Problem
 from qdenv.types import Array, Evaluation, InputError, Measure
 
+# Says no more than `end_timestep` where congestion ends a run; archives without it are resumed.
+UNKEPT = "congested_at"
+
 
 def problem_of(pipeline: Pipeline, measures: tuple[Measure, ...]) -> Problem:
     """Say what a pipeline gives an algorithm to search, over these axes."""
@@ -55,10 +58,13 @@ def archive_axes(
 def kept(evaluation: Evaluation) -> dict[str, Array]:
     """Choose what the archive keeps of an evaluation beside its score.
 
-    Both layouts, similarity, repair status, and every per-run number [B, S] of the simulator.
+    Both layouts, similarity, repair status, and every per-run number [B, S] of the simulator but
+    `UNKEPT`.
     """
     per_run = {
-        name: leaf for name, leaf in evaluation.runs._asdict().items() if len(leaf.shape) == 2
+        name: leaf
+        for name, leaf in evaluation.runs._asdict().items()
+        if len(leaf.shape) == 2 and name != UNKEPT
     }
     return per_run | {
         "unrepaired": evaluation.unrepaired,

@@ -157,6 +157,8 @@ def check_report(
     jams = jammed_windows(positions, working, horizon)
     if bool(traffic.congested) != bool(jams):
         broken.append(f"jams at {jams}, but congested is {bool(traffic.congested)}")
+    elif jams[:1] != [int(traffic.congested_at)][: len(jams)]:
+        broken.append(f"jams at {jams}, but congested at {int(traffic.congested_at)}")
     return broken
 
 

@@ -161,7 +161,7 @@ def _run(
     fleet = place(world, config.window, active, seed)
 
     def going(run: _Run) -> jax.Array:
-        halted = run.metrics.congested & config.stop_when_congested
+        halted = (run.metrics.congested_at > 0) & config.stop_when_congested
         return world.valid & (run.metrics.time < config.timesteps) & ~halted
 
     def window(run: _Run) -> _Run:
@@ -173,10 +173,12 @@ def _run(
         jam = whole & is_congested(fleet.position, fleet.remaining_service, block, active)
         buffer = buffer.store(block, metrics.time)
         metrics = accumulate(metrics, fleet.position, block, active, config.timesteps)
-        return _Run(after, metrics._replace(congested=metrics.congested | jam), buffer)
+        first = jam & (metrics.congested_at == 0)
+        since = jnp.where(first, metrics.time, metrics.congested_at)
+        return _Run(after, metrics._replace(congested_at=since), buffer)
 
-    first = _Run(fleet, metrics, buffer._replace(start=fleet.position))
-    last = jax.lax.while_loop(going, window, first)
+    begin = _Run(fleet, metrics, buffer._replace(start=fleet.position))
+    last = jax.lax.while_loop(going, window, begin)
     return Outcome(last.metrics, world.goals.cells[last.fleet.goal[0]], last.buffer)
 
 

@@ -31,14 +31,14 @@ class Metrics(NamedTuple):
 
     Attributes:
         time: int32, timesteps driven.
-        congested: bool, some window congested.
+        congested_at: int32, timesteps driven when the first congested window ended; 0 for none.
         finished: int32 [T], tasks finished at each timestep.
         visits: int32 [H' * W'], agent-steps spent on each cell of the padded grid.
         moves: int32, agent-steps with a move.
     """
 
     time: jax.Array
-    congested: jax.Array
+    congested_at: jax.Array
     finished: jax.Array
     visits: jax.Array
     moves: jax.Array
@@ -66,7 +66,7 @@ def empty_metrics(world: World, timesteps: int) -> Metrics:
     """Begin to count a run of `timesteps`, a multiple of the replanning period."""
     return Metrics(
         time=jnp.int32(0),
-        congested=jnp.bool_(False),
+        congested_at=jnp.int32(0),
         finished=jnp.zeros((timesteps,), jnp.int32),
         visits=jnp.zeros((world.traversable.size,), jnp.int32),
         moves=jnp.int32(0),
@@ -110,7 +110,7 @@ def accumulate(
     finished = (block.finished & counts).sum(1, dtype=jnp.int32)
     return Metrics(
         time=jnp.minimum(metrics.time + horizon, timesteps),
-        congested=metrics.congested,
+        congested_at=metrics.congested_at,
         finished=jax.lax.dynamic_update_slice(metrics.finished, finished, (metrics.time,)),
         visits=metrics.visits.at[block.positions].add(counts.astype(jnp.int32)),
         moves=metrics.moves + ((block.positions != before) & counts).sum(dtype=jnp.int32),
@@ -125,12 +125,13 @@ def summarise(world: World, metrics: Metrics, active: jax.Array, timesteps: int)
     total = finished.sum()
     return Traffic(
         throughput=total / jnp.float32(timesteps),
-        congested=metrics.congested | ~world.valid,
+        congested=(metrics.congested_at > 0) | ~world.valid,
         end_timestep=metrics.time,
         finished=finished,
         usage=visits / jnp.maximum(visits.sum(), 1).astype(jnp.float32),
         waiting=1.0 - metrics.moves / steps,
         path_length=metrics.moves / jnp.maximum(total, 1).astype(jnp.float32),
+        congested_at=metrics.congested_at,
     )
 
 

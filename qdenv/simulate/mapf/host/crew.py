@@ -57,7 +57,7 @@ class Tally(NamedTuple):
     """What was counted so far, see `metrics.Metrics`; T is rounded up to whole windows.
 
     Attributes:
-        total: int64 [3], timesteps driven, whether some window congested, moves.
+        total: int64 [3], timesteps driven, those when the first congested window ended, moves.
         finished: int32 [T], tasks finished at each timestep.
         visits: int32 [N], agent-steps on each cell.
     """
@@ -152,8 +152,9 @@ def drive_window(run: Run) -> None:
         stuck += crew.stuck[agent]
         _shift_path(crew, agent, horizon)
     # A window that T cuts short is no window of the jam rule.
-    if begin + horizon <= run.numbers.timesteps and stuck > count // 2:
-        tally.total[CONGESTED] = 1
+    jam = begin + horizon <= run.numbers.timesteps and stuck > count // 2
+    if jam and tally.total[CONGESTED] == 0:
+        tally.total[CONGESTED] = begin + horizon
     tally.total[TIME] = min(begin + horizon, run.numbers.timesteps)
 
 

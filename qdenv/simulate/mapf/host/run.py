@@ -118,7 +118,7 @@ def steps_under_way() -> int:
 def _report(run: Run, outcome: Any) -> None:
     """Write what happened into the buffers of an outcome."""
     metrics, total = outcome.metrics, run.tally.total
-    metrics.time[...], metrics.congested[...] = total[TIME], total[CONGESTED] != 0
+    metrics.time[...], metrics.congested_at[...] = total[TIME], total[CONGESTED]
     metrics.moves[...] = total[MOVES]
     metrics.finished[...], metrics.visits[...] = run.tally.finished, run.tally.visits
     outcome.heading[: run.crew.position.size] = run.site.goals[run.crew.goal[0]]
