@@ -88,7 +88,7 @@ class Planner(NamedTuple):
             where not. Used instead of `plan` where a planner has it.
     """
 
-    plan: Callable[[World, AgentState, int, jax.Array], jax.Array]
+    plan: Callable[[World, AgentState, int, jax.Array], jax.Array] | None
     max_window: int = 1000
     max_service: int = 1000
     margin: int = 1

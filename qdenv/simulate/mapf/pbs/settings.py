@@ -6,6 +6,8 @@ from typing import Literal, get_args
 from qdenv.registry import Entry
 from qdenv.types import InputError
 
+MAX_WINDOW = 30  # the timesteps of conflicts are the bits of one word
+
 Rule = Literal["published", "plain"]
 
 
@@ -28,7 +30,9 @@ class PbsConfig:
     def __post_init__(self) -> None:
         """Refuse an unknown rule, and a search without nodes."""
         if self.rule not in get_args(Rule):
-            raise InputError(f"unknown rule {self.rule!r}: choose one of {', '.join(get_args(Rule))}")
+            raise InputError(
+                f"unknown rule {self.rule!r}: choose one of {', '.join(get_args(Rule))}"
+            )
         if self.node_limit < 0:
             raise InputError("priority-based search expands 0 nodes a window, or more")
 

@@ -1,0 +1,162 @@
+"""All that a search works on, made once for a run."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.simulate.mapf.pbs.errands import Errands, make_errands
+from qdenv.simulate.mapf.pbs.path import Search, make_search
+from qdenv.simulate.mapf.pbs.plans import Changes, Plan, make_changes, make_plan
+from qdenv.simulate.mapf.pbs.priorities import Priorities, make_priorities
+from qdenv.simulate.mapf.pbs.reservations import Reservations, make_reservations
+
+NODES, FAILED, REPLANS, CAMPS, UNSOLVED, WINDOWS = range(6)  # entries of `Desk.count`
+CONFLICTS, WANTED = range(2)  # entries of `Tree.number`
+
+
+class Tree(NamedTuple):
+    """The branch of the search tree in hand; D nodes deep, K conflicts, A agents.
+
+    Attributes:
+        low: int32 [D, 2], who is put below whom in each child.
+        high: int32 [D, 2], and who above.
+        cost: int64 [D, 2], the delay of all paths of a child.
+        change: int64 [D, 2, 2], the first of the changes that lead to a child, and one past them.
+        clash: int64 [D, 2, 2], likewise its conflicts.
+        base: int64 [D, 2], how many changes and conflicts there were before the children.
+        turn: int64 [D, 2], the children in the order in which they are searched.
+        count: int64 [D, 2], how many children there are, and how many were entered.
+        conflict: int64 [K], the conflicts of all these nodes.
+        dead_end: bool [A, A], pairs of agents that had no feasible child once.
+        number: int64 [2], how many conflicts are kept, and whether room was wanting.
+        best: int32 [w + 1, A], the plan whose first conflict was latest.
+        score: int64 [2], the time of that conflict, and the delay of the plan.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    cost: np.ndarray
+    change: np.ndarray
+    clash: np.ndarray
+    base: np.ndarray
+    turn: np.ndarray
+    count: np.ndarray
+    conflict: np.ndarray
+    dead_end: np.ndarray
+    number: np.ndarray
+    best: np.ndarray
+    score: np.ndarray
+
+
+class Crowd(NamedTuple):
+    """Who matters to whom, and who waits to be planned again; A agents.
+
+    Attributes:
+        near: int32 [A, A], the agents that each may meet within a window.
+        nears: int64 [A], how many they are.
+        waiting: int32 [A], agents to be planned again.
+        is_waiting: bool [A].
+    """
+
+    near: np.ndarray
+    nears: np.ndarray
+    waiting: np.ndarray
+    is_waiting: np.ndarray
+
+
+class Terms(NamedTuple):
+    """The numbers of a search.
+
+    Attributes:
+        published: whether agents without a path stay, and waiting at the start has precedence.
+        node_limit: most nodes to expand.
+        horizon: timesteps that will be driven.
+    """
+
+    published: bool
+    node_limit: int
+    horizon: int
+
+
+class Desk(NamedTuple):
+    """Everything at hand.
+
+    Attributes:
+        errands: what agents have to do.
+        plan: the joint plan.
+        changes: of it.
+        order: who is above whom.
+        table: what the agent that is being planned must avoid.
+        work: room for its search.
+        crowd: who may meet whom.
+        tree: the branch in hand.
+        terms: the numbers.
+        count: int64 [6], over all windows: nodes expanded, children that failed, paths planned,
+            agents that stayed against reservations, unsolved windows, windows.
+    """
+
+    errands: Errands
+    plan: Plan
+    changes: Changes
+    order: Priorities
+    table: Reservations
+    work: Search
+    crowd: Crowd
+    tree: Tree
+    terms: Terms
+    count: np.ndarray
+
+
+def make_desk(agents: int, window: int, cells: int, depth: int, terms: Terms) -> Desk:
+    """Make room for searches.
+
+    Args:
+        agents: how many take part.
+        window: timesteps planned ahead.
+        cells: of the padded grid.
+        depth: nodes of a branch; changes and conflicts get room in proportion.
+        terms: the numbers.
+    """
+    crowd = Crowd(
+        np.empty((agents, agents), np.int32),
+        np.zeros(agents, np.int64),
+        np.zeros(agents, np.int32),
+        np.zeros(agents, np.bool_),
+    )
+    return Desk(
+        make_errands(agents),
+        make_plan(agents, window),
+        make_changes(CHANGES_PER_NODE * depth + 2 * agents, window),
+        make_priorities(agents, depth + 1),
+        make_reservations(window, cells),
+        make_search(window, cells),
+        crowd,
+        _make_tree(agents, window, depth),
+        terms,
+        np.zeros(6, np.int64),
+    )
+
+
+CHANGES_PER_NODE = 16
+CONFLICTS_PER_NODE = 4  # and agent
+
+
+def _make_tree(agents: int, window: int, depth: int) -> Tree:
+    low, high = np.empty((2, depth, 2), np.int32)
+    change, clash = np.empty((2, depth, 2, 2), np.int64)
+    cost, base, turn, count = np.empty((4, depth, 2), np.int64)
+    return Tree(
+        low,
+        high,
+        cost,
+        change,
+        clash,
+        base,
+        turn,
+        count,
+        np.empty((CONFLICTS_PER_NODE * depth + 64) * agents, np.int64),
+        np.zeros((agents, agents), np.bool_),
+        np.zeros(2, np.int64),
+        np.empty((window + 1, agents), np.int32),
+        np.zeros(2, np.int64),
+    )

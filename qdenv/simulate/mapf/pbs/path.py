@@ -1,0 +1,198 @@
+"""The shortest path of one agent through a window, past the reservations of others.
+
+A* (Hart, Nilsson and Raphael 1968, https://doi.org/10.1109/TSSC.1968.300136) over leg, timestep
+and cell. What a path costs at least follows from the state, so each state is opened once. States
+wait in buckets by delay, the steps a path is longer than the shortest way, and timestep; the
+latest comes first. Beyond the window distances are exact (Li et al. 2021, section 4.2,
+https://arxiv.org/abs/2005.07371).
+
+A path ends with the window, or where the last known goal is served: there the agent vanishes, as
+in the published planner, but never within the timesteps that are driven.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.native import formula, kernel
+from qdenv.simulate.mapf.host.fields import Fields
+from qdenv.simulate.mapf.host.site import MOVES, Site
+from qdenv.simulate.mapf.pbs.errands import DONE, Errands, first_leg, to_go
+from qdenv.simulate.mapf.pbs.reservations import HERE, Reservations, bits_at, opposite
+
+NO_STATE = -1
+NO_PATH = -1
+CAMPING = DONE + 1  # stands for the first leg while an agent stays at its start come what may
+LAYERS = CAMPING + 1
+SEARCH, DELAY = range(2)  # entries of `Search.number`
+
+
+class Search(NamedTuple):
+    """Room for the search of one path; w timesteps, N cells, S = 4 (w + 1) N states.
+
+    Attributes:
+        seen: int64 [S], the search that last reached a state.
+        parent: int32 [S], the state before it.
+        following: int32 [S], the next state of the same bucket.
+        bucket: int32 [delays, w + 1], the first state of each bucket.
+        cells: int64 [w + 1], the path found.
+        number: int64 [2], the number of this search, and the delay of the path found.
+    """
+
+    seen: np.ndarray
+    parent: np.ndarray
+    following: np.ndarray
+    bucket: np.ndarray
+    cells: np.ndarray
+    number: np.ndarray
+
+
+def make_search(window: int, cells: int) -> Search:
+    """Make room for the search of one path."""
+    states = LAYERS * (window + 1) * cells
+    parent, following = np.empty((2, states), np.int32)
+    # A step can lead away from the goal, which costs two.
+    bucket = np.full((2 * window + 3, window + 1), NO_STATE, np.int32)
+    return Search(
+        np.zeros(states, np.int64),
+        parent,
+        following,
+        bucket,
+        np.zeros(window + 1, np.int64),
+        np.zeros(2, np.int64),
+    )
+
+
+@kernel
+def find_path(
+    work: Search,
+    table: Reservations,
+    fields: Fields,
+    site: Site,
+    errands: Errands,
+    agent: int,
+    terms: tuple[int, bool, int],
+) -> int:
+    """Find a shortest path into ``work.cells``, and its delay.
+
+    Args:
+        work: room.
+        table: what to avoid.
+        fields: distances.
+        site: where.
+        errands: what agents have to do.
+        agent: who.
+        terms: the timesteps that are driven; whether the agent may stay at its start, from the
+            beginning on, against all reservations; bits that say which way comes first of equals.
+
+    Returns:
+        The timestep at which the path ends, the window or sooner, or `NO_PATH`.
+    """
+    horizon, may_camp, luck = terms
+    window, size = table.entry.shape[0] - 1, site.free.size
+    start, begin = errands.start[agent], errands.begin[agent]
+    work.number[SEARCH] += 1
+    work.number[DELAY] = 0
+    if begin >= window:
+        for t in range(window + 1):
+            work.cells[t] = start
+        return window
+    work.bucket[:] = NO_STATE
+    layer = CAMPING if may_camp else first_leg(errands, agent)
+    _open(work, (layer * (window + 1) + begin) * size + start, NO_STATE, 0, begin)
+    delay, t = 0, begin
+    while True:
+        while t >= 0 and work.bucket[delay, t] == NO_STATE:
+            t -= 1
+        if t < 0:
+            delay, t = delay + 1, window
+            if delay == work.bucket.shape[0]:
+                return NO_PATH
+            continue
+        state = work.bucket[delay, t]
+        work.bucket[delay, t] = work.following[state]
+        layer = state // ((window + 1) * size)
+        if t == window or (layer == DONE and t >= horizon):
+            break
+        t = _expand(work, table, fields, site, errands, agent, (state, delay, t, luck))
+    work.number[DELAY] = delay
+    _read_path(work, state, window, size)
+    return t
+
+
+@formula
+def _open(work: Search, state: int, parent: int, delay: int, t: int) -> None:
+    """Put a state into its bucket."""
+    work.seen[state], work.parent[state] = work.number[SEARCH], parent
+    work.following[state] = work.bucket[delay, t]
+    work.bucket[delay, t] = state
+
+
+@kernel
+def _expand(
+    work: Search,
+    table: Reservations,
+    fields: Fields,
+    site: Site,
+    errands: Errands,
+    agent: int,
+    here: tuple[int, int, int, int],
+) -> int:
+    """Open all states one step on; returns the latest timestep that may have an open state."""
+    state, delay, t, luck = here
+    window, size = table.entry.shape[0] - 1, site.free.size
+    layer, cell = state // ((window + 1) * size), state % size
+    camps = layer == CAMPING
+    leg = first_leg(errands, agent) if camps else layer
+    steps, latest = to_go(fields, site, errands, agent, leg, cell), t
+    for turn in range(MOVES):
+        # Waiting is opened first, so that of equals it is taken last.
+        move = 0 if turn == 0 else 1 + ((luck + ((luck >> 1) & 2 | 1) * turn) & 3)
+        to = cell + site.steps[move]
+        stays = camps and move == 0
+        if not site.free[to]:
+            continue
+        if not stays:
+            if bits_at(table, t + 1, to) & HERE:
+                continue
+            if move > 0 and bits_at(table, t, to) >> opposite(move) & 1:
+                continue
+        next_t, next_layer, step = t + 1, CAMPING if stays else leg, 1
+        if leg == DONE:
+            step = 0  # nothing is left to be late for
+        elif to == errands.cell[leg, agent]:
+            until = t + 1 + errands.service_time[leg, agent]
+            if not stays and not _is_free(table, to, t + 2, min(until, window)):
+                continue
+            # A service that the window cuts short does not count as done.
+            next_layer = leg if until > window else leg + 1
+            next_t = min(until, window)
+        goes_on = leg + 1 if leg < DONE and to == errands.cell[leg, agent] else leg
+        late = delay + step + to_go(fields, site, errands, agent, goes_on, to) - steps
+        reached = (next_layer * (window + 1) + next_t) * size + to
+        if work.seen[reached] != work.number[SEARCH] and 0 <= late < work.bucket.shape[0]:
+            _open(work, reached, state, late, next_t)
+            if late == delay:
+                latest = max(latest, next_t)
+    return latest
+
+
+@kernel
+def _is_free(table: Reservations, cell: int, first: int, last: int) -> bool:
+    """Tell whether nobody reserved a cell from one timestep to another, both counted."""
+    for t in range(first, last + 1):
+        if bits_at(table, t, cell) & HERE:
+            return False
+    return True
+
+
+@kernel
+def _read_path(work: Search, state: int, window: int, size: int) -> None:
+    """Walk back from the last state; between two states an agent is served where it stands."""
+    end = state // size % (window + 1)
+    while state != NO_STATE:
+        before = work.parent[state]
+        t_before = before // size % (window + 1) if before != NO_STATE else -1
+        for t in range(t_before + 1, end + 1):
+            work.cells[t] = state % size
+        state, end = before, t_before

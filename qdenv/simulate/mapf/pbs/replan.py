@@ -1,0 +1,230 @@
+"""Plan agents again until nobody conflicts with anybody above it."""
+
+from qdenv.native import formula, kernel
+from qdenv.simulate.mapf import chance
+from qdenv.simulate.mapf.host.fields import Fields
+from qdenv.simulate.mapf.host.site import Site
+from qdenv.simulate.mapf.pbs.desk import CAMPS, REPLANS, WANTED, Desk
+from qdenv.simulate.mapf.pbs.path import NO_PATH, find_path
+from qdenv.simulate.mapf.pbs.plans import (
+    BOUND,
+    LAST,
+    NEW,
+    OLD,
+    Plan,
+    adopt_path,
+    conflict,
+    find_conflicts,
+    first_of,
+    note,
+    parts_of,
+)
+from qdenv.simulate.mapf.pbs.priorities import DOWN, MARK, UP, Priorities, is_found, walk
+from qdenv.simulate.mapf.pbs.reservations import (
+    HERE,
+    Reservations,
+    forget_reservations,
+    leaving,
+    reserve,
+)
+
+REPLANS_PER_AGENT = 5  # within a node, beyond which it is given up
+INCONSISTENT = -1
+
+
+@kernel
+def list_near(desk: Desk) -> None:
+    """List for each agent those that it may meet within the window."""
+    crowd, errands = desk.crowd, desk.errands
+    reach = 2 * (desk.plan.cell.shape[0] - 1)
+    crowd.nears[:] = 0
+    for agent in range(crowd.nears.size):
+        for other in range(agent):
+            rows = abs(errands.row[agent] - errands.row[other])
+            if rows + abs(errands.column[agent] - errands.column[other]) <= reach:
+                crowd.near[agent, crowd.nears[agent]] = other
+                crowd.near[other, crowd.nears[other]] = agent
+                crowd.nears[agent] += 1
+                crowd.nears[other] += 1
+
+
+@kernel
+def replan(desk: Desk, fields: Fields, site: Site, agent: int, seed: int) -> bool:
+    """Plan the path of an agent past those above it (after a walk up); whether there is one."""
+    plan, near, terms = desk.plan, desk.crowd.near, desk.terms
+    desk.count[REPLANS] += 1
+    forget_reservations(desk.table)
+    above = desk.order.number[MARK]
+    for index in range(desk.crowd.nears[agent]):
+        other = near[agent, index]
+        if is_found(desk.order, other, UP, above):
+            reserve_path(desk.table, plan, other, site.width)
+        else:
+            for t in range(1, plan.fact[BOUND, other]):
+                reserve(desk.table, t, desk.errands.start[other], HERE)
+    luck, camps = chance.mix(seed, agent) & 7, False
+    last = find_path(
+        desk.work, desk.table, fields, site, desk.errands, agent, (terms.horizon, camps, luck)
+    )
+    if last == NO_PATH and terms.published:
+        desk.count[CAMPS] += 1
+        camps = True
+        last = find_path(
+            desk.work, desk.table, fields, site, desk.errands, agent, (terms.horizon, camps, luck)
+        )
+    if last == NO_PATH:
+        return False
+    adopt_path(plan, desk.work, desk.errands, agent, (last, terms.published))
+    return True
+
+
+@kernel
+def reserve_path(table: Reservations, plan: Plan, agent: int, width: int) -> None:
+    """Reserve the path of an agent."""
+    last, cell = plan.fact[LAST, agent], plan.cell[0, agent]
+    for t in range(last):
+        after = plan.cell[t + 1, agent]
+        reserve(table, t, cell, HERE | leaving(after - cell, width))
+        cell = after
+    reserve(table, last, cell, HERE)
+
+
+@formula
+def yields(plan: Plan, order: Priorities, agent: int, other: int, t: int, mark: int) -> bool:
+    """Tell whether an agent (after a walk up from it) must give way to another at a conflict.
+
+    Whoever is bound to its start has precedence there, whatever the priorities.
+    """
+    if plan.cell[t, agent] == plan.cell[t, other]:
+        if t < plan.fact[BOUND, agent]:
+            return False
+        if t < plan.fact[BOUND, other]:
+            return True
+    return is_found(order, other, UP, mark)
+
+
+@kernel
+def take_highest(desk: Desk, count: int) -> int:
+    """Take an agent off the list of those who wait that has nobody above it there."""
+    crowd, order = desk.crowd, desk.order
+    place, index = 0, 0
+    walk(order, crowd.waiting[0], UP)
+    while index < count:
+        if is_found(order, crowd.waiting[index], UP, order.number[MARK]):
+            place = index
+            walk(order, crowd.waiting[place], UP)
+            index = 0
+        else:
+            index += 1
+    agent = crowd.waiting[place]
+    crowd.waiting[place] = crowd.waiting[count - 1]
+    crowd.is_waiting[agent] = False
+    return agent
+
+
+@kernel
+def settle(
+    desk: Desk, fields: Fields, site: Site, seed: int, waiting: int, first: int, last: int
+) -> int:
+    """Plan those who wait again, the highest first, until nobody conflicts with anyone above it.
+
+    Args:
+        desk: with a plan, its conflicts and a list of those who wait.
+        fields: distances.
+        site: where.
+        seed: of ties.
+        waiting: how many wait.
+        first: the first conflict of the plan.
+        last: one past them; nothing is kept beyond.
+
+    Returns:
+        One past the conflicts of the new plan, or `INCONSISTENT`; then nobody waits either.
+    """
+    plan, order, crowd, conflicts = desk.plan, desk.order, desk.crowd, desk.tree.conflict
+    budget = REPLANS_PER_AGENT * crowd.nears.size
+    while waiting > 0:
+        agent = take_highest(desk, waiting)
+        waiting -= 1
+        if not _gives_way(desk, agent, first, last):
+            continue
+        budget -= 1
+        if desk.changes.count[0] == desk.changes.agent.size:
+            desk.tree.number[WANTED] = 1
+            budget = -1
+        if budget < 0:
+            break
+        note(plan, desk.changes, agent, OLD)
+        if not replan(desk, fields, site, agent, seed):
+            budget = -1
+            break
+        note(plan, desk.changes, agent, NEW)
+        last = _drop_conflicts(conflicts, agent, first, last)
+        find_conflicts(plan, agent)
+        if last + crowd.nears.size > conflicts.size:
+            desk.tree.number[WANTED] = 1
+            budget = -1
+            break
+        waiting, last = _note_conflicts(desk, agent, waiting, last)
+    for index in range(waiting):
+        crowd.is_waiting[crowd.waiting[index]] = False
+    return last if budget >= 0 else INCONSISTENT
+
+
+@kernel
+def _gives_way(desk: Desk, agent: int, first: int, last: int) -> bool:
+    """Tell whether an agent (after a walk up) conflicts with somebody that it must give way to."""
+    mark = desk.order.number[MARK]
+    for index in range(first, last):
+        t, one, two = parts_of(desk.tree.conflict[index])
+        if one == agent or two == agent:
+            other = one + two - agent
+            if yields(desk.plan, desk.order, agent, other, t, mark):
+                return True
+    return False
+
+
+@kernel
+def _drop_conflicts(conflicts: object, agent: int, first: int, last: int) -> int:
+    """Drop the conflicts of an agent; returns one past what remains."""
+    kept = first
+    for index in range(first, last):
+        pack = conflicts[index]
+        _, one, two = parts_of(pack)
+        if one != agent and two != agent:
+            conflicts[kept] = pack
+            kept += 1
+    return kept
+
+
+@kernel
+def _note_conflicts(desk: Desk, agent: int, waiting: int, last: int) -> tuple[int, int]:
+    """Note the conflicts of a new path, and let those wait who must give way to it."""
+    plan, order, crowd = desk.plan, desk.order, desk.crowd
+    walked = False
+    for index in range(crowd.nears[agent]):
+        other = crowd.near[agent, index]
+        if plan.hit[other] == 0:
+            continue
+        t = first_of(plan.hit[other])
+        desk.tree.conflict[last] = conflict(t, agent, other)
+        last += 1
+        if not walked:
+            walk(order, agent, DOWN)
+            walked = True
+        loser = loser_of(plan, order, agent, other, t)
+        if loser >= 0 and not crowd.is_waiting[loser]:
+            crowd.is_waiting[loser] = True
+            crowd.waiting[waiting] = loser
+            waiting += 1
+    return waiting, last
+
+
+@formula
+def loser_of(plan: Plan, order: Priorities, agent: int, other: int, t: int) -> int:
+    """Find who must give way, after a walk down from `agent`, which avoids all above it; or -1."""
+    meets = plan.cell[t, agent] == plan.cell[t, other]
+    if meets and t < plan.fact[BOUND, agent]:
+        return other
+    if meets and t < plan.fact[BOUND, other]:
+        return agent
+    return other if is_found(order, other, DOWN, order.number[MARK]) else -1

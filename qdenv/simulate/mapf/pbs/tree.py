@@ -1,0 +1,246 @@
+"""Priority-based search: a tree of partial orders, searched depth first.
+
+Ma et al. 2019, "Searching with consistent prioritization for multi-agent path finding",
+https://arxiv.org/abs/1812.06356, algorithm 1; for windows, Li et al. 2021,
+https://arxiv.org/abs/2005.07371. A node is a partial order of the agents with a path for each that
+avoids those of everybody above it. While two agents conflict, one child puts the first above the
+second and the other the reverse; the one with the shorter paths is searched first, of equals the
+one with fewer conflicts.
+
+Only the node in hand is kept as a whole. The others are the changes that lead there, and their
+conflicts: so a node costs what it changes.
+"""
+
+from qdenv.native import kernel
+from qdenv.simulate.mapf.host.fields import Fields
+from qdenv.simulate.mapf.host.site import Site
+from qdenv.simulate.mapf.pbs.desk import CONFLICTS, FAILED, NODES, WANTED, Desk
+from qdenv.simulate.mapf.pbs.plans import (
+    NEW,
+    OLD,
+    be_nowhere,
+    conflict,
+    find_conflicts,
+    first_of,
+    parts_of,
+    redo,
+)
+from qdenv.simulate.mapf.pbs.priorities import (
+    DOWN,
+    MARK,
+    UP,
+    forget_priorities,
+    is_found,
+    put_above,
+    take_back,
+    walk,
+)
+from qdenv.simulate.mapf.pbs.replan import INCONSISTENT, loser_of, list_near, replan, settle
+
+PREFERRED = 1 << 60  # taken off a conflict that comes first
+FIRST, PAST = 0, 1
+CHANGE, CLASH = 0, 1
+CHILDREN, ENTERED = 0, 1
+
+
+@kernel
+def solve(desk: Desk, fields: Fields, site: Site, seed: int) -> bool:
+    """Search for paths without conflicts; returns whether they were found, in ``desk.plan``.
+
+    If not, ``desk.tree.best`` is the plan whose first conflict is latest. Where room was wanting
+    ``desk.tree.number[WANTED]`` is set, and nothing is right.
+    """
+    tree, plan = desk.tree, desk.plan
+    tree.dead_end[:] = False
+    tree.number[WANTED], tree.score[0] = 0, -1
+    last = plan_root(desk, fields, site, seed)
+    if last == INCONSISTENT:
+        keep_best(desk, 0, 0)
+        return False
+    first, depth, nodes = 0, 0, 0
+    while True:
+        if first == last:
+            return True
+        earliest, pick = choose_conflict(desk, first, last)
+        keep_best(desk, earliest, plan.total[0])
+        if nodes == desk.terms.node_limit or tree.number[WANTED]:
+            return False
+        if depth == tree.cost.shape[0]:
+            tree.number[WANTED] = 1
+            return False
+        nodes += 1
+        desk.count[NODES] += 1
+        expand(desk, fields, site, seed, depth, pick, (first, last))
+        while tree.count[depth, ENTERED] == tree.count[depth, CHILDREN]:
+            desk.changes.count[0] = tree.base[depth, CHANGE]
+            tree.number[CONFLICTS] = tree.base[depth, CLASH]
+            if depth == 0:
+                return False
+            depth -= 1
+            leave(desk, depth)
+        child = enter(desk, depth)
+        first, last = tree.clash[depth, child, FIRST], tree.clash[depth, child, PAST]
+        depth += 1
+
+
+@kernel
+def plan_root(desk: Desk, fields: Fields, site: Site, seed: int) -> int:
+    """Plan everybody by itself, one after the other; returns how many conflicts there are.
+
+    Nobody has precedence but those who are bound to their start.
+    """
+    plan, tree, crowd = desk.plan, desk.tree, desk.crowd
+    list_near(desk)
+    forget_priorities(desk.order)
+    be_nowhere(plan, desk.errands)
+    tree.number[CONFLICTS], desk.changes.count[0] = 0, 0
+    for agent in range(crowd.nears.size):
+        walk(desk.order, agent, UP)
+        if not replan(desk, fields, site, agent, seed):
+            return INCONSISTENT
+    last, waiting = 0, 0
+    for agent in range(crowd.nears.size):
+        find_conflicts(plan, agent)
+        walk(desk.order, agent, DOWN)
+        for index in range(crowd.nears[agent]):
+            other = crowd.near[agent, index]
+            if other > agent or plan.hit[other] == 0:
+                continue
+            if last == tree.conflict.size:
+                tree.number[WANTED] = 1
+                return INCONSISTENT
+            t = first_of(plan.hit[other])
+            tree.conflict[last] = conflict(t, agent, other)
+            last += 1
+            loser = loser_of(plan, desk.order, agent, other, t)
+            if loser >= 0 and not crowd.is_waiting[loser]:
+                crowd.is_waiting[loser] = True
+                crowd.waiting[waiting] = loser
+                waiting += 1
+    last = settle(desk, fields, site, seed, waiting, 0, last)
+    desk.changes.count[0], tree.number[CONFLICTS] = 0, max(last, 0)
+    return last
+
+
+@kernel
+def choose_conflict(desk: Desk, first: int, last: int) -> tuple[int, int]:
+    """Choose the earliest conflict, but before it any whose agents had no feasible child once.
+
+    Returns:
+        the time of the earliest, the conflict chosen.
+    """
+    tree = desk.tree
+    earliest, best, chosen = tree.conflict[first], PREFERRED, tree.conflict[first]
+    for index in range(first, last):
+        pack = tree.conflict[index]
+        earliest = min(earliest, pack)
+        _, one, two = parts_of(pack)
+        key = pack - PREFERRED if tree.dead_end[one, two] else pack
+        if key < best:
+            best, chosen = key, pack
+    return parts_of(earliest)[0], chosen
+
+
+@kernel
+def keep_best(desk: Desk, earliest: int, delay: int) -> None:
+    """Keep the plan if its first conflict is later than all before, or of these it delays less."""
+    score, cell = desk.tree.score, desk.plan.cell
+    if earliest > score[0] or (earliest == score[0] and delay < score[1]):
+        score[0], score[1] = earliest, delay
+        for t in range(cell.shape[0]):
+            for agent in range(cell.shape[1]):
+                desk.tree.best[t, agent] = cell[t, agent]
+
+
+@kernel
+def expand(
+    desk: Desk,
+    fields: Fields,
+    site: Site,
+    seed: int,
+    depth: int,
+    pick: int,
+    conflicts: tuple[int, int],
+) -> None:
+    """Make the children of a node, which is in hand before and after."""
+    tree, changes = desk.tree, desk.changes
+    _, one, two = parts_of(pick)
+    tree.base[depth, CHANGE], tree.base[depth, CLASH] = changes.count[0], tree.number[CONFLICTS]
+    tree.count[depth, CHILDREN], tree.count[depth, ENTERED] = 0, 0
+    for child in range(2):
+        low, high = (one, two) if child == 0 else (two, one)
+        walk(desk.order, high, UP)
+        if is_found(desk.order, low, UP, desk.order.number[MARK]):
+            continue
+        if make_child(desk, fields, site, seed, (depth, child, low, high), conflicts):
+            tree.turn[depth, tree.count[depth, CHILDREN]] = child
+            tree.count[depth, CHILDREN] += 1
+        else:
+            desk.count[FAILED] += 1
+    if tree.count[depth, CHILDREN] == 0:
+        tree.dead_end[one, two] = tree.dead_end[two, one] = True
+    elif tree.count[depth, CHILDREN] == 2:
+        costs, clash = tree.cost[depth], tree.clash[depth]
+        many, few = clash[0, PAST] - clash[0, FIRST], clash[1, PAST] - clash[1, FIRST]
+        if costs[1] < costs[0] or (costs[1] == costs[0] and few <= many):
+            tree.turn[depth, 0], tree.turn[depth, 1] = 1, 0
+
+
+@kernel
+def make_child(
+    desk: Desk,
+    fields: Fields,
+    site: Site,
+    seed: int,
+    child: tuple[int, int, int, int],
+    conflicts: tuple[int, int],
+) -> bool:
+    """Make one child and write down what changes; returns whether it can be made consistent."""
+    tree, changes, plan, crowd = desk.tree, desk.changes, desk.plan, desk.crowd
+    depth, side, low, high = child
+    first, change = tree.number[CONFLICTS], changes.count[0]
+    last = first + conflicts[1] - conflicts[0]
+    if last > tree.conflict.size:
+        tree.number[WANTED] = 1
+        return False
+    for index in range(last - first):
+        tree.conflict[first + index] = tree.conflict[conflicts[0] + index]
+    put_above(desk.order, high, low)
+    crowd.waiting[0], crowd.is_waiting[low] = low, True
+    last = settle(desk, fields, site, seed, 1, first, last)
+    cost = plan.total[0]
+    take_back(desk.order)
+    for index in range(changes.count[0] - 1, change - 1, -1):
+        redo(plan, changes, index, OLD)
+    if last == INCONSISTENT:
+        changes.count[0] = change
+        return False
+    tree.low[depth, side], tree.high[depth, side], tree.cost[depth, side] = low, high, cost
+    tree.clash[depth, side, FIRST], tree.clash[depth, side, PAST] = first, last
+    tree.change[depth, side, FIRST], tree.change[depth, side, PAST] = change, changes.count[0]
+    tree.number[CONFLICTS] = last
+    return True
+
+
+@kernel
+def enter(desk: Desk, depth: int) -> int:
+    """Go down to the next child of a node; returns which one it is."""
+    tree = desk.tree
+    child = tree.turn[depth, tree.count[depth, ENTERED]]
+    tree.count[depth, ENTERED] += 1
+    put_above(desk.order, tree.high[depth, child], tree.low[depth, child])
+    for change in range(tree.change[depth, child, FIRST], tree.change[depth, child, PAST]):
+        redo(desk.plan, desk.changes, change, NEW)
+    return child
+
+
+@kernel
+def leave(desk: Desk, depth: int) -> None:
+    """Go back up from the child that was entered last to its parent."""
+    tree = desk.tree
+    child = tree.turn[depth, tree.count[depth, ENTERED] - 1]
+    for change in range(
+        tree.change[depth, child, PAST] - 1, tree.change[depth, child, FIRST] - 1, -1
+    ):
+        redo(desk.plan, desk.changes, change, OLD)
+    take_back(desk.order)
