@@ -22,7 +22,7 @@ class Agent(NamedTuple):
         start: its cell.
         goals: cells of its current and of its next goal.
         services: timesteps to serve at each.
-        serving: timesteps still to serve at the start, as part of the current goal; 0 while driving.
+        serving: timesteps still to serve at the start, for the current goal; 0 while driving.
     """
 
     start: int
@@ -56,7 +56,7 @@ class State(NamedTuple):
     left: int
 
 
-class TooMany(Exception):
+class TooManyError(Exception):
     """There are more choices than somebody was ready to try."""
 
 
@@ -84,6 +84,7 @@ class Maze:
     """An instance with its moves and its distances looked up once."""
 
     def __init__(self, instance: Instance) -> None:
+        """Look them up."""
         self.instance = instance
         cells = np.flatnonzero(instance.free).tolist()
         self.ways = {cell: [cell, *neighbours(instance.free, cell)] for cell in cells}
@@ -220,12 +221,12 @@ def every_choice_works(maze: Maze, order: tuple[int, ...], most: int) -> bool:
 
 
 def _works(maze: Maze, order: tuple[int, ...], paths: list[Path], judge, left: list[int]) -> bool:
-    """Plan the rest of an order after `paths`; raises `TooMany` after `left` searches."""
+    """Plan the rest of an order after `paths`; raises `TooManyError` after `left` searches."""
     if not order:
         return True
     left[0] -= 1
     if left[0] < 0:
-        raise TooMany
+        raise TooManyError
     number, rest = order[0], order[1:]
     if not rest:
         return maze.optimum(number, paths) < np.inf

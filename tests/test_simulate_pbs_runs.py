@@ -47,9 +47,7 @@ def test_small_floors_of_every_domain_are_driven_by_the_rules(name, rule):
 def test_crowds_break_no_rule_where_windows_stay_unsolved(node_limit, rule):
     """Up to three agents on four free cells, and stays longer than the window."""
     planner = PbsConfig(rule, node_limit)
-    config = fleet.FleetConfig(
-        agents=90, timesteps=63, planner=planner, stop_when_congested=False
-    )
+    config = fleet.FleetConfig(agents=90, timesteps=63, planner=planner, stop_when_congested=False)
     for seed in SEEDS:
         layout = random_layout(np.random.default_rng(seed), 0.1 * (seed + 1))
         agents = int((0.35 + 0.2 * seed) * (layout != 1).sum())
