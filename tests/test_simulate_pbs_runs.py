@@ -11,6 +11,10 @@ from fleet_runs import PLAIN, SERVICES, random_layout
 from qdenv.domains.base import find_domain
 from qdenv.formats.layouts import read_layout
 from qdenv.simulate.mapf import chance, fleet
+from qdenv.simulate.mapf.host import run as host_run
+from qdenv.simulate.mapf.host.fields import Fields, empty_fields
+from qdenv.simulate.mapf.pbs import drive as pbs_drive
+from qdenv.simulate.mapf.pbs.desk import Desk, Terms, make_desk
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.study.runs import auditor, run_seeds
 from qdenv.types import TaskRule, Traffic
@@ -105,3 +109,29 @@ def test_200_agents_on_a_published_layout_break_no_rule(name, domain, published)
     config = fleet.FleetConfig(agents=200, timesteps=100, planner=PbsConfig())
     (run,) = audited(layout, tasks, config, (0,))
     assert not run.congested and run.throughput > 5
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_little_room_at_first_changes_nothing(rule, monkeypatch):
+    """A window that lacks room, for its tree or for distances, is planned again with more."""
+    layout = random_layout(np.random.default_rng(2), 0.2)
+    config = fleet.FleetConfig(
+        agents=60, timesteps=33, planner=PbsConfig(rule, 60), stop_when_congested=False
+    )
+    expected = run_seeds(layout, SERVICES, config, (0,)).runs[0]
+    depths, rooms = [], []
+
+    def shallow(agents: int, window: int, cells: int, depth: int, terms: Terms) -> Desk:
+        depths.append(depth)
+        return make_desk(agents, window, cells, depth, terms)
+
+    def little(shape: tuple[int, int], goals: int, rows: int) -> Fields:
+        rooms.append(rows)
+        return empty_fields(shape, goals, 2, 3)
+
+    monkeypatch.setattr(pbs_drive, "FIRST_DEPTH", 1)
+    monkeypatch.setattr(pbs_drive, "make_desk", shallow)
+    monkeypatch.setattr(host_run, "empty_fields", little)
+    found = run_seeds(layout, SERVICES, config, (0,)).runs[0]
+    jax.tree.map(np.testing.assert_array_equal, found, expected)
+    assert max(depths) > 1 and depths.count(1) > 1 and rooms and expected.finished.sum() > 0
