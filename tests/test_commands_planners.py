@@ -22,7 +22,7 @@ from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.types import InputError
 
 STUDIES = ["simulate", "sweep", "compare", "scalability"]
-SPARSE = PbsConfig(rule="plain", node_limit=5)
+SPARSE = PbsConfig(rule="plain", nodes_per_agent=5)
 CHOSEN = ["--planner", "pbs", "--planner.rule", "plain", "--planner.node-limit", "5"]
 
 
@@ -107,7 +107,7 @@ def test_a_configuration_takes_a_planners_name_its_settings_or_an_effort():
     assert planner(effort="high") == HIGH and planner(planner="negotiated") == LOW
     assert planner(planner="pbs", rule="plain") == PbsConfig(rule="plain")
     with pytest.raises(InputError, match="'node_limit': give a whole planner or repair"):
-        planner(planner="pbs", node_limit=5)
+        planner(planner="pbs", nodes_per_agent=5)
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def test_reports_call_a_planner_by_its_name_and_settings():
     assert describe_planner(SPARSE).startswith("pbs, rule plain, node limit 5")
     record = record_planner(SPARSE)
     assert list(record) == ["name", *(field.name for field in fields(PbsConfig))]
-    assert (record["name"], record["node_limit"]) == ("pbs", 5)
+    assert (record["name"], record["nodes_per_agent"]) == ("pbs", 5)
 
 
 def test_facts_of_a_study_hold_all_settings_of_its_planner(tmp_path, monkeypatch, capsys):
