@@ -30,7 +30,7 @@ MISTAKES = {
     "sweep plan.txt --agents 5 --planner.rule plain": "add --planner pbs",
     "train quick --planner.rule plain": "negotiated has no such setting: add --planner pbs",
     "compare plan.txt --planner pibt --planner.speed 3": "choose one of backend",
-    "scalability plan.txt --planner pbs --planner.nodes-per-agnt 3": "did you mean nodes-per-agent?",
+    "scalability plan.txt --planner pbs --planner.rul plain": "did you mean rule?",
     "simulate plan.txt --planner pbs --planner.rule best": "choose one of published, plain",
     "train quick --planner pbs --planner.nodes-per-agent -3": "0 to 1,000,000 nodes per agent",
     "train quick --lanes 4": "unknown option --lanes: did you mean --planner.lanes?",

@@ -22,7 +22,7 @@ from qdenv.files import write_json
 from qdenv.formats.layouts import read_layout
 from qdenv.repair.recipe import RepairConfig, repair
 from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.simulate.mapf.negotiated.settings import EFFORTS
+from qdenv.study.ledger import DRIVERS
 from qdenv.study.runs import Simulated, auditor, run_seeds
 from qdenv.types import InputError, TaskRule
 
@@ -57,7 +57,7 @@ class Case(NamedTuple):
 def run(
     reference: Path | None = None,
     layouts: Path | None = None,
-    efforts: tuple[Literal["low", "high"], ...] = ("low", "high"),
+    planners: tuple[Literal["low", "high", "published", "plain"], ...] = ("low", "high"),
     seeds: int = 3,
     longest: int = 1000,
     match: str = "",
@@ -69,7 +69,8 @@ def run(
     Args:
         reference: recorded runs of the C++; our own layouts alone unless given.
         layouts: folder of the recorded runs' layout files; beside the reference unless given.
-        efforts: planner efforts to measure.
+        planners: the negotiated one at low or high effort, or priority-based search by the
+            published or the plain rule.
         seeds: runs of each case.
         longest: leave out cases with a longer horizon T.
         match: only layouts whose file name contains this.
@@ -86,11 +87,11 @@ def run(
         cases = recorded_cases(reference, layouts or reference.parent / "layouts", longest)
     rows = []
     print(
-        f"{'layout':32s} agents     T  effort  throughput (s.e.)  C++    ratio   CPU s   C++ CPU s"
+        f"{'layout':32s} agents     T  planner    throughput (s.e.)  C++    ratio   CPU s   C++ CPU s"
     )
     for case in (case for case in cases if match in case.layout):
-        for effort in efforts:
-            rows.append(measure(case, effort, seeds, audit))
+        for planner in planners:
+            rows.append(measure(case, planner, seeds, audit))
             print(line(rows[-1]), flush=True)
     result = {"device": jax.devices()[0].device_kind, "seeds": seeds, "rows": rows}
     if json_file:
@@ -128,13 +129,13 @@ def recorded_cases(reference: Path, layouts: Path, longest: int) -> Iterator[Cas
         yield Case(layout, kind, tiles, agents, timesteps, runs)
 
 
-def measure(case: Case, effort: str, seeds: int, audit: bool) -> dict[str, Any]:
-    """Simulate a case at one effort: a row of the table.
+def measure(case: Case, planner: str, seeds: int, audit: bool) -> dict[str, Any]:
+    """Simulate a case with one planner: a row of the table.
 
     Raises:
         InputError: no fleet drives in this domain, or not on this layout.
     """
-    config = FleetConfig(agents=case.agents, timesteps=case.timesteps, planner=EFFORTS[effort])
+    config = FleetConfig(agents=case.agents, timesteps=case.timesteps, planner=DRIVERS[planner])
     tasks = tasks_of(case.kind)
     read = auditor(case.tiles, tasks, config) if audit else None
     done = run_seeds(case.tiles, tasks, config, range(seeds), read=read, threads=1)
@@ -143,7 +144,7 @@ def measure(case: Case, effort: str, seeds: int, audit: bool) -> dict[str, Any]:
         "domain": case.kind,
         "agents": case.agents,
         "timesteps": case.timesteps,
-        "effort": effort,
+        "planner": planner,
         "broken": [rule for found in done.readings for rule in found] if read else None,
     }
 
@@ -197,7 +198,7 @@ def line(row: dict[str, Any]) -> str:
     error = "" if row["standard_error"] is None else f"({row['standard_error']:.3f})"
     ours = (
         f"{row['layout'].removesuffix('.json'):32s} {row['agents']:6d} {row['timesteps']:5d}  "
-        f"{row['effort']:6s} {row['throughput']:7.3f} {error:8s}{'!' * row['congested']:3s}"
+        f"{row['planner']:10s} {row['throughput']:7.3f} {error:8s}{'!' * row['congested']:3s}"
     )
     if not row["reference_runs"]:
         return f"{ours}{'':13s}{row['cpu_seconds']:7.2f}"

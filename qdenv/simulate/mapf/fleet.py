@@ -97,7 +97,8 @@ def run_window(
     fleet = look_ahead(world, fleet)
     state = agent_state(world, fleet, active)
     key = chance.key_of(chance.draw(seed, chance.PLANS), time)
-    assert (plan := config.make_planner().plan) is not None  # else it drives on the host
+    plan = config.make_planner().plan
+    assert plan is not None  # else the planner drives on the host
     paths = plan(world, state, config.horizon, key)
     chex.assert_shape(paths, (config.window + 1, config.agents))
     goals = chance.draw(seed, chance.GOALS)
@@ -108,9 +109,8 @@ def run_window(
         fleet, finished = drive(world, fleet, inputs[0], active, drawn)
         return fleet, Block(fleet.position, fleet.remaining_service, finished, heading)
 
-    executed = paths[1 : config.horizon + 1]
     times = time + jnp.arange(config.horizon)
-    fleet, block = jax.lax.scan(step, fleet, (executed, times))
+    fleet, block = jax.lax.scan(step, fleet, (paths[1 : config.horizon + 1], times))
     last = jnp.broadcast_to(paths[-1], (config.horizon, config.agents))
     return fleet._replace(previous=jnp.concatenate([paths[config.horizon :], last])), block
 
