@@ -87,7 +87,7 @@ def run(
         cases = recorded_cases(reference, layouts or reference.parent / "layouts", longest)
     rows = []
     print(
-        f"{'layout':32s} agents     T  planner    throughput (s.e.)  C++    ratio   CPU s   C++ CPU s"
+        f"{'layout':32s} agents     T  planner    throughput (s.e.)  C++    ratio   CPU s  C++ CPU"
     )
     for case in (case for case in cases if match in case.layout):
         for planner in planners:

@@ -166,7 +166,7 @@ def settle(
             work.tree.number[WANTED] = 1
             budget = -1
             break
-        waiting, last = _note_conflicts(work, agent, waiting, last)
+        waiting, last = note_conflicts(work, agent, crowd.nears.size, waiting, last)
     for index in range(waiting):
         crowd.is_waiting[crowd.waiting[index]] = False
     return last if budget >= 0 else INCONSISTENT
@@ -199,13 +199,26 @@ def _drop_conflicts(conflicts: np.ndarray, agent: int, first: int, last: int) ->
 
 
 @kernel
-def _note_conflicts(work: Workspace, agent: int, waiting: int, last: int) -> tuple[int, int]:
-    """Note the conflicts of a new path, and let those wait who must give way to it."""
+def note_conflicts(
+    work: Workspace, agent: int, others: int, waiting: int, last: int
+) -> tuple[int, int]:
+    """Note the conflicts of a path, after `find_conflicts`, and let those wait who must give way.
+
+    Args:
+        work: with the plan.
+        agent: whose path it is.
+        others: only conflicts with agents of smaller numbers than this are noted.
+        waiting: how many wait.
+        last: one past the conflicts noted before.
+
+    Returns:
+        how many wait then, one past the last conflict.
+    """
     plan, order, crowd = work.plan, work.order, work.crowd
     walked = False
     for index in range(crowd.nears[agent]):
         other = crowd.near[agent, index]
-        if plan.hit[other] == 0:
+        if other >= others or plan.hit[other] == 0:
             continue
         t = first_of(plan.hit[other])
         work.tree.conflict[last] = conflict(t, agent, other)
@@ -213,7 +226,7 @@ def _note_conflicts(work: Workspace, agent: int, waiting: int, last: int) -> tup
         if not walked:
             walk(order, agent, DOWN)
             walked = True
-        loser = loser_of(plan, order, agent, other, t)
+        loser = _loser(plan, order, agent, other, t)
         if loser >= 0 and not crowd.is_waiting[loser]:
             crowd.is_waiting[loser] = True
             crowd.waiting[waiting] = loser
@@ -222,7 +235,7 @@ def _note_conflicts(work: Workspace, agent: int, waiting: int, last: int) -> tup
 
 
 @formula
-def loser_of(plan: Plan, order: Priorities, agent: int, other: int, t: int) -> int:
+def _loser(plan: Plan, order: Priorities, agent: int, other: int, t: int) -> int:
     """Find who must give way, after a walk down from `agent`, which avoids all above it; or -1."""
     meets = plan.cell[t, agent] == plan.cell[t, other]
     if meets and t < plan.fact[BOUND, agent]:

@@ -18,14 +18,11 @@ from qdenv.simulate.mapf.pbs.plans import (
     NEW,
     OLD,
     be_nowhere,
-    conflict,
     find_conflicts,
-    first_of,
     parts_of,
     redo,
 )
 from qdenv.simulate.mapf.pbs.priorities import (
-    DOWN,
     MARK,
     UP,
     forget_priorities,
@@ -34,7 +31,7 @@ from qdenv.simulate.mapf.pbs.priorities import (
     take_back,
     walk,
 )
-from qdenv.simulate.mapf.pbs.replan import INCONSISTENT, list_near, loser_of, replan, settle
+from qdenv.simulate.mapf.pbs.replan import INCONSISTENT, list_near, note_conflicts, replan, settle
 from qdenv.simulate.mapf.pbs.workspace import CONFLICTS, FAILED, NODES, WANTED, Workspace
 
 PREFERRED = 1 << 60  # taken off a conflict that comes first
@@ -101,22 +98,10 @@ def plan_root(work: Workspace, fields: Fields, site: Site, seed: int) -> int:
     last, waiting = 0, 0
     for agent in range(crowd.nears.size):
         find_conflicts(plan, agent)
-        walk(work.order, agent, DOWN)
-        for index in range(crowd.nears[agent]):
-            other = crowd.near[agent, index]
-            if other > agent or plan.hit[other] == 0:
-                continue
-            if last == tree.conflict.size:
-                tree.number[WANTED] = 1
-                return INCONSISTENT
-            t = first_of(plan.hit[other])
-            tree.conflict[last] = conflict(t, agent, other)
-            last += 1
-            loser = loser_of(plan, work.order, agent, other, t)
-            if loser >= 0 and not crowd.is_waiting[loser]:
-                crowd.is_waiting[loser] = True
-                crowd.waiting[waiting] = loser
-                waiting += 1
+        if last + agent > tree.conflict.size:
+            tree.number[WANTED] = 1
+            return INCONSISTENT
+        waiting, last = note_conflicts(work, agent, agent, waiting, last)
     last = settle(work, fields, site, seed, waiting, 0, last)
     work.changes.made[0], tree.number[CONFLICTS] = 0, max(last, 0)
     return last
