@@ -32,7 +32,7 @@ from qdenv.simulate.mapf.pbs.priorities import (
     walk,
 )
 from qdenv.simulate.mapf.pbs.replan import INCONSISTENT, list_near, note_conflicts, replan, settle
-from qdenv.simulate.mapf.pbs.workspace import CONFLICTS, FAILED, NODES, WANTED, Workspace
+from qdenv.simulate.mapf.pbs.workspace import CONFLICTS, DEAD_ENDS, FAILED, NODES, WANTED, Workspace
 
 PREFERRED = 1 << 60  # taken off a conflict that comes first
 FIRST, PAST = 0, 1
@@ -48,8 +48,9 @@ def solve(work: Workspace, fields: Fields, site: Site, seed: int) -> bool:
     ``work.tree.number[WANTED]`` is set, and nothing is right.
     """
     tree, plan = work.tree, work.plan
-    tree.dead_end[:] = False
-    tree.number[WANTED], tree.score[0] = 0, -1
+    if tree.number[DEAD_ENDS]:
+        tree.dead_end[:] = False
+    tree.number[WANTED], tree.number[DEAD_ENDS], tree.score[0] = 0, 0, -1
     last = plan_root(work, fields, site, seed)
     if last == INCONSISTENT:
         keep_best(work, 0, 0)
@@ -163,7 +164,8 @@ def expand(
         else:
             work.tally[FAILED] += 1
     if tree.children[depth, CHILDREN] == 0:
-        tree.dead_end[one, two] = tree.dead_end[two, one] = True
+        tree.dead_end[one, two] = True
+        tree.number[DEAD_ENDS] += 1
     elif tree.children[depth, CHILDREN] == 2:
         costs, clash = tree.cost[depth], tree.clash[depth]
         many, few = clash[0, PAST] - clash[0, FIRST], clash[1, PAST] - clash[1, FIRST]

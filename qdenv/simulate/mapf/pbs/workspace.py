@@ -11,7 +11,7 @@ from qdenv.simulate.mapf.pbs.priorities import Priorities, make_priorities
 from qdenv.simulate.mapf.pbs.reservations import Reservations, make_reservations
 
 NODES, FAILED, REPLANS, CAMPS, UNSOLVED, WINDOWS = range(6)  # entries of `Workspace.count`
-CONFLICTS, WANTED = range(2)  # entries of `Tree.number`
+CONFLICTS, WANTED, DEAD_ENDS = range(3)  # entries of `Tree.number`
 
 
 class Tree(NamedTuple):
@@ -27,8 +27,10 @@ class Tree(NamedTuple):
         turn: int64 [D, 2], the children in the order in which they are searched.
         children: int64 [D, 2], how many there are, and how many were entered.
         conflict: int64 [K], the conflicts of all these nodes.
-        dead_end: bool [A, A], pairs of agents that had no feasible child once.
-        number: int64 [2], how many conflicts are kept, and whether room was wanting.
+        dead_end: bool [A, A], pairs of agents, the smaller number first, that had no feasible
+            child once.
+        number: int64 [3], how many conflicts are kept, whether room was wanting, and how many
+            dead ends there are.
         best: int32 [w + 1, A], the plan whose first conflict was latest.
         score: int64 [2], the time of that conflict, and the delay of the plan.
     """
@@ -156,7 +158,7 @@ def _make_tree(agents: int, window: int, depth: int) -> Tree:
         children,
         np.empty((CONFLICTS_PER_NODE * depth + 64) * agents, np.int64),
         np.zeros((agents, agents), np.bool_),
-        np.zeros(2, np.int64),
+        np.zeros(3, np.int64),
         np.empty((window + 1, agents), np.int32),
         np.zeros(2, np.int64),
     )
