@@ -14,8 +14,8 @@ from qdenv.simulate.mapf import chance, fleet
 from qdenv.simulate.mapf.host import run as host_run
 from qdenv.simulate.mapf.host.fields import Fields, empty_fields
 from qdenv.simulate.mapf.pbs import drive as pbs_drive
-from qdenv.simulate.mapf.pbs.desk import Desk, Terms, make_desk
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
+from qdenv.simulate.mapf.pbs.workspace import Terms, Workspace, make_workspace
 from qdenv.study.runs import auditor, run_seeds
 from qdenv.types import TaskRule, Traffic
 
@@ -47,10 +47,10 @@ def test_small_floors_of_every_domain_are_driven_by_the_rules(name, rule):
 
 
 @pytest.mark.parametrize("rule", RULES)
-@pytest.mark.parametrize("node_limit", [0, 3, 40])
-def test_crowds_break_no_rule_where_windows_stay_unsolved(node_limit, rule):
+@pytest.mark.parametrize("nodes_per_agent", [0, 0.2, 2])
+def test_crowds_break_no_rule_where_windows_stay_unsolved(nodes_per_agent, rule):
     """Up to three agents on four free cells, and stays longer than the window."""
-    planner = PbsConfig(rule, node_limit)
+    planner = PbsConfig(rule, nodes_per_agent)
     config = fleet.FleetConfig(agents=90, timesteps=63, planner=planner, stop_when_congested=False)
     for seed in SEEDS:
         layout = random_layout(np.random.default_rng(seed), 0.1 * (seed + 1))
@@ -121,16 +121,16 @@ def test_little_room_at_first_changes_nothing(rule, monkeypatch):
     expected = run_seeds(layout, SERVICES, config, (0,)).runs[0]
     depths, rooms = [], []
 
-    def shallow(agents: int, window: int, cells: int, depth: int, terms: Terms) -> Desk:
+    def shallow(agents: int, window: int, cells: int, depth: int, terms: Terms) -> Workspace:
         depths.append(depth)
-        return make_desk(agents, window, cells, depth, terms)
+        return make_workspace(agents, window, cells, depth, terms)
 
     def little(shape: tuple[int, int], goals: int, rows: int) -> Fields:
         rooms.append(rows)
         return empty_fields(shape, goals, 2, 3)
 
     monkeypatch.setattr(pbs_drive, "FIRST_DEPTH", 1)
-    monkeypatch.setattr(pbs_drive, "make_desk", shallow)
+    monkeypatch.setattr(pbs_drive, "make_workspace", shallow)
     monkeypatch.setattr(host_run, "empty_fields", little)
     found = run_seeds(layout, SERVICES, config, (0,)).runs[0]
     jax.tree.map(np.testing.assert_array_equal, found, expected)
