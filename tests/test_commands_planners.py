@@ -14,6 +14,7 @@ from qdenv.api.runs import overridden
 from qdenv.cli import run
 from qdenv.grid import parse
 from qdenv.presets import PRESETS
+from qdenv.registry import Entry
 from qdenv.simulate.mapf.choosing import describe_planner, find_planner, record_planner
 from qdenv.simulate.mapf.negotiated.settings import HIGH, LOW
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
@@ -22,7 +23,7 @@ from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.types import InputError
 
 STUDIES = ["simulate", "sweep", "compare", "scalability"]
-SPARSE = PbsConfig(rule="plain", nodes_per_agent=5)
+SPARSE = PbsConfig(rule="plain", nodes_per_agent=5.0)
 CHOSEN = ["--planner", "pbs", "--planner.rule", "plain", "--planner.nodes-per-agent", "5"]
 
 
@@ -72,17 +73,37 @@ def test_every_study_hands_the_planners_settings_to_the_simulation(command, caug
     assert [one.stop_when_congested for one in given] == [False, True, True]
 
 
-def test_a_search_takes_a_planners_settings_and_keeps_those_of_the_repair_apart(caught, capsys):
+@dataclass(frozen=True)
+class LimitedConfig:
+    """Settings of somebody else's planner, one of which a repair has, too."""
+
+    node_limit: int = 3
+
+
+@pytest.fixture
+def limited(monkeypatch):
+    monkeypatch.setitem(PLANNERS._entries, "limited", Entry(LimitedConfig, "nowhere:nothing"))
+
+
+def test_a_search_keeps_settings_of_the_planner_and_of_the_repair_apart(caught, limited):
     with pytest.raises(CaughtError):
-        run(["train", "quick", *CHOSEN, "--node-limit", "9"])
+        command = ["train", "quick", "--planner", "limited", "--planner.node-limit", "5"]
+        run([*command, "--node-limit", "9"])
+    ((config, *_),) = caught
+    assert config.evaluation.domain.fleet.planner == LimitedConfig(5)
+    assert config.evaluation.repair.node_limit == 9
+
+
+def test_a_search_takes_a_planners_settings_and_says_them(caught, capsys):
+    with pytest.raises(CaughtError):
+        run(["train", "quick", *CHOSEN])
     with pytest.raises(CaughtError):
         run(["train", "quick", "--planner", "negotiated"])
     said = capsys.readouterr().out.splitlines()
-    assert re.search(r"; planner: pbs, rule plain, nodes per agent 5\b", said[0])
+    assert said[0].endswith("; planner: pbs, rule plain, nodes per agent 5")
     assert said[1].endswith("; planner: negotiated, low effort")
     (config, *_), (usual, *_) = caught
     assert config.evaluation.domain.fleet.planner == SPARSE
-    assert config.evaluation.repair.node_limit == 9
     assert usual.evaluation == PRESETS["quick"].evaluation  # a search's effort is low
 
 
@@ -99,14 +120,15 @@ def test_functions_take_a_planners_name_or_its_settings():
         qdenv.simulate(layout, planner="pibt", effort="low", **fleet)
 
 
-def test_a_configuration_takes_a_planners_name_its_settings_or_an_effort():
+def test_a_configuration_takes_a_planners_name_its_settings_or_an_effort(limited):
     def planner(**settings):
         return overridden(PRESETS["quick"], settings).evaluation.domain.fleet.planner
 
     assert planner(planner="pbs") == PbsConfig() and planner(planner=SPARSE) == SPARSE
     assert planner(effort="high") == HIGH and planner(planner="negotiated") == LOW
     assert planner(planner="pbs", rule="plain") == PbsConfig(rule="plain")
-    assert planner(planner="pbs", nodes_per_agent=5) == PbsConfig(nodes_per_agent=5)
+    with pytest.raises(InputError, match="'node_limit': give a whole planner or repair"):
+        planner(planner="limited", node_limit=5)
 
 
 @dataclass(frozen=True)
@@ -131,7 +153,7 @@ def test_reports_call_a_planner_by_its_name_and_settings():
     waiting = replace(LOW, last_resort="wait", backend="host")
     assert describe_planner(waiting) == "negotiated, low effort, last resort wait"
     assert describe_planner(PibtConfig("xla")) == "pibt"
-    assert describe_planner(SPARSE).startswith("pbs, rule plain, nodes per agent 5")
+    assert describe_planner(SPARSE) == "pbs, rule plain, nodes per agent 5"
     record = record_planner(SPARSE)
     assert list(record) == ["name", *(field.name for field in fields(PbsConfig))]
     assert (record["name"], record["nodes_per_agent"]) == ("pbs", 5)

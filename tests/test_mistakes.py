@@ -32,7 +32,7 @@ MISTAKES = {
     "compare plan.txt --planner pibt --planner.speed 3": "choose one of backend",
     "scalability plan.txt --planner pbs --planner.rul plain": "did you mean rule?",
     "simulate plan.txt --planner pbs --planner.rule best": "choose one of published, plain",
-    "train quick --planner pbs --planner.nodes-per-agent -3": "0 to 1,000,000 nodes per agent",
+    "train quick --planner pbs --planner.nodes-per-agent -3": "nodes per agent and window, not -3",
     "train quick --lanes 4": "unknown option --lanes: did you mean --planner.lanes?",
     "train maze-quick --planner pbs": "no fleet drives in this domain",
     "train quik": "did you mean quick?",

@@ -36,7 +36,7 @@ def find_planner(effort: str | None = None, planner: Any = "", usual: str = "hig
 
 
 def describe_planner(settings: Any) -> str:
-    """Name a planner and its settings for reports, like "pbs, rule plain, node limit 20000".
+    """Name a planner and its settings for reports, like "pbs, rule plain, nodes per agent 10".
 
     The negotiated one by its effort, or the closest one, and what is other than there.
     """
@@ -49,7 +49,9 @@ def describe_planner(settings: Any) -> str:
         }
         effort = min(others, key=lambda effort: len(others[effort]))
         words, said = [name, f"{effort} effort"], others[effort]
-    words += [f"{key.replace('_', ' ')} {value}" for key, value in said.items() if key != SILENT]
+    for key, value in said.items():
+        number = f"{value:g}" if isinstance(value, float) else value
+        words += [f"{key.replace('_', ' ')} {number}"] * (key != SILENT)
     return ", ".join(words)
 
 
