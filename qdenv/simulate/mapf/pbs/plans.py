@@ -131,10 +131,11 @@ def find_conflicts(plan: Plan, agent: int) -> None:
         hit[other] = 0
     for t in range(1, plan.fact[LAST, agent] + 1):
         here, before = cell[t, agent], cell[t - 1, agent]
+        bit = np.int32(1 << t)  # of the width of `hit`, so that eight go into one instruction
         for other in range(hit.size):
             meets = cell[t, other] == here
             swaps = (cell[t, other] == before) & (cell[t - 1, other] == here)
-            hit[other] |= (meets | swaps) << t
+            hit[other] |= bit if meets | swaps else np.int32(0)
     hit[agent] = 0
 
 

@@ -92,7 +92,7 @@ def reserve_path(table: Reservations, plan: Plan, agent: int, width: int) -> Non
 
 
 @formula
-def yields(plan: Plan, order: Priorities, agent: int, other: int, t: int, mark: int) -> bool:
+def yields(plan: Plan, order: Priorities, agent: int, other: int, t: int) -> bool:
     """Tell whether an agent (after a walk up from it) must give way to another at a conflict.
 
     Whoever is bound to its start has precedence there, whatever the priorities.
@@ -102,7 +102,7 @@ def yields(plan: Plan, order: Priorities, agent: int, other: int, t: int, mark: 
             return False
         if t < plan.fact[BOUND, other]:
             return True
-    return is_found(order, other, UP, mark)
+    return is_found(order, other, UP, order.number[MARK])
 
 
 @kernel
@@ -147,7 +147,8 @@ def settle(
     while waiting > 0:
         agent = take_highest(work, waiting)
         waiting -= 1
-        if not _gives_way(work, agent, first, last):
+        others = _move_conflicts(conflicts, agent, first, last)
+        if not _gives_way(work, agent, others, last):
             continue
         budget -= 1
         if work.changes.made[0] == work.changes.agent.size:
@@ -160,7 +161,7 @@ def settle(
             budget = -1
             break
         note(plan, work.changes, agent, NEW)
-        last = _drop_conflicts(conflicts, agent, first, last)
+        last = others
         find_conflicts(plan, agent)
         if last + crowd.nears.size > conflicts.size:
             work.tree.number[WANTED] = 1
@@ -173,29 +174,28 @@ def settle(
 
 
 @kernel
-def _gives_way(work: Workspace, agent: int, first: int, last: int) -> bool:
-    """Tell whether an agent (after a walk up) conflicts with somebody that it must give way to."""
-    mark = work.order.number[MARK]
-    for index in range(first, last):
-        t, one, two = parts_of(work.tree.conflict[index])
+def _move_conflicts(conflicts: np.ndarray, agent: int, first: int, last: int) -> int:
+    """Move the conflicts of an agent behind all others; returns where they begin."""
+    index = first
+    while index < last:
+        pack = conflicts[index]
+        _, one, two = parts_of(pack)
         if one == agent or two == agent:
-            other = one + two - agent
-            if yields(work.plan, work.order, agent, other, t, mark):
-                return True
-    return False
+            last -= 1
+            conflicts[index], conflicts[last] = conflicts[last], pack
+        else:
+            index += 1
+    return last
 
 
 @kernel
-def _drop_conflicts(conflicts: np.ndarray, agent: int, first: int, last: int) -> int:
-    """Drop the conflicts of an agent; returns one past what remains."""
-    kept = first
+def _gives_way(work: Workspace, agent: int, first: int, last: int) -> bool:
+    """Tell whether an agent must give way (after a walk up) in one of its conflicts."""
     for index in range(first, last):
-        pack = conflicts[index]
-        _, one, two = parts_of(pack)
-        if one != agent and two != agent:
-            conflicts[kept] = pack
-            kept += 1
-    return kept
+        t, one, two = parts_of(work.tree.conflict[index])
+        if yields(work.plan, work.order, agent, one + two - agent, t):
+            return True
+    return False
 
 
 @kernel
