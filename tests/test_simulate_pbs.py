@@ -125,7 +125,7 @@ def plan(instance: Instance, rule: str, seed: int = 0, node_limit: int = 20_000)
     count, shape = len(instance.agents), (height + 2, width + 2)
     terms = Terms(rule == "published", node_limit, instance.horizon)
     fields = empty_fields(shape, 2 * count, 2 * count)
-    work = make_workspace(count, instance.window, run.site.free.size, DEPTH, terms)
+    work = make_workspace(count, instance.window, run.site, DEPTH, terms)
     list_errands(run, fields, work.errands)
     solved = bool(solve(work, fields, run.site, seed))
     assert not work.tree.number[WANTED], "more depth is wanted"

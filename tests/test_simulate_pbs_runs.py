@@ -13,6 +13,7 @@ from qdenv.formats.layouts import read_layout
 from qdenv.simulate.mapf import chance, fleet
 from qdenv.simulate.mapf.host import run as host_run
 from qdenv.simulate.mapf.host.fields import Fields, empty_fields
+from qdenv.simulate.mapf.host.site import Site
 from qdenv.simulate.mapf.pbs import drive as pbs_drive
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.pbs.workspace import Terms, Workspace, make_workspace
@@ -121,9 +122,9 @@ def test_little_room_at_first_changes_nothing(rule, monkeypatch):
     expected = run_seeds(layout, SERVICES, config, (0,)).runs[0]
     depths, rooms = [], []
 
-    def shallow(agents: int, window: int, cells: int, depth: int, terms: Terms) -> Workspace:
+    def shallow(agents: int, window: int, site: Site, depth: int, terms: Terms) -> Workspace:
         depths.append(depth)
-        return make_workspace(agents, window, cells, depth, terms)
+        return make_workspace(agents, window, site, depth, terms)
 
     def little(shape: tuple[int, int], goals: int, rows: int) -> Fields:
         rooms.append(rows)

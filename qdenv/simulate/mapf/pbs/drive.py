@@ -33,7 +33,7 @@ def drive(config: PbsConfig, run: Run, fields: Fields) -> bool:
     resort = make_resort(agents, horizon, run.site.free.size)
     depth, end = FIRST_DEPTH, LACKS_DEPTH
     while end == LACKS_DEPTH:
-        work = make_workspace(agents, run.numbers.window, run.site.free.size, depth, terms)
+        work = make_workspace(agents, run.numbers.window, run.site, depth, terms)
         end = drive_windows(run, fields, work, resort)
         depth *= 2
     return bool(end == FINISHED)

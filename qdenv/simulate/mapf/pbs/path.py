@@ -28,7 +28,11 @@ SEARCH, DELAY = range(2)  # entries of `Search.number`
 
 
 class Search(NamedTuple):
-    """Room for the search of one path; w timesteps, N cells, S = 4 (w + 1) N states.
+    """Room for the search of one path of w timesteps, among S states.
+
+    All cells in reach lie in a square around the start, which has P = (2 w + 1)^2 places: so the
+    room stays the same for all agents, and in the cache. A state is a number whose bits are, from
+    the lowest, the place, the timestep and the layer: the leg, or `CAMPING`.
 
     Attributes:
         seen: int64 [S], the search that last reached a state.
@@ -37,6 +41,10 @@ class Search(NamedTuple):
         bucket: int32 [delays, w + 1], the first state of each bucket.
         cells: int64 [w + 1], the path found.
         number: int64 [2], the number of this search, and the delay of the path found.
+        offset: int64 [P], what leads from the start to the cell at a place.
+        steps: int64 [5], what each move adds to a place: wait, right, left, down, up.
+        time_bit: the lowest bit of the timestep.
+        layer_bit: the lowest bit of the layer.
     """
 
     seen: np.ndarray
@@ -45,11 +53,19 @@ class Search(NamedTuple):
     bucket: np.ndarray
     cells: np.ndarray
     number: np.ndarray
+    offset: np.ndarray
+    steps: np.ndarray
+    time_bit: int
+    layer_bit: int
 
 
-def make_search(window: int, cells: int) -> Search:
-    """Make room for the search of one path."""
-    states = LAYERS * (window + 1) * cells
+def make_search(window: int, width: int) -> Search:
+    """Make room for the search of one path in a padded grid of so many columns."""
+    side = 2 * window + 1
+    row, column = np.divmod(np.arange(side * side), side)
+    time_bit = (side * side).bit_length()
+    layer_bit = time_bit + (window + 1).bit_length()
+    states = LAYERS << layer_bit
     parent, following = np.empty((2, states), np.int32)
     # A step can lead away from the goal, which costs two.
     bucket = np.full((2 * window + 3, window + 1), NO_STATE, np.int32)
@@ -60,6 +76,10 @@ def make_search(window: int, cells: int) -> Search:
         bucket,
         np.zeros(window + 1, np.int64),
         np.zeros(2, np.int64),
+        (row - window) * width + column - window,
+        np.array([0, 1, -1, side, -side]),
+        time_bit,
+        layer_bit,
     )
 
 
@@ -89,7 +109,7 @@ def find_path(
         The timestep at which the path ends, the window or sooner, or `NO_PATH`.
     """
     horizon, may_camp, luck = terms
-    window, size = table.entry.shape[0] - 1, site.free.size
+    window, centre = table.entry.shape[0] - 1, search.offset.size // 2
     start, begin = errands.start[agent], errands.begin[agent]
     search.number[SEARCH] += 1
     search.number[DELAY] = 0
@@ -99,7 +119,7 @@ def find_path(
         return window
     search.bucket[:] = NO_STATE
     layer = CAMPING if may_camp else first_leg(errands, agent)
-    _open(search, (layer * (window + 1) + begin) * size + start, NO_STATE, 0, begin)
+    _open(search, _pack(search, layer, begin, centre), NO_STATE, 0, begin)
     delay, t = 0, begin
     while True:
         while t >= 0 and search.bucket[delay, t] == NO_STATE:
@@ -111,13 +131,31 @@ def find_path(
             continue
         state = search.bucket[delay, t]
         search.bucket[delay, t] = search.following[state]
-        layer = state // ((window + 1) * size)
+        layer = state >> search.layer_bit
         if t == window or (layer == DONE and t >= horizon):
             break
         t = _expand(search, table, fields, site, errands, agent, (state, delay, t, luck))
     search.number[DELAY] = delay
-    _read_path(search, state, window, size)
+    _read_path(search, state, start)
     return t
+
+
+@formula
+def _pack(search: Search, layer: int, t: int, place: int) -> int:
+    """Number a state."""
+    return (layer << search.layer_bit) | (t << search.time_bit) | place
+
+
+@formula
+def _place_of(search: Search, state: int) -> int:
+    """Read the place of a state."""
+    return state & ((1 << search.time_bit) - 1)
+
+
+@formula
+def _time_of(search: Search, state: int) -> int:
+    """Read the timestep of a state."""
+    return (state & ((1 << search.layer_bit) - 1)) >> search.time_bit
 
 
 @formula
@@ -140,8 +178,9 @@ def _expand(
 ) -> int:
     """Open all states one step on; returns the latest timestep that may have an open state."""
     state, delay, t, luck = here
-    window, size = table.entry.shape[0] - 1, site.free.size
-    layer, cell = state // ((window + 1) * size), state % size
+    window = table.entry.shape[0] - 1
+    layer, place = state >> search.layer_bit, _place_of(search, state)
+    cell = errands.start[agent] + search.offset[place]
     camps = layer == CAMPING
     leg = first_leg(errands, agent) if camps else layer
     steps, latest = to_go(fields, site, errands, agent, leg, cell), t
@@ -169,7 +208,7 @@ def _expand(
             next_t = min(until, window)
         goes_on = leg + 1 if leg < DONE and to == errands.cell[leg, agent] else leg
         late = delay + step + to_go(fields, site, errands, agent, goes_on, to) - steps
-        reached = (next_layer * (window + 1) + next_t) * size + to
+        reached = _pack(search, next_layer, next_t, place + search.steps[move])
         if search.seen[reached] != search.number[SEARCH] and 0 <= late < search.bucket.shape[0]:
             _open(search, reached, state, late, next_t)
             if late == delay:
@@ -187,12 +226,12 @@ def _is_free(table: Reservations, cell: int, first: int, last: int) -> bool:
 
 
 @kernel
-def _read_path(search: Search, state: int, window: int, size: int) -> None:
+def _read_path(search: Search, state: int, start: int) -> None:
     """Walk back from the last state; between two states an agent is served where it stands."""
-    end = state // size % (window + 1)
+    end = _time_of(search, state)
     while state != NO_STATE:
         before = search.parent[state]
-        t_before = before // size % (window + 1) if before != NO_STATE else -1
+        t_before = _time_of(search, before) if before != NO_STATE else -1
         for t in range(t_before + 1, end + 1):
-            search.cells[t] = state % size
+            search.cells[t] = start + search.offset[_place_of(search, state)]
         state, end = before, t_before

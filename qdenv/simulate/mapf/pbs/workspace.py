@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qdenv.simulate.mapf.host.site import Site
 from qdenv.simulate.mapf.pbs.errands import Errands, make_errands
 from qdenv.simulate.mapf.pbs.path import Search, make_search
 from qdenv.simulate.mapf.pbs.plans import Changes, Plan, make_changes, make_plan
@@ -109,13 +110,13 @@ class Workspace(NamedTuple):
     tally: np.ndarray
 
 
-def make_workspace(agents: int, window: int, cells: int, depth: int, terms: Terms) -> Workspace:
+def make_workspace(agents: int, window: int, site: Site, depth: int, terms: Terms) -> Workspace:
     """Make room for searches.
 
     Args:
         agents: how many take part.
         window: timesteps planned ahead.
-        cells: of the padded grid.
+        site: the layout.
         depth: nodes of a branch; changes and conflicts get room in proportion.
         terms: the numbers.
     """
@@ -130,8 +131,8 @@ def make_workspace(agents: int, window: int, cells: int, depth: int, terms: Term
         make_plan(agents, window),
         make_changes(CHANGES_PER_NODE * depth + 2 * agents, window),
         make_priorities(agents, depth + 1),
-        make_reservations(window, cells),
-        make_search(window, cells),
+        make_reservations(window, site.free.size),
+        make_search(window, site.width),
         crowd,
         _make_tree(agents, window, depth),
         terms,
