@@ -27,7 +27,7 @@ class PbsConfig:
     """
 
     rule: Rule = "published"
-    nodes_per_agent: float = 10.0
+    nodes_per_agent: float = 5.0
 
     def __post_init__(self) -> None:
         """Refuse an unknown rule, and a search without nodes."""
