@@ -28,7 +28,7 @@ from qdenv.simulate.mapf.pbs.reservations import (
     leaving,
     reserve,
 )
-from qdenv.simulate.mapf.pbs.workspace import CAMPS, REPLANS, WANTED, Workspace
+from qdenv.simulate.mapf.pbs.workspace import CAMPS, REPLANS, WANTED, Crowd, Workspace
 
 REPLANS_PER_AGENT = 5  # within a node, beyond which it is given up
 INCONSISTENT = -1
@@ -106,9 +106,8 @@ def yields(plan: Plan, order: Priorities, agent: int, other: int, t: int) -> boo
 
 
 @kernel
-def take_highest(work: Workspace, count: int) -> int:
+def take_highest(crowd: Crowd, order: Priorities, count: int) -> int:
     """Take an agent off the list of those who wait that has nobody above it there."""
-    crowd, order = work.crowd, work.order
     place, index = 0, 0
     walk(order, crowd.waiting[0], UP)
     while index < count:
@@ -145,10 +144,10 @@ def settle(
     plan, crowd, conflicts = work.plan, work.crowd, work.tree.conflict
     budget = REPLANS_PER_AGENT * crowd.nears.size
     while waiting > 0:
-        agent = take_highest(work, waiting)
+        agent = take_highest(crowd, work.order, waiting)
         waiting -= 1
         others = _move_conflicts(conflicts, agent, first, last)
-        if not _gives_way(work, agent, others, last):
+        if not _gives_way(plan, work.order, conflicts, agent, others, last):
             continue
         budget -= 1
         if work.changes.made[0] == work.changes.agent.size:
@@ -167,7 +166,9 @@ def settle(
             work.tree.number[WANTED] = 1
             budget = -1
             break
-        waiting, last = note_conflicts(work, agent, crowd.nears.size, waiting, last)
+        waiting, last = note_conflicts(
+            plan, work.order, crowd, conflicts, agent, crowd.nears.size, waiting, last
+        )
     for index in range(waiting):
         crowd.is_waiting[crowd.waiting[index]] = False
     return last if budget >= 0 else INCONSISTENT
@@ -189,23 +190,35 @@ def _move_conflicts(conflicts: np.ndarray, agent: int, first: int, last: int) ->
 
 
 @kernel
-def _gives_way(work: Workspace, agent: int, first: int, last: int) -> bool:
+def _gives_way(
+    plan: Plan, order: Priorities, conflicts: np.ndarray, agent: int, first: int, last: int
+) -> bool:
     """Tell whether an agent must give way (after a walk up) in one of its conflicts."""
     for index in range(first, last):
-        t, one, two = parts_of(work.tree.conflict[index])
-        if yields(work.plan, work.order, agent, one + two - agent, t):
+        t, one, two = parts_of(conflicts[index])
+        if yields(plan, order, agent, one + two - agent, t):
             return True
     return False
 
 
 @kernel
 def note_conflicts(
-    work: Workspace, agent: int, others: int, waiting: int, last: int
+    plan: Plan,
+    order: Priorities,
+    crowd: Crowd,
+    conflicts: np.ndarray,
+    agent: int,
+    others: int,
+    waiting: int,
+    last: int,
 ) -> tuple[int, int]:
     """Note the conflicts of a path, after `find_conflicts`, and let those wait who must give way.
 
     Args:
-        work: with the plan.
+        plan: the joint plan.
+        order: who is above whom.
+        crowd: receives those who wait.
+        conflicts: receives the conflicts.
         agent: whose path it is.
         others: only conflicts with agents of smaller numbers than this are noted.
         waiting: how many wait.
@@ -214,14 +227,13 @@ def note_conflicts(
     Returns:
         how many wait then, one past the last conflict.
     """
-    plan, order, crowd = work.plan, work.order, work.crowd
     walked = False
     for index in range(crowd.nears[agent]):
         other = crowd.near[agent, index]
         if other >= others or plan.hit[other] == 0:
             continue
         t = first_of(plan.hit[other])
-        work.tree.conflict[last] = conflict(t, agent, other)
+        conflicts[last] = conflict(t, agent, other)
         last += 1
         if not walked:
             walk(order, agent, DOWN)

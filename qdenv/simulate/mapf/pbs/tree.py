@@ -17,6 +17,7 @@ from qdenv.simulate.mapf.host.site import Site
 from qdenv.simulate.mapf.pbs.plans import (
     NEW,
     OLD,
+    Plan,
     be_nowhere,
     find_conflicts,
     parts_of,
@@ -32,7 +33,15 @@ from qdenv.simulate.mapf.pbs.priorities import (
     walk,
 )
 from qdenv.simulate.mapf.pbs.replan import INCONSISTENT, list_near, note_conflicts, replan, settle
-from qdenv.simulate.mapf.pbs.workspace import CONFLICTS, DEAD_ENDS, FAILED, NODES, WANTED, Workspace
+from qdenv.simulate.mapf.pbs.workspace import (
+    CONFLICTS,
+    DEAD_ENDS,
+    FAILED,
+    NODES,
+    WANTED,
+    Tree,
+    Workspace,
+)
 
 PREFERRED = 1 << 60  # taken off a conflict that comes first
 FIRST, PAST = 0, 1
@@ -53,14 +62,14 @@ def solve(work: Workspace, fields: Fields, site: Site, seed: int) -> bool:
     tree.number[WANTED], tree.number[DEAD_ENDS], tree.score[0] = 0, 0, -1
     last = plan_root(work, fields, site, seed)
     if last == INCONSISTENT:
-        keep_best(work, 0, 0)
+        keep_best(tree, plan, 0)
         return False
     first, depth, nodes = 0, 0, 0
     while True:
         if first == last:
             return True
-        earliest, pick = choose_conflict(work, first, last)
-        keep_best(work, earliest, plan.total[0])
+        earliest, pick = choose_conflict(tree, first, last)
+        keep_best(tree, plan, earliest)
         if nodes == work.terms.node_limit or tree.number[WANTED]:
             return False
         if depth == tree.cost.shape[0]:
@@ -102,20 +111,21 @@ def plan_root(work: Workspace, fields: Fields, site: Site, seed: int) -> int:
         if last + agent > tree.conflict.size:
             tree.number[WANTED] = 1
             return INCONSISTENT
-        waiting, last = note_conflicts(work, agent, agent, waiting, last)
+        waiting, last = note_conflicts(
+            plan, work.order, crowd, tree.conflict, agent, agent, waiting, last
+        )
     last = settle(work, fields, site, seed, waiting, 0, last)
     work.changes.made[0], tree.number[CONFLICTS] = 0, max(last, 0)
     return last
 
 
 @kernel
-def choose_conflict(work: Workspace, first: int, last: int) -> tuple[int, int]:
+def choose_conflict(tree: Tree, first: int, last: int) -> tuple[int, int]:
     """Choose the earliest conflict, but before it any whose agents had no feasible child once.
 
     Returns:
         the time of the earliest, the conflict chosen.
     """
-    tree = work.tree
     earliest, best, chosen = tree.conflict[first], PREFERRED, tree.conflict[first]
     for index in range(first, last):
         pack = tree.conflict[index]
@@ -128,14 +138,14 @@ def choose_conflict(work: Workspace, first: int, last: int) -> tuple[int, int]:
 
 
 @kernel
-def keep_best(work: Workspace, earliest: int, delay: int) -> None:
+def keep_best(tree: Tree, plan: Plan, earliest: int) -> None:
     """Keep the plan if its first conflict is later than all before, or of these it delays less."""
-    score, cell = work.tree.score, work.plan.cell
+    score, delay = tree.score, plan.total[0]
     if earliest > score[0] or (earliest == score[0] and delay < score[1]):
         score[0], score[1] = earliest, delay
-        for t in range(cell.shape[0]):
-            for agent in range(cell.shape[1]):
-                work.tree.best[t, agent] = cell[t, agent]
+        for t in range(plan.cell.shape[0]):
+            for agent in range(plan.cell.shape[1]):
+                tree.best[t, agent] = plan.cell[t, agent]
 
 
 @kernel
