@@ -22,8 +22,8 @@ from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.types import InputError
 
 STUDIES = ["simulate", "sweep", "compare", "scalability"]
-SPARSE = PbsConfig(rule="plain", node_limit=5)
-CHOSEN = ["--planner", "pbs", "--planner.rule", "plain", "--planner.node-limit", "5"]
+SPARSE = PbsConfig(rule="plain", nodes_per_agent=5)
+CHOSEN = ["--planner", "pbs", "--planner.rule", "plain", "--planner.nodes-per-agent", "5"]
 
 
 class CaughtError(Exception):
@@ -78,7 +78,7 @@ def test_a_search_takes_a_planners_settings_and_keeps_those_of_the_repair_apart(
     with pytest.raises(CaughtError):
         run(["train", "quick", "--planner", "negotiated"])
     said = capsys.readouterr().out.splitlines()
-    assert re.search(r"; planner: pbs, rule plain, node limit 5\b", said[0])
+    assert re.search(r"; planner: pbs, rule plain, nodes per agent 5\b", said[0])
     assert said[1].endswith("; planner: negotiated, low effort")
     (config, *_), (usual, *_) = caught
     assert config.evaluation.domain.fleet.planner == SPARSE
@@ -106,8 +106,7 @@ def test_a_configuration_takes_a_planners_name_its_settings_or_an_effort():
     assert planner(planner="pbs") == PbsConfig() and planner(planner=SPARSE) == SPARSE
     assert planner(effort="high") == HIGH and planner(planner="negotiated") == LOW
     assert planner(planner="pbs", rule="plain") == PbsConfig(rule="plain")
-    with pytest.raises(InputError, match="'node_limit': give a whole planner or repair"):
-        planner(planner="pbs", node_limit=5)
+    assert planner(planner="pbs", nodes_per_agent=5) == PbsConfig(nodes_per_agent=5)
 
 
 @dataclass(frozen=True)
@@ -132,10 +131,10 @@ def test_reports_call_a_planner_by_its_name_and_settings():
     waiting = replace(LOW, last_resort="wait", backend="host")
     assert describe_planner(waiting) == "negotiated, low effort, last resort wait"
     assert describe_planner(PibtConfig("xla")) == "pibt"
-    assert describe_planner(SPARSE).startswith("pbs, rule plain, node limit 5")
+    assert describe_planner(SPARSE).startswith("pbs, rule plain, nodes per agent 5")
     record = record_planner(SPARSE)
     assert list(record) == ["name", *(field.name for field in fields(PbsConfig))]
-    assert (record["name"], record["node_limit"]) == ("pbs", 5)
+    assert (record["name"], record["nodes_per_agent"]) == ("pbs", 5)
 
 
 def test_facts_of_a_study_hold_all_settings_of_its_planner(tmp_path, monkeypatch, capsys):

@@ -25,12 +25,12 @@ from pbs_oracle import (
 from qdenv.simulate.mapf.host.crew import Crew, Numbers, Run, Tally, Tape
 from qdenv.simulate.mapf.host.fields import empty_fields
 from qdenv.simulate.mapf.host.site import Site
-from qdenv.simulate.mapf.pbs.desk import NODES, WANTED, Desk, Terms, make_desk
 from qdenv.simulate.mapf.pbs.drive import drive
 from qdenv.simulate.mapf.pbs.errands import list_errands
 from qdenv.simulate.mapf.pbs.plans import LAST, LATE
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.pbs.tree import solve
+from qdenv.simulate.mapf.pbs.workspace import NODES, WANTED, Terms, Workspace, make_workspace
 
 RULES = ("published", "plain")
 SOME, EVERY = some_choice_works, every_choice_works
@@ -125,21 +125,21 @@ def plan(instance: Instance, rule: str, seed: int = 0, node_limit: int = 20_000)
     count, shape = len(instance.agents), (height + 2, width + 2)
     terms = Terms(rule == "published", node_limit, instance.horizon)
     fields = empty_fields(shape, 2 * count, 2 * count)
-    desk = make_desk(count, instance.window, run.site.free.size, DEPTH, terms)
-    list_errands(run, fields, desk.errands)
-    solved = bool(solve(desk, fields, run.site, seed))
-    assert not desk.tree.number[WANTED], "more depth is wanted"
-    return answer_of(desk, solved, width)
+    work = make_workspace(count, instance.window, run.site.free.size, DEPTH, terms)
+    list_errands(run, fields, work.errands)
+    solved = bool(solve(work, fields, run.site, seed))
+    assert not work.tree.number[WANTED], "more depth is wanted"
+    return answer_of(work, solved, width)
 
 
-def answer_of(desk: Desk, solved: bool, width: int) -> Answer:
+def answer_of(work: Workspace, solved: bool, width: int) -> Answer:
     """Read the plan in hand; cells are those of the instance."""
-    found = desk.plan
+    found = work.plan
     rows, columns = np.divmod(found.cell, width + 2)
     cells = (rows - 1) * width + columns - 1
     lasts = found.fact[LAST].tolist()
     paths = [tuple(cells[: last + 1, agent].tolist()) for agent, last in enumerate(lasts)]
-    return Answer(solved, paths, found.fact[LATE].tolist(), int(desk.count[NODES]))
+    return Answer(solved, paths, found.fact[LATE].tolist(), int(work.tally[NODES]))
 
 
 def base_of(maze: Maze, number: int) -> int:

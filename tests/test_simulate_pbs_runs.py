@@ -15,8 +15,8 @@ from qdenv.simulate.mapf import chance, fleet
 from qdenv.simulate.mapf.host import run as host_run
 from qdenv.simulate.mapf.host.fields import Fields, empty_fields
 from qdenv.simulate.mapf.pbs import drive as pbs_drive
-from qdenv.simulate.mapf.pbs.desk import UNSOLVED, Desk, make_desk
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
+from qdenv.simulate.mapf.pbs.workspace import UNSOLVED, Workspace, make_workspace
 from qdenv.study.runs import auditor, run_seeds
 from qdenv.types import TaskRule, Traffic
 
@@ -38,16 +38,16 @@ def audited(
     return done.runs
 
 
-def kept_desks(monkeypatch) -> list[Desk]:
+def kept_workspaces(monkeypatch) -> list[Workspace]:
     """Keep what the planner works on from here on."""
-    desks = []
+    works = []
 
-    def make(*sizes: Any) -> Desk:
-        desks.append(make_desk(*sizes))
-        return desks[-1]
+    def make(*sizes: Any) -> Workspace:
+        works.append(make_workspace(*sizes))
+        return works[-1]
 
-    monkeypatch.setattr(pbs_drive, "make_desk", make)
-    return desks
+    monkeypatch.setattr(pbs_drive, "make_workspace", make)
+    return works
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -60,10 +60,10 @@ def test_small_floors_of_every_domain_are_driven_by_the_rules(name, rule):
 
 
 @pytest.mark.parametrize("rule", RULES)
-@pytest.mark.parametrize("nodes", [0, 0.1, 2])
-def test_crowds_break_no_rule_where_windows_stay_unsolved(nodes, rule, monkeypatch):
+@pytest.mark.parametrize("nodes_per_agent", [0, 0.1, 2])
+def test_crowds_break_no_rule_where_windows_stay_unsolved(nodes_per_agent, rule, monkeypatch):
     """Up to two agents on three free cells, and stays longer than the window."""
-    planner, desks = PbsConfig(rule, nodes), kept_desks(monkeypatch)
+    planner, works = PbsConfig(rule, nodes_per_agent), kept_workspaces(monkeypatch)
     config = fleet.FleetConfig(agents=90, timesteps=63, planner=planner, stop_when_congested=False)
     for seed in SEEDS:
         layout = random_layout(np.random.default_rng(seed), 0.1 * (seed + 1))
@@ -71,9 +71,9 @@ def test_crowds_break_no_rule_where_windows_stay_unsolved(nodes, rule, monkeypat
         tasks = SERVICES if seed else PLAIN
         (run,) = audited(layout, tasks, config, (seed,), agents)
         assert run.finished.sum() > 0 and run.end_timestep == 63
-    unsolved = sum(desk.count[UNSOLVED] for desk in desks)
+    unsolved = sum(work.tally[UNSOLVED] for work in works)
     windows = 3 * 13
-    assert unsolved == windows if nodes < 1 else 0 < unsolved < windows
+    assert unsolved == windows if nodes_per_agent < 1 else 0 < unsolved < windows
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -135,7 +135,7 @@ def test_little_room_at_first_changes_nothing(rule, monkeypatch):
         agents=60, timesteps=33, planner=PbsConfig(rule, 1), stop_when_congested=False
     )
     expected = run_seeds(layout, SERVICES, config, (0,)).runs[0]
-    desks, rooms = kept_desks(monkeypatch), []
+    works, rooms = kept_workspaces(monkeypatch), []
 
     def little(shape: tuple[int, int], goals: int, rows: int) -> Fields:
         rooms.append(rows)
@@ -145,5 +145,5 @@ def test_little_room_at_first_changes_nothing(rule, monkeypatch):
     monkeypatch.setattr(host_run, "empty_fields", little)
     found = run_seeds(layout, SERVICES, config, (0,)).runs[0]
     jax.tree.map(np.testing.assert_array_equal, found, expected)
-    depths = [len(desk.tree.cost) for desk in desks]
+    depths = [len(work.tree.cost) for work in works]
     assert max(depths) > 1 and depths.count(1) > 1 and rooms and expected.finished.sum() > 0

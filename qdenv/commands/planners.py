@@ -22,7 +22,7 @@ OPTIONS = ConstructorRegistry()
 
 @OPTIONS.struct_rule
 def _name_options(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """Call the options of a planner's settings by the planner: others have a --node-limit, too."""
+    """Call the options of a planner by its name: other settings may have options of the same."""
     if NAMED in info.markers or not PLANNERS.has_loaded(info.type):
         return None
     plain = ConstructorRegistry.get_struct_spec(replace(info, markers=(*info.markers, NAMED)))

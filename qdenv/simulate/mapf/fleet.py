@@ -97,7 +97,8 @@ def run_window(
     fleet = look_ahead(world, fleet)
     state = agent_state(world, fleet, active)
     key = chance.key_of(chance.draw(seed, chance.PLANS), time)
-    paths = config.make_planner().plan(world, state, config.horizon, key)
+    assert (plan := config.make_planner().plan) is not None  # else it drives on the host
+    paths = plan(world, state, config.horizon, key)
     chex.assert_shape(paths, (config.window + 1, config.agents))
     goals = chance.draw(seed, chance.GOALS)
 

@@ -79,7 +79,8 @@ class Planner(NamedTuple):
 
     Attributes:
         plan: (world, state, horizon, key) -> paths int32 [window + 1, A]; traceable, consumes the
-            key. The window is the length of ``state.previous`` less one.
+            key. The window is the length of ``state.previous`` less one. None where a planner
+            drives whole runs only.
         max_window: most timesteps it plans ahead.
         max_service: longest service at a goal that it understands.
         margin: rows and columns of walls it wants around the grid, at least 1.

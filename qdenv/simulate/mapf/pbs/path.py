@@ -65,7 +65,7 @@ def make_search(window: int, cells: int) -> Search:
 
 @kernel
 def find_path(
-    work: Search,
+    search: Search,
     table: Reservations,
     fields: Fields,
     site: Site,
@@ -73,10 +73,10 @@ def find_path(
     agent: int,
     terms: tuple[int, bool, int],
 ) -> int:
-    """Find a shortest path into ``work.cells``, and its delay.
+    """Find a shortest path into ``search.cells``, and its delay.
 
     Args:
-        work: room.
+        search: room.
         table: what to avoid.
         fields: distances.
         site: where.
@@ -91,46 +91,46 @@ def find_path(
     horizon, may_camp, luck = terms
     window, size = table.entry.shape[0] - 1, site.free.size
     start, begin = errands.start[agent], errands.begin[agent]
-    work.number[SEARCH] += 1
-    work.number[DELAY] = 0
+    search.number[SEARCH] += 1
+    search.number[DELAY] = 0
     if begin >= window:
         for t in range(window + 1):
-            work.cells[t] = start
+            search.cells[t] = start
         return window
-    work.bucket[:] = NO_STATE
+    search.bucket[:] = NO_STATE
     layer = CAMPING if may_camp else first_leg(errands, agent)
-    _open(work, (layer * (window + 1) + begin) * size + start, NO_STATE, 0, begin)
+    _open(search, (layer * (window + 1) + begin) * size + start, NO_STATE, 0, begin)
     delay, t = 0, begin
     while True:
-        while t >= 0 and work.bucket[delay, t] == NO_STATE:
+        while t >= 0 and search.bucket[delay, t] == NO_STATE:
             t -= 1
         if t < 0:
             delay, t = delay + 1, window
-            if delay == work.bucket.shape[0]:
+            if delay == search.bucket.shape[0]:
                 return NO_PATH
             continue
-        state = work.bucket[delay, t]
-        work.bucket[delay, t] = work.following[state]
+        state = search.bucket[delay, t]
+        search.bucket[delay, t] = search.following[state]
         layer = state // ((window + 1) * size)
         if t == window or (layer == DONE and t >= horizon):
             break
-        t = _expand(work, table, fields, site, errands, agent, (state, delay, t, luck))
-    work.number[DELAY] = delay
-    _read_path(work, state, window, size)
+        t = _expand(search, table, fields, site, errands, agent, (state, delay, t, luck))
+    search.number[DELAY] = delay
+    _read_path(search, state, window, size)
     return t
 
 
 @formula
-def _open(work: Search, state: int, parent: int, delay: int, t: int) -> None:
+def _open(search: Search, state: int, parent: int, delay: int, t: int) -> None:
     """Put a state into its bucket."""
-    work.seen[state], work.parent[state] = work.number[SEARCH], parent
-    work.following[state] = work.bucket[delay, t]
-    work.bucket[delay, t] = state
+    search.seen[state], search.parent[state] = search.number[SEARCH], parent
+    search.following[state] = search.bucket[delay, t]
+    search.bucket[delay, t] = state
 
 
 @kernel
 def _expand(
-    work: Search,
+    search: Search,
     table: Reservations,
     fields: Fields,
     site: Site,
@@ -170,8 +170,8 @@ def _expand(
         goes_on = leg + 1 if leg < DONE and to == errands.cell[leg, agent] else leg
         late = delay + step + to_go(fields, site, errands, agent, goes_on, to) - steps
         reached = (next_layer * (window + 1) + next_t) * size + to
-        if work.seen[reached] != work.number[SEARCH] and 0 <= late < work.bucket.shape[0]:
-            _open(work, reached, state, late, next_t)
+        if search.seen[reached] != search.number[SEARCH] and 0 <= late < search.bucket.shape[0]:
+            _open(search, reached, state, late, next_t)
             if late == delay:
                 latest = max(latest, next_t)
     return latest
@@ -180,19 +180,19 @@ def _expand(
 @kernel
 def _is_free(table: Reservations, cell: int, first: int, last: int) -> bool:
     """Tell whether nobody reserved a cell from one timestep to another, both counted."""
+    taken = 0
     for t in range(first, last + 1):
-        if bits_at(table, t, cell) & HERE:
-            return False
-    return True
+        taken |= bits_at(table, t, cell) & HERE
+    return taken == 0
 
 
 @kernel
-def _read_path(work: Search, state: int, window: int, size: int) -> None:
+def _read_path(search: Search, state: int, window: int, size: int) -> None:
     """Walk back from the last state; between two states an agent is served where it stands."""
     end = state // size % (window + 1)
     while state != NO_STATE:
-        before = work.parent[state]
+        before = search.parent[state]
         t_before = before // size % (window + 1) if before != NO_STATE else -1
         for t in range(t_before + 1, end + 1):
-            work.cells[t] = state % size
+            search.cells[t] = state % size
         state, end = before, t_before

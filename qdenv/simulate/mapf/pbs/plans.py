@@ -38,13 +38,13 @@ class Changes(NamedTuple):
         agent: int32 [R].
         cell: int32 [R, 2, w + 1], the column of `Plan.cell` before and after.
         fact: int32 [R, 2, 3], that of `Plan.fact`.
-        count: int64 [1], how many there are.
+        made: int64 [1], how many there are.
     """
 
     agent: np.ndarray
     cell: np.ndarray
     fact: np.ndarray
-    count: np.ndarray
+    made: np.ndarray
 
 
 def make_plan(agents: int, window: int) -> Plan:
@@ -73,12 +73,14 @@ def be_nowhere(plan: Plan, errands: Errands) -> None:
 
 
 @kernel
-def adopt_path(plan: Plan, work: Search, errands: Errands, agent: int, terms: tuple) -> None:
+def adopt_path(
+    plan: Plan, search: Search, errands: Errands, agent: int, terms: tuple[int, bool]
+) -> None:
     """Give an agent the path that was found.
 
     Args:
         plan: receives it.
-        work: holds it.
+        search: holds it.
         errands: what agents have to do.
         agent: whose it is.
         terms: its last timestep; whether waiting at the start has precedence there.
@@ -86,25 +88,25 @@ def adopt_path(plan: Plan, work: Search, errands: Errands, agent: int, terms: tu
     last, clings = terms
     start = errands.start[agent]
     bound = min(errands.begin[agent], last) + 1
-    while clings and bound <= last and work.cells[bound] == start:
+    while clings and bound <= last and search.cells[bound] == start:
         bound += 1
-    plan.total[0] += work.number[DELAY] - plan.fact[LATE, agent]
+    plan.total[0] += search.number[DELAY] - plan.fact[LATE, agent]
     plan.fact[LAST, agent], plan.fact[BOUND, agent] = last, bound
-    plan.fact[LATE, agent] = work.number[DELAY]
+    plan.fact[LATE, agent] = search.number[DELAY]
     for t in range(plan.cell.shape[0]):
-        plan.cell[t, agent] = work.cells[t] if t <= last else -1 - agent
+        plan.cell[t, agent] = search.cells[t] if t <= last else -1 - agent
 
 
 @kernel
 def note(plan: Plan, changes: Changes, agent: int, when: int) -> None:
     """Write the path of an agent down, before (`OLD`) or after (`NEW`) a change."""
-    change = changes.count[0]
+    change = changes.made[0]
     changes.agent[change] = agent
     for t in range(plan.cell.shape[0]):
         changes.cell[change, when, t] = plan.cell[t, agent]
     for index in range(3):
         changes.fact[change, when, index] = plan.fact[index, agent]
-    changes.count[0] += when
+    changes.made[0] += when
 
 
 @kernel

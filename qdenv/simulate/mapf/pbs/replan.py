@@ -1,10 +1,11 @@
 """Plan agents again until nobody conflicts with anybody above it."""
 
+import numpy as np
+
 from qdenv.native import formula, kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.fields import Fields
 from qdenv.simulate.mapf.host.site import Site
-from qdenv.simulate.mapf.pbs.desk import CAMPS, REPLANS, WANTED, Desk
 from qdenv.simulate.mapf.pbs.path import NO_PATH, find_path
 from qdenv.simulate.mapf.pbs.plans import (
     BOUND,
@@ -27,16 +28,17 @@ from qdenv.simulate.mapf.pbs.reservations import (
     leaving,
     reserve,
 )
+from qdenv.simulate.mapf.pbs.workspace import CAMPS, REPLANS, WANTED, Workspace
 
 REPLANS_PER_AGENT = 5  # within a node, beyond which it is given up
 INCONSISTENT = -1
 
 
 @kernel
-def list_near(desk: Desk) -> None:
+def list_near(work: Workspace) -> None:
     """List for each agent those that it may meet within the window."""
-    crowd, errands = desk.crowd, desk.errands
-    reach = 2 * (desk.plan.cell.shape[0] - 1)
+    crowd, errands = work.crowd, work.errands
+    reach = 2 * (work.plan.cell.shape[0] - 1)
     crowd.nears[:] = 0
     for agent in range(crowd.nears.size):
         for other in range(agent):
@@ -49,32 +51,32 @@ def list_near(desk: Desk) -> None:
 
 
 @kernel
-def replan(desk: Desk, fields: Fields, site: Site, agent: int, seed: int) -> bool:
+def replan(work: Workspace, fields: Fields, site: Site, agent: int, seed: int) -> bool:
     """Plan the path of an agent past those above it (after a walk up); whether there is one."""
-    plan, near, terms = desk.plan, desk.crowd.near, desk.terms
-    desk.count[REPLANS] += 1
-    forget_reservations(desk.table)
-    above = desk.order.number[MARK]
-    for index in range(desk.crowd.nears[agent]):
+    plan, near, terms = work.plan, work.crowd.near, work.terms
+    work.tally[REPLANS] += 1
+    forget_reservations(work.table)
+    above = work.order.number[MARK]
+    for index in range(work.crowd.nears[agent]):
         other = near[agent, index]
-        if is_found(desk.order, other, UP, above):
-            reserve_path(desk.table, plan, other, site.width)
+        if is_found(work.order, other, UP, above):
+            reserve_path(work.table, plan, other, site.width)
         else:
             for t in range(1, plan.fact[BOUND, other]):
-                reserve(desk.table, t, desk.errands.start[other], HERE)
+                reserve(work.table, t, work.errands.start[other], HERE)
     luck, camps = chance.mix(seed, agent) & 7, False
     last = find_path(
-        desk.work, desk.table, fields, site, desk.errands, agent, (terms.horizon, camps, luck)
+        work.search, work.table, fields, site, work.errands, agent, (terms.horizon, camps, luck)
     )
     if last == NO_PATH and terms.published:
-        desk.count[CAMPS] += 1
+        work.tally[CAMPS] += 1
         camps = True
         last = find_path(
-            desk.work, desk.table, fields, site, desk.errands, agent, (terms.horizon, camps, luck)
+            work.search, work.table, fields, site, work.errands, agent, (terms.horizon, camps, luck)
         )
     if last == NO_PATH:
         return False
-    adopt_path(plan, desk.work, desk.errands, agent, (last, terms.published))
+    adopt_path(plan, work.search, work.errands, agent, (last, terms.published))
     return True
 
 
@@ -104,9 +106,9 @@ def yields(plan: Plan, order: Priorities, agent: int, other: int, t: int, mark: 
 
 
 @kernel
-def take_highest(desk: Desk, count: int) -> int:
+def take_highest(work: Workspace, count: int) -> int:
     """Take an agent off the list of those who wait that has nobody above it there."""
-    crowd, order = desk.crowd, desk.order
+    crowd, order = work.crowd, work.order
     place, index = 0, 0
     walk(order, crowd.waiting[0], UP)
     while index < count:
@@ -124,12 +126,12 @@ def take_highest(desk: Desk, count: int) -> int:
 
 @kernel
 def settle(
-    desk: Desk, fields: Fields, site: Site, seed: int, waiting: int, first: int, last: int
+    work: Workspace, fields: Fields, site: Site, seed: int, waiting: int, first: int, last: int
 ) -> int:
     """Plan those who wait again, the highest first, until nobody conflicts with anyone above it.
 
     Args:
-        desk: with a plan, its conflicts and a list of those who wait.
+        work: with a plan, its conflicts and a list of those who wait.
         fields: distances.
         site: where.
         seed: of ties.
@@ -140,51 +142,51 @@ def settle(
     Returns:
         One past the conflicts of the new plan, or `INCONSISTENT`; then nobody waits either.
     """
-    plan, order, crowd, conflicts = desk.plan, desk.order, desk.crowd, desk.tree.conflict
+    plan, crowd, conflicts = work.plan, work.crowd, work.tree.conflict
     budget = REPLANS_PER_AGENT * crowd.nears.size
     while waiting > 0:
-        agent = take_highest(desk, waiting)
+        agent = take_highest(work, waiting)
         waiting -= 1
-        if not _gives_way(desk, agent, first, last):
+        if not _gives_way(work, agent, first, last):
             continue
         budget -= 1
-        if desk.changes.count[0] == desk.changes.agent.size:
-            desk.tree.number[WANTED] = 1
+        if work.changes.made[0] == work.changes.agent.size:
+            work.tree.number[WANTED] = 1
             budget = -1
         if budget < 0:
             break
-        note(plan, desk.changes, agent, OLD)
-        if not replan(desk, fields, site, agent, seed):
+        note(plan, work.changes, agent, OLD)
+        if not replan(work, fields, site, agent, seed):
             budget = -1
             break
-        note(plan, desk.changes, agent, NEW)
+        note(plan, work.changes, agent, NEW)
         last = _drop_conflicts(conflicts, agent, first, last)
         find_conflicts(plan, agent)
         if last + crowd.nears.size > conflicts.size:
-            desk.tree.number[WANTED] = 1
+            work.tree.number[WANTED] = 1
             budget = -1
             break
-        waiting, last = _note_conflicts(desk, agent, waiting, last)
+        waiting, last = _note_conflicts(work, agent, waiting, last)
     for index in range(waiting):
         crowd.is_waiting[crowd.waiting[index]] = False
     return last if budget >= 0 else INCONSISTENT
 
 
 @kernel
-def _gives_way(desk: Desk, agent: int, first: int, last: int) -> bool:
+def _gives_way(work: Workspace, agent: int, first: int, last: int) -> bool:
     """Tell whether an agent (after a walk up) conflicts with somebody that it must give way to."""
-    mark = desk.order.number[MARK]
+    mark = work.order.number[MARK]
     for index in range(first, last):
-        t, one, two = parts_of(desk.tree.conflict[index])
+        t, one, two = parts_of(work.tree.conflict[index])
         if one == agent or two == agent:
             other = one + two - agent
-            if yields(desk.plan, desk.order, agent, other, t, mark):
+            if yields(work.plan, work.order, agent, other, t, mark):
                 return True
     return False
 
 
 @kernel
-def _drop_conflicts(conflicts: object, agent: int, first: int, last: int) -> int:
+def _drop_conflicts(conflicts: np.ndarray, agent: int, first: int, last: int) -> int:
     """Drop the conflicts of an agent; returns one past what remains."""
     kept = first
     for index in range(first, last):
@@ -197,16 +199,16 @@ def _drop_conflicts(conflicts: object, agent: int, first: int, last: int) -> int
 
 
 @kernel
-def _note_conflicts(desk: Desk, agent: int, waiting: int, last: int) -> tuple[int, int]:
+def _note_conflicts(work: Workspace, agent: int, waiting: int, last: int) -> tuple[int, int]:
     """Note the conflicts of a new path, and let those wait who must give way to it."""
-    plan, order, crowd = desk.plan, desk.order, desk.crowd
+    plan, order, crowd = work.plan, work.order, work.crowd
     walked = False
     for index in range(crowd.nears[agent]):
         other = crowd.near[agent, index]
         if plan.hit[other] == 0:
             continue
         t = first_of(plan.hit[other])
-        desk.tree.conflict[last] = conflict(t, agent, other)
+        work.tree.conflict[last] = conflict(t, agent, other)
         last += 1
         if not walked:
             walk(order, agent, DOWN)

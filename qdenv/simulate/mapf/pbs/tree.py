@@ -14,7 +14,6 @@ conflicts: so a node costs what it changes.
 from qdenv.native import kernel
 from qdenv.simulate.mapf.host.fields import Fields
 from qdenv.simulate.mapf.host.site import Site
-from qdenv.simulate.mapf.pbs.desk import CONFLICTS, FAILED, NODES, WANTED, Desk
 from qdenv.simulate.mapf.pbs.plans import (
     NEW,
     OLD,
@@ -35,7 +34,8 @@ from qdenv.simulate.mapf.pbs.priorities import (
     take_back,
     walk,
 )
-from qdenv.simulate.mapf.pbs.replan import INCONSISTENT, loser_of, list_near, replan, settle
+from qdenv.simulate.mapf.pbs.replan import INCONSISTENT, list_near, loser_of, replan, settle
+from qdenv.simulate.mapf.pbs.workspace import CONFLICTS, FAILED, NODES, WANTED, Workspace
 
 PREFERRED = 1 << 60  # taken off a conflict that comes first
 FIRST, PAST = 0, 1
@@ -44,64 +44,64 @@ CHILDREN, ENTERED = 0, 1
 
 
 @kernel
-def solve(desk: Desk, fields: Fields, site: Site, seed: int) -> bool:
-    """Search for paths without conflicts; returns whether they were found, in ``desk.plan``.
+def solve(work: Workspace, fields: Fields, site: Site, seed: int) -> bool:
+    """Search for paths without conflicts; returns whether they were found, in ``work.plan``.
 
-    If not, ``desk.tree.best`` is the plan whose first conflict is latest. Where room was wanting
-    ``desk.tree.number[WANTED]`` is set, and nothing is right.
+    If not, ``work.tree.best`` is the plan whose first conflict is latest. Where room was wanting
+    ``work.tree.number[WANTED]`` is set, and nothing is right.
     """
-    tree, plan = desk.tree, desk.plan
+    tree, plan = work.tree, work.plan
     tree.dead_end[:] = False
     tree.number[WANTED], tree.score[0] = 0, -1
-    last = plan_root(desk, fields, site, seed)
+    last = plan_root(work, fields, site, seed)
     if last == INCONSISTENT:
-        keep_best(desk, 0, 0)
+        keep_best(work, 0, 0)
         return False
     first, depth, nodes = 0, 0, 0
     while True:
         if first == last:
             return True
-        earliest, pick = choose_conflict(desk, first, last)
-        keep_best(desk, earliest, plan.total[0])
-        if nodes == desk.terms.node_limit or tree.number[WANTED]:
+        earliest, pick = choose_conflict(work, first, last)
+        keep_best(work, earliest, plan.total[0])
+        if nodes == work.terms.node_limit or tree.number[WANTED]:
             return False
         if depth == tree.cost.shape[0]:
             tree.number[WANTED] = 1
             return False
         nodes += 1
-        desk.count[NODES] += 1
-        expand(desk, fields, site, seed, depth, pick, (first, last))
-        while tree.count[depth, ENTERED] == tree.count[depth, CHILDREN]:
-            desk.changes.count[0] = tree.base[depth, CHANGE]
+        work.tally[NODES] += 1
+        expand(work, fields, site, seed, depth, pick, (first, last))
+        while tree.children[depth, ENTERED] == tree.children[depth, CHILDREN]:
+            work.changes.made[0] = tree.base[depth, CHANGE]
             tree.number[CONFLICTS] = tree.base[depth, CLASH]
             if depth == 0:
                 return False
             depth -= 1
-            leave(desk, depth)
-        child = enter(desk, depth)
+            leave(work, depth)
+        child = enter(work, depth)
         first, last = tree.clash[depth, child, FIRST], tree.clash[depth, child, PAST]
         depth += 1
 
 
 @kernel
-def plan_root(desk: Desk, fields: Fields, site: Site, seed: int) -> int:
+def plan_root(work: Workspace, fields: Fields, site: Site, seed: int) -> int:
     """Plan everybody by itself, one after the other; returns how many conflicts there are.
 
     Nobody has precedence but those who are bound to their start.
     """
-    plan, tree, crowd = desk.plan, desk.tree, desk.crowd
-    list_near(desk)
-    forget_priorities(desk.order)
-    be_nowhere(plan, desk.errands)
-    tree.number[CONFLICTS], desk.changes.count[0] = 0, 0
+    plan, tree, crowd = work.plan, work.tree, work.crowd
+    list_near(work)
+    forget_priorities(work.order)
+    be_nowhere(plan, work.errands)
+    tree.number[CONFLICTS], work.changes.made[0] = 0, 0
     for agent in range(crowd.nears.size):
-        walk(desk.order, agent, UP)
-        if not replan(desk, fields, site, agent, seed):
+        walk(work.order, agent, UP)
+        if not replan(work, fields, site, agent, seed):
             return INCONSISTENT
     last, waiting = 0, 0
     for agent in range(crowd.nears.size):
         find_conflicts(plan, agent)
-        walk(desk.order, agent, DOWN)
+        walk(work.order, agent, DOWN)
         for index in range(crowd.nears[agent]):
             other = crowd.near[agent, index]
             if other > agent or plan.hit[other] == 0:
@@ -112,24 +112,24 @@ def plan_root(desk: Desk, fields: Fields, site: Site, seed: int) -> int:
             t = first_of(plan.hit[other])
             tree.conflict[last] = conflict(t, agent, other)
             last += 1
-            loser = loser_of(plan, desk.order, agent, other, t)
+            loser = loser_of(plan, work.order, agent, other, t)
             if loser >= 0 and not crowd.is_waiting[loser]:
                 crowd.is_waiting[loser] = True
                 crowd.waiting[waiting] = loser
                 waiting += 1
-    last = settle(desk, fields, site, seed, waiting, 0, last)
-    desk.changes.count[0], tree.number[CONFLICTS] = 0, max(last, 0)
+    last = settle(work, fields, site, seed, waiting, 0, last)
+    work.changes.made[0], tree.number[CONFLICTS] = 0, max(last, 0)
     return last
 
 
 @kernel
-def choose_conflict(desk: Desk, first: int, last: int) -> tuple[int, int]:
+def choose_conflict(work: Workspace, first: int, last: int) -> tuple[int, int]:
     """Choose the earliest conflict, but before it any whose agents had no feasible child once.
 
     Returns:
         the time of the earliest, the conflict chosen.
     """
-    tree = desk.tree
+    tree = work.tree
     earliest, best, chosen = tree.conflict[first], PREFERRED, tree.conflict[first]
     for index in range(first, last):
         pack = tree.conflict[index]
@@ -142,19 +142,19 @@ def choose_conflict(desk: Desk, first: int, last: int) -> tuple[int, int]:
 
 
 @kernel
-def keep_best(desk: Desk, earliest: int, delay: int) -> None:
+def keep_best(work: Workspace, earliest: int, delay: int) -> None:
     """Keep the plan if its first conflict is later than all before, or of these it delays less."""
-    score, cell = desk.tree.score, desk.plan.cell
+    score, cell = work.tree.score, work.plan.cell
     if earliest > score[0] or (earliest == score[0] and delay < score[1]):
         score[0], score[1] = earliest, delay
         for t in range(cell.shape[0]):
             for agent in range(cell.shape[1]):
-                desk.tree.best[t, agent] = cell[t, agent]
+                work.tree.best[t, agent] = cell[t, agent]
 
 
 @kernel
 def expand(
-    desk: Desk,
+    work: Workspace,
     fields: Fields,
     site: Site,
     seed: int,
@@ -163,23 +163,23 @@ def expand(
     conflicts: tuple[int, int],
 ) -> None:
     """Make the children of a node, which is in hand before and after."""
-    tree, changes = desk.tree, desk.changes
+    tree, changes = work.tree, work.changes
     _, one, two = parts_of(pick)
-    tree.base[depth, CHANGE], tree.base[depth, CLASH] = changes.count[0], tree.number[CONFLICTS]
-    tree.count[depth, CHILDREN], tree.count[depth, ENTERED] = 0, 0
+    tree.base[depth, CHANGE], tree.base[depth, CLASH] = changes.made[0], tree.number[CONFLICTS]
+    tree.children[depth, CHILDREN], tree.children[depth, ENTERED] = 0, 0
     for child in range(2):
         low, high = (one, two) if child == 0 else (two, one)
-        walk(desk.order, high, UP)
-        if is_found(desk.order, low, UP, desk.order.number[MARK]):
+        walk(work.order, high, UP)
+        if is_found(work.order, low, UP, work.order.number[MARK]):
             continue
-        if make_child(desk, fields, site, seed, (depth, child, low, high), conflicts):
-            tree.turn[depth, tree.count[depth, CHILDREN]] = child
-            tree.count[depth, CHILDREN] += 1
+        if make_child(work, fields, site, seed, (depth, child, low, high), conflicts):
+            tree.turn[depth, tree.children[depth, CHILDREN]] = child
+            tree.children[depth, CHILDREN] += 1
         else:
-            desk.count[FAILED] += 1
-    if tree.count[depth, CHILDREN] == 0:
+            work.tally[FAILED] += 1
+    if tree.children[depth, CHILDREN] == 0:
         tree.dead_end[one, two] = tree.dead_end[two, one] = True
-    elif tree.count[depth, CHILDREN] == 2:
+    elif tree.children[depth, CHILDREN] == 2:
         costs, clash = tree.cost[depth], tree.clash[depth]
         many, few = clash[0, PAST] - clash[0, FIRST], clash[1, PAST] - clash[1, FIRST]
         if costs[1] < costs[0] or (costs[1] == costs[0] and few <= many):
@@ -188,7 +188,7 @@ def expand(
 
 @kernel
 def make_child(
-    desk: Desk,
+    work: Workspace,
     fields: Fields,
     site: Site,
     seed: int,
@@ -196,51 +196,51 @@ def make_child(
     conflicts: tuple[int, int],
 ) -> bool:
     """Make one child and write down what changes; returns whether it can be made consistent."""
-    tree, changes, plan, crowd = desk.tree, desk.changes, desk.plan, desk.crowd
+    tree, changes, plan, crowd = work.tree, work.changes, work.plan, work.crowd
     depth, side, low, high = child
-    first, change = tree.number[CONFLICTS], changes.count[0]
+    first, change = tree.number[CONFLICTS], changes.made[0]
     last = first + conflicts[1] - conflicts[0]
     if last > tree.conflict.size:
         tree.number[WANTED] = 1
         return False
     for index in range(last - first):
         tree.conflict[first + index] = tree.conflict[conflicts[0] + index]
-    put_above(desk.order, high, low)
+    put_above(work.order, high, low)
     crowd.waiting[0], crowd.is_waiting[low] = low, True
-    last = settle(desk, fields, site, seed, 1, first, last)
+    last = settle(work, fields, site, seed, 1, first, last)
     cost = plan.total[0]
-    take_back(desk.order)
-    for index in range(changes.count[0] - 1, change - 1, -1):
+    take_back(work.order)
+    for index in range(changes.made[0] - 1, change - 1, -1):
         redo(plan, changes, index, OLD)
     if last == INCONSISTENT:
-        changes.count[0] = change
+        changes.made[0] = change
         return False
     tree.low[depth, side], tree.high[depth, side], tree.cost[depth, side] = low, high, cost
     tree.clash[depth, side, FIRST], tree.clash[depth, side, PAST] = first, last
-    tree.change[depth, side, FIRST], tree.change[depth, side, PAST] = change, changes.count[0]
+    tree.change[depth, side, FIRST], tree.change[depth, side, PAST] = change, changes.made[0]
     tree.number[CONFLICTS] = last
     return True
 
 
 @kernel
-def enter(desk: Desk, depth: int) -> int:
+def enter(work: Workspace, depth: int) -> int:
     """Go down to the next child of a node; returns which one it is."""
-    tree = desk.tree
-    child = tree.turn[depth, tree.count[depth, ENTERED]]
-    tree.count[depth, ENTERED] += 1
-    put_above(desk.order, tree.high[depth, child], tree.low[depth, child])
+    tree = work.tree
+    child = tree.turn[depth, tree.children[depth, ENTERED]]
+    tree.children[depth, ENTERED] += 1
+    put_above(work.order, tree.high[depth, child], tree.low[depth, child])
     for change in range(tree.change[depth, child, FIRST], tree.change[depth, child, PAST]):
-        redo(desk.plan, desk.changes, change, NEW)
+        redo(work.plan, work.changes, change, NEW)
     return child
 
 
 @kernel
-def leave(desk: Desk, depth: int) -> None:
+def leave(work: Workspace, depth: int) -> None:
     """Go back up from the child that was entered last to its parent."""
-    tree = desk.tree
-    child = tree.turn[depth, tree.count[depth, ENTERED] - 1]
+    tree = work.tree
+    child = tree.turn[depth, tree.children[depth, ENTERED] - 1]
     for change in range(
         tree.change[depth, child, PAST] - 1, tree.change[depth, child, FIRST] - 1, -1
     ):
-        redo(desk.plan, desk.changes, change, OLD)
-    take_back(desk.order)
+        redo(work.plan, work.changes, change, OLD)
+    take_back(work.order)

@@ -10,7 +10,7 @@ from qdenv.simulate.mapf.pbs.plans import Changes, Plan, make_changes, make_plan
 from qdenv.simulate.mapf.pbs.priorities import Priorities, make_priorities
 from qdenv.simulate.mapf.pbs.reservations import Reservations, make_reservations
 
-NODES, FAILED, REPLANS, CAMPS, UNSOLVED, WINDOWS = range(6)  # entries of `Desk.count`
+NODES, FAILED, REPLANS, CAMPS, UNSOLVED, WINDOWS = range(6)  # entries of `Workspace.count`
 CONFLICTS, WANTED = range(2)  # entries of `Tree.number`
 
 
@@ -25,7 +25,7 @@ class Tree(NamedTuple):
         clash: int64 [D, 2, 2], likewise its conflicts.
         base: int64 [D, 2], how many changes and conflicts there were before the children.
         turn: int64 [D, 2], the children in the order in which they are searched.
-        count: int64 [D, 2], how many children there are, and how many were entered.
+        children: int64 [D, 2], how many there are, and how many were entered.
         conflict: int64 [K], the conflicts of all these nodes.
         dead_end: bool [A, A], pairs of agents that had no feasible child once.
         number: int64 [2], how many conflicts are kept, and whether room was wanting.
@@ -40,7 +40,7 @@ class Tree(NamedTuple):
     clash: np.ndarray
     base: np.ndarray
     turn: np.ndarray
-    count: np.ndarray
+    children: np.ndarray
     conflict: np.ndarray
     dead_end: np.ndarray
     number: np.ndarray
@@ -78,7 +78,7 @@ class Terms(NamedTuple):
     horizon: int
 
 
-class Desk(NamedTuple):
+class Workspace(NamedTuple):
     """Everything at hand.
 
     Attributes:
@@ -87,11 +87,11 @@ class Desk(NamedTuple):
         changes: of it.
         order: who is above whom.
         table: what the agent that is being planned must avoid.
-        work: room for its search.
+        search: room for its search.
         crowd: who may meet whom.
         tree: the branch in hand.
         terms: the numbers.
-        count: int64 [6], over all windows: nodes expanded, children that failed, paths planned,
+        tally: int64 [6], over all windows: nodes expanded, children that failed, paths planned,
             agents that stayed against reservations, unsolved windows, windows.
     """
 
@@ -100,14 +100,14 @@ class Desk(NamedTuple):
     changes: Changes
     order: Priorities
     table: Reservations
-    work: Search
+    search: Search
     crowd: Crowd
     tree: Tree
     terms: Terms
-    count: np.ndarray
+    tally: np.ndarray
 
 
-def make_desk(agents: int, window: int, cells: int, depth: int, terms: Terms) -> Desk:
+def make_workspace(agents: int, window: int, cells: int, depth: int, terms: Terms) -> Workspace:
     """Make room for searches.
 
     Args:
@@ -123,7 +123,7 @@ def make_desk(agents: int, window: int, cells: int, depth: int, terms: Terms) ->
         np.zeros(agents, np.int32),
         np.zeros(agents, np.bool_),
     )
-    return Desk(
+    return Workspace(
         make_errands(agents),
         make_plan(agents, window),
         make_changes(CHANGES_PER_NODE * depth + 2 * agents, window),
@@ -144,7 +144,7 @@ CONFLICTS_PER_NODE = 4  # and agent
 def _make_tree(agents: int, window: int, depth: int) -> Tree:
     low, high = np.empty((2, depth, 2), np.int32)
     change, clash = np.empty((2, depth, 2, 2), np.int64)
-    cost, base, turn, count = np.empty((4, depth, 2), np.int64)
+    cost, base, turn, children = np.empty((4, depth, 2), np.int64)
     return Tree(
         low,
         high,
@@ -153,7 +153,7 @@ def _make_tree(agents: int, window: int, depth: int) -> Tree:
         clash,
         base,
         turn,
-        count,
+        children,
         np.empty((CONFLICTS_PER_NODE * depth + 64) * agents, np.int64),
         np.zeros((agents, agents), np.bool_),
         np.zeros(2, np.int64),
