@@ -243,22 +243,6 @@ def orders(maze: Maze) -> list[tuple[int, ...]]:
     return list(itertools.permutations(range(len(maze.instance.agents))))
 
 
-def explains(maze: Maze, paths: list[Path]) -> bool:
-    """Tell whether some order explains a plan: each path is best past those before it."""
-    costs = [maze.price(number, path) for number, path in enumerate(paths)]
-    optimum = {}
-
-    def best(number: int, before: frozenset[int]) -> float:
-        if (number, before) not in optimum:
-            optimum[number, before] = maze.optimum(number, [paths[other] for other in before])
-        return optimum[number, before]
-
-    return any(
-        all(costs[a] == best(a, frozenset(order[:place])) for place, a in enumerate(order))
-        for order in orders(maze)
-    )
-
-
 def random_instance(rng: np.random.Generator, count: int) -> Instance:
     """Draw a crowded instance; some agents serve at the start, and everybody reaches its goals."""
     while True:
