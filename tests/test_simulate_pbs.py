@@ -239,7 +239,7 @@ def test_plain_paths_are_the_best_past_those_above_them(count):
                 cost = maze.price(agent, answer.paths[agent])
                 assert cost >= best
                 exact, paths, ordered = exact + (cost == best), paths + 1, ordered + len(above)
-    assert paths - exact <= (0 if count == 2 else 1)
+    assert exact >= (1 if count == 2 else 0.99) * paths
     assert paths > 300 and ordered > 50
 
 
