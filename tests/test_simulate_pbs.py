@@ -98,8 +98,6 @@ def run_of(instance: Instance, seed: int = 0) -> Run:
         width,
         1,
     )
-    for array in (site.free, site.odds):
-        array.flags.writeable = False  # as in any other run, which so shares the machine code
     paths = np.zeros((count, instance.window + 1), np.int64)
     crew = Crew(
         padded[[agent.start for agent in instance.agents]],

@@ -35,10 +35,11 @@ class Site(NamedTuple):
 def site_of(world: World) -> Site:
     """Take what host code needs of a world of numpy arrays."""
     width = world.traversable.shape[1]
+    # Copies: jax's own buffers cannot be written to, for which kernels would be compiled twice.
     return Site(
-        np.ascontiguousarray(world.traversable).reshape(-1),
+        np.array(world.traversable).reshape(-1),
         np.asarray(world.goals.cells, np.int64),
-        np.asarray(world.goals.odds),
+        np.array(world.goals.odds),
         np.asarray(world.service_time, np.int64),
         np.array([0, 1, -1, width, -width]),
         width,

@@ -22,8 +22,8 @@ from qdenv.simulate.mapf.pbs.reservations import HERE, Reservations, bits_at, op
 
 NO_STATE = -1
 NO_PATH = -1
-CAMPING = DONE + 1  # stands for the first leg while an agent stays at its start come what may
-LAYERS = CAMPING + 1
+CAMPING = DONE + 1  # added to the leg while an agent stays at its start come what may
+LAYERS = 2 * CAMPING
 SEARCH, DELAY = range(2)  # entries of `Search.number`
 
 
@@ -32,7 +32,7 @@ class Search(NamedTuple):
 
     All cells in reach lie in a square around the start, which has P = (2 w + 1)^2 places: so the
     room stays the same for all agents, and in the cache. A state is a number whose bits are, from
-    the lowest, the place, the timestep and the layer: the leg, or `CAMPING`.
+    the lowest, the place, the timestep and the layer: the leg, and `CAMPING` where it holds.
 
     Attributes:
         seen: int64 [S], the search that last reached a state.
@@ -118,7 +118,7 @@ def find_path(
             search.cells[t] = start
         return window
     search.bucket[:] = NO_STATE
-    layer = CAMPING if may_camp else first_leg(errands, agent)
+    layer = first_leg(errands, agent) + CAMPING * may_camp
     _open(search, _pack(search, layer, begin, centre), NO_STATE, 0, begin)
     delay, t = 0, begin
     while True:
@@ -132,7 +132,7 @@ def find_path(
         state = search.bucket[delay, t]
         search.bucket[delay, t] = search.following[state]
         layer = state >> search.layer_bit
-        if t == window or (layer == DONE and t >= horizon):
+        if t == window or (layer % CAMPING == DONE and t >= horizon):
             break
         t = _expand(search, table, fields, site, errands, agent, (state, delay, t, luck))
     search.number[DELAY] = delay
@@ -181,12 +181,12 @@ def _expand(
     window = table.entry.shape[0] - 1
     layer, place = state >> search.layer_bit, _place_of(search, state)
     cell = errands.start[agent] + search.offset[place]
-    camps = layer == CAMPING
-    leg = first_leg(errands, agent) if camps else layer
+    camps, leg = layer >= CAMPING, layer % CAMPING
     steps, latest = to_go(fields, site, errands, agent, leg, cell), t
     for turn in range(MOVES):
-        # Waiting is opened first, so that of equals it is taken last.
-        move = 0 if turn == 0 else 1 + ((luck + ((luck >> 1) & 2 | 1) * turn) & 3)
+        # Of equals what is opened last is taken first: to wait, only once all goals are served.
+        way = (turn + 1) % MOVES if leg == DONE else turn
+        move = 0 if way == 0 else 1 + ((luck + ((luck >> 1) & 2 | 1) * way) & 3)
         to = cell + site.steps[move]
         stays = camps and move == 0
         if not site.free[to]:
@@ -196,7 +196,7 @@ def _expand(
                 continue
             if move > 0 and bits_at(table, t, to) >> opposite(move) & 1:
                 continue
-        next_t, next_layer, step = t + 1, CAMPING if stays else leg, 1
+        next_t, next_leg, step = t + 1, leg, 1
         if leg == DONE:
             step = 0  # nothing is left to be late for
         elif to == errands.cell[leg, agent]:
@@ -204,11 +204,11 @@ def _expand(
             if not stays and not _is_free(table, to, t + 2, min(until, window)):
                 continue
             # A service that the window cuts short does not count as done.
-            next_layer = leg if until > window else leg + 1
+            next_leg = leg if until > window else leg + 1
             next_t = min(until, window)
         goes_on = leg + 1 if leg < DONE and to == errands.cell[leg, agent] else leg
         late = delay + step + to_go(fields, site, errands, agent, goes_on, to) - steps
-        reached = _pack(search, next_layer, next_t, place + search.steps[move])
+        reached = _pack(search, next_leg + CAMPING * stays, next_t, place + search.steps[move])
         if search.seen[reached] != search.number[SEARCH] and 0 <= late < search.bucket.shape[0]:
             _open(search, reached, state, late, next_t)
             if late == delay:
