@@ -26,6 +26,8 @@ class Errands(NamedTuple):
         cell: int64 [2, A], where they are.
         service_time: int64 [2, A], timesteps to serve there.
         between: int64 [A], steps from the first goal to the second.
+        holds: bool [N], cells on which some goal asks for service: an agent that has served both
+            goals may find its next one there, and be held until the service ends.
     """
 
     start: np.ndarray
@@ -36,13 +38,17 @@ class Errands(NamedTuple):
     cell: np.ndarray
     service_time: np.ndarray
     between: np.ndarray
+    holds: np.ndarray
 
 
-def make_errands(agents: int) -> Errands:
-    """Make room for what agents have to do."""
+def make_errands(agents: int, site: Site) -> Errands:
+    """Make room for what agents have to do on a layout."""
     start, row, column, begin, between = np.zeros((5, agents), np.int64)
     goal, cell, service_time = np.zeros((3, GOALS, agents), np.int64)
-    return Errands(start, row, column, begin, goal, cell, service_time, between)
+    likely = np.diff(site.odds, axis=1, prepend=np.float32(0)) > 0
+    holds = np.zeros(site.free.size, np.bool_)
+    holds[site.goals[likely[site.service_time > 0].any(axis=0)]] = True
+    return Errands(start, row, column, begin, goal, cell, service_time, between, holds)
 
 
 @kernel

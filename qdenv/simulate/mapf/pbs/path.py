@@ -134,7 +134,7 @@ def find_path(
         layer = state >> search.layer_bit
         if t == window or (layer % CAMPING == DONE and t >= horizon):
             break
-        t = _expand(search, table, fields, site, errands, agent, (state, delay, t, luck))
+        t = _expand(search, table, fields, site, errands, agent, (state, delay, t, luck, horizon))
     search.number[DELAY] = delay
     _read_path(search, state, start)
     return t
@@ -174,10 +174,10 @@ def _expand(
     site: Site,
     errands: Errands,
     agent: int,
-    here: tuple[int, int, int, int],
+    here: tuple[int, int, int, int, int],
 ) -> int:
     """Open all states one step on; returns the latest timestep that may have an open state."""
-    state, delay, t, luck = here
+    state, delay, t, luck, horizon = here
     window = table.entry.shape[0] - 1
     layer, place = state >> search.layer_bit, _place_of(search, state)
     cell = errands.start[agent] + search.offset[place]
@@ -199,6 +199,10 @@ def _expand(
         next_t, next_leg, step = t + 1, leg, 1
         if leg == DONE:
             step = 0  # nothing is left to be late for
+            if errands.holds[to]:
+                next_t = max(t + 1, horizon)
+                if not _is_free(table, to, t + 2, next_t):
+                    continue
         elif to == errands.cell[leg, agent]:
             until = t + 1 + errands.service_time[leg, agent]
             if not stays and not _is_free(table, to, t + 2, min(until, window)):

@@ -32,7 +32,8 @@ from qdenv.simulate.mapf.pbs.priorities import (
     take_back,
     walk,
 )
-from qdenv.simulate.mapf.pbs.replan import INCONSISTENT, list_near, note_conflicts, replan, settle
+from qdenv.simulate.mapf.pbs.replan import list_near, replan
+from qdenv.simulate.mapf.pbs.settle import INCONSISTENT, note_conflicts, settle
 from qdenv.simulate.mapf.pbs.workspace import (
     CONFLICTS,
     DEAD_ENDS,

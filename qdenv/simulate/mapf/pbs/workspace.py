@@ -127,7 +127,7 @@ def make_workspace(agents: int, window: int, site: Site, depth: int, terms: Term
         np.zeros(agents, np.bool_),
     )
     return Workspace(
-        make_errands(agents),
+        make_errands(agents, site),
         make_plan(agents, window),
         make_changes(CHANGES_PER_NODE * depth + 2 * agents, window),
         make_priorities(agents, depth + 1),
