@@ -129,7 +129,9 @@ def draw(path: Path, rows: Sequence[Outcome]) -> None:
     for axes, (name, own) in zip(grid, panels.items(), strict=False):
         plot(axes, own)
         axes.set_title(f"{name[0]} ({name[1]})", fontsize="small")
-        axes.set(xlabel="agents", ylabel="tasks / timestep, all runs", ylim=(0, None))
+        axes.set(
+            xlabel="agents", ylabel="tasks / timestep, all runs", ylim=(0, 1.06 * axes.dataLim.y1)
+        )
         axes.spines[["top", "right"]].set_visible(False)
         labels |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
     for axes in grid[len(panels) :]:
