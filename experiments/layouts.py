@@ -1,4 +1,4 @@
-"""Saved layouts: grown by an elite, drawn as people do, tiled; each with what its repair changed."""
+"""Saved layouts: grown by an elite, drawn as people do, or tiled; with what the repair changed."""
 
 import json
 from collections.abc import Sequence
