@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.pieces import Folders, Say
+from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
 from qdenv.domains.base import Domain, find_domain
 from qdenv.formats.layouts import write_layout
@@ -42,6 +43,11 @@ class Made(NamedTuple):
     domain: Domain
     facts: dict
 
+    @property
+    def refused(self) -> str:
+        """Why no repair was found, and it cannot be simulated therefore; "" where there was one."""
+        return str(self.facts.get("refused", ""))
+
 
 class SavedLayout(NamedTuple):
     """A layout of one domain, maker and size.
@@ -67,6 +73,13 @@ class SavedLayout(NamedTuple):
         """How lists call it."""
         return f"layout {self.stem}"
 
+    @property
+    def needs(self) -> tuple[Piece, ...]:
+        """The run whose elite draws it, or the layout that is tiled."""
+        if self.maker == "tiled":
+            return (SavedLayout(self.domain, "nca", S),)
+        return () if self.maker in ("human", "nca") else (self.run(),)
+
     def path(self, folders: Folders) -> Path:
         """Find its file."""
         return folders.results / "layouts" / f"{self.stem}.json"
@@ -80,46 +93,56 @@ class SavedLayout(NamedTuple):
         return SavedRun(f"{self.domain}-{self.maker}")
 
     def cost(self, folders: Folders) -> float:
-        """Estimate the CPU seconds of making it, its run included."""
+        """Estimate the CPU seconds of making it."""
         if self.done(folders):
             return 0.0
-        own = 0.0 if self.maker == "human" else SECONDS.get(self.shape, 40.0)
-        searched = self.maker not in ("human", "tiled", "nca")
-        return own + (self.run().cost(folders) if searched else 0.0)
+        return 0.0 if self.maker == "human" else SECONDS.get(self.shape, 40.0)
 
     def make(self, folders: Folders, say: Say) -> None:
-        """Grow, draw or tile it, repair it, and write it with what it was before."""
+        """Grow, draw or tile it, repair it, and write it with what it was before.
+
+        Where no repair is found the file says so, and holds what could not be repaired.
+        """
         say(f"{self.stem}: is being made")
-        before, made = self._create(folders, say)
-        domain = find_domain(self.domain)
+        grown, config, seed = self._draw(folders, say)
+        try:
+            made = sizes.finish(grown, config, seed)
+        except InputError as error:
+            say(f"{self.stem}: {error}")
+            made = sizes.Sized(grown.layout, grown.steps, {}, "failed", 0, 0.0)
+            facts = sizes.details(made) | {"refused": str(error)}
+        else:
+            facts = sizes.details(made)
         write_layout(
             self.path(folders),
             made.layout,
-            domain.tiles,
+            grown.domain.tiles,
             domain=self.domain,
             maker=self.maker,
-            **{name: value for name, value in sizes.details(made).items() if name != "domain"},
-            unrepaired=draw(before, domain.tiles),
+            **facts,
+            unrepaired=draw(grown.layout, grown.domain.tiles),
         )
 
-    def _create(self, folders: Folders, say: Say) -> tuple[np.ndarray, sizes.Sized]:
+    def _draw(self, folders: Folders, say: Say) -> tuple[Grown, RepairConfig, int]:
+        """Make the unrepaired layout, and say with which limits and seed to repair it."""
         domain = find_domain(self.domain).resized(*self.shape)
         if self.maker == "human":
+            # People obey the rules: nothing is repaired.
             layout = sizes.human_layout(domain)
-            numbers = domain.fitted(layout).numbers
-            return layout, sizes.Sized(layout, 0, numbers, "none", 0, 0.0)
+            return Grown(replace(domain, rules=None), None, layout, 0), RepairConfig(), 0
         if self.maker == "tiled":
-            small = SavedLayout(self.domain, "nca", S)
-            if not small.done(folders):
-                small.make(folders, say)
-            layout = sizes.tile_layout(domain, small.read(folders).layout)
-            return layout, sizes.finish(Grown(domain, None, layout, 0), RepairConfig(), 0)
+            small = SavedLayout(self.domain, "nca", S).read(folders)
+            layout = sizes.tile_layout(domain, small.layout)
+            return Grown(domain, None, layout, 0), RepairConfig(), 0
         if self.maker == "nca":
             run = RunDirectory.open(f"zoo:{self.domain}/best")
         else:
             run = self.run().whole(folders, say)
-        grown = grow_elite(run, "best", self.shape)
-        return grown.layout, sizes.finish(grown, run.config.evaluation.repair, run.config.seed)
+        return (
+            grow_elite(run, "best", self.shape),
+            run.config.evaluation.repair,
+            run.config.seed,
+        )
 
     def read(self, folders: Folders) -> Made:
         """Read it.
