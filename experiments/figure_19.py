@@ -1,5 +1,7 @@
 """Figure 19 and section E.4: tiled layouts of 101 x 102 and where agents are, beside grown ones."""
 
+import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 
@@ -15,6 +17,9 @@ from qdenv.plots.figure import new_figure
 from qdenv.plots.layouts import draw_layout
 
 MAPPED = 5  # runs whose usage is drawn
+MOST = 4.0  # times an even spread, where the colours end
+# Not down to the darkest red: obstacles are black.
+COLOURS = ListedColormap(colormaps["YlOrRd"](np.linspace(0, 0.85, 256)))
 MAKERS = ("tiled", "nca")
 LAYOUTS = {
     (domain, maker): SavedLayout(domain, maker, S_EVAL) for domain in FLEETS for maker in MAKERS
@@ -41,6 +46,10 @@ def draw(folders: Folders) -> Drawn:
         show_layout(panels[0, column], LAYOUTS[domain, "tiled"], folders)
         for axes, maker in zip(panels[1:, column], MAKERS, strict=True):
             show_usage(axes, USAGE[domain, maker], folders)
+    drawn = [axes.images[-1] for axes in panels[1:].flat if axes.images]
+    if drawn:
+        label = "time on the cell, times an even spread over the free cells"
+        figure.colorbar(drawn[0], ax=panels[1:], shrink=0.5, extend="max", label=label)
     rows = [row_of(domain, maker, folders) for domain, maker in LAYOUTS]
     note = f"T = 5000; usage: share of all agents' time, mean of {MAPPED} runs"
     return Drawn(figure, (*table(HEAD, rows), "", f"{note}, until they congest."))
@@ -76,23 +85,10 @@ def show_usage(axes: Axes, saved: SavedCourse, folders: Folders) -> None:
         return
     made = saved.layout.read(folders)
     tasks = made.domain.simulator.tasks
-    axes.imshow(
-        of_tiles(made.layout, tasks.traversable, tasks.tiles),
-        cmap=ListedColormap(["#000000", "#ffffff"]),
-        vmin=0,
-        vmax=1,
-    )
-    # Against an even spread over the free cells, so that all panels have one scale.
-    usage = found.usage / found.runs * of_tiles(made.layout, tasks.traversable, tasks.tiles).sum()
-    image = axes.imshow(
-        [[value if value > 0 else float("nan") for value in row] for row in usage],
-        cmap="YlOrRd",
-        vmin=0,
-        vmax=4,
-        interpolation="nearest",
-    )
-    bar = axes.figure.colorbar(image, ax=axes, shrink=0.7, extend="max")
-    bar.set_label("time on the cell, times an even spread", fontsize="small")
+    free = of_tiles(made.layout, tasks.traversable, tasks.tiles)
+    axes.imshow(free, cmap=ListedColormap(["#000000", "#ffffff"]), vmin=0, vmax=1)
+    usage = np.ma.masked_where(found.usage == 0, found.usage / found.runs * free.sum())
+    axes.imshow(usage, cmap=COLOURS, vmin=0, vmax=MOST, interpolation="nearest")
     axes.tick_params(length=0, labelbottom=False, labelleft=False)
     maker = LOOKS[saved.layout.maker].label
     jams = f"{found.congested} of {found.runs} runs congest"

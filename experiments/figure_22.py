@@ -23,7 +23,9 @@ def draw(folders: Folders) -> Drawn:
         named = (domain, "{} x {}".format(*shape), LOOKS[maker].label)
         found = [row for traffic in saved for row in traffic.outcomes(folders)]
         if not found:
-            refused = refusal_of(saved[0].layout, folders)
+            if refused := refusal_of(saved[0].layout, folders):
+                said = f"{LOOKS[maker].label}: no repair found"
+                axes.text(0.03, 0.93, said, transform=axes.transAxes, fontsize="small")
             rows.append((*named, f"N/A: {refused}" if refused else "not made yet", "", "", ""))
             continue
         means = [row.mean_of_all for row in found]

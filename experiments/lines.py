@@ -78,6 +78,7 @@ def finish(figure: Figure, panels: np.ndarray) -> None:
         if not handles:
             place = dict(ha="center", va="center", transform=axes.transAxes)
             axes.text(0.5, 0.5, "not made yet", **place)
+            axes.set(xticks=[], yticks=[])
             continue
         axes.set_ylim(bottom=0)
     if named:
