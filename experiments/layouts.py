@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.pieces import Folders, Say
+from experiments.archives import note
+from experiments.pieces import Drawn, Experiment, Folders, Say, table
 from experiments.runs import SavedRun
 from qdenv.domains.base import Domain, find_domain
+from qdenv.files import write_json
 from qdenv.formats.layouts import write_layout
 from qdenv.grid import draw, parse
 from qdenv.plots.figure import new_figure
@@ -138,6 +140,49 @@ class SavedLayout(NamedTuple):
         return Made(layout, unrepaired, domain.fitted(layout), content)
 
 
+class SavedGrowth(NamedTuple):
+    """How an automaton of the zoo grows a layout of its trained size.
+
+    Attributes:
+        domain: whose best generator.
+        every: steps from one frame to the next.
+    """
+
+    domain: str
+    every: int = 10
+
+    @property
+    def name(self) -> str:
+        """How lists call it."""
+        return f"growth of {self.domain}"
+
+    def path(self, folders: Folders) -> Path:
+        """Find its file."""
+        return folders.results / "layouts" / f"{self.domain}-growth.json"
+
+    def done(self, folders: Folders) -> float:
+        """Say whether it is saved."""
+        return float(self.path(folders).exists())
+
+    def cost(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of growing once more."""
+        return 0.0 if self.done(folders) else 10.0
+
+    def make(self, folders: Folders, say: Say) -> None:
+        """Grow it and keep the frames."""
+        run = RunDirectory.open(f"zoo:{self.domain}/best")
+        grown = grow_elite(run, "best")
+        steps, frames = sizes.grow_frames(run, grown, self.every)
+        tiles = grown.domain.tiles
+        drawn = [draw(frame, tiles) for frame in frames]
+        write_json(self.path(folders), {"steps": steps, "frames": drawn})
+
+    def read(self, folders: Folders) -> tuple[list[int], list[np.ndarray], Domain]:
+        """Read the numbers of steps, the frames (int8 [H, W]) and their domain."""
+        content, domain = json.loads(self.path(folders).read_text()), find_domain(self.domain)
+        return content["steps"], [parse(one, domain.tiles) for one in content["frames"]], domain
+
+
 class Panel(NamedTuple):
     """One layout of a figure.
 
@@ -152,6 +197,23 @@ class Panel(NamedTuple):
     unrepaired: bool = False
 
 
+def panels_of(shows: str, panels: Sequence[Panel]) -> Experiment:
+    """Make an experiment that shows layouts side by side, and says what the repair changed."""
+
+    def draw_all(folders: Folders) -> Drawn:
+        rows = []
+        for saved in dict.fromkeys(panel.saved for panel in panels if panel.saved.done(folders)):
+            made = saved.read(folders)
+            size, steps = "{} x {}".format(*made.layout.shape), made.facts["steps"] or ""
+            share = f"{made.facts['changed'] / made.layout.size:.1%}" if steps else ""
+            rows.append((saved.domain, saved.maker, size, steps, made.facts["changed"], share))
+        head = ("domain", "maker", "size", "steps of growth", "cells the repair changed", "share")
+        return Drawn(draw_panels(panels, folders), table(head, rows))
+
+    pieces = tuple(dict.fromkeys(panel.saved for panel in panels))
+    return Experiment(shows, pieces, draw_all)
+
+
 def draw_panels(panels: Sequence[Panel], folders: Folders) -> Figure:
     """Draw those layouts that are saved side by side; the others leave a note."""
     columns = min(COLUMNS, len(panels))
@@ -160,8 +222,7 @@ def draw_panels(panels: Sequence[Panel], folders: Folders) -> Figure:
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for place, panel in zip(axes, panels, strict=False):
         if not panel.saved.done(folders):
-            place.text(0.5, 0.5, f"{panel.saved.stem}\nnot made yet", ha="center", va="center")
-            place.set_axis_off()
+            note(place, f"{panel.saved.stem}\nnot made yet")
             continue
         made = panel.saved.read(folders)
         shown = made.unrepaired if panel.unrepaired else made.layout
