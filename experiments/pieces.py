@@ -1,6 +1,6 @@
 """What a figure is drawn from: pieces of saved results that can be made and say what that costs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeAlias
@@ -75,7 +75,7 @@ class Experiment:
         return any(piece.done(folders) > 0 for piece in self.pieces)
 
 
-def table(head: tuple[str, ...], rows: list[tuple[object, ...]]) -> tuple[str, ...]:
+def table(head: Sequence[str], rows: Sequence[tuple[object, ...]]) -> tuple[str, ...]:
     """Write a table in markdown."""
     lines = [f"| {' | '.join(head)} |", "| --- " * len(head) + "|"]
     return tuple(lines + [f"| {' | '.join(map(str, row))} |" for row in rows])

@@ -7,8 +7,10 @@ from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import TABLE_4
 from qdenv.study.differences import sample_of
 
-HEAD = ("domain", "algorithm", "runs", "evaluations", "QD-score", "coverage")
-HEAD += ("best objective", "paper: QD-score, coverage", "ours / paper's")
+HEAD = [
+    *("domain", "algorithm", "runs", "evaluations", "QD-score", "coverage"),
+    *("best objective", "paper: QD-score, coverage", "ours / paper's"),
+]
 
 
 def spread(values: list[float], form: str) -> str:
