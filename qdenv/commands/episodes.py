@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 from qdenv.commands.choices import LayoutFile
-from qdenv.commands.output import MOVING_PICTURES, JsonFile, Place, place, write_facts
+from qdenv.commands.output import MOVING_PICTURES, JsonFile, place, write_facts
 from qdenv.commands.waiting import waiting
 from qdenv.files import write_csv
 from qdenv.formats.layouts import write_layout
