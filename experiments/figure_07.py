@@ -1,6 +1,7 @@
 """Figure 7: example layouts of all domains at size S, grown and repaired."""
 
-from experiments.layouts import MAZE_S, Panel, SavedLayout, panels_of
+from experiments.layouts import MAZE_S, SavedLayout
+from experiments.panels import Panel, panels_of
 
 PANELS = (
     Panel("warehouse", SavedLayout("warehouse-even", "nca")),

@@ -1,6 +1,7 @@
 """Figure 10: warehouses of size S: designed by hand, and grown with three alphas."""
 
-from experiments.layouts import Panel, SavedLayout, panels_of
+from experiments.layouts import SavedLayout
+from experiments.panels import Panel, panels_of
 
 PANELS = (
     Panel("designed by hand", SavedLayout("warehouse-even", "human")),

@@ -1,6 +1,7 @@
 """Figure 11: factories of size S: designed by hand, grown and repaired, and as they were grown."""
 
-from experiments.layouts import Panel, SavedLayout, panels_of
+from experiments.layouts import SavedLayout
+from experiments.panels import Panel, panels_of
 
 PANELS = (
     Panel("designed by hand", SavedLayout("manufacturing", "human")),

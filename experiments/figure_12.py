@@ -1,6 +1,7 @@
 """Figure 12: grown warehouses of size S_eval, for three alphas."""
 
-from experiments.layouts import S_EVAL, Panel, SavedLayout, panels_of
+from experiments.layouts import S_EVAL, SavedLayout
+from experiments.panels import Panel, panels_of
 
 PANELS = (
     Panel("even, alpha = 0", SavedLayout("warehouse-even", "a0", S_EVAL)),

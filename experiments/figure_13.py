@@ -1,6 +1,7 @@
 """Figure 13: a factory of size S_eval, as it was grown and repaired."""
 
-from experiments.layouts import S_EVAL, Panel, SavedLayout, panels_of
+from experiments.layouts import S_EVAL, SavedLayout
+from experiments.panels import Panel, panels_of
 
 PANELS = (
     Panel("as it was grown", SavedLayout("manufacturing", "nca", S_EVAL), unrepaired=True),

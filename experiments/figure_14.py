@@ -1,6 +1,7 @@
 """Figure 14: a warehouse and a factory of size S_eval as people design them."""
 
-from experiments.layouts import S_EVAL, Panel, SavedLayout, panels_of
+from experiments.layouts import S_EVAL, SavedLayout
+from experiments.panels import Panel, panels_of
 
 PANELS = (
     Panel("warehouse", SavedLayout("warehouse-even", "human", S_EVAL)),

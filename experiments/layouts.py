@@ -1,23 +1,21 @@
 """Saved layouts: grown by an elite, drawn as people do, or tiled; with what the repair changed."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from experiments.archives import note
-from experiments.pieces import Drawn, Experiment, Folders, Say, table
+from experiments.pieces import Folders, Say
 from experiments.runs import SavedRun
+from qdenv.agent.baseline import BAND, draw_mazes
+from qdenv.agent.evaluate import without_ring
 from qdenv.domains.base import Domain, find_domain
 from qdenv.files import write_json
 from qdenv.formats.layouts import write_layout
 from qdenv.grid import draw, parse
-from qdenv.plots.figure import new_figure
-from qdenv.plots.layouts import draw_layout
 from qdenv.repair.settings import RepairConfig
+from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.study import sizes
 from qdenv.study.elites import Grown, grow_elite
 from qdenv.training.records import RunDirectory
@@ -25,7 +23,6 @@ from qdenv.types import InputError
 
 S, S_EVAL = (33, 36), (101, 102)
 MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
-COLUMNS = 3  # panels side by side
 SECONDS = {S: 10.0, S_EVAL: 90.0}  # CPU seconds of growing and repairing
 
 
@@ -50,8 +47,9 @@ class SavedLayout(NamedTuple):
 
     Attributes:
         domain: its name.
-        maker: "human", "tiled", "nca" (the zoo's best), or the end of a preset's name: "a0",
-            "a1", "cma-es", "dsage", whose run's best elite draws it.
+        maker: "human", "tiled", "nca" (the zoo's best), "random-0" and so on (a random maze like
+            the zoo's best), or the end of a preset's name: "a0", "a1", "cma-es", "dsage", whose
+            run's best elite draws it.
         shape: rows and columns.
     """
 
@@ -86,7 +84,7 @@ class SavedLayout(NamedTuple):
         if self.done(folders):
             return 0.0
         own = 0.0 if self.maker == "human" else SECONDS.get(self.shape, 40.0)
-        searched = self.maker not in ("human", "tiled", "nca")
+        searched = self.maker not in ("human", "tiled", "nca") and "random" not in self.maker
         return own + (self.run().cost(folders) if searched else 0.0)
 
     def make(self, folders: Folders, say: Say) -> None:
@@ -111,17 +109,25 @@ class SavedLayout(NamedTuple):
             numbers = domain.fitted(layout).numbers
             return layout, sizes.Sized(layout, 0, numbers, "none", 0, 0.0)
         if self.maker == "tiled":
-            small = SavedLayout(self.domain, "nca", S)
-            if not small.done(folders):
-                small.make(folders, say)
-            layout = sizes.tile_layout(domain, small.read(folders).layout)
+            layout = sizes.tile_layout(domain, self._other(S, folders, say).layout)
             return layout, sizes.finish(Grown(domain, None, layout, 0), RepairConfig(), 0)
+        if self.maker.startswith("random-"):
+            like, seed = self._other(self.shape, folders, say), int(self.maker[7:])
+            layout = np.asarray(domain.frame(random_like(like.layout, seed)))
+            return layout, sizes.Sized(layout, 0, {}, "none", 0, 0.0)
         if self.maker == "nca":
             run = RunDirectory.open(f"zoo:{self.domain}/best")
         else:
             run = self.run().whole(folders, say)
         grown = grow_elite(run, "best", self.shape)
         return grown.layout, sizes.finish(grown, run.config.evaluation.repair, run.config.seed)
+
+    def _other(self, shape: tuple[int, int], folders: Folders, say: Say) -> Made:
+        """Read the layout that it takes after: grown by the zoo's best; make it if need be."""
+        grown = SavedLayout(self.domain, "nca", shape)
+        if not grown.done(folders):
+            grown.make(folders, say)
+        return grown.read(folders)
 
     def read(self, folders: Folders) -> Made:
         """Read it.
@@ -138,6 +144,15 @@ class SavedLayout(NamedTuple):
             parse(content.pop(key), domain.tiles) for key in ("layout", "unrepaired")
         )
         return Made(layout, unrepaired, domain.fitted(layout), content)
+
+
+def random_like(layout: np.ndarray, seed: int) -> np.ndarray:
+    """Draw a random maze of as many walls and about as long a way as a ringed one, ringless."""
+    inside = without_ring(layout)
+    low, high = (share * int(longest_path(inside).length) for share in BAND)
+    walls = int((inside == WALL).sum())
+    (drawn,) = draw_mazes(seed, 1, inside.shape, walls, lambda length: low <= length <= high)
+    return drawn.layout
 
 
 class SavedGrowth(NamedTuple):
@@ -181,53 +196,3 @@ class SavedGrowth(NamedTuple):
         """Read the numbers of steps, the frames (int8 [H, W]) and their domain."""
         content, domain = json.loads(self.path(folders).read_text()), find_domain(self.domain)
         return content["steps"], [parse(one, domain.tiles) for one in content["frames"]], domain
-
-
-class Panel(NamedTuple):
-    """One layout of a figure.
-
-    Attributes:
-        title: above it.
-        saved: which.
-        unrepaired: show what it was before its repair.
-    """
-
-    title: str
-    saved: SavedLayout
-    unrepaired: bool = False
-
-
-def panels_of(shows: str, panels: Sequence[Panel]) -> Experiment:
-    """Make an experiment that shows layouts side by side, and says what the repair changed."""
-
-    def draw_all(folders: Folders) -> Drawn:
-        rows = []
-        for saved in dict.fromkeys(panel.saved for panel in panels if panel.saved.done(folders)):
-            made = saved.read(folders)
-            size, steps = "{} x {}".format(*made.layout.shape), made.facts["steps"] or ""
-            share = f"{made.facts['changed'] / made.layout.size:.1%}" if steps else ""
-            rows.append((saved.domain, saved.maker, size, steps, made.facts["changed"], share))
-        head = ("domain", "maker", "size", "steps of growth", "cells the repair changed", "share")
-        return Drawn(draw_panels(panels, folders), table(head, rows))
-
-    pieces = tuple(dict.fromkeys(panel.saved for panel in panels))
-    return Experiment(shows, pieces, draw_all)
-
-
-def draw_panels(panels: Sequence[Panel], folders: Folders) -> Figure:
-    """Draw those layouts that are saved side by side; the others leave a note."""
-    columns = min(COLUMNS, len(panels))
-    rows = -(-len(panels) // columns)
-    figure = new_figure(4.2 * columns, 4.4 * rows, dpi=100)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for place, panel in zip(axes, panels, strict=False):
-        if not panel.saved.done(folders):
-            note(place, f"{panel.saved.stem}\nnot made yet")
-            continue
-        made = panel.saved.read(folders)
-        shown = made.unrepaired if panel.unrepaired else made.layout
-        draw_layout(shown, made.domain.tiles, place, made.domain.names)
-        place.set_title(panel.title, fontsize="small")
-    for place in axes[len(panels) :]:
-        place.remove()
-    return figure

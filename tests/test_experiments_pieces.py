@@ -13,7 +13,8 @@ from matplotlib.image import imread
 from experiments import __main__ as command
 from experiments import figure_16, figure_20, figure_21, table_4
 from experiments.catalogue import find, names
-from experiments.layouts import Panel, SavedLayout, panels_of
+from experiments.layouts import SavedLayout
+from experiments.panels import Panel, panels_of
 from experiments.pieces import RESULTS, Drawn, Experiment, Folders
 from experiments.published import TABLE_4
 from experiments.runs import SavedRun, read_summary, summarise
