@@ -23,6 +23,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
 import qdenv
@@ -47,8 +48,10 @@ LOOKS = {  # Okabe and Ito 2008
     "low": ("#E69F00", "v"),
 }
 COLUMNS = 3  # panels side by side
-HEAD = ("layout", "agents", "T", "planner", "success (95 %)", "tasks / timestep")
-HEAD += ("paper, T = 5000", "CPU s / run", "congested at")
+HEAD = (
+    *("layout", "agents", "T", "planner", "success (95 %)", "tasks / timestep"),
+    *("paper, T = 5000", "CPU s / run", "congested at"),
+)
 
 
 def paper_on(row: Outcome) -> str:
@@ -110,7 +113,7 @@ def draw(path: Path, rows: Sequence[Outcome]) -> None:
     height = -(-len(panels) // columns)
     figure = new_figure(1 + 3.6 * columns, 0.9 + 3 * height)
     grid = figure.subplots(height, columns, squeeze=False).ravel()
-    labels = {}
+    labels: dict[str, Artist] = {}
     for axes, (name, own) in zip(grid, panels.items(), strict=False):
         plot(axes, own)
         axes.set_title(f"{name[0]} ({name[1]})", fontsize="small")
@@ -121,7 +124,9 @@ def draw(path: Path, rows: Sequence[Outcome]) -> None:
         labels |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
     for axes in grid[len(panels) :]:
         axes.remove()
-    figure.legend(labels.values(), labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(
+        list(labels.values()), list(labels), loc="outside lower center", ncols=4, frameon=False
+    )
     figure.suptitle("hollow: some runs congest; per cent: how many do not", fontsize="small")
     save_figure(figure, path)
 

@@ -97,12 +97,17 @@ class SavedCourse(NamedTuple):
         if not (self.path(folders).exists() and self.layout.done(folders)):
             return None
         content = json.loads(self.path(folders).read_text())
-        if content.pop("of") != list(self.case(folders).key(0)[:-1]):
+        if content["of"] != list(self.case(folders).key(0)[:-1]):
             return None
-        arrays = {name: np.array(content.pop(name)) for name in ("tasks", "squares")}
-        usage = [[int(part) for part in row.split()] for row in content.pop("usage")]
-        share = np.array(usage) * content["runs"] / PARTS
-        return Course(**content, **arrays, usage=share)
+        usage = np.array([[int(part) for part in row.split()] for row in content["usage"]])
+        return Course(
+            runs=content["runs"],
+            congested=content["congested"],
+            cpu_seconds=content["cpu_seconds"],
+            tasks=np.array(content["tasks"]),
+            squares=np.array(content["squares"]),
+            usage=usage * content["runs"] / PARTS,
+        )
 
     def done(self, folders: Folders) -> float:
         """Say which share of the runs is saved."""
@@ -124,7 +129,7 @@ class SavedCourse(NamedTuple):
         while found is None or found.runs < self.seeds:
             begin = found.runs if found else 0
             more = simulate(case, range(begin, min(begin + CHUNK, self.seeds)))
-            found = more if found is None else Course(*map(sum, zip(found, more, strict=True)))
+            found = more if found is None else add(found, more)
             self._write(folders, case, found)
             left = timedelta(seconds=round(self.cost(folders)))
             say(f"{found.runs} of {self.seeds} runs, about {left} left: {self.layout.stem}")
@@ -138,6 +143,18 @@ class SavedCourse(NamedTuple):
             "usage": [" ".join(map(str, row)) for row in parts],
         }
         write_json(self.path(folders), {"of": case.key(0)[:-1]} | content)
+
+
+def add(some: Course, more: Course) -> Course:
+    """Add further runs."""
+    return Course(
+        runs=some.runs + more.runs,
+        congested=some.congested + more.congested,
+        cpu_seconds=some.cpu_seconds + more.cpu_seconds,
+        tasks=some.tasks + more.tasks,
+        squares=some.squares + more.squares,
+        usage=some.usage + more.usage,
+    )
 
 
 def simulate(case: Case, seeds: range) -> Course:

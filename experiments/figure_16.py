@@ -1,6 +1,6 @@
 """Figure 16: result archives of warehouses over alpha, on one colour scale."""
 
-from experiments.archives import draw_archive, scale_of
+from experiments.archives import draw_archive, note, scale_of
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.runs import SavedRun
 from qdenv.plots.figure import new_figure
@@ -27,8 +27,7 @@ def draw(folders: Folders) -> Drawn:
         for alpha, axes in zip(ALPHAS, line, strict=True):
             one = found.get((domain, alpha))
             if one is None:
-                axes.text(0.5, 0.5, f"{domain}, alpha = {alpha}\nnot run yet", ha="center")
-                axes.set_axis_off()
+                note(axes, f"{domain}, alpha = {alpha}\nnot run yet")
                 continue
             image = draw_archive(axes, one, f"{domain}, alpha = {alpha}", scale)
             elites = len(one.elites["cell"])

@@ -12,14 +12,16 @@ COURSES = {
     for domain in FLEETS
     for maker in MAKERS
 }
-HEAD = ("domain", "layout", "runs", "congested", "tasks / timestep, first fifth", "last fifth")
-HEAD += ("paper, where congestion ends runs",)
+HEAD = (
+    *("domain", "layout", "runs", "congested", "tasks / timestep, first fifth", "last fifth"),
+    "paper, where congestion ends runs",
+)
 
 
 def draw(folders: Folders) -> Drawn:
     """Draw the mean of all runs with its 95 % interval, a panel per domain."""
     figure, panels = new_panels(1, len(FLEETS), FLEETS)
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for (domain, maker), saved in COURSES.items():
         axes, found = panels[0, FLEETS.index(domain)], saved.read(folders)
         paper = TRAFFIC[domain, maker, saved.agents]

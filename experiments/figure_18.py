@@ -20,8 +20,11 @@ PEAKS = {
     for shape in SIZES
     for maker in MAKERS
 }
-HEAD = ("domain", "size", *(f"{LOOKS[maker].label}: tasks / timestep, agents" for maker in MAKERS))
-HEAD += ("throughput (95 %)", "agents")
+HEAD = (
+    *("domain", "size"),
+    *(f"{LOOKS[maker].label}: tasks / timestep, agents" for maker in MAKERS),
+    *("throughput (95 %)", "agents"),
+)
 NOTES = (
     f"T = {TIMESTEPS}, {SEEDS} runs with each number of agents, high effort; the paper has "
     "T = 5000 and 50 runs.",

@@ -1,4 +1,4 @@
-"""Figure 19 and section E.4: tiled layouts of 101 x 102 and where agents are, beside grown ones."""
+"""Figure 19: tiled layouts of 101 x 102 and where agents are, beside grown ones (E.4)."""
 
 import numpy as np
 from matplotlib import colormaps
@@ -9,10 +9,9 @@ from experiments.courses import SavedCourse
 from experiments.layouts import S_EVAL, SavedLayout
 from experiments.lines import LOOKS
 from experiments.makers import TABLE, own_agents, refusal_of
-from experiments.pieces import Drawn, Experiment, Folders, table
+from experiments.pieces import Drawn, Experiment, Folders, Piece, table
 from experiments.published import FLEETS, TRAFFIC
 from experiments.traffic import SavedTraffic, moved_in, rate_of
-from qdenv.grid import of_tiles
 from qdenv.plots.figure import new_figure
 from qdenv.plots.layouts import draw_layout
 
@@ -34,8 +33,10 @@ USAGE = {
     (domain, maker): SavedCourse(layout, own_agents(domain, S_EVAL), seeds=MAPPED, stop=True)
     for (domain, maker), layout in LAYOUTS.items()
 }
-HEAD = ("domain", "layout", "agents", "cells changed", "success (95 %)", "tasks / timestep")
-HEAD += ("paper (success)",)
+HEAD = (
+    *("domain", "layout", "agents", "cells changed", "success (95 %)", "tasks / timestep"),
+    "paper (success)",
+)
 
 
 def draw(folders: Folders) -> Drawn:
@@ -84,10 +85,8 @@ def show_usage(axes: Axes, saved: SavedCourse, folders: Folders) -> None:
         say_missing(axes, f"usage of {saved.layout.stem}")
         return
     made = saved.layout.read(folders)
-    tasks = made.domain.simulator.tasks
-    free = of_tiles(made.layout, tasks.traversable, tasks.tiles)
-    axes.imshow(free, cmap=ListedColormap(["#000000", "#ffffff"]), vmin=0, vmax=1)
-    usage = np.ma.masked_where(found.usage == 0, found.usage / found.runs * free.sum())
+    axes.imshow(made.free, cmap=ListedColormap(["#000000", "#ffffff"]), vmin=0, vmax=1)
+    usage = np.ma.masked_where(found.usage == 0, found.usage / found.runs * made.free.sum())
     axes.imshow(usage, cmap=COLOURS, vmin=0, vmax=MOST, interpolation="nearest")
     axes.tick_params(length=0, labelbottom=False, labelleft=False)
     maker = LOOKS[saved.layout.maker].label
@@ -101,5 +100,5 @@ def say_missing(axes: Axes, what: str) -> None:
     axes.set_axis_off()
 
 
-PIECES = (*LAYOUTS.values(), *RUNS.values(), *USAGE.values())
+PIECES: tuple[Piece, ...] = (*RUNS.values(), *USAGE.values())
 EXPERIMENT = Experiment("tiled layouts, where agents are (section E.4)", PIECES, draw)

@@ -17,7 +17,7 @@ NOTES = (
 def draw(folders: Folders) -> Drawn:
     """Draw the mean of all runs over agents, a column per domain, a row per size."""
     figure, panels = new_panels(len(SIZES), len(FLEETS), FLEETS)
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for (domain, maker, shape), saved in CURVES.items():
         axes = panels[list(SIZES).index(shape), FLEETS.index(domain)]
         named = (domain, "{} x {}".format(*shape), LOOKS[maker].label)

@@ -1,22 +1,22 @@
 """Saved layouts: grown by an elite, drawn as people do, or tiled; with what the repair changed."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
+from qdenv.agent.baseline import BAND, draw_mazes
+from qdenv.agent.evaluate import without_ring
 from qdenv.domains.base import Domain, find_domain
+from qdenv.files import write_json
 from qdenv.formats.layouts import write_layout
-from qdenv.grid import draw, parse
-from qdenv.plots.figure import new_figure
-from qdenv.plots.layouts import draw_layout
+from qdenv.grid import draw, of_tiles, parse
 from qdenv.repair.settings import RepairConfig
+from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.study import sizes
 from qdenv.study.elites import Grown, grow_elite
 from qdenv.training.records import RunDirectory
@@ -24,7 +24,6 @@ from qdenv.types import InputError
 
 S, S_EVAL = (33, 36), (101, 102)
 MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
-COLUMNS = 3  # panels side by side
 SECONDS = {S: 10.0, S_EVAL: 90.0}  # CPU seconds of growing and repairing
 
 
@@ -48,14 +47,23 @@ class Made(NamedTuple):
         """Why no repair was found, and it cannot be simulated therefore; "" where there was one."""
         return str(self.facts.get("refused", ""))
 
+    @property
+    def free(self) -> np.ndarray:
+        """Cells that agents drive on, bool [H, W]; every cell where no fleet drives."""
+        tasks = self.domain.simulator.tasks
+        if tasks is None:
+            return np.ones(self.layout.shape, bool)
+        return np.asarray(of_tiles(self.layout, tasks.traversable, tasks.tiles))
+
 
 class SavedLayout(NamedTuple):
     """A layout of one domain, maker and size.
 
     Attributes:
         domain: its name.
-        maker: "human", "tiled", "nca" (the zoo's best), or the end of a preset's name: "a0",
-            "a1", "cma-es", "dsage", whose run's best elite draws it.
+        maker: "human", "tiled", "nca" (the zoo's best), "random-0" and so on (a random maze like
+            the zoo's best), or the end of a preset's name: "a0", "a1", "cma-es", "dsage", whose
+            run's best elite draws it.
         shape: rows and columns.
     """
 
@@ -74,10 +82,15 @@ class SavedLayout(NamedTuple):
         return f"layout {self.stem}"
 
     @property
+    def like(self) -> "SavedLayout":
+        """The grown layout that is tiled, or that a random maze takes after."""
+        return SavedLayout(self.domain, "nca", S if self.maker == "tiled" else self.shape)
+
+    @property
     def needs(self) -> tuple[Piece, ...]:
-        """The run whose elite draws it, or the layout that is tiled."""
-        if self.maker == "tiled":
-            return (SavedLayout(self.domain, "nca", S),)
+        """The run whose elite draws it, or the layout that it takes after."""
+        if self.maker == "tiled" or self.maker.startswith("random-"):
+            return (self.like,)
         return () if self.maker in ("human", "nca") else (self.run(),)
 
     def path(self, folders: Folders) -> Path:
@@ -131,9 +144,11 @@ class SavedLayout(NamedTuple):
             layout = sizes.human_layout(domain)
             return Grown(replace(domain, rules=None), None, layout, 0), RepairConfig(), 0
         if self.maker == "tiled":
-            small = SavedLayout(self.domain, "nca", S).read(folders)
-            layout = sizes.tile_layout(domain, small.layout)
+            layout = sizes.tile_layout(domain, self.like.read(folders).layout)
             return Grown(domain, None, layout, 0), RepairConfig(), 0
+        if self.maker.startswith("random-"):
+            drawn = random_like(self.like.read(folders).layout, int(self.maker[7:]))
+            return Grown(domain, None, np.asarray(domain.frame(drawn)), 0), RepairConfig(), 0
         if self.maker == "nca":
             run = RunDirectory.open(f"zoo:{self.domain}/best")
         else:
@@ -161,35 +176,58 @@ class SavedLayout(NamedTuple):
         return Made(layout, unrepaired, domain.fitted(layout), content)
 
 
-class Panel(NamedTuple):
-    """One layout of a figure.
+def random_like(layout: np.ndarray, seed: int) -> np.ndarray:
+    """Draw a random maze of as many walls and about as long a way as a ringed one, ringless."""
+    inside = without_ring(layout)
+    low, high = (share * int(longest_path(inside).length) for share in BAND)
+    walls = int((inside == WALL).sum())
+    (drawn,) = draw_mazes(seed, 1, inside.shape, walls, lambda length: low <= length <= high)
+    return drawn.layout
+
+
+class SavedGrowth(NamedTuple):
+    """How an automaton of the zoo grows a layout of its trained size.
 
     Attributes:
-        title: above it.
-        saved: which.
-        unrepaired: show what it was before its repair.
+        domain: whose best generator.
+        every: steps from one frame to the next.
     """
 
-    title: str
-    saved: SavedLayout
-    unrepaired: bool = False
+    domain: str
+    every: int = 10
 
+    @property
+    def name(self) -> str:
+        """How lists call it."""
+        return f"growth of {self.domain}"
 
-def draw_panels(panels: Sequence[Panel], folders: Folders) -> Figure:
-    """Draw those layouts that are saved side by side; the others leave a note."""
-    columns = min(COLUMNS, len(panels))
-    rows = -(-len(panels) // columns)
-    figure = new_figure(4.2 * columns, 4.4 * rows, dpi=100)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for place, panel in zip(axes, panels, strict=False):
-        if not panel.saved.done(folders):
-            place.text(0.5, 0.5, f"{panel.saved.stem}\nnot made yet", ha="center", va="center")
-            place.set_axis_off()
-            continue
-        made = panel.saved.read(folders)
-        shown = made.unrepaired if panel.unrepaired else made.layout
-        draw_layout(shown, made.domain.tiles, place, made.domain.names)
-        place.set_title(panel.title, fontsize="small")
-    for place in axes[len(panels) :]:
-        place.remove()
-    return figure
+    @property
+    def needs(self) -> tuple[Piece, ...]:
+        """Nothing: the zoo is at hand."""
+        return ()
+
+    def path(self, folders: Folders) -> Path:
+        """Find its file."""
+        return folders.results / "layouts" / f"{self.domain}-growth.json"
+
+    def done(self, folders: Folders) -> float:
+        """Say whether it is saved."""
+        return float(self.path(folders).exists())
+
+    def cost(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of growing once more."""
+        return 0.0 if self.done(folders) else 10.0
+
+    def make(self, folders: Folders, say: Say) -> None:
+        """Grow it and keep the frames."""
+        run = RunDirectory.open(f"zoo:{self.domain}/best")
+        grown = grow_elite(run, "best")
+        steps, frames = sizes.grow_frames(run, grown, self.every)
+        tiles = grown.domain.tiles
+        drawn = [draw(frame, tiles) for frame in frames]
+        write_json(self.path(folders), {"steps": steps, "frames": drawn})
+
+    def read(self, folders: Folders) -> tuple[list[int], list[np.ndarray], Domain]:
+        """Read the numbers of steps, the frames (int8 [H, W]) and their domain."""
+        content, domain = json.loads(self.path(folders).read_text()), find_domain(self.domain)
+        return content["steps"], [parse(one, domain.tiles) for one in content["frames"]], domain

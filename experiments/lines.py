@@ -1,15 +1,17 @@
 """Lines and bands of figures, told apart in colour and in grey."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qdenv.plots.figure import new_figure
 
 PANEL = (3.9, 3.1)  # inches
+Values: TypeAlias = Sequence[float] | np.ndarray
 
 
 class Look(NamedTuple):
@@ -31,9 +33,9 @@ class Look(NamedTuple):
 LOOKS = {
     "nca": Look("CMA-MAE + NCA", "#0072B2", "-", "o"),
     "human": Look("hand-made", "#D55E00", "--", "s"),
-    "cma-es": Look("CMA-ES + NCA", "#009E73", "-.", "^"),
-    "tiled": Look("tiled", "#E69F00", ":", "v"),
-    "dsage": Look("DSAGE", "#CC79A7", (0, (5, 1, 1, 1, 1, 1)), "D"),
+    "cma-es": Look("CMA-ES + NCA", "#E69F00", "-.", "^"),
+    "tiled": Look("tiled", "#009E73", ":", "v"),
+    "dsage": Look("DSAGE", "#CC79A7", ":", "D"),
 }
 
 
@@ -49,9 +51,7 @@ def new_panels(rows: int, columns: int, crown: Sequence[str]) -> tuple[Figure, n
     return figure, panels
 
 
-def draw_line(
-    axes: Axes, places: Sequence[float], mean: Sequence[float], half: Sequence[float], maker: str
-) -> None:
+def draw_line(axes: Axes, places: Values, mean: Values, half: Values, maker: str) -> None:
     """Draw a mean and its 95 % interval.
 
     Args:
@@ -71,7 +71,7 @@ def draw_line(
 
 def finish(figure: Figure, panels: np.ndarray) -> None:
     """Name the lines once for all panels, and say where there are none yet."""
-    named: dict[str, object] = {}
+    named: dict[str, Artist] = {}
     for axes in panels.flat:
         handles, labels = axes.get_legend_handles_labels()
         named |= dict(zip(labels, handles, strict=True))
@@ -83,5 +83,9 @@ def finish(figure: Figure, panels: np.ndarray) -> None:
         axes.set_ylim(bottom=0)
     if named:
         figure.legend(
-            named.values(), named, loc="outside lower center", ncols=len(named), frameon=False
+            list(named.values()),
+            list(named),
+            loc="outside lower center",
+            ncols=len(named),
+            frameon=False,
         )

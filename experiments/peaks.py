@@ -9,7 +9,6 @@ import numpy as np
 from experiments.layouts import SavedLayout
 from experiments.pieces import Folders, Piece, Say
 from experiments.traffic import SavedTraffic, rate
-from qdenv.grid import of_tiles
 from qdenv.study.ledger import complete
 from qdenv.study.outcomes import Outcome
 
@@ -77,10 +76,8 @@ class SavedPeak(NamedTuple):
         made = self.layout.read(folders)
         if made.refused:
             return ()
-        tasks = made.domain.simulator.tasks
-        free = int(of_tiles(made.layout, tasks.traversable, tasks.tiles).sum())
         moved = {row.agents: row.mean_of_all for row in self.outcomes(folders)}
-        fitting = {rung: n for rung in RUNGS if (n := self.agents_at(rung)) <= free}
+        fitting = {rung: n for rung in RUNGS if (n := self.agents_at(rung)) <= made.free.sum()}
         known = {rung: moved[n] for rung, n in fitting.items() if n in moved}
         return tuple(sorted({fitting[rung] for rung in next_rungs(known, max(fitting))}))
 

@@ -1,6 +1,6 @@
 """What a figure is drawn from: pieces of saved results that can be made and say what that costs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeAlias
@@ -76,20 +76,12 @@ class Experiment:
     @property
     def everything(self) -> tuple[Piece, ...]:
         """List its pieces and what they are made from, each once, nothing before what it needs."""
-        found: dict[Piece, None] = {}
-
-        def add(piece: Piece) -> None:
-            for one in piece.needs:
-                add(one)
-            found[piece] = None
-
-        for piece in self.pieces:
-            add(piece)
-        return tuple(found)
+        return _with_needs(self.pieces, lambda piece: True)
 
     def missing(self, folders: Folders) -> list[Piece]:
-        """List what is not whole."""
-        return [piece for piece in self.everything if piece.done(folders) < 1]
+        """List what is not whole, but for what nothing missing is made from."""
+        needed = _with_needs(self.pieces, lambda piece: piece.done(folders) < 1)
+        return [piece for piece in needed if piece.done(folders) < 1]
 
     def ready(self, folders: Folders) -> list[Piece]:
         """List what is not whole and can be made now, the cheapest first."""
@@ -102,7 +94,22 @@ class Experiment:
         return any(piece.done(folders) > 0 for piece in self.pieces)
 
 
-def table(head: tuple[str, ...], rows: list[tuple[object, ...]]) -> tuple[str, ...]:
+def _with_needs(pieces: Sequence[Piece], asks: Callable[[Piece], bool]) -> tuple[Piece, ...]:
+    """List pieces, each once, after what those that ask for it need."""
+    found: dict[Piece, None] = {}
+
+    def add(piece: Piece) -> None:
+        if piece not in found:
+            for one in piece.needs if asks(piece) else ():
+                add(one)
+            found[piece] = None
+
+    for piece in pieces:
+        add(piece)
+    return tuple(found)
+
+
+def table(head: Sequence[str], rows: Sequence[tuple[object, ...]]) -> tuple[str, ...]:
     """Write a table in markdown."""
     lines = [f"| {' | '.join(head)} |", "| --- " * len(head) + "|"]
     return tuple(lines + [f"| {' | '.join(map(str, row))} |" for row in rows])

@@ -14,7 +14,7 @@ from experiments.published import FLEETS
 from qdenv.files import write_csv
 from qdenv.plots.figure import new_figure
 from qdenv.study.differences import Sample, sample_of
-from qdenv.study.elites import Grown, grow_elite
+from qdenv.study.elites import Grown, find_elite, grow_elite
 from qdenv.study.sizes import SIZES, finish
 from qdenv.training.config import RunConfig
 from qdenv.training.records import RunDirectory
@@ -95,14 +95,15 @@ class SavedRuntime(NamedTuple):
     def make(self, folders: Folders, say: Say) -> None:
         """Grow and repair once per seed; each is saved as it ends."""
         run = RunDirectory.open(f"zoo:{self.domain}/best")
-        grown = grow_elite(run, "best", self.shape)
+        elite = find_elite(run)
+        grown = grow_elite(run, elite, self.shape)
         while (seed := len(known := self.read(folders))) < self.seeds:
-            row = measure(grown, run.config, seed)
+            row = measure(grown, elite.solution, run.config, seed)
             write_csv(self.path(folders), Runtime._fields, [*known, row])
             say(f"{self.name}: {seed + 1} of {self.seeds}, repair {row.repair_seconds:.1f} s")
 
 
-def measure(grown: Grown, config: RunConfig, seed: int) -> Runtime:
+def measure(grown: Grown, solution: np.ndarray, config: RunConfig, seed: int) -> Runtime:
     """Grow a layout once more and repair it by the clock of the CPU, all cores together.
 
     Raises:
@@ -114,11 +115,10 @@ def measure(grown: Grown, config: RunConfig, seed: int) -> Runtime:
     from qdenv.pipeline import canvas_of
 
     generator = GENERATORS.make(config.evaluation.generator, canvas_of(grown.domain))
-    solution = grown.elite.solution[None]
     begin = time.process_time()
-    grow = jax.jit(lambda some: generator.grow(some, grown.steps)).lower(solution).compile()
+    grow = jax.jit(lambda some: generator.grow(some, grown.steps)).lower(solution[None]).compile()
     compiled = time.process_time()
-    grow(solution).block_until_ready()
+    grow(solution[None]).block_until_ready()
     done = time.process_time()
     sized = finish(grown, config.evaluation.repair, seed)
     seconds = (round(compiled - begin, 4), round(done - compiled, 4), sized.cpu_seconds)
@@ -133,8 +133,10 @@ LOOKS = {  # Okabe and Ito 2008
     "manufacturing": ("#009E73", "^"),
     "maze-walls": ("#CC79A7", "D"),
 }
-HEAD = ("domain", "size", "steps", "compiling [s]", "growth [s]", "repair [s]", "repairs")
-HEAD += ("cells changed", "ended")
+HEAD = (
+    *("domain", "size", "steps", "compiling [s]", "growth [s]", "repair [s]", "repairs"),
+    *("cells changed", "ended"),
+)
 NOTES = (
     "CPU seconds of all threads together; mean +- standard error over the repairs. Compiling "
     "happens once per size.",
@@ -178,8 +180,10 @@ def draw_domain(axes: Axes, domain: str, own: dict[tuple[int, int], list[Runtime
         if not any(sample.mean for sample in samples):
             continue
         means, errors = ([getattr(one, part) for one in samples] for part in ("mean", "error"))
-        look = dict(color=colour, marker=marker, ls=style, mfc=fill, ms=5, capsize=2)
-        axes.errorbar(cells, means, np.nan_to_num(errors), label=f"{domain}, {label}", **look)
+        (line, *_) = axes.errorbar(
+            cells, means, np.nan_to_num(errors), color=colour, capsize=2, label=f"{domain}, {label}"
+        )
+        line.set(marker=marker, linestyle=style, markerfacecolor=fill, markersize=5)
 
 
 def seconds_of(found: list[Runtime], name: str) -> Sample:

@@ -6,8 +6,10 @@ from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import TRAFFIC
 from experiments.traffic import moved_in, rate_of
 
-HEAD = ("domain", "algorithm", "size", "agents", "planner", "success (95 %)", "tasks / timestep")
-HEAD += ("paper (success)",)
+HEAD = (
+    *("domain", "algorithm", "size", "agents", "planner", "success (95 %)", "tasks / timestep"),
+    "paper (success)",
+)
 PLANNERS = {"high": "ours, high effort", "published": "PBS, published rule"}
 NOTE = "Throughput: mean of the successful runs, +- its standard error; T = 5000."
 
