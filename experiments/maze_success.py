@@ -10,16 +10,16 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from experiments.layouts import MAZE_S, MAZE_S_EVAL, SavedLayout, random_like
-from experiments.lines import LOOKS
+from experiments.lines import LOOKS, finish, new_panels
 from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, table
 from experiments.published import MAZES
 from qdenv.agent.evaluate import evaluate_agent, without_ring
 from qdenv.files import write_csv
-from qdenv.plots.figure import new_figure
 from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.simulate.maze.world import WALL
 from qdenv.study.differences import sample_of
+from qdenv.types import Array
 
 GROWN = -1  # in place of a seed: the maze that the others take after
 TELL = 10  # mazes from one word on how far it is to the next
@@ -134,11 +134,11 @@ def solve(weights: Weights, grown: np.ndarray, maze: int, runs: int) -> Solved:
     )
 
 
-def checksum(*arrays: np.ndarray) -> str:
+def checksum(*arrays: Array) -> str:
     """Tell arrays from others."""
     total = 0
     for array in arrays:
-        total = zlib.crc32(np.ascontiguousarray(array).tobytes(), total)
+        total = zlib.crc32(np.asarray(array).tobytes(), total)
     return f"{total:08x}"
 
 
@@ -157,21 +157,20 @@ NOTE = (
 
 def draw(folders: Folders) -> Drawn:
     """Draw success rates on random mazes over their ways, and on the grown one, for both sizes."""
-    figure = new_figure(9, 3.6, dpi=100)
-    panels, rows = figure.subplots(1, len(PIECES), squeeze=False)[0], []
-    for axes, saved in zip(panels, PIECES, strict=True):
-        size = "{} x {}".format(*saved.layout.shape)
-        axes.set(title=size, xlabel="moves of the shortest way", ylabel="success rate")
-        axes.set_ylim(-0.04, 1.04)
-        axes.grid(alpha=0.3)
+    sizes = ["{} x {}".format(*saved.layout.shape) for saved in PIECES]
+    figure, panels = new_panels(1, len(PIECES), sizes)
+    rows: list[tuple[object, ...]] = []
+    for axes, saved, size in zip(panels[0], PIECES, sizes, strict=True):
+        axes.set(xlabel="moves of the shortest way", ylabel="success rate")
         found = saved.read(folders)
         if found:
             draw_rates(axes, found)
             rows.append((size, *row_of(found), MAZES.get(saved.layout.shape, "")))
         else:
             rows.append((size, "not made yet", *[""] * 5, MAZES.get(saved.layout.shape, "")))
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    finish(figure, panels)
+    for axes in panels[0]:
+        axes.set_ylim(-0.04, 1.04)
     return Drawn(figure, (*table(HEAD, rows), "", NOTE))
 
 
