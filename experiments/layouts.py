@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -167,15 +168,22 @@ class SavedLayout(NamedTuple):
         Raises:
             InputError: it is not saved.
         """
+        path = self.path(folders)
         try:
-            content = json.loads(self.path(folders).read_text())
+            about = path.stat()
         except OSError as error:
-            raise InputError(f"{self.path(folders)}: not saved yet") from error
-        domain = find_domain(self.domain).resized(*self.shape)
-        layout, unrepaired = (
-            parse(content.pop(key), domain.tiles) for key in ("layout", "unrepaired")
-        )
-        return Made(layout, unrepaired, domain.fitted(layout), content)
+            raise InputError(f"{path}: not saved yet") from error
+        return _read(path, (about.st_mtime_ns, about.st_ino), self.domain, self.shape)
+
+
+# Every piece that is made from a layout asks for it, again and again.
+@lru_cache(maxsize=256)
+def _read(path: Path, stamp: tuple[int, int], name: str, shape: tuple[int, int]) -> Made:
+    """Read a layout once; `stamp` tells the file from what it was before."""
+    del stamp
+    content, domain = json.loads(path.read_text()), find_domain(name).resized(*shape)
+    layout, unrepaired = (parse(content.pop(key), domain.tiles) for key in ("layout", "unrepaired"))
+    return Made(layout, unrepaired, domain.fitted(layout), content)
 
 
 def random_like(layout: np.ndarray, seed: int) -> np.ndarray:
