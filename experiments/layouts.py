@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from experiments.pieces import Folders, Piece, Say
@@ -24,6 +25,7 @@ from qdenv.types import InputError
 
 S, S_EVAL = (33, 36), (101, 102)
 MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
+_longest_path = jax.jit(longest_path)
 SECONDS = {S: 10.0, S_EVAL: 90.0}  # CPU seconds of growing and repairing
 
 
@@ -179,7 +181,7 @@ class SavedLayout(NamedTuple):
 def random_like(layout: np.ndarray, seed: int) -> np.ndarray:
     """Draw a random maze of as many walls and about as long a way as a ringed one, ringless."""
     inside = without_ring(layout)
-    low, high = (share * int(longest_path(inside).length) for share in BAND)
+    low, high = (share * int(_longest_path(inside).length) for share in BAND)
     walls = int((inside == WALL).sum())
     (drawn,) = draw_mazes(seed, 1, inside.shape, walls, lambda length: low <= length <= high)
     return drawn.layout
