@@ -24,7 +24,7 @@ CONFIG = TrainConfig(
     steps=3 * 128, units=4, bank=16, fresh=4, exam=2, levels=SMALL,
     ppo=ppo.PPOConfig(lanes=8, timesteps=16, minibatches=2),
 )  # fmt: skip
-REWARDS = rollout.Rewards(CONFIG.reward.novelty, CONFIG.reward.progress)
+REWARDS = rollout.Rewards(CONFIG.reward.novelty, CONFIG.reward.progress, CONFIG.reward.haste)
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +73,39 @@ def test_levels_are_solvable_and_half_are_longest_paths():
     assert 70 < int(drawn.longest.sum()) < 130
     walls = (np.asarray(drawn.kinds[:, 4:10, 4:10]) == WALL).sum((1, 2))
     assert walls.min() <= 1 and walls.max() >= 19
+
+
+def test_levels_of_many_sizes_keep_walls_and_horizon_in_proportion():
+    config = levels.LevelConfig(size=9, smallest=4, most_walls=40, horizon=(121, 242))
+    keys = jax.random.split(jax.random.key(2), 120)
+    sides = np.asarray(jax.vmap(lambda key: levels.draw_side(key, config))(keys))
+    assert set(sides.tolist()) == {4, 5, 6, 7, 8, 9}
+    layouts = jax.vmap(lambda key, side: levels.draw_layout(key, config, side))(keys, sides)
+    for layout, side in zip(np.asarray(layouts), sides, strict=True):
+        assert layout[side:].all() and layout[:, side:].all()
+        assert layout[:side, :side].sum() <= 40 * side**2 // 81
+    # Without walls the free tiles tell the side: 121 to 242 steps at 9 x 9, less at fewer tiles.
+    empty = replace(config, most_walls=0)
+    drawn = jax.vmap(lambda key: levels.draw_level(key, empty))(keys)
+    sides = np.sqrt((np.asarray(drawn.kinds) != WALL).sum((1, 2))).astype(int)
+    assert set(sides.tolist()) == {4, 5, 6, 7, 8, 9}
+    low = (sides + 2) ** 2
+    assert ((low <= drawn.horizon) & (drawn.horizon <= 2 * low)).all()
+    fixed = jax.vmap(lambda key: levels.draw_side(key, replace(config, smallest=0)))(keys)
+    assert set(np.asarray(fixed).tolist()) == {9}
+    with pytest.raises(InputError, match="in order"):
+        replace(config, smallest=10)
+
+
+def test_haste_takes_from_the_reward_of_the_goal(recorded):
+    state, _, _ = recorded
+    env = jax.tree.map(lambda x: x[0], state.envs)._replace(elapsed=jnp.int32(9))
+    env = env._replace(level=env.level._replace(horizon=jnp.int32(20)))
+    found = [
+        float(rollout._reward(env, env.pose, jnp.bool_(True), rollout.Rewards(0.0, 0.0, haste)))
+        for haste in (0.0, 0.5, 0.9)
+    ]
+    np.testing.assert_allclose(found, [1, 0.75, 0.55], atol=1e-6)
 
 
 def test_the_buffer_keeps_the_worthy_and_replaces_the_oldest(buffer):

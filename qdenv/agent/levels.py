@@ -1,7 +1,8 @@
 """Levels for the maze agent to train on: random walls, textures, edits; start and goal pairs.
 
-Every level lies on one canvas of fixed size. Half of the pairs are the evaluation's own (the first
-pair of the longest shortest path), the others a random tile and a random tile it can reach.
+Every level lies on one canvas of fixed size, small ones in its corner amid walls. Half of the pairs
+are the evaluation's own (the first pair of the longest shortest path), the others a random tile and
+a random tile it can reach.
 """
 
 from typing import NamedTuple
@@ -19,6 +20,7 @@ from qdenv.simulate.maze.world import (
     longest_path,
     on_canvas,
 )
+from qdenv.types import Array
 
 LONGEST_PERIOD = 12  # of textures
 UNSEEN = 10_000  # distance of tiles that cannot reach the goal
@@ -41,16 +43,28 @@ def _walls(noise: jax.Array, count: jax.Array) -> jax.Array:
     return (noise >= thresholds[noise.size - count]).astype(jnp.int8)
 
 
-def draw_layout(key: jax.Array, config: LevelConfig) -> jax.Array:
+def draw_side(key: jax.Array, config: LevelConfig) -> jax.Array:
+    """Draw the rows and columns of a maze (int32, consumes the key)."""
+    return jax.random.randint(key, (), config.smallest or config.size, config.size + 1)
+
+
+def draw_layout(key: jax.Array, config: LevelConfig, side: Array | None = None) -> jax.Array:
     """Draw a layout of random walls, or of a noisy linear texture (consumes the key).
 
     A texture repeats a random row of m values along a random lattice direction, which yields the
     stripes, diagonals and dashes that generators like to grow.
 
+    Args:
+        key: consumed.
+        config: what levels look like.
+        side: int32, rows and columns of the maze, which lies in the first corner of a solid
+            layout; the largest unless given.
+
     Returns:
         int8 [size, size].
     """
     n = config.size
+    side = n if side is None else side
     # One call for all random numbers: levels are drawn by the thousand.
     draws = jax.random.uniform(key, (n * n + LONGEST_PERIOD + 6,))
     noise, pattern = draws[: n * n].reshape(n, n), draws[n * n : -6]
@@ -60,7 +74,10 @@ def draw_layout(key: jax.Array, config: LevelConfig) -> jax.Array:
     down, right = (down * period).astype(jnp.int32), (right * period).astype(jnp.int32)
     texture = pattern[(down * row + right * col) % period] + (0.02 + 0.6 * rough) * noise
     field = jnp.where(kind < config.textured, texture, noise)
-    return _walls(field, (amount * (config.most_walls + 1)).astype(jnp.int32))
+    inside = (row < side) & (col < side)
+    most = config.most_walls * side**2 // n**2
+    layout = _walls(jnp.where(inside, field, -1.0), (amount * (most + 1)).astype(jnp.int32))
+    return jnp.where(inside, layout, WALL).astype(jnp.int8)
 
 
 def distances(kinds: jax.Array, goal: jax.Array) -> jax.Array:
@@ -107,10 +124,12 @@ def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax
 def draw_level(key: jax.Array, config: LevelConfig) -> Level:
     """Draw a new level (domain randomisation); consumes the key."""
     layout_key, pair_key, key = jax.random.split(key, 3)
-    low, high = config.horizon
+    side = draw_side(jax.random.fold_in(key, 1), config)
+    low, high = (steps * (side + 2) ** 2 // (config.size + 2) ** 2 for steps in config.horizon)
     span, kind = jax.random.uniform(key, (2,))
     horizon = low + (span * (high + 1 - low)).astype(jnp.int32)
-    return _pair_up(pair_key, draw_layout(layout_key, config), horizon, kind < config.longest)
+    layout = draw_layout(layout_key, config, side)
+    return _pair_up(pair_key, layout, horizon, kind < config.longest)
 
 
 def vary_level(key: jax.Array, level: Level, config: LevelConfig) -> Level:

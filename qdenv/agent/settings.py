@@ -40,10 +40,12 @@ class RewardConfig:
     Attributes:
         novelty: the first visit of a tile in an episode.
         progress: each move nearer to the goal (potential-based).
+        haste: share of the goal's reward that is lost by the horizon.
     """
 
     novelty: float = 0.01
     progress: float = 0.0
+    haste: float = 0.9
 
 
 @dataclass(frozen=True)
@@ -51,20 +53,30 @@ class LevelConfig:
     """What levels look like.
 
     Attributes:
-        size: rows and columns.
-        most_walls: walls are drawn from 0 to this.
+        size: rows and columns of the largest.
+        smallest: rows and columns of the smallest; all are of one size unless given.
+        most_walls: walls of the largest are drawn from 0 to this; smaller ones have fewer in
+            proportion to their area.
         textured: share of levels with a repeated pattern instead of independent walls.
         longest: share of levels with the longest-path pair.
-        horizon: shortest and longest horizon.
+        horizon: shortest and longest horizon of the largest; in proportion to the area.
         edits: tiles flipped when a level is varied (ACCEL).
     """
 
     size: int = 16
+    smallest: int = 0
     most_walls: int = 110
     textured: float = 0.25
     longest: float = 0.5
     horizon: tuple[int, int] = (250, 648)
     edits: int = 5
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that make no mazes."""
+        if self.size < 2 or (self.smallest and not 2 <= self.smallest <= self.size):
+            raise InputError(
+                f"sizes of mazes, {self.smallest} to {self.size}: give 2 or more, in order"
+            )
 
 
 @dataclass(frozen=True)

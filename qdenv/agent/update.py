@@ -86,7 +86,7 @@ def _schedule(config: TrainConfig, update: jax.Array) -> Schedule:
     novelty: jax.Array | float = config.reward.novelty
     if config.novelty_until < 1:
         novelty = novelty * jnp.clip(2 - 2 * done / config.novelty_until, 0.0, 1.0)
-    rewards = Rewards(novelty, config.reward.progress)
+    rewards = Rewards(novelty, config.reward.progress, config.reward.haste)
     return Schedule(config.rate * (1 - 0.95 * done), config.entropy * (1 - 0.9 * done), rewards)
 
 
