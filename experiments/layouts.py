@@ -27,7 +27,7 @@ from qdenv.types import InputError
 S, S_EVAL = (33, 36), (101, 102)
 MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
 _longest_path = jax.jit(longest_path)
-SECONDS = {S: 10.0, S_EVAL: 90.0}  # CPU seconds of growing and repairing
+SECONDS = {S: 4.0, S_EVAL: 10.0}  # CPU seconds of growing and repairing
 
 
 class Made(NamedTuple):
@@ -112,7 +112,7 @@ class SavedLayout(NamedTuple):
         """Estimate the CPU seconds of making it."""
         if self.done(folders):
             return 0.0
-        return 0.0 if self.maker == "human" else SECONDS.get(self.shape, 40.0)
+        return 0.0 if self.maker == "human" else SECONDS.get(self.shape, 8.0)
 
     def make(self, folders: Folders, say: Say) -> None:
         """Grow, draw or tile it, repair it, and write it with what it was before.

@@ -87,7 +87,7 @@ class SavedRuntime(NamedTuple):
     def cost(self, folders: Folders) -> float:
         """Estimate the CPU seconds of the repairs that are missing."""
         known = self.read(folders)
-        each = SECONDS.get(self.shape, 40.0)
+        each = SECONDS.get(self.shape, 8.0)
         if known:
             each = sum(sum(row[2:5]) for row in known) / len(known)
         return each * (self.seeds - len(known))

@@ -28,15 +28,23 @@ from experiments.published import AGENTS, TRAFFIC
 from experiments.runtimes import Runtime, SavedRuntime
 from experiments.traffic import SavedTraffic
 from qdenv.agent.evaluate import Success
-from qdenv.domains.base import find_domain
+from qdenv.domains.base import find_domain, make_domain
+from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.files import write_csv
 from qdenv.formats.layouts import write_layout
+from qdenv.generate.generator import GENERATORS
+from qdenv.generate.nca import NcaConfig
 from qdenv.grid import draw as draw_rows
+from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.score.traffic import wilson_interval
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.simulate.maze.world import longest_path
 from qdenv.study import ledger, sizes
 from qdenv.study.ledger import Case, Run
 from qdenv.study.runs import run_seeds
+from qdenv.training.config import RunConfig
+from qdenv.training.manifest import meaning_of
+from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
 HALL = SavedLayout("warehouse-even", "human", (9, 12))
@@ -333,17 +341,46 @@ def test_the_agent_is_measured_on_each_maze_once(folders, monkeypatch):
     assert saved.done(folders) == 0
 
 
-def test_runtimes_are_averaged_over_repairs(folders, monkeypatch):
+def test_runtimes_are_averaged_over_repairs(folders):
     saved = SavedRuntime("warehouse-even", S)
-    rows = [
-        Runtime(seed, 50, 1.0, 0.2, seconds, "optimal", 7) for seed, seconds in enumerate((2, 4))
-    ]
+    pairs = enumerate((2.0, 4.0))
+    rows = [Runtime(seed, 50, 1.0, 0.2, seconds, "optimal", 7) for seed, seconds in pairs]
     write_csv(saved.path(folders), Runtime._fields, rows)
     assert saved.read(folders) == rows and saved.done(folders) == pytest.approx(2 / 3)
     assert saved.cost(folders) == pytest.approx(1.0 + 0.2 + 3.0)
-    monkeypatch.setattr(runtimes, "measure", lambda grown, solution, config, seed: rows[0])
     drawn = runtimes.draw(folders)
     row = cells(drawn.lines[2])
     assert row[:3] == ["warehouse-even", "33 x 36", "50"]
     assert row[5:] == ["3.00 +- 1.00", "2", "7", "optimal"]
     assert len([line for line in drawn.lines if line.startswith("Not made yet")]) == 1
+
+
+def test_a_runtime_is_that_of_the_repair_that_other_commands_make(folders, tmp_path, monkeypatch):
+    evaluation = EvaluationConfig(
+        domain=WarehouseConfig(rows=11, cols=12, shelves=12, fleet=FleetConfig(4, 20)),
+        generator=NcaConfig(steps=8, kernel_sizes=(3, 1, 1), hidden=8),
+    )
+    config = RunConfig(evaluation=evaluation, seed=1)
+    domain = make_domain(evaluation.domain)
+    run = RunDirectory.create(tmp_path / "run", config, meaning_of(domain, domain.measures))
+    solution = np.random.default_rng(1).normal(
+        0, 0.6, GENERATORS.make(evaluation.generator, canvas_of(domain)).size
+    )
+    layout = np.zeros((1, 11, 12), np.int8)
+    run.save_archive(
+        {"index": np.array([0]), "solution": solution[None].astype(np.float32), "repaired": layout}
+        | {"objective": np.ones(1, np.float32), "measures": np.array([[141.0, 0.01]])}
+    )
+    monkeypatch.setattr(runtimes.RunDirectory, "open", lambda path: run)
+    saved = SavedRuntime("warehouse-even", (14, 13), seeds=1)
+    saved.make(folders, silent)
+    (row,) = saved.read(folders)
+    sized = next(sizes.grow_sizes(run, "best", [(14, 13)], seed=0))
+    assert (row.seed, row.steps, row.repair, row.changed) == (
+        0,
+        sized.steps,
+        sized.repair,
+        sized.changed,
+    )
+    assert 0 < row.grow_seconds < row.compile_seconds and row.changed > 0
+    assert saved.done(folders) == 1 and saved.cost(folders) == 0
