@@ -53,7 +53,7 @@ def draw_side(key: jax.Array, config: LevelConfig) -> jax.Array:
     return jax.random.randint(key, (), config.smallest or config.size, config.size + 1)
 
 
-def draw_layout(key: jax.Array, config: LevelConfig, side: Array | None = None) -> jax.Array:
+def draw_layout(key: jax.Array, config: LevelConfig, side: Array) -> jax.Array:
     """Draw a layout of random walls, or of a noisy linear texture (consumes the key).
 
     A texture repeats a random row of m values along a random lattice direction, which yields the
@@ -63,13 +63,12 @@ def draw_layout(key: jax.Array, config: LevelConfig, side: Array | None = None) 
         key: consumed.
         config: what levels look like.
         side: int32, rows and columns of the maze, which lies in the first corner of a solid
-            layout; the largest unless given.
+            layout.
 
     Returns:
         int8 [size, size].
     """
     n = config.size
-    side = n if side is None else side
     # One call for all random numbers: levels are drawn by the thousand.
     draws = jax.random.uniform(key, (n * n + LONGEST_PERIOD + 6,))
     noise, pattern = draws[: n * n].reshape(n, n), draws[n * n : -6]

@@ -114,8 +114,10 @@ def learn(
         carry: tuple[Weights, optax.OptState], envs: jax.Array
     ) -> tuple[tuple[Weights, optax.OptState], LearningLog]:
         weights, state = carry
-        part: Batch = jax.tree.map(lambda x: x[:, envs], batch._replace(memory=None))
-        part = part._replace(memory=jax.tree.map(lambda x: x[envs], batch.memory))
+        memory = jax.tree.map(lambda x: x[envs], batch.memory)
+        columns = batch.steps, batch.advantage, batch.returns, batch.anchored
+        steps, *others = jax.tree.map(lambda x: x[:, envs], columns)
+        part = Batch(steps, memory, *others)
         grads, log = jax.grad(loss, has_aux=True)(weights, part, config, entropy, anchor)
         updates, state = optimiser.update(grads, state, weights)
         return (optax.apply_updates(weights, updates), state), log
