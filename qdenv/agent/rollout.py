@@ -153,7 +153,13 @@ def collect(
     def one(envs: EnvState, key: jax.Array) -> tuple[EnvState, Transition]:
         draws = jax.random.uniform(key, (count, 3))
         envs, steps = everyone(envs, draws[:, 0])
-        return jax.vmap(restart)(envs, steps.done, draws[:, 1:], jnp.arange(count)), steps
+        # Levels are large and most steps end no episode: copy levels only when one does.
+        envs = jax.lax.cond(
+            steps.done.any(),
+            lambda: jax.vmap(restart)(envs, steps.done, draws[:, 1:], jnp.arange(count)),
+            lambda: envs,
+        )
+        return envs, steps
 
     envs, steps = jax.lax.scan(one, envs, jax.random.split(key, timesteps))
     # Learning needs the value of the states after the last step: one more step tells it.

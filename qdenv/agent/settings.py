@@ -90,6 +90,8 @@ class TrainConfig:
         units: LSTM units of the agent.
         actions: 3 (turn left, turn right, forward) or 7 (the published set, 4 do nothing).
         warm_start: an .npz agent to start from; "" for fresh weights.
+        anchor: weight of the divergence from the policy of the warm start, which keeps what it
+            knows; 0 lets it go.
         bank: levels C of the buffer under replay.
         fresh: new levels per update.
         rate: first learning rate; falls linearly to a twentieth.
@@ -108,6 +110,7 @@ class TrainConfig:
     units: int = 64
     actions: int = 3
     warm_start: str = ""
+    anchor: float = 0.0
     bank: int = 4096
     fresh: int = 64
     rate: float = 1e-3
@@ -127,6 +130,8 @@ class TrainConfig:
         sizes = (self.ppo.lanes, self.ppo.timesteps, self.ppo.epochs, self.ppo.minibatches)
         if min(sizes) < 1 or self.ppo.lanes % self.ppo.minibatches:
             raise InputError("minibatches must divide lanes, and all numbers of PPO be 1 or more")
+        if self.anchor and not self.warm_start:
+            raise InputError("an anchor is a policy to start from: add --warm-start AGENT.npz")
         if not 0 < self.fresh <= self.bank:
             raise InputError("fresh levels per update must number between 1 and the bank's size")
         if not 0 <= self.seed < 2**32:
