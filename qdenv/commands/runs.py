@@ -74,7 +74,7 @@ class Growth:
     Attributes:
         rows: rows of the layout; the trained size unless given.
         cols: columns of the layout; the trained size unless given.
-        steps: steps of growth; scaled with the size unless given.
+        steps: steps of growth; unless given what is known of the size, or else scaled with it.
         keep: drawing of the layout's shape: ? is free, a tile must be this tile; what the run
             kept, at its size, unless given.
         frames: also draw the layout after every so many steps (Figure 6).
@@ -122,7 +122,8 @@ def generate(
 
     Args:
         run_dir: folder of the run.
-        numbers: exact numbers of tiles; scaled with the area unless given.
+        numbers: exact numbers of tiles; unless given what is known of the size, or else scaled with
+            the area.
         growth: size and steps.
         choice: which elite.
         seed: other seeds give other, equally good repairs; the run's own unless given.
@@ -137,6 +138,7 @@ def generate(
     from qdenv.domains.base import make_domain
     from qdenv.study.changes import describe_changes, list_changes
     from qdenv.study.elites import grow_elite, repair_grown
+    from qdenv.study.usual import describe_growth
 
     trained = make_domain(config.evaluation.domain)
     target = place(out, "layout.json", endings_for(trained.tiles, trained.meanings))
@@ -147,6 +149,9 @@ def generate(
             _draw_frames(run, grown, growth.frames, target.beside(".png", "_frames").path)
         chosen = config.seed if seed is None else seed
         repaired = repair_grown(grown, config.evaluation.repair, chosen, bar) if repair else None
+    stated = [*numbers.given(), *(["steps"] if growth.steps else [])]
+    if known := describe_growth(trained, grown.domain.shape, stated):
+        print(known)
     if config.evaluation.domain.keep and not grown.domain.config.keep:
         print(
             "WARNING: what the run kept is drawn for {} x {}, so nothing is kept at this size: "
