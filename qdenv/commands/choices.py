@@ -21,6 +21,7 @@ from qdenv.study.plans import USUAL, read_plan
 from qdenv.study.usual import TIMESTEPS
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
+from qdenv.zoo.shipped import PREFIX
 
 
 def names_of(registry: Registry) -> str:
@@ -146,7 +147,7 @@ def domain_of(arguments: Sequence[str]) -> Domain:
     if name is not None:
         return find_domain(name)
     for argument in rest:
-        if (Path(argument) / "config.json").exists():
+        if argument.startswith(PREFIX) or (Path(argument) / "config.json").exists():
             return make_domain(RunDirectory.open(argument).config.evaluation.domain)
         if Path(argument).is_file():
             with contextlib.suppress(InputError):  # no layout, or one that the command refuses

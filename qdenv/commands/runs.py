@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
+from qdenv.commands import output
 from qdenv.commands.choices import Numbers, RunFolder
 from qdenv.commands.mazes import is_agent_run, resume_agent
 from qdenv.commands.output import JsonFile, place, write_facts
@@ -32,7 +33,9 @@ def resume(run_dir: RunFolder, evaluations: int | None = None, progress: bool = 
     """
     if is_agent_run(run_dir):
         return resume_agent(run_dir)
-    config = RunDirectory.open(run_dir).config
+    run = RunDirectory.open(run_dir)
+    run.demand_own()
+    config = run.config
     if evaluations is not None and evaluations < config.evaluations:
         raise InputError(
             f"{run_dir}: {config.evaluations} evaluations are asked for already: ask for more, or "
@@ -43,23 +46,29 @@ def resume(run_dir: RunFolder, evaluations: int | None = None, progress: bool = 
     report(loop.resume(run_dir, progress=progress, evaluations=evaluations))
 
 
-def plot(run_dir: RunFolder) -> None:
+def plot(run_dir: RunFolder, out: Path | None = None) -> None:
     """Draw a run's archive and best layout again.
 
     Args:
         run_dir: folder of the run.
+        out: folder for the pictures; the run's own unless given, for generators of the zoo one
+            named after them.
     """
-    report(RunDirectory.open(run_dir))
+    run = RunDirectory.open(run_dir)
+    folder = output.place(None, run.name).path if out is None and run.shipped else out
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: that is a file: name a folder")
+    report(run, folder)
 
 
-def report(run: RunDirectory) -> None:
-    """Draw a run's pictures and say where they are."""
+def report(run: RunDirectory, folder: Path | None = None) -> None:
+    """Draw a run's pictures, into its own folder unless another is given, and say where."""
     rows = run.read_metrics()
     if not rows:
-        raise InputError(f"{run.path}: nothing is done yet; `qdenv resume {run.path}` begins")
+        raise InputError(f"{run}: nothing is done yet; `qdenv resume {run}` begins")
     from qdenv.plots.run import plot_run
 
-    pictures, last = plot_run(run), rows[-1]
+    pictures, last = plot_run(run, folder), rows[-1]
     print(
         f"QD-score {last.qd_score:.2f}, coverage {last.coverage:.1%}, best objective "
         f"{last.best_objective:.3f} after {last.evaluations} evaluations in {last.seconds:.0f} s"
@@ -100,7 +109,7 @@ class Choice:
     """Which elite of the archive.
 
     Attributes:
-        elite: "best", or the archive cell's indices like 12,40.
+        elite: "best" or another name in the zoo, or the archive cell's indices like 12,40.
         measures: in place of that a value for each measure, like 200 0.8; the nearest elite.
     """
 
