@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 import tyro
 from scipy.stats import rankdata
@@ -90,7 +91,7 @@ def subjects_of(run: qdenv.RunDirectory, count: int, files: Sequence[Path]) -> I
         yield Subject(name, columns["repaired"][row], *known)
     for name, path in name_layouts(files).items():
         tiles = read_plan(path, domain.name).layout
-        values = [axis.value(tiles, None) for axis in domain.measures if axis.value]
+        values = [axis.value(jnp.asarray(tiles), None) for axis in domain.measures if axis.value]
         yield Subject(name, tiles, np.nan, True, np.array(values, float))
 
 
@@ -156,12 +157,12 @@ def print_parting(
 
     What goes along is Spearman's correlation of the difference in rank with each measure.
     """
-    places = np.flatnonzero(judged.flows(planner))
+    places = np.flatnonzero(judged.flows(planner)).tolist()
     ours, theirs = judged.mean(planner)[places], judged.mean(PAPER)[places]
     ranked, paper = rankdata(ours), rankdata(theirs)
     parting = ranked - paper
     print(f"\n{planner} and {PAPER}: where ranks part most, of {len(places)} layouts (1: worst)")
-    for at in np.argsort(-np.abs(parting), kind="stable")[:PARTED]:
+    for at in map(int, np.argsort(-np.abs(parting), kind="stable")[:PARTED]):
         subject = subjects[places[at]]
         measures = zip(axes, subject.measures, strict=True)
         said = "".join(f", {name} {value:.4g}" for name, value in measures)

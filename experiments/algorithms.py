@@ -111,8 +111,8 @@ def write_table(path: Path, found: dict[str, Runs]) -> None:
     rows = []
     for name, runs in found.items():
         numbers = np.stack(interval(runs.metrics[:, -1]), axis=1).ravel()
-        numbers = [f"{number:.6g}" for number in (*numbers, *runs.entropy.mean(axis=0))]
-        rows.append((name, len(runs.metrics), runs.evaluations[-1], *numbers))
+        written = [f"{number:.6g}" for number in (*numbers, *runs.entropy.mean(axis=0))]
+        rows.append((name, len(runs.metrics), runs.evaluations[-1], *written))
     write_csv(path, [*head, *ENTROPY], rows)
 
 

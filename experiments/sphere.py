@@ -36,6 +36,7 @@ import tyro
 from qdenv.plots.archive import save_heatmap
 from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
+from qdenv.search.settings import Strategy
 from qdenv.types import Array, Measure, Score
 
 BOUND = 5.12  # where the measures begin to fold back
@@ -76,7 +77,7 @@ def main(
     iterations: int = 500,
     seeds: int = 1,
     dim: int = 100,
-    strategy: str = "full",
+    strategy: Strategy = "full",
     emitters: int = 15,
     batch: int = 36,
     picture: Path | None = None,

@@ -84,7 +84,8 @@ def try_once(
         ]
         predicted = np.concatenate(parts)[: len(held)]
         spent = time.process_time() - begun
-        yield min(count, len(known)), len(held), predicted, samples.numbers[held], spent
+        true = np.asarray(samples.numbers[held])
+        yield min(count, len(known)), len(held), predicted, true, spent
 
 
 def main(

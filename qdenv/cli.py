@@ -46,7 +46,7 @@ COMMANDS = {
     "export": "qdenv.commands.export:export",
     "surrogate": "qdenv.commands.surrogate:surrogate",
     "train-agent": "qdenv.commands.mazes:train_agent",
-    "evaluate-agent": "qdenv.commands.mazes:evaluate_agent",
+    "evaluate-agent": "qdenv.commands.episodes:evaluate_agent",
     "convert-agent": "qdenv.commands.mazes:convert_agent",
     "completion": "qdenv.commands.completion:completion",
 }

@@ -1,5 +1,8 @@
 """Evaluating the agent: Wilson intervals, random mazes, the shipped agent, the picture."""
 
+import csv
+import json
+
 import jax
 import jax.numpy as jnp
 import maze_oracle as oracle
@@ -7,16 +10,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from qdenv.agent.baseline import compare_with_random, draw_mazes, maze_success, random_mazes
 from qdenv.agent.convert import pad_units
 from qdenv.agent.evaluate import (
-    compare_with_random,
     default_horizon,
     evaluate_agent,
-    random_mazes,
     run_batch,
     success_rates,
+    without_ring,
 )
-from qdenv.plots.maze import save_episode
+from qdenv.cli import run
+from qdenv.formats.layouts import read_layout
+from qdenv.plots.maze import save_episode, save_mazes
 from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.types import InputError
@@ -82,14 +87,78 @@ def test_the_published_loop_is_an_option(agent):
     assert quirky.mean_length != evaluate_agent(agent, layout, runs=40).mean_length
 
 
+def test_a_ring_of_walls_counts_once(agent):
+    maze = random_mazes(7, 1, 16, 16, 60)[0]
+    ringed = np.pad(maze, 1, constant_values=1)
+    assert default_horizon(maze) == default_horizon(ringed) == 648
+    assert default_horizon(np.zeros((64, 64), np.int8)) == 8712
+    assert default_horizon(np.pad(np.zeros((64, 64), np.int8), 1, constant_values=1)) == 8712
+    np.testing.assert_array_equal(without_ring(ringed), maze)
+    # One gap in its border, and a maze has no ring.
+    ringed[0, 3] = 0
+    np.testing.assert_array_equal(without_ring(ringed), ringed)
+    ringed[0, 3] = 1
+    assert evaluate_agent(agent, maze, runs=20) == evaluate_agent(agent, ringed, runs=20)
+    ones = [compare_with_random(agent, one, mazes=2, runs=5, seed=3) for one in (maze, ringed)]
+    assert ones[0].results == ones[1].results
+    assert ones[1].mazes[0].layout.shape == (16, 16)
+    assert [one.walls for one in ones] == [60, 60]
+
+
 def test_comparison_with_random_mazes_of_like_path_length(agent):
     layout = random_mazes(7, 1, 6, 6, 9)[0]
-    found = compare_with_random(agent, layout, mazes=4, runs=10)
-    assert (found.walls, found.shortest) == (9, oracle.longest(layout)[0])
+    found = compare_with_random(agent, layout, mazes=4, runs=10, horizon=40)
+    length = oracle.longest(layout)[0]
+    assert (found.walls, found.given.shortest, found.horizon) == (9, length, 40)
+    for maze, result in zip(found.mazes, found.results, strict=True):
+        assert maze.layout.sum() == 9
+        assert (maze.shortest, maze.start, maze.goal) == oracle.longest(maze.layout)
+        assert 0.8 * length <= maze.shortest == result.shortest <= 1.2 * length
+        assert result.runs == 10 and result.mean_length <= 40
     np.testing.assert_allclose(found.mean, np.mean(found.rates))
     np.testing.assert_allclose(found.standard_error, np.std(found.rates, ddof=1) / 2)
+    # A single action reaches no goal: the horizon holds for random mazes, too.
+    assert compare_with_random(agent, layout, mazes=2, runs=10, horizon=1).mean == 0
     with pytest.raises(InputError, match="two mazes"):
         compare_with_random(agent, layout, mazes=1)
+
+
+def test_success_on_a_maze_and_on_random_ones_in_one_record(agent):
+    layout = np.pad(random_mazes(7, 1, 6, 5, 9)[0], 1, constant_values=1)
+    found = maze_success(agent, layout, runs=10, mazes=2, random_runs=5)
+    assert (found.rows, found.cols, found.own.runs) == (6, 5, 10)
+    assert found.own == evaluate_agent(agent, layout, runs=10)
+    assert found.others.results == compare_with_random(agent, layout, 2, 5).results
+
+
+def test_the_command_leaves_the_random_mazes_beside_their_table(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    maze = random_mazes(7, 1, 8, 8, 20)[0]
+    rows = ["".join(" X"[tile] for tile in row) for row in np.pad(maze, 1, constant_values=1)]
+    (tmp_path / "maze.txt").write_text("\n".join(rows))
+    line = "evaluate-agent maze.txt --random-mazes 3 --runs 4 --horizon 150 --json facts.json"
+    assert run(line.split()) == 0
+    said = capsys.readouterr().out
+    assert "in 4 runs of at most 150 timesteps" in said
+    for written in ("maze_random: 3 layouts", "maze_random.csv", "maze_random.png", "facts.json"):
+        assert f"{written}\n" in said
+    facts = json.loads((tmp_path / "facts.json").read_text())["random_mazes"]
+    assert (facts["mazes"], facts["walls"], facts["runs"]) == (3, 20, 4)
+    with open("maze_random.csv", newline="") as table:
+        listed = list(csv.DictReader(table))
+    assert [float(row["success"]) for row in listed] == facts["rates"]
+    for row, shortest in zip(listed, facts["shortest"], strict=True):
+        found = read_layout(row["file"], " X")
+        assert found.shape == (8, 8) and found.sum() == 20
+        assert oracle.longest(found)[0] == int(row["shortest"]) == shortest
+        assert float(row["actions"]) <= 150
+    with Image.open("maze_random.png") as picture:
+        assert picture.size[0] > 2 * picture.size[1]  # four panels in a row
+    # Never over what exists, unless --out names it.
+    assert run(line.split()[:-2]) == 0
+    assert "maze_random-2.csv" in capsys.readouterr().out
+    assert run([*line.split()[:-2], "--out", "maze_random.csv"]) == 0
+    assert "maze_random.csv (replaced)" in capsys.readouterr().out
 
 
 def test_padded_units_change_no_decision(agent):
@@ -119,3 +188,17 @@ def test_picture_of_an_episode(tmp_path):
         assert film.n_frames <= 6
     with pytest.raises(InputError):
         save_episode(path, layout, 5, np.zeros(0, int), np.zeros(0, int))
+
+
+def test_picture_of_many_mazes(tmp_path):
+    path, mazes = tmp_path / "mazes.png", draw_mazes(3, 8, (6, 6), 9)
+    save_mazes(path, mazes, [str(number) for number in range(8)])
+    with Image.open(path) as picture:
+        shown = np.asarray(picture.convert("RGB"))
+    # Six panels in the first row, two in the second; one start and one goal in each.
+    colours, counts = np.unique(shown.reshape(-1, 3), axis=0, return_counts=True)
+    seen = {tuple(colour): count for colour, count in zip(colours.tolist(), counts, strict=True)}
+    tile = seen[60, 90, 160] / 8
+    assert seen[60, 170, 80] / 8 == pytest.approx(tile, rel=0.1)
+    assert seen[128, 128, 128] / 8 == pytest.approx(9 * tile, rel=0.1)
+    assert (shown[-1, : shown.shape[1] // 2] == 255).all()

@@ -90,6 +90,11 @@ MISTAKES = {
     "train-agent --resume --out agent --steps 50": "more steps are asked for already",
     "evaluate-agent maze.txt --horizon -5": "--timesteps -5",
     "evaluate-agent plan.txt": "the agent walks in mazes",
+    "evaluate-agent maze.txt --random-mazes 1": "--random-mazes 1: give 2 to 10,000",
+    "evaluate-agent maze.txt --out random.csv": "add --random-mazes 100",
+    "evaluate-agent maze.txt --random-mazes 5 --out random.json": "ends in .csv",
+    "evaluate-agent maze.txt --random-mazes 5 --out taken.csv": "taken: that is a file",
+    "evaluate-agent maze.txt --random-mazes 5 --reference-batching": "leave --random-mazes out",
     # Results that would destroy something.
     "layout human --rows 20 --cols 20 --out h.png": "ends in .json",
     "layout tile plan.txt --rows 5 --cols 5": "smaller than the layout it repeats",
@@ -124,6 +129,7 @@ def folder(tmp_path_factory):
     (folder / "ragged.txt").write_text("...........\n...\n")
     (folder / "strange.txt").write_text("....\n....\n.?..\n")
     (folder / "empty.txt").write_text("")
+    (folder / "taken").touch()
     (folder / "maze.txt").write_text("XXXXX\nX   X\nX X X\nX   X\nXXXXX\n")
     rows = ", ".join(f'"{row}"' for row in PLAN)
     (folder / "uneven.json").write_text(f'{{"domain": "warehouse-uneven", "layout": [{rows}]}}')

@@ -1,6 +1,5 @@
-"""Evaluate the maze agent: success over many runs, random mazes of a given path length."""
+"""Evaluate the maze agent: how often it reaches the goal of one maze, or of each of some."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -17,7 +16,7 @@ from qdenv.simulate.maze.episode import (
 from qdenv.simulate.maze.policy import Weights
 from qdenv.simulate.maze.published import reference_episodes
 from qdenv.simulate.maze.tables import prepare
-from qdenv.simulate.maze.world import WALL, longest_path
+from qdenv.simulate.maze.world import WALL
 from qdenv.types import Array, InputError
 
 
@@ -32,9 +31,25 @@ class Success(NamedTuple):
     shortest: int  # moves of the shortest path
 
 
+def without_ring(layout: Array) -> np.ndarray:
+    """Cut off the ring of walls where a maze has one (int8 [H, W] -> int8 [h, w], host side).
+
+    All that lies outside a maze is wall, so nothing changes for the agent: not its start and goal,
+    nor what it sees. What is counted in tiles or walls does change.
+    """
+    layout = np.asarray(layout)
+    inside = layout[1:-1, 1:-1]
+    ring = layout.size - inside.size
+    walled = (layout == WALL).sum() - (inside == WALL).sum() == ring
+    return inside if walled and inside.size else layout
+
+
 def default_horizon(layout: Array) -> int:
-    """Give the agent two actions per tile of the maze with its ring: 648 for 16x16."""
-    rows, cols = layout.shape
+    """Give the agent two actions per tile of the maze with its ring: 648 for 16x16.
+
+    The ring counts once, whether the layout draws it or not.
+    """
+    rows, cols = without_ring(layout).shape
     return 2 * (rows + 2) * (cols + 2)
 
 
@@ -70,7 +85,6 @@ def run_alone(
     return run_episodes(weights, prepare(weights, layout), keys, horizon)
 
 
-_longest_path = jax.jit(longest_path)
 _run_alone = jax.jit(run_alone, static_argnums=(3, 4))
 _run_published = jax.jit(reference_episodes, static_argnums=(3, 4))
 
@@ -98,67 +112,37 @@ def evaluate_agent(
         InputError: no runs, or a maze in which no two empty tiles touch.
     """
     wilson_interval(0, runs)
-    play = _run_published if reference_batching else _run_alone
-    episodes = play(
-        weights, jnp.asarray(layout), jax.random.key(seed), runs, horizon or default_horizon(layout)
-    )
-    shortest = int(episodes.shortest[0])
-    if shortest == 0:
+    horizon, key = horizon or default_horizon(layout), jax.random.key(seed)
+    result = run_one(weights, layout, key, runs, horizon, reference_batching)
+    if result.shortest == 0:
         raise InputError("this maze has no two empty tiles that touch: nothing to solve")
-    successes = int(episodes.success.sum())
-    low, high = wilson_interval(successes, runs)
-    mean = float(episodes.length.mean())
-    return Success(successes / runs, low, high, runs, mean, shortest)
+    return result
 
 
-def random_layout(rng: np.random.Generator, rows: int, cols: int, walls: int) -> np.ndarray:
-    """Put exactly `walls` walls on random tiles (int8 [rows, cols])."""
-    layout = np.zeros(rows * cols, np.int8)
-    layout[rng.permutation(rows * cols)[:walls]] = 1
-    return layout.reshape(rows, cols)
-
-
-def random_mazes(
-    seed: int,
-    count: int,
-    rows: int,
-    cols: int,
-    walls: int,
-    accept: Callable[[int], bool] = lambda length: length > 0,
-    tries: int = 100_000,
-) -> np.ndarray:
-    """Draw random mazes whose longest shortest path is accepted (host side).
+def run_one(
+    weights: Weights,
+    layout: Array,
+    key: jax.Array,
+    runs: int,
+    horizon: int,
+    reference_batching: bool = False,
+) -> Success:
+    """Sum up the episodes of one maze (host side); consumes the key.
 
     Args:
-        seed: of the walls.
-        count: mazes wanted, B.
-        rows: H.
-        cols: W.
-        walls: walls of each.
-        accept: length of the longest shortest path -> keep it; by default every solvable maze.
-        tries: mazes drawn before giving up.
-
-    Returns:
-        int8 [B, H, W].
-
-    Raises:
-        InputError: `tries` mazes were not enough, or more walls than tiles.
+        weights: the agent.
+        layout: int8 [H, W].
+        key: of headings and actions.
+        runs: episodes.
+        horizon: actions per episode.
+        reference_batching: run the published loop with its quirks.
     """
-    if not 0 <= walls <= rows * cols:
-        raise InputError(f"{walls} walls do not fit on {rows} x {cols} tiles")
-    rng = np.random.default_rng(seed)
-    kept: list[np.ndarray] = []
-    for _ in range(tries):
-        if len(kept) == count:
-            break
-        layout = random_layout(rng, rows, cols, walls)
-        if accept(int(_longest_path(layout).length)):
-            kept.append(layout)
-    if len(kept) < count:
-        raise InputError(
-            f"only {len(kept)} of {tries} random mazes have such a path: widen the bounds"
-        )
-    return np.array(kept, np.int8).reshape(count, rows, cols)
+    play = _run_published if reference_batching else _run_alone
+    episodes = play(weights, jnp.asarray(layout), key, runs, horizon)
+    successes = int(episodes.success.sum())
+    low, high = wilson_interval(successes, runs)
+    mean, shortest = float(episodes.length.mean()), int(episodes.shortest[0])
+    return Success(successes / runs, low, high, runs, mean, shortest)
 
 
 def success_rates(
@@ -180,56 +164,7 @@ def success_rates(
     keys = jax.random.split(jax.random.key(seed), len(layouts))
     return np.array(
         [
-            _run_alone(weights, jnp.asarray(layout), key, runs, horizon).success.mean()
+            run_one(weights, layout, key, runs, horizon).rate
             for layout, key in zip(layouts, keys, strict=True)
         ]
     )
-
-
-class Comparison(NamedTuple):
-    """Success on random mazes that resemble one maze (section E.3 of the paper)."""
-
-    mean: float
-    standard_error: float  # over mazes
-    mazes: int
-    walls: int
-    shortest: int  # of the maze that was given
-    rates: list[float]
-
-
-def compare_with_random(
-    weights: Weights,
-    layout: Array,
-    low: float = 0.8,
-    high: float = 1.2,
-    mazes: int = 100,
-    runs: int = 50,
-    seed: int = 0,
-) -> Comparison:
-    """Measure the agent on random mazes of like size, walls and path length (host side).
-
-    Args:
-        weights: the agent.
-        layout: int8 [H, W], the maze to compare with.
-        low: least length of the longest shortest path, as a share of the given maze's.
-        high: largest length, as a share.
-        mazes: random mazes.
-        runs: independent episodes per maze.
-        seed: of walls, headings and actions.
-
-    Raises:
-        InputError: fewer than two mazes, or no such mazes within 100,000 tries.
-    """
-    if mazes < 2:
-        raise InputError("a standard error needs at least two mazes")
-    walls = int((np.asarray(layout) == WALL).sum())
-    shortest = int(_longest_path(jnp.asarray(layout)).length)
-
-    def accept(length: int) -> bool:
-        return low * shortest <= length <= high * shortest
-
-    rows, cols = layout.shape
-    drawn = random_mazes(seed, mazes, rows, cols, walls, accept)
-    rates = success_rates(weights, drawn, seed, runs)
-    error = float(rates.std(ddof=1) / mazes**0.5)
-    return Comparison(float(rates.mean()), error, mazes, walls, shortest, rates.tolist())

@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.agent.evaluate import default_horizon, random_mazes, run_batch
+from qdenv.agent.baseline import random_mazes
+from qdenv.agent.evaluate import default_horizon, run_batch
 from qdenv.agent.files import load_state, save_state, save_weights
 from qdenv.agent.settings import TrainConfig
 from qdenv.agent.update import start, update

@@ -55,6 +55,11 @@ def describe_cost(preset: str, config: RunConfig) -> str:
     return f"about {in_words(seconds * config.evaluations)} ({how})"
 
 
+def reckon_seconds(preset: str) -> float:
+    """Reckon the CPU seconds of one evaluation of a preset, which has a name in `CPU_SECONDS`."""
+    return CPU_SECONDS[_base_of(preset)]
+
+
 def _base_of(preset: str) -> str:
     """Find the preset whose evaluations cost as much, by its name; "" where there is none.
 

@@ -1,30 +1,20 @@
-"""Commands about mazes and their agent: train-agent, convert-agent, evaluate-agent."""
+"""Commands that make an agent for mazes: train-agent, convert-agent."""
 
 from __future__ import annotations
 
 import json
 import shlex
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import cattrs
-import numpy as np
 import tyro
 
 from qdenv import interrupt
 from qdenv.agent.settings import TrainConfig
-from qdenv.commands.choices import LayoutFile
-from qdenv.commands.output import MOVING_PICTURES, JsonFile, place, write_facts
+from qdenv.commands.output import place
 from qdenv.commands.waiting import waiting
-from qdenv.study.plans import read_plan
 from qdenv.types import InputError
-
-if TYPE_CHECKING:
-    from qdenv.simulate.maze.policy import Weights
-
-MOST_RUNS = 1_000_000
-MAZES = ("maze-walls", "maze-entropy")
 
 
 def train_agent(
@@ -108,99 +98,3 @@ def convert_agent(checkpoint: tyro.conf.Positional[Path], out: Path | None = Non
 
     convert.convert_agent(checkpoint, target.path)
     print(target)
-
-
-@dataclass(frozen=True)
-class Episodes:
-    """Who walks through the maze, how often, and for how long.
-
-    Attributes:
-        agent: an agent.npz; the shipped one unless given.
-        runs: independent episodes.
-        timesteps: actions per episode; twice the tiles of the ringed maze unless given.
-        seed: of headings and actions.
-        reference_batching: repeat the published evaluation's two quirks, for comparison.
-    """
-
-    agent: str = ""
-    runs: int = 100
-    timesteps: Annotated[int | None, tyro.conf.arg(aliases=("--horizon",))] = None
-    seed: int = 0
-    reference_batching: bool = False
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that make no episode."""
-        if not 1 <= self.runs <= MOST_RUNS:
-            raise InputError(f"--runs {self.runs}: give 1 to {MOST_RUNS:,}")
-        if self.timesteps is not None and not 1 <= self.timesteps < 2**31:
-            raise InputError(f"--timesteps {self.timesteps}: give 1 or more, or leave it out")
-        if not 0 <= self.seed < 2**32:
-            raise InputError(f"--seed {self.seed}: give 0 to {2**32 - 1}")
-
-
-def evaluate_agent(
-    layout: LayoutFile,
-    episodes: Annotated[Episodes, tyro.conf.arg(name="")] = Episodes(),
-    random_mazes: int = 0,
-    gif: Path | None = None,
-    json_file: JsonFile = None,
-) -> None:
-    """Let the agent solve a maze many times: success rate with its 95 % interval.
-
-    Args:
-        layout: layout file of a maze.
-        episodes: who walks, how often, for how long.
-        random_mazes: also solve so many random mazes with as many walls and a path length within
-            0.8 to 1.2 of this one's.
-        gif: draw one episode.
-        json_file: where to write the numbers; - for standard output.
-    """
-    plan = read_plan(layout, None)
-    if plan.domain.name not in MAZES:
-        raise InputError(f"{layout}: a layout of {plan.domain.name}, the agent walks in mazes")
-    picture = place(gif, "episode.gif", MOVING_PICTURES, [layout]) if gif else None
-    # Only now: what is above answers at once, and these import jax.
-    from qdenv.agent.evaluate import compare_with_random, default_horizon
-    from qdenv.agent.evaluate import evaluate_agent as measure_success
-    from qdenv.simulate.maze.policy import load_weights
-
-    maze, weights, seed = plan.layout, load_weights(episodes.agent), episodes.seed
-    steps = episodes.timesteps or default_horizon(maze)
-    with waiting(f"solving {layout} {episodes.runs} times"):
-        result = measure_success(
-            weights, maze, seed, episodes.runs, steps, episodes.reference_batching
-        )
-    facts = result._asdict()
-    print(
-        f"success {result.rate:.1%} ({result.low:.1%} to {result.high:.1%}) in {result.runs} runs "
-        f"of at most {steps} timesteps, {result.mean_length:.0f} actions on average, shortest path "
-        f"{result.shortest} moves"
-    )
-    if random_mazes:
-        with waiting(f"solving {random_mazes} random mazes"):
-            others = compare_with_random(weights, maze, mazes=random_mazes, seed=seed)
-        facts["random_mazes"] = others._asdict()
-        print(f"{others.mazes} random mazes: {others.mean:.1%} +- {others.standard_error:.1%}")
-    settings = {"layout": layout, "timesteps": steps, "seed": seed}
-    write_facts(
-        json_file, "evaluate-agent", facts, **settings, agent=episodes.agent or "the shipped one"
-    )
-    if picture:
-        draw_episode(picture.path, weights, maze, seed, steps)
-        print(picture)
-
-
-def draw_episode(path: Path, weights: Weights, maze: np.ndarray, seed: int, steps: int) -> None:
-    """Draw one episode as an animation."""
-    import jax
-    import jax.numpy as jnp
-
-    from qdenv.plots.maze import save_episode
-    from qdenv.simulate.maze.episode import trace_episode
-    from qdenv.simulate.maze.tables import prepare
-
-    tables = prepare(weights, jnp.asarray(maze))
-    episode, poses = trace_episode(weights, tables, jax.random.key(seed), steps)
-    shown = slice(0, int(episode.length) + 1)
-    cells, headings = (np.asarray(pose)[shown] for pose in poses)
-    save_episode(path, maze, int(tables.course.goal), cells, headings)

@@ -141,16 +141,21 @@ def _number_cells(ax: Axes) -> None:
 def save_frames(
     path: str | Path, layouts: Sequence[Array], steps: Sequence[int], tiles: str
 ) -> None:
-    """Save how one layout grows, a panel for each number of NCA steps (Figure 6).
-
-    Args:
-        path: the picture; its ending chooses the format.
-        layouts: int8 [H, W] each, after so many steps.
-        steps: numbers of NCA steps.
-        tiles: the alphabet.
+    """Save what `draw_frames` draws; the ending of `path` chooses the format.
 
     Raises:
         InputError: the place cannot be written to.
+    """
+    save_figure(draw_frames(layouts, steps, tiles), path)
+
+
+def draw_frames(layouts: Sequence[Array], steps: Sequence[int], tiles: str) -> Figure:
+    """Draw how one layout grows, a panel for each number of NCA steps (Figure 6).
+
+    Args:
+        layouts: int8 [H, W] each, after so many steps.
+        steps: numbers of NCA steps.
+        tiles: the alphabet.
     """
     rows, cols = layouts[0].shape
     across = min(len(layouts), PANELS)
@@ -163,7 +168,7 @@ def save_frames(
         ax.set_title(f"{number} steps", fontsize=9)
     for ax in panels[len(layouts) :]:
         ax.set_axis_off()
-    save_figure(figure, path)
+    return figure
 
 
 def _scale(shape: tuple[int, ...], panels: int = 1) -> float:

@@ -1,12 +1,15 @@
-"""Moving picture of the maze agent: one episode as a GIF, colours as in Figure 7c."""
+"""Pictures of mazes: one episode of the agent as a GIF (Figure 7c), many mazes (Figure 15)."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 
 import numpy as np
+from matplotlib.colors import ListedColormap
 from PIL import Image, ImageDraw
 
 from qdenv.files import write_atomically
+from qdenv.plots.figure import new_figure, save_figure
 from qdenv.types import InputError
 
 EMPTY, WALL, GOAL, TRAIL, AGENT, START = range(6)
@@ -18,6 +21,8 @@ PALETTE = (
     (245, 200, 40),
     (60, 90, 160),
 )
+ACROSS = 6  # panels side by side
+PANEL = 2.3  # inches
 # Corners of a triangle that points to heading 0 (right), in cells from the middle: (right, down).
 TRIANGLE = np.array([(0.38, 0.0), (-0.32, -0.34), (-0.32, 0.34)])
 
@@ -80,3 +85,51 @@ def _frame(layout: np.ndarray, goal: int, path: np.ndarray, heading: int, cell: 
     corners = [(float(a) * cell, float(b) * cell) for a, b in zip(x, y, strict=True)]
     ImageDraw.Draw(picture).polygon(corners, fill=AGENT)
     return picture
+
+
+class Maze(Protocol):
+    """What is drawn of a maze."""
+
+    @property
+    def layout(self) -> np.ndarray:
+        """Layout, int8 [H, W]."""
+
+    @property
+    def start(self) -> int:
+        """Cell of the start."""
+
+    @property
+    def goal(self) -> int:
+        """Cell of the goal."""
+
+
+def save_mazes(path: Path, mazes: Sequence[Maze], titles: Sequence[str]) -> None:
+    """Save a panel for each maze, its start blue and its goal green (Figure 15).
+
+    Args:
+        path: the picture; its ending chooses the format.
+        mazes: at least one.
+        titles: one for each.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    across = min(len(mazes), ACROSS)
+    down = -(-len(mazes) // across)
+    figure = new_figure(PANEL * across, (PANEL + 0.25) * down)
+    panels = figure.subplots(down, across, squeeze=False).ravel()
+    colours = ListedColormap([tuple(level / 255 for level in colour) for colour in PALETTE])
+    for ax, maze, title in zip(panels, mazes, titles, strict=False):
+        kinds = np.where(maze.layout == 1, WALL, EMPTY).reshape(-1)
+        kinds[maze.start], kinds[maze.goal] = START, GOAL
+        ax.imshow(
+            kinds.reshape(maze.layout.shape),
+            cmap=colours,
+            vmin=-0.5,
+            vmax=len(PALETTE) - 0.5,
+            interpolation="nearest",
+        )
+        ax.set_title(title, fontsize=7)
+    for ax in panels:
+        ax.set_axis_off()
+    save_figure(figure, path)

@@ -1,0 +1,9 @@
+"""The paper's figures and tables, each drawn by a script of its name from saved results.
+
+    python -m experiments                      what there is, what is missing, what that costs
+    python -m experiments figure_16            draw it from what is saved
+    python -m experiments --make figure_16     make what is missing first
+
+`pieces.py` says what a saved result is, `runs.py`, `layouts.py` and `traffic.py` what kinds there
+are, `published.py` what the paper found.
+"""

@@ -1,0 +1,95 @@
+"""List the paper's figures and tables, draw them from saved results, make what is missing."""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from experiments.catalogue import find, names
+from experiments.pieces import RESULTS, Experiment, Folders
+from qdenv.commands.costs import in_words
+from qdenv.files import write_atomically
+from qdenv.plots.figure import save_figure
+from qdenv.types import InputError
+
+
+def list_all(folders: Folders) -> None:
+    """Print a line per experiment, and below it what is missing."""
+    for name in names():
+        found = find(name)
+        missing = found.missing(folders)
+        there = len(found.pieces) - len(missing)
+        cost = sum(piece.cost(folders) for piece in missing)
+        rest = f", the rest takes about {in_words(cost)} of one core" if missing else ""
+        print(f"{name:13} {found.shows}: {there} of {len(found.pieces)} pieces{rest}")
+        for piece in missing:
+            share = f"{piece.done(folders):.0%} there, " if piece.done(folders) else ""
+            print(f"{'':15}- {piece.name}: {share}about {in_words(piece.cost(folders))}")
+
+
+def make(experiment: Experiment, folders: Folders) -> None:
+    """Make what is missing, the cheapest pieces first, so that soon there is something to see."""
+    while missing := sorted(experiment.missing(folders), key=lambda piece: piece.cost(folders)):
+        left = sum(piece.cost(folders) for piece in missing)
+        print(f"{len(missing)} pieces, about {in_words(left)} of one core: {missing[0].name}")
+        missing[0].make(folders, partial(print, flush=True))
+        if missing[0].done(folders) < 1:
+            raise InputError(f"{missing[0].name}: was made and is still not whole")
+
+
+def draw(name: str, experiment: Experiment, folders: Folders, out: Path) -> None:
+    """Draw one experiment and print its table."""
+    if not experiment.drawable(folders):
+        raise InputError(f"{name}: nothing is saved to draw from; --make {name} makes it")
+    drawn = experiment.draw(folders)
+    print(f"{name}: {experiment.shows}")
+    print("\n".join(drawn.lines))
+    if drawn.lines:
+        path = out / f"{name}.md"
+        write_atomically(path, ("\n".join(drawn.lines) + "\n").encode())
+        print(path)
+    if drawn.figure is not None:
+        save_figure(drawn.figure, out / f"{name}.png", crop=True)
+        print(out / f"{name}.png")
+
+
+def main(
+    experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = (),
+    making: Annotated[str | None, tyro.conf.arg(name="make", metavar="NAME")] = None,
+    runs: Path = Path("runs"),
+    results: Path = RESULTS,
+    out: Path | None = None,
+) -> None:
+    """Draw experiments from saved results; without a name list all of them.
+
+    Args:
+        experiments: which to draw; all for all that can be drawn.
+        making: make what this one is still missing, then draw it; an interruption loses little.
+        runs: folder of whole runs, which are begun or continued here.
+        results: folder of what is kept of them.
+        out: folder for the pictures and tables; that of the results unless given.
+    """
+    folders = Folders(results, runs)
+    chosen = [name for name in names() if find(name).drawable(folders)]
+    chosen = chosen if experiments == ("all",) else list(experiments)
+    if making is not None:
+        make(find(making), folders)
+        chosen = [making, *chosen]
+    if not chosen:
+        list_all(folders)
+    for name in chosen:
+        draw(name, find(name), folders, out or results)
+
+
+if __name__ == "__main__":
+    try:
+        tyro.cli(main, prog="python -m experiments")
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

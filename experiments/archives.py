@@ -1,0 +1,58 @@
+"""The runs of Table 4 and Figures 16, 20, 21: which there are, and their archives as heat maps."""
+
+from collections.abc import Sequence
+
+from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
+
+from experiments.pieces import Folders
+from experiments.runs import SavedRun, Summary
+from qdenv.plots.archive import draw_heatmap
+
+DOMAINS = ("warehouse-even", "warehouse-uneven", "manufacturing", "maze-walls", "maze-entropy")
+# Colours (Okabe and Ito 2008) and styles, which grey prints tell apart, too.
+ALGORITHMS = {
+    "cma-mae": ("#0072B2", "-"),
+    "map-elites": ("#D55E00", "--"),
+    "cma-es": ("#E69F00", "-."),
+    "dsage": ("#CC79A7", ":"),
+}
+COMPARED = {"maze-walls": ("cma-mae", "map-elites"), "maze-entropy": ("cma-mae", "map-elites")}
+# What takes days on a CPU with the published surrogate is run with a small one, and fewer
+# evaluations: a row that says so.
+DSAGE = SavedRun("dsage-laptop", evaluations=1000, row="warehouse-even-dsage")
+
+
+def runs_of(domain: str, algorithm: str) -> tuple[SavedRun, ...]:
+    """List the runs of one row of Table 4; further seeds count as soon as they are there."""
+    if algorithm == "dsage":
+        return (DSAGE,) if domain == "warehouse-even" else ()
+    if algorithm not in COMPARED.get(domain, ALGORITHMS):
+        return ()
+    return (SavedRun(domain if algorithm == "cma-mae" else f"{domain}-{algorithm}"),)
+
+
+def seeds_of(run: SavedRun, folders: Folders) -> list[Summary]:
+    """Read a run and its further seeds, as many as are saved."""
+    every = (run._replace(seed=seed) for seed in range(run.seed, run.seed + 5))
+    return [found for one in every if (found := one.read(folders)) is not None]
+
+
+def draw_archive(axes: Axes, summary: Summary, title: str, scale: tuple[float, float]) -> AxesImage:
+    """Draw an archive on a colour scale that several share."""
+    image = draw_heatmap(axes, summary.objectives, summary.measures, *scale)
+    filled = len(summary.elites["cell"])
+    axes.set_title(f"{title}\n{filled:,} elites", fontsize="small")
+    return image
+
+
+def note(axes: Axes, text: str) -> None:
+    """Say in place of a picture why there is none."""
+    axes.text(0.5, 0.5, text, ha="center", va="center", color="dimgray")
+    axes.set_axis_off()
+
+
+def scale_of(summaries: Sequence[Summary]) -> tuple[float, float]:
+    """Find the least and the greatest objective of several archives."""
+    values = [value for one in summaries for value in one.elites["objective"]]
+    return float(min(values)), float(max(values))

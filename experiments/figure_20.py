@@ -1,0 +1,58 @@
+"""Figure 20: QD-score and coverage over evaluations, with the paper's final values."""
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from experiments.archives import ALGORITHMS, DOMAINS, runs_of, seeds_of
+from experiments.pieces import Drawn, Experiment, Folders
+from experiments.published import TABLE_4
+from experiments.table_4 import RUNS
+from qdenv.plots.figure import new_figure
+from qdenv.study.differences import margin, sample_of
+from qdenv.training.metrics import Metrics
+
+METRICS = {"qd_score": "QD-score", "coverage": "coverage"}
+
+
+def draw_curve(axes: Axes, runs: list[list[Metrics]], metric: str, name: str) -> None:
+    """Draw the mean of some runs as far as all of them came, its 95 % interval shaded."""
+    colour, style = ALGORITHMS[name]
+    length = min(map(len, runs))
+    values = np.array([[getattr(row, metric) for row in rows[:length]] for rows in runs])
+    at, mean = [row.evaluations for row in runs[0][:length]], values.mean(axis=0)
+    axes.plot(at, mean, style, color=colour, label=f"{name} ({len(runs)})")
+    if len(runs) > 1:
+        half = np.array([margin(sample_of(column)) for column in values.T])
+        axes.fill_between(at, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0)
+
+
+def draw(folders: Folders) -> Drawn:
+    """Draw a column of panels per domain that has runs."""
+    found = {
+        (domain, name): [
+            one.metrics for run in runs_of(domain, name) for one in seeds_of(run, folders)
+        ]
+        for domain in DOMAINS
+        for name in ALGORITHMS
+    }
+    domains = [domain for domain in DOMAINS if any(found[domain, name] for name in ALGORITHMS)]
+    figure = new_figure(1 + 3.3 * len(domains), 5.6, dpi=110)
+    panels = figure.subplots(len(METRICS), len(domains), squeeze=False)
+    for metric, line in zip(METRICS, panels, strict=True):
+        for domain, axes in zip(domains, line, strict=True):
+            for name in ALGORITHMS:
+                if found[domain, name]:
+                    draw_curve(axes, found[domain, name], metric, name)
+            end = axes.dataLim.x1
+            for name, (colour, _) in ALGORITHMS.items():
+                if paper := TABLE_4.get((domain, name)):
+                    axes.plot(end, getattr(paper, metric), "*", color=colour, markersize=10)
+            axes.set(xlabel="evaluations", ylabel=METRICS[metric], ylim=(0, None))
+            axes.set_title(domain, fontsize="small")
+            axes.legend(frameon=False, fontsize=7)
+            axes.spines[["top", "right"]].set_visible(False)
+    figure.supxlabel("(number of runs); stars: the paper's means at the end", fontsize=8)
+    return Drawn(figure)
+
+
+EXPERIMENT = Experiment("QD-score and coverage over evaluations", RUNS, draw)

@@ -1,0 +1,198 @@
+"""Saved layouts: grown by an elite, drawn as people do, or tiled; with what the repair changed."""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.pieces import Folders, Say
+from experiments.runs import SavedRun
+from qdenv.agent.baseline import BAND, draw_mazes
+from qdenv.agent.evaluate import without_ring
+from qdenv.domains.base import Domain, find_domain
+from qdenv.files import write_json
+from qdenv.formats.layouts import write_layout
+from qdenv.grid import draw, parse
+from qdenv.repair.settings import RepairConfig
+from qdenv.simulate.maze.world import WALL, longest_path
+from qdenv.study import sizes
+from qdenv.study.elites import Grown, grow_elite
+from qdenv.training.records import RunDirectory
+from qdenv.types import InputError
+
+S, S_EVAL = (33, 36), (101, 102)
+MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
+SECONDS = {S: 10.0, S_EVAL: 90.0}  # CPU seconds of growing and repairing
+
+
+class Made(NamedTuple):
+    """A saved layout.
+
+    Attributes:
+        layout: int8 [H, W], as it is simulated.
+        unrepaired: int8 [H, W], as it was grown or tiled; the same where nothing was repaired.
+        domain: at its size.
+        facts: what its file says else: steps, cells changed, CPU seconds of growth and repair.
+    """
+
+    layout: np.ndarray
+    unrepaired: np.ndarray
+    domain: Domain
+    facts: dict
+
+
+class SavedLayout(NamedTuple):
+    """A layout of one domain, maker and size.
+
+    Attributes:
+        domain: its name.
+        maker: "human", "tiled", "nca" (the zoo's best), "random-0" and so on (a random maze like
+            the zoo's best), or the end of a preset's name: "a0", "a1", "cma-es", "dsage", whose
+            run's best elite draws it.
+        shape: rows and columns.
+    """
+
+    domain: str
+    maker: str
+    shape: tuple[int, int] = S
+
+    @property
+    def stem(self) -> str:
+        """Name of its file, and of its rows in tables."""
+        return "{}-{}-{}x{}".format(self.domain, self.maker, *self.shape)
+
+    @property
+    def name(self) -> str:
+        """How lists call it."""
+        return f"layout {self.stem}"
+
+    def path(self, folders: Folders) -> Path:
+        """Find its file."""
+        return folders.results / "layouts" / f"{self.stem}.json"
+
+    def done(self, folders: Folders) -> float:
+        """Say whether it is saved."""
+        return float(self.path(folders).exists())
+
+    def run(self) -> SavedRun:
+        """Name the run whose best elite draws it."""
+        return SavedRun(f"{self.domain}-{self.maker}")
+
+    def cost(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of making it, its run included."""
+        if self.done(folders):
+            return 0.0
+        own = 0.0 if self.maker == "human" else SECONDS.get(self.shape, 40.0)
+        searched = self.maker not in ("human", "tiled", "nca") and "random" not in self.maker
+        return own + (self.run().cost(folders) if searched else 0.0)
+
+    def make(self, folders: Folders, say: Say) -> None:
+        """Grow, draw or tile it, repair it, and write it with what it was before."""
+        say(f"{self.stem}: is being made")
+        before, made = self._create(folders, say)
+        domain = find_domain(self.domain)
+        write_layout(
+            self.path(folders),
+            made.layout,
+            domain.tiles,
+            domain=self.domain,
+            maker=self.maker,
+            **{name: value for name, value in sizes.details(made).items() if name != "domain"},
+            unrepaired=draw(before, domain.tiles),
+        )
+
+    def _create(self, folders: Folders, say: Say) -> tuple[np.ndarray, sizes.Sized]:
+        domain = find_domain(self.domain).resized(*self.shape)
+        if self.maker == "human":
+            layout = sizes.human_layout(domain)
+            numbers = domain.fitted(layout).numbers
+            return layout, sizes.Sized(layout, 0, numbers, "none", 0, 0.0)
+        if self.maker == "tiled":
+            layout = sizes.tile_layout(domain, self._other(S, folders, say).layout)
+            return layout, sizes.finish(Grown(domain, None, layout, 0), RepairConfig(), 0)
+        if self.maker.startswith("random-"):
+            like, seed = self._other(self.shape, folders, say), int(self.maker[7:])
+            layout = np.asarray(domain.frame(random_like(like.layout, seed)))
+            return layout, sizes.Sized(layout, 0, {}, "none", 0, 0.0)
+        if self.maker == "nca":
+            run = RunDirectory.open(f"zoo:{self.domain}/best")
+        else:
+            run = self.run().whole(folders, say)
+        grown = grow_elite(run, "best", self.shape)
+        return grown.layout, sizes.finish(grown, run.config.evaluation.repair, run.config.seed)
+
+    def _other(self, shape: tuple[int, int], folders: Folders, say: Say) -> Made:
+        """Read the layout that it takes after: grown by the zoo's best; make it if need be."""
+        grown = SavedLayout(self.domain, "nca", shape)
+        if not grown.done(folders):
+            grown.make(folders, say)
+        return grown.read(folders)
+
+    def read(self, folders: Folders) -> Made:
+        """Read it.
+
+        Raises:
+            InputError: it is not saved.
+        """
+        try:
+            content = json.loads(self.path(folders).read_text())
+        except OSError as error:
+            raise InputError(f"{self.path(folders)}: not saved yet") from error
+        domain = find_domain(self.domain).resized(*self.shape)
+        layout, unrepaired = (
+            parse(content.pop(key), domain.tiles) for key in ("layout", "unrepaired")
+        )
+        return Made(layout, unrepaired, domain.fitted(layout), content)
+
+
+def random_like(layout: np.ndarray, seed: int) -> np.ndarray:
+    """Draw a random maze of as many walls and about as long a way as a ringed one, ringless."""
+    inside = without_ring(layout)
+    low, high = (share * int(longest_path(inside).length) for share in BAND)
+    walls = int((inside == WALL).sum())
+    (drawn,) = draw_mazes(seed, 1, inside.shape, walls, lambda length: low <= length <= high)
+    return drawn.layout
+
+
+class SavedGrowth(NamedTuple):
+    """How an automaton of the zoo grows a layout of its trained size.
+
+    Attributes:
+        domain: whose best generator.
+        every: steps from one frame to the next.
+    """
+
+    domain: str
+    every: int = 10
+
+    @property
+    def name(self) -> str:
+        """How lists call it."""
+        return f"growth of {self.domain}"
+
+    def path(self, folders: Folders) -> Path:
+        """Find its file."""
+        return folders.results / "layouts" / f"{self.domain}-growth.json"
+
+    def done(self, folders: Folders) -> float:
+        """Say whether it is saved."""
+        return float(self.path(folders).exists())
+
+    def cost(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of growing once more."""
+        return 0.0 if self.done(folders) else 10.0
+
+    def make(self, folders: Folders, say: Say) -> None:
+        """Grow it and keep the frames."""
+        run = RunDirectory.open(f"zoo:{self.domain}/best")
+        grown = grow_elite(run, "best")
+        steps, frames = sizes.grow_frames(run, grown, self.every)
+        tiles = grown.domain.tiles
+        drawn = [draw(frame, tiles) for frame in frames]
+        write_json(self.path(folders), {"steps": steps, "frames": drawn})
+
+    def read(self, folders: Folders) -> tuple[list[int], list[np.ndarray], Domain]:
+        """Read the numbers of steps, the frames (int8 [H, W]) and their domain."""
+        content, domain = json.loads(self.path(folders).read_text()), find_domain(self.domain)
+        return content["steps"], [parse(one, domain.tiles) for one in content["frames"]], domain

@@ -1,0 +1,172 @@
+"""Saved runs: configuration, manifest, metrics and a summary of the archive, without weights."""
+
+import csv
+import shutil
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import qdenv
+from experiments.pieces import Folders, Say
+from qdenv.commands.costs import reckon_seconds
+from qdenv.files import write_csv
+from qdenv.plots.archive import scatter_objectives
+from qdenv.training.config import RunConfig
+from qdenv.training.metrics import Metrics
+from qdenv.training.records import RunDirectory
+from qdenv.types import Measure
+
+FILES = ("config.json", "manifest.json", "metrics.csv")
+SUMMARY = "elites.csv"
+
+
+class Summary(NamedTuple):
+    """What is kept of a run.
+
+    Attributes:
+        config: every setting.
+        measures: the axes of its archive.
+        metrics: one row per iteration.
+        elites: a column per number of the archive, by name: ``cell`` (row-major index),
+            ``objective``, each measure by its name, and means over the simulations.
+    """
+
+    config: RunConfig
+    measures: tuple[Measure, ...]
+    metrics: list[Metrics]
+    elites: dict[str, np.ndarray]
+
+    @property
+    def last(self) -> Metrics:
+        """The final metrics."""
+        return self.metrics[-1]
+
+    @property
+    def whole(self) -> bool:
+        """Whether it used all evaluations that it was configured for."""
+        return self.last.evaluations >= self.config.evaluations
+
+    @property
+    def objectives(self) -> np.ndarray:
+        """The objectives of all cells, float [C], NaN where empty."""
+        return scatter_objectives(
+            self.elites["cell"].astype(int), self.elites["objective"], self.measures
+        )
+
+
+class SavedRun(NamedTuple):
+    """A search, named after its preset and seed.
+
+    Attributes:
+        preset: whose settings.
+        seed: of the search.
+        evaluations: as many as the preset has unless given.
+        row: how tables call it; the preset unless given.
+    """
+
+    preset: str
+    seed: int = 0
+    evaluations: int | None = None
+    row: str = ""
+
+    @property
+    def folder(self) -> str:
+        """Name of its folder."""
+        return (self.row or self.preset) + (f"-seed{self.seed}" if self.seed else "")
+
+    @property
+    def name(self) -> str:
+        """How lists call it."""
+        return f"run {self.folder}"
+
+    @property
+    def config(self) -> RunConfig:
+        """What is run."""
+        base = qdenv.find_preset(self.preset)
+        return replace(base, seed=self.seed, evaluations=self.evaluations or base.evaluations)
+
+    def done(self, folders: Folders) -> float:
+        """Say which share of its evaluations is summarised."""
+        found = self.read(folders)
+        return min(found.last.evaluations / self.config.evaluations, 1.0) if found else 0.0
+
+    def cost(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of the evaluations that no folder holds yet."""
+        path, made = folders.runs / self.folder, 0
+        if (path / "config.json").exists():
+            rows = RunDirectory.open(path).read_metrics(salvage=True)
+            made = rows[-1].evaluations if rows else 0
+        if self.done(folders) == 1:
+            return 0.0
+        return reckon_seconds(self.preset) * max(self.config.evaluations - made, 0)
+
+    def make(self, folders: Folders, say: Say) -> None:
+        """Begin or continue the run, then summarise it."""
+        summarise(self.whole(folders, say), folders.results / "runs" / self.folder)
+
+    def whole(self, folders: Folders, say: Say) -> RunDirectory:
+        """Open the finished run with all its weights; begin or continue it where need be.
+
+        Raises:
+            InputError: the folder holds a run with other settings.
+        """
+        path = folders.runs / self.folder
+        if not (path / "config.json").exists():
+            say(f"{path}: begins; an interruption loses minutes at most")
+            run = qdenv.train(self.config, path)
+        else:
+            run = RunDirectory.open(path)
+            found = replace(run.config, evaluations=self.config.evaluations)
+            if found != self.config:
+                raise qdenv.InputError(f"{path}: a run with other settings: move it away")
+            rows = run.read_metrics(salvage=True)
+            if not rows or rows[-1].evaluations < self.config.evaluations:
+                say(f"{path}: goes on")
+                run = qdenv.resume(path, evaluations=self.config.evaluations)
+        return run
+
+    def read(self, folders: Folders) -> Summary | None:
+        """Read what is kept; None where nothing is."""
+        path = folders.results / "runs" / self.folder
+        return read_summary(path) if (path / SUMMARY).exists() else None
+
+
+def summarise(run: RunDirectory, target: Path) -> None:
+    """Keep what figures need of a run.
+
+    Args:
+        run: with an archive.
+        target: folder to write; what it held is replaced.
+    """
+    columns = run.load_archive()
+    names = [measure.name for measure in run.measures]
+    kept = {"cell": columns["index"], "objective": columns["objective"]}
+    kept |= dict(zip(names, columns["measures"].T, strict=True))
+    if "congested" in columns:
+        kept["success"] = 1.0 - columns["congested"].mean(axis=1)
+        kept["throughput"] = columns["throughput"].mean(axis=1, dtype=float)
+        kept["similarity"] = columns["similarity"]
+        kept["changed"] = (columns["unrepaired"] != columns["repaired"]).sum(axis=(1, 2))
+    elif "success" in columns:
+        kept["success"] = columns["success"].mean(axis=1)
+        kept["shortest"] = columns["shortest"].mean(axis=1)
+    order = np.argsort(kept["cell"])
+    rows = zip(*([f"{value:.6g}" for value in kept[name][order]] for name in kept), strict=True)
+    target.mkdir(parents=True, exist_ok=True)
+    for name in FILES:
+        shutil.copyfile(run.path / name, target / name)
+    write_csv(target / SUMMARY, list(kept), rows)
+
+
+@cache
+def read_summary(path: Path) -> Summary:
+    """Read what `summarise` kept."""
+    with (path / SUMMARY).open(newline="") as file:
+        head, *rows = csv.reader(file)
+    values = np.array(rows, dtype=float).reshape(len(rows), len(head))
+    elites = dict(zip(head, values.T, strict=True))
+    run = RunDirectory.open(path)
+    return Summary(run.config, run.measures, run.read_metrics(), elites)

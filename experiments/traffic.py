@@ -1,0 +1,91 @@
+"""Saved simulations: tables with a row per run, of some layouts with some numbers of agents."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from experiments.layouts import SavedLayout
+from experiments.pieces import Folders, Say
+from qdenv.study.ledger import Case, Run, complete, read_runs
+
+# CPU seconds of one agent's timestep where no run of the planner is known.
+RATES = {"low": 1.3e-6, "high": 2.5e-6, "plain": 6e-6, "published": 5e-6}
+
+
+class SavedTraffic(NamedTuple):
+    """Simulations of one layout.
+
+    Attributes:
+        table: the file they stand in, which figures share.
+        layout: which.
+        agents: numbers of them.
+        timesteps: horizon T.
+        seeds: how many.
+        planner: one of `ledger.DRIVERS`.
+        stop: runs end where they congest.
+    """
+
+    table: str
+    layout: SavedLayout
+    agents: tuple[int, ...]
+    timesteps: int = 5000
+    seeds: int = 50
+    planner: str = "high"
+    stop: bool = True
+
+    @property
+    def name(self) -> str:
+        """How lists call it."""
+        counts = ",".join(map(str, self.agents))
+        return f"{self.seeds} runs of {self.layout.stem}, {counts} agents, {self.planner}"
+
+    def path(self, folders: Folders) -> Path:
+        """Find its file."""
+        return folders.results / "traffic" / f"{self.table}.csv"
+
+    def cases(self, folders: Folders) -> list[Case]:
+        """List what is simulated."""
+        made = self.layout.read(folders)
+        return [
+            Case(
+                self.layout.stem,
+                made.layout,
+                made.domain,
+                count,
+                self.timesteps,
+                self.planner,
+                self.stop,
+            )
+            for count in self.agents
+        ]
+
+    def read(self, folders: Folders) -> list[Run]:
+        """Read those of its runs that are saved and belong to the layout as it is."""
+        if not self.layout.done(folders) or not self.path(folders).exists():
+            return []
+        wanted = {case.key(seed) for case in self.cases(folders) for seed in range(self.seeds)}
+        return [run for run in read_runs(self.path(folders)) if run.key in wanted]
+
+    def done(self, folders: Folders) -> float:
+        """Say which share of the runs is saved."""
+        return len(self.read(folders)) / (self.seeds * len(self.agents))
+
+    def cost(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of the layout and of the runs that are missing."""
+        known = self.read(folders)
+        work = sum(self.agents) * self.seeds - sum(run.agents for run in known)
+        return self.layout.cost(folders) + rate(self.planner, known) * work * self.timesteps
+
+    def make(self, folders: Folders, say: Say) -> None:
+        """Simulate what is missing, one run at a time."""
+        if not self.layout.done(folders):
+            self.layout.make(folders, say)
+        complete(self.path(folders), self.cases(folders), range(self.seeds), say=say)
+
+
+def rate(planner: str, known: Sequence[Run]) -> float:
+    """Estimate the CPU seconds of one agent's timestep, from known runs where there are some."""
+    if not known:
+        return RATES[planner]
+    work = sum(run.agents * run.timesteps for run in known)
+    return sum(run.cpu_seconds for run in known) / work

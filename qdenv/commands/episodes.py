@@ -1,0 +1,225 @@
+"""The command evaluate-agent: how often the agent solves a maze, and random mazes like it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+
+from qdenv.commands.choices import LayoutFile
+from qdenv.commands.output import MOVING_PICTURES, JsonFile, place, write_facts
+from qdenv.commands.waiting import waiting
+from qdenv.files import write_csv
+from qdenv.formats.layouts import write_layout
+from qdenv.study.plans import Plan, read_plan
+from qdenv.types import InputError
+
+if TYPE_CHECKING:
+    from qdenv.agent.baseline import Comparison
+    from qdenv.simulate.maze.policy import Weights
+
+MOST_RUNS = 1_000_000
+MOST_MAZES = 10_000
+MAZES = ("maze-walls", "maze-entropy")
+TABLE = ("file", "rows", "cols", "walls", "shortest", "runs", "success", "low", "high", "actions")
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Who walks through the maze, how often, and for how long.
+
+    Attributes:
+        agent: an agent.npz; the shipped one unless given.
+        runs: independent episodes, in each maze.
+        timesteps: actions per episode; twice the tiles of the ringed maze unless given.
+        seed: of headings, actions and random mazes.
+        reference_batching: repeat the published evaluation's two quirks, for comparison.
+    """
+
+    agent: str = ""
+    runs: int = 100
+    timesteps: Annotated[int | None, tyro.conf.arg(aliases=("--horizon",))] = None
+    seed: int = 0
+    reference_batching: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no episode."""
+        if not 1 <= self.runs <= MOST_RUNS:
+            raise InputError(f"--runs {self.runs}: give 1 to {MOST_RUNS:,}")
+        if self.timesteps is not None and not 1 <= self.timesteps < 2**31:
+            raise InputError(f"--timesteps {self.timesteps}: give 1 or more, or leave it out")
+        if not 0 <= self.seed < 2**32:
+            raise InputError(f"--seed {self.seed}: give 0 to {2**32 - 1}")
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Random mazes to compare with.
+
+    Attributes:
+        random_mazes: also solve so many random mazes with as many walls and a path length within
+            0.8 to 1.2 of this one's.
+        out: table of the random mazes (.csv), their layout files in a folder and a picture of them
+            beside it; LAYOUT_random.csv unless given.
+    """
+
+    random_mazes: int = 0
+    out: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers without a standard error, and a place for nothing."""
+        if self.random_mazes and not 2 <= self.random_mazes <= MOST_MAZES:
+            raise InputError(
+                f"--random-mazes {self.random_mazes}: give 2 to {MOST_MAZES:,}, or leave it out"
+            )
+        if self.out and not self.random_mazes:
+            raise InputError("--out is for the table of random mazes: add --random-mazes 100")
+
+
+class Places:
+    """Where the random mazes go: a table, a picture beside it and a folder of layouts."""
+
+    def __init__(self, out: Path | None, layout: Path) -> None:
+        """Choose the places before any work is done.
+
+        Raises:
+            InputError: the table's is none, or a file has the folder's name.
+        """
+        self.table = place(out, f"{layout.stem}_random.csv", (".csv",), [layout])
+        self.picture = self.table.beside(".png")
+        self.folder = self.table.beside("")
+        if self.folder.path.is_file():
+            raise InputError(f"{self.folder.path}: that is a file, and random mazes need a folder")
+
+
+def evaluate_agent(
+    layout: LayoutFile,
+    episodes: Annotated[Episodes, tyro.conf.arg(name="")] = Episodes(),
+    baseline: Annotated[Baseline, tyro.conf.arg(name="")] = Baseline(),
+    gif: Path | None = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Let the agent solve a maze many times: success rate with its 95 % interval.
+
+    Args:
+        layout: layout file of a maze, with or without its ring of walls.
+        episodes: who walks, how often, for how long.
+        baseline: random mazes to compare with.
+        gif: draw one episode.
+        json_file: where to write the numbers; - for standard output.
+    """
+    plan = read_plan(layout, None)
+    if plan.domain.name not in MAZES:
+        raise InputError(f"{layout}: a layout of {plan.domain.name}, the agent walks in mazes")
+    if baseline.random_mazes and episodes.reference_batching:
+        raise InputError("--reference-batching is for one maze: leave --random-mazes out")
+    picture = place(gif, "episode.gif", MOVING_PICTURES, [layout]) if gif else None
+    places = Places(baseline.out, layout) if baseline.random_mazes else None
+    # Only now: what is above answers at once, and these import jax.
+    from qdenv.agent.evaluate import default_horizon
+    from qdenv.agent.evaluate import evaluate_agent as measure_success
+    from qdenv.simulate.maze.policy import load_weights
+
+    maze, weights, seed = plan.layout, load_weights(episodes.agent), episodes.seed
+    steps = episodes.timesteps or default_horizon(maze)
+    with waiting(f"solving {layout} {episodes.runs} times"):
+        result = measure_success(
+            weights, maze, seed, episodes.runs, steps, episodes.reference_batching
+        )
+    facts = result._asdict()
+    print(
+        f"success {result.rate:.1%} ({result.low:.1%} to {result.high:.1%}) in {result.runs} runs "
+        f"of at most {steps} timesteps, {result.mean_length:.0f} actions on average, shortest path "
+        f"{result.shortest} moves"
+    )
+    if places:
+        others = compare(weights, maze, baseline.random_mazes, episodes, steps)
+        facts["random_mazes"] = leave(places, others, plan, result.rate)
+    settings = {"layout": layout, "timesteps": steps, "seed": seed}
+    write_facts(
+        json_file, "evaluate-agent", facts, **settings, agent=episodes.agent or "the shipped one"
+    )
+    if picture:
+        draw_episode(picture.path, weights, maze, seed, steps)
+        print(picture)
+
+
+def compare(
+    weights: Weights, maze: np.ndarray, mazes: int, episodes: Episodes, steps: int
+) -> Comparison:
+    """Solve random mazes like this one (int8 [H, W])."""
+    from qdenv.agent.baseline import compare_with_random
+
+    with waiting("drawing random mazes") as bar:
+        return compare_with_random(
+            weights, maze, mazes, episodes.runs, episodes.seed, steps, progress=bar
+        )
+
+
+def leave(places: Places, others: Comparison, plan: Plan, own: float) -> dict[str, Any]:
+    """Write random mazes, their table and their picture, say where, and return the facts.
+
+    Args:
+        places: where everything goes.
+        others: the random mazes and the agent's success on each.
+        plan: the maze they are compared with.
+        own: the agent's success rate on it.
+    """
+    # Only here: matplotlib takes half a second to import, and who is refused need not wait.
+    from qdenv.plots.maze import save_mazes
+
+    lengths, folder, domain = [maze.shortest for maze in others.mazes], places.folder, plan.domain
+    print(
+        f"{len(lengths)} random mazes: {others.mean:.1%} +- {others.standard_error:.1%}, "
+        f"{others.walls} walls each, shortest paths of {min(lengths)} to {max(lengths)} moves"
+    )
+    rows = []
+    for number, (maze, one) in enumerate(zip(others.mazes, others.results, strict=True)):
+        path = folder.path / f"random_{number:03}.json"
+        details = {"walls": others.walls, "shortest": maze.shortest, "success": one.rate}
+        write_layout(
+            path, maze.layout, domain.tiles, domain.meanings, domain=domain.name, **details
+        )
+        counts = (*maze.layout.shape, others.walls, maze.shortest, one.runs)
+        rows.append([path, *counts, one.rate, one.low, one.high, one.mean_length])
+    print(f"{folder}: {len(rows)} layouts")
+    write_csv(places.table.path, TABLE, rows)
+    print(places.table)
+    rates = (own, *others.rates)
+    titles = [
+        f"{'random' if number else plan.name}: path {maze.shortest}, success {rate:.0%}"
+        for number, (maze, rate) in enumerate(
+            zip((others.given, *others.mazes), rates, strict=True)
+        )
+    ]
+    save_mazes(places.picture.path, [others.given, *others.mazes], titles)
+    print(places.picture)
+    return {
+        "mean": others.mean,
+        "standard_error": others.standard_error,
+        "mazes": len(rows),
+        "walls": others.walls,
+        "runs": others.results[0].runs,
+        "rates": others.rates,
+        "shortest": lengths,
+        "table": places.table.path,
+    }
+
+
+def draw_episode(path: Path, weights: Weights, maze: np.ndarray, seed: int, steps: int) -> None:
+    """Draw one episode as an animation."""
+    import jax
+    import jax.numpy as jnp
+
+    from qdenv.plots.maze import save_episode
+    from qdenv.simulate.maze.episode import trace_episode
+    from qdenv.simulate.maze.tables import prepare
+
+    tables = prepare(weights, jnp.asarray(maze))
+    episode, poses = trace_episode(weights, tables, jax.random.key(seed), steps)
+    shown = slice(0, int(episode.length) + 1)
+    cells, headings = (np.asarray(pose)[shown] for pose in poses)
+    save_episode(path, maze, int(tables.course.goal), cells, headings)
