@@ -119,20 +119,29 @@ class Workshop:
         assert sized is not None
         asked = [("high", how.seeds), ("published", how.pbs_seeds)]
         if self.fleet:
-            rows = [
+            driven = [
                 self.drive(cell, sized.layout, plan, how.timesteps)
                 for plan in asked
                 if plan[1] != NONE
             ]
         else:
-            rows = [self.walk(sized.layout, shape)]
+            driven = [self.walk(sized.layout, shape)]
         measures = {
             axis.name: tidy(float(axis.value(jnp.asarray(sized.layout), None)))
             for axis in self.at(shape).measures
-            if axis.limit != "timesteps"  # which would need simulations
+            if axis.value is not None and axis.limit != "timesteps"  # that needs simulations
         }
-        facts = (sized.steps, sized.numbers, sized.repair, sized.changed, measures, tuple(rows))
-        return Grown(*shape, *facts)
+        rows, cols = shape
+        return Grown(
+            rows=rows,
+            cols=cols,
+            steps=sized.steps,
+            numbers=sized.numbers,
+            repair=sized.repair,
+            changed=sized.changed,
+            measures=measures,
+            driven=tuple(driven),
+        )
 
     def drive(
         self, cell: Cell, layout: np.ndarray, plan: tuple[str, str], timesteps: int

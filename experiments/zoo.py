@@ -1,6 +1,6 @@
 """Choose about ten generators of a finished run, measure them, and write them into the zoo.
 
-    python experiments/zoo.py runs/warehouse-even
+    python -m experiments.zoo runs/warehouse-even
 
 Each rule orders the elites of the run; the first that nobody else has taken, and whose layout of
 the evaluation size can be repaired and flows, is chosen. The best is the one that is worth most at
@@ -19,8 +19,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 import tyro
-from growing import Cell, Measuring, Workshop
 
+from experiments.growing import Cell, Measuring, Workshop
 from qdenv.domains.base import DOMAINS
 from qdenv.files import write_json
 from qdenv.presets import PRESETS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -214,7 +214,7 @@ def read_collection(folder: Path) -> Collection:
     return Collection(content["domain"], folder, origin, {one.name: one for one in generators})
 
 
-def to_json(domain: str, origin: Origin, generators: list[Generator]) -> dict[str, Any]:
+def to_json(domain: str, origin: Origin, generators: Sequence[Generator]) -> dict[str, Any]:
     """Make the content of a folder's table."""
     listed = [
         one._asdict()
