@@ -57,6 +57,16 @@ class Case(NamedTuple):
         numbers = (self.agents, self.timesteps, self.planner, self.stop)
         return (self.layout, self.domain.name, *numbers, drawn, seed)
 
+    @property
+    def fleet(self) -> FleetConfig:
+        """The numbers of its simulation."""
+        return FleetConfig(
+            agents=self.agents,
+            timesteps=self.timesteps,
+            planner=DRIVERS[self.planner],
+            stop_when_congested=self.stop,
+        )
+
 
 class Run(NamedTuple):
     """One run, a row of the file.
@@ -174,13 +184,7 @@ def simulate(case: Case, seed: int) -> Run:
     """Simulate one run on one core; the program has been loaded before its clock starts."""
     from qdenv.study.runs import run_seeds  # imports the simulator
 
-    config = FleetConfig(
-        agents=case.agents,
-        timesteps=case.timesteps,
-        planner=DRIVERS[case.planner],
-        stop_when_congested=case.stop,
-    )
-    done = run_seeds(case.tiles, case.domain.simulator.tasks, config, [seed], threads=1)
+    done = run_seeds(case.tiles, case.domain.simulator.tasks, case.fleet, [seed], threads=1)
     (run,) = done.runs
     return Run(
         *case.key(seed),
