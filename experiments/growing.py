@@ -70,6 +70,7 @@ class Workshop:
         asked = [sizes.parse_size(text) for text in measuring.sizes]
         self.shapes: list[Shape] = asked or [trained.shape, *trained.known]
         self._grown: dict[tuple[Cell, Shape], sizes.Sized | None] = {}
+        self._walks: dict[Shape, Callable] = {}  # compiled once for each size
 
     @cached_property
     def archive(self) -> Archive:
@@ -159,11 +160,13 @@ class Workshop:
 
     def walk(self, layout: np.ndarray, shape: Shape) -> Driven:
         """Send the agent through a maze (int8 [H, W])."""
-        domain = self.at(shape)
-        keys, mazes = jax.random.split(jax.random.key(0), 1), jnp.asarray(layout)[None]
-        episodes = self.measuring.episodes
-        program = jax.jit(lambda: simulate_layouts(domain.simulator, mazes, keys, episodes))
-        runs = jax.tree.map(np.asarray, program())
+        domain, keys = self.at(shape), jax.random.split(jax.random.key(0), 1)
+        simulator, episodes = domain.simulator, self.measuring.episodes
+        if shape not in self._walks:
+            self._walks[shape] = jax.jit(
+                lambda mazes: simulate_layouts(simulator, mazes, keys, episodes)
+            )
+        runs = jax.tree.map(np.asarray, self._walks[shape](jnp.asarray(layout)[None]))
         lengths = runs.length.reshape(-1).astype(float)
         return make_row("agent", 1, domain.config.timesteps, lengths, float(runs.success.mean()))
 

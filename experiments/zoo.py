@@ -76,26 +76,19 @@ def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]
     )
 
 
-def in_mazes(thing: str, much: str, little: str) -> tuple[Rule, ...]:
+def in_mazes(thing: str, noun: str, much: str, little: str) -> tuple[Rule, ...]:
     """List the rules of mazes that differ in `thing`, and in how far the agent walks."""
-    far, near = (SURE, ("shortest", 0.3)), (SURE, ("-shortest", 0.3))
+    far, near = (SURE, ("shortest", 0.5)), (SURE, ("-shortest", 0.3))
+    most, least = (SURE, (thing, 0.1)), (SURE, (f"-{thing}", 0.1))
     return (
         Rule("straight", "a far goal that is found with few detours", f"-{ACTIONS}", far),
         Rule("winding", "a goal that is near and found late", ACTIONS, near),
-        Rule(much, f"the most of the {thing}", thing, (SURE,)),
-        Rule(little, f"the least of the {thing}", f"-{thing}", (SURE,)),
-        Rule(
-            f"{much}-long", f"much of the {thing}, and a long way", "shortest", (SURE, (thing, 0.1))
-        ),
-        Rule(
-            f"{little}-long",
-            f"little of the {thing}, and a long way",
-            "shortest",
-            (SURE, (f"-{thing}", 0.1)),
-        ),
-        Rule("short", "start and goal are near each other", "-shortest", (SURE,)),
+        Rule("wandering", "the most actions of the agent that arrives", ACTIONS, (SURE,)),
+        Rule(much, f"the most {noun}, and a way that is not short", thing, far),
+        Rule(little, f"the least {noun}, and a way that is not short", f"-{thing}", far),
+        Rule(f"{much}-long", f"the longest way with a lot of {noun}", "shortest", most),
+        Rule(f"{little}-long", f"the longest way with little {noun}", "shortest", least),
         Rule("hard", "a long way that the agent often misses", "-success", (("shortest", 0.2),)),
-        Rule("wandering", "the most actions of the agent that always arrives", ACTIONS, (SURE,)),
     )
 
 
@@ -122,8 +115,8 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
         FLEET_BEST,
         *with_fleets("workstations", "stations", "the fewest stations", "the most stations"),
     ),
-    "maze-walls": (MAZE_BEST, *in_mazes("number of walls", "dense", "open")),
-    "maze-entropy": (MAZE_BEST, *in_mazes(ENTROPY, "varied", "regular")),
+    "maze-walls": (MAZE_BEST, *in_mazes("number of walls", "walls", "dense", "open")),
+    "maze-entropy": (MAZE_BEST, *in_mazes(ENTROPY, "entropy", "varied", "regular")),
 }
 
 
