@@ -15,12 +15,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 import tyro
 
 from experiments.growing import Cell, Measuring, Workshop
+from experiments.zoo_rules import RULES, Rule
 from qdenv.domains.base import DOMAINS
 from qdenv.files import write_json
 from qdenv.presets import PRESETS
@@ -34,90 +35,6 @@ from qdenv.zoo.shipped import TABLE, USUAL, Generator, Origin, to_json
 ZOO = Path(__file__).parents[1] / "qdenv" / "zoo"
 FILES = ("config.json", "manifest.json", "metrics.csv")
 TRIED = 5  # elites that a rule tries before it takes the first of its order as it is
-ENTROPY, ACTIONS = "environment entropy", "mean agent path length"
-GOOD, SURE = ("objective", 0.5), ("success", 0.5)
-
-
-class Rule(NamedTuple):
-    """How a generator is chosen: steps narrow the elites down, and a number orders the rest.
-
-    Attributes:
-        name: of the generator.
-        about: what it is.
-        order: the number, a measure or a mean over simulations; the largest comes first, or the
-            smallest where a minus stands before it.
-        steps: (number, share): keep this share of what is left, the first in this order.
-    """
-
-    name: str
-    about: str
-    order: str
-    steps: tuple[tuple[str, float], ...] = (GOOD,)
-
-
-def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]:
-    """List the rules of a domain whose elites differ in entropy and in a number of `things`."""
-    tenth, third = ((f"-{ENTROPY}", 0.1),), (f"-{ENTROPY}", 0.3)
-    return (
-        Rule("regular", "one pattern all over: the lowest entropy", f"-{ENTROPY}"),
-        Rule("varied", "no two corners alike: the highest entropy", ENTROPY),
-        Rule(f"few-{noun}", few, f"-{things}"),
-        Rule(f"many-{noun}", many, things),
-        Rule("orderly", "the best of the most regular tenth", "objective", tenth),
-        Rule(
-            f"orderly-few-{noun}",
-            f"the best of the regular ones with few {noun}",
-            "objective",
-            (third, (f"-{things}", 0.3)),
-        ),
-        Rule("clean", "draws plans that the repair changes least", "similarity"),
-        Rule("calm", "robots wait the least", "-waiting"),
-        Rule("short-ways", "the shortest ways from one finished task to the next", "-path_length"),
-    )
-
-
-def in_mazes(thing: str, noun: str, much: str, little: str) -> tuple[Rule, ...]:
-    """List the rules of mazes that differ in `thing`, and in how far the agent walks."""
-    far, near = (SURE, ("shortest", 0.5)), (SURE, ("-shortest", 0.3))
-    most, least = (SURE, (thing, 0.1)), (SURE, (f"-{thing}", 0.1))
-    return (
-        Rule("straight", "a far goal that is found with few detours", f"-{ACTIONS}", far),
-        Rule("winding", "a goal that is near and found late", ACTIONS, near),
-        Rule("wandering", "the most actions of the agent that arrives", ACTIONS, (SURE,)),
-        Rule(much, f"the most {noun}, and a way that is not short", thing, far),
-        Rule(little, f"the least {noun}, and a way that is not short", f"-{thing}", far),
-        Rule(f"{much}-long", f"the longest way with a lot of {noun}", "shortest", most),
-        Rule(f"{little}-long", f"the longest way with little {noun}", "shortest", least),
-        Rule("hard", "a long way that the agent often misses", "-success", (("shortest", 0.2),)),
-    )
-
-
-# Rule and order of the candidates for the best, and the rules of the others.
-FLEET_BEST = Rule(
-    USUAL, "moves most at the largest size of those the search liked best", "objective", ()
-)
-MAZE_BEST = Rule(
-    USUAL, "a long way that the agent finds most surely at the largest size", "shortest", (SURE,)
-)
-_WAREHOUSE = (
-    FLEET_BEST,
-    *with_fleets(
-        "connected shelf components",
-        "blocks",
-        "long shelves: the fewest connected blocks",
-        "short shelves: the most connected blocks",
-    ),
-)
-RULES: Mapping[str, tuple[Rule, ...]] = {
-    "warehouse-even": _WAREHOUSE,
-    "warehouse-uneven": _WAREHOUSE,
-    "manufacturing": (
-        FLEET_BEST,
-        *with_fleets("workstations", "stations", "the fewest stations", "the most stations"),
-    ),
-    "maze-walls": (MAZE_BEST, *in_mazes("number of walls", "walls", "dense", "open")),
-    "maze-entropy": (MAZE_BEST, *in_mazes(ENTROPY, "entropy", "varied", "regular")),
-}
 
 
 def numbers_of(archive: Archive) -> dict[str, np.ndarray]:

@@ -130,7 +130,7 @@ def draw(path: Path, collections: Sequence[Collection], only: Shipped | None) ->
     def picture(collection: Collection, one: Generator) -> Picture:
         run = RunDirectory.open(f"{PREFIX}{collection.domain}/{one.name}")
         best, meaning = run.best, run.meaning
-        said = ", ".join(
+        said = "\n".join(
             f"{size.rows} x {size.cols}: {in_short(size.driven[0])}" for size in one.sizes
         )
         title = f"{collection.domain}/{one.name}" if len(collections) > 1 else one.name
