@@ -26,8 +26,7 @@ def export(
         solutions: add the parameters of the generators to the table.
     """
     run = RunDirectory.open(run_dir)
-    name = run_dir.resolve().name
-    place = output.place(out, f"{name}_elites.csv", TABLES)
+    place = output.place(out, f"{run.name}_elites.csv", TABLES)
     archive, domain = run.archive, run.config.evaluation.domain
     write_table(archive, place.path, solutions)
     print(f"{place}: {len(archive)} elites")

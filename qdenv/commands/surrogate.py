@@ -73,12 +73,13 @@ def surrogate(
         json_file: where to write the figures; - is standard output.
     """
     config, chosen = learning.config, parse_seeds(seeds)
-    name = run_dir.resolve().name
+    run = RunDirectory.open(run_dir)
+    name = run.name
     table = output.place(out, f"{name}_surrogate.csv", (".csv",))
     picture = table.beside(".png")
     if plot not in (None, words.AUTO):
         picture = output.place(plot, "surrogate.png", output.PICTURES)
-    elites = read_elites(RunDirectory.open(run_dir))
+    elites = read_elites(run)
     # Only now: imports jax, and who is refused need not wait.
     from qdenv.study.surrogate import facts_of, try_surrogate
 
