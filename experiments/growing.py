@@ -39,7 +39,7 @@ class Measuring:
         seeds: of each layout under our planner at high effort.
         pbs_seeds: of each under priority-based search; 0 leaves it out.
         episodes: of the agent in each maze.
-        candidates: how many are tried for the best.
+        candidates: how many are tried for the best, which are those that the search liked best.
         trial_timesteps: horizon of a trial of a fleet, which has one seed.
     """
 
@@ -48,7 +48,7 @@ class Measuring:
     seeds: str = "2"
     pbs_seeds: str = "1"
     episodes: int = 100
-    candidates: int = 6
+    candidates: int = 8
     trial_timesteps: int = 1000
 
 
@@ -113,6 +113,14 @@ class Workshop:
             return share if share > 0 else -1.0
         trial = self.drive(cell, sized.layout, ("high", "1"), timesteps)
         return trial.mean if trial.success == 1 else -1.0
+
+    def flows(self, cell: Cell) -> bool:
+        """Tell whether a layout of the last size that is worth anything flows under PBS, too."""
+        sized = self.grow(cell, self.shapes[-1])
+        if sized is None or not self.fleet or self.measuring.pbs_seeds == NONE:
+            return sized is not None
+        plan = ("published", "1")
+        return self.drive(cell, sized.layout, plan, self.measuring.trial_timesteps).success == 1
 
     def measure(self, cell: Cell, shape: Shape) -> Grown:
         """Grow a chosen elite at one size, and simulate it as is to be reported."""

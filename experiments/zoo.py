@@ -4,8 +4,9 @@
 
 Each rule orders the elites of the run; the first that nobody else has taken, and whose layout of
 the evaluation size can be repaired and flows, is chosen. The best is the one that is worth most at
-that size among the few that the search liked best. Every simulation of a fleet is a row of a file
-and is not done again, so this can be stopped and started again.
+that size among the few that the search liked best, and flows there under priority-based search,
+too. Every simulation of a fleet is a row of a file and is not done again, so this can be stopped
+and started again.
 """
 
 import os
@@ -78,7 +79,8 @@ def choose(workshop: Workshop, rules: tuple[Rule, ...]) -> dict[Rule, Cell]:
             raise InputError(f"{rule.name}: the run has too few elites: search for longer")
         if rule.name == USUAL:
             tried = free[: workshop.measuring.candidates]
-            chosen[rule] = max(tried, key=workshop.worth)
+            tried.sort(key=workshop.worth, reverse=True)
+            chosen[rule] = next((cell for cell in tried if workshop.flows(cell)), tried[0])
         else:
             passing = (cell for cell in free[:TRIED] if workshop.worth(cell) >= 0)
             chosen[rule] = next(passing, free[0])

@@ -76,7 +76,7 @@ def in_mazes(
 
 # Rule and order of the candidates for the best, and the rules of the others.
 FLEET_BEST = Rule(
-    USUAL, "moves most at the largest size of those the search liked best", "objective", ()
+    USUAL, "moves most at the largest size, and flows there under both planners", "objective", ()
 )
 MAZE_BEST = Rule(
     USUAL, "a long way that the agent finds most surely at the largest size", "shortest", (SURE,)

@@ -14,6 +14,8 @@ from qdenv.zoo.shipped import PREFIX, names
 
 SPEC = re.compile(r"^(COMPLETION_SPEC = )(\{.*\})$", re.MULTILINE)
 WORDS = 'set(spec.get("subcommands", {}).keys())'  # which words a colon does not part
+# What stands before a colon, which bash puts back, is left out whatever words stood before it.
+UP_TO_COLON = ('#"$prefix"}', "#*:}")
 RUNS = ("plot", "generate", "series", "export")  # commands that take generators of the zoo
 CHOICES = re.compile(r"^(?:\{None\}\|)?\{([^}]*,[^}]*)\}")
 
@@ -27,7 +29,7 @@ def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
     # Asked of another process: this one is in the middle of reading its own command line.
     command = [sys.executable, "-m", "qdenv", "--tyro-print-completion", shell]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    said = said.replace(WORDS, f'{WORDS} | set(spec.get("words", []))')
+    said = said.replace(WORDS, f'{WORDS} | set(spec.get("words", []))').replace(*UP_TO_COLON)
     print(SPEC.sub(lambda match: match[1] + repr(_as_spoken(match[2])), said), end="")
 
 

@@ -18,6 +18,7 @@ from qdenv.formats.drawings import check_size
 from qdenv.formats.layouts import endings_for, write_layout
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus
+from qdenv.zoo.shipped import file_name
 
 if TYPE_CHECKING:
     from qdenv.study.elites import Grown
@@ -55,7 +56,7 @@ def plot(run_dir: RunFolder, out: Path | None = None) -> None:
             named after them.
     """
     run = RunDirectory.open(run_dir)
-    folder = output.place(None, run.name).path if out is None and run.shipped else out
+    folder = output.place(None, file_name(run_dir)).path if out is None and run.shipped else out
     if folder is not None and folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: that is a file: name a folder")
     report(run, folder)

@@ -17,6 +17,7 @@ from qdenv.study.held_out import Evaluated, read_elites
 from qdenv.study.options import find_surrogate, parse_seeds
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.training.records import RunDirectory
+from qdenv.zoo.shipped import file_name
 
 if TYPE_CHECKING:  # imports jax
     from qdenv.study.surrogate import Trial
@@ -73,13 +74,12 @@ def surrogate(
         json_file: where to write the figures; - is standard output.
     """
     config, chosen = learning.config, parse_seeds(seeds)
-    run = RunDirectory.open(run_dir)
-    name = run.name
+    name = file_name(run_dir)
     table = output.place(out, f"{name}_surrogate.csv", (".csv",))
     picture = table.beside(".png")
     if plot not in (None, words.AUTO):
         picture = output.place(plot, "surrogate.png", output.PICTURES)
-    elites = read_elites(run)
+    elites = read_elites(RunDirectory.open(run_dir))
     # Only now: imports jax, and who is refused need not wait.
     from qdenv.study.surrogate import facts_of, try_surrogate
 

@@ -75,7 +75,22 @@ def table_of(collection: Collection) -> list[str]:
         "  ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)).rstrip()
         for line in lines
     )
-    return [describe_origin(collection), *told]
+    return [describe_origin(collection), describe_runs(generators[0]), *told]
+
+
+def describe_runs(one: Generator) -> str:
+    """Say in a line how much was simulated."""
+    return "; ".join(
+        f"{size.rows} x {size.cols}, {PLANNERS[row.planner]}: {count(row.agents, 'agent')}, "
+        f"{row.timesteps} timesteps, {count(row.runs, 'run')}"
+        for size in one.sizes
+        for row in size.driven
+    )
+
+
+def count(number: int, noun: str) -> str:
+    """Say how many of something there are."""
+    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def describe_origin(collection: Collection) -> str:
@@ -115,9 +130,8 @@ def describe_size(size: Grown, counted: str) -> list[str]:
     repair = "" if size.repair == "none" else f", repair changed {size.changed} cells"
     place = f"{size.rows} x {size.cols}"
     return [f"{place:12} {size.steps} steps of growth{numbers}{repair}{measures}"] + [
-        f"             {PLANNERS[row.planner]}, {row.agents} "
-        f"{'agent' if row.agents == 1 else 'agents'}, {row.timesteps} timesteps, "
-        f"{row.runs} {'run' if row.runs == 1 else 'runs'}: {in_short(row)} {counted}"
+        f"             {PLANNERS[row.planner]}, {count(row.agents, 'agent')}, {row.timesteps} "
+        f"timesteps, {count(row.runs, 'run')}: {in_short(row)} {counted}"
         for row in size.driven
     ]
 

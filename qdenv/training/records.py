@@ -103,11 +103,6 @@ class RunDirectory:
         if self.shipped is not None:
             raise InputError(self.shipped.refusal)
 
-    @property
-    def name(self) -> str:
-        """What files that are made of the run are called after."""
-        return self.shipped.file_name if self.shipped else self.path.resolve().name
-
     def __str__(self) -> str:
         """Say the run as command lines do."""
         return str(self.shipped or self.path)

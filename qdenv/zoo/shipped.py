@@ -135,11 +135,6 @@ class Shipped(NamedTuple):
         return f"{PREFIX}{self.collection.domain}/{self.name}"
 
     @property
-    def file_name(self) -> str:
-        """What files that are made of it are called after."""
-        return f"{self.collection.domain}-{self.name}"
-
-    @property
     def refusal(self) -> str:
         """Say why nothing is written there, and what to do."""
         preset = self.collection.origin.run
@@ -178,6 +173,12 @@ def find(place: str | Path) -> Shipped | None:
     """
     text = place.as_posix() if isinstance(place, Path) else place
     return named(text.removeprefix(PREFIX)) if text.startswith(PREFIX) else None
+
+
+def file_name(run_dir: Path) -> str:
+    """Say what files made of a run are called after: its folder, or its name in the zoo."""
+    shipped = find(run_dir)
+    return f"{shipped.collection.domain}-{shipped.name}" if shipped else run_dir.resolve().name
 
 
 def named(text: str) -> Shipped:
