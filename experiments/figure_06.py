@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.layouts import checksum
+from experiments.layouts import best_of
 from experiments.pieces import Drawn, Experiment, Folders, Piece, Say
 from qdenv.domains.base import Domain, find_domain
 from qdenv.files import write_json
@@ -47,12 +47,7 @@ class SavedGrowth(NamedTuple):
         """Say whether it is saved, and of the generator that ships now."""
         path = self.path(folders)
         said = json.loads(path.read_text())["origin"] if path.exists() else ""
-        return float(said == self.origin)
-
-    @property
-    def origin(self) -> str:
-        """Tell the generator from others, by a checksum."""
-        return checksum(RunDirectory.open(f"zoo:{self.domain}/best").best.solution)
+        return float(said == best_of(self.domain))
 
     def cost(self, folders: Folders) -> float:
         """Estimate the CPU seconds of growing once more."""
@@ -65,7 +60,7 @@ class SavedGrowth(NamedTuple):
         steps, frames = sizes.grow_frames(run, grown, self.every)
         tiles = grown.domain.tiles
         drawn = [drawn_as(frame, tiles) for frame in frames]
-        facts = {"origin": self.origin, "steps": steps, "frames": drawn}
+        facts = {"origin": best_of(self.domain), "steps": steps, "frames": drawn}
         write_json(self.path(folders), facts)
 
     def read(self, folders: Folders) -> tuple[list[int], list[np.ndarray], Domain]:

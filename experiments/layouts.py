@@ -111,7 +111,7 @@ class SavedLayout(NamedTuple):
     def origin(self, folders: Folders) -> str:
         """Tell what it is made from, by a checksum; "" where it could be made from nothing else."""
         if self.maker == "nca":
-            return checksum(RunDirectory.open(f"zoo:{self.domain}/best").best.solution)
+            return best_of(self.domain)
         if self.like in self.needs:
             return checksum(self.like.read(folders).layout) if self.like.done(folders) else "none"
         return ""
@@ -197,6 +197,11 @@ def _read(path: Path, stamp: tuple[int, int], name: str, shape: tuple[int, int])
     content, domain = json.loads(path.read_text()), find_domain(name).resized(*shape)
     layout, unrepaired = (parse(content.pop(key), domain.tiles) for key in ("layout", "unrepaired"))
     return Made(layout, unrepaired, domain.fitted(layout), content)
+
+
+def best_of(domain: str) -> str:
+    """Tell the zoo's best generator of a domain from others, by a checksum."""
+    return checksum(RunDirectory.open(f"zoo:{domain}/best").best.solution)
 
 
 def checksum(values: np.ndarray) -> str:

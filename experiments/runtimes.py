@@ -8,7 +8,7 @@ from typing import NamedTuple, get_type_hints
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SECONDS
+from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SECONDS, best_of
 from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, table
 from experiments.published import FLEETS
 from qdenv.files import write_csv
@@ -33,6 +33,7 @@ class Runtime(NamedTuple):
         repair_seconds: CPU seconds of the repair; 0 where nothing is repaired.
         repair: how the repair ended.
         changed: cells that it changed.
+        origin: of the generator, as `layouts.best_of` tells it.
     """
 
     seed: int
@@ -42,6 +43,7 @@ class Runtime(NamedTuple):
     repair_seconds: float
     repair: str
     changed: int
+    origin: str
 
 
 class SavedRuntime(NamedTuple):
@@ -72,13 +74,14 @@ class SavedRuntime(NamedTuple):
         return folders.results / "runtimes" / "{}-{}x{}.csv".format(self.domain, *self.shape)
 
     def read(self, folders: Folders) -> list[Runtime]:
-        """Read what is saved."""
+        """Read what is saved of the generator that ships now."""
         if not self.path(folders).exists():
             return []
         kinds = get_type_hints(Runtime)
         with self.path(folders).open(newline="") as file:
             rows = list(csv.DictReader(file))
-        return [Runtime(**{name: kinds[name](text) for name, text in row.items()}) for row in rows]
+        every = [Runtime(**{name: kinds[name](text) for name, text in row.items()}) for row in rows]
+        return [row for row in every if row.origin == best_of(self.domain)]
 
     def done(self, folders: Folders) -> float:
         """Say which share of the repairs is saved."""
@@ -98,12 +101,14 @@ class SavedRuntime(NamedTuple):
         elite = find_elite(run)
         grown = grow_elite(run, elite, self.shape)
         while (seed := len(known := self.read(folders))) < self.seeds:
-            row = measure(grown, elite.solution, run.config, seed)
+            row = measure(grown, elite.solution, run.config, seed, best_of(self.domain))
             write_csv(self.path(folders), Runtime._fields, [*known, row])
             say(f"{self.name}: {seed + 1} of {self.seeds}, repair {row.repair_seconds:.1f} s")
 
 
-def measure(grown: Grown, solution: np.ndarray, config: RunConfig, seed: int) -> Runtime:
+def measure(
+    grown: Grown, solution: np.ndarray, config: RunConfig, seed: int, origin: str
+) -> Runtime:
     """Grow a layout once more and repair it by the clock of the CPU, all cores together.
 
     Raises:
@@ -122,7 +127,7 @@ def measure(grown: Grown, solution: np.ndarray, config: RunConfig, seed: int) ->
     done = time.process_time()
     sized = finish(grown, config.evaluation.repair, seed)
     seconds = (round(compiled - begin, 4), round(done - compiled, 4), sized.cpu_seconds)
-    return Runtime(seed, grown.steps, *seconds, sized.repair, sized.changed)
+    return Runtime(seed, grown.steps, *seconds, sized.repair, sized.changed, origin)
 
 
 PIECES = tuple(SavedRuntime(domain, shape) for domain in FLEETS for shape in SIZES)

@@ -55,8 +55,10 @@ def silent(line: str) -> None:
 
 
 @pytest.fixture
-def folders(tmp_path) -> Folders:
-    """Folders without anything in them."""
+def folders(tmp_path, monkeypatch) -> Folders:
+    """Folders without anything in them, and a zoo of the same generator in every domain."""
+    for place in ("layouts", "runtimes"):
+        monkeypatch.setattr(f"experiments.{place}.best_of", lambda domain: "the best")
     return Folders(tmp_path / "results", tmp_path / "runs")
 
 
@@ -65,6 +67,7 @@ def save(saved: SavedLayout, folders: Folders, layout: np.ndarray | None = None,
     domain = find_domain(saved.domain).resized(*saved.shape)
     layout = sizes.human_layout(domain) if layout is None else layout
     facts = dict(steps=9, changed=3, unrepaired=draw_rows(layout, domain.tiles)) | facts
+    facts["origin"] = saved.origin(folders)
     write_layout(saved.path(folders), layout, domain.tiles, **facts)
 
 
@@ -344,8 +347,10 @@ def test_the_agent_is_measured_on_each_maze_once(folders, monkeypatch):
 def test_runtimes_are_averaged_over_repairs(folders):
     saved = SavedRuntime("warehouse-even", S)
     pairs = enumerate((2.0, 4.0))
-    rows = [Runtime(seed, 50, 1.0, 0.2, seconds, "optimal", 7) for seed, seconds in pairs]
-    write_csv(saved.path(folders), Runtime._fields, rows)
+    own = ("the best",)
+    rows = [Runtime(seed, 50, 1.0, 0.2, seconds, "optimal", 7, *own) for seed, seconds in pairs]
+    older = rows[0]._replace(seed=2, origin="of an older generator")
+    write_csv(saved.path(folders), Runtime._fields, [*rows, older])
     assert saved.read(folders) == rows and saved.done(folders) == pytest.approx(2 / 3)
     assert saved.cost(folders) == pytest.approx(1.0 + 0.2 + 3.0)
     drawn = runtimes.draw(folders)
