@@ -1,10 +1,13 @@
 """Saved layouts: grown by an elite, drawn as people do, or tiled; with what the repair changed."""
 
 import json
+import zlib
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from experiments.pieces import Folders, Piece, Say
@@ -12,7 +15,6 @@ from experiments.runs import SavedRun
 from qdenv.agent.baseline import BAND, draw_mazes
 from qdenv.agent.evaluate import without_ring
 from qdenv.domains.base import Domain, find_domain
-from qdenv.files import write_json
 from qdenv.formats.layouts import write_layout
 from qdenv.grid import draw, of_tiles, parse
 from qdenv.repair.settings import RepairConfig
@@ -24,7 +26,8 @@ from qdenv.types import InputError
 
 S, S_EVAL = (33, 36), (101, 102)
 MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
-SECONDS = {S: 10.0, S_EVAL: 90.0}  # CPU seconds of growing and repairing
+_longest_path = jax.jit(longest_path)
+SECONDS = {S: 4.0, S_EVAL: 10.0}  # CPU seconds of growing and repairing
 
 
 class Made(NamedTuple):
@@ -98,8 +101,20 @@ class SavedLayout(NamedTuple):
         return folders.results / "layouts" / f"{self.stem}.json"
 
     def done(self, folders: Folders) -> float:
-        """Say whether it is saved."""
-        return float(self.path(folders).exists())
+        """Say whether it is saved, and made from what it would be made from now."""
+        path = self.path(folders)
+        if not path.exists():
+            return 0.0
+        said = json.loads(path.read_text()).get("origin", "")
+        return float(said == self.origin(folders))
+
+    def origin(self, folders: Folders) -> str:
+        """Tell what it is made from, by a checksum; "" where it could be made from nothing else."""
+        if self.maker == "nca":
+            return checksum(RunDirectory.open(f"zoo:{self.domain}/best").best.solution)
+        if self.like in self.needs:
+            return checksum(self.like.read(folders).layout) if self.like.done(folders) else "none"
+        return ""
 
     def run(self) -> SavedRun:
         """Name the run whose best elite draws it."""
@@ -109,7 +124,7 @@ class SavedLayout(NamedTuple):
         """Estimate the CPU seconds of making it."""
         if self.done(folders):
             return 0.0
-        return 0.0 if self.maker == "human" else SECONDS.get(self.shape, 40.0)
+        return 0.0 if self.maker == "human" else SECONDS.get(self.shape, 8.0)
 
     def make(self, folders: Folders, say: Say) -> None:
         """Grow, draw or tile it, repair it, and write it with what it was before.
@@ -132,6 +147,7 @@ class SavedLayout(NamedTuple):
             grown.domain.tiles,
             domain=self.domain,
             maker=self.maker,
+            origin=self.origin(folders),
             **facts,
             unrepaired=draw(grown.layout, grown.domain.tiles),
         )
@@ -165,69 +181,33 @@ class SavedLayout(NamedTuple):
         Raises:
             InputError: it is not saved.
         """
+        path = self.path(folders)
         try:
-            content = json.loads(self.path(folders).read_text())
+            about = path.stat()
         except OSError as error:
-            raise InputError(f"{self.path(folders)}: not saved yet") from error
-        domain = find_domain(self.domain).resized(*self.shape)
-        layout, unrepaired = (
-            parse(content.pop(key), domain.tiles) for key in ("layout", "unrepaired")
-        )
-        return Made(layout, unrepaired, domain.fitted(layout), content)
+            raise InputError(f"{path}: not saved yet") from error
+        return _read(path, (about.st_mtime_ns, about.st_ino), self.domain, self.shape)
+
+
+# Every piece that is made from a layout asks for it, again and again.
+@lru_cache(maxsize=256)
+def _read(path: Path, stamp: tuple[int, int], name: str, shape: tuple[int, int]) -> Made:
+    """Read a layout once; `stamp` tells the file from what it was before."""
+    del stamp
+    content, domain = json.loads(path.read_text()), find_domain(name).resized(*shape)
+    layout, unrepaired = (parse(content.pop(key), domain.tiles) for key in ("layout", "unrepaired"))
+    return Made(layout, unrepaired, domain.fitted(layout), content)
+
+
+def checksum(values: np.ndarray) -> str:
+    """Tell arrays apart."""
+    return f"{zlib.crc32(np.ascontiguousarray(values).tobytes()):08x}"
 
 
 def random_like(layout: np.ndarray, seed: int) -> np.ndarray:
     """Draw a random maze of as many walls and about as long a way as a ringed one, ringless."""
     inside = without_ring(layout)
-    low, high = (share * int(longest_path(inside).length) for share in BAND)
+    low, high = (share * int(_longest_path(inside).length) for share in BAND)
     walls = int((inside == WALL).sum())
     (drawn,) = draw_mazes(seed, 1, inside.shape, walls, lambda length: low <= length <= high)
     return drawn.layout
-
-
-class SavedGrowth(NamedTuple):
-    """How an automaton of the zoo grows a layout of its trained size.
-
-    Attributes:
-        domain: whose best generator.
-        every: steps from one frame to the next.
-    """
-
-    domain: str
-    every: int = 10
-
-    @property
-    def name(self) -> str:
-        """How lists call it."""
-        return f"growth of {self.domain}"
-
-    @property
-    def needs(self) -> tuple[Piece, ...]:
-        """Nothing: the zoo is at hand."""
-        return ()
-
-    def path(self, folders: Folders) -> Path:
-        """Find its file."""
-        return folders.results / "layouts" / f"{self.domain}-growth.json"
-
-    def done(self, folders: Folders) -> float:
-        """Say whether it is saved."""
-        return float(self.path(folders).exists())
-
-    def cost(self, folders: Folders) -> float:
-        """Estimate the CPU seconds of growing once more."""
-        return 0.0 if self.done(folders) else 10.0
-
-    def make(self, folders: Folders, say: Say) -> None:
-        """Grow it and keep the frames."""
-        run = RunDirectory.open(f"zoo:{self.domain}/best")
-        grown = grow_elite(run, "best")
-        steps, frames = sizes.grow_frames(run, grown, self.every)
-        tiles = grown.domain.tiles
-        drawn = [draw(frame, tiles) for frame in frames]
-        write_json(self.path(folders), {"steps": steps, "frames": drawn})
-
-    def read(self, folders: Folders) -> tuple[list[int], list[np.ndarray], Domain]:
-        """Read the numbers of steps, the frames (int8 [H, W]) and their domain."""
-        content, domain = json.loads(self.path(folders).read_text()), find_domain(self.domain)
-        return content["steps"], [parse(one, domain.tiles) for one in content["frames"]], domain

@@ -96,3 +96,6 @@ TRAFFIC = {
     ("manufacturing", "cma-es", 1800): Moved(words="N/A"),
     ("manufacturing", "tiled", 1800): Moved(22.73, 1.0),
 }
+
+# Success of the maze agent by size: on the grown maze over 100 runs, on random mazes like it.
+MAZES = {(66, 66): "93 %, 22.3 ± 3.0 %"}

@@ -12,6 +12,7 @@ import optax
 import pytest
 
 from qdenv.agent import curriculum, levels, ppo, rollout
+from qdenv.agent.files import load_state
 from qdenv.agent.train import train_agent
 from qdenv.agent.update import TrainConfig, start, update
 from qdenv.simulate.maze.policy import Memory, draw_weights
@@ -24,7 +25,7 @@ CONFIG = TrainConfig(
     steps=3 * 128, units=4, bank=16, fresh=4, exam=2, levels=SMALL,
     ppo=ppo.PPOConfig(lanes=8, timesteps=16, minibatches=2),
 )  # fmt: skip
-REWARDS = rollout.Rewards(CONFIG.reward.novelty, CONFIG.reward.progress)
+REWARDS = rollout.Rewards(CONFIG.reward.novelty, CONFIG.reward.progress, CONFIG.reward.haste)
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +76,39 @@ def test_levels_are_solvable_and_half_are_longest_paths():
     assert walls.min() <= 1 and walls.max() >= 19
 
 
+def test_levels_of_many_sizes_keep_walls_and_horizon_in_proportion():
+    config = levels.LevelConfig(size=9, smallest=4, most_walls=40, horizon=(121, 242))
+    keys = jax.random.split(jax.random.key(2), 120)
+    sides = np.asarray(jax.vmap(lambda key: levels.draw_side(key, config))(keys))
+    assert set(sides.tolist()) == {4, 5, 6, 7, 8, 9}
+    layouts = jax.vmap(lambda key, side: levels.draw_layout(key, config, side))(keys, sides)
+    for layout, side in zip(np.asarray(layouts), sides, strict=True):
+        assert layout[side:].all() and layout[:, side:].all()
+        assert layout[:side, :side].sum() <= 40 * side**2 // 81
+    # Without walls the free tiles tell the side: 121 to 242 steps at 9 x 9, less at fewer tiles.
+    empty = replace(config, most_walls=0)
+    drawn = jax.vmap(lambda key: levels.draw_level(key, empty))(keys)
+    sides = np.sqrt((np.asarray(drawn.kinds) != WALL).sum((1, 2))).astype(int)
+    assert set(sides.tolist()) == {4, 5, 6, 7, 8, 9}
+    low = (sides + 2) ** 2
+    assert ((low <= drawn.horizon) & (drawn.horizon <= 2 * low)).all()
+    fixed = jax.vmap(lambda key: levels.draw_side(key, replace(config, smallest=0)))(keys)
+    assert set(np.asarray(fixed).tolist()) == {9}
+    with pytest.raises(InputError, match="in order"):
+        replace(config, smallest=10)
+
+
+def test_haste_takes_from_the_reward_of_the_goal(recorded):
+    state, _, _ = recorded
+    env = jax.tree.map(lambda x: x[0], state.envs)._replace(elapsed=jnp.int32(9))
+    env = env._replace(level=env.level._replace(horizon=jnp.int32(20)))
+    found = [
+        float(rollout._reward(env, env.pose, jnp.bool_(True), rollout.Rewards(0.0, 0.0, haste)))
+        for haste in (0.0, 0.5, 0.9)
+    ]
+    np.testing.assert_allclose(found, [1, 0.75, 0.55], atol=1e-6)
+
+
 def test_the_buffer_keeps_the_worthy_and_replaces_the_oldest(buffer):
     buffer = jax.tree.map(lambda x: x[:8], buffer)
     fresh = jax.tree.map(lambda x: x[:3], buffer.level)
@@ -121,7 +155,7 @@ def test_advantages_agree_with_the_definition(recorded):
 
 def test_replay_repeats_what_was_played_and_rewards_are_right(recorded):
     state, steps, _ = recorded
-    hidden = ppo.unroll(state.weights, steps, state.envs.memory)
+    _, hidden = ppo.unroll(state.weights, steps, state.envs.memory)
     logs = jax.nn.log_softmax(ppo.act(state.weights, hidden))
     taken = jnp.take_along_axis(logs, steps.action[..., None], -1)[..., 0]
     np.testing.assert_allclose(taken, steps.log_prob, atol=1e-5)
@@ -136,7 +170,7 @@ def test_replay_repeats_what_was_played_and_rewards_are_right(recorded):
 def test_learning_raises_the_odds_of_rewarded_actions(recorded):
     state, steps, _ = recorded
     advantage = jnp.where(steps.action == 2, 1.0, -1.0)
-    batch = ppo.Batch(steps, state.envs.memory, advantage, steps.value)
+    batch = ppo.Batch(steps, state.envs.memory, advantage, steps.value, jnp.zeros((48, 8, 0)))
     optimiser = optax.adam(3e-3)
     weights, _, log = jax.jit(
         lambda weights: ppo.learn(
@@ -144,10 +178,59 @@ def test_learning_raises_the_odds_of_rewarded_actions(recorded):
             jnp.float32(0.0),
         )
     )(state.weights)  # fmt: skip
-    hidden = ppo.unroll(weights, steps, state.envs.memory)
+    _, hidden = ppo.unroll(weights, steps, state.envs.memory)
     forward = jax.nn.softmax(ppo.act(weights, hidden))[..., 2]
     assert float(forward.mean()) > 0.34
     chex.assert_tree_all_finite((weights, log))
+
+
+def test_an_anchor_pulls_the_policy_back(recorded):
+    state, steps, _ = recorded
+    anchor = draw_weights(jax.random.key(5), 4, 3)
+    anchor = anchor._replace(logits_bias=jnp.array([0.0, 1.0, 2.0]))
+    blank = Memory(jnp.zeros((8, 4)), jnp.zeros((8, 4)))
+    # Half after half, with the memory carried over, is as good as all at once.
+    halves = [jax.tree.map(lambda x, p=part: x[p], steps) for part in (slice(24), slice(24, 48))]
+    memory, first = ppo.unroll(anchor, halves[0], blank)
+    _, second = ppo.unroll(anchor, halves[1], memory)
+    _, hidden = ppo.unroll(anchor, steps, blank)
+    np.testing.assert_allclose(jnp.concatenate([first, second]), hidden, atol=1e-6)
+    known = jax.nn.log_softmax(ppo.act(anchor, hidden))
+
+    def divergence(weights):
+        _, hidden = ppo.unroll(weights, steps, state.envs.memory)
+        found = jax.nn.log_softmax(ppo.act(weights, hidden))
+        return float((jnp.exp(known) * (known - found)).sum(-1).mean())
+
+    # Without any advantage nothing but the anchor moves the policy, and 0 moves it not at all.
+    nothing = jnp.zeros_like(steps.value)
+    batch = ppo.Batch(steps, state.envs.memory, nothing, steps.value, known)
+    optimiser = optax.adam(1e-2)
+    after = [
+        divergence(
+            ppo.learn(
+                jax.random.key(0), state.weights, optimiser, optimiser.init(state.weights), batch,
+                replace(CONFIG.ppo, critic=0.0), jnp.float32(0.0), weight,
+            )[0]
+        )
+        for weight in (0.0, 1.0)
+    ]  # fmt: skip
+    before = divergence(state.weights)
+    assert after[0] == pytest.approx(before, abs=1e-6)
+    assert after[1] < 0.9 * before
+
+
+def test_far_pairs_are_nearly_the_longest():
+    config = levels.LevelConfig(size=12, most_walls=60)
+    keys = jax.random.split(jax.random.key(4), 40)
+    layouts = np.asarray(jax.vmap(lambda key: levels.draw_layout(key, config, jnp.int32(12)))(keys))
+    found = jax.vmap(levels.far_pair)(keys, layouts)
+    ratios = []
+    for layout, one, two, length in zip(layouts, *map(np.asarray, found), strict=True):
+        assert oracle.bfs(layout, int(two))[int(one)] == length
+        ratios.append(length / oracle.longest(layout)[0])
+    assert max(ratios) == 1 and np.mean(ratios) > 0.95
+    assert int(levels.far_pair(keys[0], jnp.ones((5, 5), jnp.int8)).length) == 0
 
 
 def test_trials_fill_the_buffer_with_scores():
@@ -158,6 +241,18 @@ def test_trials_fill_the_buffer_with_scores():
     assert int((state.buffer.score > 0).sum()) > 0
     assert int(state.buffer.serial.max()) > 15  # new levels were admitted
     assert np.isfinite(list(numbers.values())).all()
+
+
+def test_an_anchored_run_resumes_with_the_anchor_it_began_with(tmp_path):
+    first = train_agent(CONFIG, tmp_path / "first")
+    anchored = replace(CONFIG, warm_start=str(first), anchor=0.5)
+    train_agent(anchored, tmp_path / "run", cpu_seconds=0)
+    state, _ = load_state(tmp_path / "run/checkpoint.npz", start(anchored))
+    with np.load(first) as stored:
+        np.testing.assert_array_equal(state.anchor.weights.actor, stored["actor"])
+    assert np.abs(state.anchor.memory.hidden).max() > 0
+    assert (state.weights.actor != state.anchor.weights.actor).any()
+    train_agent(anchored, tmp_path / "run", resume=True)
 
 
 @pytest.mark.parametrize("method", curriculum.METHODS)
@@ -197,6 +292,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
         ({"fresh": 17}, "fresh levels"),
         ({"ppo": ppo.PPOConfig(lanes=8, minibatches=3)}, "divide"),
         ({"warm_start": "/nowhere.npz"}, "there is no agent"),
+        ({"anchor": 0.5}, "add --warm-start"),
     ],
 )
 def test_impossible_runs_are_refused(tmp_path, change, reason):
@@ -213,7 +309,7 @@ def test_gradients_flow_through_time(recorded):
 
     def late(scale):
         moved = weights._replace(kernel=weights.kernel * scale)
-        return ppo.unroll(moved, jax.tree.map(lambda x: x[:6], steps), blank)[-1].sum()
+        return ppo.unroll(moved, jax.tree.map(lambda x: x[:6], steps), blank)[1][-1].sum()
 
     slope = (late(1.001) - late(0.999)) / 0.002
     np.testing.assert_allclose(jax.grad(late)(1.0), slope, rtol=0.05, atol=1e-3)

@@ -1,7 +1,8 @@
 """Levels for the maze agent to train on: random walls, textures, edits; start and goal pairs.
 
-Every level lies on one canvas of fixed size. Half of the pairs are the evaluation's own (the first
-pair of the longest shortest path), the others a random tile and a random tile it can reach.
+Every level lies on one canvas of fixed size, small ones in its corner amid walls. Half of the pairs
+are the evaluation's own (the first pair of the longest shortest path), the others a random tile and
+a random tile it can reach.
 """
 
 from typing import NamedTuple
@@ -14,13 +15,19 @@ from qdenv.simulate.maze.world import (
     EMPTY,
     GOAL,
     HEADINGS,
+    REACH,
     WALL,
+    Course,
     canvas,
+    in_layout,
     longest_path,
     on_canvas,
 )
+from qdenv.types import Array
 
 LONGEST_PERIOD = 12  # of textures
+LARGE = 24  # rows and columns beyond which the longest path is approximated
+SWEEPS = 4  # random tiles from which that begins
 UNSEEN = 10_000  # distance of tiles that cannot reach the goal
 
 
@@ -29,7 +36,7 @@ class Level(NamedTuple):
 
     kinds: jax.Array  # int8 [size + 8, size + 8]
     start: jax.Array  # int32
-    distance: jax.Array  # int32 [(size + 8)^2], moves to the goal
+    distance: jax.Array  # int16 [(size + 8)^2], moves to the goal
     horizon: jax.Array  # int32
     longest: jax.Array  # bool, the pair is the longest path's
 
@@ -41,11 +48,22 @@ def _walls(noise: jax.Array, count: jax.Array) -> jax.Array:
     return (noise >= thresholds[noise.size - count]).astype(jnp.int8)
 
 
-def draw_layout(key: jax.Array, config: LevelConfig) -> jax.Array:
+def draw_side(key: jax.Array, config: LevelConfig) -> jax.Array:
+    """Draw the rows and columns of a maze (int32, consumes the key)."""
+    return jax.random.randint(key, (), config.smallest or config.size, config.size + 1)
+
+
+def draw_layout(key: jax.Array, config: LevelConfig, side: Array) -> jax.Array:
     """Draw a layout of random walls, or of a noisy linear texture (consumes the key).
 
     A texture repeats a random row of m values along a random lattice direction, which yields the
     stripes, diagonals and dashes that generators like to grow.
+
+    Args:
+        key: consumed.
+        config: what levels look like.
+        side: int32, rows and columns of the maze, which lies in the first corner of a solid
+            layout.
 
     Returns:
         int8 [size, size].
@@ -60,7 +78,10 @@ def draw_layout(key: jax.Array, config: LevelConfig) -> jax.Array:
     down, right = (down * period).astype(jnp.int32), (right * period).astype(jnp.int32)
     texture = pattern[(down * row + right * col) % period] + (0.02 + 0.6 * rough) * noise
     field = jnp.where(kind < config.textured, texture, noise)
-    return _walls(field, (amount * (config.most_walls + 1)).astype(jnp.int32))
+    inside = (row < side) & (col < side)
+    most = config.most_walls * side**2 // n**2
+    layout = _walls(jnp.where(inside, field, -1.0), (amount * (most + 1)).astype(jnp.int32))
+    return jnp.where(inside, layout, WALL).astype(jnp.int8)
 
 
 def distances(kinds: jax.Array, goal: jax.Array) -> jax.Array:
@@ -80,9 +101,48 @@ def distances(kinds: jax.Array, goal: jax.Array) -> jax.Array:
     return jax.lax.while_loop(lambda carry: carry[1], relax, (far, jnp.bool_(True)))[0]
 
 
+def far_pair(key: jax.Array, layout: jax.Array) -> Course:
+    """Find two tiles about as far apart as any: the farthest one from the farthest one.
+
+    Two breadth-first searches in place of one from every tile (`world.longest_path`), which costs
+    a second at 64 x 64. Exact where the maze is a tree; the search begins in the largest of the
+    components that a few random tiles lie in.
+
+    Args:
+        key: consumed.
+        layout: int8 [n, n].
+
+    Returns:
+        places by cell of the layout; a length of 0 where no two empty tiles touch.
+    """
+    n = layout.shape[1]
+    kinds = jnp.pad(layout, REACH, constant_values=WALL)
+    free = (kinds != WALL).reshape(-1)
+    # Random tiles among those with an empty neighbour, for the others begin no path.
+    beside = jnp.stack(
+        [jnp.roll(free, int(row) * (n + 2 * REACH) + int(col)) for row, col in HEADINGS]
+    )
+    useful = jnp.cumsum(free & beside.any(0))
+    rank = (jax.random.uniform(key, (SWEEPS,)) * useful[-1]).astype(jnp.int32)
+    tiles = jnp.searchsorted(useful, rank, side="right")
+    far = jax.vmap(lambda tile: distances(kinds, tile))(tiles)
+    gap = far[jnp.argmax((far < UNSEEN).sum(1))]
+
+    def farthest(gap: jax.Array) -> jax.Array:
+        return jnp.argmax(jnp.where(gap < UNSEEN, gap, -1))
+
+    one = farthest(gap)
+    gap = distances(kinds, one)
+    two = farthest(gap)
+    length = jnp.where(useful[-1] > 0, gap[two], 0)
+    return Course(in_layout(jnp.minimum(one, two), n), in_layout(jnp.maximum(one, two), n), length)
+
+
 def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax.Array) -> Level:
     """Choose start and goal; a level without any pair gets one carved into its first corner."""
-    course = longest_path(layout)
+    keys = jax.random.split(key)
+    large = layout.shape[0] > LARGE
+    course = far_pair(keys[1], layout) if large else longest_path(layout)
     broken = course.length < 1
     carved = layout.at[0, :2].set(EMPTY)
     layout = jnp.where(broken, carved, layout)
@@ -95,22 +155,25 @@ def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax
     gap = distances(far, place)
     # A random pair lies in the component of the longest path, where a partner is sure to exist.
     reachable = jnp.cumsum((gap < UNSEEN) & (there == EMPTY))
-    rank = (jax.random.uniform(key, (2,)) * reachable[-1]).astype(jnp.int32)
+    rank = (jax.random.uniform(keys[0], (2,)) * reachable[-1]).astype(jnp.int32)
     one, two = jnp.searchsorted(reachable, rank, side="right")
     swap = ~longest & (one != two)
     place = jnp.where(swap, one, place)
     begin = jnp.where(swap, two, on_canvas(start, n)).astype(jnp.int32)
     kinds = there.at[place].set(GOAL).reshape(far.shape).astype(jnp.int8)
-    return Level(kinds, begin, distances(kinds, place), horizon, longest)
+    moves = distances(kinds, place).astype(jnp.int16)
+    return Level(kinds, begin, moves, horizon, longest)
 
 
 def draw_level(key: jax.Array, config: LevelConfig) -> Level:
     """Draw a new level (domain randomisation); consumes the key."""
     layout_key, pair_key, key = jax.random.split(key, 3)
-    low, high = config.horizon
+    side = draw_side(jax.random.fold_in(key, 1), config)
+    low, high = (steps * (side + 2) ** 2 // (config.size + 2) ** 2 for steps in config.horizon)
     span, kind = jax.random.uniform(key, (2,))
     horizon = low + (span * (high + 1 - low)).astype(jnp.int32)
-    return _pair_up(pair_key, draw_layout(layout_key, config), horizon, kind < config.longest)
+    layout = draw_layout(layout_key, config, side)
+    return _pair_up(pair_key, layout, horizon, kind < config.longest)
 
 
 def vary_level(key: jax.Array, level: Level, config: LevelConfig) -> Level:

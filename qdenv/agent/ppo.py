@@ -2,7 +2,8 @@
 
 Schulman et al. 2017, "Proximal policy optimization algorithms", https://arxiv.org/abs/1707.06347;
 advantages by Schulman et al. 2016, "High-dimensional continuous control using generalized advantage
-estimation", https://arxiv.org/abs/1506.02438.
+estimation", https://arxiv.org/abs/1506.02438; the anchor by Schmitt et al. 2018, "Kickstarting deep
+reinforcement learning", https://arxiv.org/abs/1803.03835.
 """
 
 from typing import NamedTuple
@@ -25,6 +26,7 @@ class Batch(NamedTuple):
     memory: Memory  # before the first step, [E, L]
     advantage: jax.Array  # float32
     returns: jax.Array  # float32, targets of the value
+    anchored: jax.Array  # float32 [T, E, N], log probabilities of the anchor; N is 0 without one
 
 
 class LearningLog(NamedTuple):
@@ -53,8 +55,8 @@ def advantages(steps: Transition, last_value: jax.Array, config: PPOConfig) -> j
     return jax.lax.scan(back, start, steps, reverse=True)[1]
 
 
-def unroll(weights: Weights, steps: Transition, memory: Memory) -> jax.Array:
-    """Run the network over recorded steps [T, E] -> hidden states [T, E, L]."""
+def unroll(weights: Weights, steps: Transition, memory: Memory) -> tuple[Memory, jax.Array]:
+    """Run the network over recorded steps [T, E] -> last memory, hidden states [T, E, L]."""
     # All observations are known: only the recurrence itself has to wait for the step before.
     gates = encode(weights, image(steps.view), jax.nn.one_hot(steps.heading, 4))
 
@@ -64,14 +66,15 @@ def unroll(weights: Weights, steps: Transition, memory: Memory) -> jax.Array:
         memory = recur(weights, gates, Memory(memory.hidden * keep, memory.cell * keep))
         return memory, jnp.asarray(memory.hidden)
 
-    return jax.lax.scan(one, memory, (gates, steps.fresh))[1]
+    return jax.lax.scan(one, memory, (gates, steps.fresh))
 
 
 def loss(
-    weights: Weights, batch: Batch, clip: float, critic: float, entropy: jax.Array
+    weights: Weights, batch: Batch, config: PPOConfig, entropy: jax.Array, anchor: float = 0.0
 ) -> tuple[jax.Array, LearningLog]:
     """Compute the clipped surrogate loss of PPO, and numbers for the log."""
-    hidden = unroll(weights, batch.steps, batch.memory)
+    clip, critic = config.clip, config.critic
+    _, hidden = unroll(weights, batch.steps, batch.memory)
     log_probs = jax.nn.log_softmax(act(weights, hidden))
     taken = jnp.take_along_axis(log_probs, batch.steps.action[..., None], -1)[..., 0]
     log_ratio = taken - batch.steps.log_prob
@@ -82,6 +85,9 @@ def loss(
     value_loss = jnp.square(estimate_value(weights, hidden) - batch.returns).mean()
     policy_entropy = -(jnp.exp(log_probs) * log_probs).sum(-1).mean()
     total = surrogate + critic * value_loss - entropy * policy_entropy
+    if anchor:
+        known = batch.anchored
+        total += anchor * (jnp.exp(known) * (known - log_probs)).sum(-1).mean()
     # (r - 1) - log r is never negative and has the divergence as its mean.
     return total, LearningLog(policy_entropy, ((ratio - 1) - log_ratio).mean(), value_loss)
 
@@ -94,6 +100,7 @@ def learn(
     batch: Batch,
     config: PPOConfig,
     entropy: jax.Array,
+    anchor: float = 0.0,
 ) -> tuple[Weights, optax.OptState, LearningLog]:
     """Improve the weights on one rollout; consumes the key.
 
@@ -107,14 +114,11 @@ def learn(
         carry: tuple[Weights, optax.OptState], envs: jax.Array
     ) -> tuple[tuple[Weights, optax.OptState], LearningLog]:
         weights, state = carry
-        steps, advantage, returns = jax.tree.map(
-            lambda x: x[:, envs], (batch.steps, batch.advantage, batch.returns)
-        )
         memory = jax.tree.map(lambda x: x[envs], batch.memory)
-        part = Batch(steps, memory, advantage, returns)
-        grads, log = jax.grad(loss, has_aux=True)(
-            weights, part, config.clip, config.critic, entropy
-        )
+        columns = batch.steps, batch.advantage, batch.returns, batch.anchored
+        steps, *others = jax.tree.map(lambda x: x[:, envs], columns)
+        part = Batch(steps, memory, *others)
+        grads, log = jax.grad(loss, has_aux=True)(weights, part, config, entropy, anchor)
         updates, state = optimiser.update(grads, state, weights)
         return (optax.apply_updates(weights, updates), state), log
 

@@ -40,10 +40,12 @@ class RewardConfig:
     Attributes:
         novelty: the first visit of a tile in an episode.
         progress: each move nearer to the goal (potential-based).
+        haste: share of the goal's reward that is lost by the horizon.
     """
 
     novelty: float = 0.01
     progress: float = 0.0
+    haste: float = 0.9
 
 
 @dataclass(frozen=True)
@@ -51,20 +53,30 @@ class LevelConfig:
     """What levels look like.
 
     Attributes:
-        size: rows and columns.
-        most_walls: walls are drawn from 0 to this.
+        size: rows and columns of the largest.
+        smallest: rows and columns of the smallest; all are of one size unless given.
+        most_walls: walls of the largest are drawn from 0 to this; smaller ones have fewer in
+            proportion to their area.
         textured: share of levels with a repeated pattern instead of independent walls.
         longest: share of levels with the longest-path pair.
-        horizon: shortest and longest horizon.
+        horizon: shortest and longest horizon of the largest; in proportion to the area.
         edits: tiles flipped when a level is varied (ACCEL).
     """
 
     size: int = 16
+    smallest: int = 0
     most_walls: int = 110
     textured: float = 0.25
     longest: float = 0.5
     horizon: tuple[int, int] = (250, 648)
     edits: int = 5
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that make no mazes."""
+        if self.size < 2 or (self.smallest and not 2 <= self.smallest <= self.size):
+            raise InputError(
+                f"sizes of mazes, {self.smallest} to {self.size}: give 2 or more, in order"
+            )
 
 
 @dataclass(frozen=True)
@@ -78,6 +90,8 @@ class TrainConfig:
         units: LSTM units of the agent.
         actions: 3 (turn left, turn right, forward) or 7 (the published set, 4 do nothing).
         warm_start: an .npz agent to start from; "" for fresh weights.
+        anchor: weight of the divergence from the policy of the warm start, which keeps what it
+            knows; 0 lets it go.
         bank: levels C of the buffer under replay.
         fresh: new levels per update.
         rate: first learning rate; falls linearly to a twentieth.
@@ -96,6 +110,7 @@ class TrainConfig:
     units: int = 64
     actions: int = 3
     warm_start: str = ""
+    anchor: float = 0.0
     bank: int = 4096
     fresh: int = 64
     rate: float = 1e-3
@@ -115,6 +130,8 @@ class TrainConfig:
         sizes = (self.ppo.lanes, self.ppo.timesteps, self.ppo.epochs, self.ppo.minibatches)
         if min(sizes) < 1 or self.ppo.lanes % self.ppo.minibatches:
             raise InputError("minibatches must divide lanes, and all numbers of PPO be 1 or more")
+        if self.anchor and not self.warm_start:
+            raise InputError("an anchor is a policy to start from: add --warm-start AGENT.npz")
         if not 0 < self.fresh <= self.bank:
             raise InputError("fresh levels per update must number between 1 and the bank's size")
         if not 0 <= self.seed < 2**32:

@@ -17,11 +17,25 @@ from qdenv.agent.curriculum import (
     update_scores,
 )
 from qdenv.agent.levels import Level
-from qdenv.agent.ppo import Batch, LearningLog, advantages, learn
+from qdenv.agent.ppo import Batch, LearningLog, advantages, learn, unroll
 from qdenv.agent.rollout import EnvState, Rewards, Transition, collect, reset_env
 from qdenv.agent.settings import TrainConfig
-from qdenv.simulate.maze.policy import Weights, draw_weights, load_weights
+from qdenv.simulate.maze.policy import (
+    Memory,
+    Weights,
+    act,
+    blank_memory,
+    draw_weights,
+    load_weights,
+)
 from qdenv.types import InputError, look_up
+
+
+class Anchor(NamedTuple):
+    """The policy to stay near, and its own memory of what the environments have seen."""
+
+    weights: Weights
+    memory: Memory  # [E, L]
 
 
 class State(NamedTuple):
@@ -33,6 +47,7 @@ class State(NamedTuple):
     buffer: LevelBuffer
     key: jax.Array  # raw key data, uint32 [2]
     update: jax.Array  # int32
+    anchor: Anchor | None = None
 
 
 _new_buffer = jax.jit(new_buffer, static_argnums=(1, 2))
@@ -70,7 +85,9 @@ def start(config: TrainConfig) -> State:
     reset = jax.vmap(reset_env, (None, 0, 0, 0, 0))
     envs = reset(weights, level, slot, buffer.serial[slot], heading)
     optimiser = _optimiser(config).init(weights)
-    return State(weights, optimiser, envs, buffer, jax.random.key_data(keys[4]), jnp.int32(0))
+    anchor = Anchor(weights, blank_memory(weights, (config.ppo.lanes,))) if config.anchor else None
+    key = jax.random.key_data(keys[4])
+    return State(weights, optimiser, envs, buffer, key, jnp.int32(0), anchor)
 
 
 class Schedule(NamedTuple):
@@ -86,7 +103,7 @@ def _schedule(config: TrainConfig, update: jax.Array) -> Schedule:
     novelty: jax.Array | float = config.reward.novelty
     if config.novelty_until < 1:
         novelty = novelty * jnp.clip(2 - 2 * done / config.novelty_until, 0.0, 1.0)
-    rewards = Rewards(novelty, config.reward.progress)
+    rewards = Rewards(novelty, config.reward.progress, config.reward.haste)
     return Schedule(config.rate * (1 - 0.95 * done), config.entropy * (1 - 0.9 * done), rewards)
 
 
@@ -154,6 +171,14 @@ def _metrics(steps: Transition, log: LearningLog, buffer: LevelBuffer) -> dict[s
     }
 
 
+def _recall(anchor: Anchor | None, steps: Transition) -> tuple[Anchor | None, jax.Array]:
+    """Ask the anchor what it would have done at every step -> log probabilities [T, E, N]."""
+    if anchor is None:
+        return None, jnp.zeros((*steps.action.shape, 0))
+    memory, hidden = unroll(anchor.weights, steps, anchor.memory)
+    return anchor._replace(memory=memory), jax.nn.log_softmax(act(anchor.weights, hidden))
+
+
 def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Array]]:
     """Renew the buffer, play its levels, learn; traceable.
 
@@ -171,11 +196,20 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Arra
     advantage = advantages(steps, last_value, config.ppo)
     if method.on_trial:
         buffer = update_scores(buffer, state.update, steps.slot, steps.serial, advantage)
-    batch = Batch(steps, state.envs.memory, advantage, returns=advantage + steps.value)
+    anchor, anchored = _recall(state.anchor, steps)
+    returns = advantage + steps.value
+    batch = Batch(steps, state.envs.memory, advantage, returns, anchored)
     optimiser = _with_rate(state.optimiser, now.learning_rate)
     weights, optimiser, log = learn(
-        keys[2], state.weights, _optimiser(config), optimiser, batch, config.ppo, now.entropy
+        keys[2],
+        state.weights,
+        _optimiser(config),
+        optimiser,
+        batch,
+        config.ppo,
+        now.entropy,
+        config.anchor,
     )
     key = jax.random.key_data(keys[3])
-    new = State(weights, optimiser, envs, buffer, key, state.update + 1)
+    new = State(weights, optimiser, envs, buffer, key, state.update + 1, anchor)
     return new, _metrics(steps, log, buffer)
