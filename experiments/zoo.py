@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 
 from experiments.growing import Cell, Measuring, Workshop
-from experiments.zoo_rules import RULES, Rule
+from experiments.zoo_rules import LEARNT, RULES, Rule
 from qdenv.domains.base import DOMAINS
 from qdenv.files import write_json
 from qdenv.presets import PRESETS
@@ -38,8 +38,8 @@ FILES = ("config.json", "manifest.json", "metrics.csv")
 TRIED = 5  # elites that a rule tries before it takes the first of its order as it is
 
 
-def numbers_of(archive: Archive) -> dict[str, np.ndarray]:
-    """List what rules order elites by, float [elites] each: means over simulations, measures."""
+def numbers_of(archive: Archive, alpha: float) -> dict[str, np.ndarray]:
+    """List what rules order elites by, float [elites] each; `alpha` is the search's."""
     columns = dict(archive.columns)
     measures = columns.pop("measures")
     found = {
@@ -48,6 +48,7 @@ def numbers_of(archive: Archive) -> dict[str, np.ndarray]:
         if name != "solution" and values.ndim <= 2
     }
     names = (axis.name for axis in archive.meaning.measures)
+    found[LEARNT] = found["objective"] + alpha * found["similarity"]
     return found | dict(zip(names, measures.T.astype(float), strict=True))
 
 
@@ -70,7 +71,8 @@ def in_order(rule: Rule, numbers: Mapping[str, np.ndarray], elites: np.ndarray) 
 def choose(workshop: Workshop, rules: tuple[Rule, ...]) -> dict[Rule, Cell]:
     """Choose a cell of the archive for each rule."""
     archive = workshop.archive
-    numbers, elites, cells = numbers_of(archive), sound(archive), archive.cells
+    alpha = workshop.config.evaluation.alpha
+    numbers, elites, cells = numbers_of(archive, alpha), sound(archive), archive.cells
     chosen: dict[Rule, Cell] = {}
     for rule in rules:
         ordered = (tuple(map(int, cells[row])) for row in in_order(rule, numbers, elites))

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from qdenv.zoo.shipped import USUAL
 
+LEARNT = "learning objective"  # what the search maximised: throughput, and how little repair
 ENTROPY, ACTIONS = "environment entropy", "mean agent path length"
 GOOD, SURE = ("objective", 0.5), ("success", 0.5)
 
@@ -15,8 +16,8 @@ class Rule(NamedTuple):
     Attributes:
         name: of the generator.
         about: what it is.
-        order: the number, a measure or a mean over simulations; the largest comes first, or the
-            smallest where a minus stands before it.
+        order: the number, a measure, a mean over simulations or `LEARNT`; the largest comes first,
+            or the smallest where a minus stands before it.
         steps: (number, share): keep this share of what is left, the first in this order.
     """
 
@@ -76,7 +77,7 @@ def in_mazes(
 
 # Rule and order of the candidates for the best, and the rules of the others.
 FLEET_BEST = Rule(
-    USUAL, "moves most at the largest size, and flows there under both planners", "objective", ()
+    USUAL, "moves most at the largest size, and flows there under both planners", LEARNT
 )
 MAZE_BEST = Rule(
     USUAL, "a long way that the agent finds most surely at the largest size", "shortest", (SURE,)
