@@ -24,10 +24,10 @@ def list_all(folders: Folders) -> None:
     for name in names():
         found = find(name)
         missing = found.missing(folders)
-        there = len(found.pieces) - len(missing)
+        every = len(found.everything)
         cost = sum(piece.cost(folders) for piece in missing)
         rest = f", the rest takes about {in_words(cost)} of one core" if missing else ""
-        print(f"{name:13} {found.shows}: {there} of {len(found.pieces)} pieces{rest}")
+        print(f"{name:13} {found.shows}: {every - len(missing)} of {every} pieces{rest}")
         for piece in missing:
             share = f"{piece.done(folders):.0%} there, " if piece.done(folders) else ""
             print(f"{'':15}- {piece.name}: {share}about {in_words(piece.cost(folders))}")
@@ -35,12 +35,13 @@ def list_all(folders: Folders) -> None:
 
 def make(experiment: Experiment, folders: Folders) -> None:
     """Make what is missing, the cheapest pieces first, so that soon there is something to see."""
-    while missing := sorted(experiment.missing(folders), key=lambda piece: piece.cost(folders)):
+    while ready := experiment.ready(folders):
+        missing = experiment.missing(folders)
         left = sum(piece.cost(folders) for piece in missing)
-        print(f"{len(missing)} pieces, about {in_words(left)} of one core: {missing[0].name}")
-        missing[0].make(folders, partial(print, flush=True))
-        if missing[0].done(folders) < 1:
-            raise InputError(f"{missing[0].name}: was made and is still not whole")
+        print(f"{len(missing)} pieces, about {in_words(left)} of one core: {ready[0].name}")
+        ready[0].make(folders, partial(print, flush=True))
+        if ready[0].done(folders) < 1:
+            raise InputError(f"{ready[0].name}: was made and is still not whole")
 
 
 def draw(name: str, experiment: Experiment, folders: Folders, out: Path) -> None:

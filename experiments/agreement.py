@@ -1,6 +1,6 @@
 """Does our planner rank layouts as the paper's planner does? Elites of a run, judged by both.
 
-    python experiments/agreement.py runs/laptop human.json dsage.json
+    python -m experiments.agreement runs/laptop human.json dsage.json
 
 Elites spread over the archive's objective, and any layout files, under our planner at low and high
 effort and under priority-based search by its published and its plain rule. Every run is a row of

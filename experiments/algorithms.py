@@ -1,7 +1,7 @@
 """Compare all search algorithms at equal true evaluations, several seeds each (Table 4).
 
-    python experiments/algorithms.py                                             # on quick
-    python experiments/algorithms.py --preset laptop --seeds 1 --evaluations 1000
+    python -m experiments.algorithms                                             # on quick
+    python -m experiments.algorithms --preset laptop --seeds 1 --evaluations 1000
 
 Every algorithm has its defaults. Each run has a folder of its own: finished ones are read,
 half-done ones go on, so this can be stopped and started again, with more seeds, too.
@@ -22,6 +22,7 @@ import numpy as np
 import tyro
 
 import qdenv
+from experiments.published import TABLE_4
 from qdenv.commands.costs import in_words
 from qdenv.files import write_csv
 from qdenv.plots.figure import new_figure, save_figure
@@ -34,15 +35,6 @@ COLOURS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#999999", "#CC79A7")  # 
 STYLES = ("-", "--", "-", "--", ":", "-.")  # grey prints tell them apart, too
 METRICS = {"qd_score": "QD-score", "coverage": "coverage", "best_objective": "best objective"}
 ENTROPY = ("mean_entropy", "lowest_entropy", "share_below_half")
-
-# QD-score and coverage of 5 runs at the paper's size, after 10,000 evaluations (mazes 100,000).
-TABLE_4 = {
-    "warehouse-even": {"cma-mae": "20366, 0.33", "dsage": "915, 0.02", "map-elites": "6893, 0.15"},
-    "warehouse-uneven": {"cma-mae": "19985, 0.33", "dsage": "927", "map-elites": "5907"},
-    "manufacturing": {"cma-mae": "6450, 0.18", "dsage": "378", "map-elites": "2399"},
-    "maze-walls": {"cma-mae": "22299, 0.54", "dsage": "16447, 0.40", "map-elites": "12447, 0.30"},
-    "maze-entropy": {"cma-mae": "12468, 0.77", "dsage": "1444", "map-elites": "9289"},
-}
 
 
 class Runs(NamedTuple):
@@ -116,8 +108,8 @@ def write_table(path: Path, found: dict[str, Runs]) -> None:
     write_csv(path, [*head, *ENTROPY], rows)
 
 
-def print_table(found: dict[str, Runs], published: dict[str, str]) -> None:
-    """Print the table beside the paper's."""
+def print_table(found: dict[str, Runs], domain: str) -> None:
+    """Print the table beside the paper's of a domain."""
     print(
         "mean +- half of its 95 % interval (Student's t); share: of elites with entropy below 0.5"
     )
@@ -128,7 +120,7 @@ def print_table(found: dict[str, Runs], published: dict[str, str]) -> None:
         numbers = zip(means, halves, (1, 4, 3), strict=True)
         cells = [f"{mean:.{digits}f} +- {half:.{digits}f}" for mean, half, digits in numbers]
         mean, lowest, share = runs.entropy.mean(axis=0)
-        paper = published.get(name, "")
+        paper = TABLE_4.get((domain, name), "")
         said = "".join(f"{cell:18}" for cell in cells)
         print(f"{name:11}  {said}{mean:7.2f}  {lowest:6.2f}  {share:5.1%}  {paper}".rstrip())
 
@@ -187,7 +179,7 @@ def main(
     spread = "mean and 95 % interval" if seeds > 1 else "one run each"
     draw(out / "algorithms.png", collected, f"{preset}, {seeds} seeds: {spread}")
     domain = qdenv.DOMAINS.name_of(base.evaluation.domain)
-    print_table(collected, TABLE_4.get(domain, {}))
+    print_table(collected, domain)
     print(f"{out / 'algorithms.csv'}, {out / 'algorithms.png'}")
 
 

@@ -1,10 +1,10 @@
 """How often fleets congest, and what they move: Tables 2 and 5, Figure 17's rule, section E.4.
 
-    python experiments/congestion.py human.json dsage.json --agents 150,200,250,300 \
+    python -m experiments.congestion human.json dsage.json --agents 150,200,250,300 \
         --timesteps 5000 --seeds 50 --planners published,plain,high,low --out runs/s.csv
     qdenv layout tile nca_a5.json --rows 101 --cols 102 --out nca_a5_tiled.json    # section E.4
-    python experiments/congestion.py nca_a5_tiled.json --agents 1400 --out runs/tiled.csv
-    python experiments/congestion.py --out runs/all.csv --read runs/s.csv runs/tiled.csv
+    python -m experiments.congestion nca_a5_tiled.json --agents 1400 --out runs/tiled.csv
+    python -m experiments.congestion --out runs/all.csv --read runs/s.csv runs/tiled.csv
 
 Each run is a row of a file and is not simulated again, so this can be stopped and started again,
 and several can work at once, each with a file of its own. The paper's figures appear where a file's
@@ -23,9 +23,12 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
 import qdenv
+from experiments.published import TRAFFIC
+from experiments.traffic import moved_in, rate_of
 from qdenv.files import write_csv
 from qdenv.plots.figure import new_figure, save_figure
 from qdenv.study.ledger import Case, complete, read_runs
@@ -34,30 +37,10 @@ from qdenv.study.outcomes import Outcome, outcomes_of
 from qdenv.study.plans import read_plan
 from qdenv.study.sweep import name_layouts
 
-# Throughput over 50 runs of T = 5000 (and success rate, where it is known) by domain, maker and
-# agents: 200 at 33 x 36; at 101 x 102 as many as fit the published throughput. The first that fits
-# counts: a tiled layout's name may say whose layout was tiled.
-PAPER = {
-    ("warehouse-even", "nca_a0", 200): "6.79",
-    ("warehouse-even", "nca_a1", 200): "6.73",
-    ("warehouse-even", "nca_a5", 200): "6.74 (100 %)",
-    ("warehouse-even", "dsage", 200): "6.35",
-    ("warehouse-even", "human", 200): "congests",
-    ("warehouse-uneven", "nca_a0", 200): "6.89",
-    ("warehouse-uneven", "nca_a1", 200): "6.70",
-    ("warehouse-uneven", "nca_a5", 200): "6.82 (100 %)",
-    ("warehouse-uneven", "dsage", 200): "6.40",
-    ("warehouse-uneven", "human", 200): "congests",
-    ("manufacturing", "nca", 200): "6.82 (94 %)",
-    ("manufacturing", "dsage", 200): "5.61",
-    ("manufacturing", "human", 200): "5.92",
-    ("warehouse-even", "tiled", 1400): "0 %",
-    ("warehouse-even", "nca_a5", 1400): "16.01 (90 %)",
-    ("warehouse-uneven", "tiled", 1000): "23 %",
-    ("warehouse-uneven", "nca_a5", 1000): "12.03 (84 %)",
-    ("manufacturing", "tiled", 1800): "22.73 (100 %)",
-    ("manufacturing", "nca", 1800): "23.11 (100 %)",
-}
+# What files call a layout's maker: the first that fits counts, as a tiled layout's name may say
+# whose layout was tiled.
+MAKERS = {"tiled": "tiled", "nca_a0": "a0", "nca_a1": "a1", "nca": "nca", "dsage": "dsage"}
+MAKERS |= {"human": "human"}
 LOOKS = {  # Okabe and Ito 2008
     "published": ("#D55E00", "o"),
     "plain": ("#CC79A7", "s"),
@@ -65,16 +48,16 @@ LOOKS = {  # Okabe and Ito 2008
     "low": ("#E69F00", "v"),
 }
 COLUMNS = 3  # panels side by side
-HEAD = ("layout", "agents", "T", "planner", "success (95 %)", "tasks / timestep")
-HEAD += ("paper, T = 5000", "CPU s / run", "congested at")
+HEAD = (
+    *("layout", "agents", "T", "planner", "success (95 %)", "tasks / timestep"),
+    *("paper, T = 5000", "CPU s / run", "congested at"),
+)
 
 
 def paper_on(row: Outcome) -> str:
     """Find what the paper says of a case by the layout's name; "" for nothing."""
-    for (domain, maker, agents), said in PAPER.items():
-        if maker in row.layout and (domain, agents) == (row.domain, row.agents):
-            return said
-    return ""
+    maker = next((maker for word, maker in MAKERS.items() if word in row.layout), "")
+    return str(TRAFFIC.get((row.domain, maker, row.agents), ""))
 
 
 def who(row: Outcome) -> str:
@@ -87,10 +70,15 @@ def lines_of(rows: Sequence[Outcome]) -> Iterator[str]:
     yield f"| {' | '.join(HEAD)} |"
     yield "| --- " * len(HEAD) + "|"
     for row in rows:
-        rate = f"{row.successes}/{row.runs} ({row.low:.0%} to {row.high:.0%})"
-        moved = f"{row.throughput:.3f} +- {row.error:.3f}" if row.successes else "none"
         jams = f"{row.jam_median:.0f} ({row.jam_least:.0f} to {row.jam_most:.0f})"
-        cells = [f"{row.layout} ({row.domain})", row.agents, row.timesteps, who(row), rate, moved]
+        cells = [
+            f"{row.layout} ({row.domain})",
+            row.agents,
+            row.timesteps,
+            who(row),
+            rate_of(row),
+            moved_in(row),
+        ]
         cells += [paper_on(row), f"{row.cpu_seconds:.2f}", "" if np.isnan(row.jam_median) else jams]
         yield f"| {' | '.join(map(str, cells))} |"
 
@@ -125,7 +113,7 @@ def draw(path: Path, rows: Sequence[Outcome]) -> None:
     height = -(-len(panels) // columns)
     figure = new_figure(1 + 3.6 * columns, 0.9 + 3 * height)
     grid = figure.subplots(height, columns, squeeze=False).ravel()
-    labels = {}
+    labels: dict[str, Artist] = {}
     for axes, (name, own) in zip(grid, panels.items(), strict=False):
         plot(axes, own)
         axes.set_title(f"{name[0]} ({name[1]})", fontsize="small")
@@ -136,7 +124,9 @@ def draw(path: Path, rows: Sequence[Outcome]) -> None:
         labels |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
     for axes in grid[len(panels) :]:
         axes.remove()
-    figure.legend(labels.values(), labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(
+        list(labels.values()), list(labels), loc="outside lower center", ncols=4, frameon=False
+    )
     figure.suptitle("hollow: some runs congest; per cent: how many do not", fontsize="small")
     save_figure(figure, path)
 

@@ -1,8 +1,78 @@
 """Figure 6: how an automaton grows a warehouse from the seed block in 50 steps."""
 
-from experiments.layouts import SavedGrowth
-from experiments.pieces import Drawn, Experiment, Folders
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.layouts import checksum
+from experiments.pieces import Drawn, Experiment, Folders, Piece, Say
+from qdenv.domains.base import Domain, find_domain
+from qdenv.files import write_json
+from qdenv.grid import draw as drawn_as
+from qdenv.grid import parse
 from qdenv.plots.layouts import draw_frames
+from qdenv.study import sizes
+from qdenv.study.elites import grow_elite
+from qdenv.training.records import RunDirectory
+
+
+class SavedGrowth(NamedTuple):
+    """How an automaton of the zoo grows a layout of its trained size.
+
+    Attributes:
+        domain: whose best generator.
+        every: steps from one frame to the next.
+    """
+
+    domain: str
+    every: int = 10
+
+    @property
+    def name(self) -> str:
+        """How lists call it."""
+        return f"growth of {self.domain}"
+
+    @property
+    def needs(self) -> tuple[Piece, ...]:
+        """Nothing: the zoo is at hand."""
+        return ()
+
+    def path(self, folders: Folders) -> Path:
+        """Find its file."""
+        return folders.results / "layouts" / f"{self.domain}-growth.json"
+
+    def done(self, folders: Folders) -> float:
+        """Say whether it is saved, and of the generator that ships now."""
+        path = self.path(folders)
+        said = json.loads(path.read_text())["origin"] if path.exists() else ""
+        return float(said == self.origin)
+
+    @property
+    def origin(self) -> str:
+        """Tell the generator from others, by a checksum."""
+        return checksum(RunDirectory.open(f"zoo:{self.domain}/best").best.solution)
+
+    def cost(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of growing once more."""
+        return 0.0 if self.done(folders) else 10.0
+
+    def make(self, folders: Folders, say: Say) -> None:
+        """Grow it and keep the frames."""
+        run = RunDirectory.open(f"zoo:{self.domain}/best")
+        grown = grow_elite(run, "best")
+        steps, frames = sizes.grow_frames(run, grown, self.every)
+        tiles = grown.domain.tiles
+        drawn = [drawn_as(frame, tiles) for frame in frames]
+        facts = {"origin": self.origin, "steps": steps, "frames": drawn}
+        write_json(self.path(folders), facts)
+
+    def read(self, folders: Folders) -> tuple[list[int], list[np.ndarray], Domain]:
+        """Read the numbers of steps, the frames (int8 [H, W]) and their domain."""
+        content, domain = json.loads(self.path(folders).read_text()), find_domain(self.domain)
+        return content["steps"], [parse(one, domain.tiles) for one in content["frames"]], domain
+
 
 GROWTH = SavedGrowth("warehouse-even")
 

@@ -1,19 +1,22 @@
 """Saved layouts: grown by an elite, drawn as people do, or tiled; with what the repair changed."""
 
 import json
+import zlib
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
-from experiments.pieces import Folders, Say
+from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
 from qdenv.agent.baseline import BAND, draw_mazes
 from qdenv.agent.evaluate import without_ring
 from qdenv.domains.base import Domain, find_domain
-from qdenv.files import write_json
 from qdenv.formats.layouts import write_layout
-from qdenv.grid import draw, parse
+from qdenv.grid import draw, of_tiles, parse
 from qdenv.repair.settings import RepairConfig
 from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.study import sizes
@@ -23,7 +26,8 @@ from qdenv.types import InputError
 
 S, S_EVAL = (33, 36), (101, 102)
 MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
-SECONDS = {S: 10.0, S_EVAL: 90.0}  # CPU seconds of growing and repairing
+_longest_path = jax.jit(longest_path)
+SECONDS = {S: 4.0, S_EVAL: 10.0}  # CPU seconds of growing and repairing
 
 
 class Made(NamedTuple):
@@ -40,6 +44,19 @@ class Made(NamedTuple):
     unrepaired: np.ndarray
     domain: Domain
     facts: dict
+
+    @property
+    def refused(self) -> str:
+        """Why no repair was found, and it cannot be simulated therefore; "" where there was one."""
+        return str(self.facts.get("refused", ""))
+
+    @property
+    def free(self) -> np.ndarray:
+        """Cells that agents drive on, bool [H, W]; every cell where no fleet drives."""
+        tasks = self.domain.simulator.tasks
+        if tasks is None:
+            return np.ones(self.layout.shape, bool)
+        return np.asarray(of_tiles(self.layout, tasks.traversable, tasks.tiles))
 
 
 class SavedLayout(NamedTuple):
@@ -67,67 +84,96 @@ class SavedLayout(NamedTuple):
         """How lists call it."""
         return f"layout {self.stem}"
 
+    @property
+    def like(self) -> "SavedLayout":
+        """The grown layout that is tiled, or that a random maze takes after."""
+        return SavedLayout(self.domain, "nca", S if self.maker == "tiled" else self.shape)
+
+    @property
+    def needs(self) -> tuple[Piece, ...]:
+        """The run whose elite draws it, or the layout that it takes after."""
+        if self.maker == "tiled" or self.maker.startswith("random-"):
+            return (self.like,)
+        return () if self.maker in ("human", "nca") else (self.run(),)
+
     def path(self, folders: Folders) -> Path:
         """Find its file."""
         return folders.results / "layouts" / f"{self.stem}.json"
 
     def done(self, folders: Folders) -> float:
-        """Say whether it is saved."""
-        return float(self.path(folders).exists())
+        """Say whether it is saved, and made from what it would be made from now."""
+        path = self.path(folders)
+        if not path.exists():
+            return 0.0
+        said = json.loads(path.read_text()).get("origin", "")
+        return float(said == self.origin(folders))
+
+    def origin(self, folders: Folders) -> str:
+        """Tell what it is made from, by a checksum; "" where it could be made from nothing else."""
+        if self.maker == "nca":
+            return checksum(RunDirectory.open(f"zoo:{self.domain}/best").best.solution)
+        if self.like in self.needs:
+            return checksum(self.like.read(folders).layout) if self.like.done(folders) else "none"
+        return ""
 
     def run(self) -> SavedRun:
         """Name the run whose best elite draws it."""
         return SavedRun(f"{self.domain}-{self.maker}")
 
     def cost(self, folders: Folders) -> float:
-        """Estimate the CPU seconds of making it, its run included."""
+        """Estimate the CPU seconds of making it."""
         if self.done(folders):
             return 0.0
-        own = 0.0 if self.maker == "human" else SECONDS.get(self.shape, 40.0)
-        searched = self.maker not in ("human", "tiled", "nca") and "random" not in self.maker
-        return own + (self.run().cost(folders) if searched else 0.0)
+        return 0.0 if self.maker == "human" else SECONDS.get(self.shape, 8.0)
 
     def make(self, folders: Folders, say: Say) -> None:
-        """Grow, draw or tile it, repair it, and write it with what it was before."""
+        """Grow, draw or tile it, repair it, and write it with what it was before.
+
+        Where no repair is found the file says so, and holds what could not be repaired.
+        """
         say(f"{self.stem}: is being made")
-        before, made = self._create(folders, say)
-        domain = find_domain(self.domain)
+        grown, config, seed = self._draw(folders, say)
+        try:
+            made = sizes.finish(grown, config, seed)
+        except InputError as error:
+            say(f"{self.stem}: {error}")
+            made = sizes.Sized(grown.layout, grown.steps, {}, "failed", 0, 0.0)
+            facts = sizes.details(made) | {"refused": str(error)}
+        else:
+            facts = sizes.details(made)
         write_layout(
             self.path(folders),
             made.layout,
-            domain.tiles,
+            grown.domain.tiles,
             domain=self.domain,
             maker=self.maker,
-            **{name: value for name, value in sizes.details(made).items() if name != "domain"},
-            unrepaired=draw(before, domain.tiles),
+            origin=self.origin(folders),
+            **facts,
+            unrepaired=draw(grown.layout, grown.domain.tiles),
         )
 
-    def _create(self, folders: Folders, say: Say) -> tuple[np.ndarray, sizes.Sized]:
+    def _draw(self, folders: Folders, say: Say) -> tuple[Grown, RepairConfig, int]:
+        """Make the unrepaired layout, and say with which limits and seed to repair it."""
         domain = find_domain(self.domain).resized(*self.shape)
         if self.maker == "human":
+            # People obey the rules: nothing is repaired.
             layout = sizes.human_layout(domain)
-            numbers = domain.fitted(layout).numbers
-            return layout, sizes.Sized(layout, 0, numbers, "none", 0, 0.0)
+            return Grown(replace(domain, rules=None), None, layout, 0), RepairConfig(), 0
         if self.maker == "tiled":
-            layout = sizes.tile_layout(domain, self._other(S, folders, say).layout)
-            return layout, sizes.finish(Grown(domain, None, layout, 0), RepairConfig(), 0)
+            layout = sizes.tile_layout(domain, self.like.read(folders).layout)
+            return Grown(domain, None, layout, 0), RepairConfig(), 0
         if self.maker.startswith("random-"):
-            like, seed = self._other(self.shape, folders, say), int(self.maker[7:])
-            layout = np.asarray(domain.frame(random_like(like.layout, seed)))
-            return layout, sizes.Sized(layout, 0, {}, "none", 0, 0.0)
+            drawn = random_like(self.like.read(folders).layout, int(self.maker[7:]))
+            return Grown(domain, None, np.asarray(domain.frame(drawn)), 0), RepairConfig(), 0
         if self.maker == "nca":
             run = RunDirectory.open(f"zoo:{self.domain}/best")
         else:
             run = self.run().whole(folders, say)
-        grown = grow_elite(run, "best", self.shape)
-        return grown.layout, sizes.finish(grown, run.config.evaluation.repair, run.config.seed)
-
-    def _other(self, shape: tuple[int, int], folders: Folders, say: Say) -> Made:
-        """Read the layout that it takes after: grown by the zoo's best; make it if need be."""
-        grown = SavedLayout(self.domain, "nca", shape)
-        if not grown.done(folders):
-            grown.make(folders, say)
-        return grown.read(folders)
+        return (
+            grow_elite(run, "best", self.shape),
+            run.config.evaluation.repair,
+            run.config.seed,
+        )
 
     def read(self, folders: Folders) -> Made:
         """Read it.
@@ -135,64 +181,33 @@ class SavedLayout(NamedTuple):
         Raises:
             InputError: it is not saved.
         """
+        path = self.path(folders)
         try:
-            content = json.loads(self.path(folders).read_text())
+            about = path.stat()
         except OSError as error:
-            raise InputError(f"{self.path(folders)}: not saved yet") from error
-        domain = find_domain(self.domain).resized(*self.shape)
-        layout, unrepaired = (
-            parse(content.pop(key), domain.tiles) for key in ("layout", "unrepaired")
-        )
-        return Made(layout, unrepaired, domain.fitted(layout), content)
+            raise InputError(f"{path}: not saved yet") from error
+        return _read(path, (about.st_mtime_ns, about.st_ino), self.domain, self.shape)
+
+
+# Every piece that is made from a layout asks for it, again and again.
+@lru_cache(maxsize=256)
+def _read(path: Path, stamp: tuple[int, int], name: str, shape: tuple[int, int]) -> Made:
+    """Read a layout once; `stamp` tells the file from what it was before."""
+    del stamp
+    content, domain = json.loads(path.read_text()), find_domain(name).resized(*shape)
+    layout, unrepaired = (parse(content.pop(key), domain.tiles) for key in ("layout", "unrepaired"))
+    return Made(layout, unrepaired, domain.fitted(layout), content)
+
+
+def checksum(values: np.ndarray) -> str:
+    """Tell arrays apart."""
+    return f"{zlib.crc32(np.ascontiguousarray(values).tobytes()):08x}"
 
 
 def random_like(layout: np.ndarray, seed: int) -> np.ndarray:
     """Draw a random maze of as many walls and about as long a way as a ringed one, ringless."""
     inside = without_ring(layout)
-    low, high = (share * int(longest_path(inside).length) for share in BAND)
+    low, high = (share * int(_longest_path(inside).length) for share in BAND)
     walls = int((inside == WALL).sum())
     (drawn,) = draw_mazes(seed, 1, inside.shape, walls, lambda length: low <= length <= high)
     return drawn.layout
-
-
-class SavedGrowth(NamedTuple):
-    """How an automaton of the zoo grows a layout of its trained size.
-
-    Attributes:
-        domain: whose best generator.
-        every: steps from one frame to the next.
-    """
-
-    domain: str
-    every: int = 10
-
-    @property
-    def name(self) -> str:
-        """How lists call it."""
-        return f"growth of {self.domain}"
-
-    def path(self, folders: Folders) -> Path:
-        """Find its file."""
-        return folders.results / "layouts" / f"{self.domain}-growth.json"
-
-    def done(self, folders: Folders) -> float:
-        """Say whether it is saved."""
-        return float(self.path(folders).exists())
-
-    def cost(self, folders: Folders) -> float:
-        """Estimate the CPU seconds of growing once more."""
-        return 0.0 if self.done(folders) else 10.0
-
-    def make(self, folders: Folders, say: Say) -> None:
-        """Grow it and keep the frames."""
-        run = RunDirectory.open(f"zoo:{self.domain}/best")
-        grown = grow_elite(run, "best")
-        steps, frames = sizes.grow_frames(run, grown, self.every)
-        tiles = grown.domain.tiles
-        drawn = [draw(frame, tiles) for frame in frames]
-        write_json(self.path(folders), {"steps": steps, "frames": drawn})
-
-    def read(self, folders: Folders) -> tuple[list[int], list[np.ndarray], Domain]:
-        """Read the numbers of steps, the frames (int8 [H, W]) and their domain."""
-        content, domain = json.loads(self.path(folders).read_text()), find_domain(self.domain)
-        return content["steps"], [parse(one, domain.tiles) for one in content["frames"]], domain

@@ -1,6 +1,6 @@
 """Search with an objective of your own, in plain numpy, between ask and tell.
 
-    python experiments/own_objective.py --iterations 200
+    python -m experiments.own_objective --iterations 200
 
 Bends a chain of twelve links so that its tip reaches many different places while its joints are
 bent as evenly as possible. Saves the archive as a table for pandas and as a picture.

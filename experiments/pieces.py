@@ -30,14 +30,21 @@ class Piece(Protocol):
     def name(self) -> str:
         """How lists call it."""
 
+    @property
+    def needs(self) -> tuple["Piece", ...]:
+        """What it is made from."""
+
     def done(self, folders: Folders) -> float:
         """Say which share of it is saved, 0 to 1."""
 
     def cost(self, folders: Folders) -> float:
-        """Estimate the CPU seconds that making the rest takes."""
+        """Estimate the CPU seconds that making the rest takes, without what it needs."""
 
     def make(self, folders: Folders, say: Say) -> None:
-        """Make the rest, so that an interruption loses little; `say` hears how far it is."""
+        """Make the rest once what it needs is there, so that an interruption loses little.
+
+        `say` hears how far it is.
+        """
 
 
 class Drawn(NamedTuple):
@@ -66,13 +73,40 @@ class Experiment:
     pieces: tuple[Piece, ...]
     draw: Callable[[Folders], Drawn]
 
+    @property
+    def everything(self) -> tuple[Piece, ...]:
+        """List its pieces and what they are made from, each once, nothing before what it needs."""
+        return _with_needs(self.pieces, lambda piece: True)
+
     def missing(self, folders: Folders) -> list[Piece]:
-        """List the pieces that are not whole."""
-        return [piece for piece in self.pieces if piece.done(folders) < 1]
+        """List what is not whole, but for what nothing missing is made from."""
+        needed = _with_needs(self.pieces, lambda piece: piece.done(folders) < 1)
+        return [piece for piece in needed if piece.done(folders) < 1]
+
+    def ready(self, folders: Folders) -> list[Piece]:
+        """List what is not whole and can be made now, the cheapest first."""
+        missing = self.missing(folders)
+        able = [piece for piece in missing if not set(piece.needs) & set(missing)]
+        return sorted(able, key=lambda piece: piece.cost(folders))
 
     def drawable(self, folders: Folders) -> bool:
         """Tell whether anything is saved to draw from."""
         return any(piece.done(folders) > 0 for piece in self.pieces)
+
+
+def _with_needs(pieces: Sequence[Piece], asks: Callable[[Piece], bool]) -> tuple[Piece, ...]:
+    """List pieces, each once, after what those that ask for it need."""
+    found: dict[Piece, None] = {}
+
+    def add(piece: Piece) -> None:
+        if piece not in found:
+            for one in piece.needs if asks(piece) else ():
+                add(one)
+            found[piece] = None
+
+    for piece in pieces:
+        add(piece)
+    return tuple(found)
 
 
 def table(head: Sequence[str], rows: Sequence[tuple[object, ...]]) -> tuple[str, ...]:

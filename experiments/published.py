@@ -1,6 +1,12 @@
 """What the paper found, to be printed beside what we find; from its tables and its text."""
 
+from math import isnan, nan
 from typing import NamedTuple
+
+FLEETS = ("warehouse-even", "warehouse-uneven", "manufacturing")  # domains that fleets drive in
+# By domain: agents at 33 x 36 and at 101 x 102; the latter as many as fit the throughputs.
+AGENTS = {"warehouse-even": (200, 1400), "warehouse-uneven": (200, 1000)}
+AGENTS |= {"manufacturing": (200, 1800)}
 
 
 class Found(NamedTuple):
@@ -39,3 +45,57 @@ TABLE_4 = {
     ("manufacturing", "dsage"): Found(378.33, 4.69, 0.02),
     ("manufacturing", "map-elites"): Found(2398.99, 422.61, 0.14),
 }
+
+
+class Moved(NamedTuple):
+    """What fleets made of a layout, over 50 runs of 5,000 timesteps.
+
+    Attributes:
+        throughput: tasks per timestep, mean of the successful runs; NaN where none is given.
+        success: share of runs that never congested; NaN where it is not given.
+        words: what is said where there are no numbers.
+    """
+
+    throughput: float = nan
+    success: float = nan
+    words: str = ""
+
+    def __str__(self) -> str:
+        """Write it as tables do."""
+        rate = "" if isnan(self.success) else f"{self.success:.0%}".replace("%", " %")
+        if isnan(self.throughput):
+            return self.words or rate
+        return f"{self.throughput:.2f}" + (f" ({rate})" if rate else "")
+
+
+# Tables 2 and 5 and section E.4 by domain, maker (see `layouts.SavedLayout`) and agents.
+TRAFFIC = {
+    ("warehouse-even", "a0", 200): Moved(6.79),
+    ("warehouse-even", "a1", 200): Moved(6.73),
+    ("warehouse-even", "nca", 200): Moved(6.74, 1.0),
+    ("warehouse-even", "cma-es", 200): Moved(6.51, 1.0),
+    ("warehouse-even", "dsage", 200): Moved(6.35),
+    ("warehouse-even", "human", 200): Moved(words="congests"),
+    ("warehouse-uneven", "a0", 200): Moved(6.89),
+    ("warehouse-uneven", "a1", 200): Moved(6.70),
+    ("warehouse-uneven", "nca", 200): Moved(6.82, 1.0),
+    ("warehouse-uneven", "cma-es", 200): Moved(6.62, 1.0),
+    ("warehouse-uneven", "dsage", 200): Moved(6.40),
+    ("warehouse-uneven", "human", 200): Moved(words="congests"),
+    ("manufacturing", "nca", 200): Moved(6.82, 0.94),
+    ("manufacturing", "cma-es", 200): Moved(6.81, 0.98),
+    ("manufacturing", "dsage", 200): Moved(5.61),
+    ("manufacturing", "human", 200): Moved(5.92),
+    ("warehouse-even", "nca", 1400): Moved(16.01, 0.90),
+    ("warehouse-even", "cma-es", 1400): Moved(words="N/A"),
+    ("warehouse-even", "tiled", 1400): Moved(success=0.0),
+    ("warehouse-uneven", "nca", 1000): Moved(12.03, 0.84),
+    ("warehouse-uneven", "cma-es", 1000): Moved(success=0.0),
+    ("warehouse-uneven", "tiled", 1000): Moved(success=0.23),
+    ("manufacturing", "nca", 1800): Moved(23.11, 1.0),
+    ("manufacturing", "cma-es", 1800): Moved(words="N/A"),
+    ("manufacturing", "tiled", 1800): Moved(22.73, 1.0),
+}
+
+# Success of the maze agent by size: on the grown maze over 100 runs, on random mazes like it.
+MAZES = {(66, 66): "93 %, 22.3 ± 3.0 %"}

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 import qdenv
-from experiments.pieces import Folders, Say
+from experiments.pieces import Folders, Piece, Say
 from qdenv.commands.costs import reckon_seconds
 from qdenv.files import write_csv
 from qdenv.plots.archive import scatter_objectives
@@ -81,6 +81,11 @@ class SavedRun(NamedTuple):
     def name(self) -> str:
         """How lists call it."""
         return f"run {self.folder}"
+
+    @property
+    def needs(self) -> tuple[Piece, ...]:
+        """Nothing: it begins by itself."""
+        return ()
 
     @property
     def config(self) -> RunConfig:

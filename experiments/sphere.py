@@ -1,7 +1,7 @@
 """Train CMA-MAE on the sphere benchmark of quality diversity; no grid world in sight.
 
-    python experiments/sphere.py                                  # seconds
-    python experiments/sphere.py --iterations 10000 --seeds 5     # the published length
+    python -m experiments.sphere                                  # seconds
+    python -m experiments.sphere --iterations 10000 --seeds 5     # the published length
 
 Prints the normalised QD-score (per cell) and the coverage in per cent of every seed, their mean
 and the standard error, and draws the archive of the last seed. Measured with this script (mean and

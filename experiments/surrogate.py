@@ -2,7 +2,7 @@
 
     qdenv train laptop --algorithm cma-mae-screened --screen 1 --refit 100000 --evaluations 2000 \
         --out runs/recorded        # CMA-MAE as it is, every evaluation remembered
-    python experiments/surrogate.py runs/recorded
+    python -m experiments.surrogate runs/recorded
 
 `qdenv surrogate` learns from the elites of any run. This learns from everything that a run with a
 surrogate (`dsage`, `cma-mae-screened`) remembers, elites or not, tile usage included. A fifth is

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from experiments.layouts import SavedLayout
-from experiments.pieces import Folders, Say
+from experiments.pieces import Folders, Piece, Say
 from qdenv.study.ledger import Case, Run, complete, read_runs
+from qdenv.study.outcomes import Outcome, outcomes_of
 
 # CPU seconds of one agent's timestep where no run of the planner is known.
 RATES = {"low": 1.3e-6, "high": 2.5e-6, "plain": 6e-6, "published": 5e-6}
@@ -39,23 +40,23 @@ class SavedTraffic(NamedTuple):
         counts = ",".join(map(str, self.agents))
         return f"{self.seeds} runs of {self.layout.stem}, {counts} agents, {self.planner}"
 
+    @property
+    def needs(self) -> tuple[Piece, ...]:
+        """The layout."""
+        return (self.layout,)
+
     def path(self, folders: Folders) -> Path:
         """Find its file."""
         return folders.results / "traffic" / f"{self.table}.csv"
 
     def cases(self, folders: Folders) -> list[Case]:
-        """List what is simulated."""
+        """List what is simulated: nothing where the layout could not be repaired."""
         made = self.layout.read(folders)
+        if made.refused:
+            return []
+        numbers = (self.timesteps, self.planner, self.stop)
         return [
-            Case(
-                self.layout.stem,
-                made.layout,
-                made.domain,
-                count,
-                self.timesteps,
-                self.planner,
-                self.stop,
-            )
+            Case(self.layout.stem, made.layout, made.domain, count, *numbers)
             for count in self.agents
         ]
 
@@ -66,20 +67,26 @@ class SavedTraffic(NamedTuple):
         wanted = {case.key(seed) for case in self.cases(folders) for seed in range(self.seeds)}
         return [run for run in read_runs(self.path(folders)) if run.key in wanted]
 
+    def outcomes(self, folders: Folders) -> list[Outcome]:
+        """Condense what is saved, a row per number of agents, few to many."""
+        return sorted(outcomes_of(self.read(folders)), key=lambda row: row.agents)
+
     def done(self, folders: Folders) -> float:
         """Say which share of the runs is saved."""
+        if self.layout.done(folders) and not self.cases(folders):
+            return 1.0
         return len(self.read(folders)) / (self.seeds * len(self.agents))
 
     def cost(self, folders: Folders) -> float:
-        """Estimate the CPU seconds of the layout and of the runs that are missing."""
+        """Estimate the CPU seconds of the runs that are missing."""
+        if self.done(folders) == 1:
+            return 0.0
         known = self.read(folders)
         work = sum(self.agents) * self.seeds - sum(run.agents for run in known)
-        return self.layout.cost(folders) + rate(self.planner, known) * work * self.timesteps
+        return rate(self.planner, known) * work * self.timesteps
 
     def make(self, folders: Folders, say: Say) -> None:
         """Simulate what is missing, one run at a time."""
-        if not self.layout.done(folders):
-            self.layout.make(folders, say)
         complete(self.path(folders), self.cases(folders), range(self.seeds), say=say)
 
 
@@ -89,3 +96,13 @@ def rate(planner: str, known: Sequence[Run]) -> float:
         return RATES[planner]
     work = sum(run.agents * run.timesteps for run in known)
     return sum(run.cpu_seconds for run in known) / work
+
+
+def rate_of(row: Outcome) -> str:
+    """Write a success rate with its Wilson interval, as tables do."""
+    return f"{row.successes}/{row.runs} ({row.low:.0%} to {row.high:.0%})"
+
+
+def moved_in(row: Outcome) -> str:
+    """Write the throughput of successful runs with its standard error, as tables do."""
+    return f"{row.throughput:.3f} +- {row.error:.3f}" if row.successes else "none"

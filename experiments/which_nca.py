@@ -1,6 +1,6 @@
 """Which automaton and which strategy search better at equal evaluations?
 
-    python experiments/which_nca.py --preset quick --seeds 3
+    python -m experiments.which_nca --preset quick --seeds 3
 
 Compares kernels (3,3,3) of the appendix with (3,1,1) of the published code, and the isotropic
 with the separable evolution strategy. Finished runs are kept, so it can be stopped and continued.

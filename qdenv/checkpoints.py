@@ -47,15 +47,25 @@ def write_arrays(
 ) -> None:
     """Write named arrays as .npz, atomically; rows of an array become an array of their own.
 
+    Args:
+        path: the .npz file.
+        arrays: by name.
+        compressed: whether to compress those that are no fractions: weights are noise, of which
+            compressing saves a fourteenth and takes eight times as long as all else.
+
     Raises:
         InputError: the file cannot be written.
     """
-    kind = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
 
     def write(file: BinaryIO) -> None:
-        with zipfile.ZipFile(file, "w", kind) as archive:
+        with zipfile.ZipFile(file, "w") as archive:
             for name, content in arrays.items():
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                entry = zipfile.ZipInfo(f"{name}.npy")
+                if compressed and not (
+                    isinstance(content, np.ndarray) and content.dtype.kind == "f"
+                ):
+                    entry.compress_type = zipfile.ZIP_DEFLATED
+                with archive.open(entry, "w", force_zip64=True) as member:
                     _write_member(member, content)
 
     write_atomically(path, write)

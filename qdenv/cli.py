@@ -37,6 +37,7 @@ COMMANDS = {
     "layout human": "qdenv.commands.sizes:layout_human",
     "layout tile": "qdenv.commands.sizes:layout_tile",
     "layout symbols": "qdenv.commands.drawings:layout_symbols",
+    "zoo": "qdenv.commands.zoo:zoo",
     "presets": "qdenv.commands.presets:presets",
     "train": "qdenv.commands.train:train",
     "resume": "qdenv.commands.runs:resume",

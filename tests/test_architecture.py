@@ -35,18 +35,24 @@ ALLOWED = {
     "pipeline": BASE | STAGES | {"domains.base", "devices", "settings"},
     "surrogate": {"types"},
     "search": {"types", "lazy", "files", "checkpoints", "registry", "surrogate"},
+    "zoo": {"types"},
     "presets": BASE
     | STAGES
     | {"domains", "search", "settings", "surrogate", "training.config", "training.choosing"},
     "training": BASE
     | STAGES
     | PLUGS
-    | {"checkpoints", "search", "pipeline", "settings", "domains", "formats", "plots.inline"},
+    | {"checkpoints", "search", "pipeline", "settings", "domains", "formats", "plots.inline"}
+    | {"zoo"},
     "study": BASE
     | STAGES
     | PLUGS
     | {"domains", "pipeline", "settings", "formats", "surrogate", "training"},
-    "api": BASE | STAGES | PLUGS | {"domains", "formats", "plots", "presets", "study", "training"},
+    "api": BASE
+    | STAGES
+    | PLUGS
+    | {"domains", "formats", "plots", "presets", "study", "training"}
+    | {"zoo"},
     "plots": BASE
     | {
         "training.records",
@@ -70,6 +76,7 @@ ALLOWED = {
         "study",
         "surrogate",
         "training",
+        "zoo",
     },
     "bench": BASE
     | STAGES

@@ -197,6 +197,10 @@ def test_presets_hold_the_papers_numbers(capsys):
     assert run(["presets"]) == 0
     said = capsys.readouterr().out
     assert all(name in said for name in PRESETS)
+    assert (
+        "manufacturing, 101 x 102: 1800 agents, 5000 timesteps, 200 steps of growth\n"
+        "  maze-walls, 66 x 66: 8712 timesteps, 200 steps of growth"
+    ) in said
     even = PRESETS["warehouse-even"]
     numbers, warehouse = even.evaluation, even.evaluation.domain
     assert (warehouse.rows, warehouse.cols, warehouse.shelves) == (33, 36, 240)

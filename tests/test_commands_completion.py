@@ -6,6 +6,7 @@ import subprocess
 import pytest
 
 from qdenv.cli import run
+from qdenv.zoo.shipped import names
 
 # What a shell does when somebody presses the tab key after these words.
 ASK = """
@@ -33,6 +34,11 @@ WANTED = {
     "qdenv train --domain war": ["warehouse-even", "warehouse-uneven"],
     "qdenv simulate --effort ": ["low", "high"],
     "qdenv repair plan.txt --polish f": ["full"],
+    "qdenv zoo warehouse-even/be": ["warehouse-even/best"],
+    # Bash parts words at colons, and puts back what stands before the last one.
+    "qdenv generate zoo : warehouse-even/be": ["warehouse-even/best"],
+    "qdenv generate zoo : warehouse-even/best --fra": ["--frames"],
+    "qdenv plot zo": [f"zoo:{home}/{name}" for home, known in names().items() for name in known],
 }
 
 

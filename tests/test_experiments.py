@@ -2,6 +2,7 @@
 
 import csv
 import importlib.util
+import json
 import re
 from pathlib import Path
 from types import ModuleType
@@ -52,10 +53,12 @@ def preset(small_run, monkeypatch) -> str:
     return "small"
 
 
-def test_every_experiment_is_tested_here():
-    tested = {"warehouse", "which_nca", "algorithms", "sizes", "sphere", "own_objective"}
-    tested |= {"surrogate", "agreement", "congestion"}
-    assert {path.stem for path in FOLDER.glob("*.py")} == tested
+def test_every_script_of_its_own_is_tested_here():
+    tested = {"which_nca", "algorithms", "sphere", "own_objective"}
+    tested |= {"surrogate", "agreement", "congestion", "zoo"}
+    # The others are the figures and tables of the paper, and what these are made of.
+    scripts = {path.stem for path in FOLDER.glob("*.py") if "tyro.cli(main)" in path.read_text()}
+    assert scripts == tested
 
 
 def test_surrogate_judges_what_a_run_remembers(tmp_path, monkeypatch, capsys):
@@ -81,16 +84,6 @@ def test_surrogate_judges_what_a_run_remembers(tmp_path, monkeypatch, capsys):
     with pytest.raises(InputError, match="has no surrogate"):
         train(toy.CONFIG, tmp_path / "plain", progress=False)
         script.main(tmp_path / "plain")
-
-
-def test_warehouse_starts_a_run_and_continues_it_to_the_metrics_it_prints(preset, tmp_path, capsys):
-    for evaluations in (6, 12):
-        load("warehouse").main(preset, tmp_path / "run", evaluations)
-        last = RunDirectory.open(tmp_path / "run").read_metrics()[-1]
-        said = capsys.readouterr().out
-        assert last.evaluations == evaluations
-        assert f"ours  {last.qd_score:.0f}, {last.coverage:.3f}" in said
-        assert f"after {evaluations} evaluations" in said
 
 
 def test_which_nca_prints_the_final_metrics_of_each_automaton(preset, tmp_path, capsys):
@@ -129,7 +122,7 @@ def test_algorithms_averages_seeds_draws_and_goes_on(preset, tmp_path, capsys):
         lowest = np.mean([values.min() for values in elites])
         assert float(row["lowest_entropy"]) == pytest.approx(lowest, rel=1e-5)
         assert f"{row['algorithm']:11}  {float(row['qd_score']):.1f} +- " in said
-    assert "20366, 0.33" not in said and "4 of 4: " in said
+    assert "6,893 ± 1,292, 0.15" in said and "4 of 4: " in said
     assert imread(tmp_path / "algorithms.png").shape[:2] == (396, 1100)
     before = [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*/*"))]
     compare.main(preset, 2, 100, names, tmp_path)  # everything is done: runs are only read
@@ -145,19 +138,6 @@ def rename(folder: Path) -> Path:
     for path in folder.glob("small-*"):
         path.rename(folder / path.name.replace("small", "quick"))
     return folder
-
-
-def test_sizes_writes_a_layout_of_each_kind_and_size_and_every_row(small_run, tmp_path, capsys):
-    load("sizes").main(small_run.path, "best", ("9x10", "9x14"), 20, (1,), "low", tmp_path)
-    names = ["nca_9x10", "human_9x10", "nca_9x14", "human_9x14", "tiled_9x14"]
-    assert {path.stem for path in tmp_path.glob("*.json")} == set(names)
-    rows = list(csv.DictReader((tmp_path / "scalability.csv").read_text().splitlines()))
-    assert list(dict.fromkeys(row["layout"] for row in rows)) == names
-    said = capsys.readouterr().out
-    for name in names:
-        best = max(float(row["mean_of_all"]) for row in rows if row["layout"] == name)
-        assert f"{name}: peak {best:.3f} at " in said
-    assert imread(tmp_path / "scalability.png").shape[:2] == (675, 1650)
 
 
 def test_sphere_averages_its_seeds(tmp_path, capsys):
@@ -247,3 +227,66 @@ def test_congestion_puts_several_files_into_one_table(own_layout, tmp_path, caps
     assert (tmp_path / "a.png").exists()
     with pytest.raises(InputError, match="no runs"):
         script.main(out=tmp_path / "c.csv")
+
+
+def test_zoo_chooses_measures_and_writes_the_same_files_again(small_run, tmp_path, monkeypatch):
+    script = load("zoo")
+    rules = script.RULES["warehouse-even"]
+    monkeypatch.setattr(script, "RULES", {"warehouse-even": (rules[0], rules[1])})
+    how = script.Measuring(
+        sizes=("9x10", "13x12"), timesteps=20, seeds="2", candidates=2, trial_timesteps=10
+    )
+    script.main(small_run.path, how, tmp_path / "runs.csv", tmp_path / "zoo")
+    folder, archive = tmp_path / "zoo" / "warehouse-even", small_run.archive
+    content = json.loads((folder / "generators.json").read_text())
+    assert content["origin"]["algorithm"] == "cma-mae"
+    assert content["origin"]["evaluations"] == small_run.read_metrics()[-1].evaluations
+    best, regular = content["generators"]
+    assert (best["name"], regular["name"]) == ("best", "regular")
+    runs = read_runs(tmp_path / "runs.csv")
+    # The trial of each candidate at the last size; the best moves most.
+    trials = {run.layout: run.throughput for run in runs if run.timesteps == 10}
+    named = ",".join(map(str, best["cell"])) + " 13x12"
+    tried = [f"{','.join(map(str, cell))} 13x12" for cell in best_two(archive)]
+    assert trials[named] == max(trials[name] for name in tried)
+    for one in content["generators"]:
+        kept = RunDirectory(folder).archive.elite(tuple(one["cell"]))
+        np.testing.assert_array_equal(kept.solution, archive.elite(tuple(one["cell"])).solution)
+        small, large = one["sizes"]
+        assert (small["numbers"], large["rows"]) == ({"shelves": 6}, 13)
+        own = [
+            run.throughput
+            for run in runs
+            if run.layout == f"{','.join(map(str, one['cell']))} 13x12"
+            and (run.timesteps, run.planner) == (20, "high")
+        ]
+        high, published = large["driven"]
+        assert (high["runs"], published["runs"], published["planner"]) == (2, 1, "published")
+        assert high["mean"] == pytest.approx(np.mean(own), rel=1e-5)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    monkeypatch.setattr("qdenv.study.ledger.simulate", None)  # nobody may simulate now
+    script.main(small_run.path, how, tmp_path / "runs.csv", tmp_path / "zoo")
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    with pytest.raises(InputError, match="too few elites"):
+        script.choose(script.Workshop(small_run, how, tmp_path / "runs.csv"), rules * 3)
+
+
+def best_two(archive) -> list[tuple[int, ...]]:
+    """List the cells of the two elites of the largest objective that flowed."""
+    flowed = np.flatnonzero(~archive.columns["congested"].any(axis=1))
+    order = np.argsort(-archive.columns["objective"][flowed], kind="stable")
+    return [tuple(map(int, archive.cells[row])) for row in flowed[order][:2]]
+
+
+def test_zoos_rules_narrow_down_before_they_order():
+    script = load("zoo")
+    numbers = {
+        "objective": np.array([5.0, 4.0, 3.0, 2.0, 1.0]),
+        "environment entropy": np.array([0.5, 0.1, 0.4, 0.1, 0.0]),
+    }
+    regular = script.Rule("regular", "", "-environment entropy")
+    # The better half of five are two; of equal ones the first stays first.
+    assert script.in_order(regular, numbers, np.arange(5)).tolist() == [1, 0]
+    twice = script.Rule("x", "", "-environment entropy", (("objective", 0.8),))
+    assert script.in_order(twice, numbers, np.arange(5)).tolist() == [1, 3, 2, 0]
+    assert script.in_order(twice, numbers, np.array([4])).tolist() == [4]

@@ -155,7 +155,7 @@ def test_layouts_are_drawn_once_and_shown_with_what_the_repair_changed(folders):
     assert not shown.drawable(folders) and hall.done(folders) == 0
     hall.make(folders, silent)
     made = hall.read(folders)
-    assert shown.missing(folders) == [absent] and shown.drawable(folders)
+    assert shown.missing(folders) == [absent.run(), absent] and shown.drawable(folders)
     assert made.layout.shape == (13, 16) and (made.layout == made.unrepaired).all()
     assert made.domain.numbers == {"shelves": int((made.layout == 1).sum())}
     drawn = shown.draw(folders)
@@ -170,7 +170,7 @@ class Cheap:
 
     def __init__(self, name: str, seconds: float):
         """Begin unmade."""
-        self.name, self.seconds, self.made = name, seconds, False
+        self.name, self.seconds, self.made, self.needs = name, seconds, False, ()
 
     def done(self, folders: Folders) -> float:
         """Say whether it was made."""

@@ -59,6 +59,17 @@ MISTAKES = {
     "generate nowhere": "no run here",
     "export nowhere": "no run here",
     "surrogate nowhere": "no run here",
+    # Names of the zoo that nothing has, and what nobody may do to it.
+    "zoo moon": "unknown domain of the zoo 'moon'",
+    "zoo warehouse-even/bets": "did you mean best?",
+    "zoo warehouse-even extra": "unknown argument extra",
+    "generate zoo:moon/best": "unknown domain of the zoo 'moon'",
+    "generate zoo:warehouse-even/bets": "did you mean best?",
+    "series zoo:warehouse-even/worst": "choose one of best, regular",
+    "resume zoo:warehouse-even/best": "ships with qdenv and stays as it is: `qdenv train ",
+    "surrogate zoo:warehouse-even": "50",
+    "plot zoo:warehouse-even --out plan.txt": "plan.txt: that is a file: name a folder",
+    "train quick --out zoo:mine": "zoo:mine: names that begin with zoo: ship with qdenv",
     # Numbers that make no simulation.
     "simulate plan.txt --agents 0": "at least one agent",
     "simulate plan.txt --agents -3": "at least one agent",

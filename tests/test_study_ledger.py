@@ -42,6 +42,21 @@ def test_a_run_is_as_the_study_of_one_layout_has_it(tmp_path):
     assert found[0].end_timestep == 20 and 0 <= found[0].cpu_seconds < 60
 
 
+def test_numbers_of_agents_share_a_program_and_move_what_they_move_alone():
+    from qdenv.simulate.mapf.settings import FleetConfig
+    from qdenv.study import runs
+
+    ledger.simulate(CASE, 0)
+    compiled = runs._program.cache_info().misses
+    found = ledger.simulate(CASE._replace(agents=7), 3)
+    assert runs._program.cache_info().misses == compiled
+    tasks = WAREHOUSE.simulator.tasks
+    (alone,) = runs.run_seeds(
+        HALL, tasks, FleetConfig(7, 20, planner=ledger.DRIVERS["low"]), [3]
+    ).runs
+    assert found.throughput == pytest.approx(float(alone.throughput), rel=1e-5)
+
+
 def test_only_missing_runs_are_simulated_and_all_come_back_in_order(simulated, tmp_path):
     path, cases = tmp_path / "runs.csv", [CASE, CASE._replace(planner="plain")]
     complete(path, [cases[1]], (1,))

@@ -6,6 +6,7 @@ import pytest
 
 from qdenv.domains.maze import MazeConfig
 from qdenv.presets import PRESETS
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.training.feasible import check_feasible
 from qdenv.training.following import follow_size
 from qdenv.types import InputError
@@ -100,3 +101,29 @@ def test_a_maze_lasts_longer_where_it_is_larger():
     assert isinstance(followed.evaluation.domain, MazeConfig)
     assert followed.evaluation.domain.timesteps == 648 * 4
     assert followed.archive == ((0, 1024, 256), (0, 2592, 162))
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "agents", "shelves"),
+    [
+        ("warehouse-even", (101, 102), 1400, 2500),
+        ("warehouse-uneven", (101, 102), 1000, 2500),
+        ("manufacturing", (101, 102), 1800, None),
+        ("maze-walls", (66, 66), None, None),
+    ],
+)
+def test_a_search_at_the_evaluation_size_has_the_papers_numbers(name, shape, agents, shelves):
+    base = PRESETS[name]
+    asked = with_domain(base, rows=shape[0], cols=shape[1])
+    followed, said = follow_size(asked, base, ())
+    domain = followed.evaluation.domain
+    assert followed.evaluation.generator.steps == 200 and "200 steps of growth" in said
+    assert getattr(domain, "shelves", None) == shelves
+    if agents:
+        # A search simulates for 1,000 timesteps; 5,000 are for what is reported.
+        assert (domain.fleet.agents, domain.fleet.timesteps) == (agents, 1000)
+        stated = follow_size(with_domain(asked, fleet=FleetConfig(7)), base, {"agents", "steps"})[0]
+        assert stated.evaluation.domain.fleet.agents == 7
+        assert stated.evaluation.generator.steps == 50
+    else:
+        assert domain.timesteps == 8712 and "8712 timesteps" in said

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.domains.base import DOMAINS, Domain, DomainConfig, Simulator
+from qdenv.domains.base import DOMAINS, Domain, Simulator
+from qdenv.domains.settings import DomainConfig
 from qdenv.generate.nca import NcaConfig
 from qdenv.grid import of_tiles
 from qdenv.pipeline import EvaluationConfig

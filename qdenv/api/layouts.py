@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 def simulate(
     layout: Source,
-    agents: int = 200,
+    agents: int | None = None,
     domain: str | None = None,
-    timesteps: int = 1000,
+    timesteps: int | None = None,
     seeds: int | str | Sequence[int] = 10,
     check: bool = False,
     **driving: Unpack[Driving],
@@ -32,9 +32,9 @@ def simulate(
 
     Args:
         layout: see `read_plan`.
-        agents: number of agents.
+        agents: number of agents; 200, or what is known of the layout's size, unless given.
         domain: whose tasks they do; what the file says unless given.
-        timesteps: horizon T.
+        timesteps: horizon T; 1000, or likewise, unless given.
         seeds: how many runs, or a list of their seeds.
         check: audit every trajectory.
         **driving: ``effort`` of the negotiated planner: "low" for a quick look, "high", for
@@ -63,9 +63,9 @@ def _seeds(seeds: int | str | Sequence[int]) -> int | str:
 
 def compare(
     layouts: Sequence[Source],
-    agents: int | Sequence[int] = 200,
+    agents: int | Sequence[int] | None = None,
     domain: str | None = None,
-    timesteps: int = 1000,
+    timesteps: int | None = None,
     seeds: int | str | Sequence[int] = 10,
     **driving: Unpack[Driving],
 ) -> Table:
@@ -73,9 +73,9 @@ def compare(
 
     Args:
         layouts: see `read_plan`; all of one domain.
-        agents: one number, or several. The others are those of `simulate`.
+        agents: one number, or several; as in `simulate` unless given.
         domain: whose tasks the agents do.
-        timesteps: horizon T.
+        timesteps: horizon T; as in `simulate` unless given.
         seeds: how many runs, or a list of their seeds.
         **driving: effort, planner and stop, as in `simulate`.
 
@@ -87,15 +87,19 @@ def compare(
     """
     from qdenv.study import sweep
     from qdenv.study.options import make_fleet, parse_seeds
+    from qdenv.study.usual import usual_fleet
 
     plans = [read_plan(layout, domain) for layout in layouts]
     kinds = {plan.domain.name: plan.domain for plan in plans}
     if len(kinds) != 1:
         said = " and ".join(kinds) or "no domain at all"
         raise InputError(f"these are layouts of {said}: put one domain side by side")
-    counts = (agents,) if isinstance(agents, int) else tuple(agents)
-    config = make_fleet(max(counts), timesteps, **driving)
     (only,) = kinds.values()
+    stated = (agents,) if isinstance(agents, int) else tuple(agents or ())
+    drawn = [plan.layout for plan in plans]
+    usual = usual_fleet(only, drawn, max(stated, default=None), timesteps)
+    counts = stated or (usual.agents,)
+    config = make_fleet(max(counts), usual.timesteps, **driving)
     trial = sweep.Trial(only.simulator.tasks, config, counts, parse_seeds(_seeds(seeds)))
     names = [
         plan.name if [one.name for one in plans].count(plan.name) == 1 else f"{plan.name} {place}"

@@ -133,10 +133,10 @@ def generate(
         rows: of the layout; the trained size unless given.
         cols: of the layout; the trained size unless given.
         elite: "best", a cell like "12,40" or (12, 40), or what `run.elite` found.
-        steps: of growth; scaled with the size unless given.
+        steps: of growth; unless given what is known of the size, or else scaled with it.
         seed: of the repair; the run's own unless given.
         repair: False keeps what the generator drew.
-        **numbers: exact numbers of tiles; scaled with the area unless given.
+        **numbers: exact numbers of tiles; likewise.
 
     Raises:
         InputError: there is no such elite, or no layout of this size obeys the rules.

@@ -7,9 +7,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from qdenv.domains.base import Domain, find_domain, make_domain
-from qdenv.domains.manufacturing import ManufacturingConfig
-from qdenv.domains.warehouse import UnevenWarehouseConfig, WarehouseConfig
+from qdenv.domains.base import find_domain
 from qdenv.formats.layouts import read_layout
 from qdenv.generate.decode import inside_frame
 from qdenv.generate.generator import GENERATORS
@@ -18,13 +16,7 @@ from qdenv.pipeline import canvas_of
 from qdenv.types import InputError, Rules
 
 SIZE, EVAL_SIZE = (33, 36), (101, 102)  # S and S_eval
-# The domains with fleets at S_eval, with the published number of shelves.
-LARGE = {
-    "warehouse-even": WarehouseConfig(*EVAL_SIZE, shelves=2500),
-    "warehouse-uneven": UnevenWarehouseConfig(*EVAL_SIZE, shelves=2500),
-    "manufacturing": ManufacturingConfig(*EVAL_SIZE),
-}
-FLEETS = tuple(LARGE)
+FLEETS = ("warehouse-even", "warehouse-uneven", "manufacturing")
 DOMAINS = ("warehouse-even", "manufacturing")  # whose rules differ
 KERNELS = (3, 3, 3)
 MUTATED = 10  # cells drawn anew by one mutation, at most
@@ -64,18 +56,13 @@ def read_unrepaired(path: Path) -> Case:
     raise InputError(f"{path}: of no domain measured here ({'; '.join(reasons)})")
 
 
-def at_size(kind: str, shape: tuple[int, int] = SIZE) -> Domain:
-    """Make a domain at one of both sizes with the numbers of the paper, or scaled to another."""
-    return make_domain(LARGE[kind]) if shape == EVAL_SIZE else find_domain(kind).resized(*shape)
-
-
 def rules_at_size(kind: str, shape: tuple[int, int] = SIZE) -> Rules:
     """State the rules of a domain at one size.
 
     Raises:
         InputError: nothing is repaired in this domain.
     """
-    domain = at_size(kind, shape)
+    domain = find_domain(kind).resized(*shape)
     if domain.rules is None:
         raise InputError(f"nothing is repaired in {kind}: choose another domain")
     return domain.rules()
@@ -102,7 +89,7 @@ def grow_random(
     shape: tuple[int, int] = SIZE,
 ) -> np.ndarray:
     """Grow layouts (int8 [count, H, W]) from generators with N(0, 0.2^2) weights."""
-    domain = at_size(kind, shape)
+    domain = find_domain(kind).resized(*shape)
     # A drawing spreads a cell per step: the larger canvas needs as many more steps (section E.3).
     steps = round(50 * shape[0] / SIZE[0])
     generator = GENERATORS.make(NcaConfig(steps, kernel_sizes), canvas_of(domain))
@@ -119,14 +106,14 @@ def grow_large(kind: str) -> Case:
 
 def random_tiles(kind: str, count: int, seed: int = 0, shape: tuple[int, int] = SIZE) -> np.ndarray:
     """Draw every generated tile uniformly (int8 [count, H, W]): where a search of tiles begins."""
-    domain, rng = at_size(kind, shape), np.random.default_rng(seed)
+    domain, rng = find_domain(kind).resized(*shape), np.random.default_rng(seed)
     inside = rng.integers(len(domain.generated), size=(count, *domain.generated_shape))
     return np.stack([np.asarray(domain.frame(tiles)) for tiles in inside.astype(np.int8)])
 
 
 def mutated_tiles(kind: str, layouts: np.ndarray, seed: int = 0) -> np.ndarray:
     """Draw one to ten tiles of each layout (int8 [count, H, W]) anew, as a search of tiles does."""
-    domain = at_size(kind, (layouts.shape[1], layouts.shape[2]))
+    domain = find_domain(kind).resized(layouts.shape[1], layouts.shape[2])
     rng, mutated = np.random.default_rng(seed), layouts.copy()
     for layout in mutated:
         inside = inside_frame(layout, domain.margin)

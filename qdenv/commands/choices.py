@@ -18,8 +18,10 @@ from qdenv.simulate.mapf.choosing import OWN
 from qdenv.simulate.mapf.negotiated.settings import HIGH
 from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.study.plans import USUAL, read_plan
+from qdenv.study.usual import TIMESTEPS
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
+from qdenv.zoo.shipped import PREFIX
 
 
 def names_of(registry: Registry) -> str:
@@ -45,7 +47,7 @@ class FleetOptions:
 
     Attributes:
         domain: whose tasks the agents do; what the layout file says unless given.
-        timesteps: how long to simulate.
+        timesteps: how long to simulate; 1000, or what is known of the layout's size, unless given.
         seeds: 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one.
         effort: of the negotiated planner: low for a quick look, high, for numbers to report,
             unless given.
@@ -56,7 +58,7 @@ class FleetOptions:
     """
 
     domain: DomainName = None
-    timesteps: int = 1000
+    timesteps: int | None = None
     seeds: tuple[str, ...] = ("10",)
     effort: Effort = None
     planner: Annotated[str, tyro.conf.arg(metavar=names_of(PLANNERS))] = OWN
@@ -72,7 +74,7 @@ class FleetOptions:
         """
         return FleetConfig(
             agents,
-            self.timesteps,
+            TIMESTEPS if self.timesteps is None else self.timesteps,
             planner=self.planner_settings,
             stop_when_congested=self.stop,
         )
@@ -145,7 +147,7 @@ def domain_of(arguments: Sequence[str]) -> Domain:
     if name is not None:
         return find_domain(name)
     for argument in rest:
-        if (Path(argument) / "config.json").exists():
+        if argument.startswith(PREFIX) or (Path(argument) / "config.json").exists():
             return make_domain(RunDirectory.open(argument).config.evaluation.domain)
         if Path(argument).is_file():
             with contextlib.suppress(InputError):  # no layout, or one that the command refuses

@@ -6,6 +6,7 @@ from qdenv.commands import output
 from qdenv.commands.choices import RunFolder
 from qdenv.study.exports import TABLES, write_layouts, write_table
 from qdenv.training.records import RunDirectory
+from qdenv.zoo.shipped import file_name
 
 
 def export(
@@ -26,8 +27,7 @@ def export(
         solutions: add the parameters of the generators to the table.
     """
     run = RunDirectory.open(run_dir)
-    name = run_dir.resolve().name
-    place = output.place(out, f"{name}_elites.csv", TABLES)
+    place = output.place(out, f"{file_name(run_dir)}_elites.csv", TABLES)
     archive, domain = run.archive, run.config.evaluation.domain
     write_table(archive, place.path, solutions)
     print(f"{place}: {len(archive)} elites")

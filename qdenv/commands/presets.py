@@ -4,7 +4,7 @@ from typing import Any
 
 from qdenv.commands.costs import describe_cost
 from qdenv.commands.output import JsonFile, write_facts
-from qdenv.domains.base import DOMAINS
+from qdenv.domains.base import DOMAINS, Domain, find_domain
 from qdenv.presets import PRESETS
 from qdenv.search.registry import ALGORITHMS
 from qdenv.training.config import RunConfig
@@ -26,7 +26,23 @@ def presets(json_file: JsonFile = None) -> None:
             "  ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)).rstrip()
         )
     print("agents: robots in a simulation; steps: its timesteps; evaluations: layouts simulated")
-    write_facts(json_file, "presets", {"presets": table})
+    names = dict.fromkeys(str(row["domain"]) for row in table)
+    sizes = [row for name in names for row in known_sizes(find_domain(name))]
+    print("\nsizes with numbers of their own, which commands take there unless others are stated:")
+    for row in sizes:
+        numbers = ", ".join(f"{value} {name}" for name, value in list(row.items())[2:])
+        print(f"  {row['domain']}, {row['size']}: {numbers}")
+    write_facts(json_file, "presets", {"presets": table, "sizes": sizes})
+
+
+def known_sizes(domain: Domain) -> list[dict[str, Any]]:
+    """List the sizes whose numbers a domain knows."""
+    return [
+        {"domain": domain.name, "size": f"{rows} x {cols}", **size.numbers}
+        | ({"agents": size.agents} if domain.simulator.tasks else {})
+        | {"timesteps": size.timesteps, "steps of growth": size.steps}
+        for (rows, cols), size in domain.known.items()
+    ]
 
 
 def facts_of(name: str, config: RunConfig) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
+from qdenv.commands import output
 from qdenv.commands.choices import Numbers, RunFolder
 from qdenv.commands.mazes import is_agent_run, resume_agent
 from qdenv.commands.output import JsonFile, place, write_facts
@@ -17,6 +18,7 @@ from qdenv.formats.drawings import check_size
 from qdenv.formats.layouts import endings_for, write_layout
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus
+from qdenv.zoo.shipped import file_name
 
 if TYPE_CHECKING:
     from qdenv.study.elites import Grown
@@ -32,7 +34,9 @@ def resume(run_dir: RunFolder, evaluations: int | None = None, progress: bool = 
     """
     if is_agent_run(run_dir):
         return resume_agent(run_dir)
-    config = RunDirectory.open(run_dir).config
+    run = RunDirectory.open(run_dir)
+    run.demand_own()
+    config = run.config
     if evaluations is not None and evaluations < config.evaluations:
         raise InputError(
             f"{run_dir}: {config.evaluations} evaluations are asked for already: ask for more, or "
@@ -43,23 +47,29 @@ def resume(run_dir: RunFolder, evaluations: int | None = None, progress: bool = 
     report(loop.resume(run_dir, progress=progress, evaluations=evaluations))
 
 
-def plot(run_dir: RunFolder) -> None:
+def plot(run_dir: RunFolder, out: Path | None = None) -> None:
     """Draw a run's archive and best layout again.
 
     Args:
         run_dir: folder of the run.
+        out: folder for the pictures; the run's own unless given, for generators of the zoo one
+            named after them.
     """
-    report(RunDirectory.open(run_dir))
+    run = RunDirectory.open(run_dir)
+    folder = output.place(None, file_name(run_dir)).path if out is None and run.shipped else out
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: that is a file: name a folder")
+    report(run, folder)
 
 
-def report(run: RunDirectory) -> None:
-    """Draw a run's pictures and say where they are."""
+def report(run: RunDirectory, folder: Path | None = None) -> None:
+    """Draw a run's pictures, into its own folder unless another is given, and say where."""
     rows = run.read_metrics()
     if not rows:
-        raise InputError(f"{run.path}: nothing is done yet; `qdenv resume {run.path}` begins")
+        raise InputError(f"{run}: nothing is done yet; `qdenv resume {run}` begins")
     from qdenv.plots.run import plot_run
 
-    pictures, last = plot_run(run), rows[-1]
+    pictures, last = plot_run(run, folder), rows[-1]
     print(
         f"QD-score {last.qd_score:.2f}, coverage {last.coverage:.1%}, best objective "
         f"{last.best_objective:.3f} after {last.evaluations} evaluations in {last.seconds:.0f} s"
@@ -74,7 +84,7 @@ class Growth:
     Attributes:
         rows: rows of the layout; the trained size unless given.
         cols: columns of the layout; the trained size unless given.
-        steps: steps of growth; scaled with the size unless given.
+        steps: steps of growth; unless given what is known of the size, or else scaled with it.
         keep: drawing of the layout's shape: ? is free, a tile must be this tile; what the run
             kept, at its size, unless given.
         frames: also draw the layout after every so many steps (Figure 6).
@@ -100,7 +110,7 @@ class Choice:
     """Which elite of the archive.
 
     Attributes:
-        elite: "best", or the archive cell's indices like 12,40.
+        elite: "best" or another name in the zoo, or the archive cell's indices like 12,40.
         measures: in place of that a value for each measure, like 200 0.8; the nearest elite.
     """
 
@@ -122,7 +132,8 @@ def generate(
 
     Args:
         run_dir: folder of the run.
-        numbers: exact numbers of tiles; scaled with the area unless given.
+        numbers: exact numbers of tiles; unless given what is known of the size, or else scaled with
+            the area.
         growth: size and steps.
         choice: which elite.
         seed: other seeds give other, equally good repairs; the run's own unless given.
@@ -137,6 +148,7 @@ def generate(
     from qdenv.domains.base import make_domain
     from qdenv.study.changes import describe_changes, list_changes
     from qdenv.study.elites import grow_elite, repair_grown
+    from qdenv.study.usual import describe_growth
 
     trained = make_domain(config.evaluation.domain)
     target = place(out, "layout.json", endings_for(trained.tiles, trained.meanings))
@@ -147,6 +159,9 @@ def generate(
             _draw_frames(run, grown, growth.frames, target.beside(".png", "_frames").path)
         chosen = config.seed if seed is None else seed
         repaired = repair_grown(grown, config.evaluation.repair, chosen, bar) if repair else None
+    stated = [*numbers.given(), *(["steps"] if growth.steps else [])]
+    if known := describe_growth(trained, grown.domain.shape, stated):
+        print(known)
     if config.evaluation.domain.keep and not grown.domain.config.keep:
         print(
             "WARNING: what the run kept is drawn for {} x {}, so nothing is kept at this size: "

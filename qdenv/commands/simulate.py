@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.study import sweep as studies
 from qdenv.study.options import fleet_tasks, parse_seeds
 from qdenv.study.plans import Plan, read_plan
+from qdenv.study.usual import usual_fleet
 
 if TYPE_CHECKING:  # imports the simulator
     from qdenv.study.traffic import Study
@@ -22,7 +24,7 @@ if TYPE_CHECKING:  # imports the simulator
 
 def simulate(
     layout: LayoutFile,
-    agents: int = 200,
+    agents: int | None = None,
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     audit: bool = True,
     verdict: bool = True,
@@ -33,7 +35,7 @@ def simulate(
 
     Args:
         layout: layout file.
-        agents: number of agents (robots).
+        agents: number of agents (robots); 200, or what is known of the layout's size, unless given.
         options: who drives.
         audit: check every trajectory against the rules of movement.
         verdict: simulate a few runs with fewer and with more agents, too, to tell whether this
@@ -44,6 +46,8 @@ def simulate(
     picture = words.place_picture(plot, f"{layout.stem}_traffic.png", [layout])
     per_hour, seeds = words.steps_per_hour(options), parse_seeds(options.seeds)
     plan = read_plan(layout, options.domain)
+    usual = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    agents, options = usual.agents, replace(options, timesteps=usual.timesteps)
     with studies.about(str(layout)):
         tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
         config = options.fleet(agents)
@@ -63,6 +67,7 @@ def simulate(
 
         def tell(study: Study) -> None:
             lines = [words.describe_study(str(agents), options, seeds, plan)]
+            lines += [usual.said] * bool(usual.said)
             bar.print("\n".join(lines + describe_numbers(report(study))))
 
         study = examine(plan.layout, tasks, config, seeds, wanted, bar, tell)

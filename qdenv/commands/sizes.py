@@ -1,6 +1,6 @@
 """Commands about other sizes and the baselines: layouts by hand and tiled, series."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,6 +14,7 @@ from qdenv.formats.drawings import check_size
 from qdenv.formats.layouts import endings_for, write_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.study.plans import USUAL, read_plan
+from qdenv.study.usual import describe_growth
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
@@ -47,6 +48,12 @@ def layout_human(
         for k, tile in enumerate(found.tiles)
     )
     print(f"{place}: {rows} x {cols}, {counts}")
+    for name, number in found.numbers.items():
+        drawn = found.fitted(layout).numbers[name]
+        if found.known.get((rows, cols)) and drawn != number:
+            print(
+                f"generated layouts of this size have {number} {name} unless stated, this {drawn}"
+            )
 
 
 def layout_tile(
@@ -65,7 +72,8 @@ def layout_tile(
         layout: layout file to repeat.
         rows: rows of the larger layout, frame included.
         cols: columns of the larger layout, frame included.
-        numbers: exact numbers of tiles; scaled with the area unless given.
+        numbers: exact numbers of tiles; unless given what is known of the size, or else scaled with
+            the area.
         domain: whose layouts; what the file says, or its tiles tell, unless given.
         seed: other seeds give other, equally good repairs.
         polish: how hard to repair.
@@ -83,6 +91,7 @@ def layout_tile(
     endings = endings_for(found.tiles, found.meanings)
     place = output.place(out, f"{layout.stem}_tiled.json", endings, [layout])
     tiled = sizes.tile(found, plan.layout, (rows, cols), numbers.given(), config, seed)
+    say_known(found, (rows, cols), ["steps", *numbers.given()])
     details = sizes.details(tiled) | {"domain": found.name, "tiled_from": layout.name}
     leave(place, tiled.layout, found, details)
     print(f"{place}: " + ", ".join(f"{name} {value}" for name, value in details.items()))
@@ -102,11 +111,12 @@ def series(
 
     Args:
         run_dir: the run directory.
-        numbers: exact numbers of tiles for each size; scaled with the area unless given.
+        numbers: exact numbers of tiles for each size; unless given what is known of it, or else
+            scaled with the area.
         elite: "best", or the archive cell's indices like 12,40.
         sizes_: rows and columns of each layout, like 33x36 57x58; seven sizes from 33x36 to
             101x102 unless given.
-        steps: NCA steps for each size; scaled with the size unless given.
+        steps: NCA steps for each size; likewise.
         seed: other seeds give other, equally good repairs; the run's own unless given.
         human: also draw what people design at each size.
         out: folder for the layouts, their pictures and series.csv; series unless given.
@@ -124,6 +134,7 @@ def series(
     grown = []
     for item in sizes.grow_sizes(run, elite, shapes, steps, numbers.given(), seed):
         rows, cols = item.layout.shape
+        say_known(domain, (rows, cols), [*numbers.given(), *(["steps"] if steps else [])])
         place = place_in(folder, f"nca_{rows}x{cols}.json")
         details = sizes.details(item) | {"domain": domain.name}
         leave(place, item.layout, domain, details)
@@ -134,6 +145,12 @@ def series(
     table = place_in(folder, "series.csv")
     sizes.write_series(table.path, grown)
     print(table)
+
+
+def say_known(domain: Domain, shape: tuple[int, int], given: Collection[str]) -> None:
+    """Print which numbers a size has by itself, where it has any."""
+    if known := describe_growth(domain, shape, given):
+        print(known)
 
 
 def place_in(folder: Path, name: str) -> output.Place:

@@ -17,6 +17,7 @@ from qdenv.study.held_out import Evaluated, read_elites
 from qdenv.study.options import find_surrogate, parse_seeds
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.training.records import RunDirectory
+from qdenv.zoo.shipped import file_name
 
 if TYPE_CHECKING:  # imports jax
     from qdenv.study.surrogate import Trial
@@ -73,7 +74,7 @@ def surrogate(
         json_file: where to write the figures; - is standard output.
     """
     config, chosen = learning.config, parse_seeds(seeds)
-    name = run_dir.resolve().name
+    name = file_name(run_dir)
     table = output.place(out, f"{name}_surrogate.csv", (".csv",))
     picture = table.beside(".png")
     if plot not in (None, words.AUTO):

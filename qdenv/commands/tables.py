@@ -1,6 +1,7 @@
 """The tables of traffic studies: what is asked is checked first, rows are printed as they come."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,9 +11,10 @@ from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions
 from qdenv.study import sweep as studies
 from qdenv.study.jams import FADING
-from qdenv.study.options import parse_counts, parse_seeds
+from qdenv.study.options import parse_counts, parse_seeds, scale_counts
 from qdenv.study.plans import Plan, read_plan
 from qdenv.study.table import Peak, Row, write_rows
+from qdenv.study.usual import AGENTS, usual_fleet
 from qdenv.types import InputError
 
 MOST_WARNINGS = 3
@@ -29,6 +31,7 @@ class Study(NamedTuple):
         picture: where the picture goes.
         facts: where the facts go; None for nowhere.
         settings: what facts are found with.
+        said: what is simulated, in words.
     """
 
     plans: dict[str, Plan]
@@ -38,6 +41,7 @@ class Study(NamedTuple):
     picture: output.Place
     facts: Path | None
     settings: dict[str, Any]
+    said: str
 
     @property
     def layouts(self) -> dict[str, np.ndarray]:
@@ -47,7 +51,7 @@ class Study(NamedTuple):
 
 def prepare(
     paths: Sequence[Path],
-    agents: str,
+    agents: tuple[str | None, str],
     options: FleetOptions,
     out: tuple[Path | None, str],
     plot: Path | None,
@@ -57,7 +61,8 @@ def prepare(
 
     Args:
         paths: layout files.
-        agents: numbers of agents in words.
+        agents: numbers of agents in words, and those where nobody says, for layouts on which 200
+            are usual.
         options: who drives.
         out: where the table shall go, and its default name.
         plot: where the picture shall go; None or without a name: beside the table.
@@ -66,20 +71,27 @@ def prepare(
     Raises:
         InputError: a number or a name means nothing, or a file cannot be read or written.
     """
-    counts, seeds = parse_counts(agents), parse_seeds(options.seeds)
-    config = options.fleet(max(counts))
-    per_hour = words.steps_per_hour(options)
+    stated = () if agents[0] is None else parse_counts(agents[0])
+    seeds, per_hour = parse_seeds(options.seeds), words.steps_per_hour(options)
+    options.fleet(max(stated, default=1))  # refuses what makes no simulation
     table = output.place(*out, (".csv",), paths)
     picture = words.place_picture(plot or words.AUTO, f"{table.path.stem}.png", paths)
     if out[0] is not None and plot in (None, words.AUTO):
         picture = table.beside(".png")
     assert picture is not None
     plans = read_plans(paths, options.domain)
-    tasks = next(iter(plans.values())).domain.simulator.tasks
-    trial = studies.Trial(tasks, config, counts, seeds)
+    first = next(iter(plans.values()))
+    drawn = [plan.layout for plan in plans.values()]
+    usual = usual_fleet(first.domain, drawn, max(stated, default=None), options.timesteps)
+    options = replace(options, timesteps=usual.timesteps)
+    text = agents[0] or scale_counts(agents[1], usual.agents / AGENTS)
+    counts = parse_counts(text)
+    trial = studies.Trial(first.domain.simulator.tasks, options.fleet(max(counts)), counts, seeds)
     settings = words.settings_of(options, seeds) | {"agents": list(counts)}
     settings["layouts"] = {name: str(path) for name, path in studies.name_layouts(paths).items()}
-    return Study(plans, trial, per_hour, table, picture, json_file, settings)
+    said = words.describe_study(text, options, seeds, first)
+    said += f"\n{usual.said}" if usual.said else ""
+    return Study(plans, trial, per_hour, table, picture, json_file, settings, said)
 
 
 def read_plans(paths: Sequence[Path], domain: str | None) -> dict[str, Plan]:
@@ -140,12 +152,12 @@ def write(
     output.write_facts(study.facts, command, {**facts, "rows": lines}, **study.settings)
 
 
-def table_printer(study: Study, title: str, say: Callable[[str], None]) -> Callable[[Row], None]:
-    """Print each row as it comes, and a title and a head above the first; columns fit the names."""
+def table_printer(study: Study, say: Callable[[str], None]) -> Callable[[Row], None]:
+    """Print each row as it comes, and what is simulated above the first; columns fit the names."""
     width = max(6, *(len(name) for name in study.plans))
     hour = "  tasks/hour" if study.per_hour else ""
     head = (
-        f"{title}\n{'layout':{width}}  size     agents  throughput (s.e.)  success (95 %)    "
+        f"{study.said}\n{'layout':{width}}  size     agents  throughput (s.e.)  success (95 %)    "
         f"mean of all{hour}\n"
     )
 

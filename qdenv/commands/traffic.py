@@ -6,16 +6,19 @@ import numpy as np
 
 from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions, LayoutFile, LayoutFiles, Options
-from qdenv.commands.tables import Study, prepare, table_printer, write
+from qdenv.commands.tables import prepare, table_printer, write
 from qdenv.commands.waiting import waiting
 from qdenv.study import sweep as studies
 from qdenv.study.differences import Difference
 from qdenv.study.table import Peak, differences, find_capacity, find_peak
 
+# Numbers of agents where nobody says, on layouts for which 200 are usual.
+SWEPT, COMPARED, CLIMBED = "50:400:50", "200", "50:1000:50"
+
 
 def sweep(
     layout: LayoutFile,
-    agents: str = "50:400:50",
+    agents: str | None = None,
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path | None = None,
     plot: words.Picture = None,
@@ -25,16 +28,18 @@ def sweep(
 
     Args:
         layout: layout file.
-        agents: numbers of agents, as 50:400:50 or 50,100,200.
+        agents: numbers of agents, as 50:400:50, which it is unless given, or 50,100,200; more at a
+            size for which more are known.
         options: who drives.
         out: CSV file to write; named after the layout unless given.
         plot: picture to write; beside the table unless given.
         json_file: where to write the numbers; - is standard output.
     """
-    study = prepare([layout], agents, options, (out, f"{layout.stem}_sweep.csv"), plot, json_file)
-    say = describe(study, options, agents)
+    study = prepare(
+        [layout], (agents, SWEPT), options, (out, f"{layout.stem}_sweep.csv"), plot, json_file
+    )
     with waiting("simulating") as bar:
-        show = table_printer(study, say, bar.print)
+        show = table_printer(study, bar.print)
         rows = studies.compare(study.layouts, study.trial, show, bar)
     rows.sort(key=lambda row: row.agents)
     peak, worth = find_peak(rows), find_capacity(rows)
@@ -45,7 +50,7 @@ def sweep(
 
 def compare(
     layouts: LayoutFiles,
-    agents: str = "200",
+    agents: str | None = None,
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path | None = None,
     plot: words.Picture = None,
@@ -55,16 +60,16 @@ def compare(
 
     Args:
         layouts: layout files; all others are compared with the first.
-        agents: numbers of agents, as 200 or 50,100 or 50:400:50.
+        agents: numbers of agents, as 200 or 50,100 or 50:400:50; 200, or what is known of the
+            layouts' size, unless given.
         options: who drives.
         out: CSV file to write; compare.csv unless given.
         plot: picture to write; beside the table unless given.
         json_file: where to write the numbers; - is standard output.
     """
-    study = prepare(layouts, agents, options, (out, "compare.csv"), plot, json_file)
-    say = describe(study, options, agents)
+    study = prepare(layouts, (agents, COMPARED), options, (out, "compare.csv"), plot, json_file)
     with waiting("simulating") as bar:
-        show = table_printer(study, say, bar.print)
+        show = table_printer(study, bar.print)
         rows = studies.compare(study.layouts, study.trial, show, bar)
     against = differences(rows)
     first = rows[0].layout
@@ -79,7 +84,7 @@ def compare(
 
 def scalability(
     layouts: LayoutFiles,
-    agents: str = "50:1000:50",
+    agents: str | None = None,
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path | None = None,
     plot: words.Picture = None,
@@ -89,18 +94,18 @@ def scalability(
 
     Args:
         layouts: layout files, of one size or of several.
-        agents: numbers of agents to try in turn; those that do not fit are left out.
+        agents: numbers of agents to try in turn, 50:1000:50 unless given, more at a size for which
+            more are known; those that do not fit are left out.
         options: who drives.
         out: CSV file to write; scalability.csv unless given.
         plot: picture to write; beside the table unless given.
         json_file: where to write the numbers; - is standard output.
     """
-    study = prepare(layouts, agents, options, (out, "scalability.csv"), plot, json_file)
-    say = describe(study, options, agents)
+    study = prepare(layouts, (agents, CLIMBED), options, (out, "scalability.csv"), plot, json_file)
     for name, layout in study.layouts.items():
         studies.check_climb(name, layout, study.trial)
     with waiting("simulating") as bar:
-        show = table_printer(study, say, bar.print)
+        show = table_printer(study, bar.print)
         climbs = [
             studies.climb(name, layout, study.trial, show, bar)
             for name, layout in study.layouts.items()
@@ -110,13 +115,6 @@ def scalability(
         print(describe_peak(peak, study.per_hour))
     facts = {"peaks": [peak._asdict() for peak in peaks]}
     write(study, [row for climb in climbs for row in climb], "scalability", facts, peaks=peaks)
-
-
-def describe(study: Study, options: FleetOptions, agents: str) -> str:
-    """Say in one line what is simulated."""
-    return words.describe_study(
-        agents, options, study.trial.seeds, next(iter(study.plans.values()))
-    )
 
 
 def describe_peak(peak: Peak, per_hour: float | None) -> str:

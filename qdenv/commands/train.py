@@ -31,6 +31,7 @@ from qdenv.training.config import RunConfig
 from qdenv.training.feasible import check_feasible
 from qdenv.training.following import follow_size
 from qdenv.types import InputError
+from qdenv.zoo.shipped import PREFIX
 
 FIRST = "quick"  # the preset where none is named
 
@@ -74,6 +75,8 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
         config = choose_keep(config, setup.keep)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     path = setup.out or Path("runs") / f"{preset}-{stamp}"
+    if path.as_posix().startswith(PREFIX):
+        raise InputError(f"{path}: names that begin with {PREFIX} ship with qdenv: name a folder")
     files = [place for place in (path, *path.parents) if place.exists() and not place.is_dir()]
     if files:
         raise InputError(f"{path}: {files[0]} is a file: name a folder")

@@ -7,16 +7,16 @@ functions, no subclass.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
-import tyro
 
 from qdenv.domains.keep import keep_in_frame, keep_in_rules, kept_tiles
 from qdenv.domains.measures import weigh_alike
+from qdenv.domains.settings import KnownSize
 from qdenv.lazy import jax
 from qdenv.registry import Registry
 from qdenv.types import Array, InputError, Measure, Rules, TaskRule, Tile
@@ -33,35 +33,6 @@ DOMAINS = Registry(
         "maze-entropy": "qdenv.domains.maze:ENTROPY",
     },
 )
-
-
-@dataclass(frozen=True)
-class DomainConfig:
-    """What the settings of every domain hold; a domain's own derive from this.
-
-    Attributes:
-        rows: rows of the whole layout, frame included.
-        cols: columns of the whole layout, frame included.
-        keep: rows of a drawing of the whole layout: a tile where a cell must hold it, ``?`` where
-            anything may be; empty where nothing is kept.
-    """
-
-    rows: int = 33
-    cols: int = 36
-    # No option of its own: a drawing comes in a file.
-    keep: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = field(
-        default=(), kw_only=True
-    )
-
-    def for_area(self, ratio: float, given: Collection[str]) -> Self:
-        """Let further numbers follow the area of the layout; numbers of tiles did already.
-
-        Args:
-            ratio: how much larger the generated area is than the one these numbers were for.
-            given: names of the settings that stay as they are.
-        """
-        del ratio, given
-        return self
 
 
 class Simulator(NamedTuple):
@@ -112,6 +83,7 @@ class Domain:
         marks: layout int8 [H, W] -> cells that pictures name, like the start and the goal where
             the layout itself decides them; None for none.
         meanings: what the tiles mean to people, by their symbols.
+        known: sizes (rows, columns) whose numbers do not follow from those of another size.
     """
 
     config: Any
@@ -131,6 +103,7 @@ class Domain:
     tie_break: str | None = None
     marks: Callable[[np.ndarray], Mapping[str, int]] | None = None
     meanings: Mapping[str, Tile] = field(default_factory=dict)
+    known: Mapping[tuple[int, int], KnownSize] = field(default_factory=dict)
 
     @property
     def names(self) -> dict[str, str]:
@@ -168,14 +141,20 @@ class Domain:
         Args:
             rows: rows of the framed layout.
             cols: columns of the framed layout.
-            numbers: exact numbers of tiles; those left out follow the generated area.
+            numbers: exact numbers of tiles; those left out are what is known of the size, or else
+                follow the generated area.
         """
         stays = {} if (rows, cols) == self.shape else {"keep": ()}
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
         area = max(empty.generated_shape[0], 0) * max(empty.generated_shape[1], 0)
         own_area = self.generated_shape[0] * self.generated_shape[1]
         scaled = {name: round(number * area / own_area) for name, number in self.numbers.items()}
-        return empty.with_numbers(scaled | dict(numbers or {}))
+        size = self.known_size(rows, cols)
+        return empty.with_numbers(scaled | dict(size.numbers if size else {}) | dict(numbers or {}))
+
+    def known_size(self, rows: int, cols: int) -> KnownSize | None:
+        """Find what is known of another size; None where its numbers follow from this one's."""
+        return None if (rows, cols) == self.shape else self.known.get((rows, cols))
 
     def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> Domain:
         """Make the same domain at the size of a layout (int8 [H, W]).

@@ -6,7 +6,8 @@ from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
-from qdenv.domains.base import DomainConfig, Simulator
+from qdenv.domains.base import Simulator
+from qdenv.domains.settings import DomainConfig, KnownSize
 from qdenv.lazy import jax
 from qdenv.score.traffic import mean_throughput
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -27,9 +28,15 @@ class FleetDomainConfig(DomainConfig):
 
     def for_area(self, ratio: float, given: Collection[str]) -> Self:
         """Let the number of agents follow the area."""
+        return self._with_agents(max(1, round(self.fleet.agents * ratio)), given)
+
+    def for_known(self, size: KnownSize, given: Collection[str]) -> Self:
+        """Take the number of agents; a search does without the long runs of reported numbers."""
+        return self._with_agents(size.agents, given)
+
+    def _with_agents(self, agents: int, given: Collection[str]) -> Self:
         if "agents" in given:
             return self
-        agents = max(1, round(self.fleet.agents * ratio))
         return replace(self, fleet=replace(self.fleet, agents=agents))
 
 

@@ -10,6 +10,7 @@ from qdenv.domains import designs
 from qdenv.domains.base import Domain
 from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
 from qdenv.domains.measures import environment_entropy
+from qdenv.domains.settings import KnownSize
 from qdenv.grid import of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
@@ -26,6 +27,7 @@ MEANINGS: dict[str, Tile] = {
     "2": Tile("station 2", "the third kind, the last of a task", True),
     "e": Tile("endpoint", "robots stay here while served; needs a station beside it"),
 }
+SIZES = {(101, 102): KnownSize(steps=200, timesteps=5000, agents=1800)}  # S_eval of the paper
 STATION_WEIGHT = 5.0  # p_i of a generated station in the similarity (appendix C.2.1)
 
 
@@ -89,6 +91,7 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         # As many stations of each kind as agents stay there, so that none is a bottleneck.
         human=lambda: parse(designs.stations(*shape, config.stays), TILES),
         meanings=MEANINGS,
+        known=SIZES,
     )
 
 

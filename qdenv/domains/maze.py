@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from qdenv import devices
-from qdenv.domains.base import Domain, DomainConfig, Simulator
+from qdenv.domains.base import Domain, Simulator
 from qdenv.domains.measures import environment_entropy
+from qdenv.domains.settings import DomainConfig, KnownSize
 from qdenv.generate.decode import inside_frame
 from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
@@ -27,6 +28,8 @@ MEANINGS = {
     " ": Tile("empty", "the agent walks here; the longest path joins start and goal"),
     "X": Tile("wall", "the agent goes around it", True, also="#@"),
 }
+# S_eval of the paper: the horizon is twice the tiles.
+SIZES = {(66, 66): KnownSize(steps=200, timesteps=8712)}
 # On an accelerator all episodes of a population run side by side to the horizon; on a CPU one
 # layout's at a time, because then the layout's episodes may stop with the last of them.
 ACCELERATOR_LANES = 7500
@@ -50,9 +53,14 @@ class MazeConfig(DomainConfig):
 
     def for_area(self, ratio: float, given: Collection[str]) -> Self:
         """Let the length of an episode follow the area."""
-        if "timesteps" in given:
-            return self
-        return replace(self, timesteps=max(1, round(self.timesteps * ratio)))
+        return self._with_timesteps(max(1, round(self.timesteps * ratio)), given)
+
+    def for_known(self, size: KnownSize, given: Collection[str]) -> Self:
+        """Take the length of an episode."""
+        return self._with_timesteps(size.timesteps, given)
+
+    def _with_timesteps(self, timesteps: int, given: Collection[str]) -> Self:
+        return self if "timesteps" in given else replace(self, timesteps=timesteps)
 
 
 @dataclass(frozen=True)
@@ -140,6 +148,7 @@ def maze(config: MazeConfig) -> Domain:
         marks=start_and_goal,
         measures=(first, PATH_LENGTH),
         meanings=MEANINGS,
+        known=SIZES,
     )
 
 

@@ -6,7 +6,9 @@ Even: every workstation is drawn alike. Uneven: those on the left border five ti
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from qdenv.domains import designs
 from qdenv.domains.base import Domain
 from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
 from qdenv.domains.measures import environment_entropy
+from qdenv.domains.settings import KnownSize
 from qdenv.generate.decode import inside_frame, put_in_frame
 from qdenv.grid import parse
 from qdenv.lazy import jax
@@ -42,6 +45,10 @@ MEANINGS = {
 }
 MARGIN = (0, 2)
 STATION_SPACING = 3  # a workstation in rows 1, 4, 7, ..., never in the last row
+# S_eval of the paper (Table 1, and the numbers of agents that its throughputs were taken with).
+_S_EVAL = KnownSize(steps=200, timesteps=5000, agents=1400, numbers={"shelves": 2500})
+EVEN_SIZES = {(101, 102): _S_EVAL}
+UNEVEN_SIZES = {(101, 102): _S_EVAL._replace(agents=1000)}
 
 
 def border(rows: int, cols: int) -> np.ndarray:
@@ -122,8 +129,15 @@ def components(layout: jax.Array, runs: Traffic) -> jax.Array:
     return score.components(layout, "@", TILES)
 
 
-def warehouse(config: WarehouseConfig) -> Domain:
-    """Make a warehouse of one size."""
+def warehouse(
+    config: WarehouseConfig, known: Mapping[tuple[int, int], KnownSize] = EVEN_SIZES
+) -> Domain:
+    """Make a warehouse of one size.
+
+    Args:
+        config: its numbers.
+        known: sizes whose numbers are known.
+    """
     cycle = (tile_goal("e", TILES), favour_left(tile_goal("w", TILES), config.left_odds))
     return Domain(
         config=config,
@@ -143,8 +157,9 @@ def warehouse(config: WarehouseConfig) -> Domain:
         human=lambda: design(config.rows, config.cols),
         counted={"shelves": "@"},
         meanings=MEANINGS,
+        known=known,
     )
 
 
 EVEN = Entry(WarehouseConfig, warehouse)
-UNEVEN = Entry(UnevenWarehouseConfig, warehouse)
+UNEVEN = Entry(UnevenWarehouseConfig, partial(warehouse, known=UNEVEN_SIZES))

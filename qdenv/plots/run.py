@@ -19,33 +19,38 @@ MARK = "#e8590c"
 MARKERS = {"start": "o", "goal": "*"}  # any other mark is a square
 
 
-def plot_run(run: RunDirectory | str | Path) -> list[Path]:
-    """Draw archive.png, progress.png and best_layout.png into a run's folder.
+def plot_run(run: RunDirectory | str | Path, folder: Path | None = None) -> list[Path]:
+    """Draw archive.png, progress.png and best_layout.png of a run.
 
     And notes.png, where its algorithm says anything of itself.
 
     Args:
         run: the run, or its folder.
+        folder: where to; the run's own unless given.
 
     Returns:
         the pictures that could be drawn: none of an empty archive's layout.
 
     Raises:
-        InputError: the run has saved no archive yet, or a file of it is damaged.
+        InputError: the run has saved no archive yet, a file of it is damaged, or it ships with the
+            package and no other folder is given.
     """
     run = run if isinstance(run, RunDirectory) else RunDirectory.open(run)
+    if folder is None:
+        run.demand_own()
+    place = folder or run.path
     archive, meaning = run.load_archive(), run.meaning
-    pictures = [run.path / "archive.png", run.path / "progress.png"]
+    pictures = [place / "archive.png", place / "progress.png"]
     objectives = scatter_objectives(archive["index"], archive["objective"], meaning.measures)
     save_heatmap(pictures[0], objectives, meaning.measures, label=meaning.objective)
     save_progress(pictures[1], run)
     notes = read_notes(run.path / NOTES)
     if notes:
-        pictures.append(run.path / "notes.png")
+        pictures.append(place / "notes.png")
         save_notes(pictures[-1], notes)
     best = run.read_best_layout()
     if best is not None:
-        pictures.append(run.path / "best_layout.png")
+        pictures.append(place / "best_layout.png")
         axes = draw_layout(best.layout, meaning.tiles, names=meaning.names)
         draw_marks(axes, best.marks)
         figure = axes.get_figure()

@@ -112,9 +112,10 @@ def grow_elite(
         run: the run.
         which: an elite, or as in `find_elite`.
         shape: (rows, columns) of the framed layout; None takes the trained size.
-        steps: steps of growth; scaled with the longer side unless given.
-        numbers: exact numbers of tiles by the settings' names; those left out are scaled with
-            the generated area.
+        steps: steps of growth; unless given what the domain knows of the size, or else scaled
+            with the longer side.
+        numbers: exact numbers of tiles by the settings' names; those left out likewise, scaled
+            with the generated area.
         keep: drawing of the layout's shape with the tiles that must stay; at the trained size
             what the run kept unless given.
 
@@ -128,8 +129,12 @@ def grow_elite(
     if keep is not None:
         domain = keep_from(keep, domain)
     if steps is None:
-        longer = max(rows / trained.shape[0], cols / trained.shape[1], 1)
-        steps = round(_generator_of(config, trained).steps * longer)
+        size, longer = (
+            trained.known_size(rows, cols),
+            max(rows / trained.shape[0], cols / trained.shape[1], 1),
+        )
+        own = _generator_of(config, trained).steps
+        steps = size.steps if size and own else round(own * longer)
     elite = which if isinstance(which, Elite) else find_elite(run, which)
     layout = grow_series(config, domain, elite.solution, [steps])[0]
     return Grown(domain, elite, layout, steps)

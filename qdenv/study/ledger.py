@@ -6,6 +6,7 @@ import csv
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, get_type_hints
@@ -16,8 +17,8 @@ from qdenv.domains.base import Domain
 from qdenv.files import write_csv
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
-from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.study.sweep import check_fleet
+from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
+from qdenv.study.sweep import check_fleet, room_for
 from qdenv.types import InputError, look_up
 
 # Who drives, by a word: our planner at two efforts, the paper's by two rules.
@@ -56,6 +57,16 @@ class Case(NamedTuple):
         drawn = f"{zlib.crc32(self.tiles.astype(np.int8).tobytes()):08x}"
         numbers = (self.agents, self.timesteps, self.planner, self.stop)
         return (self.layout, self.domain.name, *numbers, drawn, seed)
+
+    @property
+    def fleet(self) -> FleetConfig:
+        """The numbers of its simulation."""
+        return FleetConfig(
+            agents=self.agents,
+            timesteps=self.timesteps,
+            planner=DRIVERS[self.planner],
+            stop_when_congested=self.stop,
+        )
 
 
 class Run(NamedTuple):
@@ -174,13 +185,11 @@ def simulate(case: Case, seed: int) -> Run:
     """Simulate one run on one core; the program has been loaded before its clock starts."""
     from qdenv.study.runs import run_seeds  # imports the simulator
 
-    config = FleetConfig(
-        agents=case.agents,
-        timesteps=case.timesteps,
-        planner=DRIVERS[case.planner],
-        stop_when_congested=case.stop,
-    )
-    done = run_seeds(case.tiles, case.domain.simulator.tasks, config, [seed], threads=1)
+    # Runs with other numbers of agents share the program; it is no larger than can be counted.
+    most = max(case.agents, min(case.tiles.size, MOST_STEPS // case.timesteps))
+    config = replace(case.fleet, agents=min(room_for(case.agents), most))
+    tasks = case.domain.simulator.tasks
+    done = run_seeds(case.tiles, tasks, config, [seed], case.agents, threads=1)
     (run,) = done.runs
     return Run(
         *case.key(seed),

@@ -1,5 +1,6 @@
 """What users say of a study in words: seeds, numbers of agents, who plans."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypedDict
@@ -72,6 +73,11 @@ def parse_counts(text: str) -> tuple[int, ...]:
     if len(set(counts)) < len(counts):
         raise InputError(f"agents {text!r} names a number twice: name each once")
     return tuple(counts)
+
+
+def scale_counts(text: str, factor: float) -> str:
+    """Multiply the numbers in words of `parse_counts`, so that a range keeps its steps."""
+    return re.sub(r"\d+", lambda number: str(round(int(number[0]) * factor)), text)
 
 
 class Driving(TypedDict, total=False):

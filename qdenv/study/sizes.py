@@ -83,9 +83,8 @@ def grow_sizes(
         run: a run with an archive.
         which: "best", or the archive cell's indices like "12,40".
         sizes: rows and columns of each framed layout.
-        steps: steps of growth for each size; scaled with the size where empty.
-        numbers: exact numbers of tiles for each size, by the settings' names; scaled with the
-            area where left out.
+        steps: steps of growth for each size; as `grow_elite` chooses where empty.
+        numbers: exact numbers of tiles for each size, by the settings' names; likewise.
         seed: of the repair; the run's own unless given.
 
     Yields:
@@ -203,8 +202,8 @@ def tile(
         domain: whose rules, at any size.
         layout: int8 [h, w], framed.
         shape: rows and columns of the larger layout.
-        numbers: exact numbers of tiles by the settings' names; the small layout's, scaled with
-            the area, where left out.
+        numbers: exact numbers of tiles by the settings' names; where left out those known of the
+            size, or else the small layout's, scaled with the area.
         config: limits of the repair.
         seed: other seeds give other, equally good repairs.
 

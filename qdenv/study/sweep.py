@@ -144,6 +144,14 @@ def _part(progress: Progress, state: str, before: float, size: float) -> Progres
     return tell
 
 
+def room_for(agents: int) -> int:
+    """Choose how many agents a program has room for that shall drive so many.
+
+    Rooms double from one to the next: few programs to compile, none much too large.
+    """
+    return max(FEWEST, 1 << (agents - 1).bit_length())
+
+
 def climb(
     name: str,
     layout: np.ndarray,
@@ -172,9 +180,7 @@ def climb(
     tasks, fitting = trial.tasks, check_climb(name, layout, trial)
     rows: list[Row] = []
     for count in fitting:
-        # Programs for fleets that double in size: few to compile, none much too large.
-        room = max(FEWEST, 1 << (count - 1).bit_length())
-        config = replace(trial.config, agents=min(room, fitting[-1]))
+        config = replace(trial.config, agents=min(room_for(count), fitting[-1]))
 
         def tell(doing: str, share: float, note: str, count: int = count) -> None:
             progress(f"adding agents to {name}", -1, f"{count} agents, {note or doing}")

@@ -19,6 +19,7 @@ from qdenv.study.options import Driving, fleet_tasks, make_fleet, parse_seeds
 from qdenv.study.progress import Progress, silent
 from qdenv.study.runs import Simulated, auditor, run_seeds
 from qdenv.study.table import Row, summarise
+from qdenv.study.usual import usual_fleet
 from qdenv.study.verdict import PROBES, Point, Verdict, judge, more_than, point_of
 from qdenv.types import InputError, TaskRule, Traffic
 
@@ -147,8 +148,8 @@ def _reader(
 def simulate_layout(
     layout: np.ndarray,
     domain: str = "warehouse-even",
-    agents: int = 200,
-    timesteps: int = 1000,
+    agents: int | None = None,
+    timesteps: int | None = None,
     seeds: int | str | Sequence[int | str] = 10,
     check: bool = False,
     **driving: Unpack[Driving],
@@ -158,8 +159,8 @@ def simulate_layout(
     Args:
         layout: int8 [H, W].
         domain: name of the domain.
-        agents: number of agents.
-        timesteps: horizon T.
+        agents: number of agents; as `usual_fleet` chooses unless given.
+        timesteps: horizon T, likewise.
         seeds: how many, or a list; see `parse_seeds`.
         check: audit every trajectory, and see where agents wait; without it "valid" is None.
         **driving: effort, planner, stop, see `options.Driving`.
@@ -170,7 +171,9 @@ def simulate_layout(
     Raises:
         InputError: a name is unknown, or the fleet cannot work on this layout.
     """
-    tasks = fleet_tasks(layout, find_domain(domain).simulator.tasks, agents)
+    found = find_domain(domain)
+    agents, timesteps, _ = usual_fleet(found, [layout], agents, timesteps)
+    tasks = fleet_tasks(layout, found.simulator.tasks, agents)
     config = make_fleet(agents, timesteps, **driving)
     study = examine(layout, tasks, config, parse_seeds(seeds), Wanted(check, check, False))
     about = {"domain": domain, "planner": describe_planner(config.planner), "agents": agents}

@@ -1,7 +1,7 @@
 """The archive that a run saved: its elites, asked for by cell, by measures, or all as a table."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,11 +24,14 @@ class Archive:
         columns: arrays with one row per elite, as in archive.npz.
         meaning: what they mean.
         source: how messages call the run.
+        names: cells of elites that have names; "best" among them is the best, whatever it is
+            worth to the search.
     """
 
     columns: Columns
     meaning: Meaning
     source: str
+    names: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Count the elites."""
@@ -56,8 +59,10 @@ class Archive:
 
     @property
     def best(self) -> Elite:
-        """The elite of the largest objective."""
+        """The elite of the largest objective, or the one that is named so."""
         self._demand_elites()
+        if "best" in self.names:
+            return self.elite(self.names["best"])
         return self._elite(best_row(self.columns, self.meaning.tie_break))
 
     def elite(
@@ -66,7 +71,7 @@ class Archive:
         """Find an elite.
 
         Args:
-            which: "best", or a cell: "12,40" or (12, 40).
+            which: "best" or another name, or a cell: "12,40" or (12, 40).
             measures: a value for each measure, in place of `which`: the elite of the cell they
                 fall into, or else the nearest one, where every axis is as long as the others.
 
@@ -78,14 +83,17 @@ class Archive:
             return self._elite(self._nearest(measures))
         if isinstance(which, str) and which == "best":
             return self.best
+        if isinstance(which, str) and which in self.names:
+            return self.elite(self.names[which])
         try:
             parts = which.split(",") if isinstance(which, str) else which
             cell = tuple(int(part) for part in parts)
             number = np.ravel_multi_index(cell, self.shape)
         except (ValueError, TypeError) as error:
             text = which if isinstance(which, str) else str(which).strip("()[]")
+            known = " or ".join(f'"{name}"' for name in self.names or ("best",))
             raise InputError(
-                f'elite {text!r}: give "best" or indices below {self.shape} like "3,7"'
+                f'elite {text!r}: give {known} or indices below {self.shape} like "3,7"'
             ) from error
         rows = np.flatnonzero(self.columns["index"] == number)
         if len(rows) == 0:

@@ -6,6 +6,8 @@ copy of an archive is ever made.
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from qdenv.training.dense import upgraded
 from qdenv.types import InputError
 
 _MANIFEST = "manifest"
+LOG = logging.getLogger(__name__)
 
 
 def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
@@ -111,3 +114,23 @@ def _as_bits(leaf: Any) -> np.ndarray:
     """View floats as integers: minus zero and NaN are no zeros, and they are stored as they are."""
     array = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
     return array.view(f"u{array.itemsize}") if array.dtype.kind == "f" else array
+
+
+def load_newest(saved: Sequence[Path], initial: Any) -> tuple[dict[str, Any], Any]:
+    """Load the newest checkpoint that is whole, as `RunDirectory.load_checkpoint` says.
+
+    Args:
+        saved: checkpoints, the newest last.
+        initial: state of a search that begins.
+    """
+    for older, path in enumerate(reversed(saved), start=1):
+        try:
+            state, manifest = load_checkpoint(path, initial)
+            return {**manifest, "iteration": int(manifest["iteration"])}, state
+        except (DamagedError, KeyError, TypeError) as error:
+            if older == len(saved):
+                raise InputError(
+                    f"{error}: no checkpoint is whole, delete {path.parent} to begin anew"
+                ) from error
+            LOG.warning("%s: going on from the checkpoint before it", error)
+    return {"iteration": 0}, initial

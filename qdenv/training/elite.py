@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qdenv.domains.base import Domain
 from qdenv.grid import parse
 from qdenv.training.manifest import Meaning
 from qdenv.types import InputError
@@ -89,6 +90,15 @@ class BestLayout(NamedTuple):
 
     layout: np.ndarray
     marks: dict[str, tuple[int, int]]
+
+
+def mark_cells(layout: np.ndarray, domain: Domain) -> dict[str, tuple[int, int]]:
+    """Find the cells (row, column) that pictures of a layout (int8 [H, W]) name."""
+    marks = domain.marks(layout) if domain.marks else {}
+    return {
+        name: (int(cell) // layout.shape[1], int(cell) % layout.shape[1])
+        for name, cell in marks.items()
+    }
 
 
 def parse_best_layout(content: Mapping[str, Any], tiles: str, source: Path) -> BestLayout:

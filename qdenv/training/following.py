@@ -17,7 +17,8 @@ def follow_size(
     """Let what nobody stated follow the size of the layout.
 
     Numbers of tiles and agents grow with the generated area, steps of growth with the longer side,
-    an axis with the number that its measure cannot exceed.
+    an axis with the number that its measure cannot exceed; at a size that the domain knows the
+    first three are what it knows.
 
     Args:
         config: the configuration, of whatever size.
@@ -36,12 +37,15 @@ def follow_size(
         return config, ""
     new = old.resized(asked.rows, asked.cols, stated)
     ratio = _area(new) / _area(old)
-    settings = dataclasses.replace(asked, **new.numbers).for_area(ratio, given)
+    settings = dataclasses.replace(asked, **new.numbers)
+    size = old.known_size(*new.shape)
+    settings = settings.for_known(size, given) if size else settings.for_area(ratio, given)
     new = make_domain(settings)
     generator = config.evaluation.generator
     longer = max(new.shape[0] / old.shape[0], new.shape[1] / old.shape[1])
     if hasattr(generator, "steps") and "steps" not in given and new.shape != old.shape:
-        generator = dataclasses.replace(generator, steps=max(1, round(generator.steps * longer)))
+        steps = size.steps if size else max(1, round(generator.steps * longer))
+        generator = dataclasses.replace(generator, steps=steps)
     archive = config.archive
     if "archive" not in given:
         axes = config.archive or [(axis.low, axis.high, axis.cells) for axis in old.measures]
@@ -82,6 +86,9 @@ def _in_words(before: RunConfig, after: RunConfig, domain: Domain) -> str:
     fleets: list[Any] = [getattr(one.domain, "fleet", None) for one in (old, new)]
     if fleets[0] != fleets[1]:
         said.append(f"{fleets[1].agents} agents")
+    horizons: list[Any] = [getattr(one.domain, "timesteps", None) for one in (old, new)]
+    if horizons[0] != horizons[1]:
+        said.append(f"{horizons[1]} timesteps")
     steps: list[Any] = [getattr(one.generator, "steps", None) for one in (old, new)]
     if steps[0] != steps[1]:
         said.append(f"{steps[1]} steps of growth")

@@ -1,5 +1,6 @@
 """The manifest of a run: what its archive means, and where and with what it was made."""
 
+import json
 import platform
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -58,6 +59,21 @@ def read_meaning(content: dict[str, Any], source: Path) -> Meaning:
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{source}: no manifest of a run ({error})") from error
     return Meaning(axes, tiles, names, objective, tie_break)
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """Read a JSON object of a run.
+
+    Raises:
+        InputError: it cannot be read, or is none.
+    """
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: expected a JSON object")
+    return content
 
 
 def check_schema(content: dict[str, Any], source: Path) -> None:

@@ -12,7 +12,7 @@ from qdenv.domains.base import Domain
 from qdenv.formats.layouts import write_layout
 from qdenv.search.base import Algorithm
 from qdenv.search.export import collector
-from qdenv.training.elite import best_row
+from qdenv.training.elite import best_row, mark_cells
 from qdenv.training.records import Metrics, RunDirectory
 from qdenv.types import Evaluation, Measure, RepairStatus
 
@@ -69,8 +69,7 @@ class Publisher:
             "similarity": float(archive["similarity"][row]),
         }
         if self._domain.marks is not None:
-            marks = self._domain.marks(layout)
-            cells = {name: divmod(int(cell), layout.shape[1]) for name, cell in marks.items()}
+            cells = mark_cells(layout, self._domain)
             details["marks"] = {name: list(cell) for name, cell in cells.items()}
         path = self._run.path / "best_layout.json"
         write_layout(path, layout, self._domain.tiles, **details)

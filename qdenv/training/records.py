@@ -13,8 +13,6 @@ RUN/.lock                   held by the process that writes here
 from __future__ import annotations
 
 import dataclasses
-import json
-import logging
 import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -23,25 +21,36 @@ from typing import Any
 
 import numpy as np
 
-from qdenv.checkpoints import DamagedError, read_arrays, write_arrays
+from qdenv.checkpoints import read_arrays, write_arrays
+from qdenv.domains.base import make_domain
 from qdenv.files import write_csv, write_json
 from qdenv.training.archive import Archive
 from qdenv.training.config import RunConfig, config_from_json, config_to_json
-from qdenv.training.elite import BestLayout, Elite, check_columns, parse_best_layout
+from qdenv.training.elite import BestLayout, Elite, check_columns, mark_cells, parse_best_layout
 from qdenv.training.lock import locked
-from qdenv.training.manifest import Meaning, check_schema, make_manifest, read_meaning
+from qdenv.training.manifest import (
+    Meaning,
+    check_schema,
+    make_manifest,
+    read_meaning,
+    read_object,
+)
 from qdenv.training.metrics import Metrics, read_metrics
 from qdenv.types import InputError, Measure
+from qdenv.zoo.shipped import Shipped, find
 
 KEPT_CHECKPOINTS = 2
-LOG = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class RunDirectory:
-    """The files of one run; every write leaves either the old file or the new one."""
+    """The files of one run in the folder `path`; every write leaves the old file or the new one.
+
+    `shipped` says which generator of the zoo it is, which is only read; None for one's own run.
+    """
 
     path: Path
+    shipped: Shipped | None = None
 
     @classmethod
     def create(cls, path: str | Path, config: RunConfig, meaning: Meaning) -> RunDirectory:
@@ -67,18 +76,36 @@ class RunDirectory:
     def open(cls, path: str | Path) -> RunDirectory:
         """Open an existing run.
 
+        Args:
+            path: its folder, or ``zoo:DOMAIN/NAME`` for a generator that ships.
+
         Raises:
             InputError: there is none, or a newer qdenv wrote it.
         """
-        run = cls(Path(path))
+        shipped = find(path)
+        run = cls(shipped.collection.folder, shipped) if shipped else cls(Path(path))
         if not (run.path / "config.json").exists():
             raise InputError(f"{path}: no run here (config.json is missing)")
-        check_schema(run._read_json("manifest.json"), run.path / "manifest.json")
+        check_schema(read_object(run.path / "manifest.json"), run.path / "manifest.json")
         return run
 
     def locked(self) -> AbstractContextManager[None]:
-        """Keep every other process from writing here."""
+        """Keep every other process from writing here.
+
+        Raises:
+            InputError: it ships with the package, and is only read.
+        """
+        self.demand_own()
         return locked(self.path)
+
+    def demand_own(self) -> None:
+        """Refuse to write where the package lies, which is an `InputError`."""
+        if self.shipped is not None:
+            raise InputError(self.shipped.refusal)
+
+    def __str__(self) -> str:
+        """Say the run as command lines do."""
+        return str(self.shipped or self.path)
 
     def write_config(self, config: RunConfig) -> None:
         """Write config.json."""
@@ -87,12 +114,12 @@ class RunDirectory:
     @property
     def config(self) -> RunConfig:
         """The resolved configuration."""
-        return config_from_json(self._read_json("config.json"), self.path / "config.json")
+        return config_from_json(read_object(self.path / "config.json"), self.path / "config.json")
 
     @property
     def meaning(self) -> Meaning:
         """What the archive means: its axes, the alphabet of its layouts, its objective."""
-        return read_meaning(self._read_json("manifest.json"), self.path / "manifest.json")
+        return read_meaning(read_object(self.path / "manifest.json"), self.path / "manifest.json")
 
     @property
     def measures(self) -> tuple[Measure, ...]:
@@ -107,11 +134,12 @@ class RunDirectory:
     @property
     def archive(self) -> Archive:
         """The archive as it was saved last, or an `InputError` where none was yet."""
-        return Archive(self.load_archive(), self.meaning, str(self.path))
+        names = self.shipped.cells if self.shipped else {}
+        return Archive(self.load_archive(), self.meaning, str(self), names)
 
     @property
     def best(self) -> Elite:
-        """The best elite of the archive."""
+        """The best elite."""
         return self.archive.best
 
     def elite(
@@ -125,9 +153,9 @@ class RunDirectory:
         try:
             last = self.read_metrics()[-1]
         except (InputError, IndexError):
-            return f"RunDirectory({str(self.path)!r})"
+            return f"RunDirectory({str(self)!r})"
         return (
-            f"RunDirectory({str(self.path)!r}: {last.evaluations} evaluations, "
+            f"RunDirectory({str(self)!r}: {last.evaluations} evaluations, "
             f"QD-score {last.qd_score:.4g}, coverage {last.coverage:.1%}, "
             f"best {last.best_objective:.4g})"
         )
@@ -173,23 +201,12 @@ class RunDirectory:
         Raises:
             InputError: all are damaged, or they are of another search or a newer qdenv.
         """
-        from qdenv.training.checkpoint import load_checkpoint
+        from qdenv.training.checkpoint import load_newest  # imports jax and the archives
 
-        saved = self._checkpoints()
-        for older, path in enumerate(reversed(saved), start=1):
-            try:
-                state, manifest = load_checkpoint(path, initial)
-                return {**manifest, "iteration": int(manifest["iteration"])}, state
-            except (DamagedError, KeyError, TypeError) as error:
-                if older == len(saved):
-                    raise InputError(
-                        f"{error}: no checkpoint is whole, delete {path.parent} to begin anew"
-                    ) from error
-                LOG.warning("%s: going on from the checkpoint before it", error)
-        return {"iteration": 0}, initial
+        return load_newest(self._checkpoints(), initial)
 
     def save_archive(self, elites: dict[str, np.ndarray]) -> None:
-        """Write archive.npz: arrays with one row per filled cell."""
+        """Write archive.npz: arrays with one row per elite."""
         write_arrays(self.path / "archive.npz", elites, compressed=True)
 
     def load_archive(self) -> dict[str, np.ndarray]:
@@ -201,9 +218,8 @@ class RunDirectory:
         try:
             columns = read_arrays(self.path / "archive.npz")
         except FileNotFoundError:
-            raise InputError(
-                f"{self.path}: no archive was saved yet; `qdenv resume {self.path}` goes on"
-            ) from None
+            hint = f"`qdenv resume {self.path}` goes on"
+            raise InputError(f"{self.path}: no archive was saved yet; {hint}") from None
         check_columns(columns, self.meaning, str(self.path / "archive.npz"))
         return columns
 
@@ -213,22 +229,17 @@ class RunDirectory:
         Raises:
             InputError: the file is damaged.
         """
+        if self.shipped is not None:
+            layout = self.best.layout
+            marks = mark_cells(layout, make_domain(self.config.evaluation.domain))
+            return BestLayout(layout, marks)
         path = self.path / "best_layout.json"
         if not path.exists():
             return None
-        return parse_best_layout(self._read_json(path.name), self.tiles, path)
+        return parse_best_layout(read_object(path), self.tiles, path)
 
     def _checkpoints(self) -> list[Path]:
         """List the checkpoints, the newest last; files of other names are not ours."""
         every = (self.path / "checkpoints").glob("*.npz")
-        ours = [path for path in every if re.fullmatch(r"[0-9]{6,9}", path.stem)]
+        ours = (path for path in every if re.fullmatch(r"[0-9]{6,9}", path.stem))
         return sorted(ours, key=lambda path: int(path.stem))
-
-    def _read_json(self, name: str) -> dict[str, Any]:
-        try:
-            content = json.loads((self.path / name).read_text())
-        except (OSError, ValueError, RecursionError) as error:
-            raise InputError(f"{self.path / name}: cannot be read ({error})") from error
-        if not isinstance(content, dict):
-            raise InputError(f"{self.path / name}: expected a JSON object")
-        return content

@@ -1,0 +1,83 @@
+"""Figure 18: the most that layouts of seven sizes move, and with how many agents."""
+
+from experiments.layouts import SavedLayout
+from experiments.lines import LOOKS, draw_line, finish, new_panels
+from experiments.peaks import SavedPeak
+from experiments.pieces import Drawn, Experiment, Folders, table
+from experiments.published import FLEETS
+from qdenv.study.differences import Difference, Sample, difference, margin
+from qdenv.study.outcomes import Outcome
+from qdenv.study.sizes import SIZES
+
+# The paper: 5,000 timesteps and 50 runs.
+TIMESTEPS, SEEDS = 1000, 3
+MAKERS = ("nca", "human")
+PEAKS = {
+    (domain, shape, maker): SavedPeak(
+        f"peaks-{domain}", SavedLayout(domain, maker, shape), TIMESTEPS, SEEDS
+    )
+    for domain in FLEETS
+    for shape in SIZES
+    for maker in MAKERS
+}
+HEAD = (
+    *("domain", "size"),
+    *(f"{LOOKS[maker].label}: tasks / timestep, agents" for maker in MAKERS),
+    *("throughput (95 %)", "agents"),
+)
+NOTES = (
+    f"T = {TIMESTEPS}, {SEEDS} runs with each number of agents, high effort; the paper has "
+    "T = 5000 and 50 runs.",
+    "The paper: both rise with the size, and automata draw the better layouts but for the "
+    "throughput at 69 x 69 of warehouse-uneven and for both at 57 x 58 of manufacturing.",
+)
+
+
+def draw(folders: Folders) -> Drawn:
+    """Draw peak throughput above and the agents at the peak below, a column per domain."""
+    found = {key: one for key, peak in PEAKS.items() if (one := peak.read(folders)) is not None}
+    figure, panels = new_panels(2, len(FLEETS), FLEETS)
+    for column, domain in enumerate(FLEETS):
+        for maker in MAKERS:
+            places = [place for place, shape in enumerate(SIZES) if (domain, shape, maker) in found]
+            if not places:
+                continue
+            peaks = [found[domain, SIZES[place], maker] for place in places]
+            halves = [margin(sample_of_all(peak)) for peak in peaks]
+            moved = [peak.mean_of_all for peak in peaks]
+            draw_line(panels[0, column], places, moved, halves, maker)
+            agents = [peak.agents for peak in peaks]
+            draw_line(panels[1, column], places, agents, [0.0] * len(peaks), maker)
+        for axes in panels[:, column]:
+            names = [f"{rows} x {cols}" for rows, cols in SIZES]
+            axes.set_xticks(range(len(SIZES)), names, rotation=30, ha="right", fontsize="small")
+    panels[0, 0].set_ylabel("tasks / timestep at the peak")
+    panels[1, 0].set_ylabel("agents at the peak")
+    finish(figure, panels)
+    rows = [row_of(domain, shape, found) for domain in FLEETS for shape in SIZES]
+    return Drawn(figure, (*table(HEAD, rows), "", *NOTES))
+
+
+def row_of(domain: str, shape: tuple[int, int], found: dict[tuple, Outcome]) -> tuple[object, ...]:
+    """Write the peaks of one size."""
+    peaks = [found.get((domain, shape, maker)) for maker in MAKERS]
+    cells = [f"{peak.mean_of_all:.2f}, {peak.agents}" if peak else "not made yet" for peak in peaks]
+    ours, theirs = peaks
+    compared = ("", "")
+    if ours and theirs:
+        against = difference(sample_of_all(ours), sample_of_all(theirs))
+        compared = (in_words(against), f"{100 * (ours.agents / theirs.agents - 1):+.0f} %")
+    return (domain, "{} x {}".format(*shape), *cells, *compared)
+
+
+def sample_of_all(peak: Outcome) -> Sample:
+    """Take all runs of a peak, congested ones too."""
+    return Sample(peak.mean_of_all, peak.error_of_all, peak.runs)
+
+
+def in_words(against: Difference) -> str:
+    """Write how much more the one moves."""
+    return f"{against.percent:+.0f} % ({against.low:+.0f} to {against.high:+.0f})"
+
+
+EXPERIMENT = Experiment("peaks of layouts of seven sizes", tuple(PEAKS.values()), draw)

@@ -1,0 +1,104 @@
+"""Figure 19: tiled layouts of 101 x 102 and where agents are, beside grown ones (E.4)."""
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+
+from experiments.courses import SavedCourse
+from experiments.layouts import S_EVAL, SavedLayout
+from experiments.lines import LOOKS
+from experiments.makers import TABLE, own_agents, refusal_of
+from experiments.pieces import Drawn, Experiment, Folders, Piece, table
+from experiments.published import FLEETS, TRAFFIC
+from experiments.traffic import SavedTraffic, moved_in, rate_of
+from qdenv.plots.figure import new_figure
+from qdenv.plots.layouts import draw_layout
+
+MAPPED = 5  # runs whose usage is drawn
+MOST = 4.0  # times an even spread, where the colours end
+# Not down to the darkest red: obstacles are black.
+COLOURS = ListedColormap(colormaps["YlOrRd"](np.linspace(0, 0.85, 256)))
+MAKERS = ("tiled", "nca")
+LAYOUTS = {
+    (domain, maker): SavedLayout(domain, maker, S_EVAL) for domain in FLEETS for maker in MAKERS
+}
+RUNS = {
+    (domain, maker): TABLE[domain, "nca", S_EVAL, "high"]
+    if maker == "nca"
+    else SavedTraffic("tiled", layout, (own_agents(domain, S_EVAL),))
+    for (domain, maker), layout in LAYOUTS.items()
+}
+USAGE = {
+    (domain, maker): SavedCourse(layout, own_agents(domain, S_EVAL), seeds=MAPPED, stop=True)
+    for (domain, maker), layout in LAYOUTS.items()
+}
+HEAD = (
+    *("domain", "layout", "agents", "cells changed", "success (95 %)", "tasks / timestep"),
+    "paper (success)",
+)
+
+
+def draw(folders: Folders) -> Drawn:
+    """Draw each tiled layout, its usage and that of the grown one; write what they move."""
+    figure = new_figure(4.2 * len(FLEETS), 13, dpi=100)
+    panels = figure.subplots(3, len(FLEETS))
+    for column, domain in enumerate(FLEETS):
+        show_layout(panels[0, column], LAYOUTS[domain, "tiled"], folders)
+        for axes, maker in zip(panels[1:, column], MAKERS, strict=True):
+            show_usage(axes, USAGE[domain, maker], folders)
+    drawn = [axes.images[-1] for axes in panels[1:].flat if axes.images]
+    if drawn:
+        label = "time on the cell, times an even spread over the free cells"
+        figure.colorbar(drawn[0], ax=panels[1:], shrink=0.5, extend="max", label=label)
+    rows = [row_of(domain, maker, folders) for domain, maker in LAYOUTS]
+    note = f"T = 5000; usage: share of all agents' time, mean of {MAPPED} runs"
+    return Drawn(figure, (*table(HEAD, rows), "", f"{note}, until they congest."))
+
+
+def row_of(domain: str, maker: str, folders: Folders) -> tuple[object, ...]:
+    """Write what one layout moves."""
+    saved, layout = RUNS[domain, maker], LAYOUTS[domain, maker]
+    (agents,), found = saved.agents, saved.outcomes(folders)
+    named = (domain, LOOKS[maker].label, agents)
+    changed = layout.read(folders).facts["changed"] if layout.done(folders) else ""
+    said = (rate_of(found[0]), moved_in(found[0])) if found else ("not made yet", "")
+    if refused := refusal_of(layout, folders):
+        changed, said = "", ("N/A", refused)
+    return (*named, changed, *said, TRAFFIC[domain, maker, agents])
+
+
+def show_layout(axes: Axes, layout: SavedLayout, folders: Folders) -> None:
+    """Draw a layout, or say that it is not made yet."""
+    if not layout.done(folders):
+        say_missing(axes, layout.stem)
+        return
+    made = layout.read(folders)
+    draw_layout(made.layout, made.domain.tiles, axes, made.domain.names)
+    axes.set_title(f"{layout.domain}: {LOOKS[layout.maker].label}", fontsize="small")
+
+
+def show_usage(axes: Axes, saved: SavedCourse, folders: Folders) -> None:
+    """Draw where agents are over the obstacles, or say that it is not made yet."""
+    found = saved.read(folders)
+    if found is None:
+        say_missing(axes, f"usage of {saved.layout.stem}")
+        return
+    made = saved.layout.read(folders)
+    axes.imshow(made.free, cmap=ListedColormap(["#000000", "#ffffff"]), vmin=0, vmax=1)
+    usage = np.ma.masked_where(found.usage == 0, found.usage / found.runs * made.free.sum())
+    axes.imshow(usage, cmap=COLOURS, vmin=0, vmax=MOST, interpolation="nearest")
+    axes.tick_params(length=0, labelbottom=False, labelleft=False)
+    maker = LOOKS[saved.layout.maker].label
+    jams = f"{found.congested} of {found.runs} runs congest"
+    axes.set_title(f"{maker}, {saved.agents} agents: {jams}", fontsize="small")
+
+
+def say_missing(axes: Axes, what: str) -> None:
+    """Leave a note where nothing can be drawn."""
+    axes.text(0.5, 0.5, f"{what}\nnot made yet", ha="center", va="center")
+    axes.set_axis_off()
+
+
+PIECES: tuple[Piece, ...] = (*RUNS.values(), *USAGE.values())
+EXPERIMENT = Experiment("tiled layouts, where agents are (section E.4)", PIECES, draw)

@@ -1,0 +1,193 @@
+"""What elites of a run are worth at other sizes: grown, repaired, simulated; each but once."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.domains.base import Domain, make_domain
+from qdenv.pipeline import simulate_layouts
+from qdenv.study import sizes
+from qdenv.study.differences import sample_of
+from qdenv.study.elites import grow_elite
+from qdenv.study.ledger import Case, complete
+from qdenv.study.options import parse_seeds
+from qdenv.training.archive import Archive
+from qdenv.training.following import follow_size
+from qdenv.training.records import RunDirectory
+from qdenv.types import InputError
+from qdenv.zoo.shipped import Driven, Grown
+
+Cell: TypeAlias = tuple[int, ...]
+Shape: TypeAlias = tuple[int, int]
+NONE = "0"  # seeds: leave this planner out
+
+
+@dataclass(frozen=True)
+class Measuring:
+    """What is simulated.
+
+    Attributes:
+        sizes: rows and columns of layouts, like 33x36 101x102; the trained size and those that the
+            domain knows unless given.
+        timesteps: horizon of what is reported of fleets.
+        seeds: of each layout under our planner at high effort.
+        pbs_seeds: of each under priority-based search; 0 leaves it out.
+        episodes: of the agent in each maze.
+        candidates: how many are tried for the best, which are those that the search liked best.
+        trial_timesteps: horizon of a trial of a fleet, which has one seed.
+    """
+
+    sizes: tuple[str, ...] = ()
+    timesteps: int = 5000
+    seeds: str = "2"
+    pbs_seeds: str = "1"
+    episodes: int = 100
+    candidates: int = 8
+    trial_timesteps: int = 1000
+
+
+class Workshop:
+    """Grows elites of one run, and simulates their layouts."""
+
+    def __init__(self, run: RunDirectory, measuring: Measuring, ledger: Path) -> None:
+        """Simulate nothing yet.
+
+        Args:
+            run: whose elites.
+            measuring: what is simulated.
+            ledger: CSV file that keeps every simulation of a fleet.
+        """
+        self.run, self.measuring, self.ledger = run, measuring, ledger
+        self.config = run.config
+        trained = make_domain(self.config.evaluation.domain)
+        self.fleet = trained.simulator.tasks is not None
+        asked = [sizes.parse_size(text) for text in measuring.sizes]
+        self.shapes: list[Shape] = asked or [trained.shape, *trained.known]
+        self._grown: dict[tuple[Cell, Shape], sizes.Sized | None] = {}
+        self._walks: dict[Shape, Callable] = {}  # compiled once for each size
+
+    @cached_property
+    def archive(self) -> Archive:
+        """The run's archive."""
+        return self.run.archive
+
+    def at(self, shape: Shape) -> Domain:
+        """Make the domain at a size, with all numbers that follow from it."""
+        rows, cols = shape
+        evaluation = self.config.evaluation
+        domain = replace(evaluation.domain, rows=rows, cols=cols)
+        asked = replace(self.config, evaluation=replace(evaluation, domain=domain))
+        return make_domain(follow_size(asked, self.config, ())[0].evaluation.domain)
+
+    def grow(self, cell: Cell, shape: Shape) -> sizes.Sized | None:
+        """Grow an elite and repair its layout as `qdenv generate` does; None where that fails."""
+        if (cell, shape) not in self._grown:
+            evaluation = self.config.evaluation
+            try:
+                grown = grow_elite(self.run, self.archive.elite(cell), shape)
+                found = sizes.finish(grown, evaluation.repair, self.config.seed)
+            except InputError as error:
+                print(f"{cell}: {error}")
+                found = None
+            self._grown[cell, shape] = found
+        return self._grown[cell, shape]
+
+    def worth(self, cell: Cell) -> float:
+        """Try a layout of the last size: what it moves, or how often the agent arrives.
+
+        Returns:
+            -1 where it cannot be repaired, congests, or cannot be solved.
+        """
+        shape, timesteps = self.shapes[-1], self.measuring.trial_timesteps
+        sized = self.grow(cell, shape)
+        if sized is None:
+            return -1.0
+        if not self.fleet:
+            share = self.walk(sized.layout, shape).success
+            return share if share > 0 else -1.0
+        trial = self.drive(cell, sized.layout, ("high", "1"), timesteps)
+        return trial.mean if trial.success == 1 else -1.0
+
+    def flows(self, cell: Cell) -> bool:
+        """Tell whether a layout of the last size that is worth anything flows under PBS, too."""
+        sized = self.grow(cell, self.shapes[-1])
+        if sized is None or not self.fleet or self.measuring.pbs_seeds == NONE:
+            return sized is not None
+        plan = ("published", "1")
+        return self.drive(cell, sized.layout, plan, self.measuring.trial_timesteps).success == 1
+
+    def measure(self, cell: Cell, shape: Shape) -> Grown:
+        """Grow a chosen elite at one size, and simulate it as is to be reported."""
+        sized, how = self.grow(cell, shape), self.measuring
+        assert sized is not None
+        asked = [("high", how.seeds), ("published", how.pbs_seeds)]
+        if self.fleet:
+            driven = [
+                self.drive(cell, sized.layout, plan, how.timesteps)
+                for plan in asked
+                if plan[1] != NONE
+            ]
+        else:
+            driven = [self.walk(sized.layout, shape)]
+        measures = {
+            axis.name: tidy(float(axis.value(jnp.asarray(sized.layout), None)))
+            for axis in self.at(shape).measures
+            if axis.value is not None and axis.limit != "timesteps"  # that needs simulations
+        }
+        rows, cols = shape
+        return Grown(
+            rows=rows,
+            cols=cols,
+            steps=sized.steps,
+            numbers=sized.numbers,
+            repair=sized.repair,
+            changed=sized.changed,
+            measures=measures,
+            driven=tuple(driven),
+        )
+
+    def drive(
+        self, cell: Cell, layout: np.ndarray, plan: tuple[str, str], timesteps: int
+    ) -> Driven:
+        """Simulate a fleet on a layout (int8 [H, W]); `plan` is the planner's word, and seeds."""
+        domain = self.at(layout.shape)
+        agents = domain.config.fleet.agents
+        name = f"{','.join(map(str, cell))} {layout.shape[0]}x{layout.shape[1]}"
+        case = Case(name, layout, domain, agents, timesteps, plan[0])
+        say: Callable[[str], None] = partial(print, flush=True)
+        runs = complete(self.ledger, [case], parse_seeds(plan[1]), say=say)
+        values = np.array([run.throughput for run in runs])
+        flowed = np.mean([not run.congested for run in runs])
+        return make_row(plan[0], agents, timesteps, values, float(flowed))
+
+    def walk(self, layout: np.ndarray, shape: Shape) -> Driven:
+        """Send the agent through a maze (int8 [H, W])."""
+        domain, keys = self.at(shape), jax.random.split(jax.random.key(0), 1)
+        simulator, episodes = domain.simulator, self.measuring.episodes
+        if shape not in self._walks:
+            self._walks[shape] = jax.jit(
+                lambda mazes: simulate_layouts(simulator, mazes, keys, episodes)
+            )
+        runs = jax.tree.map(np.asarray, self._walks[shape](jnp.asarray(layout)[None]))
+        lengths = runs.length.reshape(-1).astype(float)
+        return make_row("agent", 1, domain.config.timesteps, lengths, float(runs.success.mean()))
+
+
+def make_row(
+    planner: str, agents: int, timesteps: int, values: np.ndarray, success: float
+) -> Driven:
+    """Condense the runs of one layout (values: float [runs])."""
+    error = tidy(sample_of(values).error) if len(values) > 1 else None
+    mean = tidy(float(values.mean()))
+    return Driven(planner, agents, timesteps, len(values), mean, error, tidy(success))
+
+
+def tidy(value: float) -> float:
+    """Round a number to as many digits as files keep."""
+    return float(f"{value:.6g}")

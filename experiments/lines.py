@@ -1,0 +1,91 @@
+"""Lines and bands of figures, told apart in colour and in grey."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from qdenv.plots.figure import new_figure
+
+PANEL = (3.9, 3.1)  # inches
+Values: TypeAlias = Sequence[float] | np.ndarray
+
+
+class Look(NamedTuple):
+    """How the layouts of one maker are drawn; colours of Okabe and Ito 2008.
+
+    Attributes:
+        label: in the legend.
+        colour: of line and band.
+        style: of the line.
+        marker: of its points.
+    """
+
+    label: str
+    colour: str
+    style: str
+    marker: str
+
+
+LOOKS = {
+    "nca": Look("CMA-MAE + NCA", "#0072B2", "-", "o"),
+    "human": Look("hand-made", "#D55E00", "--", "s"),
+    "cma-es": Look("CMA-ES + NCA", "#E69F00", "-.", "^"),
+    "tiled": Look("tiled", "#009E73", ":", "v"),
+    "dsage": Look("DSAGE", "#CC79A7", ":", "D"),
+}
+
+
+def new_panels(rows: int, columns: int, crown: Sequence[str]) -> tuple[Figure, np.ndarray]:
+    """Make panels with a title above each column (Axes [rows, columns])."""
+    figure = new_figure(PANEL[0] * columns, PANEL[1] * rows + 0.4, dpi=100)
+    panels = figure.subplots(rows, columns, squeeze=False)
+    for axes, title in zip(panels[0], crown, strict=True):
+        axes.set_title(title)
+    for axes in panels.flat:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.3)
+    return figure, panels
+
+
+def draw_line(axes: Axes, places: Values, mean: Values, half: Values, maker: str) -> None:
+    """Draw a mean and its 95 % interval.
+
+    Args:
+        axes: where.
+        places: on the horizontal axis.
+        mean: at each place.
+        half: of the interval's width; NaN for none.
+        maker: one of `LOOKS`.
+    """
+    look, mean, half = LOOKS[maker], np.asarray(mean), np.nan_to_num(half)
+    few = look.marker if len(places) < 20 else ""
+    axes.fill_between(places, mean - half, mean + half, color=look.colour, alpha=0.25, lw=0)
+    axes.plot(
+        places, mean, ls=look.style, marker=few, ms=5, color=look.colour, label=look.label, lw=1.5
+    )
+
+
+def finish(figure: Figure, panels: np.ndarray) -> None:
+    """Name the lines once for all panels, and say where there are none yet."""
+    named: dict[str, Artist] = {}
+    for axes in panels.flat:
+        handles, labels = axes.get_legend_handles_labels()
+        named |= dict(zip(labels, handles, strict=True))
+        if not handles:
+            place = dict(ha="center", va="center", transform=axes.transAxes)
+            axes.text(0.5, 0.5, "not made yet", **place)
+            axes.set(xticks=[], yticks=[])
+            continue
+        axes.set_ylim(bottom=0)
+    if named:
+        figure.legend(
+            list(named.values()),
+            list(named),
+            loc="outside lower center",
+            ncols=len(named),
+            frameon=False,
+        )

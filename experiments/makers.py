@@ -1,0 +1,50 @@
+"""What CMA-MAE's and CMA-ES's layouts move: the runs of Figure 22 and of Table 5."""
+
+from itertools import product
+
+from experiments.layouts import S_EVAL, S, SavedLayout
+from experiments.pieces import Folders
+from experiments.published import AGENTS, FLEETS
+from experiments.traffic import SavedTraffic
+
+MAKERS = ("cma-es", "nca")
+SIZES = {S: "S", S_EVAL: "S_eval"}
+# Of N_a: numbers of agents over which Figure 22 draws throughput.
+SHARES = {S: (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0), S_EVAL: (0.4, 0.6, 0.8, 1.0, 1.2, 1.4)}
+
+
+def own_agents(domain: str, shape: tuple[int, int]) -> int:
+    """Say how many agents the paper has, N_a."""
+    return AGENTS[domain][list(SIZES).index(shape)]
+
+
+def runs_at(
+    domain: str, maker: str, shape: tuple[int, int], agents: int, planner: str = "high"
+) -> SavedTraffic:
+    """Name 50 runs of 5,000 timesteps with one number of agents."""
+    layout = SavedLayout(domain, maker, shape)
+    return SavedTraffic(f"makers-{domain}", layout, (agents,), planner=planner)
+
+
+# With N_a agents, by domain, maker, size and planner.
+TABLE = {
+    (domain, maker, shape, planner): runs_at(
+        domain, maker, shape, own_agents(domain, shape), planner
+    )
+    for domain, maker, (shape, planner) in product(
+        FLEETS, MAKERS, ((S, "high"), (S, "published"), (S_EVAL, "high"))
+    )
+}
+# With each number of agents, by domain, maker and size.
+CURVES = {
+    (domain, maker, shape): tuple(
+        runs_at(domain, maker, shape, round(share * own_agents(domain, shape)))
+        for share in SHARES[shape]
+    )
+    for domain, maker, shape in product(FLEETS, MAKERS, SIZES)
+}
+
+
+def refusal_of(layout: SavedLayout, folders: Folders) -> str:
+    """Say why a layout could not be repaired; "" where it could, or is not made yet."""
+    return layout.read(folders).refused if layout.done(folders) else ""

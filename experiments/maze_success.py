@@ -1,0 +1,207 @@
+"""How often the agent solves grown mazes and random ones like them, at both sizes (section 6)."""
+
+import csv
+import time
+import zlib
+from pathlib import Path
+from typing import NamedTuple, get_type_hints
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from experiments.layouts import MAZE_S, MAZE_S_EVAL, SavedLayout, random_like
+from experiments.lines import LOOKS, finish, new_panels
+from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, table
+from experiments.published import MAZES
+from qdenv.agent.evaluate import evaluate_agent, without_ring
+from qdenv.files import write_csv
+from qdenv.score.traffic import wilson_interval
+from qdenv.simulate.maze.policy import Weights, load_weights
+from qdenv.simulate.maze.world import WALL
+from qdenv.study.differences import sample_of
+from qdenv.types import Array
+
+GROWN = -1  # in place of a seed: the maze that the others take after
+TELL = 10  # mazes from one word on how far it is to the next
+
+
+class Solved(NamedTuple):
+    """The agent on one maze, a row of the file.
+
+    Attributes:
+        agent: checksum of its weights.
+        like: checksum of the grown maze.
+        maze: seed of a random maze; `GROWN` for the grown one itself.
+        walls: of the maze, inside its ring.
+        shortest: moves of the way to the goal.
+        runs: of the agent.
+        successes: how many of them reached the goal.
+        mean_length: actions, failures counted with the horizon.
+        cpu_seconds: of drawing the maze and of all runs.
+    """
+
+    agent: str
+    like: str
+    maze: int
+    walls: int
+    shortest: int
+    runs: int
+    successes: int
+    mean_length: float
+    cpu_seconds: float
+
+
+class SavedSuccess(NamedTuple):
+    """The shipped agent on a grown maze and on random ones like it.
+
+    Attributes:
+        layout: the grown maze.
+        mazes: how many random ones.
+        runs: on each maze.
+    """
+
+    layout: SavedLayout
+    mazes: int = 100
+    runs: int = 100
+
+    @property
+    def name(self) -> str:
+        """How lists call it."""
+        return f"{self.runs} runs of {self.layout.stem} and of {self.mazes} random mazes like it"
+
+    @property
+    def needs(self) -> tuple[Piece, ...]:
+        """The grown maze."""
+        return (self.layout,)
+
+    def path(self, folders: Folders) -> Path:
+        """Find its file."""
+        return folders.results / "mazes" / f"{self.layout.stem}.csv"
+
+    def read(self, folders: Folders) -> list[Solved]:
+        """Read what is saved of this agent and this grown maze."""
+        if not (self.path(folders).exists() and self.layout.done(folders)):
+            return []
+        kinds = get_type_hints(Solved)
+        with self.path(folders).open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        found = [Solved(**{name: kinds[name](text) for name, text in row.items()}) for row in rows]
+        now = (checksum(*load_weights()), checksum(self.layout.read(folders).layout), self.runs)
+        wanted = range(GROWN, self.mazes)
+        return [
+            row for row in found if (row.agent, row.like, row.runs) == now and row.maze in wanted
+        ]
+
+    def done(self, folders: Folders) -> float:
+        """Say which share of the mazes is saved."""
+        return len(self.read(folders)) / (self.mazes + 1)
+
+    def cost(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of the mazes that are missing."""
+        known = self.read(folders)
+        each = 0.8e-3 * float(np.prod(self.layout.shape))
+        if known:
+            each = sum(row.cpu_seconds for row in known) / len(known)
+        return each * (self.mazes + 1 - len(known))
+
+    def make(self, folders: Folders, say: Say) -> None:
+        """Let the agent loose in each maze; each is saved as it ends."""
+        weights, grown = load_weights(), self.layout.read(folders).layout
+        known = self.read(folders)
+        for maze in sorted(set(range(GROWN, self.mazes)) - {row.maze for row in known}):
+            known.append(solve(weights, grown, maze, self.runs))
+            write_csv(self.path(folders), Solved._fields, known)
+            if maze % TELL == 0:
+                left = self.cost(folders)
+                say(f"{len(known)} of {self.mazes + 1} mazes, about {left:.0f} s left: {self.name}")
+
+
+def solve(weights: Weights, grown: np.ndarray, maze: int, runs: int) -> Solved:
+    """Let the agent loose in a grown maze, or in a random one like it."""
+    begin = time.process_time()
+    inside = without_ring(grown) if maze == GROWN else random_like(grown, maze)
+    result = evaluate_agent(weights, inside, max(maze, 0), runs)
+    return Solved(
+        agent=checksum(*weights),
+        like=checksum(grown),
+        maze=maze,
+        walls=int((inside == WALL).sum()),
+        shortest=result.shortest,
+        runs=runs,
+        successes=round(result.rate * runs),
+        mean_length=round(result.mean_length, 2),
+        cpu_seconds=round(time.process_time() - begin, 3),
+    )
+
+
+def checksum(*arrays: Array) -> str:
+    """Tell arrays from others."""
+    total = 0
+    for array in arrays:
+        total = zlib.crc32(np.asarray(array).tobytes(), total)
+    return f"{total:08x}"
+
+
+PIECES = tuple(
+    SavedSuccess(SavedLayout("maze-walls", "nca", shape)) for shape in (MAZE_S, MAZE_S_EVAL)
+)
+HEAD = (
+    *("size", "grown maze: success (95 %)", "way", "walls", "random mazes: success", "mazes"),
+    *("way, mean", "paper: grown, random"),
+)
+NOTE = (
+    "Random mazes have as many walls, and a way within 0.8 to 1.2 of the grown one's; +- standard "
+    "error over mazes."
+)
+
+
+def draw(folders: Folders) -> Drawn:
+    """Draw success rates on random mazes over their ways, and on the grown one, for both sizes."""
+    sizes = ["{} x {}".format(*saved.layout.shape) for saved in PIECES]
+    figure, panels = new_panels(1, len(PIECES), sizes)
+    rows: list[tuple[object, ...]] = []
+    for axes, saved, size in zip(panels[0], PIECES, sizes, strict=True):
+        axes.set(xlabel="moves of the shortest way", ylabel="success rate")
+        found = saved.read(folders)
+        if found:
+            draw_rates(axes, found)
+            rows.append((size, *row_of(found), MAZES.get(saved.layout.shape, "")))
+        else:
+            rows.append((size, "not made yet", *[""] * 5, MAZES.get(saved.layout.shape, "")))
+    finish(figure, panels)
+    for axes in panels[0]:
+        axes.set_ylim(-0.04, 1.04)
+    return Drawn(figure, (*table(HEAD, rows), "", NOTE))
+
+
+def draw_rates(axes: Axes, found: list[Solved]) -> None:
+    """Draw a point per random maze, and the grown one with its Wilson interval."""
+    others = [row for row in found if row.maze != GROWN]
+    ways, rates = [row.shortest for row in others], [row.successes / row.runs for row in others]
+    axes.plot(ways, rates, "x", color=LOOKS["human"].colour, ms=5, label="random mazes")
+    for row in (row for row in found if row.maze == GROWN):
+        rate, (low, high) = row.successes / row.runs, wilson_interval(row.successes, row.runs)
+        ends = np.maximum([[rate - low], [high - rate]], 0)
+        look = LOOKS["nca"]
+        axes.errorbar(
+            [row.shortest], [rate], ends, fmt="o", color=look.colour, ms=8, capsize=4, label="grown"
+        )
+
+
+def row_of(found: list[Solved]) -> tuple[object, ...]:
+    """Write what the agent does at one size."""
+    others = [row for row in found if row.maze != GROWN]
+    own: tuple[object, ...] = ("not made yet", "", "")
+    for row in (row for row in found if row.maze == GROWN):
+        low, high = wilson_interval(row.successes, row.runs)
+        rate = f"{row.successes / row.runs:.0%} ({low:.0%} to {high:.0%})"
+        own = (rate, row.shortest, row.walls)
+    if not others:
+        return (*own, "not made yet", 0, "")
+    sample = sample_of(np.array([row.successes / row.runs for row in others]))
+    rate = f"{100 * sample.mean:.1f} +- {100 * sample.error:.1f} %"
+    ways = f"{np.mean([row.shortest for row in others]):.0f}"
+    return (*own, rate, len(others), ways)
+
+
+EXPERIMENT = Experiment("the agent in grown and in random mazes", PIECES, draw)

@@ -1,0 +1,130 @@
+"""Saved peaks: with how many agents a layout moves the most, located within 5 %."""
+
+from collections.abc import Mapping
+from itertools import count
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.layouts import SavedLayout
+from experiments.pieces import Folders, Piece, Say
+from experiments.traffic import SavedTraffic, rate
+from qdenv.study.ledger import complete
+from qdenv.study.outcomes import Outcome
+
+STEP = 1.05  # agents from one number to the next where the peak is located
+COARSE = 4  # such steps at once on the way up: 22 %
+FALLS = 2  # numbers in a row that move less than the best so far: beyond the peak
+BEGIN = 0.03  # agents per cell
+RUNGS = range(-20, 80)  # of the ladder of numbers: BEGIN / 3 to more agents than cells
+# Where nothing is known yet: agents per cell at the peak, and the work of locating it, in runs
+# with as many agents as there are at the peak.
+LIKELY, RUNS = 0.25, 14.0
+
+
+class SavedPeak(NamedTuple):
+    """The peak of one layout (section E.3).
+
+    Attributes:
+        table: the file in which the runs stand, which peaks share.
+        layout: which.
+        timesteps: horizon T.
+        seeds: how many runs with each number of agents.
+        planner: one of `ledger.DRIVERS`.
+    """
+
+    table: str
+    layout: SavedLayout
+    timesteps: int
+    seeds: int
+    planner: str = "high"
+
+    @property
+    def name(self) -> str:
+        """How lists call it."""
+        return f"peak of {self.layout.stem}"
+
+    @property
+    def needs(self) -> tuple[Piece, ...]:
+        """The layout."""
+        return (self.layout,)
+
+    def traffic(self, agents: tuple[int, ...]) -> SavedTraffic:
+        """Describe the runs with some numbers of agents."""
+        return SavedTraffic(
+            self.table, self.layout, agents, self.timesteps, self.seeds, self.planner
+        )
+
+    def outcomes(self, folders: Folders) -> list[Outcome]:
+        """Condense the runs with each number of agents that was tried, few to many."""
+        every = self.traffic(tuple(sorted({self.agents_at(rung) for rung in RUNGS})))
+        return [row for row in every.outcomes(folders) if row.runs == self.seeds]
+
+    def read(self, folders: Folders) -> Outcome | None:
+        """Read the peak; None where it is not located yet."""
+        if self.done(folders) < 1:
+            return None
+        return max(self.outcomes(folders), key=lambda row: row.mean_of_all, default=None)
+
+    def agents_at(self, rung: int) -> int:
+        """Say how many agents drive on a rung of the ladder."""
+        rows, cols = self.layout.shape
+        return max(1, round(BEGIN * rows * cols * STEP**rung))
+
+    def wanted(self, folders: Folders) -> tuple[int, ...]:
+        """List the numbers of agents to try next; none where the peak is located."""
+        made = self.layout.read(folders)
+        if made.refused:
+            return ()
+        moved = {row.agents: row.mean_of_all for row in self.outcomes(folders)}
+        fitting = {rung: n for rung in RUNGS if (n := self.agents_at(rung)) <= made.free.sum()}
+        known = {rung: moved[n] for rung, n in fitting.items() if n in moved}
+        return tuple(sorted({fitting[rung] for rung in next_rungs(known, max(fitting))}))
+
+    def done(self, folders: Folders) -> float:
+        """Say which share of the work is done, so far as that can be known."""
+        if not self.layout.done(folders):
+            return 0.0
+        if not self.wanted(folders):
+            return 1.0
+        work = sum(row.agents for row in self.outcomes(folders))
+        return min(work / (RUNS * self.likely), 0.95)
+
+    @property
+    def likely(self) -> float:
+        """Agents at the peak, reckoned from the size."""
+        return LIKELY * float(np.prod(self.layout.shape))
+
+    def cost(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of the runs that are missing."""
+        each = rate(self.planner, ()) * self.timesteps * self.seeds
+        return each * RUNS * self.likely * (1 - self.done(folders))
+
+    def make(self, folders: Folders, say: Say) -> None:
+        """Climb in large steps until throughput falls, then locate the top in small ones."""
+        while wanted := self.wanted(folders):
+            traffic = self.traffic(wanted)
+            path, cases = traffic.path(folders), traffic.cases(folders)
+            complete(path, cases, range(self.seeds), say=say)
+        if (peak := self.read(folders)) is not None:
+            say(f"{self.layout.stem}: {peak.mean_of_all:.3f} with {peak.agents} agents")
+
+
+def next_rungs(known: Mapping[int, float], last: int) -> list[int]:
+    """List the rungs to try next: one on the way up, those around the top, or none.
+
+    Args:
+        known: throughput by rung.
+        last: the highest rung that fits.
+    """
+    best, falls = -np.inf, 0
+    for rung in count(0, COARSE):
+        if rung > last or falls == FALLS:
+            break
+        if rung not in known:
+            return [rung]
+        falls = 0 if known[rung] > best else falls + 1
+        best = max(best, known[rung])
+    top = max(known, key=lambda rung: known[rung])
+    around = range(max(top - COARSE + 1, RUNGS[0]), min(top + COARSE - 1, last) + 1)
+    return [rung for rung in around if rung not in known]

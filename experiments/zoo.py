@@ -1,0 +1,153 @@
+"""Choose about ten generators of a finished run, measure them, and write them into the zoo.
+
+    python -m experiments.zoo runs/warehouse-even
+
+Each rule orders the elites of the run; the first that nobody else has taken, and whose layout of
+the evaluation size can be repaired and flows, is chosen. The best is the one that is worth most at
+that size among the few that the search liked best, and flows there under priority-based search,
+too. Every simulation of a fleet is a row of a file and is not done again, so this can be stopped
+and started again.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from experiments.growing import Cell, Measuring, Workshop
+from experiments.zoo_rules import RULES, Rule
+from qdenv.domains.base import DOMAINS
+from qdenv.files import write_json
+from qdenv.presets import PRESETS
+from qdenv.search.registry import ALGORITHMS
+from qdenv.training.archive import Archive
+from qdenv.training.manifest import read_object
+from qdenv.training.records import RunDirectory
+from qdenv.types import InputError, look_up
+from qdenv.zoo.shipped import TABLE, USUAL, Generator, Origin, to_json
+
+ZOO = Path(__file__).parents[1] / "qdenv" / "zoo"
+FILES = ("config.json", "manifest.json", "metrics.csv")
+TRIED = 5  # elites that a rule tries before it takes the first of its order as it is
+
+
+def numbers_of(archive: Archive) -> dict[str, np.ndarray]:
+    """List what rules order elites by, float [elites] each: means over simulations, measures."""
+    columns = dict(archive.columns)
+    measures = columns.pop("measures")
+    found = {
+        name: values.astype(float).reshape(len(values), -1).mean(axis=1)
+        for name, values in columns.items()
+        if name != "solution" and values.ndim <= 2
+    }
+    names = (axis.name for axis in archive.meaning.measures)
+    return found | dict(zip(names, measures.T.astype(float), strict=True))
+
+
+def sound(archive: Archive) -> np.ndarray:
+    """List the elites (int [n]) that flowed or were solvable in all simulations of the search."""
+    columns = archive.columns
+    congested = columns.get("congested", np.zeros((len(archive), 1), bool))
+    return np.flatnonzero(~congested.any(axis=1) & (columns["objective"] > 0))
+
+
+def in_order(rule: Rule, numbers: Mapping[str, np.ndarray], elites: np.ndarray) -> np.ndarray:
+    """Order the elites (int [n]) that a rule's steps leave; the first of equal ones stays first."""
+    for number, share in (*rule.steps, (rule.order, 1.0)):
+        values = numbers[number.removeprefix("-")][elites]
+        places = np.argsort(values if number.startswith("-") else -values, kind="stable")
+        elites = elites[places][: max(1, round(share * len(elites)))]
+    return elites
+
+
+def choose(workshop: Workshop, rules: tuple[Rule, ...]) -> dict[Rule, Cell]:
+    """Choose a cell of the archive for each rule."""
+    archive = workshop.archive
+    numbers, elites, cells = numbers_of(archive), sound(archive), archive.cells
+    chosen: dict[Rule, Cell] = {}
+    for rule in rules:
+        ordered = (tuple(map(int, cells[row])) for row in in_order(rule, numbers, elites))
+        free = [cell for cell in ordered if cell not in chosen.values()]
+        if not free:
+            raise InputError(f"{rule.name}: the run has too few elites: search for longer")
+        if rule.name == USUAL:
+            tried = free[: workshop.measuring.candidates]
+            tried.sort(key=workshop.worth, reverse=True)
+            chosen[rule] = next((cell for cell in tried if workshop.flows(cell)), tried[0])
+        else:
+            passing = (cell for cell in free[:TRIED] if workshop.worth(cell) >= 0)
+            chosen[rule] = next(passing, free[0])
+        print(f"{rule.name}: {chosen[rule]}", flush=True)
+    return chosen
+
+
+def origin_of(run: RunDirectory, domain: str, counted: str) -> Origin:
+    """Say where generators come from."""
+    config, manifest = run.config, read_object(run.path / "manifest.json")
+    alike = [name for name, one in PRESETS.items() if one.evaluation == config.evaluation]
+    preset = domain if domain in alike else next(iter(alike), domain)
+    version, created = manifest["versions"]["qdenv"], manifest["created"]
+    algorithm = ALGORITHMS.name_of(config.algorithm)
+    done = run.read_metrics()[-1].evaluations
+    return Origin(preset, algorithm, config.seed, done, version, created, counted)
+
+
+def write(
+    folder: Path, run: RunDirectory, archive: Archive, origin: Origin, found: list[Generator]
+) -> None:
+    """Write a folder of the zoo in place of the one that is there."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for name in FILES:
+        shutil.copyfile(run.path / name, folder / name)
+    places = [int(np.ravel_multi_index(one.cell, archive.shape)) for one in found]
+    rows = [int(np.flatnonzero(archive.columns["index"] == place)[0]) for place in places]
+    RunDirectory(folder).save_archive({name: one[rows] for name, one in archive.columns.items()})
+    write_json(folder / TABLE, to_json(folder.name, origin, found))
+
+
+def main(
+    run_dir: tyro.conf.Positional[Path],
+    measuring: Annotated[Measuring, tyro.conf.arg(name="")] = Measuring(),  # noqa: B008 (frozen)
+    ledger: Path | None = None,
+    out: Path = ZOO,
+) -> None:
+    """Write the zoo of the run's domain.
+
+    Args:
+        run_dir: folder of a finished run.
+        measuring: what is simulated.
+        ledger: CSV file that keeps every simulation; zoo-DOMAIN.csv beside the run unless given.
+        out: folder of the zoo.
+    """
+    run = RunDirectory.open(run_dir)
+    domain = DOMAINS.name_of(run.config.evaluation.domain)
+    rules = look_up(RULES, domain, "domain of the zoo")
+    workshop = Workshop(run, measuring, ledger or run_dir.with_name(f"zoo-{domain}.csv"))
+    chosen = choose(workshop, rules)
+    archive = workshop.archive
+    found = [
+        Generator(
+            rule.name,
+            rule.about,
+            cell,
+            float(f"{archive.elite(cell).objective:.6g}"),
+            tuple(workshop.measure(cell, shape) for shape in workshop.shapes),
+        )
+        for rule, cell in chosen.items()
+    ]
+    counted = "throughput [tasks per timestep]" if workshop.fleet else "actions to the goal"
+    write(out / domain, run, archive, origin_of(run, domain, counted), found)
+    size = sum(path.stat().st_size for path in (out / domain).iterdir())
+    print(f"{out / domain}: {len(found)} generators, {size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,118 @@
+"""How the generators that ship are chosen among the elites of a run: rules as data."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from qdenv.zoo.shipped import USUAL
+
+ENTROPY, ACTIONS = "environment entropy", "mean agent path length"
+GOOD, SURE = ("objective", 0.5), ("success", 0.5)
+
+
+class Rule(NamedTuple):
+    """How a generator is chosen: steps narrow the elites down, and a number orders the rest.
+
+    Attributes:
+        name: of the generator.
+        about: what it is.
+        order: the number, a measure or a mean over simulations; the largest comes first, or the
+            smallest where a minus stands before it.
+        steps: (number, share): keep this share of what is left, the first in this order.
+    """
+
+    name: str
+    about: str
+    order: str
+    steps: tuple[tuple[str, float], ...] = (GOOD,)
+
+
+def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]:
+    """List the rules of a domain whose elites differ in entropy and in a number of `things`."""
+    tenth, third = ((f"-{ENTROPY}", 0.1),), (f"-{ENTROPY}", 0.3)
+    return (
+        Rule("regular", "one pattern all over: the lowest entropy", f"-{ENTROPY}"),
+        Rule("varied", "no two corners alike: the highest entropy", ENTROPY),
+        Rule(f"few-{noun}", few, f"-{things}"),
+        Rule(f"many-{noun}", many, things),
+        Rule("orderly", "the best of the most regular tenth", "objective", tenth),
+        Rule(
+            f"orderly-few-{noun}",
+            f"the best of the regular ones with few {noun}",
+            "objective",
+            (third, (f"-{things}", 0.3)),
+        ),
+        Rule("clean", "draws plans that the repair changes least", "similarity"),
+        Rule("calm", "robots wait the least", "-waiting"),
+        Rule("short-ways", "the shortest ways from one finished task to the next", "-path_length"),
+    )
+
+
+def in_mazes(
+    thing: str, names: tuple[str, str], most: tuple[str, str], much: tuple[str, str]
+) -> tuple[Rule, ...]:
+    """List the rules of mazes that differ in `thing`, and in how far the agent walks.
+
+    Args:
+        thing: a measure.
+        names: of generators with a lot and with little of it.
+        most: how people say the most of it, and the least.
+        much: how they say a lot of it, and little.
+    """
+    more, less = names
+    far, near = (SURE, ("shortest", 0.2)), (SURE, ("-shortest", 0.3))
+    dense, sparse = (SURE, (thing, 0.1)), (SURE, (f"-{thing}", 0.1))
+    missed = (("shortest", 0.2), ("success", 0.7))
+    return (
+        Rule("straight", "a far goal that is found with few detours", f"-{ACTIONS}", far),
+        Rule("winding", "a goal that is near and found late", ACTIONS, near),
+        Rule("wandering", "the most actions of the agent that arrives", ACTIONS, (SURE,)),
+        Rule(more, f"{most[0]} that leave a long way", thing, far),
+        Rule(less, f"{most[1]} that leave a long way", f"-{thing}", far),
+        Rule(f"{more}-long", f"the longest way with {much[0]}", "shortest", dense),
+        Rule(f"{less}-long", f"the longest way with {much[1]}", "shortest", sparse),
+        Rule("hard", "a long way that the agent often misses", "-success", missed),
+    )
+
+
+# Rule and order of the candidates for the best, and the rules of the others.
+FLEET_BEST = Rule(
+    USUAL, "moves most at the largest size, and flows there under both planners", "objective", ()
+)
+MAZE_BEST = Rule(
+    USUAL, "a long way that the agent finds most surely at the largest size", "shortest", (SURE,)
+)
+_WAREHOUSE = (
+    FLEET_BEST,
+    *with_fleets(
+        "connected shelf components",
+        "blocks",
+        "long shelves: the fewest connected blocks",
+        "short shelves: the most connected blocks",
+    ),
+)
+RULES: Mapping[str, tuple[Rule, ...]] = {
+    "warehouse-even": _WAREHOUSE,
+    "warehouse-uneven": _WAREHOUSE,
+    "manufacturing": (
+        FLEET_BEST,
+        *with_fleets("workstations", "stations", "the fewest stations", "the most stations"),
+    ),
+    "maze-walls": (
+        MAZE_BEST,
+        *in_mazes(
+            "number of walls",
+            ("dense", "open"),
+            ("the most walls", "the fewest walls"),
+            ("many walls", "few walls"),
+        ),
+    ),
+    "maze-entropy": (
+        MAZE_BEST,
+        *in_mazes(
+            ENTROPY,
+            ("varied", "regular"),
+            ("the most irregular walls", "the most regular walls"),
+            ("irregular walls", "regular walls"),
+        ),
+    ),
+}

@@ -1,0 +1,230 @@
+"""The generators that ship: what their files say, and where ``zoo:DOMAIN/NAME`` leads."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from qdenv.types import look_up
+
+PREFIX = "zoo:"
+TABLE = "generators.json"
+USUAL = "best"  # the generator of a domain where none is named
+
+
+class Driven(NamedTuple):
+    """What the simulations of one layout under one planner say.
+
+    Attributes:
+        planner: who drives: "high" effort of our planner, "published" priority-based search, or
+            the "agent" of mazes.
+        agents: how many drive.
+        timesteps: horizon T.
+        runs: how many simulations, seeds 0, 1, ...
+        mean: of what is counted (`Origin.counted`), over all runs.
+        error: its standard error; None with one run.
+        success: share of the runs that did not congest, or reached the goal.
+    """
+
+    planner: str
+    agents: int
+    timesteps: int
+    runs: int
+    mean: float
+    error: float | None
+    success: float
+
+
+class Grown(NamedTuple):
+    """A generator's layout of one size.
+
+    Attributes:
+        rows: of the layout.
+        cols: of the layout.
+        steps: of growth.
+        numbers: exact numbers of tiles, by the settings' names.
+        repair: how the repair ended.
+        changed: cells it changed.
+        measures: of the repaired layout, as far as they need no simulation, by their names.
+        driven: what simulations say, a record for each planner.
+    """
+
+    rows: int
+    cols: int
+    steps: int
+    numbers: Mapping[str, int]
+    repair: str
+    changed: int
+    measures: Mapping[str, float]
+    driven: tuple[Driven, ...]
+
+
+class Generator(NamedTuple):
+    """One generator.
+
+    Attributes:
+        name: within its domain.
+        about: a sentence.
+        cell: where it stands in the archive, an index along each measure.
+        objective: what the search thought of it.
+        sizes: layouts of it, the trained size first.
+    """
+
+    name: str
+    about: str
+    cell: tuple[int, ...]
+    objective: float
+    sizes: tuple[Grown, ...]
+
+
+class Origin(NamedTuple):
+    """The run that the generators of a domain come from.
+
+    Attributes:
+        run: its name, that of a preset.
+        algorithm: of the search.
+        seed: its random seed.
+        evaluations: done in all.
+        qdenv: version that searched.
+        created: when it began.
+        counted: what is averaged over simulations, with its unit.
+    """
+
+    run: str
+    algorithm: str
+    seed: int
+    evaluations: int
+    qdenv: str
+    created: str
+    counted: str
+
+
+class Collection(NamedTuple):
+    """The generators of one domain.
+
+    Attributes:
+        domain: its name.
+        folder: a run directory, which is only read.
+        origin: where they come from.
+        generators: by name.
+    """
+
+    domain: str
+    folder: Path
+    origin: Origin
+    generators: Mapping[str, Generator]
+
+
+class Shipped(NamedTuple):
+    """What a name in the zoo stands for.
+
+    Attributes:
+        collection: the domain's.
+        name: of the generator.
+    """
+
+    collection: Collection
+    name: str
+
+    def __str__(self) -> str:
+        """Say it as command lines do."""
+        return f"{PREFIX}{self.collection.domain}/{self.name}"
+
+    @property
+    def refusal(self) -> str:
+        """Say why nothing is written there, and what to do."""
+        preset = self.collection.origin.run
+        return (
+            f"{self}: ships with qdenv and stays as it is: `qdenv train {preset}` makes a run of "
+            "your own"
+        )
+
+    @property
+    def generator(self) -> Generator:
+        """The generator itself."""
+        return self.collection.generators[self.name]
+
+    @property
+    def cells(self) -> dict[str, tuple[int, ...]]:
+        """Cells of the archive by name; the best is the one that was asked for."""
+        every = {one.name: one.cell for one in self.collection.generators.values()}
+        return every | {USUAL: self.generator.cell}
+
+
+def names() -> dict[str, tuple[str, ...]]:
+    """List the domains of the zoo, each with the names of its generators."""
+    found = sorted(path.parent for path in _home().glob(f"*/{TABLE}"))
+    return {folder.name: tuple(read_collection(folder).generators) for folder in found}
+
+
+def _home() -> Path:
+    return Path(str(resources.files("qdenv.zoo")))
+
+
+def find(place: str | Path) -> Shipped | None:
+    """Find what ``zoo:DOMAIN`` or ``zoo:DOMAIN/NAME`` stands for; None for other places.
+
+    Raises:
+        InputError: nothing has this name; the line lists what there is.
+    """
+    text = place.as_posix() if isinstance(place, Path) else place
+    return named(text.removeprefix(PREFIX)) if text.startswith(PREFIX) else None
+
+
+def file_name(run_dir: Path) -> str:
+    """Say what files made of a run are called after: its folder, or its name in the zoo."""
+    shipped = find(run_dir)
+    return f"{shipped.collection.domain}-{shipped.name}" if shipped else run_dir.resolve().name
+
+
+def named(text: str) -> Shipped:
+    """Find what ``DOMAIN`` or ``DOMAIN/NAME`` stands for.
+
+    Raises:
+        InputError: as in `find`.
+    """
+    domain, _, name = text.partition("/")
+    look_up(names(), domain, "domain of the zoo")
+    collection = read_collection(_home() / domain)
+    look_up(collection.generators, name or USUAL, f"generator of {domain}")
+    return Shipped(collection, name or USUAL)
+
+
+@lru_cache(maxsize=16)
+def read_collection(folder: Path) -> Collection:
+    """Read a folder of generators, whose table is that of `to_json`."""
+    content = json.loads((folder / TABLE).read_text())
+    generators = [
+        Generator(
+            **{
+                **one,
+                "cell": tuple(one["cell"]),
+                "sizes": tuple(
+                    Grown(**{**size, "driven": tuple(Driven(**row) for row in size["driven"])})
+                    for size in one["sizes"]
+                ),
+            }
+        )
+        for one in content["generators"]
+    ]
+    origin = Origin(**content["origin"])
+    return Collection(content["domain"], folder, origin, {one.name: one for one in generators})
+
+
+def to_json(domain: str, origin: Origin, generators: Sequence[Generator]) -> dict[str, Any]:
+    """Make the content of a folder's table."""
+    listed = [
+        one._asdict()
+        | {
+            "sizes": [
+                size._asdict() | {"driven": [row._asdict() for row in size.driven]}
+                for size in one.sizes
+            ]
+        }
+        for one in generators
+    ]
+    return {"domain": domain, "origin": origin._asdict(), "generators": listed}

@@ -1,0 +1,181 @@
+"""The generators that ship: whole, small, as good as recorded; commands take and only read them."""
+
+import csv
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+import qdenv
+from qdenv.cli import run
+from qdenv.domains.base import make_domain
+from qdenv.formats.layouts import read_layout
+from qdenv.generate.generator import GENERATORS
+from qdenv.pipeline import canvas_of
+from qdenv.presets import PRESETS
+from qdenv.score.layout import entropy
+from qdenv.search.registry import ALGORITHMS
+from qdenv.study.elites import Grown, repair_grown
+from qdenv.training.records import RunDirectory
+from qdenv.types import InputError
+from qdenv.zoo.shipped import Generator, named, names
+
+ZOO = Path(qdenv.__file__).parent / "zoo"
+MOST_BYTES = 6_000_000
+DOMAINS = sorted(names())
+EVEN = "zoo:warehouse-even"
+
+
+@pytest.fixture(params=DOMAINS)
+def domain(request) -> str:
+    """Name a domain of the zoo."""
+    return request.param
+
+
+@pytest.fixture(autouse=True)
+def stays_as_it_is() -> Iterator[None]:
+    """Nothing may write where the package lies."""
+
+    def stamps() -> dict[Path, int]:
+        found = (path for path in ZOO.rglob("*") if "__pycache__" not in path.parts)
+        return {path: path.stat().st_mtime_ns for path in found if path.is_file()}
+
+    before = stamps()
+    yield
+    assert stamps() == before
+
+
+def generators_of(domain: str) -> list[Generator]:
+    return list(named(domain).collection.generators.values())
+
+
+def test_all_of_it_is_smaller_than_six_megabytes():
+    assert sum(path.stat().st_size for path in ZOO.rglob("*") if path.is_file()) < MOST_BYTES
+
+
+def test_every_generator_has_its_own_cell_name_and_figures(domain):
+    found, archive = generators_of(domain), RunDirectory.open(f"zoo:{domain}").archive
+    assert len({one.name for one in found}) == len({one.cell for one in found}) == len(archive)
+    assert 8 <= len(found) <= 12 and found[0].name == "best"
+    for one in found:
+        elite = archive.elite(one.cell)
+        assert one.objective == pytest.approx(elite.objective, rel=1e-5)
+        assert archive.elite(one.name).cell in (one.cell, archive.best.cell)
+        small, large = one.sizes
+        assert (small.rows, small.cols) == elite.layout.shape
+        assert large.steps == 200 and large.driven
+        assert all(0 <= row.success <= 1 and row.runs >= 1 for row in small.driven + large.driven)
+
+
+def test_every_domain_says_which_run_it_comes_from(domain):
+    run_, origin = RunDirectory.open(f"zoo:{domain}"), named(domain).collection.origin
+    assert PRESETS[origin.run].evaluation == run_.config.evaluation
+    assert ALGORITHMS.name_of(run_.config.algorithm) == origin.algorithm
+    assert (run_.config.seed, run_.read_metrics()[-1].evaluations) == (
+        origin.seed,
+        origin.evaluations,
+    )
+
+
+def test_every_generator_draws_again_what_is_recorded(domain):
+    run_ = RunDirectory.open(f"zoo:{domain}")
+    config, archive = run_.config, run_.archive
+    evaluation = config.evaluation
+    found = make_domain(evaluation.domain)
+    generator = GENERATORS.make(evaluation.generator, canvas_of(found))
+    assert archive.columns["solution"].shape[1] == generator.size
+    steps = evaluation.generator.steps
+    grow = jax.jit(lambda weights: jax.lax.map(found.frame, generator.grow(weights, steps)))
+    drawn = np.asarray(grow(archive.columns["solution"]))
+    np.testing.assert_array_equal(drawn, archive.columns["unrepaired"])
+    for one in generators_of(domain):
+        (row,) = np.flatnonzero((archive.cells == one.cell).all(axis=1))
+        grown = Grown(found, None, drawn[row], steps)
+        repaired = repair_grown(grown, evaluation.repair, config.seed)
+        layout = drawn[row] if repaired is None else np.asarray(repaired.layout)
+        assert (layout != drawn[row]).sum() == one.sizes[0].changed
+        for axis in found.measures:
+            if axis.name in one.sizes[0].measures:
+                value = float(axis.value(layout, None))
+                assert value == pytest.approx(one.sizes[0].measures[axis.name], rel=1e-5)
+
+
+def test_the_best_moves_more_at_the_large_size_than_those_chosen_for_other_things():
+    best, *others = (one.sizes[-1].driven[0] for one in generators_of("warehouse-even"))
+    assert best.success == 1
+    assert best.mean > np.median([other.mean for other in others])
+
+
+def test_commands_and_functions_take_names_of_the_zoo(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    small = ["--rows", "12", "--cols", "16"]
+    assert run(["generate", f"{EVEN}/regular", *small, "--shelves", "20", "--out", "a.json"]) == 0
+    assert run(["generate", EVEN, "--elite", "regular", *small, "--shelves", "20"]) == 0
+    one, other = (read_layout(name, ".@ew") for name in ("a.json", "layout.json"))
+    np.testing.assert_array_equal(one, other)
+    plan = qdenv.generate(f"{EVEN}/regular", rows=12, cols=16, shelves=20)
+    np.testing.assert_array_equal(plan.layout, one)
+    best = qdenv.generate(EVEN, rows=12, cols=16, shelves=20)
+    np.testing.assert_array_equal(
+        best.layout, qdenv.generate(f"{EVEN}/best", rows=12, cols=16, shelves=20).layout
+    )
+    assert (best.layout != one).any()
+    assert run(["series", f"{EVEN}/regular", "--sizes", "9x14", "--out", "s"]) == 0
+    assert run(["export", f"{EVEN}/regular"]) == 0
+    table = list(csv.DictReader(Path("warehouse-even-regular_elites.csv").read_text().splitlines()))
+    assert len(table) == len(names()["warehouse-even"])
+
+
+def test_a_plot_goes_where_the_command_is_given(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(["plot", f"{EVEN}/regular"]) == 0
+    assert run(["plot", f"{EVEN}/regular", "--out", "mine"]) == 0
+    for folder in ("warehouse-even-regular", "mine"):
+        assert {path.name for path in Path(folder).iterdir()} >= {"archive.png", "best_layout.png"}
+    assert "mine/archive.png" in capsys.readouterr().out
+    with pytest.raises(InputError, match="ships with qdenv"):
+        qdenv.plot_run(EVEN)
+    with pytest.raises(InputError, match="ships with qdenv"):
+        qdenv.resume(EVEN)
+
+
+def test_the_generator_that_is_named_is_the_runs_best():
+    regular = RunDirectory.open(f"{EVEN}/regular")
+    assert regular.best.cell == named("warehouse-even/regular").generator.cell
+    np.testing.assert_array_equal(regular.read_best_layout().layout, regular.best.layout)
+    every = RunDirectory.open(EVEN).archive
+    lowest = min(
+        float(entropy(every.elite(one.cell).layout[:, 2:-2], 3))
+        for one in generators_of("warehouse-even")
+    )
+    assert float(entropy(regular.best.layout[:, 2:-2], 3)) == lowest
+    with pytest.raises(InputError, match='give "best" or "regular" or'):
+        every.elite("worst")
+
+
+def test_zoo_lists_every_generator_with_its_figures(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(["zoo", "--json", "zoo.json"]) == 0
+    said = capsys.readouterr().out
+    facts = json.loads(Path("zoo.json").read_text())
+    assert [one["domain"] for one in facts["domains"]] == DOMAINS
+    for one in facts["domains"]:
+        for generator in one["generators"]:
+            row = generator["sizes"][-1]["driven"][0]
+            (line,) = (
+                line
+                for line in said.splitlines()
+                if line.startswith(f"zoo:{one['domain']}/{generator['name']} ")
+            )
+            assert f"{row['mean']:.3f}" in line and generator["about"] in line
+    assert run(["zoo", "warehouse-even/regular"]) == 0
+    said = capsys.readouterr().out
+    assert "101 x 102" in said and "200 steps of growth, 2500 shelves" in said
+    assert "qdenv generate zoo:warehouse-even/regular --rows 101 --cols 102" in said
+    assert run(["zoo", EVEN, "--plot"]) == 0
+    assert imread("zoo.png").shape[0] > 600
+    assert "zoo:maze" not in capsys.readouterr().out
