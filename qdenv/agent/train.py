@@ -59,7 +59,8 @@ def train_agent(
 
     Args:
         config: the run.
-        out: folder; gets config.json, curve.jsonl, checkpoint.npz and agent.npz.
+        out: folder; gets config.json, curve.jsonl, checkpoint.npz, agent.npz, and in agents/ the
+            agent at every line of the log by its update, for the last need not be the best.
         resume: go on from the folder's checkpoint; `config` may ask for more steps or another
             method, not for other sizes.
         report_every: updates between two lines of the log, each with a checkpoint and an exam on
@@ -107,6 +108,7 @@ def train_agent(
         # The log comes last: a run killed in between misses a line of it and repeats none.
         save_state(checkpoint, state, {"cpu_seconds": spent})
         save_weights(state.weights, out / "agent.npz")
+        save_weights(state.weights, out / "agents" / f"{done:06}.npz")
         with (out / "curve.jsonl").open("a") as log:
             log.write(json.dumps(row) + "\n")
         progress(done, row)

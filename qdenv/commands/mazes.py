@@ -28,7 +28,7 @@ def train_agent(
 
     Args:
         config: the run.
-        out: folder of the run: log, checkpoint and agent.npz.
+        out: folder of the run: log, checkpoint, agent.npz, and earlier agents in agents/.
         resume: go on from the folder's checkpoint; `qdenv resume FOLDER` does the same.
         report_every: updates between two lines of the log.
         cpu_seconds: stop after about so many CPU seconds, ready to be resumed.
