@@ -7,11 +7,19 @@ from pathlib import Path
 import jax
 import pytest
 
+from qdenv.cli import run as qdenv
+from qdenv.training.records import RunDirectory
+
 TESTS = Path(__file__).parent
 OWN_LAYOUTS = TESTS / "data" / "layouts"
 # The layouts published with the paper: not ours to ship, used wherever somebody has a copy.
 STUDY_DATA = Path(os.environ.get("QDENV_STUDY_DATA", TESTS.parents[1] / "shared" / "reference"))
 
+
+SMALL = (
+    "--rows 9 --cols 10 --shelves 6 --agents 6 --timesteps 20 --simulations 2 --steps 6 --hidden 4 "
+    "--emitters 2 --batch 3 --evaluations 6 --seed 0 --no-progress --archive 0 10 5 0 1 5"
+)
 
 # A shape that broadcasts by chance is a mistake: every axis is written out.
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -34,3 +42,11 @@ def published() -> Callable[[str], Path]:
 def own_layout() -> Callable[[str], Path]:
     """Find one of our own layout files by its stem (tests/data/layouts)."""
     return lambda name: OWN_LAYOUTS / f"{name}.json"
+
+
+@pytest.fixture(scope="session")
+def small_run(tmp_path_factory) -> RunDirectory:
+    """A search of six evaluations on a warehouse of 9 x 10; tests only read it."""
+    path = tmp_path_factory.mktemp("runs") / "warehouse-even"
+    assert qdenv(["train", "quick", "--run-dir", str(path), *SMALL.split()]) == 0
+    return RunDirectory.open(path)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from qdenv.cli import run as qdenv
 from qdenv.files import write_csv
 from qdenv.formats.layouts import write_layout
 from qdenv.presets import PRESETS
@@ -20,10 +19,6 @@ from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
 FOLDER = Path(__file__).parents[1] / "experiments"
-SMALL = (
-    "--rows 9 --cols 10 --shelves 6 --agents 6 --timesteps 20 --simulations 1 --steps 6 --hidden 4 "
-    "--emitters 2 --batch 3 --evaluations 6 --seed 1 --no-progress"
-)
 
 
 def load(name: str) -> ModuleType:
@@ -36,14 +31,6 @@ def load(name: str) -> ModuleType:
 
 def numbers(text: str) -> list[float]:
     return [float(number) for number in re.findall(r"-?\d+\.?\d*", text)]
-
-
-@pytest.fixture(scope="module")
-def small_run(tmp_path_factory) -> RunDirectory:
-    """A search of six evaluations on a warehouse of 9 x 10."""
-    path = tmp_path_factory.mktemp("runs") / "small"
-    assert qdenv(["train", "quick", "--run-dir", str(path), *SMALL.split()]) == 0
-    return RunDirectory.open(path)
 
 
 @pytest.fixture

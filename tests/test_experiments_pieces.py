@@ -18,27 +18,12 @@ from experiments.panels import Panel, panels_of
 from experiments.pieces import RESULTS, Drawn, Experiment, Folders
 from experiments.published import TABLE_4
 from experiments.runs import SavedRun, read_summary, summarise
-from qdenv.cli import run as qdenv
 from qdenv.presets import PRESETS
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
-
-SMALL = (
-    "--rows 9 --cols 10 --shelves 6 --agents 6 --timesteps 20 --simulations 2 --steps 6 --hidden 4 "
-    "--emitters 2 --batch 3 --evaluations 6 --seed 0 --no-progress --archive 0 10 5 0 1 5"
-)
 
 
 def silent(line: str) -> None:
     pass
-
-
-@pytest.fixture(scope="module")
-def small_run(tmp_path_factory) -> RunDirectory:
-    """A search of six evaluations on a warehouse of 9 x 10."""
-    path = tmp_path_factory.mktemp("runs") / "warehouse-even"
-    assert qdenv(["train", "quick", "--run-dir", str(path), *SMALL.split()]) == 0
-    return RunDirectory.open(path)
 
 
 @pytest.fixture
