@@ -22,7 +22,7 @@ from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.study import sizes
 from qdenv.study.elites import Grown, grow_elite
 from qdenv.training.records import RunDirectory
-from qdenv.types import InputError
+from qdenv.types import Array, InputError
 
 S, S_EVAL = (33, 36), (101, 102)
 MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
@@ -204,9 +204,12 @@ def best_of(domain: str) -> str:
     return checksum(RunDirectory.open(f"zoo:{domain}/best").best.solution)
 
 
-def checksum(values: np.ndarray) -> str:
-    """Tell arrays apart."""
-    return f"{zlib.crc32(np.ascontiguousarray(values).tobytes()):08x}"
+def checksum(*arrays: Array) -> str:
+    """Tell arrays from others."""
+    total = 0
+    for array in arrays:
+        total = zlib.crc32(np.asarray(array).tobytes(), total)
+    return f"{total:08x}"
 
 
 def random_like(layout: np.ndarray, seed: int) -> np.ndarray:

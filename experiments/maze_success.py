@@ -1,17 +1,15 @@
 """How often the agent solves grown mazes and random ones like them, at both sizes (section 6)."""
 
-import csv
 import time
-import zlib
 from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.layouts import MAZE_S, MAZE_S_EVAL, SavedLayout, random_like
+from experiments.layouts import MAZE_S, MAZE_S_EVAL, SavedLayout, checksum, random_like
 from experiments.lines import LOOKS, finish, new_panels
-from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, table
+from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, read_rows, table
 from experiments.published import MAZES
 from qdenv.agent.evaluate import evaluate_agent, without_ring
 from qdenv.files import write_csv
@@ -19,7 +17,6 @@ from qdenv.score.traffic import wilson_interval
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.simulate.maze.world import WALL
 from qdenv.study.differences import sample_of
-from qdenv.types import Array
 
 GROWN = -1  # in place of a seed: the maze that the others take after
 TELL = 10  # mazes from one word on how far it is to the next
@@ -82,14 +79,12 @@ class SavedSuccess(NamedTuple):
         """Read what is saved of this agent and this grown maze."""
         if not (self.path(folders).exists() and self.layout.done(folders)):
             return []
-        kinds = get_type_hints(Solved)
-        with self.path(folders).open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        found = [Solved(**{name: kinds[name](text) for name, text in row.items()}) for row in rows]
         now = (checksum(*load_weights()), checksum(self.layout.read(folders).layout), self.runs)
         wanted = range(GROWN, self.mazes)
         return [
-            row for row in found if (row.agent, row.like, row.runs) == now and row.maze in wanted
+            row
+            for row in read_rows(self.path(folders), Solved)
+            if (row.agent, row.like, row.runs) == now and row.maze in wanted
         ]
 
     def done(self, folders: Folders) -> float:
@@ -132,14 +127,6 @@ def solve(weights: Weights, grown: np.ndarray, maze: int, runs: int) -> Solved:
         mean_length=round(result.mean_length, 2),
         cpu_seconds=round(time.process_time() - begin, 3),
     )
-
-
-def checksum(*arrays: Array) -> str:
-    """Tell arrays from others."""
-    total = 0
-    for array in arrays:
-        total = zlib.crc32(np.asarray(array).tobytes(), total)
-    return f"{total:08x}"
 
 
 PIECES = tuple(

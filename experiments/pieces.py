@@ -1,14 +1,16 @@
 """What a figure is drawn from: pieces of saved results that can be made and say what that costs."""
 
+import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias, TypeVar, get_type_hints
 
 from matplotlib.figure import Figure
 
 RESULTS = Path(__file__).parent / "results"
 Say: TypeAlias = Callable[[str], None]
+Row = TypeVar("Row", bound=tuple)
 
 
 class Folders(NamedTuple):
@@ -107,6 +109,14 @@ def _with_needs(pieces: Sequence[Piece], asks: Callable[[Piece], bool]) -> tuple
     for piece in pieces:
         add(piece)
     return tuple(found)
+
+
+def read_rows(path: Path, record: type[Row]) -> list[Row]:
+    """Read the rows of a CSV file that has a column for each field of a NamedTuple."""
+    kinds = get_type_hints(record)
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [record(**{name: kinds[name](text) for name, text in row.items()}) for row in rows]
 
 
 def table(head: Sequence[str], rows: Sequence[tuple[object, ...]]) -> tuple[str, ...]:

@@ -1,15 +1,14 @@
 """CPU seconds of growing and repairing layouts, by size (appendix C.4)."""
 
-import csv
 import time
 from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SECONDS, best_of
-from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, table
+from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, read_rows, table
 from experiments.published import FLEETS
 from qdenv.files import write_csv
 from qdenv.plots.figure import new_figure
@@ -77,11 +76,8 @@ class SavedRuntime(NamedTuple):
         """Read what is saved of the generator that ships now."""
         if not self.path(folders).exists():
             return []
-        kinds = get_type_hints(Runtime)
-        with self.path(folders).open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        every = [Runtime(**{name: kinds[name](text) for name, text in row.items()}) for row in rows]
-        return [row for row in every if row.origin == best_of(self.domain)]
+        origin = best_of(self.domain)
+        return [row for row in read_rows(self.path(folders), Runtime) if row.origin == origin]
 
     def done(self, folders: Folders) -> float:
         """Say which share of the repairs is saved."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,6 +22,7 @@ from qdenv.types import InputError, RepairStatus
 from qdenv.zoo.shipped import file_name
 
 if TYPE_CHECKING:
+    from qdenv.domains.base import Domain
     from qdenv.study.elites import Grown
 
 
@@ -148,7 +150,6 @@ def generate(
     from qdenv.domains.base import make_domain
     from qdenv.study.changes import describe_changes, list_changes
     from qdenv.study.elites import grow_elite, repair_grown
-    from qdenv.study.usual import describe_growth
 
     trained = make_domain(config.evaluation.domain)
     target = place(out, "layout.json", endings_for(trained.tiles, trained.meanings))
@@ -159,14 +160,7 @@ def generate(
             _draw_frames(run, grown, growth.frames, target.beside(".png", "_frames").path)
         chosen = config.seed if seed is None else seed
         repaired = repair_grown(grown, config.evaluation.repair, chosen, bar) if repair else None
-    stated = [*numbers.given(), *(["steps"] if growth.steps else [])]
-    if known := describe_growth(trained, grown.domain.shape, stated):
-        print(known)
-    if config.evaluation.domain.keep and not grown.domain.config.keep:
-        print(
-            "WARNING: what the run kept is drawn for {} x {}, so nothing is kept at this size: "
-            "--keep FILE draws what shall be".format(*trained.shape)
-        )
+    _say_size(trained, grown.domain, [*numbers.given(), *(["steps"] if growth.steps else [])])
     layout = grown.layout if repaired is None else np.asarray(repaired.layout)
     details: dict[str, Any] = {"domain": grown.domain.name, "elite": found.cell}
     details["steps"] = grown.steps
@@ -185,6 +179,19 @@ def generate(
     write_facts(json_file, "generate", facts, run=run_dir, elite=found.cell, seed=chosen)
     print(f"{target}: " + ", ".join(f"{name} {value}" for name, value in facts.items()))
     print(picture)
+
+
+def _say_size(trained: Domain, grown: Domain, stated: Sequence[str]) -> None:
+    """Say which numbers a size brought along, and whether what the run kept does not fit it."""
+    from qdenv.study.usual import describe_growth  # imports the domains
+
+    if known := describe_growth(trained, grown.shape, stated):
+        print(known)
+    if trained.config.keep and not grown.config.keep:
+        print(
+            "WARNING: what the run kept is drawn for {} x {}, so nothing is kept at this size: "
+            "--keep FILE draws what shall be".format(*trained.shape)
+        )
 
 
 def _draw_frames(run: RunDirectory, grown: Grown, every: int, picture: Path) -> None:
