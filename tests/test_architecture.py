@@ -51,7 +51,7 @@ ALLOWED = {
     "api": BASE
     | STAGES
     | PLUGS
-    | {"domains", "formats", "plots", "presets", "study", "training"}
+    | {"domains", "formats", "pages", "plots", "presets", "study", "training"}
     | {"zoo"},
     "plots": BASE
     | {
@@ -62,6 +62,7 @@ ALLOWED = {
         "study.differences",
         "domains.base",
     },
+    "pages": BASE | STAGES | PLUGS | {"domains", "formats", "plots", "study", "training", "zoo"},
     "commands": BASE
     | STAGES
     | PLUGS
@@ -69,6 +70,7 @@ ALLOWED = {
         "agent",
         "domains",
         "formats",
+        "pages",
         "plots",
         "presets",
         "search",

@@ -1,0 +1,110 @@
+"""One self-contained HTML page: a template, scripts, facts and packed arrays in a single file.
+
+A page opens from a disk and inside of a notebook, and asks no network for anything. Large arrays
+travel as gzip in base64; `scripts/page.js` unpacks them when they are first needed.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qdenv.files import write_atomically
+from qdenv.types import InputError
+
+HEIGHT = 760  # pixels of a page inside of a notebook
+LEVEL = 9  # of gzip: pages are written once and sent around
+
+
+@dataclass(frozen=True, repr=False)
+class Page:
+    """A page that saves and shows itself.
+
+    Attributes:
+        title: of the browser's window.
+        html: the whole document.
+    """
+
+    title: str
+    html: str
+
+    def save(self, path: str | Path) -> Path:
+        """Write the page as one file.
+
+        Raises:
+            InputError: the place cannot be written to.
+        """
+        write_atomically(Path(path), self.html.encode())
+        return Path(path)
+
+    def __repr__(self) -> str:
+        """Say what it shows and how large it is."""
+        return f"Page({self.title!r}, {len(self.html.encode()) / 1e6:.1f} MB)"
+
+    def _repr_html_(self) -> str:
+        """Show it in a frame of its own, so that its style and the notebook's do not mix."""
+        style = f"width:100%;height:{HEIGHT}px;border:0"
+        return f'<iframe srcdoc="{html.escape(self.html)}" style="{style}"></iframe>'
+
+
+def make_page(
+    template: str,
+    title: str,
+    scripts: Sequence[str] = (),
+    facts: Mapping[str, Any] | None = None,
+    packed: Mapping[str, np.ndarray | bytes] | None = None,
+    **words: Any,
+) -> Page:
+    """Fill a template.
+
+    Args:
+        template: name of a file in `templates` without its ending; it extends ``page.html``.
+        title: of the browser's window.
+        scripts: names of files in `scripts` without their endings, in order, after ``page``.
+        facts: JSON-ready; scripts read them as ``facts``.
+        packed: arrays and bytes by name; scripts await ``unpack(name)``.
+        **words: whatever the template itself asks for.
+
+    Raises:
+        InputError: jinja2 is not installed.
+    """
+    try:
+        import jinja2
+    except ImportError as error:
+        raise missing("pages", "jinja2") from error
+    home = resources.files("qdenv.pages")
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(str(home / "templates")),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    whole = environment.get_template(f"{template}.html").render(
+        title=title,
+        style=(home / "templates" / "page.css").read_text(),
+        scripts=[(home / "scripts" / f"{name}.js").read_text() for name in ("page", *scripts)],
+        facts=facts or {},
+        packed={name: pack(content) for name, content in (packed or {}).items()},
+        **words,
+    )
+    return Page(title, whole)
+
+
+def pack(content: np.ndarray | bytes) -> str:
+    """Turn bytes or an array (row-major, in its own byte order) into gzip in base64."""
+    raw = content if isinstance(content, bytes) else np.ascontiguousarray(content).tobytes()
+    return base64.b64encode(gzip.compress(raw, LEVEL, mtime=0)).decode()
+
+
+def missing(what: str, package: str) -> InputError:
+    """Say which package of the extra `viz` is needed for something."""
+    return InputError(f"{what} need {package}: pip install 'qdenv[viz]'")
