@@ -7,7 +7,7 @@ numbers for the same key.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -161,12 +161,51 @@ def unrepaired_as_is(layout: Array) -> Repair:
     return Repair(layout, np.array(RepairStatus.OPTIMAL, np.int32), nothing, nothing, nothing)
 
 
-class PipelinedEvaluator:
-    """Evaluate populations with repair and simulation overlapping.
+class Outcomes(NamedTuple):
+    """Layouts of a population, repaired and simulated.
 
-    Chunks of layouts are simulated in threads (a compiled call releases the GIL) as soon as
-    their repairs are ready: on a CPU one layout per chunk and one thread per core, on an
-    accelerator one thread that feeds larger chunks.
+    Attributes:
+        layout: int8 [B, H, W], repaired.
+        status: int32 [B], how the repairs ended.
+        runs: of the simulator, with leading axes B, S.
+    """
+
+    layout: np.ndarray
+    status: np.ndarray
+    runs: Any
+
+
+# Repairs and simulates unrepaired layouts int8 [B, H, W] from a key; item ``i`` draws from
+# ``fold_in(key, i)``, whoever does the work.
+Executor = Callable[[np.ndarray, Array], Outcomes]
+
+
+class PipelinedEvaluator:
+    """Evaluate populations with repair and simulation overlapping, wherever they are done."""
+
+    def __init__(self, pipeline: Pipeline, execute: Executor | None = None) -> None:
+        """Compile nothing yet.
+
+        Args:
+            pipeline: the chain.
+            execute: who repairs and simulates; `Threads` unless given.
+        """
+        self._execute = execute or Threads(pipeline)
+        self._grow = jax.jit(pipeline.grow)
+        self._score = jax.jit(pipeline.score)
+
+    def __call__(self, parameters: Array, key: Array) -> Evaluation:
+        """Evaluate float32 [B, P]; the same arguments and result as `evaluate`."""
+        unrepaired = np.asarray(self._grow(parameters))
+        return self._score(unrepaired, *self._execute(unrepaired, key))
+
+
+class Threads:
+    """Repair and simulate in threads of this process.
+
+    Chunks of layouts are simulated (a compiled call releases the GIL) as soon as their repairs
+    are ready: on a CPU one layout per chunk and one thread per core, on an accelerator one thread
+    that feeds larger chunks.
     """
 
     def __init__(
@@ -184,14 +223,11 @@ class PipelinedEvaluator:
         """
         self._pipeline, self._progress = pipeline, progress
         self._chunk = chunk or devices.lanes(devices.ACCELERATOR_CHUNK)
-        self._grow = jax.jit(pipeline.grow)
         self._simulate = jax.jit(pipeline.simulate)
-        self._score = jax.jit(pipeline.score)
         self._threads = ThreadPoolExecutor(devices.threads())
 
-    def __call__(self, parameters: Array, key: Array) -> Evaluation:
-        """Evaluate float32 [B, P]; the same arguments and result as `evaluate`."""
-        unrepaired = np.asarray(self._grow(parameters))
+    def __call__(self, unrepaired: np.ndarray, key: Array) -> Outcomes:
+        """Repair and simulate int8 [B, H, W]."""
         size = math.gcd(len(unrepaired), self._chunk)  # equal chunks compile once
         chunks = np.arange(len(unrepaired), dtype=np.int32).reshape(-1, size)
         repairs = [[self._submit(unrepaired[index]) for index in chunk] for chunk in chunks]
@@ -199,9 +235,7 @@ class PipelinedEvaluator:
             self._threads.submit(self._finish, chunk, repair, key)
             for chunk, repair in zip(chunks, repairs, strict=True)
         ]
-        parts = [future.result() for future in pending]
-        repaired, status, runs = jax.tree.map(lambda *part: np.concatenate(part), *parts)
-        return self._score(unrepaired, repaired, status, runs)
+        return joined([future.result() for future in pending])
 
     def _submit(self, layout: np.ndarray) -> Future:
         if self._pipeline.pool is not None:
@@ -210,10 +244,16 @@ class PipelinedEvaluator:
         untouched.set_result(unrepaired_as_is(layout))
         return untouched
 
-    def _finish(self, chunk: np.ndarray, repairs: list[Future], key: Array) -> tuple:
+    def _finish(self, chunk: np.ndarray, repairs: list[Future], key: Array) -> Outcomes:
         done = [future.result() for future in repairs]
         layouts = np.stack([repair.layout for repair in done])
         status = np.array([repair.status for repair in done], np.int32)
         runs = jax.tree.map(np.asarray, self._simulate(layouts, chunk, key))
         self._progress(len(chunk))
-        return layouts, status, runs
+        return Outcomes(layouts, status, runs)
+
+
+def joined(parts: Sequence[Outcomes]) -> Outcomes:
+    """Put the outcomes of parts of a population together, in order."""
+    whole: Outcomes = jax.tree.map(lambda *part: np.concatenate(part), *parts)
+    return whole

@@ -17,6 +17,7 @@ from qdenv.commands.output import JsonFile, place, write_facts
 from qdenv.commands.waiting import waiting
 from qdenv.formats.drawings import check_size
 from qdenv.formats.layouts import endings_for, write_layout
+from qdenv.training.executors.choosing import Execution
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus
 from qdenv.zoo.shipped import file_name
@@ -26,12 +27,18 @@ if TYPE_CHECKING:
     from qdenv.study.elites import Grown
 
 
-def resume(run_dir: RunFolder, evaluations: int | None = None, progress: bool = True) -> None:
+def resume(
+    run_dir: RunFolder,
+    evaluations: int | None = None,
+    execution: Annotated[Execution, tyro.conf.arg(name="")] = Execution(),  # noqa: B008 (frozen)
+    progress: bool = True,
+) -> None:
     """Continue a run where it stopped, of a search or of an agent's training.
 
     Args:
         run_dir: folder of the run.
         evaluations: a new total, to go on beyond the configured one.
+        execution: where layouts are repaired and simulated; the same is found everywhere.
         progress: show a progress bar.
     """
     if is_agent_run(run_dir):
@@ -46,7 +53,7 @@ def resume(run_dir: RunFolder, evaluations: int | None = None, progress: bool = 
         )
     from qdenv.training import loop  # imports both compilers
 
-    report(loop.resume(run_dir, progress=progress, evaluations=evaluations))
+    report(loop.resume(run_dir, progress, evaluations, execution))
 
 
 def plot(run_dir: RunFolder, out: Path | None = None) -> None:

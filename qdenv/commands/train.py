@@ -28,6 +28,7 @@ from qdenv.training.choosing import (
     planner_of,
 )
 from qdenv.training.config import RunConfig
+from qdenv.training.executors.choosing import Execution, ExecutorName
 from qdenv.training.feasible import check_feasible
 from qdenv.training.following import follow_size
 from qdenv.types import InputError
@@ -48,6 +49,9 @@ class Setup:
         algorithm: another search algorithm, with its defaults.
         out: folder of the run; a fresh one under runs/ unless given.
         keep: drawing of the layouts' shape: ? is free, a tile must be this tile in all of them.
+        executor: who repairs and simulates layouts: threads of this process, or a Dask cluster; on
+            this machine with --workers processes, or
+        scheduler: where the scheduler of a running cluster answers, like tcp://10.0.0.1:8786.
         progress: show a progress bar.
     """
 
@@ -58,6 +62,8 @@ class Setup:
     algorithm: Annotated[str | None, tyro.conf.arg(metavar=names_of(ALGORITHMS))] = None
     out: Annotated[Path | None, tyro.conf.arg(aliases=("--run-dir",))] = None
     keep: Path | None = None
+    executor: ExecutorName = "threads"
+    scheduler: str | None = None
     progress: bool = True
 
 
@@ -71,6 +77,8 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
     """
     config, followed = follow_size(setup.config, find_preset(preset), given)
     check_feasible(config)
+    workers = config.evaluation.repair.workers
+    execution = Execution(setup.executor, setup.scheduler, workers)
     if setup.keep is not None:
         config = choose_keep(config, setup.keep)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
@@ -91,7 +99,7 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
     from qdenv.commands.runs import report
     from qdenv.training import loop
 
-    run = loop.train(config, path, progress=setup.progress)
+    run = loop.train(config, path, setup.progress, execution)
     report(run)
     usual = find_preset(preset)
     if (config.evaluation, config.algorithm) == (usual.evaluation, usual.algorithm):

@@ -41,7 +41,7 @@ class RepairPool:
         self.workers = self.config.workers or count_cores()
         self._threads = ThreadPoolExecutor(self.workers, thread_name_prefix="repair")
         self._slots = threading.BoundedSemaphore(WAITING_PER_WORKER * self.workers)
-        self._lock = threading.Lock()
+        self._lock, self._alone = threading.Lock(), threading.Lock()
         self._memo: OrderedDict[bytes, Future[Repair]] = OrderedDict()
         self._remember = remember
 
@@ -71,12 +71,21 @@ class RepairPool:
     def _work(self, key: bytes, layout: np.ndarray, seed: int) -> Repair:
         """Repair one layout; whatever happens, answer with a record."""
         try:
-            return repair(layout, self.rules, seed, self.config)
+            return self._repair(layout, seed)
         except Exception:
             LOG.exception("a repair failed; its layout counts as not repairable")
             with self._lock:
                 self._memo.pop(key, None)
             return Result(layout, np.inf, 0.0, RepairStatus.FAILED).record(0.0)
+
+    def _repair(self, layout: np.ndarray, seed: int) -> Repair:
+        """Repair one layout; where memory is short, once more when no other retries."""
+        try:
+            return repair(layout, self.rules, seed, self.config)
+        except MemoryError:
+            LOG.warning("a repair ran out of memory: it is tried again by itself")
+        with self._alone:
+            return repair(layout, self.rules, seed, self.config)
 
     def repair(self, layouts: np.ndarray, seed: int = 0) -> Repair:
         """Repair a batch (int8 [B, H, W]) and wait for it; every field gets a leading axis B."""

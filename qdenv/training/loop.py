@@ -1,5 +1,6 @@
 """The loop of a run: ask, evaluate, tell, log, checkpoint."""
 
+import contextlib
 import dataclasses
 import shlex
 import time
@@ -16,6 +17,7 @@ from qdenv.search.growth import growing, is_whole
 from qdenv.search.registry import make_algorithm
 from qdenv.training.config import RunConfig
 from qdenv.training.continued import check_settings, check_total, settings_of
+from qdenv.training.executors.choosing import Execution, opened
 from qdenv.training.feasible import check_feasible
 from qdenv.training.manifest import meaning_of
 from qdenv.training.notes import NOTES, note_of, notes_until, write_notes
@@ -77,13 +79,19 @@ def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
     return iterate
 
 
-def train(config: RunConfig, path: str | Path, progress: bool = True) -> RunDirectory:
+def train(
+    config: RunConfig,
+    path: str | Path,
+    progress: bool = True,
+    execution: Execution = Execution(),  # noqa: B008 (frozen)
+) -> RunDirectory:
     """Search generators and leave everything in a new run directory.
 
     Args:
         config: the resolved configuration.
         path: the run directory to make.
         progress: show a progress bar.
+        execution: where layouts are repaired and simulated.
 
     Raises:
         InputError: a setting is impossible, no layout could count, the folder holds a run already
@@ -95,16 +103,22 @@ def train(config: RunConfig, path: str | Path, progress: bool = True) -> RunDire
     with run.locked():
         meaning = meaning_of(experiment.pipeline.domain, experiment.measures)
         run = RunDirectory.create(path, config, meaning)
-        return _run(experiment, config, run, progress)
+        return _run(experiment, config, run, progress, execution)
 
 
-def resume(path: str | Path, progress: bool = True, evaluations: int | None = None) -> RunDirectory:
+def resume(
+    path: str | Path,
+    progress: bool = True,
+    evaluations: int | None = None,
+    execution: Execution = Execution(),  # noqa: B008 (frozen)
+) -> RunDirectory:
     """Continue a run from its newest checkpoint, to the same archive bit for bit.
 
     Args:
         path: the run directory.
         progress: show a progress bar.
         evaluations: a new total, to go on beyond the configured one.
+        execution: where layouts are repaired and simulated.
 
     Raises:
         InputError: there is no run, it was written by a newer version or with other settings,
@@ -117,24 +131,29 @@ def resume(path: str | Path, progress: bool = True, evaluations: int | None = No
             config = dataclasses.replace(config, evaluations=evaluations)
         # A domain may have other ranges today than when the run began.
         axes = config.archive or tuple(axis[1:4] for axis in run.measures)
-        return _run(
-            make_experiment(dataclasses.replace(config, archive=axes)), config, run, progress
-        )
+        experiment = make_experiment(dataclasses.replace(config, archive=axes))
+        return _run(experiment, config, run, progress, execution)
 
 
 def _run(
-    experiment: Experiment, config: RunConfig, run: RunDirectory, progress: bool
+    experiment: Experiment,
+    config: RunConfig,
+    run: RunDirectory,
+    progress: bool,
+    execution: Execution,
 ) -> RunDirectory:
     """Iterate until all evaluations are done, from the newest checkpoint."""
     batch = experiment.algorithm.batch_size
     total = -(-config.evaluations // batch)
     advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
     settings = settings_of(config, experiment.measures)
-    with Progress(total * batch, progress) as shown:
+    with contextlib.ExitStack() as stack:
+        shown = stack.enter_context(Progress(total * batch, progress))
         algorithm = growing(shown.over_algorithm(experiment.algorithm))
         publisher = Publisher(run, experiment.pipeline.domain, experiment.measures, algorithm)
         pipeline = shown.over_pipeline(experiment.pipeline)
-        evaluator = PipelinedEvaluator(pipeline, progress=shown.advance)
+        execute = stack.enter_context(opened(execution, config, pipeline, shown.advance))
+        evaluator = PipelinedEvaluator(pipeline, execute)
 
         manifest, state = run.load_checkpoint(algorithm.init(experiment.search_key))
         done = manifest["iteration"]
