@@ -13,8 +13,7 @@ from conftest import SMALL
 from qdenv.cli import run as qdenv
 from qdenv.repair import pool as pools
 from qdenv.training import loop
-from qdenv.training.executors import cluster as clusters
-from qdenv.training.executors import task
+from qdenv.training.executors import task, workers
 from qdenv.training.executors.choosing import Execution
 from qdenv.training.executors.task import WrongWorkerError, evaluate_layout, versions
 from qdenv.training.records import RunDirectory
@@ -83,7 +82,7 @@ def test_workers_that_are_killed_cost_time_and_no_results(whole, local, tmp_path
 
 
 def test_the_layouts_of_a_worker_that_hangs_go_to_another(whole, local, tmp_path, monkeypatch):
-    monkeypatch.setattr(clusters, "PATIENCE", 1.0)
+    monkeypatch.setattr(workers, "PATIENCE", 1.0)
     with distributed.Client(local.scheduler_address) as client:
         client.wait_for_workers(2, timeout=60)
         pid = next(iter(client.run(os.getpid).values()))
@@ -93,6 +92,22 @@ def test_the_layouts_of_a_worker_that_hangs_go_to_another(whole, local, tmp_path
         finally:
             os.kill(pid, signal.SIGKILL)  # its nanny starts a new one
     assert_alike(run, whole)
+
+
+def test_an_error_that_comes_each_time_is_raised_and_once_is_not(local, tmp_path):
+    def fail_once(mark):
+        if not mark.exists():
+            mark.touch()
+            raise ValueError("bad luck")
+        return "done"
+
+    def fail_always():
+        raise ValueError("for good")
+
+    with distributed.Client(local.scheduler_address) as client:
+        assert workers.Workers(client, fail_once).map([(tmp_path / "mark",)]) == ["done"]
+        with pytest.raises(ValueError, match="for good"):
+            workers.Workers(client, fail_always).map([()])
 
 
 def make_foreign() -> None:

@@ -16,6 +16,7 @@ from qdenv.presets import find_preset
 from qdenv.training.choosing import choose_domain, choose_planner
 from qdenv.training.config import CHOICES, RunConfig
 from qdenv.training.elite import Elite
+from qdenv.training.executors.choosing import Execution
 from qdenv.training.feasible import check_feasible
 from qdenv.training.following import follow_size
 from qdenv.training.records import RunDirectory
@@ -26,6 +27,7 @@ def train(
     preset: str | RunConfig = "quick",
     path: str | Path | None = None,
     progress: bool = True,
+    execution: Execution = Execution(),  # noqa: B008 (frozen)
     **settings: Any,
 ) -> RunDirectory:
     """Search generators and leave everything in a new run directory.
@@ -34,6 +36,7 @@ def train(
         preset: name of a preset, or a whole configuration.
         path: the folder to make; a fresh one under runs/ unless given.
         progress: show a progress bar.
+        execution: where layouts are repaired and simulated; the same is found everywhere.
         **settings: in place of the preset's, by the names of `qdenv train --help` with
             underscores: evaluations=300, seed=3, alpha=1.0, agents=40, shelves=60. Domains,
             planners, generators and algorithms may be named, or given as settings:
@@ -52,7 +55,7 @@ def train(
         print(followed)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     name = preset if isinstance(preset, str) else "run"
-    return loop.train(config, path or Path("runs") / f"{name}-{stamp}", progress)
+    return loop.train(config, path or Path("runs") / f"{name}-{stamp}", progress, execution)
 
 
 def overridden(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:

@@ -17,7 +17,10 @@ import tyro
 from qdenv.commands.waiting import waiting
 from qdenv.types import InputError
 
-BENCHMARKS = ("pipeline", "simulate", "repair", "search", "maze", "scale", "surrogate", "pages")
+BENCHMARKS = (
+    *("pipeline", "simulate", "repair", "search", "maze", "scale", "surrogate"),
+    *("pages", "executors"),
+)
 
 
 def main() -> int:

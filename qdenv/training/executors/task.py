@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import time
+from collections.abc import Callable
 from functools import lru_cache
 from importlib import metadata, resources
 from pathlib import Path
@@ -30,6 +32,13 @@ def versions() -> str:
     known = [f"{name} {metadata.version(name)}" for name in PACKAGES]
     python = ".".join(platform.python_version_tuple()[:2])
     return ", ".join([f"python {python}", *known, f"qdenv {code.hexdigest()}"])
+
+
+def timed(work: Callable[..., Any], *given: Any) -> tuple[float, Any]:
+    """Do something and say how many seconds it took."""
+    begun = time.perf_counter()
+    answer = work(*given)
+    return time.perf_counter() - begun, answer
 
 
 @lru_cache(maxsize=2)
