@@ -6,9 +6,7 @@ explicit repairs, so that one layout is repaired while another is simulated. Bot
 numbers for the same key.
 """
 
-import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -183,14 +181,14 @@ Executor = Callable[[np.ndarray, Array], Outcomes]
 class PipelinedEvaluator:
     """Evaluate populations with repair and simulation overlapping, wherever they are done."""
 
-    def __init__(self, pipeline: Pipeline, execute: Executor | None = None) -> None:
+    def __init__(self, pipeline: Pipeline, execute: Executor) -> None:
         """Compile nothing yet.
 
         Args:
             pipeline: the chain.
-            execute: who repairs and simulates; `Threads` unless given.
+            execute: who repairs and simulates, like `training.executors.threads.Threads`.
         """
-        self._execute = execute or Threads(pipeline)
+        self._execute = execute
         self._grow = jax.jit(pipeline.grow)
         self._score = jax.jit(pipeline.score)
 
@@ -198,59 +196,6 @@ class PipelinedEvaluator:
         """Evaluate float32 [B, P]; the same arguments and result as `evaluate`."""
         unrepaired = np.asarray(self._grow(parameters))
         return self._score(unrepaired, *self._execute(unrepaired, key))
-
-
-class Threads:
-    """Repair and simulate in threads of this process.
-
-    Chunks of layouts are simulated (a compiled call releases the GIL) as soon as their repairs
-    are ready: on a CPU one layout per chunk and one thread per core, on an accelerator one thread
-    that feeds larger chunks.
-    """
-
-    def __init__(
-        self,
-        pipeline: Pipeline,
-        chunk: int | None = None,
-        progress: Callable[[int], None] = lambda layouts: None,
-    ) -> None:
-        """Compile nothing yet.
-
-        Args:
-            pipeline: the chain.
-            chunk: layouts, or a divisor of it, that are simulated per call.
-            progress: told how many layouts more are done; by any thread.
-        """
-        self._pipeline, self._progress = pipeline, progress
-        self._chunk = chunk or devices.lanes(devices.ACCELERATOR_CHUNK)
-        self._simulate = jax.jit(pipeline.simulate)
-        self._threads = ThreadPoolExecutor(devices.threads())
-
-    def __call__(self, unrepaired: np.ndarray, key: Array) -> Outcomes:
-        """Repair and simulate int8 [B, H, W]."""
-        size = math.gcd(len(unrepaired), self._chunk)  # equal chunks compile once
-        chunks = np.arange(len(unrepaired), dtype=np.int32).reshape(-1, size)
-        repairs = [[self._submit(unrepaired[index]) for index in chunk] for chunk in chunks]
-        pending = [
-            self._threads.submit(self._finish, chunk, repair, key)
-            for chunk, repair in zip(chunks, repairs, strict=True)
-        ]
-        return joined([future.result() for future in pending])
-
-    def _submit(self, layout: np.ndarray) -> Future:
-        if self._pipeline.pool is not None:
-            return self._pipeline.pool.submit(layout, self._pipeline.repair_seed)
-        untouched: Future = Future()
-        untouched.set_result(unrepaired_as_is(layout))
-        return untouched
-
-    def _finish(self, chunk: np.ndarray, repairs: list[Future], key: Array) -> Outcomes:
-        done = [future.result() for future in repairs]
-        layouts = np.stack([repair.layout for repair in done])
-        status = np.array([repair.status for repair in done], np.int32)
-        runs = jax.tree.map(np.asarray, self._simulate(layouts, chunk, key))
-        self._progress(len(chunk))
-        return Outcomes(layouts, status, runs)
 
 
 def joined(parts: Sequence[Outcomes]) -> Outcomes:

@@ -14,6 +14,7 @@ from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.export import elites
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.negotiated.settings import LOW
+from qdenv.training.executors.threads import Threads
 from qdenv.training.problem import seen
 
 ITERATIONS = 3
@@ -65,7 +66,7 @@ def test_one_program_in_xla_finds_what_the_pipelined_loop_on_the_host_finds(in_x
     together = elites(in_xla.algorithm.archive(run(state)))
 
     on_host = experiment("host")
-    evaluator = PipelinedEvaluator(on_host.pipeline)
+    evaluator = PipelinedEvaluator(on_host.pipeline, Threads(on_host.pipeline))
     ask, tell = jax.jit(on_host.algorithm.ask), jax.jit(on_host.algorithm.tell)
     for number in numbers:
         solutions, state = ask(state)

@@ -21,6 +21,7 @@ from qdenv.registry import Entry
 from qdenv.search.export import elites
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.training import loop
+from qdenv.training.executors.threads import Threads
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus
 
@@ -67,7 +68,7 @@ def test_jitted_scan_and_pipelined_loop_give_the_same_archive(finished):
     assert len(traces) == before + 1
     assert same(elites(experiment.algorithm.archive(state)), finished.load_archive())
 
-    evaluator = PipelinedEvaluator(experiment.pipeline)
+    evaluator = PipelinedEvaluator(experiment.pipeline, Threads(experiment.pipeline))
     before = len(traces)
     for number in range(3):
         solutions, state = experiment.algorithm.ask(state)
@@ -176,7 +177,8 @@ def test_failed_evaluations_enter_nothing():
     experiment = loop.make_experiment(config)
     state = experiment.algorithm.init(experiment.search_key)
     solutions, state = experiment.algorithm.ask(state)
-    evaluation = PipelinedEvaluator(experiment.pipeline)(solutions, jax.random.key(0))
+    pipeline = experiment.pipeline
+    evaluation = PipelinedEvaluator(pipeline, Threads(pipeline))(solutions, jax.random.key(0))
     assert (np.asarray(evaluation.status) == RepairStatus.IMPOSSIBLE).all()
     assert not np.asarray(evaluation.score.success).any()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(evaluation.score))

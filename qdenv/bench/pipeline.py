@@ -17,6 +17,7 @@ from qdenv.files import write_json
 from qdenv.pipeline import PipelinedEvaluator
 from qdenv.presets import find_preset
 from qdenv.search.growth import growing
+from qdenv.training.executors.threads import Threads
 from qdenv.training.loop import Experiment, make_experiment
 from qdenv.training.problem import seen
 from qdenv.types import InputError
@@ -39,7 +40,7 @@ def run(
         json_file: where to write the result.
     """
     experiment = make_experiment(replace(find_preset(preset), seed=seed))
-    evaluator = PipelinedEvaluator(experiment.pipeline)
+    evaluator = PipelinedEvaluator(experiment.pipeline, Threads(experiment.pipeline))
     algorithm = growing(experiment.algorithm)
     state = algorithm.init(experiment.search_key)
 

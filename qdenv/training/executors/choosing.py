@@ -64,7 +64,7 @@ def opened(
     Raises:
         InputError: nobody answers at the scheduler's address, or no worker comes.
     """
-    from qdenv.pipeline import Threads
+    from qdenv.training.executors.threads import Threads
 
     if execution.executor == "threads":
         yield Threads(pipeline, progress=progress)
