@@ -20,6 +20,7 @@ from qdenv.training.continued import check_settings, check_total, settings_of
 from qdenv.training.executors.choosing import Execution, opened
 from qdenv.training.feasible import check_feasible
 from qdenv.training.manifest import meaning_of
+from qdenv.training.metrics import Metrics
 from qdenv.training.notes import NOTES, note_of, notes_until, write_notes
 from qdenv.training.problem import archive_axes, problem_of, seen
 from qdenv.training.progress import Progress
@@ -135,6 +136,24 @@ def resume(
         return _run(experiment, config, run, progress, execution)
 
 
+def _restored(
+    experiment: Experiment, config: RunConfig, run: RunDirectory, algorithm: Algorithm
+) -> tuple[int, Any, list[Metrics], list[Any]]:
+    """Read how far a run came: (iterations, state, rows of metrics, notes)."""
+    manifest, state = run.load_checkpoint(algorithm.init(experiment.search_key))
+    done = manifest["iteration"]
+    # Checkpoints of an older qdenv say nothing, but the manifest knows the axes.
+    known = {"archive": [list(axis[1:4]) for axis in run.measures]}
+    settings = settings_of(config, experiment.measures)
+    check_settings(settings, manifest.get("settings", known), run.path)
+    if config != run.config:
+        check_total(config.evaluations, done, algorithm.batch_size)
+        run.write_config(config)
+    # Iterations after the checkpoint are run again, so their rows are written again, too.
+    rows = [row for row in run.read_metrics(salvage=True) if row.iteration <= done]
+    return done, state, rows, notes_until(run.path / NOTES, done)
+
+
 def _run(
     experiment: Experiment,
     config: RunConfig,
@@ -155,17 +174,8 @@ def _run(
         execute = stack.enter_context(opened(execution, config, pipeline, shown.advance))
         evaluator = PipelinedEvaluator(pipeline, execute)
 
-        manifest, state = run.load_checkpoint(algorithm.init(experiment.search_key))
-        done = manifest["iteration"]
-        # Checkpoints of an older qdenv say nothing, but the manifest knows the axes.
-        known = {"archive": [list(axis[1:4]) for axis in run.measures]}
-        check_settings(settings, manifest.get("settings", known), run.path)
-        if config != run.config:
-            check_total(config.evaluations, done, batch)
-            run.write_config(config)
-        # Iterations after the checkpoint are run again, so their rows are written again, too.
-        rows = [row for row in run.read_metrics(salvage=True) if row.iteration <= done]
-        said = notes_until(run.path / NOTES, done)
+        begun, state, rows, said = _restored(experiment, config, run, algorithm)
+        done = begun
         elapsed = rows[-1].seconds if rows else 0.0
         if done >= total:
             publisher.publish(state)  # it may be older, where a run was killed at its very end
@@ -191,7 +201,7 @@ def _run(
                 if due or publisher.has_time:
                     publisher.save(done, state, settings)
         except KeyboardInterrupt:
-            if done > manifest["iteration"] and not publisher.is_saved(done) and is_whole(state):
+            if done > begun and not publisher.is_saved(done) and is_whole(state):
                 publisher.save(done, state, settings)
             raise
     return run
