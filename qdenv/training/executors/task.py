@@ -8,7 +8,7 @@ import platform
 import time
 from collections.abc import Callable
 from functools import lru_cache
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ class WrongWorkerError(RuntimeError):
 def versions() -> str:
     """Name what decides a result: versions of packages, and the very code of this one."""
     code = hashlib.blake2b(digest_size=8)
-    home = Path(str(resources.files("qdenv")))
+    home = Path(__file__).parents[2]
     for path in sorted(home.rglob("*.py")):
         code.update(path.relative_to(home).as_posix().encode() + path.read_bytes())
     known = [f"{name} {metadata.version(name)}" for name in PACKAGES]
