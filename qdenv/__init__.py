@@ -44,6 +44,7 @@ _HOMES = {
     "Layout": ("qdenv.api.results", "Layout"),
     "audit": ("qdenv.repair.audit", "audit"),
     "evaluate": ("qdenv.pipeline", "evaluate"),
+    "explore": ("qdenv.api.pages", "explore"),
     "find_domain": ("qdenv.domains.base", "find_domain"),
     "find_preset": ("qdenv.presets", "find_preset"),
     "grow_elite": ("qdenv.study.elites", "grow_elite"),

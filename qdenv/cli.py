@@ -44,6 +44,7 @@ COMMANDS = {
     "plot": "qdenv.commands.runs:plot",
     "generate": "qdenv.commands.runs:generate",
     "series": "qdenv.commands.sizes:series",
+    "explore": "qdenv.commands.explore:explore",
     "export": "qdenv.commands.export:export",
     "surrogate": "qdenv.commands.surrogate:surrogate",
     "train-agent": "qdenv.commands.mazes:train_agent",

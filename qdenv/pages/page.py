@@ -60,7 +60,7 @@ def make_page(
     title: str,
     scripts: Sequence[str] = (),
     facts: Mapping[str, Any] | None = None,
-    packed: Mapping[str, np.ndarray | bytes] | None = None,
+    packed: Mapping[str, np.ndarray | bytes | str] | None = None,
     **words: Any,
 ) -> Page:
     """Fill a template.
@@ -70,7 +70,7 @@ def make_page(
         title: of the browser's window.
         scripts: names of files in `scripts` without their endings, in order, after ``page``.
         facts: JSON-ready; scripts read them as ``facts``.
-        packed: arrays and bytes by name; scripts await ``unpack(name)``.
+        packed: arrays and bytes by name; scripts await ``unpack(name)``. Text is what `pack` made.
         **words: whatever the template itself asks for.
 
     Raises:
@@ -99,8 +99,13 @@ def make_page(
     return Page(title, whole)
 
 
-def pack(content: np.ndarray | bytes) -> str:
-    """Turn bytes or an array (row-major, in its own byte order) into gzip in base64."""
+def pack(content: np.ndarray | bytes | str) -> str:
+    """Turn bytes or an array (row-major, in its own byte order) into gzip in base64.
+
+    What is packed already stays as it is.
+    """
+    if isinstance(content, str):
+        return content
     raw = content if isinstance(content, bytes) else np.ascontiguousarray(content).tobytes()
     return base64.b64encode(gzip.compress(raw, LEVEL, mtime=0)).decode()
 

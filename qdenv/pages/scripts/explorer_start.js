@@ -1,0 +1,45 @@
+"use strict";
+
+/** Offer every column as colours of the map. */
+function offerColours() {
+  const choice = byId("colour");
+  facts.columns.forEach((column, k) => {
+    if (k >= facts.axes.length) choice.add(new Option(column.label, k, false, k === state.colour));
+  });
+  choice.addEventListener("change", () => recolour(Number(choice.value)));
+}
+
+/** Offer the elites that have names. */
+function offerNames() {
+  const choice = byId("named");
+  choice.add(new Option("\u2026", ""));
+  for (const {name, row} of facts.named) choice.add(new Option(name, row));
+  choice.addEventListener("change", () => {
+    const row = Number(choice.value);
+    if (choice.value !== "" && !state.pins.includes(row)) togglePin(row);
+    choice.value = "";
+  });
+}
+
+/** Show the best elite, then the map; what comes later is unpacked meanwhile. */
+async function start() {
+  const library = loadPlotly();
+  await loadNumbers();
+  offerColours();
+  offerNames();
+  drawLegend();
+  listenToMap();
+  listenToCards();
+  listenToGrowth();
+  state.pins[0] = facts.named[0].row;
+  showStatus();
+  await showCards();
+  await library;
+  await drawMap();
+  placeMarkers();
+  performance.mark("drawn");
+  document.body.dataset.ready = "yes";
+  prefetch();
+}
+
+start();
