@@ -58,6 +58,7 @@ MISTAKES = {
     "plot nowhere": "no run here",
     "generate nowhere": "no run here",
     "export nowhere": "no run here",
+    "explore nowhere": "no run here",
     "surrogate nowhere": "no run here",
     # Names of the zoo that nothing has, and what nobody may do to it.
     "zoo moon": "unknown domain of the zoo 'moon'",
@@ -68,6 +69,11 @@ MISTAKES = {
     "series zoo:warehouse-even/worst": "choose one of best, regular",
     "resume zoo:warehouse-even/best": "ships with qdenv and stays as it is: `qdenv train ",
     "surrogate zoo:warehouse-even": "50",
+    "explore zoo:warehouse-even/bets": "did you mean best?",
+    "explore zoo:warehouse-even --growth -1": "growth -1: give a number of elites, 0 or more",
+    "explore zoo:warehouse-even --growth all": "--growth 'all' is no whole number",
+    "explore zoo:warehouse-even --out map.png": "ends in .html",
+    "explore run": "manifest.json",
     "plot zoo:warehouse-even --out plan.txt": "plan.txt: that is a file: name a folder",
     "train quick --out zoo:mine": "zoo:mine: names that begin with zoo: ship with qdenv",
     # Numbers that make no simulation.

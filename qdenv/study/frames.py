@@ -32,7 +32,8 @@ def make_grower(config: EvaluationConfig, domain: Domain) -> tuple[int, Grower]:
 
     @jax.jit
     def grow(solutions: jax.Array) -> jax.Array:
-        return jax.vmap(jax.vmap(domain.frame))(_frames(generator, solutions, steps))
+        framed = jax.vmap(jax.vmap(domain.frame))(_frames(generator, solutions, steps))
+        return jnp.asarray(framed)
 
     return steps, lambda solutions: np.asarray(grow(jnp.asarray(solutions)))
 
