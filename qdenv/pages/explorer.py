@@ -6,6 +6,8 @@ import shlex
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 
 from qdenv.domains.base import Domain, make_domain
 from qdenv.pages.explorer_layouts import (
@@ -18,13 +20,26 @@ from qdenv.pages.explorer_layouts import (
 )
 from qdenv.pages.explorer_numbers import columns_of, facts_of_columns, runs_of
 from qdenv.pages.page import Page, make_page, missing
+from qdenv.plots.archive import COLOURS as SCALE
 from qdenv.plots.layouts import CHANGED, COLOURS, UNKNOWN
 from qdenv.study.progress import Progress, silent
 from qdenv.training.archive import Archive
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
-SCRIPTS = ("data", "tiles", "map", "pointer", "table", "cards", "growth", "start")
+SHADES = 12  # of the colour scale, with straight lines between
+SCRIPTS = (
+    "data",
+    "tiles",
+    "sketch",
+    "place",
+    "map",
+    "pointer",
+    "table",
+    "cards",
+    "growth",
+    "start",
+)
 
 
 def read_archive(run: RunDirectory, growth: int | None = None) -> Archive:
@@ -119,6 +134,7 @@ def _facts(run: RunDirectory, archive: Archive, domain: Domain, grown: Growth) -
         "tile_names": [domain.names.get(tile, tile) for tile in tiles],
         "colours": [COLOURS.get(tile, UNKNOWN) for tile in tiles],
         "mark": CHANGED,
+        "scale": [to_hex(colormaps[SCALE](shade)) for shade in np.linspace(0, 1, SHADES)],
         "rows": rows,
         "cols": cols,
         "bits": bits_of(tiles),

@@ -17,26 +17,35 @@ async function showCards() {
   const [one, other] = layouts;
   const same = one && other ? alike(one.repaired, other.repaired) : [];
   const paled = byId("differences").checked && !state.pins.includes(null) ? same : [];
-  CARDS.forEach((card, place) => showCard(card, place, rows[place], layouts[place], paled));
+  CARDS.forEach((card, place) => {
+    showCard(card, place, rows[place]);
+    const drawing = `${rows[place]},${paled.length ? rows[1 - place] : ""}`; // what else is drawn already
+    if (card.dataset.drawing !== drawing) drawCard(card, layouts[place], paled);
+    card.dataset.drawing = drawing;
+    card.querySelector("canvas").dataset.row = String(rows[place]);
+  });
   byId("differing").textContent = one && other ? `${AREA - same.length} of ${AREA} cells differ` : "";
   showTable(rows);
   showGrowth(rows);
 }
 
-/** Show one elite. */
-function showCard(card, place, row, layouts, paled) {
+/** Say which elite a card shows, and what can be done with it. */
+function showCard(card, place, row) {
   const pinned = state.pins[place] !== null;
-  const canvas = card.querySelector("canvas");
   card.querySelector("h2").textContent = row === null ? "" : nameOf(row);
   card.querySelector("header .faint").textContent = row === null ? "" : pinned ? "pinned" : "click pins it";
   card.querySelector(".sheet p").hidden = row !== null;
   card.querySelector(".pin").textContent = pinned ? "Unpin" : "Pin";
   card.querySelectorAll("button").forEach((button) => { button.disabled = row === null; });
-  if (canvas.dataset.row !== String(row)) card.querySelector("output").textContent = "";
-  canvas.dataset.row = String(row);
-  if (row === null) return clearCanvas(canvas);
-  canvas.setAttribute("aria-label", `layout of ${nameOf(row)}`);
-  drawLayout(canvas, layouts.repaired, [], paled);
+  card.querySelector("canvas").setAttribute("aria-label", row === null ? "empty" : `layout of ${nameOf(row)}`);
+}
+
+/** Draw the layout of a card. */
+function drawCard(card, layouts, paled) {
+  const canvas = card.querySelector("canvas");
+  card.querySelector("output").textContent = "";
+  if (layouts) drawLayout(canvas, layouts.repaired, [], paled);
+  else clearCanvas(canvas);
 }
 
 /** The content of a layout file, as qdenv writes it. */

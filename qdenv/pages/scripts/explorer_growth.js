@@ -31,7 +31,7 @@ function growthNote(row) {
   const {steps, differing: odd} = facts.growth;
   if (steps === 0) return ["This run searched the tiles themselves: nothing grew.", ""];
   if (!state.grownAt.has(row)) {
-    return [`This page holds the growth of ${state.grownAt.size} of ${facts.elites} elites, not of this one. For all: `, facts.enlarge];
+    return [`Here are ${state.grownAt.size} of ${facts.elites} growths, not this one. For all: `, facts.enlarge];
   }
   return [odd[row] ? `Grown again, it ended otherwise than in the run, in ${odd[row]} cells.` : "", ""];
 }
@@ -91,7 +91,6 @@ function stepBy(count) {
 /** Let the buttons of growth work. */
 function listenToGrowth() {
   byId("growth-title").textContent = facts.growth.steps ? "How it grew" : "Before and after the repair";
-  byId("player").classList.toggle("absent", !facts.growth.steps);
   byId("repaired").closest("figure").hidden = !facts.repairs;
   byId("play").addEventListener("click", playGrowth);
   byId("back").addEventListener("click", () => stepBy(-1));

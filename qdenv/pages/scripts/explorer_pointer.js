@@ -83,7 +83,7 @@ function listenToMap() {
   document.addEventListener("mouseup", (event) => {
     const start = began;
     began = null;
-    if (!start || event.button !== 0 || !start.target.closest(".nsewdrag")) return;
+    if (!start || event.button !== 0) return;
     if (Math.hypot(event.clientX - start.clientX, event.clientY - start.clientY) > STILL) return;
     const row = rowAt(event.clientX, event.clientY);
     if (row === null) return;

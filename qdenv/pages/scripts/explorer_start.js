@@ -21,20 +21,30 @@ function offerNames() {
   });
 }
 
-/** Show the best elite, then the map; what comes later is unpacked meanwhile. */
+/** Wait until what was drawn can be seen. */
+function painted() {
+  return new Promise((done) => requestAnimationFrame(() => setTimeout(done)));
+}
+
+/** Show a sketch of the map and the best elite at once, then what takes longer. */
 async function start() {
-  const library = loadPlotly();
   await loadNumbers();
+  byId("map").classList.toggle("strip", facts.axes.length === 1);
+  drawSketch();
+  state.pins[0] = facts.named[0].row;
+  placeMarkers();
+  showStatus();
+  byId("range").textContent = rangeNote(state.colour);
   offerColours();
   offerNames();
   drawLegend();
   listenToMap();
   listenToCards();
   listenToGrowth();
-  state.pins[0] = facts.named[0].row;
-  showStatus();
   await showCards();
-  await library;
+  await painted();
+  performance.mark("sketched");
+  await loadPlotly();
   await drawMap();
   placeMarkers();
   performance.mark("drawn");

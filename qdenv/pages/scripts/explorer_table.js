@@ -44,7 +44,7 @@ function said(column, value) {
   const runs = facts.wilson.length - 1;
   const good = Math.round(value * runs);
   const [low, high] = facts.wilson[good].map((share) => Math.round(100 * share));
-  return `${good} of ${runs} (${low}\u2013${high} %)`;
+  return `${good} of ${runs} (${low}\u2013${high}\u00a0%)`;
 }
 
 /** Write a difference with its sign. */
