@@ -22,6 +22,7 @@ from qdenv.pages.explorer_numbers import columns_of, facts_of_columns, runs_of
 from qdenv.pages.page import Page, make_page, missing
 from qdenv.plots.archive import COLOURS as SCALE
 from qdenv.plots.layouts import CHANGED, COLOURS, UNKNOWN
+from qdenv.study.frames import make_grower
 from qdenv.study.progress import Progress, silent
 from qdenv.training.archive import Archive
 from qdenv.training.records import RunDirectory
@@ -85,7 +86,7 @@ def make_explorer(
     except ImportError as error:
         raise missing("explorers", "plotly") from error
     domain = make_domain(config.domain)
-    grown = grow_elites(archive, config, domain, growth, progress)
+    grown = grow_elites(archive, *make_grower(config, domain), growth, progress)
     progress("writing", -1, "")
     columns, runs = columns_of(archive, domain), runs_of(archive.columns)
     packed: dict[str, np.ndarray | bytes | str] = {

@@ -7,10 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.domains.base import Domain
 from qdenv.pages.page import pack
-from qdenv.settings import EvaluationConfig
-from qdenv.study.frames import make_grower, spread
+from qdenv.study.frames import Grower, spread
 from qdenv.study.progress import Progress
 from qdenv.training.archive import Archive
 
@@ -73,22 +71,17 @@ def pack_layouts(archive: Archive, bits: int) -> dict[str, str]:
 
 
 def grow_elites(
-    archive: Archive,
-    config: EvaluationConfig,
-    domain: Domain,
-    wanted: int | None,
-    progress: Progress,
+    archive: Archive, steps: int, grow: Grower, wanted: int | None, progress: Progress
 ) -> Growth:
     """Grow elites again, evenly spread over the archive, the best first.
 
     Args:
         archive: of a run.
-        config: whose generator.
-        domain: at the trained size.
+        steps: of growth.
+        grow: their generator, as `make_grower` makes it.
         wanted: how many; None for as many as the usual room holds.
         progress: told how far it is.
     """
-    steps, grow = make_grower(config, domain)
     growth = Growth(steps, [], {}, {})
     if not steps or wanted == 0:
         return growth
