@@ -22,7 +22,9 @@ async function showCards() {
     const drawing = `${rows[place]},${paled.length ? rows[1 - place] : ""}`; // what else is drawn already
     if (card.dataset.drawing !== drawing) drawCard(card, layouts[place], paled);
     card.dataset.drawing = drawing;
-    card.querySelector("canvas").dataset.row = String(rows[place]);
+    const canvas = card.querySelector("canvas");
+    if (canvas.dataset.row !== String(rows[place])) card.querySelector("output").textContent = "";
+    canvas.dataset.row = String(rows[place]);
   });
   byId("differing").textContent = one && other ? `${AREA - same.length} of ${AREA} cells differ` : "";
   showTable(rows);
@@ -43,7 +45,6 @@ function showCard(card, place, row) {
 /** Draw the layout of a card. */
 function drawCard(card, layouts, paled) {
   const canvas = card.querySelector("canvas");
-  card.querySelector("output").textContent = "";
   if (layouts) drawLayout(canvas, layouts.repaired, [], paled);
   else clearCanvas(canvas);
 }
