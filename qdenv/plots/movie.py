@@ -19,18 +19,8 @@ from qdenv.study.motion import Motion
 from qdenv.types import InputError
 
 # H.264 in the form that every browser plays, and from its beginning before all of it is there.
-CODING = [
-    "-c:v",
-    "libx264",
-    "-pix_fmt",
-    "yuv420p",
-    "-crf",
-    "28",
-    "-preset",
-    "veryfast",
-    "-movflags",
-    "+faststart",
-]
+CODING = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "28", "-preset", "veryfast"]
+CODING += ["-movflags", "+faststart"]
 REST = 1.0  # seconds that the last picture of a GIF is seen before it begins anew
 
 
