@@ -76,6 +76,7 @@ def make_replay(
         about=about,
         maze=motion.headings is not None,
         marks=_marks(tasks),
+        jam=frames.JAM_FROM,
         agents=motion.positions.shape[1],
         steps=motion.steps,
         tiles=[(names.get(tile, tile), colours[kind]) for kind, tile in used],
@@ -116,7 +117,7 @@ def _marks(tasks: TaskRule | None) -> list[tuple[str, str]]:
         return [("agent", "agent"), ("goal", "goal"), ("start", "start")]
     served = [("serving", "is served")] if any(goal.stay for goal in tasks.cycle) else []
     robots = [("driving", "drives"), ("waiting", "waits"), *served]
-    return [*robots, ("jam", "jam, redder with time"), ("goal", "goal")]
+    return [*robots, ("jam", "jam"), ("goal", "goal")]
 
 
 def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:

@@ -19,7 +19,7 @@ MARKS = {
     "waiting": "#c62f1d",
     "serving": "#00796b",
     "goal": "#00796b",
-    "way": "#b36bc8",
+    "way": "#d6338a",
     "agent": "#f2b705",
     "start": "#3c6fb0",
     "reached": "#2e9e5b",

@@ -4,17 +4,17 @@ const LONGEST = 0.1; // seconds of playing that one frame may skip, after a paus
 const NEAR = 0.8; // cells around a click in which a robot is meant
 const ZOOM = 1.5;
 
-// What the page shows; `now` is a timestep, or lies between two.
+// What the page shows; `now` is a timestep, or lies between two. `stats` counts the frames drawn so
+// far, and the milliseconds of drawing them.
 const state = {
   film: null, view: null, ground: null, sprites: {}, now: 0, playing: false, last: 0,
-  followed: null, ready: false, stats: {frames: 0, drawing: 0},
+  followed: null, stats: {frames: 0, drawing: 0},
 };
 
 /** Draw everything as it is now. */
 function draw() {
   const begin = performance.now();
   const {film, view, ground, sprites, now, followed} = state;
-  if (followed !== null && state.playing) keepInView(view, ...placeOf(film, followed, now));
   drawGround(byId("ground"), film, ground, view, byId("overlay").value, Math.floor(now));
   const canvas = byId("robots");
   const context = canvas.getContext("2d");
@@ -35,10 +35,17 @@ function draw() {
   state.stats.drawing += performance.now() - begin;
 }
 
+/** Keep the followed robot in sight, and draw. */
+function look() {
+  const {film, view, now, followed} = state;
+  if (followed !== null) keepInView(view, ...placeOf(film, followed, now));
+  draw();
+}
+
 /** Go to a time. */
 function goTo(time) {
   state.now = Math.min(Math.max(time, 0), state.film.steps);
-  draw();
+  look();
 }
 
 /** Go a timestep on or back, to a whole one, and rest there. */
@@ -65,7 +72,7 @@ function tick(time) {
   state.last = time;
   state.now = Math.min(state.now + passed * Number(byId("speed").value), state.film.steps);
   if (state.now === state.film.steps) play(false);
-  draw();
+  look();
   if (state.playing) requestAnimationFrame(tick);
 }
 
@@ -79,7 +86,7 @@ function changeSpeed(by) {
 function follow(agent) {
   state.followed = agent;
   byId("robot").value = agent ?? "";
-  draw();
+  look();
 }
 
 /** Find the robot at a point of the stage; null where none is near. */

@@ -1,9 +1,10 @@
 "use strict";
 
-const RAMPS = {usage: [74, 20, 134], waiting: [165, 15, 21]}; // red, green, blue of most time
+const RAMPS = {usage: [92, 38, 150], waiting: [165, 15, 21]}; // red, green, blue of most time
 const LINES = "#00000018";
 const EDGE = "#9aa0a6";
 const LINES_FROM = 9; // CSS pixels of a cell from which lines between cells help
+const BEND = 0.7; // power of the share of time: rare use is seen, too
 const TOP = 0.995; // of the cells that are used lie below the darkest colour
 
 /** Prepare the floor: the tiles, one pixel each, and counters of what happened on them. */
@@ -52,7 +53,7 @@ function drawHeat(film, ground, kind, time) {
   const top = topOf(film, ground, kind);
   for (let cell = 0; cell < cells.length; cell++) {
     if (!facts.free[film.tiles[cell]]) continue;
-    const share = Math.sqrt(Math.min(cells[cell] / top, 1));
+    const share = Math.min(cells[cell] / top, 1) ** BEND;
     for (let part = 0; part < 3; part++) {
       image.data[4 * cell + part] = 255 + share * (RAMPS[kind][part] - 255);
     }

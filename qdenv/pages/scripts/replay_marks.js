@@ -61,11 +61,11 @@ function halo(context, x, y, size, level) {
 
 // How each thing is drawn in the middle of a cell of `size` pixels.
 const MARKS = {
-  driving: (context, x, y, size) => disc(context, x, y, 0.37 * size, COLOURS.driving),
+  driving: (context, x, y, size) => disc(context, x, y, 0.38 * size, COLOURS.driving, "#fff", 0.06 * size),
   serving: (context, x, y, size) =>
     disc(context, x, y, 0.31 * size, "#fff", COLOURS.serving, 0.16 * size),
   waiting: (context, x, y, size) => {
-    disc(context, x, y, 0.37 * size, COLOURS.waiting);
+    disc(context, x, y, 0.38 * size, COLOURS.waiting, "#fff", 0.06 * size);
     context.fillStyle = "#fff";
     context.fillRect(x - 0.2 * size, y - 0.06 * size, 0.4 * size, 0.12 * size);
   },

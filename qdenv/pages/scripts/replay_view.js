@@ -50,18 +50,16 @@ function moveView(view, right, down) {
   snapView(view);
 }
 
-/** Keep a cell in the middle part of a view that does not show everything; says whether it moved. */
+/** Keep a place in the middle part of a view that does not show everything. */
 function keepInView(view, column, row) {
-  if (view.whole) return false;
+  if (view.whole) return;
   const part = (place, size) => {
     const margin = size / 5;
     return Math.max(margin - place, 0) + Math.min(size - margin - place, 0);
   };
   const right = part(view.x + column * view.scale, view.width);
   const down = part(view.y + row * view.scale, view.height);
-  if (Math.abs(right) < 1 && Math.abs(down) < 1) return false;
-  moveView(view, right, down);
-  return true;
+  if (right || down) moveView(view, right, down);
 }
 
 /** Give both canvases the stage's size in pixels of the screen. */
