@@ -25,11 +25,9 @@ def warehouse():
 @pytest.mark.parametrize("agents", [6, 55])
 def test_waiting_and_tasks_are_those_of_the_studies(warehouse, agents):
     config = FleetConfig(agents, 40, stop_when_congested=False)
-    motion, traffic = record_fleet(warehouse, config, 3)
-    tasks, shape = warehouse.domain.simulator.tasks, warehouse.layout.shape
-    done = run_seeds(
-        warehouse.layout, tasks, config, [3], read=lambda *run: map_run(shape, *run[1:])
-    )
+    motion, _ = record_fleet(warehouse, config, 3)
+    layout, tasks = warehouse.layout, warehouse.domain.simulator.tasks
+    done = run_seeds(layout, tasks, config, [3], read=lambda *run: map_run(layout.shape, *run[1:]))
     assert motion.waits.mean() == pytest.approx(done.readings[0].waiting_share)
     np.testing.assert_array_equal(motion.finished.sum(1), done.runs[0].finished)
     assert motion.steps == motion.timesteps == 40
