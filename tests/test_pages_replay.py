@@ -265,13 +265,13 @@ def test_in_python_the_page_shows_itself():
 def test_a_missing_package_is_named_before_anything_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "plan.txt").write_text("\n".join(ROWS))
-    whole = util.find_spec
+    find = util.find_spec
     for gone, line, said in (
         ("imageio_ffmpeg", "--mp4", "films need imageio-ffmpeg: pip install 'qdenv[viz]'"),
         ("jinja2", "--gif", "pages need jinja2: pip install 'qdenv[viz]'"),
     ):
         monkeypatch.setattr(
-            util, "find_spec", lambda name, gone=gone: None if name == gone else whole(name)
+            util, "find_spec", lambda name, gone=gone: None if name == gone else find(name)
         )
         assert run(["replay", "plan.txt", "--agents", "5", line]) == 2
         assert capsys.readouterr().err == f"qdenv: {said}\n"
