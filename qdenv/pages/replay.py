@@ -1,7 +1,8 @@
 """The replay: one run of a fleet, or one walk through a maze, to be played in a browser.
 
 A robot moves by at most one cell in a timestep, so its path is a start and one of five moves for
-each step; its goals are those it begins with and a new one at each finished task.
+each step, three of which fit a byte; its goals are the first one and a new one for each finished
+task.
 `scripts/replay_film.js` undoes this.
 """
 
@@ -22,6 +23,7 @@ from qdenv.types import InputError, TaskRule, Traffic
 
 SCRIPTS = ("film", "view", "ground", "marks", "robots", "chart", "panel", "controls", "start")
 WAIT, RIGHT, LEFT, DOWN, UP = range(5)
+DIGITS = np.array([25, 5, 1], np.uint8)
 
 
 def make_replay(
@@ -124,9 +126,10 @@ def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
     """Turn a recording into small arrays, agent by agent.
 
     Returns:
-        starts and goals: uint32 [A], the first cells; moves: uint8 [A, E]; counts: uint32 [A],
-        how many tasks each finished; times and next: uint32 [sum of counts], after how many steps
-        it did, and its goal from then on; headings: uint8 [E + 1], empty for robots.
+        starts and goals: uint32 [A], the first cells; moves: uint8 [A, ceil(E / 3)], three digits
+        to base 5 each, the first one the highest; counts: uint32 [A], how many tasks each
+        finished; times and next: uint32 [sum of counts], after how many steps it did, and its goal
+        from then on; headings: uint8 [E + 1], empty for robots.
 
     Raises:
         InputError: a robot moved by more than one cell.
@@ -139,10 +142,11 @@ def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
     if (moves == 255).any():
         step, agent = np.argwhere(moves == 255)[0]
         raise InputError(f"robot {agent} moves by more than one cell after timestep {step}")
+    whole = np.pad(moves, ((0, -len(moves) % 3), (0, 0)))
     agents, times = np.nonzero(motion.finished.T)
     return {
         "starts": motion.positions[0].astype("<u4"),
-        "moves": moves.T,
+        "moves": (whole.T.reshape(moves.shape[1], -1, 3) @ DIGITS).astype(np.uint8),
         "goals": motion.goals[0].astype("<u4"),
         "counts": motion.finished.sum(0).astype("<u4"),
         "times": (times + 1).astype("<u4"),

@@ -1,5 +1,6 @@
 "use strict";
 
+const DIGITS = [25, 5, 1]; // three moves a byte
 const WAITED_MOST = 255; // timesteps of waiting in a row beyond which nobody counts
 
 /** Unpack an array of numbers by its name. */
@@ -60,11 +61,13 @@ async function readGoals(film) {
 /** Add up each robot's moves, and its waiting. */
 function readMoves(film, moves, strides) {
   const {agents, steps, position, goal, waited} = film;
+  const row = Math.ceil(steps / 3);
   for (let agent = 0; agent < agents; agent++) {
     let [cell, since] = [film.starts[agent], 0];
     position[agent] = cell;
     for (let time = 0; time < steps; time++) {
-      const move = moves[agent * steps + time];
+      const three = moves[agent * row + Math.floor(time / 3)];
+      const move = Math.floor(three / DIGITS[time % 3]) % 5;
       const at = time * agents + agent;
       cell += strides[move];
       const waits = move === 0 && cell !== goal[at];
