@@ -15,6 +15,7 @@ from qdenv.grid import parse
 from qdenv.pages.replay import encode, make_replay
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.motion import record_fleet, trace_agent
+from qdenv.study.options import make_fleet
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
 
@@ -204,6 +205,23 @@ def test_goals_jams_and_what_lies_on_the_floor_can_be_shown(busy, shown):
     shown.evaluate(f"goTo({STEPS})")
     waits = np.bincount(motion.positions[1:][motion.waits], minlength=77)
     assert shown.evaluate("[...state.ground.counts.waiting.cells]") == waits.tolist()
+
+
+def test_congested_time_is_marked_and_a_run_that_it_ends_says_so(tmp_path):
+    rows = ["@@@@@@@@", "w.....ee", "@@@@@@@@"]  # nobody passes anybody
+    plan = warehouse()._replace(layout=parse(rows, TILES))
+    page = qdenv.replay(plan, agents=6, timesteps=40, effort="low", stop=False)
+    motion, traffic = record_fleet(plan, make_fleet(6, 40, "low", stop=False))
+    begin, end = motion.congested[0]
+    with opened(page.save(tmp_path / "jam.html")) as shown:
+        shown.wait_for_function(SHOWN)
+        band = shown.locator("#chart-waiting rect").first
+        assert band.locator("title").text_content() == f"congested from {begin} to {end}"
+        assert float(band.get_attribute("x")) == pytest.approx(shown.evaluate(f"chartX({begin})"))
+        said = f"congested at {traffic.congested_at}, and went on"
+        assert said in shown.inner_text("header")
+    ended = qdenv.replay(plan, agents=6, timesteps=40, effort="low")
+    assert f"congested at {traffic.congested_at}, which ended the run" in ended.html
 
 
 def test_the_view_can_be_enlarged_moved_and_fitted(shown):

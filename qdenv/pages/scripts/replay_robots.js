@@ -87,7 +87,7 @@ function drawWay(context, film, view, agent, now) {
   context.strokeStyle = COLOURS.ink;
   context.stroke();
   context.setLineDash([]);
-  diamond(context, ...goal, Math.max(0.46 * size, 5 * view.ratio), 2 * view.ratio);
+  diamond(context, ...goal, Math.max(0.62 * size, 5 * view.ratio), 2 * view.ratio);
 }
 
 /** Draw a ring around the followed robot, and its number. */
