@@ -92,6 +92,7 @@ MISTAKES = {
     "replay plan.txt --agents 5 --mp4 run.png": "ends in .mp4",
     "replay plan.txt --agents 5 --gif --first 9 --last 9": "give timesteps, the first before",
     "replay plan.txt --agents 5 --last 50": "are for films: add --gif or --mp4",
+    "replay plan.txt --agents 5 --timesteps 9 --gif --first 9": "the run ends at timestep 9",
     "replay maze.txt --agents 5": "one agent walks in a maze: leave --agents out",
     "replay maze.txt --planner pbs": "in a maze nobody plans",
     "replay maze.txt --timesteps 0": "give 1 or more",

@@ -56,6 +56,15 @@ class Films:
         if (self.first or self.last is not None) and not (self.gif or self.mp4):
             raise InputError("--first and --last are for films: add --gif or --mp4")
 
+    def check(self, timesteps: int | None) -> None:
+        """Refuse films that begin when the run is over; None where its end is not known yet.
+
+        Raises:
+            InputError: they do.
+        """
+        if timesteps is not None and self.first >= timesteps:
+            raise InputError(f"--first {self.first}: the run ends at timestep {timesteps}")
+
     def places(self, layout: Path) -> list[output.Place]:
         """Choose where the films go, before any work is done.
 
@@ -96,7 +105,7 @@ def replay(
     demand("pages", "jinja2")
     plan = read_plan(layout, options.domain)
     show = _show_episode if plan.domain.name in MAZES else _show_fleet
-    page, motion, facts = show(plan, agents, options, seed)
+    page, motion, facts = show(plan, agents, options, seed, films)
     page.save(target.path)
     print(target)
     for place in places:
@@ -109,11 +118,12 @@ def replay(
 
 
 def _show_fleet(
-    plan: Plan, agents: int | None, options: RunOptions, seed: int
+    plan: Plan, agents: int | None, options: RunOptions, seed: int, films: Films
 ) -> tuple[Page, Motion, dict[str, Any]]:
     """Simulate a fleet once, say what came of it, and make its page."""
     usual = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     options = replace(options, timesteps=usual.timesteps)
+    films.check(usual.timesteps)
     fleet_tasks(plan.layout, plan.domain.simulator.tasks, usual.agents)
     config = options.fleet(usual.agents)
     studies.check_run(config.agents, config.timesteps, seed)
@@ -138,7 +148,7 @@ def _show_fleet(
 
 
 def _show_episode(
-    plan: Plan, agents: int | None, options: RunOptions, seed: int
+    plan: Plan, agents: int | None, options: RunOptions, seed: int, films: Films
 ) -> tuple[Page, Motion, dict[str, Any]]:
     """Let the agent walk through a maze once, say what came of it, and make its page."""
     if agents is not None:
@@ -147,6 +157,7 @@ def _show_episode(
         raise InputError("in a maze nobody plans: leave --planner, --effort and --no-stop out")
     if options.timesteps is not None and options.timesteps < 1:
         raise InputError(f"--timesteps {options.timesteps}: give 1 or more, or leave it out")
+    films.check(options.timesteps)
     studies.check_run(1, options.timesteps or 1, seed)
     from qdenv.pages.replay import about_episode, make_replay
 
@@ -170,7 +181,8 @@ def draw(path: Path, plan: Plan, motion: Motion, films: Films) -> None:
     """Draw a film of a stretch of the run."""
     from qdenv.plots.movie import save_film
 
-    first = min(films.first, motion.steps)
+    films.check(motion.steps)
+    first = films.first
     short = path.suffix.lower() == ".gif" and motion.headings is None
     last = first + SHORT if short else motion.steps
     last = last if films.last is None else films.last
