@@ -146,7 +146,7 @@ def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
     agents, times = np.nonzero(motion.finished.T)
     return {
         "starts": motion.positions[0].astype("<u4"),
-        "moves": (whole.T.reshape(moves.shape[1], -1, 3) @ DIGITS).astype(np.uint8),
+        "moves": (whole.T.reshape(motion.finished.shape[1], -1, 3) @ DIGITS).astype(np.uint8),
         "goals": motion.goals[0].astype("<u4"),
         "counts": motion.finished.sum(0).astype("<u4"),
         "times": (times + 1).astype("<u4"),
