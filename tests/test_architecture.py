@@ -47,7 +47,7 @@ ALLOWED = {
     "study": BASE
     | STAGES
     | PLUGS
-    | {"domains", "pipeline", "settings", "formats", "surrogate", "training"},
+    | {"agent", "domains", "pipeline", "settings", "formats", "surrogate", "training"},
     "api": BASE
     | STAGES
     | PLUGS
@@ -60,6 +60,7 @@ ALLOWED = {
         "study.table",
         "study.jams",
         "study.differences",
+        "study.motion",
         "domains.base",
     },
     "pages": BASE | STAGES | PLUGS | {"domains", "formats", "plots", "study", "training", "zoo"},

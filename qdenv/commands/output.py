@@ -15,7 +15,7 @@ from qdenv.files import write_json
 from qdenv.types import InputError
 
 PICTURES = (".png", ".svg", ".pdf")
-MOVING_PICTURES = (".gif",)
+MOVING_PICTURES = (".gif", ".mp4")
 DIGITS = 6  # significant ones of a number in a file: single precision holds no more
 
 # How a command takes `--json FILE`; "-" is standard output, where nothing else is written then.

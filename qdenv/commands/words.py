@@ -19,7 +19,12 @@ SECONDS_PER_HOUR = 3600
 Picture = Annotated[Path | None, tyro.conf.arg(metavar="[FILE]")]
 
 
-def place_picture(plot: Path | None, default: str, inputs: Iterable[Path]) -> output.Place | None:
+def place_picture(
+    plot: Path | None,
+    default: str,
+    inputs: Iterable[Path],
+    endings: Iterable[str] = output.PICTURES,
+) -> output.Place | None:
     """Choose where a picture goes; None where none is asked for.
 
     Raises:
@@ -27,7 +32,7 @@ def place_picture(plot: Path | None, default: str, inputs: Iterable[Path]) -> ou
     """
     if plot is None:
         return None
-    return output.place(None if plot == AUTO else plot, default, output.PICTURES, inputs)
+    return output.place(None if plot == AUTO else plot, default, endings, inputs)
 
 
 def steps_per_hour(options: FleetOptions) -> float | None:
