@@ -41,7 +41,7 @@ COMMANDS = {
     "presets": "qdenv.commands.presets:presets",
     "train": "qdenv.commands.train:train",
     "resume": "qdenv.commands.runs:resume",
-    "plot": "qdenv.commands.runs:plot",
+    "plot": "qdenv.commands.plot:plot",
     "generate": "qdenv.commands.runs:generate",
     "series": "qdenv.commands.sizes:series",
     "export": "qdenv.commands.export:export",

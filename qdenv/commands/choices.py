@@ -33,6 +33,7 @@ def names_of(registry: Registry) -> str:
 LayoutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT")]
 LayoutFiles = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT ...")]
 RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+RunFolders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...")]
 
 # How a command takes the name of a domain that a layout file may say itself.
 DomainName = Annotated[str | None, tyro.conf.arg(metavar=names_of(DOMAINS))]
