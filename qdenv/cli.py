@@ -34,6 +34,7 @@ COMMANDS = {
     "compare": "qdenv.commands.traffic:compare",
     "sweep": "qdenv.commands.traffic:sweep",
     "scalability": "qdenv.commands.traffic:scalability",
+    "report": "qdenv.commands.report:report",
     "layout human": "qdenv.commands.sizes:layout_human",
     "layout tile": "qdenv.commands.sizes:layout_tile",
     "layout symbols": "qdenv.commands.drawings:layout_symbols",

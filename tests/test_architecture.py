@@ -65,7 +65,10 @@ ALLOWED = {
         "study.traffic",
         "domains.base",
     },
-    "pages": BASE | STAGES | PLUGS | {"domains", "formats", "plots", "study", "training", "zoo"},
+    "pages": BASE
+    | STAGES
+    | PLUGS
+    | {"agent", "domains", "formats", "plots", "search.registry", "study", "training", "zoo"},
     "commands": BASE
     | STAGES
     | PLUGS

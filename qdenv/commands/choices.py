@@ -73,9 +73,17 @@ class FleetOptions:
         Raises:
             InputError: they make none.
         """
+        return self.fleet_for(agents, TIMESTEPS if self.timesteps is None else self.timesteps)
+
+    def fleet_for(self, agents: int, timesteps: int) -> FleetConfig:
+        """Make the numbers of a simulation, with a horizon of this command line's or another.
+
+        Raises:
+            InputError: they make none.
+        """
         return FleetConfig(
             agents,
-            TIMESTEPS if self.timesteps is None else self.timesteps,
+            timesteps,
             planner=self.planner_settings,
             stop_when_congested=self.stop,
         )

@@ -23,7 +23,7 @@ from qdenv.plots.figure import (
     styled,
 )
 from qdenv.plots.widths import PAGE
-from qdenv.study.differences import Difference
+from qdenv.study.differences import Difference, Sample, margin
 from qdenv.study.table import Peak, Row, differences
 
 THROUGHPUT = "throughput [tasks / timestep]"
@@ -33,6 +33,7 @@ AGAINST = "\nper cent: against the first layout, over all runs, with 95 % interv
 SPREAD = 0.02  # of the axis: how far lines that would hide one another are moved apart
 BAR_COLOUR = "#cfd8e3"
 TALL = 0.66  # of the width: the height of layouts side by side
+FLAT = 0.48  # likewise of one panel alone
 LOWEST = 4.0  # inches of its height
 ABREAST = 5.0  # inches from which two panels stand side by side
 
@@ -59,10 +60,10 @@ def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
     """
     figure = paper_figure(width, max(TALL * width, LOWEST))
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    names = list(dict.fromkeys(row.layout for row in rows))
+    layouts = _by_layout(rows)
+    names = [own[0].layout for own in layouts]
     bars, against = len({row.agents for row in rows}) == 1, differences(rows)
-    for place, name in enumerate(names):
-        own = [row for row in rows if row.layout == name]
+    for place, own in enumerate(layouts):
         if bars:
             _draw_bar(above, place, own[0], against[rows.index(own[0])])
         else:
@@ -132,6 +133,59 @@ def _with_bars(
     """Draw points with error bars in the look of the layout at this place."""
     look: Any = {"color": _colour(place), "marker": MARKERS[place % len(MARKERS)]}
     return axes.errorbar(places, values, error, label=name_of(layout), elinewidth=0.8, **look)
+
+
+@styled
+def draw_throughput(rows: Sequence[Row], width: float = PAGE) -> Figure:
+    """Draw the mean throughput of all runs over agents, with its 95 % interval (Student's t).
+
+    Args:
+        rows: of all layouts.
+        width: in inches.
+    """
+    figure, axes = _over_agents(rows, width)
+    for place, own in enumerate(_by_layout(rows)):
+        means = [row.mean_of_all for row in own]
+        halves = [margin(Sample(row.mean_of_all, row.error_of_all, row.runs)) for row in own]
+        agents = [row.agents for row in own]
+        _with_bars(axes, agents, means, np.nan_to_num(halves), own[0].layout, place)
+    axes.set(ylabel=THROUGHPUT, ylim=(0, None))
+    if len(axes.containers) > 1:
+        add_legend(figure, *axes.get_legend_handles_labels())
+    return figure
+
+
+@styled
+def draw_success(rows: Sequence[Row], width: float = PAGE) -> Figure:
+    """Draw the share of runs that never congested over agents, with its 95 % Wilson interval.
+
+    Args:
+        rows: of all layouts.
+        width: in inches.
+    """
+    figure, axes = _over_agents(rows, width)
+    layouts = _by_layout(rows)
+    for place, own in enumerate(layouts):
+        moved = (place - (len(layouts) - 1) / 2) * SPREAD * max(row.agents for row in rows)
+        _draw_success(axes, [row.agents + moved for row in own], own, place)
+    axes.set(ylabel=SUCCESS, ylim=(-0.05, 1.05))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    if len(layouts) > 1:
+        add_legend(figure, *axes.get_legend_handles_labels())
+    return figure
+
+
+def _over_agents(rows: Sequence[Row], width: float) -> tuple[Figure, Axes]:
+    figure = paper_figure(width, FLAT * width)
+    axes = figure.subplots()
+    axes.set(xlabel="agents", xlim=(0, 1.05 * max(row.agents for row in rows)))
+    axes.grid()
+    return figure, axes
+
+
+def _by_layout(rows: Sequence[Row]) -> list[list[Row]]:
+    names = dict.fromkeys(row.layout for row in rows)
+    return [[row for row in rows if row.layout == name] for name in names]
 
 
 def save_peaks(
