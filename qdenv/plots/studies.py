@@ -178,7 +178,7 @@ def draw_success(rows: Sequence[Row], width: float = PAGE) -> Figure:
 def _over_agents(rows: Sequence[Row], width: float) -> tuple[Figure, Axes]:
     figure = paper_figure(width, FLAT * width)
     axes = figure.subplots()
-    axes.set(xlabel="agents", xlim=(0, 1.05 * max(row.agents for row in rows)))
+    axes.set(xlabel="robots", xlim=(0, 1.05 * max(row.agents for row in rows)))
     axes.grid()
     return figure, axes
 

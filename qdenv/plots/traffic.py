@@ -120,7 +120,9 @@ def draw_panel(scene: Scene, kind: str, width: float) -> Figure:
     time = kind == "time"
     height = TALL * width if time else (width - BESIDE) * _tallness(scene) + TITLES
     figure = paper_figure(width, height)
-    PANELS[kind](figure.subplots(), scene)
+    axes = figure.subplots()
+    PANELS[kind](axes, scene)
+    axes.set_title("")  # whatever stands around it says so
     return figure
 
 
@@ -133,28 +135,36 @@ def _draw_waiting(axes: Axes, scene: Scene) -> None:
     """Draw the share of time in which one waits on each cell, and number the worst cells."""
     waiting = scene.maps.waiting
     title = f"where agents wait: {scene.maps.waiting_share:.1%} of their time"
-    _draw_map(axes, scene, waiting, "waiting", title)
-    _bar_of(axes, waiting, "share of time in which one waits here", percent=True)
+    draw_map(axes, scene.free, waiting, "waiting", title)
+    add_bar(axes, waiting, "share of time in which one waits here", percent=True)
     _number_worst(axes, scene)
 
 
 def _draw_usage(axes: Axes, scene: Scene) -> None:
     """Draw the share of time in which an agent is on each cell."""
-    _draw_map(axes, scene, scene.maps.usage, "usage", "where agents are")
-    _bar_of(axes, scene.maps.usage, "share of time in which one is here", percent=True)
+    draw_map(axes, scene.free, scene.maps.usage, "usage", "where agents are")
+    add_bar(axes, scene.maps.usage, "share of time in which one is here", percent=True)
 
 
 def _draw_finished(axes: Axes, scene: Scene) -> None:
     """Draw how many tasks are finished on each cell."""
     finished = scene.maps.finished
     title = f"where tasks are finished: {finished.sum():.2f} a timestep"
-    _draw_map(axes, scene, finished, "finished", title)
-    _bar_of(axes, finished, "tasks per timestep here", percent=False)
+    draw_map(axes, scene.free, finished, "finished", title)
+    add_bar(axes, finished, "tasks per timestep here", percent=False)
 
 
-def _draw_map(axes: Axes, scene: Scene, values: np.ndarray, kind: str, title: str) -> None:
-    """Draw one number per cell over the walls; cells without any stay white."""
-    axes.imshow(scene.free, cmap=ListedColormap([WALL, FLOOR]), vmin=0, vmax=1)
+def draw_map(axes: Axes, free: np.ndarray, values: np.ndarray, kind: str, title: str = "") -> None:
+    """Draw one number per cell over the walls; cells without any stay white.
+
+    Args:
+        axes: where.
+        free: bool [H, W].
+        values: float [H, W].
+        kind: "usage", "waiting" or "finished".
+        title: above.
+    """
+    axes.imshow(free, cmap=ListedColormap([WALL, FLOOR]), vmin=0, vmax=1)
     shown = np.ma.masked_where(values <= 0, values)
     # One extreme cell must not wash out all others; the bar's tip says that there is more.
     top = float(np.quantile(values[values > 0], 0.995)) if (values > 0).any() else 1.0
@@ -164,7 +174,7 @@ def _draw_map(axes: Axes, scene: Scene, values: np.ndarray, kind: str, title: st
     axes.set(xlabel="column", ylabel="row")
 
 
-def _bar_of(axes: Axes, values: np.ndarray, label: str, percent: bool) -> None:
+def add_bar(axes: Axes, values: np.ndarray, label: str, percent: bool) -> None:
     """Add the colour bar of a map."""
     image = axes.images[-1]
     extend = "max" if values.max() > image.norm.vmax else "neither"

@@ -15,7 +15,11 @@ from qdenv.types import InputError
 
 CHANCE = ("seed", "evaluations", "checkpoint_every")  # runs that differ in these repeat one another
 WHO, WHERE = "algorithm", "evaluation.domain"
-WORDS = {"map-elites": "MAP-Elites", "random": "random search"}
+WORDS = {
+    "map-elites": "MAP-Elites",
+    "random": "random search",
+    "cma-mae-screened": "CMA-MAE, screened",
+}
 INITIALS = ("cma-", "dsage")  # names that are written in capitals
 # Columns of metrics.csv, and how people call them.
 CURVES = {"qd_score": "QD-score", "coverage": "coverage", "best_objective": "best objective"}

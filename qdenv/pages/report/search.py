@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from qdenv.pages.report.blocks import Section, Table, Text, drawing
+from qdenv.pages.report.blocks import Drawing, Section, Table, Text, drawing
 from qdenv.pages.report.subjects import Subject
 from qdenv.plots.archive import draw_archive, scatter_objectives
 from qdenv.plots.figure import paper_figure, styled
@@ -23,19 +23,25 @@ def _section(subject: Subject, place: int) -> Section:
     assert run is not None and elite is not None
     config, meaning, archive = run.config, run.meaning, run.archive
     name = algorithm_name(config_name(config.algorithm))
-    blocks = [
+    if run.shipped:
+        what = (
+            f"It ships with qdenv as {run.shipped.generator.name}: {run.shipped.generator.about}. The map shows the "
+            f"{len(archive)} of a search by {name} that ship."
+        )
+    else:
+        what = f"It is the best of {len(archive):,} of different kinds that {name} kept."
+    blocks: list[Text | Table | Drawing] = [
         Text(
-            f"The floor plan is the best of {len(archive):,} different ones that {name} kept. Each "
-            "cell of the map is a kind of floor plan, by its measures; the colour says how good "
-            "the best of its kind is."
+            f"{what} Each cell of the map is a kind of layout, by its measures; the colour says "
+            "how good the best of its kind is."
         )
     ]
     if len(meaning.measures) <= 2:
-        figure = paper_figure(MAP, TALL * MAP)
+        heat = paper_figure(MAP, TALL * MAP)
         columns = archive.columns
         filled = scatter_objectives(columns["index"], columns["objective"], meaning.measures)
-        styled(draw_archive)(figure, filled, meaning.measures, label=meaning.objective)
-        blocks.append(drawing(figure, "The archive of the search.", f"archive-{place}"))
+        styled(draw_archive)(heat, filled, meaning.measures, label=meaning.objective)
+        blocks.append(drawing(heat, "The archive of the search.", f"archive-{place}"))
     (group,) = group_runs([run])
     caption = "How the search went on: sum of all objectives, share of filled cells, the best."
     figure = draw_progress([group], meaning.objective, CURVES)
@@ -51,7 +57,7 @@ def _section(subject: Subject, place: int) -> Section:
         ("QD-score", f"{last.qd_score:,.1f}"),
         ("coverage", f"{last.coverage:.1%}"),
         ("best objective", f"{last.best_objective:.3f}"),
-        ("this floor plan", f"objective {elite.objective:.3f}, {measures}"),
+        ("this layout", f"objective {elite.objective:.3f}, {measures}"),
     ]
     blocks.append(Table(("", ""), rows, f"search-{place}"))
     return Section(f"The search: {subject.name}", blocks)

@@ -16,7 +16,6 @@ from qdenv.study.traffic import Study
 
 WIDTH = 6.8  # inches of a figure on its own
 MAP = 5.6  # inches of a map of the floor plan
-PLAN_SCALE = 0.62  # of a layout's picture beside another one
 
 
 def asked_section(found: Found) -> Section:
@@ -62,15 +61,14 @@ def throughput_section(found: Found) -> Section:
         rows.append(cells)
     peaks = [Text(said) for one in found.asked.subjects if (said := words.say_peak(found, one))]
     figure = drawing(draw_throughput(found.rows, WIDTH), caption, "throughput-figure")
-    return Section(
-        "Throughput against robots",
-        [figure, *peaks, Table(head, rows, "throughput"), Text(FADING, "faint")]
-        if any(row.fading for row in found.rows)
-        else [figure, *peaks, Table(head, rows, "throughput")],
-    )
-
-
-FADING = "Where throughput falls with time, a longer run would show less."
+    fading = [Text(said, "faint") for said in words.say_fading(found)]
+    blocks: list[Text | Table | Drawing] = [
+        figure,
+        *peaks,
+        Table(head, rows, "throughput"),
+        *fading,
+    ]
+    return Section("Throughput against robots", blocks)
 
 
 def success_section(found: Found) -> Section:
@@ -145,16 +143,17 @@ def _waiting(
 
 def rival_sections(found: Found) -> list[Section]:
     """Compare each layout with what people draw by hand at its size."""
-    asked, sections, drawn = found.asked, [], set()
+    asked, sections = found.asked, []
     for place, (one, rival) in enumerate(zip(asked.subjects, asked.rivals, strict=True)):
         whose = f": {one.name}" if len(asked.subjects) > 1 else ""
         blocks: list[Text | Table | Drawing] = [Text(rival.about)]
         if rival.layout is not None:
-            if rival.name not in drawn and rival.name not in [own.name for own in asked.subjects]:
-                plan = one.plan._replace(name=rival.name, layout=rival.layout)
-                subject = Subject(rival.name, rival.name, plan)
-                blocks.append(plan_of(subject, f"rival-{place}", half=False))
-            drawn.add(rival.name)
+            theirs = one.plan._replace(name=rival.name, layout=rival.layout)
+            subject = Subject(rival.name, rival.name, theirs)
+            blocks += [
+                plan_of(one, f"own-{place}", half=True),
+                plan_of(subject, f"rival-{place}", half=True),
+            ]
             blocks.append(_differences(found, one, rival, place))
         sections.append(Section(f"Against the hand-made floor plan{whose}", blocks))
     return sections

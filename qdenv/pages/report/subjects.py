@@ -127,10 +127,7 @@ def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival:
     """
     domain, size = subject.plan.domain, subject.size
     if domain.human is None:
-        about = (
-            f"Nobody designs layouts of {domain.name} by hand: there is nothing to compare with."
-        )
-        return Rival("", None, about)
+        return Rival("", None, f"Nobody designs layouts of {domain.name} by hand.")
     rows, cols = subject.layout.shape
     from qdenv.study.sizes import human_layout  # imports both compilers
 

@@ -10,6 +10,7 @@ from qdenv.pages.report.fleet import Found
 from qdenv.pages.report.subjects import Rival, Subject
 from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.study.differences import Difference, Sample, difference, margin
+from qdenv.study.jams import FADING
 from qdenv.study.table import Row, find_capacity, find_peak
 from qdenv.study.traffic import Study
 
@@ -57,7 +58,7 @@ def question(found: Found) -> str:
     return (
         f"How well {does} the {plans} move tasks with {found.agents} robots{peak} over "
         f"{config.timesteps:,} timesteps{also}? Each number is {runs} ({name_seeds(asked.seeds)}); "
-        f"the robots plan their paths by the planner {describe_planner(config.planner)}. "
+        f"who plans the robots' paths: {describe_planner(config.planner)}. "
         "Throughput is the number of tasks that all robots together finish in a timestep. A run "
         f"congests when more than half of the robots stand still at once.{end}"
     )
@@ -68,7 +69,8 @@ def interval(row: Row, digits: int = 2) -> str:
     half = margin(Sample(row.mean_of_all, row.error_of_all, row.runs))
     if np.isnan(half):
         return ""
-    return f"{row.mean_of_all - half:.{digits}f} to {row.mean_of_all + half:.{digits}f}"
+    low = max(row.mean_of_all - half, 0.0)
+    return f"{low:.{digits}f} to {row.mean_of_all + half:.{digits}f}"
 
 
 def compare_rows(ours: Row, theirs: Row) -> Difference:
@@ -89,6 +91,11 @@ def say_difference(found: Difference) -> str:
     return f"{amount} (95 %: {found.low:+.1f} to {found.high:+.1f} %{sure})"
 
 
+def in_robots(words: str) -> str:
+    """Call agents what they are to people."""
+    return words.replace("agent", "robot")
+
+
 def answer(found: Found, subject: Subject, study: Study, rival: Rival) -> str:
     """Say what was found out of one layout."""
     row, verdict = found.row_at(subject.name), study.verdict
@@ -99,7 +106,7 @@ def answer(found: Found, subject: Subject, study: Study, rival: Rival) -> str:
     said = [
         f"{subject.name}: {VERDICTS[verdict.word]}. "
         f"With {found.agents} robots it moves {row.mean_of_all:.2f} tasks per timestep"
-        f"{about}{hour}; {verdict.reason}."
+        f"{about}{hour}; {in_robots(verdict.reason)}."
     ]
     if row.success_rate == 1:
         said.append(f"None of {row.runs} runs congested.")
@@ -138,3 +145,13 @@ def say_waiting(study: Study, half: int) -> str:
         f"Robots wait {share:.1%} of their time{where}. Waiting is a timestep without a move "
         f"anywhere but on the robot's own goal."
     )
+
+
+def say_fading(found: Found) -> list[str]:
+    """Name the cases in which a jam builds up, so that a longer run would show less."""
+    return [
+        f"{row.layout} with {row.agents} robots: a jam builds up, throughput falls by "
+        f"{row.fading:.0%} with time, and a longer run would show less."
+        for row in found.rows
+        if row.fading > FADING
+    ]
