@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import PercentFormatter, StrMethodFormatter
 
 from qdenv.plots.archive import draw_heatmap
 from qdenv.plots.figure import (
@@ -71,6 +71,8 @@ def draw_progress(groups: Sequence[Group], objective: str, width: float = PAGE) 
         axes.grid()
         if name == "coverage":
             axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.locator_params(axis="x", nbins=4)
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     panels[-1].set_ylabel(objective, fontsize=SMALL)
     for axes in panels if shape[0] == 1 else panels[-1:]:
         axes.set_xlabel("evaluations")

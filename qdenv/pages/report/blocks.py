@@ -70,12 +70,21 @@ class Section(NamedTuple):
     Attributes:
         title: its heading.
         blocks: in order.
-        fresh: begins on a new page of paper.
     """
 
     title: str
     blocks: Sequence[Text | Table | Drawing]
-    fresh: bool = False
+
+    @property
+    def lead(self) -> int:
+        """Count the first blocks that stay with the heading on paper: up to a first large one."""
+        count = 0
+        for block in self.blocks:
+            count += 1
+            beside = isinstance(block, Drawing) and block.half
+            if not (isinstance(block, Text) or beside):
+                break
+        return count
 
 
 def drawing(

@@ -115,7 +115,7 @@ def maze_report(found: list[Solved], again: str = "") -> Report:
 
 
 OTHERS = (
-    "Nobody designs mazes by hand for this agent. `qdenv evaluate-agent MAZE --random-mazes 100` "
+    "Nobody designs mazes by hand for this agent. qdenv evaluate-agent MAZE --random-mazes 100 "
     "compares one with random mazes of as many walls and a path of like length."
 )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from qdenv.pages.report.blocks import Drawing, Section, Table, Text, drawing
 from qdenv.pages.report.subjects import Subject
 from qdenv.plots.archive import draw_archive, scatter_objectives
-from qdenv.plots.figure import paper_figure, styled
+from qdenv.plots.figure import WARNING, paper_figure, styled
 from qdenv.plots.runs import draw_progress
 from qdenv.study.groups import algorithm_name, group_runs
 
@@ -23,17 +23,14 @@ def _section(subject: Subject, place: int) -> Section:
     assert run is not None and elite is not None
     config, meaning, archive = run.config, run.meaning, run.archive
     name = algorithm_name(config_name(config.algorithm))
+    what = f"It is the best of {len(archive):,} of different kinds that {name} kept."
     if run.shipped:
-        what = (
-            f"It ships with qdenv as {run.shipped.generator.name}: {run.shipped.generator.about}. The map shows the "
-            f"{len(archive)} of a search by {name} that ship."
-        )
-    else:
-        what = f"It is the best of {len(archive):,} of different kinds that {name} kept."
+        one = run.shipped.generator
+        what = f"It ships with qdenv ({one.about}), one of {len(archive)} from a search by {name}."
     blocks: list[Text | Table | Drawing] = [
         Text(
             f"{what} Each cell of the map is a kind of layout, by its measures; the colour says "
-            "how good the best of its kind is."
+            "how good the best of its kind is. The ring is around this layout."
         )
     ]
     if len(meaning.measures) <= 2:
@@ -41,6 +38,10 @@ def _section(subject: Subject, place: int) -> Section:
         columns = archive.columns
         filled = scatter_objectives(columns["index"], columns["objective"], meaning.measures)
         styled(draw_archive)(heat, filled, meaning.measures, label=meaning.objective)
+        if run.shipped:
+            heat.axes[0].set_title("")  # what ships is no measure of what was found
+        spot = [*elite.measures.values(), 0.5][:2]
+        heat.axes[0].plot(*spot, "o", markersize=9, mfc="none", mec=WARNING, clip_on=False)
         blocks.append(drawing(heat, "The archive of the search.", f"archive-{place}"))
     (group,) = group_runs([run])
     caption = "How the search went on: sum of all objectives, share of filled cells, the best."

@@ -62,13 +62,8 @@ def throughput_section(found: Found) -> Section:
     peaks = [Text(said) for one in found.asked.subjects if (said := words.say_peak(found, one))]
     figure = drawing(draw_throughput(found.rows, WIDTH), caption, "throughput-figure")
     fading = [Text(said, "faint") for said in words.say_fading(found)]
-    blocks: list[Text | Table | Drawing] = [
-        figure,
-        *peaks,
-        Table(head, rows, "throughput"),
-        *fading,
-    ]
-    return Section("Throughput against robots", blocks)
+    table = Table(head, rows, "throughput")
+    return Section("Throughput against robots", [figure, *peaks, table, *fading])
 
 
 def success_section(found: Found) -> Section:
