@@ -1,6 +1,5 @@
 """Several runs side by side: repetitions together, what differs in words, one colour scale."""
 
-import csv
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -126,9 +125,3 @@ def test_plot_draws_several_runs_into_a_folder_in_the_format_that_is_asked_for(
 def test_runs_of_different_objectives_are_not_drawn_together(runs):
     with pytest.raises(InputError, match="have different objectives"):
         group_runs([runs[0], RunDirectory.open("zoo:maze-walls/best")])
-
-
-def test_the_table_of_a_run_is_read_as_it_was_written(runs):
-    rows = list(csv.DictReader((runs[0].path / "metrics.csv").open()))
-    (group,) = group_runs(runs[:1])
-    assert [int(row["evaluations"]) for row in rows] == group.evaluations.tolist()

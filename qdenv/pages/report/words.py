@@ -57,8 +57,8 @@ def question(found: Found) -> str:
     end = "" if config.stop_when_congested else " A run goes on after it congested."
     return (
         f"How well {does} the {plans} move tasks with {found.agents} robots{peak} over "
-        f"{config.timesteps:,} timesteps{also}? Each number is {runs} ({name_seeds(asked.seeds)}); "
-        f"who plans the robots' paths: {describe_planner(config.planner)}. "
+        f"{config.timesteps:,} timesteps{also}? Each number is {runs} ({name_seeds(asked.seeds)}). "
+        f"The robots' paths are planned by: {describe_planner(config.planner)}. "
         "Throughput is the number of tasks that all robots together finish in a timestep. A run "
         f"congests when more than half of the robots stand still at once.{end}"
     )
