@@ -2,45 +2,92 @@
 
 import json
 import re
+import runpy
 from pathlib import Path
 
 import nbformat
 import pytest
-from nbconvert.preprocessors import ExecutePreprocessor
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-PICTURES = {"00_the_loop": 7, "01_python": 6, "02_environment": 2}
+STORE = runpy.run_path(str(ROOT / "notebooks" / "store.py"))
+PICTURES = {
+    "00_the_loop": 7,
+    "01_python": 6,
+    "02_environment": 2,
+    "03_archive": 4,
+    "04_floor_plan": 2,
+    "05_search": 3,
+    "06_mazes": 2,
+}
+PAGES = {"03_archive": 1, "04_floor_plan": 2, "06_mazes": 1}  # explorers, replays, reports
 LARGEST = 600_000  # bytes, with the outputs
 
 
-def pictures_of(notebook) -> int:
-    """Count the pictures in the outputs: whole ones, and those inside of HTML."""
+def count(notebook, sign: str) -> int:
+    """Count what outputs hold of something inside of their HTML."""
     outputs = [
         output.get("data", {})
         for cell in notebook.cells
         if cell.cell_type == "code"
         for output in cell.outputs
     ]
-    inside = sum(data.get("text/html", "").count("<img") for data in outputs)
-    return inside + sum("image/png" in data for data in outputs)
+    pages = [data.get("text/html", "") for data in outputs]
+    if sign == "<img":
+        framed = sum(page.count(sign) for page in pages if "<iframe" not in page)
+        return framed + sum("image/png" in data for data in outputs)
+    return sum(page.count(sign) for page in pages)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path, tmp_path):
-    notebook = nbformat.read(path, as_version=4)
-    runner = ExecutePreprocessor(timeout=600, kernel_name="python3")
-    runner.preprocess(notebook, {"metadata": {"path": str(tmp_path)}})  # raises on any error
-    assert pictures_of(notebook) >= PICTURES[path.stem]
+    notebook = STORE["execute"](nbformat.read(path, as_version=4), str(tmp_path))
+    assert count(notebook, "<img") >= PICTURES[path.stem]
+    assert count(notebook, "<iframe") == PAGES.get(path.stem, 0)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_is_stored_with_its_outputs_and_names_no_machine(path):
     text = path.read_text()
     assert len(text) < LARGEST
-    assert pictures_of(nbformat.read(path, as_version=4)) >= PICTURES[path.stem]
+    assert count(nbformat.read(path, as_version=4), "<img") >= PICTURES[path.stem]
     words = re.sub(r'"image/png": ".*?"|base64,[^"]*', "", text)
     assert not re.findall(r"/(?:tmp|home|root|work)/", words)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_installs_qdenv_the_one_way(path):
+    first = next(c for c in nbformat.read(path, as_version=4).cells if c.cell_type == "code")
+    assert first.source == STORE["INSTALL"]
+
+
+@pytest.mark.parametrize(
+    ("made", "chosen"),
+    [
+        (["qdenv-0.1.0-py3-none-any.whl"], "qdenv-0.1.0-py3-none-any.whl"),
+        (["qdenv-main.zip"], "qdenv-main.zip"),
+        (["qdenv/cli.py", "notebooks/x.ipynb"], "."),
+    ],
+)
+def test_the_install_cell_finds_a_wheel_a_zip_and_a_checkout(made, chosen, tmp_path, monkeypatch):
+    for name in made:
+        (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
+        (tmp_path / name).touch()
+    inside = tmp_path / "notebooks"
+    monkeypatch.chdir(inside if inside.exists() else tmp_path)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    asked = re.sub(r"%pip install -q (.*)", r"wanted = f\1", STORE["INSTALL"])
+    known: dict = {}
+    exec(asked, known)
+    assert known["wanted"] == f"{tmp_path / chosen}[data,viz]"
+
+
+def test_without_anything_to_install_the_cell_says_what_to_upload(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    asked = STORE["INSTALL"].replace("%pip install -q", "wanted =")
+    with pytest.raises(AssertionError, match="upload a wheel or a zip"):
+        exec(asked, {})
 
 
 def prose_of(path: Path) -> str:

@@ -2,11 +2,14 @@
 
 import base64
 import gzip
+import json
 
 import numpy as np
 import pytest
 from browser import opened
 
+from qdenv.bench.browser import find_browser
+from qdenv.bench.pages import run
 from qdenv.pages import page as pages
 from qdenv.pages.page import make_page, pack
 from qdenv.types import InputError
@@ -51,3 +54,14 @@ def test_a_missing_package_is_named_with_what_installs_it(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(InputError, match=r"pages need jinja2: pip install 'qdenv\[viz\]'"):
         pages.make_page("page", "A page")
+
+
+def test_the_benchmark_of_pages_reports_size_paint_and_frames(tmp_path):
+    if find_browser() is None:
+        pytest.skip("no Chromium on this machine (Debian: apt install chromium)")
+    page = make_page("page", "A page", facts={"long": "x" * 10_000}).save(tmp_path / "page.html")
+    (row,) = run((page,), seconds=0.3, repeats=1, json_file=tmp_path / "pages.json")
+    assert row["megabytes"] == page.stat().st_size / 1e6
+    assert row["complaints"] == [] and row["loaded_ms"] > 0
+    assert 5 < row["frames_per_second"] < 200
+    assert json.loads((tmp_path / "pages.json").read_text()) == [row]

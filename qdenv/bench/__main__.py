@@ -17,7 +17,7 @@ import tyro
 from qdenv.commands.waiting import waiting
 from qdenv.types import InputError
 
-BENCHMARKS = ("pipeline", "simulate", "repair", "search", "maze", "scale", "surrogate")
+BENCHMARKS = ("pipeline", "simulate", "repair", "search", "maze", "scale", "surrogate", "pages")
 
 
 def main() -> int:
