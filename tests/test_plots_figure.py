@@ -8,7 +8,9 @@ import pytest
 from colours import CONES, nearest
 from matplotlib.axis import Axis
 from matplotlib.text import Text
+from small_warehouse import ROWS
 
+from qdenv.cli import run
 from qdenv.plots.figure import (
     PALETTE,
     WARNING,
@@ -180,3 +182,15 @@ def test_lines_are_told_apart_by_every_eye(cones):
     """Seven times what is just noticeable; markers differ, too."""
     assert nearest(PALETTE, cones) > 16
     assert nearest([LINE, WARNING], cones) > 90
+
+
+def test_commands_draw_at_the_width_that_is_asked_for(tmp_path):
+    plan = tmp_path / "plan.txt"
+    plan.write_text("\n".join(ROWS))
+    quick = ["--planner", "pibt", "--timesteps", "40", "--seeds", "2", "--agents", "4"]
+    for command, more in (("simulate", ["--no-verdict"]), ("sweep", []), ("scalability", [])):
+        out = [] if command == "simulate" else ["--out", str(tmp_path / f"{command}.csv")]
+        picture = tmp_path / f"{command}.svg"
+        line = [command, str(plan), *quick, *more, *out, "--plot", str(picture)]
+        assert run([*line, "--width", "column"]) == 0
+        assert 'width="252pt"' in picture.read_text(), command  # 3.5 inches
