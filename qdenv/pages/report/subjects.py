@@ -17,6 +17,7 @@ from qdenv.types import InputError
 from qdenv.zoo.shipped import PREFIX, file_name
 
 HAND_MADE = "hand-made"
+SHOWN = "At the right is what people draw by hand at this size."
 
 
 class Subject(NamedTuple):
@@ -148,10 +149,10 @@ def _compared(subject: Subject, theirs: Mapping[str, int]) -> str:
     own = subject.numbers
     if own == theirs:
         alike = ", ".join(f"{number} {name}" for name, number in own.items())
-        return f"Both hold as many: {alike}."
+        return f"{SHOWN} Both hold {alike}."
     others = [
         f"{theirs[name]} {name} where this one has {own[name]}"
         for name in own
         if own[name] != theirs[name]
     ]
-    return f"It holds {', '.join(others)}: the design leaves no choice of that."
+    return f"{SHOWN} It holds {', '.join(others)}: the design leaves no choice of that."

@@ -17,7 +17,7 @@ from qdenv.study.traffic import Study
 VERDICTS = {
     "flows": "The floor plan takes this many robots with ease",
     "near capacity": "The floor plan is near its capacity",
-    "past its peak": "There are too many robots for this floor plan: fewer would move more",
+    "past its peak": "This many robots are past the peak of the floor plan",
     "congested": "The floor plan jams with this many robots",
 }
 
