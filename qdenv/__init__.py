@@ -39,6 +39,7 @@ _HOMES = {
     "check": ("qdenv.api.layouts", "check"),
     "compare": ("qdenv.api.layouts", "compare"),
     "render": ("qdenv.api.layouts", "render"),
+    "replay": ("qdenv.api.pages", "replay"),
     "make_environment": ("qdenv.api.layouts", "make_environment"),
     "read_plan": ("qdenv.api.plans", "read_plan"),
     "Layout": ("qdenv.api.results", "Layout"),

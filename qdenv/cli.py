@@ -30,6 +30,7 @@ COMMANDS = {
     "render": "qdenv.commands.drawings:render",
     "check": "qdenv.commands.layouts:check",
     "simulate": "qdenv.commands.simulate:simulate",
+    "replay": "qdenv.commands.replay:replay",
     "repair": "qdenv.commands.layouts:repair",
     "compare": "qdenv.commands.traffic:compare",
     "sweep": "qdenv.commands.traffic:sweep",
@@ -139,18 +140,19 @@ def _complain(mistake: object) -> int:
 
 
 def with_values(arguments: list[str]) -> list[str]:
-    """Give `--plot` without a value one: the picture's name is then chosen by the command."""
+    """Give `--plot` and its like without a value one: the command then names the picture."""
     whole: list[str] = []
     for word, following in zip(arguments, [*arguments[1:], "-"], strict=True):
         whole.append(word)
         # A layout may follow that is no picture: `simulate --plot plan.txt`.
-        if word == "--plot" and (following.startswith("-") or not _names_picture(following)):
+        drawn = word in ("--plot", "--gif", "--mp4")
+        if drawn and (following.startswith("-") or not _names_picture(following)):
             whole.append(AUTO)
     return whole
 
 
 def _names_picture(word: str) -> bool:
-    endings = (".png", ".svg", ".pdf", ".gif", ".jpg", ".jpeg", ".webp", ".tif", ".bmp")
+    endings = (".png", ".svg", ".pdf", ".gif", ".mp4", ".jpg", ".jpeg", ".webp", ".tif", ".bmp")
     return word == AUTO or Path(word).suffix.lower() in endings  # some are refused, with a reason
 
 

@@ -47,7 +47,7 @@ ALLOWED = {
     "study": BASE
     | STAGES
     | PLUGS
-    | {"domains", "pipeline", "settings", "formats", "surrogate", "training"},
+    | {"agent", "domains", "pipeline", "settings", "formats", "surrogate", "training"},
     "api": BASE
     | STAGES
     | PLUGS
@@ -61,6 +61,7 @@ ALLOWED = {
         "study.jams",
         "study.differences",
         "study.groups",
+        "study.motion",
         "study.plans",
         "study.traffic",
         "domains.base",

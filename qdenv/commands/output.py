@@ -14,7 +14,7 @@ from qdenv.files import tidy, write_json
 from qdenv.types import InputError
 
 PICTURES = (".png", ".svg", ".pdf")
-MOVING_PICTURES = (".gif",)
+MOVING_PICTURES = (".gif", ".mp4")
 
 # How a command takes `--json FILE`; "-" is standard output, where nothing else is written then.
 JsonFile = Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")]

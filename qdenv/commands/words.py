@@ -23,7 +23,12 @@ Picture = Annotated[Path | None, tyro.conf.arg(metavar="[FILE]")]
 Width = Annotated[str | None, tyro.conf.arg(metavar="{column,page,INCHES}")]
 
 
-def place_picture(plot: Path | None, default: str, inputs: Iterable[Path]) -> output.Place | None:
+def place_picture(
+    plot: Path | None,
+    default: str,
+    inputs: Iterable[Path],
+    endings: Iterable[str] = output.PICTURES,
+) -> output.Place | None:
     """Choose where a picture goes; None where none is asked for.
 
     Raises:
@@ -31,7 +36,7 @@ def place_picture(plot: Path | None, default: str, inputs: Iterable[Path]) -> ou
     """
     if plot is None:
         return None
-    return output.place(None if plot == AUTO else plot, default, output.PICTURES, inputs)
+    return output.place(None if plot == AUTO else plot, default, endings, inputs)
 
 
 def inches(width: str | None, pictured: bool = True) -> dict[str, float]:

@@ -11,7 +11,7 @@ import gzip
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
+from importlib import resources, util
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +103,20 @@ def pack(content: np.ndarray | bytes) -> str:
     """Turn bytes or an array (row-major, in its own byte order) into gzip in base64."""
     raw = content if isinstance(content, bytes) else np.ascontiguousarray(content).tobytes()
     return base64.b64encode(gzip.compress(raw, LEVEL, mtime=0)).decode()
+
+
+def demand(what: str, package: str) -> None:
+    """Refuse before any work what a package of the extra `viz` is needed for.
+
+    Args:
+        what: in the plural, like "pages".
+        package: as pip knows it.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    if util.find_spec(package.replace("-", "_")) is None:
+        raise missing(what, package)
 
 
 def missing(what: str, package: str) -> InputError:
