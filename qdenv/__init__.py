@@ -54,6 +54,7 @@ _HOMES = {
     "make_iteration": ("qdenv.training.loop", "make_iteration"),
     "make_pipeline": ("qdenv.pipeline", "make_pipeline"),
     "plot_run": ("qdenv.plots.run", "plot_run"),
+    "report": ("qdenv.api.pages", "report"),
     "read_layout": ("qdenv.formats.layouts", "read_layout"),
     "repair_layout": ("qdenv.repair.recipe", "repair"),
     "resume": ("qdenv.training.loop", "resume"),

@@ -1,9 +1,10 @@
-"""Functions that return pages: shown in a notebook, saved as one file."""
+"""Functions that make pages to look at and to send: they show themselves in a notebook."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
 from qdenv.api.plans import Source, read_plan
 from qdenv.training.records import RunDirectory
@@ -11,7 +12,65 @@ from qdenv.types import InputError
 
 if TYPE_CHECKING:
     from qdenv.pages.page import Page
+    from qdenv.pages.report.subjects import Subject
     from qdenv.study.options import Driving
+
+# A run, its folder or its name in the zoo, or a layout as `read_plan` takes it.
+Reported: TypeAlias = "RunDirectory | Source"
+
+
+def report(
+    layouts_or_run: Reported | Sequence[Reported],
+    agents: int | Sequence[int] | None = None,
+    domain: str | None = None,
+    timesteps: int | None = None,
+    seeds: int | str | Sequence[int] = 10,
+    seconds_per_step: float | None = None,
+    **driving: Unpack[Driving],
+) -> Page:
+    """Make a page to send to somebody: what layouts move, where robots wait, how sure that is.
+
+    Args:
+        layouts_or_run: a layout as `read_plan` takes it, a run or the name of one, whose best
+            layout is reported on; or a list of them.
+        agents: one number, around which others are chosen; or several, in place of those; as in
+            `simulate` unless given.
+        domain: whose tasks the agents do.
+        timesteps: horizon T; as in `simulate` unless given.
+        seeds: how many runs, or a list of their seeds.
+        seconds_per_step: of a timestep, to report tasks per hour, too.
+        **driving: effort, planner and stop, as in `simulate`.
+
+    Raises:
+        InputError: something cannot be read, a fleet cannot work there, or a package is missing.
+    """
+    from qdenv.pages.report.subjects import distinct
+
+    given: Sequence[Any] = (
+        layouts_or_run if isinstance(layouts_or_run, list | tuple) else [layouts_or_run]
+    )
+    subjects = distinct([_subject(one, domain) for one in given])
+    counts = (agents,) if isinstance(agents, int) else tuple(agents or ())
+    if subjects[0].plan.domain.simulator.tasks is None:
+        if counts:
+            raise InputError("no fleet drives in mazes: leave agents out")
+        from qdenv.pages.report.mazes import maze_report, solve
+
+        return maze_report(solve(subjects, timesteps)).page
+    from qdenv.pages.report.build import fleet_report
+    from qdenv.pages.report.fleet import ask, study
+    from qdenv.study.options import make_fleet, parse_seeds
+
+    listed = seeds if isinstance(seeds, int | str) else ",".join(map(str, seeds)) + ","
+    asked = ask(
+        subjects,
+        counts,
+        timesteps,
+        lambda agents, timesteps: make_fleet(agents, timesteps, **driving),
+        parse_seeds(listed),
+    )
+    per_hour = 3600 / seconds_per_step if seconds_per_step else None
+    return fleet_report(study(asked._replace(per_hour=per_hour))).page
 
 
 def explore(run: RunDirectory | str | Path, growth: int | None = None) -> Page:
@@ -72,3 +131,15 @@ def replay(
     config = make_fleet(usual.agents, usual.timesteps, **driving)
     motion, traffic = record_fleet(plan, config, seed)
     return make_replay(plan, motion, traffic, about_fleet(plan, config, seed, motion, traffic))
+
+
+def _subject(source: Reported, domain: str | None) -> Subject:
+    from qdenv.pages.report.subjects import Subject, is_run, subject_of_run
+
+    if isinstance(source, RunDirectory):
+        return subject_of_run(source)
+    if isinstance(source, str | Path) and is_run(source):
+        return subject_of_run(RunDirectory.open(source))
+    plan = read_plan(source, domain)
+    name = str(source) if isinstance(source, str | Path) else plan.name
+    return Subject(plan.name, name, plan)

@@ -33,6 +33,7 @@ def names_of(registry: Registry) -> str:
 LayoutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT")]
 LayoutFiles = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT ...")]
 RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+RunFolders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...")]
 
 # How a command takes the name of a domain that a layout file may say itself.
 DomainName = Annotated[str | None, tyro.conf.arg(metavar=names_of(DOMAINS))]
@@ -68,9 +69,17 @@ class RunOptions:
         Raises:
             InputError: they make none.
         """
+        return self.fleet_for(agents, TIMESTEPS if self.timesteps is None else self.timesteps)
+
+    def fleet_for(self, agents: int, timesteps: int) -> FleetConfig:
+        """Make the numbers of a simulation, with a horizon of this command line's or another.
+
+        Raises:
+            InputError: they make none.
+        """
         return FleetConfig(
             agents,
-            TIMESTEPS if self.timesteps is None else self.timesteps,
+            timesteps,
             planner=self.planner_settings,
             stop_when_congested=self.stop,
         )

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from qdenv.files import write_atomically
+from qdenv.files import tidy, write_atomically
 from qdenv.types import InputError
 
 HEIGHT = 760  # pixels of a page inside of a notebook
@@ -69,7 +69,7 @@ def make_page(
         template: name of a file in `templates` without its ending; it extends ``page.html``.
         title: of the browser's window.
         scripts: names of files in `scripts` without their endings, in order, after ``page``.
-        facts: JSON-ready; scripts read them as ``facts``.
+        facts: JSON-ready values, or numpy's, see `files.tidy`; scripts read them as ``facts``.
         packed: arrays and bytes by name; scripts await ``unpack(name)``. Text is what `pack` made.
         **words: whatever the template itself asks for.
 
@@ -92,7 +92,7 @@ def make_page(
         title=title,
         style=(home / "templates" / "page.css").read_text(),
         scripts=[(home / "scripts" / f"{name}.js").read_text() for name in ("page", *scripts)],
-        facts=facts or {},
+        facts=tidy(facts or {}),
         packed={name: pack(content) for name, content in (packed or {}).items()},
         **words,
     )
