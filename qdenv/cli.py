@@ -3,7 +3,6 @@
 A command is imported when it is chosen: help is read in less time than jax takes to load.
 """
 
-import ast
 import contextlib
 import functools
 import importlib
@@ -13,7 +12,7 @@ import itertools
 import os
 import sys
 from collections.abc import Callable
-from importlib import metadata, util
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -22,35 +21,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tyro
 
+from qdenv.commands.catalogue import COMMANDS, summary_of
 from qdenv.commands.mistakes import one_line, unknown_command
 from qdenv.interrupt import EXIT_CODE, last_words
 
-# Name -> ``module:function``, in the order of help: plans, studies, searches, mazes.
-COMMANDS = {
-    "render": "qdenv.commands.drawings:render",
-    "check": "qdenv.commands.layouts:check",
-    "simulate": "qdenv.commands.simulate:simulate",
-    "repair": "qdenv.commands.layouts:repair",
-    "compare": "qdenv.commands.traffic:compare",
-    "sweep": "qdenv.commands.traffic:sweep",
-    "scalability": "qdenv.commands.traffic:scalability",
-    "layout human": "qdenv.commands.sizes:layout_human",
-    "layout tile": "qdenv.commands.sizes:layout_tile",
-    "layout symbols": "qdenv.commands.drawings:layout_symbols",
-    "zoo": "qdenv.commands.zoo:zoo",
-    "presets": "qdenv.commands.presets:presets",
-    "train": "qdenv.commands.train:train",
-    "resume": "qdenv.commands.runs:resume",
-    "plot": "qdenv.commands.runs:plot",
-    "generate": "qdenv.commands.runs:generate",
-    "series": "qdenv.commands.sizes:series",
-    "export": "qdenv.commands.export:export",
-    "surrogate": "qdenv.commands.surrogate:surrogate",
-    "train-agent": "qdenv.commands.mazes:train_agent",
-    "evaluate-agent": "qdenv.commands.episodes:evaluate_agent",
-    "convert-agent": "qdenv.commands.mazes:convert_agent",
-    "completion": "qdenv.commands.completion:completion",
-}
 AUTO = "auto"  # the value of an option like --plot that was given none
 
 
@@ -138,18 +112,19 @@ def _complain(mistake: object) -> int:
 
 
 def with_values(arguments: list[str]) -> list[str]:
-    """Give `--plot` without a value one: the picture's name is then chosen by the command."""
+    """Give `--plot` and its like without a value one: the command then names the picture."""
     whole: list[str] = []
     for word, following in zip(arguments, [*arguments[1:], "-"], strict=True):
         whole.append(word)
         # A layout may follow that is no picture: `simulate --plot plan.txt`.
-        if word == "--plot" and (following.startswith("-") or not _names_picture(following)):
+        drawn = word in ("--plot", "--gif", "--mp4")
+        if drawn and (following.startswith("-") or not _names_picture(following)):
             whole.append(AUTO)
     return whole
 
 
 def _names_picture(word: str) -> bool:
-    endings = (".png", ".svg", ".pdf", ".gif", ".jpg", ".jpeg", ".webp", ".tif", ".bmp")
+    endings = (".png", ".svg", ".pdf", ".gif", ".mp4", ".jpg", ".jpeg", ".webp", ".tif", ".bmp")
     return word == AUTO or Path(word).suffix.lower() in endings  # some are refused, with a reason
 
 
@@ -208,27 +183,6 @@ def _loaded(command: str, given: list[str]) -> Callable:
     module = importlib.import_module(name)
     bind: Callable[[Callable, list[str]], Callable] = getattr(module, "bind", choices.bind)
     return bind(getattr(module, function), given)
-
-
-def summary_of(command: str) -> Callable[[], None]:
-    """Make a function that stands in for a command in help: the same docstring, no options.
-
-    The docstring is read from the source: importing a command would take its seconds.
-    """
-    module, _, name = COMMANDS[command].partition(":")
-    spec = util.find_spec(module)
-    assert spec is not None and spec.origin is not None
-    (node,) = (
-        node
-        for node in ast.parse(Path(spec.origin).read_text()).body
-        if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == name
-    )
-
-    def summary() -> None:
-        return None
-
-    summary.__doc__ = (ast.get_docstring(node) or "").partition("\n")[0]
-    return summary
 
 
 def main() -> None:

@@ -6,12 +6,16 @@ import io
 import json
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
+
 from qdenv.interrupt import unfinished
 from qdenv.types import InputError
+
+DIGITS = 6  # significant ones of a number in a file: single precision holds no more
 
 
 def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) -> None:
@@ -90,3 +94,18 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) 
 # mkstemp makes private files; results are ordinary ones. The mask can only be read by setting it.
 _UMASK = os.umask(0)
 os.umask(_UMASK)
+
+
+def tidy(value: Any) -> Any:
+    """Turn values into JSON's: numpy's to Python's, six digits, null for what is no number."""
+    if isinstance(value, Mapping):
+        return {str(name): tidy(one) for name, one in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [tidy(one) for one in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
+    return value if isinstance(value, str | None) else str(value)

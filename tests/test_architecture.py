@@ -47,7 +47,7 @@ ALLOWED = {
     "study": BASE
     | STAGES
     | PLUGS
-    | {"domains", "pipeline", "settings", "formats", "surrogate", "training"},
+    | {"agent", "domains", "pipeline", "settings", "formats", "surrogate", "training"},
     "api": BASE
     | STAGES
     | PLUGS
@@ -60,9 +60,16 @@ ALLOWED = {
         "study.table",
         "study.jams",
         "study.differences",
+        "study.groups",
+        "study.motion",
+        "study.plans",
+        "study.traffic",
         "domains.base",
     },
-    "pages": BASE | STAGES | PLUGS | {"domains", "formats", "plots", "study", "training", "zoo"},
+    "pages": BASE
+    | STAGES
+    | PLUGS
+    | {"agent", "domains", "formats", "plots", "search.registry", "study", "training", "zoo"},
     "commands": BASE
     | STAGES
     | PLUGS

@@ -58,6 +58,7 @@ print("loaded:", *({{"jax", "numba", "numpy", "matplotlib", "qdax", "scipy"}} & 
         (["train", "quick", "--shelves", "1000"], "1000 '@'", {"numpy"}),
         (["check", "nowhere.json"], "cannot be read", {"numpy"}),
         (["simulate", "nowhere.json"], "cannot be read", {"numpy"}),
+        (["replay", "nowhere.json"], "cannot be read", {"numpy"}),
         (["repair", "nowhere.json"], "cannot be read", {"numpy"}),
         (["render", "nowhere.json"], "cannot be read", {"numpy"}),
         (["layout", "symbols"], "workstation", {"numpy"}),

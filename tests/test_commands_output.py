@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from qdenv.commands.output import PICTURES, Place, place, tidy, words_aside, write_facts
+from qdenv.commands.output import PICTURES, Place, place, words_aside, write_facts
+from qdenv.files import tidy
 from qdenv.types import InputError
 
 

@@ -1,10 +1,9 @@
 """Pictures of layouts: the right colour in the right place, nothing left behind."""
 
-import itertools
-
 import matplotlib
 import numpy as np
 import pytest
+from colours import CONES, nearest
 from matplotlib._pylab_helpers import Gcf
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
@@ -70,34 +69,8 @@ def test_a_series_has_a_panel_per_number_of_steps_and_at_most_six_in_a_row(tmp_p
         assert imread(path).shape[:2] == (int(150 * height * down), int(150 * 2.9 * across))
 
 
-# Colours as people without one kind of cone see them, in linear light (Machado, Oliveira and
-# Fernandes 2009, severity 1).
-CONES = {
-    "all": np.eye(3),
-    "no red": [(0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216),
-               (-0.003882, -0.048116, 1.051998)],
-    "no green": [(0.367322, 0.860646, -0.227968), (0.280085, 0.672501, 0.047413),
-                 (-0.011820, 0.042940, 0.968881)],
-    "no blue": [(1.255528, -0.076749, -0.178779), (-0.078411, 0.930809, 0.147602),
-                (0.004733, 0.691367, 0.303900)],
-}  # fmt: skip
-XYZ = np.array([(0.4124, 0.3576, 0.1805), (0.2126, 0.7152, 0.0722), (0.0193, 0.1192, 0.9505)])
-
-
-def lab(colour, cones):
-    """Turn a colour as these cones see it into CIE L*a*b* (white is that of sRGB)."""
-    share = np.array(to_rgb(colour))
-    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    seen = np.clip(np.array(CONES[cones]) @ light, 0, 1)
-    x, y, z = np.cbrt(XYZ @ seen / (XYZ @ np.ones(3)))
-    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
-
-
 @pytest.mark.parametrize("cones", CONES)
 @pytest.mark.parametrize("tiles", [".@ew", ".012e", " X"])
 def test_tiles_of_a_domain_are_told_apart_by_every_eye(tiles, cones):
     """A distance of 2.3 is just noticeable; ten times that is told apart at a glance."""
-    seen = [lab(COLOURS[tile], cones) for tile in tiles]
-    pairs = itertools.combinations(range(len(tiles)), 2)
-    nearest = min(float(np.linalg.norm(seen[i] - seen[j])) for i, j in pairs)
-    assert nearest > 23
+    assert nearest([COLOURS[tile] for tile in tiles], cones) > 23

@@ -83,6 +83,6 @@ def test_pictures_are_written_in_the_format_of_their_ending(tmp_path, ending):
     rows = [row("a", 50, 2.0), row("a", 100, 3.0)]
     save_comparison(tmp_path / f"c.{ending}", rows)
     save_peaks(tmp_path / f"p.{ending}", rows, [Peak("a", 9, 12, 100, 2.9, 1.0, True)])
-    assert imread(tmp_path / f"c.{ending}").shape[:2] == (825, 1050)
-    assert imread(tmp_path / f"p.{ending}").shape[:2] == (675, 1650)
+    assert imread(tmp_path / f"c.{ending}").shape[:2] == (1045, 1584)
+    assert imread(tmp_path / f"p.{ending}").shape[:2] == (760, 1584)
     assert len(list(tmp_path.iterdir())) == 2

@@ -40,11 +40,15 @@ def test_maps_lie_over_the_walls_and_leave_calm_cells_blank(scene):
 
 
 def test_colour_bars_say_what_they_show_in_which_unit(scene):
-    labels = [one.get_ylabel() for one in draw_traffic(scene).axes]
-    assert "time in which one waits here [% of all time]" in labels
-    assert "time in which one is here [% of all time]" in labels
-    assert "tasks per timestep here [all cells: 1.50]" in labels
-    assert "throughput [tasks / timestep]" in labels
+    every = draw_traffic(scene).axes
+    labels = [bar.get_ylabel() for one in every for bar in one.child_axes]
+    assert labels == [
+        "share of time in which one waits here",
+        "share of time in which one is here",
+        "tasks per timestep here",
+    ]
+    assert every[2].get_title() == "where tasks are finished: 1.50 a timestep"
+    assert every[3].get_ylabel() == "throughput [tasks / timestep]"
 
 
 def test_the_worst_cells_bear_their_rank(scene):
@@ -55,7 +59,7 @@ def test_the_worst_cells_bear_their_rank(scene):
 
 
 def test_throughput_over_time_has_a_band_and_marks_jams(scene):
-    time = panels(scene)["throughput over time"]
+    time = panels(scene)["finished tasks over time"]
     values, edges, _ = time.patches[0].get_data()
     assert values.tolist() == [1, 2] and edges.tolist() == [0, 50, 100]
     band = time.collections[0].get_paths()[0].vertices

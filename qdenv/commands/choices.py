@@ -33,6 +33,7 @@ def names_of(registry: Registry) -> str:
 LayoutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT")]
 LayoutFiles = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT ...")]
 RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+RunFolders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...")]
 
 # How a command takes the name of a domain that a layout file may say itself.
 DomainName = Annotated[str | None, tyro.conf.arg(metavar=names_of(DOMAINS))]
@@ -42,29 +43,25 @@ Effort = Annotated[str | None, tyro.conf.arg(metavar="{low,high}")]
 
 
 @dataclasses.dataclass(frozen=True)
-class FleetOptions:
-    """Who drives on a layout, for how long, and how often.
+class RunOptions:
+    """Who drives on a layout, and for how long.
 
     Attributes:
         domain: whose tasks the agents do; what the layout file says unless given.
         timesteps: how long to simulate; 1000, or what is known of the layout's size, unless given.
-        seeds: 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one.
         effort: of the negotiated planner: low for a quick look, high, for numbers to report,
             unless given.
         planner: who plans, with the defaults below.
         planner_settings: of the chosen planner.
         stop: end a run at its first congested window, as published; --no-stop goes on (Figure 17).
-        seconds_per_step: of one timestep, to report tasks per hour, too.
     """
 
     domain: DomainName = None
     timesteps: int | None = None
-    seeds: tuple[str, ...] = ("10",)
     effort: Effort = None
     planner: Annotated[str, tyro.conf.arg(metavar=names_of(PLANNERS))] = OWN
     planner_settings: Annotated[Any, tyro.conf.arg(name="")] = HIGH
     stop: bool = True
-    seconds_per_step: float | None = None
 
     def fleet(self, agents: int) -> FleetConfig:
         """Make the numbers of a simulation.
@@ -72,15 +69,37 @@ class FleetOptions:
         Raises:
             InputError: they make none.
         """
+        return self.fleet_for(agents, TIMESTEPS if self.timesteps is None else self.timesteps)
+
+    def fleet_for(self, agents: int, timesteps: int) -> FleetConfig:
+        """Make the numbers of a simulation, with a horizon of this command line's or another.
+
+        Raises:
+            InputError: they make none.
+        """
         return FleetConfig(
             agents,
-            TIMESTEPS if self.timesteps is None else self.timesteps,
+            timesteps,
             planner=self.planner_settings,
             stop_when_congested=self.stop,
         )
 
 
+@dataclasses.dataclass(frozen=True)
+class FleetOptions(RunOptions):
+    """Who drives on a layout, for how long, and how often.
+
+    Attributes:
+        seeds: 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one.
+        seconds_per_step: of one timestep, to report tasks per hour, too.
+    """
+
+    seeds: tuple[str, ...] = ("10",)
+    seconds_per_step: float | None = None
+
+
 # How a command takes them: without a prefix of their own.
+OneRun = Annotated[RunOptions, tyro.conf.arg(name="")]
 Options = Annotated[FleetOptions, tyro.conf.arg(name="")]
 
 
@@ -111,11 +130,15 @@ def bind(command: Callable, arguments: Sequence[str]) -> Callable:
     hints = get_type_hints(command, include_extras=True)
     defaults: dict[str, Any] = {}
     if "options" in signature.parameters:
-        defaults["options"] = FleetOptions(planner_settings=stated_planner(arguments, "high"))
+        kind: type[RunOptions] = get_type_hints(command)["options"]
+        defaults["options"] = kind(planner_settings=stated_planner(arguments, "high"))
     if "numbers" in signature.parameters:
         many = get_type_hints(command)["numbers"] is ManyNumbers
-        kind = _numbers_of(domain_of(arguments), tuple[int, ...] if many else int | None)
-        defaults["numbers"], hints["numbers"] = kind(), Annotated[kind, tyro.conf.arg(name="")]
+        numbers = _numbers_of(domain_of(arguments), tuple[int, ...] if many else int | None)
+        defaults["numbers"], hints["numbers"] = (
+            numbers(),
+            Annotated[numbers, tyro.conf.arg(name="")],
+        )
     if not defaults:
         return command
 

@@ -10,8 +10,9 @@ import numpy as np
 import tyro
 
 from qdenv.commands.choices import LayoutFile
-from qdenv.commands.output import MOVING_PICTURES, JsonFile, place, write_facts
+from qdenv.commands.output import JsonFile, place, write_facts
 from qdenv.commands.waiting import waiting
+from qdenv.commands.words import Picture, place_picture
 from qdenv.files import write_csv
 from qdenv.formats.layouts import write_layout
 from qdenv.study.plans import Plan, read_plan
@@ -99,7 +100,7 @@ def evaluate_agent(
     layout: LayoutFile,
     episodes: Annotated[Episodes, tyro.conf.arg(name="")] = Episodes(),
     baseline: Annotated[Baseline, tyro.conf.arg(name="")] = Baseline(),
-    gif: Path | None = None,
+    gif: Picture = None,
     json_file: JsonFile = None,
 ) -> None:
     """Let the agent solve a maze many times: success rate with its 95 % interval.
@@ -116,7 +117,7 @@ def evaluate_agent(
         raise InputError(f"{layout}: a layout of {plan.domain.name}, the agent walks in mazes")
     if baseline.random_mazes and episodes.reference_batching:
         raise InputError("--reference-batching is for one maze: leave --random-mazes out")
-    picture = place(gif, "episode.gif", MOVING_PICTURES, [layout]) if gif else None
+    picture = place_picture(gif, "episode.gif", [layout], (".gif",))
     places = Places(baseline.out, layout) if baseline.random_mazes else None
     # Only now: what is above answers at once, and these import jax.
     from qdenv.agent.evaluate import default_horizon

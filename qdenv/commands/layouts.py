@@ -11,6 +11,7 @@ from qdenv.commands import output
 from qdenv.commands.choices import DomainName, LayoutFile, Numbers
 from qdenv.commands.waiting import waiting
 from qdenv.domains.base import Domain
+from qdenv.files import tidy
 from qdenv.formats.layouts import endings_for, write_layout
 from qdenv.repair.audit import Violation, audit, check_allowed
 from qdenv.repair.bounds import impossible
@@ -70,7 +71,7 @@ def repair(
         result = repair_layout(plan.layout, rules, seed, RepairConfig(polish=polish), bar)
     after = np.asarray(result.layout)
     facts, changes = facts_of(plan, result, rules), list_changes(plan.layout, after, kind)
-    print("\n".join(f"{name:13} {value}" for name, value in output.tidy(facts).items()))
+    print("\n".join(f"{name:13} {value}" for name, value in tidy(facts).items()))
     settings = {"layout": layout, "domain": kind.name, "keep": keep, "seed": seed, "polish": polish}
     listed = {"changes": [change._asdict() for change in changes]}
     output.write_facts(

@@ -8,15 +8,13 @@ from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TextIO
 
-import numpy as np
 import tyro
 
-from qdenv.files import write_json
+from qdenv.files import tidy, write_json
 from qdenv.types import InputError
 
 PICTURES = (".png", ".svg", ".pdf")
-MOVING_PICTURES = (".gif",)
-DIGITS = 6  # significant ones of a number in a file: single precision holds no more
+MOVING_PICTURES = (".gif", ".mp4")
 
 # How a command takes `--json FILE`; "-" is standard output, where nothing else is written then.
 JsonFile = Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")]
@@ -111,21 +109,6 @@ def write_facts(path: Path | None, command: str, facts: Mapping[str, Any], **set
         target = place(path, "facts.json")
         write_json(target.path, content)
         print(target)
-
-
-def tidy(value: Any) -> Any:
-    """Turn values into JSON's: numpy's to Python's, six digits, null for what is no number."""
-    if isinstance(value, Mapping):
-        return {str(name): tidy(one) for name, one in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [tidy(one) for one in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
-    return value if isinstance(value, str | None) else str(value)
 
 
 _answers: TextIO | None = None  # standard output, while words go elsewhere

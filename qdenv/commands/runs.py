@@ -1,4 +1,4 @@
-"""Commands about runs: resume, plot, generate."""
+"""Commands about runs: resume, generate."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from qdenv.commands import output
 from qdenv.commands.choices import Numbers, RunFolder
 from qdenv.commands.mazes import is_agent_run, resume_agent
 from qdenv.commands.output import JsonFile, place, write_facts
+from qdenv.commands.plot import report
 from qdenv.commands.waiting import waiting
 from qdenv.formats.drawings import check_size
 from qdenv.formats.layouts import endings_for, write_layout
 from qdenv.training.executors.choosing import Execution
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus
-from qdenv.zoo.shipped import file_name
 
 if TYPE_CHECKING:
     from qdenv.domains.base import Domain
@@ -54,36 +53,6 @@ def resume(
     from qdenv.training import loop  # imports both compilers
 
     report(loop.resume(run_dir, progress, evaluations, execution))
-
-
-def plot(run_dir: RunFolder, out: Path | None = None) -> None:
-    """Draw a run's archive and best layout again.
-
-    Args:
-        run_dir: folder of the run.
-        out: folder for the pictures; the run's own unless given, for generators of the zoo one
-            named after them.
-    """
-    run = RunDirectory.open(run_dir)
-    folder = output.place(None, file_name(run_dir)).path if out is None and run.shipped else out
-    if folder is not None and folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: that is a file: name a folder")
-    report(run, folder)
-
-
-def report(run: RunDirectory, folder: Path | None = None) -> None:
-    """Draw a run's pictures, into its own folder unless another is given, and say where."""
-    rows = run.read_metrics()
-    if not rows:
-        raise InputError(f"{run}: nothing is done yet; `qdenv resume {run}` begins")
-    from qdenv.plots.run import plot_run
-
-    pictures, last = plot_run(run, folder), rows[-1]
-    print(
-        f"QD-score {last.qd_score:.2f}, coverage {last.coverage:.1%}, best objective "
-        f"{last.best_objective:.3f} after {last.evaluations} evaluations in {last.seconds:.0f} s"
-    )
-    print("\n".join(str(picture) for picture in pictures))
 
 
 @dataclass(frozen=True)

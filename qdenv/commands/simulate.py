@@ -29,6 +29,7 @@ def simulate(
     audit: bool = True,
     verdict: bool = True,
     plot: words.Picture = None,
+    width: words.Width = None,
     json_file: output.JsonFile = None,
 ) -> None:
     """Simulate a fleet on a layout: its throughput, where it jams, whether more agents would help.
@@ -41,8 +42,10 @@ def simulate(
         verdict: simulate a few runs with fewer and with more agents, too, to tell whether this
             number flows, is near capacity, past its peak or congested.
         plot: picture of where agents wait, drive and finish tasks, and of throughput over time.
+        width: of the picture: column or page of a journal, or inches; 10 inches unless given.
         json_file: where to write the numbers; - is standard output.
     """
+    size = words.inches(width, plot is not None)
     picture = words.place_picture(plot, f"{layout.stem}_traffic.png", [layout])
     per_hour, seeds = words.steps_per_hour(options), parse_seeds(options.seeds)
     plan = read_plan(layout, options.domain)
@@ -76,7 +79,7 @@ def simulate(
         print(f"verdict      {facts['verdict']}: {facts['verdict_reason']}")
     print_jams(facts, plan)
     if picture is not None:
-        draw(picture.path, plan, study, facts)
+        draw(picture.path, plan, study, facts, size)
         print(picture)
     output.write_facts(json_file, "simulate", facts, **words.settings_of(options, seeds))
 
@@ -131,24 +134,14 @@ def print_jams(facts: dict[str, Any], plan: Plan) -> None:
         )
 
 
-def draw(path: Path, plan: Plan, study: Study, facts: dict[str, Any]) -> None:
+def draw(
+    path: Path, plan: Plan, study: Study, facts: dict[str, Any], size: dict[str, float]
+) -> None:
     """Draw the traffic of a study."""
     # Only here: matplotlib takes half a second to import.
-    from qdenv.plots.traffic import Scene, save_traffic
-    from qdenv.study.jams import throughput_over_time, worst_cells
+    from qdenv.plots.figure import name_of
+    from qdenv.plots.traffic import save_traffic, scene_of
 
-    assert study.maps is not None
-    runs, tasks = study.done.runs, plan.domain.simulator.tasks
-    assert tasks is not None
-    words = f": {facts['verdict']}, {facts['verdict_reason']}" if "verdict" in facts else ""
-    scene = Scene(
-        free=np.asarray(of_tiles(plan.layout, tasks.traversable, tasks.tiles)),
-        maps=study.maps,
-        worst=worst_cells(plan.layout, study.maps),
-        over_time=throughput_over_time(runs),
-        jams=[int(run.congested_at) for run in runs if run.congested],
-        title=f"{plan.name}, {facts['agents']} agents{words}",
-        runs=len(runs),
-        stop=facts["stop"],
-    )
-    save_traffic(path, scene)
+    verdict = f": {facts['verdict']}, {facts['verdict_reason']}" if "verdict" in facts else ""
+    title = f"{name_of(plan.name)}, {facts['agents']} agents{verdict}"
+    save_traffic(path, scene_of(plan, study, title, facts["stop"]), **size)

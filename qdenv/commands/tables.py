@@ -113,6 +113,7 @@ def write(
     study: Study,
     rows: Sequence[Row],
     command: str,
+    size: dict[str, float],
     facts: dict[str, Any],
     columns: Mapping[str, Sequence[Any]] | None = None,
     peaks: Sequence[Peak] = (),
@@ -123,6 +124,7 @@ def write(
         study: what was asked for.
         rows: of the table.
         command: its name.
+        size: of the picture, as its width in inches.
         facts: beyond the rows.
         columns: of the table, beyond those of its rows.
         peaks: to draw how layouts scale; without any, layouts are put side by side.
@@ -135,9 +137,9 @@ def write(
         columns["tasks_per_hour"] = [row.mean_of_all * study.per_hour for row in rows]
     write_rows(study.table.path, rows, columns)
     if peaks:
-        save_peaks(study.picture.path, rows, peaks)
+        save_peaks(study.picture.path, rows, peaks, **size)
     else:
-        save_comparison(study.picture.path, rows)
+        save_comparison(study.picture.path, rows, **size)
     falling = [row for row in rows if row.fading > FADING]
     for row in falling[:MOST_WARNINGS]:
         print(

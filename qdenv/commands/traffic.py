@@ -22,6 +22,7 @@ def sweep(
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path | None = None,
     plot: words.Picture = None,
+    width: words.Width = None,
     json_file: output.JsonFile = None,
 ) -> None:
     """Simulate a layout with more and more agents: throughput, its peak, and how many are worth it.
@@ -33,8 +34,10 @@ def sweep(
         options: who drives.
         out: CSV file to write; named after the layout unless given.
         plot: picture to write; beside the table unless given.
+        width: of the picture: column or page of a journal, or inches; page unless given.
         json_file: where to write the numbers; - is standard output.
     """
+    size = words.inches(width)
     study = prepare(
         [layout], (agents, SWEPT), options, (out, f"{layout.stem}_sweep.csv"), plot, json_file
     )
@@ -45,7 +48,7 @@ def sweep(
     peak, worth = find_peak(rows), find_capacity(rows)
     print(describe_peak(peak, study.per_hour))
     print(f"worth it: up to {worth} agents each further one brings half an average one or more")
-    write(study, rows, "sweep", {"peak": peak._asdict(), "worth_it_up_to": worth})
+    write(study, rows, "sweep", size, {"peak": peak._asdict(), "worth_it_up_to": worth})
 
 
 def compare(
@@ -54,6 +57,7 @@ def compare(
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path | None = None,
     plot: words.Picture = None,
+    width: words.Width = None,
     json_file: output.JsonFile = None,
 ) -> None:
     """Put layouts side by side: throughput, success rate, and how surely they differ in per cent.
@@ -65,8 +69,10 @@ def compare(
         options: who drives.
         out: CSV file to write; compare.csv unless given.
         plot: picture to write; beside the table unless given.
+        width: of the picture: column or page of a journal, or inches; page unless given.
         json_file: where to write the numbers; - is standard output.
     """
+    size = words.inches(width)
     study = prepare(layouts, (agents, COMPARED), options, (out, "compare.csv"), plot, json_file)
     with waiting("simulating") as bar:
         show = table_printer(study, bar.print)
@@ -79,7 +85,14 @@ def compare(
         if row.layout != first:
             print(f"{row.layout}, {row.agents} agents: {describe_difference(found)}")
     columns = [f"difference_{name}" for name in Difference._fields[:3]] + ["significant"]
-    write(study, rows, "compare", {}, dict(zip(columns, zip(*against, strict=True), strict=True)))
+    write(
+        study,
+        rows,
+        "compare",
+        size,
+        {},
+        dict(zip(columns, zip(*against, strict=True), strict=True)),
+    )
 
 
 def scalability(
@@ -88,6 +101,7 @@ def scalability(
     options: Options = FleetOptions(),  # noqa: B008 (frozen)
     out: Path | None = None,
     plot: words.Picture = None,
+    width: words.Width = None,
     json_file: output.JsonFile = None,
 ) -> None:
     """Add agents until the mean throughput drops; report the peak and where it is.
@@ -99,8 +113,10 @@ def scalability(
         options: who drives.
         out: CSV file to write; scalability.csv unless given.
         plot: picture to write; beside the table unless given.
+        width: of the picture: column or page of a journal, or inches; page unless given.
         json_file: where to write the numbers; - is standard output.
     """
+    size = words.inches(width)
     study = prepare(layouts, (agents, CLIMBED), options, (out, "scalability.csv"), plot, json_file)
     for name, layout in study.layouts.items():
         studies.check_climb(name, layout, study.trial)
@@ -114,7 +130,8 @@ def scalability(
     for peak in peaks:
         print(describe_peak(peak, study.per_hour))
     facts = {"peaks": [peak._asdict() for peak in peaks]}
-    write(study, [row for climb in climbs for row in climb], "scalability", facts, peaks=peaks)
+    rows = [row for climb in climbs for row in climb]
+    write(study, rows, "scalability", size, facts, peaks=peaks)
 
 
 def describe_peak(peak: Peak, per_hour: float | None) -> str:

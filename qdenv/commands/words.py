@@ -8,6 +8,7 @@ import tyro
 
 from qdenv.commands import output
 from qdenv.commands.choices import FleetOptions
+from qdenv.plots.widths import parse_width
 from qdenv.simulate.mapf.choosing import describe_planner, record_planner
 from qdenv.study.plans import Plan
 from qdenv.types import InputError
@@ -18,8 +19,16 @@ SECONDS_PER_HOUR = 3600
 # How a command takes `--plot`, with a name or without.
 Picture = Annotated[Path | None, tyro.conf.arg(metavar="[FILE]")]
 
+# How a command takes the width of its picture; `parse_width` reads it.
+Width = Annotated[str | None, tyro.conf.arg(metavar="{column,page,INCHES}")]
 
-def place_picture(plot: Path | None, default: str, inputs: Iterable[Path]) -> output.Place | None:
+
+def place_picture(
+    plot: Path | None,
+    default: str,
+    inputs: Iterable[Path],
+    endings: Iterable[str] = output.PICTURES,
+) -> output.Place | None:
     """Choose where a picture goes; None where none is asked for.
 
     Raises:
@@ -27,7 +36,20 @@ def place_picture(plot: Path | None, default: str, inputs: Iterable[Path]) -> ou
     """
     if plot is None:
         return None
-    return output.place(None if plot == AUTO else plot, default, output.PICTURES, inputs)
+    return output.place(None if plot == AUTO else plot, default, endings, inputs)
+
+
+def inches(width: str | None, pictured: bool = True) -> dict[str, float]:
+    """Read the width of a picture, as the argument of what draws it; none where nobody says it.
+
+    Raises:
+        InputError: it is none, or there is no picture.
+    """
+    if width is None:
+        return {}
+    if not pictured:
+        raise InputError(f"--width {width} is the picture's: add --plot")
+    return {"width": parse_width(width)}
 
 
 def steps_per_hour(options: FleetOptions) -> float | None:

@@ -37,12 +37,16 @@ class Generator(NamedTuple):
         grow: (solutions float32 [B, P], steps) -> tiles int8 [B, h, w]; traceable. Generators
             that do not grow ignore the number of steps.
         choices: where each parameter names a tile, how many there are; 0 for real numbers.
+        frames: (solutions float32 [B, P], steps) -> tiles int8 [B, steps + 1, h, w], the canvas
+            from the start to the layout that `grow` draws; the number of steps is static. None
+            where a generator tells only how it ends.
     """
 
     size: int
     steps: int
     grow: Callable[[jax.Array, jax.Array | int], jax.Array]
     choices: int = 0
+    frames: Callable[[jax.Array, int], jax.Array] | None = None
 
 
 # An entry's maker is called as make(settings, canvas) and returns a `Generator`.

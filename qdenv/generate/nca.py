@@ -155,4 +155,18 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
     def grow(solutions: jax.Array, steps: jax.Array | int) -> jax.Array:
         return choose_tiles(grow_population(automaton, solutions, start, steps))
 
-    return Generator(automaton.size, config.steps, grow)
+    def frames(solutions: jax.Array, steps: int) -> jax.Array:
+        def step(weights: jax.Array, cells: jax.Array) -> tuple[jax.Array, jax.Array]:
+            grown = automaton.grow(weights, cells, 1)
+            return grown, choose_tiles(grown)
+
+        def one(weights: jax.Array) -> jax.Array:
+            first = jnp.asarray(start)
+            _, later = jax.lax.scan(
+                lambda cells, _: step(weights, cells), first, None, length=steps
+            )
+            return jnp.concatenate([choose_tiles(first)[None], later])
+
+        return jax.lax.map(one, solutions)
+
+    return Generator(automaton.size, config.steps, grow, frames=frames)

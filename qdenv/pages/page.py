@@ -11,13 +11,13 @@ import gzip
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
+from importlib import resources, util
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from qdenv.files import write_atomically
+from qdenv.files import tidy, write_atomically
 from qdenv.types import InputError
 
 HEIGHT = 760  # pixels of a page inside of a notebook
@@ -60,7 +60,7 @@ def make_page(
     title: str,
     scripts: Sequence[str] = (),
     facts: Mapping[str, Any] | None = None,
-    packed: Mapping[str, np.ndarray | bytes] | None = None,
+    packed: Mapping[str, np.ndarray | bytes | str] | None = None,
     **words: Any,
 ) -> Page:
     """Fill a template.
@@ -69,8 +69,8 @@ def make_page(
         template: name of a file in `templates` without its ending; it extends ``page.html``.
         title: of the browser's window.
         scripts: names of files in `scripts` without their endings, in order, after ``page``.
-        facts: JSON-ready; scripts read them as ``facts``.
-        packed: arrays and bytes by name; scripts await ``unpack(name)``.
+        facts: JSON-ready values, or numpy's, see `files.tidy`; scripts read them as ``facts``.
+        packed: arrays and bytes by name; scripts await ``unpack(name)``. Text is what `pack` made.
         **words: whatever the template itself asks for.
 
     Raises:
@@ -92,17 +92,36 @@ def make_page(
         title=title,
         style=(home / "templates" / "page.css").read_text(),
         scripts=[(home / "scripts" / f"{name}.js").read_text() for name in ("page", *scripts)],
-        facts=facts or {},
+        facts=tidy(facts or {}),
         packed={name: pack(content) for name, content in (packed or {}).items()},
         **words,
     )
     return Page(title, whole)
 
 
-def pack(content: np.ndarray | bytes) -> str:
-    """Turn bytes or an array (row-major, in its own byte order) into gzip in base64."""
+def pack(content: np.ndarray | bytes | str) -> str:
+    """Turn bytes or an array (row-major, in its own byte order) into gzip in base64.
+
+    What is packed already stays as it is.
+    """
+    if isinstance(content, str):
+        return content
     raw = content if isinstance(content, bytes) else np.ascontiguousarray(content).tobytes()
     return base64.b64encode(gzip.compress(raw, LEVEL, mtime=0)).decode()
+
+
+def demand(what: str, package: str) -> None:
+    """Refuse before any work what a package of the extra `viz` is needed for.
+
+    Args:
+        what: in the plural, like "pages".
+        package: as pip knows it.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    if util.find_spec(package.replace("-", "_")) is None:
+        raise missing(what, package)
 
 
 def missing(what: str, package: str) -> InputError:

@@ -10,11 +10,12 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
-from qdenv.plots.figure import new_figure, save_figure
+from qdenv.plots.figure import paper_figure, save_figure, styled
 from qdenv.types import InputError, Measure
 
 COLOURS = "viridis"
 EMPTY = "#f2f2f2"
+WIDTH, TALL = 6.0, 0.8  # inches of a picture, and its height as a share of that
 
 
 def objective_grid(objectives: ArrayLike, measures: Sequence[Measure]) -> np.ndarray:
@@ -137,8 +138,7 @@ def save_heatmap(
     measures: Sequence[Measure],
     title: str = "",
     label: str = "objective",
-    low: float | None = None,
-    high: float | None = None,
+    width: float = WIDTH,
 ) -> None:
     """Save the heat map of an archive as an image, atomically.
 
@@ -149,14 +149,13 @@ def save_heatmap(
         measures: one or two.
         title: printed above, beside the share of filled cells.
         label: what the colours mean.
-        low: objective of the darkest colour.
-        high: objective of the brightest colour.
+        width: in inches.
 
     Raises:
         InputError: the objectives do not fit the grid, or the place cannot be written to.
     """
-    figure = new_figure(6, 4.8)
-    draw_archive(figure, objectives, measures, title, label, low, high)
+    figure = paper_figure(width, TALL * width)
+    styled(draw_archive)(figure, objectives, measures, title, label)
     save_figure(figure, path)
 
 

@@ -104,9 +104,14 @@ def save_layout(
     Raises:
         InputError: the place cannot be written to.
     """
+    save_figure(draw_plan(layout, tiles, names), path, crop=True)
+
+
+def draw_plan(layout: Array, tiles: str, names: Mapping[str, str] = NO_NAMES) -> Figure:
+    """Draw a layout as `save_layout` does, to be cropped to what is drawn."""
     figure = _new_figure(np.shape(layout), 1)
     _number_cells(draw_layout(layout, tiles, figure.axes[0], names))
-    save_figure(figure, path, crop=True)
+    return figure
 
 
 def save_difference(

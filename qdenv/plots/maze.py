@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Protocol
 
 import numpy as np
 from matplotlib.colors import ListedColormap
 from PIL import Image, ImageDraw
 
-from qdenv.files import write_atomically
 from qdenv.plots.figure import new_figure, save_figure
+from qdenv.plots.frames import TRIANGLE
+from qdenv.plots.movie import save_gif
 from qdenv.types import InputError
 
 EMPTY, WALL, GOAL, TRAIL, AGENT, START = range(6)
@@ -23,8 +24,6 @@ PALETTE = (
 )
 ACROSS = 6  # panels side by side
 PANEL = 2.3  # inches
-# Corners of a triangle that points to heading 0 (right), in cells from the middle: (right, down).
-TRIANGLE = np.array([(0.38, 0.0), (-0.32, -0.34), (-0.32, 0.34)])
 
 
 def save_episode(
@@ -58,15 +57,7 @@ def save_episode(
     shown = sorted({*range(0, len(positions), stride), len(positions) - 1})
     cell = cell or max(4, min(24, 640 // max(layout.shape)))
     pictures = [_frame(layout, goal, positions[: t + 1], int(headings[t]), cell) for t in shown]
-    # The last picture rests for a second, so that the end is seen before the loop begins anew.
-    times = [round(1000 * seconds)] * (len(pictures) - 1) + [1000]
-
-    def write(file: BinaryIO) -> None:
-        pictures[0].save(
-            file, "GIF", save_all=True, append_images=pictures[1:], duration=times, loop=0
-        )
-
-    write_atomically(Path(path), write)
+    save_gif(path, pictures, len(pictures), seconds)
 
 
 def _frame(layout: np.ndarray, goal: int, path: np.ndarray, heading: int, cell: int) -> Image.Image:

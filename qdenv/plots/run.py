@@ -1,25 +1,33 @@
 """The pictures of a run: its archive, its best layout, its progress."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qdenv.plots.archive import save_heatmap, scatter_objectives
-from qdenv.plots.figure import new_figure, save_figure
+from qdenv.plots.figure import save_figure
 from qdenv.plots.layouts import draw_layout
 from qdenv.plots.notes import save_notes
+from qdenv.plots.runs import Shown, draw_archives, draw_progress
+from qdenv.plots.widths import PAGE
+from qdenv.study.groups import group_runs
 from qdenv.training.notes import NOTES, read_notes
 from qdenv.training.records import RunDirectory
-from qdenv.types import InputError
 
 MARK = "#e8590c"
 MARKERS = {"start": "o", "goal": "*"}  # any other mark is a square
 
 
-def plot_run(run: RunDirectory | str | Path, folder: Path | None = None) -> list[Path]:
+def plot_run(
+    run: RunDirectory | str | Path,
+    folder: Path | None = None,
+    form: str = "png",
+    width: float | None = None,
+) -> list[Path]:
     """Draw archive.png, progress.png and best_layout.png of a run.
 
     And notes.png, where its algorithm says anything of itself.
@@ -27,6 +35,8 @@ def plot_run(run: RunDirectory | str | Path, folder: Path | None = None) -> list
     Args:
         run: the run, or its folder.
         folder: where to; the run's own unless given.
+        form: ending of the pictures: png, svg or pdf.
+        width: of archive and progress in inches; what suits a screen unless given.
 
     Returns:
         the pictures that could be drawn: none of an empty archive's layout.
@@ -39,18 +49,18 @@ def plot_run(run: RunDirectory | str | Path, folder: Path | None = None) -> list
     if folder is None:
         run.demand_own()
     place = folder or run.path
-    archive, meaning = run.load_archive(), run.meaning
-    pictures = [place / "archive.png", place / "progress.png"]
-    objectives = scatter_objectives(archive["index"], archive["objective"], meaning.measures)
-    save_heatmap(pictures[0], objectives, meaning.measures, label=meaning.objective)
-    save_progress(pictures[1], run)
+    meaning = run.meaning
+    pictures = [place / f"archive.{form}", place / f"progress.{form}"]
+    size: Any = {} if width is None else {"width": width}
+    save_heatmap(pictures[0], _objectives(run), meaning.measures, label=meaning.objective, **size)
+    save_progress(pictures[1], run, **size)
     notes = read_notes(run.path / NOTES)
     if notes:
-        pictures.append(place / "notes.png")
+        pictures.append(place / f"notes.{form}")
         save_notes(pictures[-1], notes)
     best = run.read_best_layout()
     if best is not None:
-        pictures.append(place / "best_layout.png")
+        pictures.append(place / f"best_layout.{form}")
         axes = draw_layout(best.layout, meaning.tiles, names=meaning.names)
         draw_marks(axes, best.marks)
         figure = axes.get_figure()
@@ -80,24 +90,42 @@ def draw_marks(axes: Axes, marks: Mapping[str, tuple[int, int]]) -> None:
         )
 
 
-def save_progress(path: Path, run: RunDirectory) -> None:
+def save_progress(path: Path, run: RunDirectory, width: float = PAGE) -> None:
     """Draw QD-score, coverage and best objective over evaluations (Figure 20).
 
     Raises:
         InputError: no iteration is finished.
     """
-    rows = run.read_metrics()
-    if not rows:
-        raise InputError(f"{run.path}/metrics.csv: no iteration is finished, there is no progress")
-    figure = new_figure(9, 2.6, dpi=120)
-    panels = {"QD-score": "qd_score", "coverage": "coverage", "best objective": "best_objective"}
-    evaluations = [row.evaluations for row in rows]
-    for axes, (title, column) in zip(figure.subplots(1, 3), panels.items(), strict=True):
-        values = [getattr(row, column) for row in rows]
-        # A line through one point is nothing: the last point is marked.
-        axes.plot(evaluations, values, marker="o", markersize=4, markevery=[len(rows) - 1])
-        axes.set(title=title, xlabel="evaluations", ymargin=0.1)
-        axes.set_ylim(bottom=min(0, *values))
-        axes.spines[["top", "right"]].set_visible(False)
-    axes.set_ylabel(run.meaning.objective, fontsize="small")
-    save_figure(figure, path)
+    save_figure(draw_progress(group_runs([run]), run.meaning.objective, width), path)
+
+
+def plot_runs(
+    runs: Sequence[RunDirectory], folder: Path, form: str = "png", width: float = PAGE
+) -> list[Path]:
+    """Draw the archives of several runs on one colour scale, and their progress by groups.
+
+    Args:
+        runs: of one objective.
+        folder: where to.
+        form: ending of the pictures: png, svg or pdf.
+        width: in inches.
+
+    Raises:
+        InputError: see `groups.group_runs`; or an archive has more than two measures.
+    """
+    groups, objective = group_runs(runs), runs[0].meaning.objective
+    pictures = [folder / f"archives.{form}", folder / f"progress.{form}"]
+    shown = [
+        Shown(group._replace(runs=(run,)).title, _objectives(run), run.measures)
+        for group in groups
+        for run in group.runs
+    ]
+    save_figure(draw_archives(shown, objective, width), pictures[0])
+    save_figure(draw_progress(groups, objective, width), pictures[1])
+    return pictures
+
+
+def _objectives(run: RunDirectory) -> np.ndarray:
+    """Read the objectives of all cells of a run's archive, float [C], NaN where empty."""
+    archive = run.load_archive()
+    return scatter_objectives(archive["index"], archive["objective"], run.measures)

@@ -1,8 +1,11 @@
 """The picture of a fleet's traffic: where agents drive, wait and work, and how it goes on."""
 
-from collections.abc import Sequence
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from textwrap import wrap
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,18 +14,26 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import PercentFormatter
 
-from qdenv.plots.figure import new_figure, save_figure
-from qdenv.study.jams import Maps, Spot
+from qdenv.grid import of_tiles
+from qdenv.plots.figure import PALETTE, WARNING, paper_figure, save_figure, styled
+from qdenv.plots.widths import SCREEN
+from qdenv.study.jams import Maps, Spot, throughput_over_time, worst_cells
+
+if TYPE_CHECKING:  # the latter imports the simulator
+    from qdenv.study.plans import Plan
+    from qdenv.study.traffic import Study
 
 WALL = "#5f6368"
 FLOOR = "#ffffff"
-LINE = "#1f5fa8"
-JAM = "#b5432d"
-PANEL = 5.0  # inches of a map's width
-BAR = 1.4  # inches of a colour bar and its labels
-TITLES = 0.8  # inches above and below a map
+LINE = PALETTE[0]
+PLACE = (1.03, 0.05, 0.04, 0.9)  # of a colour bar, in shares of its map: left, bottom, size
+BESIDE = 1.2  # inches of a colour bar, its labels, and those of the rows
+TITLES = 0.75  # inches above and below a map
+ABREAST = 5.0  # inches from which two panels stand side by side
+TALL = 0.5  # of the width: the height of throughput over time alone
 COLOURS = {"usage": "Blues", "waiting": "Reds", "finished": "Greens"}
-NUMBERED = 60  # rows or columns up to which the worst cells are numbered in the map
+LETTERS_PER_INCH = 13  # of a title
+KEY = 6.5  # points of a rank, and of a cell that has room for it
 
 
 class Scene(NamedTuple):
@@ -49,72 +60,144 @@ class Scene(NamedTuple):
     stop: bool = True
 
 
-def save_traffic(path: str | Path, scene: Scene) -> None:
+def scene_of(plan: Plan, study: Study, title: str, stop: bool = True) -> Scene:
+    """Make the scene of a study that looked at where agents wait.
+
+    Args:
+        plan: the layout, of a domain in which a fleet drives.
+        study: with maps.
+        title: of the whole picture.
+        stop: congestion ended those that congested.
+    """
+    tasks, runs = plan.domain.simulator.tasks, study.done.runs
+    assert tasks is not None and study.maps is not None
+    return Scene(
+        free=np.asarray(of_tiles(plan.layout, tasks.traversable, tasks.tiles)),
+        maps=study.maps,
+        worst=worst_cells(plan.layout, study.maps),
+        over_time=throughput_over_time(runs),
+        jams=[int(run.congested_at) for run in runs if run.congested],
+        title=title,
+        runs=len(runs),
+        stop=stop,
+    )
+
+
+def save_traffic(path: str | Path, scene: Scene, width: float = SCREEN) -> None:
     """Save what `draw_traffic` draws; the ending of `path` chooses the format.
 
     Raises:
         InputError: the place cannot be written to.
     """
-    save_figure(draw_traffic(scene), path)
+    save_figure(draw_traffic(scene, width), path)
 
 
-def draw_traffic(scene: Scene) -> Figure:
+@styled
+def draw_traffic(scene: Scene, width: float = SCREEN) -> Figure:
     """Draw the floor plan three times and the throughput over time.
 
     Rows and columns are numbered as in the table of the worst cells, from 0 at the top left.
+
+    Args:
+        scene: what is drawn.
+        width: in inches; on narrow paper one panel stands below the other.
     """
-    rows, cols = scene.free.shape
-    tall = float(np.clip(rows / cols, 0.4, 1.6))
-    figure = new_figure(2 * (PANEL + BAR), 2 * (PANEL * tall + TITLES) + 0.4)
-    (waiting, usage), (finished, time) = figure.subplots(2, 2)
-    figure.suptitle(scene.title)
-    maps = scene.maps
-    title = f"where agents wait: {maps.waiting_share:.1%} of their time"
-    _draw_map(waiting, scene, maps.waiting, "waiting", title)
-    _bar_of(waiting, maps.waiting, "time in which one waits here [% of all time]", percent=True)
-    _number_worst(waiting, scene)
-    _draw_map(usage, scene, maps.usage, "usage", "where agents are")
-    _bar_of(usage, maps.usage, "time in which one is here [% of all time]", percent=True)
-    _draw_map(finished, scene, maps.finished, "finished", "where tasks are finished")
-    total = f"tasks per timestep here [all cells: {maps.finished.sum():.2f}]"
-    _bar_of(finished, maps.finished, total, percent=False)
-    _draw_time(time, scene)
-    time.set_box_aspect(tall)
+    across = 2 if width >= ABREAST else 1
+    tall = _tallness(scene)
+    height = len(PANELS) // across * ((width / across - BESIDE) * tall + TITLES) + 0.3
+    figure = paper_figure(width, height)
+    figure.suptitle("\n".join(wrap(scene.title, int(LETTERS_PER_INCH * width))))
+    every = figure.subplots(len(PANELS) // across, across).ravel()
+    for axes, draw in zip(every, PANELS.values(), strict=True):
+        draw(axes, scene)
+    every[-1].set_box_aspect(tall)
     return figure
 
 
-def _draw_map(axes: Axes, scene: Scene, values: np.ndarray, kind: str, title: str) -> None:
-    """Draw one number per cell over the walls; cells without any stay white."""
-    axes.imshow(scene.free, cmap=ListedColormap([WALL, FLOOR]), vmin=0, vmax=1)
+@styled
+def draw_panel(scene: Scene, kind: str, width: float) -> Figure:
+    """Draw one of the four panels alone: "waiting", "usage", "finished" or "time"."""
+    time = kind == "time"
+    height = TALL * width if time else (width - BESIDE) * _tallness(scene) + TITLES
+    figure = paper_figure(width, height)
+    axes = figure.subplots()
+    PANELS[kind](axes, scene)
+    axes.set_title("")  # whatever stands around it says so
+    return figure
+
+
+def _tallness(scene: Scene) -> float:
+    rows, cols = scene.free.shape
+    return float(np.clip(rows / cols, 0.4, 1.6))
+
+
+def _draw_waiting(axes: Axes, scene: Scene) -> None:
+    """Draw the share of time in which one waits on each cell, and number the worst cells."""
+    waiting = scene.maps.waiting
+    title = f"where agents wait: {scene.maps.waiting_share:.1%} of their time"
+    draw_map(axes, scene.free, waiting, "waiting", title)
+    add_bar(axes, waiting, "share of time in which one waits here", percent=True)
+    _number_worst(axes, scene)
+
+
+def _draw_usage(axes: Axes, scene: Scene) -> None:
+    """Draw the share of time in which an agent is on each cell."""
+    draw_map(axes, scene.free, scene.maps.usage, "usage", "where agents are")
+    add_bar(axes, scene.maps.usage, "share of time in which one is here", percent=True)
+
+
+def _draw_finished(axes: Axes, scene: Scene) -> None:
+    """Draw how many tasks are finished on each cell."""
+    finished = scene.maps.finished
+    title = f"where tasks are finished: {finished.sum():.2f} a timestep"
+    draw_map(axes, scene.free, finished, "finished", title)
+    add_bar(axes, finished, "tasks per timestep here", percent=False)
+
+
+def draw_map(axes: Axes, free: np.ndarray, values: np.ndarray, kind: str, title: str = "") -> None:
+    """Draw one number per cell over the walls; cells without any stay white.
+
+    Args:
+        axes: where.
+        free: bool [H, W].
+        values: float [H, W].
+        kind: "usage", "waiting" or "finished".
+        title: above.
+    """
+    axes.imshow(free, cmap=ListedColormap([WALL, FLOOR]), vmin=0, vmax=1)
     shown = np.ma.masked_where(values <= 0, values)
     # One extreme cell must not wash out all others; the bar's tip says that there is more.
     top = float(np.quantile(values[values > 0], 0.995)) if (values > 0).any() else 1.0
     axes.imshow(shown, cmap=COLOURS[kind], vmin=0, vmax=top, interpolation="nearest")
     axes.set_title(title)
-    axes.tick_params(labelsize=8)
+    axes.spines[:].set_visible(True)
     axes.set(xlabel="column", ylabel="row")
 
 
-def _bar_of(axes: Axes, values: np.ndarray, label: str, percent: bool) -> None:
+def add_bar(axes: Axes, values: np.ndarray, label: str, percent: bool) -> None:
     """Add the colour bar of a map."""
     image = axes.images[-1]
     extend = "max" if values.max() > image.norm.vmax else "neither"
     assert axes.figure is not None
-    bar = axes.figure.colorbar(image, ax=axes, shrink=0.85, extend=extend)
+    bar = axes.figure.colorbar(image, cax=axes.inset_axes(PLACE), extend=extend)
     bar.set_label(label)
+    bar.outline.set_linewidth(0.4)
     if percent:
         bar.ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
 def _number_worst(axes: Axes, scene: Scene) -> None:
     """Mark the worst cells, with their rank where there is room for it."""
-    rows, cols = scene.free.shape
+    specification = axes.get_subplotspec()
+    assert isinstance(axes.figure, Figure) and specification is not None
+    inches = axes.figure.get_figwidth() / specification.get_gridspec().ncols - BESIDE
+    side = 72 * inches / max(scene.free.shape)
     for rank, spot in enumerate(scene.worst, 1):
         place = (spot.column, spot.row)
-        axes.plot(*place, "s", markersize=260 / max(rows, cols), mfc="none", mec="black", mew=0.9)
-        if max(rows, cols) <= NUMBERED:
-            text = axes.text(*place, str(rank), ha="center", va="center", fontsize=6.5)
-            text.set_path_effects([withStroke(linewidth=1.2, foreground="white")])
+        axes.plot(*place, "s", markersize=max(0.9 * side, 3), mfc="none", mec="black", mew=0.7)
+        if side >= KEY:
+            text = axes.text(*place, str(rank), ha="center", va="center", fontsize=KEY)
+            text.set_path_effects([withStroke(linewidth=1.4, foreground="white")])
 
 
 def _draw_time(axes: Axes, scene: Scene) -> None:
@@ -122,16 +205,26 @@ def _draw_time(axes: Axes, scene: Scene) -> None:
     ends, mean, error = scene.over_time
     label = f"mean of {scene.runs} runs" if scene.runs > 1 else "one run"
     steps = np.concatenate([[0], ends])
-    axes.stairs(mean, steps, color=LINE, baseline=None, label=label, linewidth=1.6)
+    axes.stairs(mean, steps, color=LINE, baseline=None, label=label, linewidth=1.4)
     if not np.isnan(error).any():
         low, high = (np.append(side, side[-1]) for side in (mean - error, mean + error))
         label = "+- standard error"
-        axes.fill_between(steps, low, high, step="post", alpha=0.25, color=LINE, label=label)
+        axes.fill_between(steps, low, high, step="post", alpha=0.25, lw=0, color=LINE, label=label)
     for place, jam in enumerate(scene.jams):
         after = "ended" if scene.stop else "went on"
         word = f"{len(scene.jams)} of {scene.runs} runs congested, and {after}"
-        axes.axvline(jam, color=JAM, linestyle=":", label=None if place else word)
+        axes.axvline(jam, color=WARNING, linestyle=":", label=None if place else word)
     axes.set(xlabel="timestep", ylabel="throughput [tasks / timestep]")
-    axes.set(xlim=(0, ends[-1]), ylim=(0, None), title="throughput over time")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="best", framealpha=0.9, edgecolor="none")
+    axes.set(xlim=(0, ends[-1]), ylim=(0, None), title="finished tasks over time")
+    axes.grid()
+    # Below the panel: inside, it would cover the line.
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=4.2)
+
+
+# What draws each panel, in reading order.
+PANELS: dict[str, Callable[[Axes, Scene], None]] = {
+    "waiting": _draw_waiting,
+    "usage": _draw_usage,
+    "finished": _draw_finished,
+    "time": _draw_time,
+}

@@ -1,0 +1,157 @@
+"""The replay: one run of a fleet, or one walk through a maze, to be played in a browser.
+
+A robot moves by at most one cell in a timestep, so its path is a start and one of five moves for
+each step, three of which fit a byte; its goals are the first one and a new one for each finished
+task.
+`scripts/replay_film.js` undoes this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from qdenv.pages.page import Page, make_page
+from qdenv.simulate.mapf.choosing import describe_planner
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.jams import throughput_over_time
+from qdenv.study.motion import Motion
+from qdenv.study.plans import Plan
+from qdenv.types import InputError, TaskRule, Traffic
+
+SCRIPTS = ("film", "view", "ground", "marks", "robots", "chart", "panel", "controls", "start")
+WAIT, RIGHT, LEFT, DOWN, UP = range(5)
+DIGITS = np.array([25, 5, 1], np.uint8)
+
+
+def make_replay(
+    plan: Plan, motion: Motion, traffic: Traffic | None, about: Sequence[str] = ()
+) -> Page:
+    """Make the page that plays a run.
+
+    Args:
+        plan: where it took place.
+        motion: what moved.
+        traffic: what the simulator counted; None in a maze.
+        about: lines below the title: who drove, and what came of it.
+
+    Raises:
+        InputError: jinja2 is not installed, or a planner let a robot jump.
+    """
+    # Only here: matplotlib takes half a second to import.
+    from qdenv.plots import frames
+
+    colours = frames.floor_colours(plan.domain.tiles)
+    rows, cols = plan.layout.shape
+    tasks = plan.domain.simulator.tasks
+    free = tasks.traversable if tasks else " "
+    facts: dict[str, Any] = {
+        "rows": rows,
+        "cols": cols,
+        "agents": motion.positions.shape[1],
+        "steps": motion.steps,
+        "free": [tile in free for tile in plan.domain.tiles],
+        "colours": colours,
+        "marks": frames.MARKS,
+        "warmth": frames.WARMTH,
+        "jam": [frames.JAM_FROM, frames.JAM_STEP],
+        "congested": motion.congested,
+        "shortest": motion.shortest,
+        "ends": [],
+        "throughput": [],
+    }
+    if traffic is not None:
+        driven = traffic._replace(finished=traffic.finished[: motion.steps])
+        ends, means, _ = throughput_over_time([driven])
+        facts |= {"ends": ends.tolist(), "throughput": means.tolist()}
+    used = [(kind, tile) for kind, tile in enumerate(plan.domain.tiles) if kind in plan.layout]
+    names = plan.domain.names
+    return make_page(
+        "replay",
+        f"Replay of {plan.name}",
+        [f"replay_{name}" for name in SCRIPTS],
+        facts,
+        {"tiles": plan.layout.astype(np.uint8), **encode(motion, cols)},
+        name=plan.name,
+        about=about,
+        maze=motion.headings is not None,
+        marks=_marks(tasks),
+        jam=frames.JAM_FROM,
+        agents=motion.positions.shape[1],
+        steps=motion.steps,
+        tiles=[(names.get(tile, tile), colours[kind]) for kind, tile in used],
+    )
+
+
+def about_fleet(
+    plan: Plan, config: FleetConfig, seed: int, motion: Motion, traffic: Traffic
+) -> list[str]:
+    """Say in lines who drove, and what came of it."""
+    rows, cols = plan.layout.shape
+    planner = describe_planner(config.planner)
+    tasks, waits = int(motion.finished.sum()), motion.waits
+    jam = ""
+    if motion.congested:
+        went = "and went on" if motion.steps == motion.timesteps else "which ended the run"
+        jam = f"; congested at {int(traffic.congested_at)}, {went}"
+    return [
+        f"{config.agents:,} robots on {rows} x {cols}, {motion.timesteps:,} timesteps, "
+        f"seed {seed}; planner: {planner}",
+        f"throughput {float(traffic.throughput):.3f} tasks per timestep, {tasks:,} tasks finished, "
+        f"{waits.mean() if waits.size else 0:.1%} of the robots' time spent waiting{jam}",
+    ]
+
+
+def about_episode(motion: Motion, seed: int) -> list[str]:
+    """Say in a line what became of a walk through a maze."""
+    end = "reached" if motion.finished.any() else "not reached"
+    return [
+        f"goal {end} after {motion.steps:,} actions of at most {motion.timesteps:,}, shortest path "
+        f"{motion.shortest} moves, seed {seed}"
+    ]
+
+
+def _marks(tasks: TaskRule | None) -> list[tuple[str, str]]:
+    """List what is drawn over the tiles, and what it stands for; robots where there are tasks."""
+    if tasks is None:
+        return [("agent", "agent"), ("goal", "goal"), ("start", "start")]
+    served = [("serving", "is served")] if any(goal.stay for goal in tasks.cycle) else []
+    robots = [("driving", "drives"), ("waiting", "waits"), *served]
+    return [*robots, ("jam", "jam"), ("goal", "goal")]
+
+
+def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
+    """Turn a recording into small arrays, agent by agent.
+
+    Returns:
+        starts and goals: uint32 [A], the first cells; moves: uint8 [A, ceil(E / 3)], three digits
+        to base 5 each, the first one the highest; counts: uint32 [A], how many tasks each
+        finished; times and next: uint32 [sum of counts], after how many steps it did, and its goal
+        from then on; headings: uint8 [E + 1], empty for robots.
+
+    Raises:
+        InputError: a robot moved by more than one cell.
+    """
+    moves = np.full(motion.finished.shape, 255, np.uint8)
+    steps = np.diff(motion.positions, axis=0)
+    # In a layout of one column right and down are the same number, and down is meant.
+    for move, step in ((RIGHT, 1), (LEFT, -1), (DOWN, cols), (UP, -cols), (WAIT, 0)):
+        moves[steps == step] = move
+    if (moves == 255).any():
+        step, agent = np.argwhere(moves == 255)[0]
+        raise InputError(f"robot {agent} moves by more than one cell after timestep {step}")
+    whole = np.pad(moves, ((0, -len(moves) % 3), (0, 0)))
+    agents, times = np.nonzero(motion.finished.T)
+    return {
+        "starts": motion.positions[0].astype("<u4"),
+        "moves": (whole.T.reshape(motion.finished.shape[1], -1, 3) @ DIGITS).astype(np.uint8),
+        "goals": motion.goals[0].astype("<u4"),
+        "counts": motion.finished.sum(0).astype("<u4"),
+        "times": (times + 1).astype("<u4"),
+        "next": motion.goals[times + 1, agents].astype("<u4"),
+        "headings": np.zeros(0, np.uint8)
+        if motion.headings is None
+        else motion.headings.astype(np.uint8),
+    }

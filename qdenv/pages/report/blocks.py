@@ -1,0 +1,112 @@
+"""What a report is made of: sections of paragraphs, tables and figures, which a template sets."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from qdenv.plots.figure import FONTS
+
+
+class Text(NamedTuple):
+    """A paragraph.
+
+    Attributes:
+        words: of it.
+        kind: "plain", "answer" for what the reader came for, "faint" for a side note.
+    """
+
+    words: str
+    kind: str = "plain"
+    block: str = "text"
+
+
+class Table(NamedTuple):
+    """A table.
+
+    Attributes:
+        head: names of the columns.
+        rows: cells as they are read, at least one row.
+        name: identifies it in the page.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    name: str
+    block: str = "table"
+
+    @property
+    def numeric(self) -> list[bool]:
+        """Tell for each column whether it holds numbers, which are set right."""
+        columns = zip(*self.rows, strict=True)
+        return [all(re.match(r"[-+]?\d|$", cell) for cell in column) for column in columns]
+
+
+class Drawing(NamedTuple):
+    """A figure.
+
+    Attributes:
+        svg: drawing, inline.
+        caption: below it.
+        name: identifies it in the page.
+        half: two of its kind stand side by side where there is room.
+    """
+
+    svg: str
+    caption: str
+    name: str
+    half: bool = False
+    block: str = "drawing"
+
+
+class Section(NamedTuple):
+    """A part of the report.
+
+    Attributes:
+        title: its heading.
+        blocks: in order.
+    """
+
+    title: str
+    blocks: Sequence[Text | Table | Drawing]
+
+    @property
+    def lead(self) -> int:
+        """Count the first blocks that stay with the heading on paper: up to a first large one."""
+        count = 0
+        for block in self.blocks:
+            count += 1
+            beside = isinstance(block, Drawing) and block.half
+            if not (isinstance(block, Text) or beside):
+                break
+        return count
+
+
+def drawing(
+    figure: Figure, caption: str, name: str, half: bool = False, crop: bool = False
+) -> Drawing:
+    """Turn a figure into vector graphics for the page.
+
+    Args:
+        figure: what to draw.
+        caption: below it; what it shows to who cannot see it, too.
+        name: identifies it in the page, and all that it refers to inside itself.
+        half: stands beside another one.
+        crop: cut the picture to what is drawn.
+    """
+    content = io.StringIO()
+    with rc_context(FONTS):
+        box = "tight" if crop else None
+        figure.savefig(content, format="svg", bbox_inches=box, metadata={"Date": None})
+    svg = content.getvalue()
+    svg = svg[svg.index("<svg") :]
+    # Every figure of the page has names of its own for what is referred to within it.
+    svg = re.sub(r'\bid="', f'id="{name}-', svg)
+    svg = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", svg)
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    return Drawing(svg, caption, name, half)

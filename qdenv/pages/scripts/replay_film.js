@@ -1,0 +1,102 @@
+"use strict";
+
+const DIGITS = [25, 5, 1]; // three moves a byte
+const WAITED_MOST = 255; // timesteps of waiting in a row beyond which nobody counts
+
+/** Unpack an array of numbers by its name. */
+async function numbers(name, kind) {
+  return new kind(await unpack(name));
+}
+
+/**
+ * Undo what `qdenv/pages/replay.py` encoded.
+ * Cells by timestep and robot, row-major: `position` and `goal` [(steps + 1) * agents]; `waited`
+ * [steps * agents] is for how many timesteps a robot has waited in a row after each step, 0 where
+ * it moved or was served. `finishedBy` and `waitsBy` [steps + 1] are sums since the beginning;
+ * `tasks` holds for each robot the timesteps at which it finished one.
+ */
+async function readFilm() {
+  const {rows, cols, agents, steps} = facts;
+  const cell = rows * cols <= 65536 ? Uint16Array : Uint32Array;
+  const [moves, starts] = [await numbers("moves", Uint8Array), await numbers("starts", Uint32Array)];
+  const film = {
+    rows, cols, agents, steps, starts,
+    tiles: await numbers("tiles", Uint8Array),
+    headings: await numbers("headings", Uint8Array),
+    position: new cell((steps + 1) * agents),
+    goal: new cell((steps + 1) * agents),
+    waited: new Uint8Array(steps * agents),
+    finishedBy: new Uint32Array(steps + 1),
+    waitsBy: new Uint32Array(steps + 1),
+    tasks: [],
+  };
+  await readGoals(film);
+  readMoves(film, moves, [0, 1, -1, cols, -cols]);
+  for (let time = 1; time <= steps; time++) {
+    film.finishedBy[time] += film.finishedBy[time - 1];
+    film.waitsBy[time] += film.waitsBy[time - 1];
+  }
+  return film;
+}
+
+/** Write down each robot's goal at every timestep, and when it finished its tasks. */
+async function readGoals(film) {
+  const [first, counts] = [await numbers("goals", Uint32Array), await numbers("counts", Uint32Array)];
+  const [times, next] = [await numbers("times", Uint32Array), await numbers("next", Uint32Array)];
+  let event = 0;
+  for (let agent = 0; agent < film.agents; agent++) {
+    const end = event + counts[agent];
+    film.tasks.push(times.subarray(event, end));
+    let goal = first[agent];
+    for (let time = 0; time <= film.steps; time++) {
+      for (; event < end && times[event] === time; event++) {
+        goal = next[event];
+        film.finishedBy[time]++;
+      }
+      film.goal[time * film.agents + agent] = goal;
+    }
+  }
+}
+
+/** Add up each robot's moves, and its waiting. */
+function readMoves(film, moves, strides) {
+  const {agents, steps, position, goal, waited} = film;
+  const row = Math.ceil(steps / 3);
+  for (let agent = 0; agent < agents; agent++) {
+    let [cell, since] = [film.starts[agent], 0];
+    position[agent] = cell;
+    for (let time = 0; time < steps; time++) {
+      const three = moves[agent * row + Math.floor(time / 3)];
+      const move = Math.floor(three / DIGITS[time % 3]) % 5;
+      const at = time * agents + agent;
+      cell += strides[move];
+      const waits = move === 0 && cell !== goal[at];
+      since = waits ? Math.min(since + 1, WAITED_MOST) : 0;
+      waited[at] = since;
+      position[at + agents] = cell;
+      film.waitsBy[time + 1] += waits;
+    }
+  }
+}
+
+/** Say what a robot does in a step: "driving", "waiting" or "serving"; step -1 is before the first. */
+function doingOf(film, agent, step) {
+  if (step < 0) return "driving";
+  const at = step * film.agents + agent;
+  if (film.position[at] !== film.position[at + film.agents]) return "driving";
+  return film.waited[at] ? "waiting" : "serving";
+}
+
+/** Count the tasks that a robot has finished by a timestep. */
+function tasksBy(film, agent, time) {
+  const times = film.tasks[agent];
+  let count = 0;
+  while (count < times.length && times[count] <= time) count++;
+  return count;
+}
+
+/** Find since when a robot is on its way to its goal. */
+function setOutAt(film, agent, time) {
+  const count = tasksBy(film, agent, time);
+  return count ? film.tasks[agent][count - 1] : 0;
+}

@@ -1,0 +1,178 @@
+"""Pictures of a run at one time after the other: tiles, robots, jams; in a maze the agent's way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+
+import numpy as np
+from matplotlib import font_manager
+from PIL import Image, ImageDraw, ImageFont
+
+from qdenv.plots.layouts import COLOURS, UNKNOWN
+from qdenv.study.motion import Motion
+
+FADING = 0.4  # of the tiles' colours towards white, so that robots stand out
+# What is drawn over the tiles, told apart by colour-blind eyes, too.
+MARKS = {
+    "driving": "#1c4e9a",
+    "waiting": "#c62f1d",
+    "serving": "#00796b",
+    "goal": "#00796b",
+    "way": "#d6338a",
+    "agent": "#f2b705",
+    "start": "#3c6fb0",
+    "reached": "#2e9e5b",
+    "ink": "#1b1b1b",
+}
+WARMTH = ("#ffd873", "#fdb84e", "#fb9038", "#f1602b", "#d9301f", "#a50f15")  # of jams
+JAM_FROM = 5  # timesteps of waiting in a row that make a jam
+JAM_STEP = 5  # timesteps from one step of warmth to the next
+PAPER = "#ffffff"
+# Corners of a triangle that points to heading 0 (right), in cells from the middle: (right, down).
+TRIANGLE = np.array([(0.38, 0.0), (-0.32, -0.34), (-0.32, 0.34)])
+TITLE = 26  # pixels above the layout
+FINE = 4  # a mark is drawn so much larger, then reduced: its edge is smooth
+EDGE = 0.45  # share of a mark's colour in the colours that its edge has
+
+
+def mix(ground: str, colour: str, share: float) -> str:
+    """Lay a share of a colour over another one, both "#rrggbb"."""
+    pairs = [(int(ground[at : at + 2], 16), int(colour[at : at + 2], 16)) for at in (1, 3, 5)]
+    return "#" + "".join(f"{round(low + share * (high - low)):02x}" for low, high in pairs)
+
+
+def floor_colours(tiles: str) -> list[str]:
+    """List the colours in which films and replays show the tiles of an alphabet."""
+    return [mix(COLOURS.get(tile, UNKNOWN), PAPER, FADING) for tile in tiles]
+
+
+def palette_of(tiles: str) -> Image.Image:
+    """Make the palette of a GIF: the same in all pictures, so that nothing flickers."""
+    floors, marks = floor_colours(tiles), list(MARKS.values())
+    edges = [mix(*pair, EDGE) for pair in product([*floors, *WARMTH, PAPER], marks)]
+    colours = list(dict.fromkeys([*floors, *WARMTH, PAPER, *marks, *edges]))[:256]
+    levels = [int(colour[at : at + 2], 16) for colour in colours for at in (1, 3, 5)]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(levels + levels[:3] * (256 - len(colours)))
+    return palette
+
+
+def draw(
+    layout: np.ndarray, tiles: str, motion: Motion, times: Sequence[float], side: int
+) -> Iterator[Image.Image]:
+    """Draw a run at some times, the later the later.
+
+    Args:
+        layout: int8 [H, W].
+        tiles: the alphabet.
+        motion: what moved.
+        times: timesteps, or between two.
+        side: pixels of the layout's longer side, about.
+
+    Returns:
+        pictures of one size, their sides even.
+    """
+    stage = Stage(layout, tiles, side)
+    waits = motion.waits
+    waited, done = np.zeros(motion.positions.shape[1], int), 0
+    for time in times:
+        while done < int(np.ceil(time)):
+            waited = np.where(waits[done], waited + 1, 0)
+            done += 1
+        picture = stage.floor.copy()
+        pen = ImageDraw.Draw(picture)
+        pen.text((8, TITLE / 2), title_of(motion, time, waited), MARKS["ink"], stage.font, "lm")
+        if motion.headings is None:
+            stage.draw_robots(picture, motion, time, waited)
+        else:
+            stage.draw_agent(pen, motion, time)
+        yield picture
+
+
+def title_of(motion: Motion, time: float, waited: np.ndarray) -> str:
+    """Say how things stand at a time."""
+    step = int(time)
+    if motion.headings is not None:
+        end = ", goal reached" if motion.finished[:step].any() else ""
+        return f"action {step}, shortest path {motion.shortest} moves{end}"
+    rate = motion.finished[:step].sum() / max(step, 1)
+    share = np.count_nonzero(waited) / len(waited)
+    return f"timestep {step}   {rate:.2f} tasks per timestep   {share:.0%} wait"
+
+
+class Stage:
+    """What all pictures of a run share, and how things are drawn on it.
+
+    Attributes:
+        cell: pixels of a cell's side.
+        cols: columns of the layout.
+        floor: the layout below an empty title.
+        font: of the title.
+    """
+
+    def __init__(self, layout: np.ndarray, tiles: str, side: int) -> None:
+        """Draw the floor (int8 [H, W]), its longer side about `side` pixels."""
+        rows, self.cols = layout.shape
+        self.cell = max(2, round(side / max(layout.shape)))
+        colours = np.array([_levels(colour) for colour in floor_colours(tiles)], np.uint8)
+        large = colours[layout].repeat(self.cell, 0).repeat(self.cell, 1)
+        width, height = self.cols * self.cell, rows * self.cell + TITLE
+        # Encoders of films want even sides.
+        self.floor = Image.new("RGB", (width + width % 2, height + height % 2), PAPER)
+        self.floor.paste(Image.fromarray(large), (0, TITLE))
+        self.font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 13)
+        self.discs = {name: self._disc(MARKS[name]) for name in ("driving", "waiting", "serving")}
+
+    def _disc(self, colour: str) -> Image.Image:
+        large = Image.new("RGBA", (self.cell * FINE,) * 2, f"{colour}00")
+        low, high = 0.1 * self.cell * FINE, 0.9 * self.cell * FINE
+        ImageDraw.Draw(large).ellipse((low, low, high, high), colour)
+        return large.resize((self.cell,) * 2, Image.Resampling.LANCZOS)
+
+    def corners(self, motion: Motion, time: float) -> np.ndarray:
+        """Place everybody at a time, int [A, 2]: (right, down), pixels of a cell's corner."""
+        step = int(time)
+        here, there = motion.positions[[step, min(step + 1, motion.steps)]]
+        before, after = (np.stack([at % self.cols, at // self.cols], 1) for at in (here, there))
+        place = (before + (time - step) * (after - before)) * self.cell
+        return np.rint(place).astype(int) + np.array([0, TITLE])
+
+    def draw_robots(
+        self, picture: Image.Image, motion: Motion, time: float, waited: np.ndarray
+    ) -> None:
+        """Draw robots; a cell in which one has waited for long is warm."""
+        corners, step = self.corners(motion, time), int(np.ceil(time)) - 1
+        pen, end = ImageDraw.Draw(picture), self.cell - 1
+        for agent in np.flatnonzero(waited >= JAM_FROM):
+            x, y = corners[agent].tolist()
+            warm = WARMTH[min((waited[agent] - JAM_FROM) // JAM_STEP, len(WARMTH) - 1)]
+            pen.rectangle((x, y, x + end, y + end), warm)
+        still = np.zeros(len(waited), bool)
+        if step >= 0:
+            still = motion.positions[step] == motion.positions[step + 1]
+        kinds = np.where(waited > 0, "waiting", np.where(still, "serving", "driving"))
+        for kind, corner in zip(kinds.tolist(), corners.tolist(), strict=True):
+            disc = self.discs[kind]
+            picture.paste(disc, tuple(corner), disc)
+
+    def draw_agent(self, pen: ImageDraw.ImageDraw, motion: Motion, time: float) -> None:
+        """Draw the agent of a maze, its start, its goal and its way so far."""
+        assert motion.headings is not None
+        end, middle = self.cell - 1, self.cell / 2
+        for name, cell in (("start", motion.positions[0, 0]), ("reached", motion.goals[0, 0])):
+            x, y = int(cell) % self.cols * self.cell, int(cell) // self.cols * self.cell + TITLE
+            pen.rectangle((x, y, x + end, y + end), MARKS[name])
+        times = [*range(int(time) + 1), time]
+        way = [tuple((self.corners(motion, at)[0] + middle).tolist()) for at in times]
+        pen.line(way, MARKS["way"], max(2, self.cell // 6), "curve")
+        turn = motion.headings[int(time)] * np.pi / 2
+        (right, down), (x, y) = TRIANGLE.T * self.cell, way[-1]
+        across = x + right * np.cos(turn) - down * np.sin(turn)
+        along = y + right * np.sin(turn) + down * np.cos(turn)
+        corners = list(zip(across.tolist(), along.tolist(), strict=True))
+        pen.polygon(corners, MARKS["agent"], MARKS["ink"])
+
+
+def _levels(colour: str) -> tuple[int, ...]:
+    return tuple(int(colour[at : at + 2], 16) for at in (1, 3, 5))

@@ -1,0 +1,252 @@
+"""The report: its numbers are those of the other commands, it opens and prints without a flaw."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import opened
+from matplotlib.figure import Figure
+from small_warehouse import ROWS, TILES
+
+import qdenv
+from qdenv.cli import run
+from qdenv.domains.base import find_domain
+from qdenv.formats.layouts import write_layout
+from qdenv.grid import parse
+from qdenv.pages.report.blocks import Drawing, Section, Table, Text, drawing
+from qdenv.pages.report.fleet import around
+from qdenv.pages.report.subjects import find_rival, read_subjects
+from qdenv.pages.report.words import listed, name_seeds
+from qdenv.study.sizes import human_layout
+from qdenv.types import InputError
+
+QUICK = ["--planner", "pibt", "--timesteps", "120", "--seeds", "4"]
+WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
+HEADINGS = [
+    "What was asked",
+    "The floor plan",
+    "Throughput against robots",
+    "Success rates",
+    "Where robots drive",
+    "Where robots wait",
+    "Finished tasks over time",
+    "Against the hand-made floor plan",
+    "Settings and versions",
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a plan of 7 x 11, the hand-made one of that size, and a maze."""
+    place = tmp_path_factory.mktemp("reports")
+    write_layout(place / "plan.json", parse(ROWS, TILES), TILES, domain="warehouse-even")
+    human = human_layout(WAREHOUSE.resized(7, 11))
+    write_layout(place / "hand-made.json", human, TILES, domain="warehouse-even")
+    (place / "maze.txt").write_text("XXXXXX\nX    X\nX XX X\nX X  X\nXXXXXX\n")
+    return place
+
+
+@pytest.fixture(scope="module")
+def facts(folder):
+    """The facts of a report on the plan with 12 robots, and of the commands it stands for."""
+    command = ["--agents", "12", *QUICK, "--json"]
+    plan, human = str(folder / "plan.json"), str(folder / "hand-made.json")
+    other = {
+        "report": ["report", plan, "--out", str(folder / "r.html"), *command],
+        "simulate": ["simulate", plan, *command],
+        "sweep": ["sweep", plan, "--out", str(folder / "s.csv"), *command],
+        "compare": ["compare", human, plan, "--out", str(folder / "c.csv"), *command],
+    }
+    other["sweep"][other["sweep"].index("12")] = "6:18:3"
+    for name, line in other.items():
+        assert run([*line, str(folder / f"{name}.json")]) == 0
+    return {name: json.loads((folder / f"{name}.json").read_text()) for name in other}
+
+
+def cells(shown, table):
+    """Read a table of the page as people do."""
+    rows = f"[...document.querySelectorAll('#{table} tbody tr')]"
+    return shown.evaluate(f"{rows}.map(row => [...row.cells].map(cell => cell.innerText))")
+
+
+def test_its_facts_are_those_of_simulate_sweep_and_compare(facts):
+    report, own = facts["report"], facts["report"]["layouts"]["plan"]
+    for name, value in facts["simulate"].items():
+        if name in own and "seconds" not in name:
+            assert own[name] == value, name
+    assert {"runs", "verdict", "evidence", "worst_cells", "mean_of_all"} <= set(own)
+
+    def timeless(rows):
+        return [{k: v for k, v in row.items() if "cpu" not in k} for row in rows]
+
+    rows = [row for row in report["rows"] if row["layout"] == "plan"]
+    assert timeless(rows) == timeless(facts["sweep"]["rows"])
+    assert [row["agents"] for row in rows] == [6, 9, 12, 15, 18]
+    against = next(row for row in facts["compare"]["rows"] if row["layout"] == "plan")
+    found = next(one for one in own["hand_made"]["differences"] if one["agents"] == 12)
+    for name in ("percent", "low", "high"):
+        assert found[name] == against[f"difference_{name}"]
+
+
+def test_the_page_shows_these_numbers_and_complains_of_nothing(folder, facts):
+    sweep, simulate = facts["sweep"]["rows"], facts["simulate"]
+    with opened(folder / "r.html") as shown:
+        about = ("command", "qdenv", "settings")
+        assert shown.evaluate("facts") == {
+            name: value for name, value in facts["report"].items() if name not in about
+        }
+        headings = shown.evaluate("[...document.querySelectorAll('h2')].map(h => h.innerText)")
+        throughput, success = cells(shown, "throughput"), cells(shown, "success")
+        against, waiting = cells(shown, "against-0"), cells(shown, "waiting-0")
+        answer = shown.inner_text("p.answer")
+    assert headings == HEADINGS
+    for row, line, rate in zip(sweep, throughput, success, strict=False):
+        assert line[:3] == ["plan", str(row["agents"]), f"{row['mean_of_all']:.3f}"]
+        assert line[4] == f"{row['error_of_all']:.3f}"
+        assert rate[2] == f"{round(4 * row['success_rate'])} of 4"
+        assert rate[4] == f"{row['success_low']:.1%} to {row['success_high']:.1%}"
+    counts = [str(row["agents"]) for row in sweep]
+    assert [line[:2] for line in throughput[5:]] == [["hand-made", count] for count in counts]
+    spots = [[str(spot["row"]), str(spot["column"])] for spot in simulate["worst_cells"]]
+    assert [line[1:3] for line in waiting] == spots
+    differences = facts["report"]["layouts"]["plan"]["hand_made"]["differences"]
+    assert [line[3] for line in against] == [f"{one['percent']:+.1f} %" for one in differences]
+    assert f"With 12 robots it moves {simulate['mean_of_all']:.2f} tasks per timestep" in answer
+    assert simulate["verdict_reason"].replace("agent", "robot") in answer
+
+
+def test_on_paper_no_figure_is_higher_than_a_page_and_headings_stay_with_theirs(folder, facts):
+    with opened(folder / "r.html", width=700) as shown:
+        shown.emulate_media(media="print")
+        heights = shown.evaluate(
+            "[...document.querySelectorAll('figure')].map(f => f.getBoundingClientRect().height)"
+        )
+        kept = shown.evaluate(
+            "[...document.querySelectorAll('figure, .lead, tr')]"
+            ".map(block => getComputedStyle(block).breakInside)"
+        )
+        printed = shown.pdf(format="A4")
+    assert len(heights) == 8 and max(heights) < 500  # of 970 on the shorter of A4 and Letter
+    assert set(kept) == {"avoid"}
+    assert 4 <= printed.count(b"/Type /Page\n") <= 8
+    assert (folder / "r.html").stat().st_size < 1e6
+
+
+def test_several_layouts_and_numbers_look_closely_at_the_peak_of_the_first(folder, capsys):
+    sources = [str(folder / "hand-made.json"), str(folder / "plan.json")]
+    line = ["--agents", "3,9,30", *QUICK, "--seconds-per-step", "0.5", "--json", "-"]
+    assert run(["report", *sources, *line, "--out", str(folder / "two.html")]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    first = [row for row in facts["rows"] if row["layout"] == "hand-made"]
+    assert len(facts["rows"]) == 6  # the rival is there already
+    peak = max(first, key=lambda row: row["mean_of_all"])
+    assert facts["agents"] == peak["agents"]
+    assert facts["layouts"]["hand-made"]["hand_made"] is None
+    assert facts["layouts"]["plan"]["hand_made"]["layout"] == "hand-made"
+    with opened(folder / "two.html") as shown:
+        assert cells(shown, "throughput")[0][5] == f"{first[0]['mean_of_all'] * 7200:,.0f}"
+        assert "This is the very layout that people draw by hand" in shown.inner_text("main")
+
+
+def test_one_run_has_no_interval_and_says_none(folder):
+    line = ["--agents", "6", "--planner", "pibt", "--timesteps", "40", "--seeds", "7,"]
+    assert run(["report", str(folder / "plan.json"), *line, "--out", str(folder / "one.html")]) == 0
+    with opened(folder / "one.html") as shown:
+        assert {(line[3], line[4]) for line in cells(shown, "throughput")} == {("", "")}
+        assert {line[4] for line in cells(shown, "against-0")} == {""}
+        assert shown.evaluate("facts.layouts.plan.standard_error") is None
+        assert "nan" not in shown.inner_text("main").lower()
+
+
+def test_a_maze_has_the_agents_success_as_evaluate_agent_says_it(folder, capsys):
+    maze, page = str(folder / "maze.txt"), folder / "maze.html"
+    assert run(["evaluate-agent", maze, "--json", str(folder / "e.json")]) == 0
+    assert run(["report", maze, "--out", str(page), "--json", str(folder / "m.json")]) == 0
+    said = json.loads((folder / "e.json").read_text())
+    facts = json.loads((folder / "m.json").read_text())["layouts"]["maze"]
+    for name in ("rate", "low", "high", "runs", "mean_length", "shortest"):
+        assert facts[name] == said[name]
+    with opened(page) as shown:
+        (row,) = cells(shown, "success")
+    assert row[2:4] == [f"{said['rate']:.1%}", f"{said['low']:.1%} to {said['high']:.1%}"]
+
+
+def test_a_run_shows_its_archive_and_reports_on_its_best_layout(small_run, tmp_path):
+    page = qdenv.report(small_run, agents=4, timesteps=60, seeds=2, planner="pibt")
+    assert page._repr_html_().startswith("<iframe")
+    with opened(page.save(tmp_path / "run.html")) as shown:
+        headings = shown.evaluate("[...document.querySelectorAll('h2')].map(h => h.innerText)")
+        said = dict(cells(shown, "search-0"))
+        assert shown.locator("#archive-0-figure_1, [id^=archive-0]").count() > 0
+    assert headings[1] == f"The search: {small_run.path.name}" and len(headings) == 10
+    last = small_run.read_metrics()[-1]
+    assert said["evaluations"] == f"{last.evaluations:,}"
+    assert said["QD-score"] == f"{last.qd_score:,.1f}"
+
+
+def test_the_hand_made_rival_says_where_its_numbers_differ(folder):
+    subjects = read_subjects([folder / "plan.json", folder / "hand-made.json"])
+    plan, human = subjects
+    rival = find_rival(plan, subjects)
+    assert rival.name == "hand-made" and np.array_equal(rival.layout, human.layout)
+    shelves = [int((one.layout == 1).sum()) for one in (human, plan)]
+    assert "It holds {} shelves where this one has {}".format(*shelves) in rival.about
+    assert find_rival(human, subjects).layout is None
+    maze = read_subjects([folder / "maze.txt"])
+    assert "Nobody designs layouts of maze-walls by hand" in find_rival(maze[0], maze).about
+
+
+def test_layouts_and_runs_are_of_one_domain_and_named_once(folder):
+    with pytest.raises(InputError, match="report on one domain at a time"):
+        read_subjects([folder / "plan.json", folder / "maze.txt"])
+    with pytest.raises(InputError, match="name each layout and run once"):
+        read_subjects([folder / "plan.json"] * 2)
+    with pytest.raises(InputError, match="at least one layout file or run"):
+        read_subjects([])
+    names = [one.name for one in read_subjects(["zoo:maze-walls/best", "zoo:maze-walls/open"])]
+    assert names == ["maze-walls/best", "maze-walls/open"]
+
+
+def test_numbers_of_robots_are_chosen_around_the_one_in_question():
+    assert around(200, 948) == (100, 150, 200, 250, 300)
+    assert around(200, 210) == (100, 150, 200, 210)
+    assert around(1, 9) == (1, 2) and around(2, 9) == (1, 2, 3)
+
+
+def test_figures_keep_their_names_apart_and_their_text_as_text():
+    figure = Figure()
+    figure.add_subplot().set_title("a <title>")
+    one, other = (drawing(figure, "a caption", name).svg for name in ("one", "other"))
+    assert one.startswith("<svg") and "a &lt;title&gt;" in one
+    assert 'id="one-' in one and 'id="' not in one.replace('id="one-', "")
+    assert other.count("#other-") == other.count("#") - other.count(": #")
+
+
+def test_headings_on_paper_keep_their_first_large_block():
+    figure, half = Drawing("", "", "a"), Drawing("", "", "b", half=True)
+    table = Table(("a", "b"), [("x", "1.5"), ("y", "")], "t")
+    assert table.numeric == [False, True]
+    for blocks, count in (
+        ([Text("a"), figure, table], 2),
+        ([half, half], 2),
+        ([Text("a"), half, half, table, figure], 4),
+        ([table, figure], 1),
+    ):
+        assert Section("title", blocks).lead == count
+
+
+def test_lists_and_seeds_read_as_people_say_them():
+    assert listed(["a"]) == "a" and listed(["a", "b", "c"]) == "a, b and c"
+    assert name_seeds((0, 1, 2)) == "seeds 0 to 2" and name_seeds((3,)) == "seed 3"
+    assert name_seeds((3, 5)) == "seeds 3 and 5"
+
+
+def test_without_a_page_library_nothing_is_simulated(folder, monkeypatch, capsys):
+    from importlib import util
+
+    monkeypatch.setattr(util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match="pip install"):
+        from qdenv.commands.report import report
+
+        report((Path(folder / "plan.json"),))
