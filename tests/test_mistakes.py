@@ -36,6 +36,8 @@ MISTAKES = {
     "train quick --lanes 4": "unknown option --lanes: did you mean --planner.lanes?",
     "train maze-quick --planner pbs": "no fleet drives in this domain",
     "train quik": "did you mean quick?",
+    "train quick --scheduler tcp://x:1": "--scheduler is for a cluster: add --executor dask",
+    "train quick --executor dask --scheduler tcp://x:1 --workers 2": "leave --scheduler out",
     "train quick --domain moon": "unknown domain 'moon'",
     "train quick --algorithm ga": "unknown algorithm 'ga'",
     "train quick --strategy newton": "--strategy newton: choose one of iso",

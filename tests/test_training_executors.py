@@ -13,7 +13,7 @@ from conftest import SMALL
 from qdenv.cli import run as qdenv
 from qdenv.repair import pool as pools
 from qdenv.training import loop
-from qdenv.training.executors import task, workers
+from qdenv.training.executors import choosing, task, workers
 from qdenv.training.executors.choosing import Execution
 from qdenv.training.executors.task import WrongWorkerError, evaluate_layout, versions
 from qdenv.training.records import RunDirectory
@@ -148,7 +148,8 @@ def test_contradictions_are_refused(given, said):
         Execution(**given)
 
 
-def test_an_address_where_nobody_answers_is_refused(whole, tmp_path):
+def test_an_address_where_nobody_answers_is_refused(whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(choosing, "ANSWER", 1)
     execution = Execution("dask", scheduler="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match="start `dask scheduler`"):
         loop.train(whole.config, tmp_path / "run", False, execution)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # imports both compilers
     from qdenv.training.config import RunConfig
 
 ExecutorName = Literal["threads", "dask"]
+ANSWER = 20  # seconds that a scheduler may take to answer
 ARRIVAL = 120  # seconds that the first worker may take to come
 
 
@@ -86,7 +87,7 @@ def opened(
             )
             place = stack.enter_context(local).scheduler_address
         try:
-            client = stack.enter_context(Client(place, timeout=20))
+            client = stack.enter_context(Client(place, timeout=ANSWER))
             client.wait_for_workers(1, timeout=ARRIVAL)
         except (OSError, ValueError, TimeoutError) as error:
             hint = f"start `dask scheduler` and `dask worker {place}` first"
