@@ -1,9 +1,9 @@
-"""Ctrl-C: one line that says how to go on, and the end at once, whatever is under way.
+"""Ctrl-C and SIGTERM: one line that says how to go on, and the end, whatever is under way.
 
 Compiled code and compilers do not look at Python's signals for seconds, and a process that is torn
-down in the middle of them crashes. So a thread of its own waits for the signal and ends the
-process without tearing anything down. Nothing is lost by that: files are written under other
-names and renamed when they are whole.
+down in the middle of them crashes. So a thread of its own waits for the signal, saves what is done
+and ends the process without tearing anything down. Nothing is lost by that: files are written
+under other names and renamed when they are whole.
 """
 
 import contextlib
@@ -13,17 +13,22 @@ import signal
 import socket
 import sys
 import threading
+from collections.abc import Callable
 from typing import NoReturn
 
 EXIT_CODE = 130  # what shells expect of a program ended by Ctrl-C
 FLUSH_SECONDS = 0.3
+LOOK_SECONDS = 0.05
 
 unfinished: set[str] = set()  # files under way, which are taken away
 _way: list[str] = [""]  # how to go on
+_unsaved: list[Callable[[], None]] = []  # saves what is done, before the end
+undisturbed = threading.Lock()  # held by whoever changes what would be saved
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def watch(program: str = "qdenv") -> None:
-    """Answer Ctrl-C from now on; for programs, not for notebooks.
+    """Answer Ctrl-C and SIGTERM from now on; for programs, not for notebooks.
 
     Args:
         program: how it was called, to say how to call it again.
@@ -32,16 +37,52 @@ def watch(program: str = "qdenv") -> None:
     reader, writer = socket.socketpair()
     writer.setblocking(False)
     # Python's own handler does nothing; the number of the signal arrives at the socket at once.
-    signal.signal(signal.SIGINT, lambda number, frame: None)
+    for number in SIGNALS:
+        signal.signal(number, lambda number, frame: None)
     signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
 
     def wait() -> None:
         with reader, writer:
-            while reader.recv(1) != bytes([signal.SIGINT]):
-                pass
+            _await_signal(reader)
+            _save(reader)
             leave()
 
     threading.Thread(target=wait, daemon=True, name="interrupt").start()
+
+
+def _await_signal(reader: socket.socket) -> None:
+    """Wait for a signal that ends this program."""
+    while reader.recv(1)[0] not in SIGNALS:
+        pass
+
+
+def _save(reader: socket.socket) -> None:
+    """Save what is done; another signal ends this, too."""
+    if not _unsaved:
+        return
+    with contextlib.suppress(OSError):
+        os.write(2, b"\nqdenv: saving what is done; once more ends at once\n")
+    saving = threading.Thread(target=_save_undisturbed, daemon=True)
+    saving.start()
+    reader.settimeout(LOOK_SECONDS)
+    while saving.is_alive():
+        with contextlib.suppress(TimeoutError):
+            _await_signal(reader)
+            return
+
+
+def _save_undisturbed() -> None:
+    with undisturbed:
+        if _unsaved:  # else it was saved meanwhile
+            _unsaved[0]()
+
+
+def save_first(save: Callable[[], None] | None) -> None:
+    """Set what an interruption saves before the end, in a thread; None for nothing.
+
+    Work that goes on waits where it would change what is saved: it holds `undisturbed` there.
+    """
+    _unsaved[:] = [] if save is None else [save]
 
 
 def advise(way: str) -> None:

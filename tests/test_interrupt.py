@@ -1,4 +1,4 @@
-"""Ctrl-C: one line, exit code 130, within two seconds, at any moment of any command."""
+"""Ctrl-C and SIGTERM: one line, exit code 130, within two seconds, at any moment."""
 
 import os
 import signal
@@ -7,6 +7,9 @@ import sys
 import time
 
 import pytest
+from conftest import SMALL
+
+from qdenv.training.records import RunDirectory
 
 # A program that writes a file and then works for ever in compiled code, as a simulation does.
 BUSY = """
@@ -37,8 +40,10 @@ write_atomically(Path("out.json"), content)
 """
 
 
-@pytest.mark.parametrize("signals", [1, 3])
-def test_it_ends_compiled_code_and_leaves_no_half_written_file(tmp_path, signals):
+@pytest.mark.parametrize(
+    ("number", "signals"), [(signal.SIGINT, 1), (signal.SIGINT, 3), (signal.SIGTERM, 1)]
+)
+def test_it_ends_compiled_code_and_leaves_no_half_written_file(tmp_path, number, signals):
     script = BUSY.format(advice="`qdenv resume runs/a` goes on", nogil=True)
     work = subprocess.Popen(
         [sys.executable, "-c", script], stdout=-1, stderr=-1, text=True, cwd=tmp_path
@@ -48,7 +53,7 @@ def test_it_ends_compiled_code_and_leaves_no_half_written_file(tmp_path, signals
     begin = time.perf_counter()
     for _ in range(signals):
         if work.poll() is None:
-            work.send_signal(signal.SIGINT)
+            work.send_signal(number)
     _, said = work.communicate(timeout=20)
     assert (work.returncode, time.perf_counter() - begin < 2) == (130, True)
     assert said == "\nqdenv: stopped; `qdenv resume runs/a` goes on\n"
@@ -70,3 +75,67 @@ def test_a_command_ends_at_any_moment_and_says_how_to_begin_anew(tmp_path, secon
     anew = "qdenv: stopped; `qdenv train quick --out 'a run'` begins anew"
     assert last in (anew, "qdenv: stopped; `qdenv resume 'a run'` goes on")
     assert "Traceback" not in said
+
+
+# A program that has done something and works on, and whose saving takes so many seconds.
+UNSAVED = """
+import time
+from pathlib import Path
+from qdenv.interrupt import advise, save_first, watch
+
+watch()
+advise("`qdenv resume runs/a` goes on")
+
+def save():
+    time.sleep({seconds})
+    Path("saved").touch()
+
+save_first(save)
+print("ready", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize(("seconds", "signals", "saved"), [(0.2, 1, True), (30, 2, False)])
+def test_what_is_done_is_saved_first_unless_asked_once_more(tmp_path, seconds, signals, saved):
+    script = UNSAVED.format(seconds=seconds)
+    work = subprocess.Popen(
+        [sys.executable, "-c", script], stdout=-1, stderr=-1, text=True, cwd=tmp_path
+    )
+    assert work.stdout.readline() == "ready\n"
+    for _ in range(signals):
+        work.send_signal(signal.SIGTERM)
+        time.sleep(0.5 if signals > 1 else 0)
+    _, said = work.communicate(timeout=10)
+    assert work.returncode == 130
+    assert (tmp_path / "saved").exists() is saved
+    assert "saving what is done; once more ends at once" in said
+    assert said.splitlines()[-1] == "qdenv: stopped; `qdenv resume runs/a` goes on"
+
+
+RUN = """
+import sys
+from qdenv import cli, interrupt
+from qdenv.training.published import Publisher
+
+interrupt.watch()
+Publisher.has_time = False
+sys.exit(cli.run(sys.argv[1:]))
+"""
+
+
+def test_a_search_that_is_terminated_keeps_its_last_iteration(tmp_path):
+    options = SMALL.replace("--evaluations 6", "--evaluations 6000").split()
+    command = ["train", "quick", "--out", "run", "--checkpoint-every", "1000", *options]
+    work = subprocess.Popen(
+        [sys.executable, "-c", RUN, *command], cwd=tmp_path, stdout=-1, stderr=-1, text=True
+    )
+    metrics = tmp_path / "run" / "metrics.csv"
+    while not metrics.exists() or metrics.read_text().count("\n") < 3:
+        assert work.poll() is None
+        time.sleep(0.05)
+    work.send_signal(signal.SIGTERM)
+    work.communicate(timeout=30)
+    (checkpoint,) = (tmp_path / "run" / "checkpoints").iterdir()
+    assert work.returncode == 130 and int(checkpoint.stem) >= 2
+    assert len(RunDirectory.open(tmp_path / "run").archive) > 0

@@ -5,12 +5,13 @@ import dataclasses
 import shlex
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 
-from qdenv.interrupt import advise
+from qdenv.interrupt import advise, save_first, undisturbed
 from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.search.base import Algorithm
 from qdenv.search.growth import growing, is_whole
@@ -188,19 +189,21 @@ def _run(
                 # Keys follow from the number of the iteration: a resumed run draws the same.
                 key = jax.random.fold_in(experiment.evaluation_key, done + 1)
                 evaluation = evaluator(solutions, key)
-                state = algorithm.tell(asked, solutions, evaluation.score, seen(evaluation))
-                done += 1
-                summary = publisher.summary(state)
-                elapsed += time.perf_counter() - start
-                rows.append(metrics_row(done, batch, summary, round(elapsed, 3), evaluation))
-                run.write_metrics(rows)
-                said.append(note_of(done, batch, algorithm.notes(state)))
-                write_notes(run.path / NOTES, said)
-                shown.update(batch, describe(rows[-1]))
-                due = done % config.checkpoint_every == 0 or done == total
-                if due or publisher.has_time:
-                    publisher.save(done, state, settings)
-        except KeyboardInterrupt:
+                with undisturbed:
+                    state = algorithm.tell(asked, solutions, evaluation.score, seen(evaluation))
+                    done += 1
+                    summary = publisher.summary(state)
+                    elapsed += time.perf_counter() - start
+                    rows.append(metrics_row(done, batch, summary, round(elapsed, 3), evaluation))
+                    run.write_metrics(rows)
+                    said.append(note_of(done, batch, algorithm.notes(state)))
+                    write_notes(run.path / NOTES, said)
+                    shown.update(batch, describe(rows[-1]))
+                    save_first(partial(publisher.save, done, state, settings))
+                    if done % config.checkpoint_every == 0 or done == total or publisher.has_time:
+                        save_first(None)
+                        publisher.save(done, state, settings)
+        except KeyboardInterrupt:  # in notebooks; programs end otherwise, see `interrupt`
             if done > begun and not publisher.is_saved(done) and is_whole(state):
                 publisher.save(done, state, settings)
             raise

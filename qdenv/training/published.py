@@ -17,6 +17,7 @@ from qdenv.training.records import Metrics, RunDirectory
 from qdenv.types import Evaluation, Measure, RepairStatus
 
 SAVING_SHARE = 0.03  # of a run's time, for checkpoints beyond those that its settings ask for
+LONGEST = 240.0  # seconds without a checkpoint, whatever it costs: no more is ever lost
 
 
 class Publisher:
@@ -27,7 +28,8 @@ class Publisher:
     ) -> None:
         """Compile nothing yet."""
         self._run, self._domain, self._measures = run, domain, measures
-        self._saved, self._begun, self._spent, self._last = 0, time.perf_counter(), 0.0, 0.0
+        self._saved, self._spent, self._last = 0, 0.0, 0.0
+        self._begun = self._since = time.perf_counter()
         self._collect = collector(algorithm)
         self._summarise = jax.jit(lambda state: _summary(algorithm, state))
 
@@ -37,9 +39,10 @@ class Publisher:
 
     @property
     def has_time(self) -> bool:
-        """Tell whether another checkpoint would keep saving to a small share of the time."""
-        worked = time.perf_counter() - self._begun
-        return self._spent + self._last <= SAVING_SHARE * worked
+        """Tell whether saving would stay a small share of the time, or has waited too long."""
+        now = time.perf_counter()
+        cheap = self._spent + self._last <= SAVING_SHARE * (now - self._begun)
+        return cheap or now - self._since > LONGEST
 
     def is_saved(self, iteration: int) -> bool:
         """Tell whether this process has saved the search after an iteration."""
@@ -50,7 +53,8 @@ class Publisher:
         begun = time.perf_counter()
         self._run.save_checkpoint(iteration, state, settings)
         self.publish(state)
-        self._last = time.perf_counter() - begun
+        self._since = time.perf_counter()
+        self._last = self._since - begun
         self._saved, self._spent = iteration, self._spent + self._last
 
     def publish(self, state: Any) -> None:
