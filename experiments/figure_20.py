@@ -2,6 +2,7 @@
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import EngFormatter
 
 from experiments.archives import ALGORITHMS, DOMAINS, runs_of, seeds_of
 from experiments.pieces import Drawn, Experiment, Folders
@@ -48,6 +49,7 @@ def draw(folders: Folders) -> Drawn:
                 if paper := TABLE_4.get((domain, name)):
                     axes.plot(end, getattr(paper, metric), "*", color=colour, markersize=10)
             axes.set(xlabel="evaluations", ylabel=METRICS[metric], ylim=(0, None))
+            axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k needs less room
             axes.set_title(domain, fontsize="small")
             axes.legend(frameon=False, fontsize=7)
             axes.spines[["top", "right"]].set_visible(False)
