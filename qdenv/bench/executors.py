@@ -124,7 +124,11 @@ def sleep_through(workers: int, batch: int, seed: int, populations: int = 5) -> 
     lengths = np.random.default_rng(seed).gamma(16, 2 / 16, (populations, batch))
     with (
         LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=False, dashboard_address=None
+            n_workers=workers,
+            threads_per_worker=1,
+            memory_limit=0,  # they share one process
+            processes=False,
+            dashboard_address=None,
         ) as cluster,
         Client(cluster) as client,
     ):
