@@ -20,12 +20,11 @@ from qdenv.training.config import RunConfig
 from qdenv.training.continued import check_settings, check_total, settings_of
 from qdenv.training.executors.choosing import Execution, opened
 from qdenv.training.feasible import check_feasible
+from qdenv.training.log import Log
 from qdenv.training.manifest import meaning_of
-from qdenv.training.metrics import Metrics
-from qdenv.training.notes import NOTES, note_of, notes_until, write_notes
 from qdenv.training.problem import archive_axes, problem_of, seen
 from qdenv.training.progress import Progress
-from qdenv.training.published import Publisher, describe, metrics_row
+from qdenv.training.published import Publisher, describe
 from qdenv.training.records import RunDirectory
 from qdenv.types import Measure
 
@@ -139,8 +138,8 @@ def resume(
 
 def _restored(
     experiment: Experiment, config: RunConfig, run: RunDirectory, algorithm: Algorithm
-) -> tuple[int, Any, list[Metrics], list[Any]]:
-    """Read how far a run came: (iterations, state, rows of metrics, notes)."""
+) -> tuple[int, Any]:
+    """Read how far a run came: (iterations, state)."""
     manifest, state = run.load_checkpoint(algorithm.init(experiment.search_key))
     done = manifest["iteration"]
     # Checkpoints of an older qdenv say nothing, but the manifest knows the axes.
@@ -150,9 +149,7 @@ def _restored(
     if config != run.config:
         check_total(config.evaluations, done, algorithm.batch_size)
         run.write_config(config)
-    # Iterations after the checkpoint are run again, so their rows are written again, too.
-    rows = [row for row in run.read_metrics(salvage=True) if row.iteration <= done]
-    return done, state, rows, notes_until(run.path / NOTES, done)
+    return done, state
 
 
 def _run(
@@ -175,9 +172,8 @@ def _run(
         execute = stack.enter_context(opened(execution, config, pipeline, shown.advance))
         evaluator = PipelinedEvaluator(pipeline, execute)
 
-        begun, state, rows, said = _restored(experiment, config, run, algorithm)
-        done = begun
-        elapsed = rows[-1].seconds if rows else 0.0
+        begun, state = _restored(experiment, config, run, algorithm)
+        done, log = begun, Log(run, begun)
         if done >= total:
             publisher.publish(state)  # it may be older, where a run was killed at its very end
         shown.begin(done * batch)
@@ -192,13 +188,10 @@ def _run(
                 with undisturbed:
                     state = algorithm.tell(asked, solutions, evaluation.score, seen(evaluation))
                     done += 1
-                    summary = publisher.summary(state)
-                    elapsed += time.perf_counter() - start
-                    rows.append(metrics_row(done, batch, summary, round(elapsed, 3), evaluation))
-                    run.write_metrics(rows)
-                    said.append(note_of(done, batch, algorithm.notes(state)))
-                    write_notes(run.path / NOTES, said)
-                    shown.update(batch, describe(rows[-1]))
+                    summary, spent = publisher.summary(state), time.perf_counter() - start
+                    notes = algorithm.notes(state)
+                    row = log.add(done, batch, summary, spent, evaluation, notes)
+                    shown.update(batch, describe(row))
                     save_first(partial(publisher.save, done, state, settings))
                     if done % config.checkpoint_every == 0 or done == total or publisher.has_time:
                         save_first(None)
