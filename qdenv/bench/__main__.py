@@ -19,7 +19,7 @@ from qdenv.types import InputError
 
 BENCHMARKS = (
     *("pipeline", "simulate", "repair", "search", "maze", "scale", "surrogate"),
-    *("pages", "executors"),
+    *("pages", "executors", "robustness"),
 )
 
 

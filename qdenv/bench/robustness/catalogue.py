@@ -1,0 +1,5 @@
+"""All attacks of the campaign."""
+
+from qdenv.bench.robustness.attack import Attack
+
+ATTACKS: tuple[Attack, ...] = ()
