@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "qdenv"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"types", "grid", "files", "lazy", "interrupt"}
+BASE = {"types", "grid", "files", "reading", "lazy", "interrupt"}
 STAGES = {"generate", "repair", "simulate", "score"}
 PLUGS = {"registry", "devices"}
 ALLOWED = {
@@ -21,21 +21,22 @@ ALLOWED = {
     "grid": {"types", "lazy"},
     "interrupt": set(),
     "files": {"types", "interrupt"},
-    "checkpoints": {"types", "files"},
+    "reading": {"types"},
+    "checkpoints": {"types", "files", "reading"},
     "devices": {"types", "lazy"},
     "registry": {"types"},
     "formats": BASE,
     "generate": {"types", "grid", "lazy", "registry"},
     "repair": {"types", "grid", "lazy", "native"},
-    "simulate": {"types", "grid", "lazy", "native"} | PLUGS,
+    "simulate": {"types", "grid", "lazy", "native", "reading"} | PLUGS,
     "score": {"types", "grid", "lazy"},
     "agent": BASE | {"checkpoints", "simulate.maze", "score", "devices"},
     "domains": BASE | STAGES | PLUGS,
     "settings": STAGES | {"types", "domains.base"},
     "pipeline": BASE | STAGES | {"domains.base", "devices", "settings"},
     "surrogate": {"types"},
-    "search": {"types", "lazy", "files", "checkpoints", "registry", "surrogate"},
-    "zoo": {"types"},
+    "search": {"types", "lazy", "files", "reading", "checkpoints", "registry", "surrogate"},
+    "zoo": {"types", "reading"},
     "presets": BASE
     | STAGES
     | {"domains", "search", "settings", "surrogate", "training.config", "training.choosing"},

@@ -141,11 +141,11 @@ def _restored(
 ) -> tuple[int, Any]:
     """Read how far a run came: (iterations, state)."""
     manifest, state = run.load_checkpoint(algorithm.init(experiment.search_key))
-    done = manifest["iteration"]
+    done = manifest.iteration
     # Checkpoints of an older qdenv say nothing, but the manifest knows the axes.
     known = {"archive": [list(axis[1:4]) for axis in run.measures]}
     settings = settings_of(config, experiment.measures)
-    check_settings(settings, manifest.get("settings", known), run.path)
+    check_settings(settings, manifest.settings or known, run.path)
     if config != run.config:
         check_total(config.evaluations, done, algorithm.batch_size)
         run.write_config(config)
