@@ -45,14 +45,9 @@ class Workers:
         self._client, self._work, self._progress = client, work, progress
         self._seconds: deque[float] = deque([0.0], REMEMBERED)
 
-    def map(self, tasks: Sequence[tuple]) -> list[Any]:
-        """Do all tasks, each a tuple of arguments, and give the answers in order.
-
-        Raises:
-            InputError: no worker has the versions of the search, or a task keeps killing workers.
-            Exception: whatever a task raises each time it is tried.
-        """
-        return Batch(self, tasks).finish()
+    def begin(self, tasks: Sequence[tuple]) -> Batch:
+        """Send all tasks, each a tuple of arguments; several batches may be out at once."""
+        return Batch(self, tasks)
 
     def submit(self, task: tuple, among: Sequence[str] = ()) -> Future:
         """Send one task to whoever is free, if possible among these workers."""
@@ -107,12 +102,18 @@ class Batch:
         self._deaths = dict.fromkeys(self._sent, 0)
         for number in self._sent:
             self._send(number)
-        self._heard = time.monotonic()
+        self._heard = 0.0  # when the last answer came
 
     def finish(self) -> list[Any]:
-        """Wait for all answers and give them in order."""
+        """Wait for all answers and give them in order.
+
+        Raises:
+            InputError: no worker has the versions of the search, or a task keeps killing workers.
+            Exception: whatever a task raises each time it is tried.
+        """
         import distributed
 
+        self._heard = time.monotonic()  # until now nobody listened
         while self._sent:
             futures = [future for sent in self._sent.values() for future in sent]
             left = self._heard + self._workers.patience - time.monotonic()
