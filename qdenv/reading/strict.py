@@ -78,13 +78,13 @@ def strict_converter(infinite: bool = False) -> cattrs.Converter:
     return converter
 
 
-def demand(value: Any, form: type[T]) -> T:
+def demand(value: Any, form: type[dict] | type[list]) -> Any:
     """Refuse what is no object (`dict`) or no `list`: a word is no list of letters.
 
     Raises:
         InputError: it is another thing.
     """
-    if not isinstance(value, (list, tuple) if form is list else form):
+    if not isinstance(value, dict if form is dict else (list, tuple)):
         what = "an object" if form is dict else "a list"
         raise InputError(f"must be {what}, not {_shown(value)}")
     return value
