@@ -91,7 +91,7 @@ ALLOWED = {
     "bench": BASE
     | STAGES
     | PLUGS
-    | {"commands.waiting"}
+    | {"cli", "commands.waiting"}
     | {"agent", "domains", "formats", "pipeline", "plots", "presets", "search"}
     | {"settings", "study", "surrogate", "training"},
     "cli": {"commands", "types", "interrupt"},

@@ -1,5 +1,6 @@
 """All attacks of the campaign."""
 
 from qdenv.bench.robustness.attack import Attack
+from qdenv.bench.robustness.inputs import COMMANDS, FILES
 
-ATTACKS: tuple[Attack, ...] = ()
+ATTACKS: tuple[Attack, ...] = (FILES, COMMANDS)
