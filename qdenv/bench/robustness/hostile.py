@@ -64,6 +64,6 @@ def checkpoint(chance: Chance) -> bytes:
     with zipfile.ZipFile(out, "w", packing) as archive:
         for root in ("m/", "n/")[: 1 + int(chance.random() < 0.05)]:
             archive.writestr(f"{root}data.pkl", pickled(chance))
-            size = pick(chance, (16, 16, 16, 15, 0, 2**26, 2**20))
+            size = pick(chance, (16, 16, 16, 16, 16, 15, 0, 2**24))
             archive.writestr(f"{root}data/0", np.zeros(size, np.uint8).tobytes())
     return out.getvalue()

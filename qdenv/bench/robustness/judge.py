@@ -99,7 +99,7 @@ def verdict(ending: Ending) -> str | None:
     if ending.error:
         *_, place, _, last = ["", "", *ending.error.strip().splitlines()][-4:]
         return f"ends in a traceback: {printable(last)} ({printable(place.strip())})"
-    if ending.code not in (0, 2):
+    if ending.code not in (0, 1, 2):  # 1: `check` says what a layout breaks
         return f"ends with exit code {ending.code}"
     if ending.megabytes > MOST:
         return f"takes {ending.megabytes:.0f} MB more than before"
