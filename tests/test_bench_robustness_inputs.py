@@ -32,7 +32,7 @@ def run(argv):
         while True:
             pass
     if argv[0] == "grow":
-        return 0 * len(b"x" * int(1.2 * 2**30))
+        return 0 * len(b"x" * 2**28)
     if argv[0] == "die":
         import os
         os._exit(9)
@@ -46,7 +46,7 @@ def judge(tmp_path_factory):
     (folder / "planted.py").write_text(PLANTED)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(folder), prepend=":")
-        judge = Judge("planted:run", longest=2.0)
+        judge = Judge("planted:run", longest=3.0, most=250.0)
         yield judge
         judge.close()
 

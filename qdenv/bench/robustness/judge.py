@@ -29,14 +29,17 @@ TICKS = os.sysconf("SC_CLK_TCK")
 class Judge:
     """Runs command lines one after the other and says what each broke."""
 
-    def __init__(self, program: str = "qdenv.cli:run", longest: float = LONGEST) -> None:
+    def __init__(
+        self, program: str = "qdenv.cli:run", longest: float = LONGEST, most: float = MOST
+    ) -> None:
         """Start nothing yet.
 
         Args:
             program: module:function that takes the words of a command line.
             longest: CPU seconds a command line may take.
+            most: megabytes it may take.
         """
-        self._program, self._longest = program, longest
+        self._program, self._longest, self._most = program, longest, most
         self._process: subprocess.Popen[str] | None = None
 
     def fault_of(self, argv: Sequence[str], folder: Path, limited: bool = True) -> str | None:
@@ -66,7 +69,7 @@ class Judge:
             code = process.wait()
             self.close()
             return f"dies with exit code {code}"
-        return verdict(Ending(**json.loads(answer)))
+        return verdict(Ending(**json.loads(answer)), self._most)
 
     def _ready(self) -> subprocess.Popen[str]:
         if self._process is not None and _megabytes(self._process.pid) > RENEWED:
@@ -94,14 +97,14 @@ class Judge:
             atexit.unregister(self.close)
 
 
-def verdict(ending: Ending) -> str | None:
+def verdict(ending: Ending, most: float = MOST) -> str | None:
     """Say which promise a command line broke; None where all held."""
     if ending.error:
         *_, place, _, last = ["", "", *ending.error.strip().splitlines()][-4:]
         return f"ends in a traceback: {printable(last)} ({printable(place.strip())})"
     if ending.code not in (0, 1, 2):  # 1: `check` says what a layout breaks
         return f"ends with exit code {ending.code}"
-    if ending.megabytes > MOST:
+    if ending.megabytes > most:
         return f"takes {ending.megabytes:.0f} MB more than before"
     # A bar draws over itself; what is left of it is no message.
     lines = [line.rpartition("\r")[2] for line in ending.said.split("\n")]
