@@ -5,6 +5,7 @@ import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -55,10 +56,14 @@ class Header(NamedTuple):
 
 
 ANY = Column("biufU")
+NONE: Mapping[str, Column] = MappingProxyType({})
 
 
 def read_arrays(
-    path: Path | str, columns: Mapping[str, Column] | None = None, others: Column | None = ANY
+    path: Path | str,
+    columns: Mapping[str, Column] = NONE,
+    others: Column | None = ANY,
+    known: Mapping[str, Column] = NONE,
 ) -> dict[str, np.ndarray]:
     """Read an .npz file, without pickle.
 
@@ -66,6 +71,7 @@ def read_arrays(
         path: the file.
         columns: arrays that must be there, by name.
         others: what further arrays must be; None for: none is read.
+        known: what some further arrays must be, if they are there.
 
     Returns:
         arrays by name.
@@ -73,12 +79,11 @@ def read_arrays(
     Raises:
         InputError: it cannot be read, or is damaged; the line names the file and the array.
     """
-    columns = columns or {}
     with open_zip(path) as archive:
         names = [name.removesuffix(ENDING) for name in archive.namelist() if name.endswith(ENDING)]
         if missing := [name for name in columns if name not in names]:
             raise damaged(path, f"{missing[0]} is missing")
-        wanted = {name: columns.get(name, others) for name in names}
+        wanted = {name: {**known, **columns}.get(name, others) for name in names}
         kept = {name: column for name, column in wanted.items() if column is not None}
         heads = {name: _read_header(archive, name, path) for name in kept}
         for name, column in kept.items():

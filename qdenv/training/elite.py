@@ -23,6 +23,8 @@ COLUMNS = {
     "measures": Column("iuf", 2, finite=True),
 }
 REPAIRED = {"repaired": Column("iu", 3)}  # the layouts, which the archive of a run has beside
+# Those that the archive of a run may have: the layouts before the repair, how each run ended.
+KNOWN = {"unrepaired": Column("iu", 3), "congested": Column("b", 2), "success": Column("b", 2)}
 Columns = Mapping[str, np.ndarray]
 
 
@@ -81,15 +83,20 @@ def read_columns(path: Path, meaning: Meaning) -> dict[str, np.ndarray]:
         InputError: it cannot be read; it is no archive over these measures: a column is missing or
             of another length, a cell lies outside, or a tile means nothing.
     """
-    columns = read_arrays(path, COLUMNS | REPAIRED, Column())
+    columns = read_arrays(path, COLUMNS | REPAIRED, Column(), KNOWN)
     index, cells = columns["index"], math.prod(one.cells for one in meaning.measures)
     alike = all(column.ndim and len(column) == len(index) for column in columns.values())
     inside = ((index >= 0) & (index < cells)).all() and len(np.unique(index)) == len(index)
     if not (alike and inside and columns["measures"].shape[1] == len(meaning.measures)):
         raise damaged(path, "not over the measures of this run")
-    repaired = columns["repaired"]
-    if repaired.size and not 0 <= repaired.min() <= repaired.max() < len(meaning.tiles):
-        raise damaged(path, "repaired holds tiles that this run does not know")
+    if len(index) and not all(column.size for column in columns.values()):
+        raise damaged(path, "a column holds nothing")
+    for name in columns.keys() & {"repaired", "unrepaired"}:
+        layouts, tiles = columns[name], len(meaning.tiles)
+        if layouts.size and not 0 <= layouts.min() <= layouts.max() < tiles:
+            raise damaged(path, f"{name} holds tiles that this run does not know")
+        if layouts.shape != columns["repaired"].shape:
+            raise damaged(path, f"{name} has another size than repaired")
     return columns
 
 
