@@ -305,6 +305,9 @@ def test_an_archive_of_other_columns_gives_one_line(run):
         good | {"objective": np.full_like(good["objective"], np.nan)},
         good | {"index": np.zeros_like(good["index"])},
         good | {"similarity": good["similarity"].astype("U9")},
+        good | {"success": np.zeros(len(good["index"]), bool)},
+        good | {"unrepaired": good["repaired"][:, :2]},
+        good | {"similarity": np.zeros((len(good["index"]), 0))},
     ):
         np.savez(run.path / "archive.npz", **wrong)
         with pytest.raises(InputError, match=r"archive\.npz: cannot be read"):
