@@ -33,6 +33,8 @@ MISTAKES = {
     "scalability plan.txt --planner pbs --planner.rul plain": "did you mean rule?",
     "simulate plan.txt --planner pbs --planner.rule best": "choose one of published, plain",
     "simulate plan.txt --agents 5 --planner.penalties inf": "planner lie from 0 to 1,000,000",
+    f"presets --json {'9' * 5000}": "too long for a file's name",
+    f"simulate {'9' * 5000}": "name too long",
     "train quick --planner pbs --planner.nodes-per-agent -3": "nodes per agent and window, not -3",
     "train quick --lanes 4": "unknown option --lanes: did you mean --planner.lanes?",
     "train maze-quick --planner pbs": "no fleet drives in this domain",
