@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv import devices
+from qdenv import devices, mesh
 from qdenv.domains.base import Domain, Simulator, make_domain
 from qdenv.generate.generator import GENERATORS, Canvas
 from qdenv.repair.callback import repair_in_jit
@@ -66,8 +66,13 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     generator = GENERATORS.make(config.generator, canvas_of(domain))
     pool = None if domain.rules is None else RepairPool(domain.rules(), config.repair)
 
-    def grow(parameters: jax.Array) -> jax.Array:
+    def draw(parameters: jax.Array) -> jax.Array:
         return jnp.asarray(jax.vmap(domain.frame)(generator.grow(parameters, generator.steps)))
+
+    def grow(parameters: jax.Array) -> jax.Array:
+        if devices.count() == 1 or not generator.steps:
+            return draw(parameters)
+        return jnp.asarray(mesh.map_items(draw, parameters))
 
     def simulate(layouts: jax.Array, indices: jax.Array, key: jax.Array) -> Any:
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
@@ -95,16 +100,27 @@ def simulate_layouts(
     simulator: Simulator, layouts: jax.Array, keys: jax.Array, simulations: int
 ) -> Any:
     """Simulate layouts [B, H, W], each `simulations` times from its own key of `keys` [B]."""
-    on_host = simulations if simulator.layout_at_once else 1
-    lanes = devices.lanes(simulator.accelerator_lanes, on_host)
+    runs = jax.vmap(lambda key: jax.random.split(key, simulations))(keys)
 
-    def one(item: tuple[jax.Array, jax.Array]) -> Any:
-        layout, key = item
-        tables = simulator.prepare(layout)
-        runs = jax.random.split(key, simulations)
-        return in_lanes(lambda run: simulator.run(tables, run), runs, lanes)
+    def share(layouts: jax.Array, runs: jax.Array) -> Any:
+        on_host = runs.shape[1] if simulator.layout_at_once else 1
+        lanes = devices.lanes(simulator.accelerator_lanes, on_host)
 
-    return in_lanes(one, (layouts, keys), lanes // simulations)
+        def one(item: tuple[jax.Array, jax.Array]) -> Any:
+            layout, runs = item
+            tables = simulator.prepare(layout)
+            return in_lanes(lambda run: simulator.run(tables, run), runs, lanes)
+
+        return in_lanes(one, (layouts, runs), lanes // runs.shape[1])
+
+    if devices_for(simulator) == 1:
+        return share(layouts, runs)
+    return mesh.map_runs(share, layouts, runs)
+
+
+def devices_for(simulator: Simulator) -> int:
+    """Count the devices that share one call of the simulator."""
+    return 1 if devices.count() == 1 or simulator.on_host() else devices.count()
 
 
 def score_layout(

@@ -46,6 +46,7 @@ class Simulator(NamedTuple):
             line (scan).
         layout_at_once: on a CPU, whether all runs of one layout go side by side. Otherwise they
             go one after the other, which is best where the work per run is data-dependent.
+        on_host: tells whether runs are computed by host code, which no other device can share.
     """
 
     prepare: Callable[[Any], Any]
@@ -53,6 +54,7 @@ class Simulator(NamedTuple):
     tasks: TaskRule | None = None
     accelerator_lanes: int = 128
     layout_at_once: bool = False
+    on_host: Callable[[], bool] = lambda: False
 
 
 @dataclass(frozen=True)
