@@ -5,6 +5,7 @@ import csv
 import io
 import json
 import os
+import re
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 from qdenv.interrupt import unfinished
 from qdenv.types import InputError
 
+_TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}")  # how `write_atomically` calls what is under way
 DIGITS = 6  # significant ones of a number in a file: single precision holds no more
 
 
@@ -56,6 +58,18 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
             unfinished.discard(temporary)
+
+
+def sweep(folder: Path) -> None:
+    """Take away what a process that was killed while it wrote left in a folder.
+
+    Args:
+        folder: where nobody else is writing.
+    """
+    for path in folder.glob(".*"):
+        if _TEMPORARY.fullmatch(path.name):
+            with contextlib.suppress(OSError):
+                path.unlink()
 
 
 def _write_through(path: Path, content: bytes | Callable[[BinaryIO], None]) -> None:

@@ -1,5 +1,6 @@
 """All attacks of the campaign."""
 
 from qdenv.bench.robustness.attack import Attack
+from qdenv.bench.robustness.kills import OPERATIONS, SIGKILLS
 
-ATTACKS: tuple[Attack, ...] = ()
+ATTACKS: tuple[Attack, ...] = (OPERATIONS, SIGKILLS)
