@@ -4,6 +4,7 @@ Each item is computed by one device, as it would be alone, and nothing is added 
 their number decides how long a batch takes and no bit of what comes out.
 """
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -13,6 +14,9 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 AXIS = "devices"
+# Held during a call that devices share: they wait for each other in it, and those of two calls at
+# once could wait for ever.
+turn = threading.Lock()
 
 
 def map_items(function: Callable[..., Any], *items: Any) -> Any:

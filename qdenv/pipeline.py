@@ -7,6 +7,7 @@ numbers for the same key.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -66,13 +67,8 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     generator = GENERATORS.make(config.generator, canvas_of(domain))
     pool = None if domain.rules is None else RepairPool(domain.rules(), config.repair)
 
-    def draw(parameters: jax.Array) -> jax.Array:
-        return jnp.asarray(jax.vmap(domain.frame)(generator.grow(parameters, generator.steps)))
-
     def grow(parameters: jax.Array) -> jax.Array:
-        if devices.count() == 1 or not generator.steps:
-            return draw(parameters)
-        return jnp.asarray(mesh.map_items(draw, parameters))
+        return jnp.asarray(jax.vmap(domain.frame)(generator.grow(parameters, generator.steps)))
 
     def simulate(layouts: jax.Array, indices: jax.Array, key: jax.Array) -> Any:
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
@@ -89,6 +85,13 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     return Pipeline(
         domain, generator.size, generator.choices, grow, pool, repair_seed, simulate, score
     )
+
+
+def grow_layouts(grow: Callable[[jax.Array], jax.Array], parameters: jax.Array) -> jax.Array:
+    """Grow a population float32 [B, P], a share of it on each device (-> int8 [B, H, W])."""
+    if devices.count() == 1:
+        return grow(parameters)
+    return jnp.asarray(mesh.map_items(grow, parameters))
 
 
 def in_lanes(function: Callable, items: Any, lanes: int) -> Any:
@@ -159,7 +162,7 @@ def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evalu
     Returns:
         `Evaluation` with leading axis B.
     """
-    unrepaired = pipeline.grow(parameters)
+    unrepaired = grow_layouts(pipeline.grow, parameters)
     if pipeline.pool is None:
         repair = jax.vmap(unrepaired_as_is)(unrepaired)
     else:
@@ -189,13 +192,16 @@ class Outcomes(NamedTuple):
     runs: Any
 
 
-# Repairs and simulates unrepaired layouts int8 [B, H, W] from a key; item ``i`` draws from
-# ``fold_in(key, i)``, whoever does the work.
-Executor = Callable[[np.ndarray, Array], Outcomes]
+# Begins to repair and simulate unrepaired layouts int8 [B, H, W] from a key, and gives a function
+# that waits for them. Item ``i`` draws from ``fold_in(key, i)``, whoever does the work.
+Executor = Callable[[np.ndarray, Array], Callable[[], Outcomes]]
 
 
 class PipelinedEvaluator:
-    """Evaluate populations with repair and simulation overlapping, wherever they are done."""
+    """Evaluate populations with repair and simulation overlapping, wherever they are done.
+
+    Several populations may be under way at once.
+    """
 
     def __init__(self, pipeline: Pipeline, execute: Executor) -> None:
         """Compile nothing yet.
@@ -205,13 +211,19 @@ class PipelinedEvaluator:
             execute: who repairs and simulates, like `training.executors.threads.Threads`.
         """
         self._execute = execute
-        self._grow = jax.jit(pipeline.grow)
+        self._grow = jax.jit(partial(grow_layouts, pipeline.grow))
         self._score = jax.jit(pipeline.score)
 
     def __call__(self, parameters: Array, key: Array) -> Evaluation:
         """Evaluate float32 [B, P]; the same arguments and result as `evaluate`."""
-        unrepaired = np.asarray(self._grow(parameters))
-        return self._score(unrepaired, *self._execute(unrepaired, key))
+        return self.begin(parameters, key)()
+
+    def begin(self, parameters: Array, key: Array) -> Callable[[], Evaluation]:
+        """Begin to evaluate float32 [B, P]; what it returns waits for the evaluation."""
+        with mesh.turn:
+            unrepaired = np.asarray(self._grow(parameters))
+        finish = self._execute(unrepaired, key)
+        return lambda: self._score(unrepaired, *finish())
 
 
 def joined(parts: Sequence[Outcomes]) -> Outcomes:

@@ -49,7 +49,7 @@ OPTIONS = (
     "maze-quick --rows 6 --cols 6 --timesteps 40 --steps 4 --kernel-sizes 3 1 --hidden 4 "
     "--simulations 2 --emitters 1 --batch 2 --evaluations 60 --archive 0 16 8 0 40 8 --no-progress"
 )
-MOST_TROUBLES = 3  # in a row, until the run is left in peace
+MOST_TROUBLES = 6  # in a row, until the run is left in peace
 EARLY = 0.15  # of signals come at any moment after the start, the others after the run began
 LOOK = 0.005  # seconds between looks at whether the run has begun
 HANGS = 300.0  # seconds after which a process counts as hung

@@ -1,5 +1,6 @@
 """Threads of this process that repair and simulate."""
 
+import contextlib
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -7,6 +8,7 @@ import jax
 import numpy as np
 
 from qdenv import devices
+from qdenv.mesh import turn
 from qdenv.pipeline import Outcomes, Pipeline, devices_for, joined, unrepaired_as_is
 from qdenv.types import Array
 
@@ -16,7 +18,7 @@ class Threads:
 
     Chunks of layouts are simulated (a compiled call releases the GIL) as soon as their repairs
     are ready: on a CPU one layout per chunk and one thread per core, on an accelerator one thread
-    that feeds larger chunks, and on several of them chunks for all.
+    that feeds larger chunks, for all of them where there are several.
     """
 
     def __init__(
@@ -36,11 +38,11 @@ class Threads:
         sharing = devices_for(pipeline.domain.simulator)
         self._chunk = chunk or sharing * devices.lanes(devices.ACCELERATOR_CHUNK)
         self._simulate = jax.jit(pipeline.simulate)
-        # Devices that share a call wait for each other: two calls at once could wait for ever.
-        self._threads = ThreadPoolExecutor(devices.threads() if sharing == 1 else 1)
+        self._turn = turn if sharing > 1 else contextlib.nullcontext()
+        self._threads = ThreadPoolExecutor(devices.threads())
 
-    def __call__(self, unrepaired: np.ndarray, key: Array) -> Outcomes:
-        """Repair and simulate int8 [B, H, W]."""
+    def __call__(self, unrepaired: np.ndarray, key: Array) -> Callable[[], Outcomes]:
+        """Begin to repair and simulate int8 [B, H, W]; what it returns waits for them."""
         size = _part(len(unrepaired), self._chunk)
         chunks = np.arange(len(unrepaired), dtype=np.int32).reshape(-1, size)
         repairs = [[self._submit(unrepaired[index]) for index in chunk] for chunk in chunks]
@@ -48,7 +50,7 @@ class Threads:
             self._threads.submit(self._finish, chunk, repair, key)
             for chunk, repair in zip(chunks, repairs, strict=True)
         ]
-        return joined([future.result() for future in pending])
+        return lambda: joined([future.result() for future in pending])
 
     def _submit(self, layout: np.ndarray) -> Future:
         if self._pipeline.pool is not None:
@@ -61,7 +63,8 @@ class Threads:
         done = [future.result() for future in repairs]
         layouts = np.stack([repair.layout for repair in done])
         status = np.array([repair.status for repair in done], np.int32)
-        runs = jax.tree.map(np.asarray, self._simulate(layouts, chunk, key))
+        with self._turn:
+            runs = jax.tree.map(np.asarray, self._simulate(layouts, chunk, key))
         self._progress(len(chunk))
         return Outcomes(layouts, status, runs)
 
