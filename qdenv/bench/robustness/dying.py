@@ -5,7 +5,7 @@ import errno
 import io
 import os
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 from unittest import mock
@@ -54,21 +54,36 @@ class Trouble:
             stack.enter_context(mock.patch.object(os, "fsync", self._watched(os.fsync, True)))
             for module in (io, builtins):
                 stack.enter_context(mock.patch.object(module, "open", self._watched_file(opened)))
-            yield
+            try:
+                yield
+            finally:  # as the system does for the dead
+                for handle in self._handles:
+                    os.close(handle)
 
     def _is_ours(self, place: Any) -> bool:
         if isinstance(place, int):
             return place in self._handles
         return os.fspath(place).startswith(self._folder)
 
-    def step(self, do: Callable[[], Any], needs_room: bool) -> Any:
-        """Do one operation, unless it goes wrong."""
+    def step(
+        self, do: Callable[[], Any], needs_room: bool, close: Callable[[Any], None] | None = None
+    ) -> Any:
+        """Do one operation, unless it goes wrong.
+
+        Args:
+            do: does it.
+            needs_room: whether it cannot be done on a full disk.
+            close: closes what it opened, as the system does for the dead.
+        """
         self.operations += 1
         begins = self.operations == self._at
         if self._kind == "death" and (begins or self.happened):
             self.happened = True
             if begins and self._late:
-                do()
+                with suppress(OSError):
+                    result = do()
+                    if close:
+                        close(result)
             raise DeathError
         if self._kind == "full disk" and self.operations >= self._at and needs_room:
             self.happened = True
@@ -96,8 +111,13 @@ class Trouble:
         def operation(place: Any, flags: int, *rest: Any, **options: Any) -> int:
             if not flags & WRITING or not self._is_ours(place):
                 return original(place, flags, *rest, **options)
-            handle: int = self.step(lambda: original(place, flags, *rest, **options), True)
-            self._handles.add(handle)
+
+            def do() -> int:
+                return original(place, flags, *rest, **options)
+
+            handle: int = self.step(do, True, os.close)
+            if not str(place).endswith(LOCK):
+                self._handles.add(handle)
             return handle
 
         return operation
@@ -107,8 +127,11 @@ class Trouble:
             writes = bool(set(mode) & set("wax+"))
             if not writes or not self._is_ours(place):
                 return original(place, mode, *rest, **options)
-            file = self.step(lambda: original(place, mode, *rest, **options), True)
-            return File(file, self)
+
+            def do() -> File:
+                return File(original(place, mode, *rest, **options), self)
+
+            return self.step(do, True, lambda file: file.__exit__(None, None, None))
 
         return operation
 
