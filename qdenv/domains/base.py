@@ -145,11 +145,17 @@ class Domain:
             cols: columns of the framed layout.
             numbers: exact numbers of tiles; those left out are what is known of the size, or else
                 follow the generated area.
+
+        Raises:
+            InputError: this size has no generated area that numbers could follow.
         """
         stays = {} if (rows, cols) == self.shape else {"keep": ()}
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
         area = max(empty.generated_shape[0], 0) * max(empty.generated_shape[1], 0)
         own_area = self.generated_shape[0] * self.generated_shape[1]
+        if min(self.generated_shape) < 1:
+            rows, cols = self.shape
+            raise InputError(f"{rows} x {cols}: {self.name} has no room inside its frame")
         scaled = {name: round(number * area / own_area) for name, number in self.numbers.items()}
         size = self.known_size(rows, cols)
         return empty.with_numbers(scaled | dict(size.numbers if size else {}) | dict(numbers or {}))

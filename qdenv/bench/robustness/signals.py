@@ -89,7 +89,8 @@ def attempt_signals(chance: np.random.Generator, folder: Path) -> Attempt:
             time.sleep(chance.random() * wanted.start)
         else:
             await_begin(run, work)
-            time.sleep(chance.random() * wanted.size)
+            # What is left to do takes less time than the whole run.
+            time.sleep(chance.random() ** 2 * wanted.size)
         work.send_signal(number)
         if number != signal.SIGKILL and chance.random() < 0.3:  # once more
             time.sleep(chance.random() * 0.2)
