@@ -38,7 +38,7 @@ MAZE = RunConfig(
     evaluation=EvaluationConfig(
         domain=MazeConfig(rows=6, cols=6, timesteps=40), generator=_NCA, simulations=5, alpha=0.0
     ),
-    algorithm=CmaMaeConfig(emitters=1, batch=2, sigma0=0.5),
+    algorithm=CmaMaeConfig(emitters=1, batch=2, sigma0=0.5, ahead=1),
     evaluations=6,
     archive=((0, 16, 8), (0, 40, 8)),
 )
