@@ -44,7 +44,7 @@ ALLOWED = {
     | STAGES
     | PLUGS
     | {"checkpoints", "search", "pipeline", "settings", "domains", "formats", "plots.inline"}
-    | {"zoo"},
+    | {"mesh", "zoo"},
     "study": BASE
     | STAGES
     | PLUGS

@@ -54,11 +54,13 @@ def start(run: Path, elsewhere: Path, keep: bool = False) -> subprocess.Popen:
 
 
 def await_begin(run: Path, work: subprocess.Popen) -> None:
-    """Wait until a run shows a sign of life, or its process ends."""
-    before = (run / ".lock").stat().st_mtime_ns if (run / ".lock").exists() else 0
-    while work.poll() is None:
-        if (run / ".lock").exists() and (run / ".lock").stat().st_mtime_ns != before:
-            return
+    """Wait until a process makes or renames the first file of a run, or ends."""
+
+    def changed() -> int:
+        return run.stat().st_mtime_ns if run.exists() else 0
+
+    before = changed()
+    while work.poll() is None and changed() == before:
         time.sleep(LOOK)
 
 
