@@ -13,6 +13,7 @@ import pytest
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.mesh import count_parts
 from qdenv.pipeline import devices_for
+from qdenv.training.executors.threads import chunk_size
 
 HERE = Path(__file__).parent
 EIGHT = "--xla_force_host_platform_device_count=8"
@@ -76,3 +77,8 @@ def test_only_what_the_devices_compute_themselves_is_shared_out(monkeypatch):
     assert devices_for(by_xla) == 1
     monkeypatch.setattr("qdenv.devices.count", lambda: 8)
     assert (devices_for(by_xla), devices_for(on_host)) == (8, 1)
+
+
+def test_chunks_are_equal_and_as_large_as_allowed():
+    sizes = {(50, 10): 10, (36, 10): 9, (7, 10): 7, (50, 80): 50, (13, 8): 1, (50, 1): 1}
+    assert {given: chunk_size(*given) for given in sizes} == sizes

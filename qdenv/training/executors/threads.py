@@ -43,7 +43,7 @@ class Threads:
 
     def __call__(self, unrepaired: np.ndarray, key: Array) -> Callable[[], Outcomes]:
         """Begin to repair and simulate int8 [B, H, W]; what it returns waits for them."""
-        size = _part(len(unrepaired), self._chunk)
+        size = chunk_size(len(unrepaired), self._chunk)
         chunks = np.arange(len(unrepaired), dtype=np.int32).reshape(-1, size)
         repairs = [[self._submit(unrepaired[index]) for index in chunk] for chunk in chunks]
         pending = [
@@ -69,6 +69,6 @@ class Threads:
         return Outcomes(layouts, status, runs)
 
 
-def _part(size: int, most: int) -> int:
+def chunk_size(size: int, most: int) -> int:
     """Find the greatest divisor of `size` up to `most`: equal chunks compile once."""
     return max(part for part in range(1, min(size, most) + 1) if size % part == 0)
