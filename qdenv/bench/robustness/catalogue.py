@@ -1,5 +1,7 @@
 """All attacks of the campaign."""
 
 from qdenv.bench.robustness.attack import Attack
+from qdenv.bench.robustness.kills import OPERATIONS
+from qdenv.bench.robustness.signals import SIGNALS
 
-ATTACKS: tuple[Attack, ...] = ()
+ATTACKS: tuple[Attack, ...] = (OPERATIONS, SIGNALS)
