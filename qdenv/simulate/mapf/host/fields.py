@@ -87,7 +87,7 @@ def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) 
 
 def _blank_pages(pages: int, side: int, kind: type) -> np.ndarray:
     """Make pages that take memory once they are used, but for the first, which is never written."""
-    steps = np.empty((pages, side * side), kind)
+    steps: np.ndarray = np.empty((pages, side * side), kind)
     steps[NOWHERE] = UNKNOWN
     return steps
 
