@@ -173,13 +173,16 @@ class Outcomes(NamedTuple):
     runs: Any
 
 
-# Repairs and simulates unrepaired layouts int8 [B, H, W] from a key; item ``i`` draws from
-# ``fold_in(key, i)``, whoever does the work.
-Executor = Callable[[np.ndarray, Array], Outcomes]
+# Begins to repair and simulate unrepaired layouts int8 [B, H, W] from a key, and gives a function
+# that waits for them. Item ``i`` draws from ``fold_in(key, i)``, whoever does the work.
+Executor = Callable[[np.ndarray, Array], Callable[[], Outcomes]]
 
 
 class PipelinedEvaluator:
-    """Evaluate populations with repair and simulation overlapping, wherever they are done."""
+    """Evaluate populations with repair and simulation overlapping, wherever they are done.
+
+    Several populations may be under way at once.
+    """
 
     def __init__(self, pipeline: Pipeline, execute: Executor) -> None:
         """Compile nothing yet.
@@ -194,8 +197,13 @@ class PipelinedEvaluator:
 
     def __call__(self, parameters: Array, key: Array) -> Evaluation:
         """Evaluate float32 [B, P]; the same arguments and result as `evaluate`."""
+        return self.begin(parameters, key)()
+
+    def begin(self, parameters: Array, key: Array) -> Callable[[], Evaluation]:
+        """Begin to evaluate float32 [B, P]; what it returns waits for the evaluation."""
         unrepaired = np.asarray(self._grow(parameters))
-        return self._score(unrepaired, *self._execute(unrepaired, key))
+        finish = self._execute(unrepaired, key)
+        return lambda: self._score(unrepaired, *finish())
 
 
 def joined(parts: Sequence[Outcomes]) -> Outcomes:

@@ -105,9 +105,9 @@ def test_an_error_that_comes_each_time_is_raised_and_once_is_not(local, tmp_path
         raise ValueError("for good")
 
     with distributed.Client(local.scheduler_address) as client:
-        assert workers.Workers(client, fail_once).map([(tmp_path / "mark",)]) == ["done"]
+        assert workers.Workers(client, fail_once).begin([(tmp_path / "mark",)]).finish() == ["done"]
         with pytest.raises(ValueError, match="for good"):
-            workers.Workers(client, fail_always).map([()])
+            workers.Workers(client, fail_always).begin([()]).finish()
 
 
 def make_foreign() -> None:

@@ -112,14 +112,14 @@ import os, signal, sys
 sys.path.insert(0, {here!r})
 import toy
 from qdenv import files
-from qdenv.training import checkpoint, loop
+from qdenv.training import checkpoint, flight, loop
 
 def die(*args, **kwargs):
     os.kill(os.getpid(), signal.SIGKILL)
 
 if {where!r} == "iteration":
-    original, calls = loop.seen, []
-    loop.seen = lambda e: (calls.append(1), original(e))[1] if len(calls) < 4 else die()
+    original, calls = flight.seen, []
+    flight.seen = lambda e: (calls.append(1), original(e))[1] if len(calls) < 4 else die()
 else:
     original = checkpoint.save_checkpoint
     def save(path, state, manifest):

@@ -170,7 +170,7 @@ def test_a_total_below_what_is_done_is_refused_and_nothing_written(evaluations, 
 
 
 def test_an_interrupted_run_keeps_its_last_iteration(whole, tmp_path, monkeypatch):
-    calls, original = [], PipelinedEvaluator.__call__
+    calls, original = [], PipelinedEvaluator.begin
 
     def stop_in_the_fourth(self, parameters, key):
         calls.append(1)
@@ -178,7 +178,7 @@ def test_an_interrupted_run_keeps_its_last_iteration(whole, tmp_path, monkeypatc
             raise KeyboardInterrupt
         return original(self, parameters, key)
 
-    monkeypatch.setattr(PipelinedEvaluator, "__call__", stop_in_the_fourth)
+    monkeypatch.setattr(PipelinedEvaluator, "begin", stop_in_the_fourth)
     with pytest.raises(KeyboardInterrupt):
         loop.train(replace(SHORT, checkpoint_every=10), tmp_path / "run", progress=False)
     monkeypatch.undo()

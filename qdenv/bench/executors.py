@@ -7,7 +7,8 @@ import signal
 import tempfile
 import threading
 import time
-from dataclasses import replace
+from collections import deque
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,53 +19,75 @@ from qdenv.files import write_json
 from qdenv.presets import find_preset
 from qdenv.training import loop
 from qdenv.training.executors.choosing import Execution
-from qdenv.training.executors.workers import Workers
+from qdenv.training.executors.workers import Batch, Workers
 from qdenv.training.records import RunDirectory
 
 
-def run(
-    preset: str = "quick",
-    evaluations: int = 300,
-    workers: int = 2,
-    kills: int = 20,
-    simulated: int = 64,
-    batch: int = 50,
-    seed: int = 0,
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
-) -> dict[str, Any]:
-    """Search with threads, with a cluster on this machine, and once more while workers are killed.
+@dataclass(frozen=True)
+class Options:
+    """What to run.
 
-    Then a cluster of many workers whose tasks sleep as long as layouts took here.
-
-    Args:
+    Attributes:
         preset: a named configuration.
         evaluations: of each search.
         workers: processes of the cluster, and threads to compare with.
         kills: workers that are killed at random moments of the third search.
         simulated: workers of the cluster that sleeps.
         batch: layouts of its populations.
+        ahead: populations asked ahead, to compare with none.
         seed: of the search, and of who is killed when.
+    """
+
+    preset: str = "quick"
+    evaluations: int = 300
+    workers: int = 2
+    kills: int = 20
+    simulated: int = 64
+    batch: int = 50
+    ahead: int = 2
+    seed: int = 0
+
+
+def run(
+    options: Annotated[Options, tyro.conf.arg(name="")],
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
+) -> dict[str, Any]:
+    """Search with threads, with a cluster on this machine, and once more while workers are killed.
+
+    Then a cluster of many workers whose tasks sleep as long as layouts of size S take.
+
+    Args:
+        options: what to run.
         json_file: where to write the result.
     """
-    config = replace(find_preset(preset), evaluations=evaluations, seed=seed)
+    result: dict[str, Any] = asdict(options)
+    if options.evaluations:
+        result |= compare(options)
+    if options.simulated:
+        ways = (0, options.ahead) if options.ahead else (0,)
+        given = options.simulated, options.batch, options.seed
+        result["sleeping"] = [sleep_through(*given, ahead) for ahead in ways]
+    print(json.dumps(result, indent=1))
+    if json_file:
+        write_json(json_file, result)
+    return result
+
+
+def compare(options: Options) -> dict[str, Any]:
+    """Search with threads, with a cluster, and with a cluster whose workers are killed."""
+    config = find_preset(options.preset)
+    config = replace(config, evaluations=options.evaluations, seed=options.seed)
+    workers = options.workers
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
         threads = loop.train(config, home / "threads", False, Execution(workers=workers))
         dask = loop.train(config, home / "dask", False, Execution("dask", workers=workers))
         result: dict[str, Any] = {
-            "preset": preset,
-            "evaluations": evaluations,
-            "workers": workers,
             "evaluations_per_second": {"threads": speed(threads), "dask": speed(dask)},
             "same_archive": alike(threads, dask),
         }
-        if kills:
-            result |= survive(config, home / "killed", workers, kills, threads)
-    if simulated:
-        result["simulated"] = sleep_through(simulated, batch, seed)
-    print(json.dumps(result, indent=1))
-    if json_file:
-        write_json(json_file, result)
+        if options.kills:
+            result |= survive(config, home / "killed", workers, options.kills, threads)
     return result
 
 
@@ -111,12 +134,14 @@ def survive(
     return {"killed": killed[0], "same_archive_after_kills": alike(run, whole)}
 
 
-def sleep_through(workers: int, batch: int, seed: int, populations: int = 5) -> dict[str, Any]:
+def sleep_through(
+    workers: int, batch: int, seed: int, ahead: int, populations: int = 20
+) -> dict[str, Any]:
     """Let a cluster of many workers sleep instead of evaluating layouts.
 
     Returns:
-        workers, batch, and busy: the share of the workers' time that is spent sleeping; ideal is
-        what no scheduler could exceed, as a population waits for its slowest layout.
+        workers, batch, ahead, and busy: the share of the workers' time that is spent sleeping;
+        ideal is what no scheduler could exceed, as an old population waits for its slowest layout.
     """
     from distributed import Client, LocalCluster
 
@@ -133,23 +158,38 @@ def sleep_through(workers: int, batch: int, seed: int, populations: int = 5) -> 
         Client(cluster) as client,
     ):
         sleepers = Workers(client, time.sleep)
-        sleepers.map([(0.01,)] * workers)
-        begun = time.perf_counter()
+        sleepers.begin([(0.01,)] * workers).finish()
+        begun, under_way = time.perf_counter(), deque[Batch]()
         for population in lengths.tolist():
-            sleepers.map([(length,) for length in population])
+            under_way.append(sleepers.begin([(length,) for length in population]))
+            if len(under_way) > ahead:
+                under_way.popleft().finish()
+        for rest in under_way:
+            rest.finish()
         spent = time.perf_counter() - begun
-    best = sum(shortest_time(population, workers) for population in lengths)
     return {
         "workers": workers,
         "batch": batch,
+        "ahead": ahead,
         "busy": lengths.sum() / (workers * spent),
-        "ideal": lengths.sum() / (workers * best),
+        "ideal": lengths.sum() / (workers * shortest_time(lengths, workers, ahead)),
     }
 
 
-def shortest_time(lengths: np.ndarray, workers: int) -> float:
-    """Seconds that so many workers need, each taking the next task when it is free."""
-    free = np.zeros(workers)
-    for length in lengths:
-        free[free.argmin()] += length
-    return float(free.max())
+def shortest_time(lengths: np.ndarray, workers: int, ahead: int) -> float:
+    """Seconds that so many workers need, each taking the next task when it is free.
+
+    Args:
+        lengths: float [populations, B], seconds of each task.
+        workers: how many.
+        ahead: a population begins when all but so many before it are done.
+    """
+    free, over = np.zeros(workers), np.zeros(len(lengths))
+    for number, population in enumerate(lengths):
+        begins = over[number - ahead - 1] if number > ahead else 0.0
+        for length in population:
+            first = free.argmin()
+            free[first] = max(free[first], begins) + length
+            over[number] = max(over[number], free[first])
+        over[number] = over[: number + 1].max()  # they are told in order
+    return float(over.max())

@@ -62,6 +62,8 @@ class Algorithm(NamedTuple):
         batch_size: B, the number of solutions of every ask.
         notes: state -> numbers by name that a run logs after each iteration; NaN where there is
             nothing to say yet. The names never change.
+        ahead: populations that may be asked before the answers of the one before them are told;
+            they are told in the order in which they were asked.
     """
 
     init: Callable[[jax.Array], Any]
@@ -70,6 +72,7 @@ class Algorithm(NamedTuple):
     archive: Callable[[Any], GridArchive]
     batch_size: int
     notes: Callable[[Any], Mapping[str, jax.Array]] = lambda state: {}
+    ahead: int = 0
 
 
 def received(solutions: Array, score: Score) -> tuple[jax.Array, Score]:

@@ -34,5 +34,6 @@ def cma_es(
         selection="mu",
         restart=config.restart,
         strategy=config.strategy,
+        ahead=config.ahead,
     )
     return cma_mae(settings, problem, x0)

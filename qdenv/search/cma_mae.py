@@ -24,6 +24,7 @@ from qdenv.search.settings import CmaMaeConfig
 from qdenv.search.store import ROW, Store, StoredElites
 from qdenv.search.strategies.registry import STRATEGIES
 from qdenv.search.threshold_archive import ThresholdArchive
+from qdenv.search.turns import TurnsState, take_turns
 from qdenv.types import Array, Measure, Score, look_up
 
 
@@ -31,7 +32,7 @@ class CmaMaeState(NamedTuple):
     """State of CMA-MAE; one pytree."""
 
     key: jax.Array
-    emitters: EmittersState
+    emitters: EmittersState | TurnsState
     learning: ThresholdArchive  # judged by `Score.objective`; steers the emitters
     result: GridArchive  # the best by `Score.result_objective`
     store: Store  # the solutions of both, which hold rows of it
@@ -44,7 +45,7 @@ def make_team(config: CmaMaeConfig, start: jax.Array) -> Emitters:
         InputError: a setting is out of range or unknown.
     """
     make_strategy = look_up(STRATEGIES, config.strategy, "strategy")
-    return make_emitters(
+    team = make_emitters(
         make_strategy(start.shape[0], config.batch, config.sigma0),
         start,
         config.emitters,
@@ -53,6 +54,7 @@ def make_team(config: CmaMaeConfig, start: jax.Array) -> Emitters:
         look_up(SELECTIONS, config.selection, "selection"),
         restart_rule(config.restart),
     )
+    return take_turns(team, config.ahead + 1)
 
 
 def new_learning_archive(
@@ -121,4 +123,4 @@ def cma_mae(
     def archive(state: CmaMaeState) -> GridArchive:
         return StoredElites(state.result, state.store).dense()
 
-    return Algorithm(init, ask, tell, archive, batch_size)
+    return Algorithm(init, ask, tell, archive, batch_size, ahead=config.ahead)

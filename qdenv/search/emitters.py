@@ -51,15 +51,15 @@ class Emitters(NamedTuple):
     """E emitters as a record of functions.
 
     Attributes:
-        init: key -> state; consumes the key.
+        init: key -> state, a pytree; consumes the key.
         ask: (state, key) -> (solutions float [E * b, P], state); consumes the key.
         tell: (state, key, solutions, insertion, objective, usable, archive) -> state, the
             arrays with a leading axis E * b; `archive` holds the batch already. Consumes the key.
     """
 
-    init: Callable[[jax.Array], EmittersState]
-    ask: Callable[[EmittersState, jax.Array], tuple[jax.Array, EmittersState]]
-    tell: Callable[..., EmittersState]
+    init: Callable[[jax.Array], Any]
+    ask: Callable[[Any, jax.Array], tuple[jax.Array, Any]]
+    tell: Callable[..., Any]
 
 
 def rank(keys: tuple[jax.Array, ...], usable: jax.Array) -> jax.Array:

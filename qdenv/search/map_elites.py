@@ -82,4 +82,4 @@ def map_elites(
     def archive(state: MapElitesState) -> GridArchive:
         return StoredElites(state.result, state.store).dense()
 
-    return Algorithm(init, ask, tell, archive, batch_size)
+    return Algorithm(init, ask, tell, archive, batch_size, ahead=config.ahead)

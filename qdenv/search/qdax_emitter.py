@@ -15,6 +15,7 @@ from qdenv.search.base import plain_key, received, start_solution
 from qdenv.search.cma_mae import CmaMaeConfig, make_team, new_learning_archive
 from qdenv.search.emitters import EmittersState
 from qdenv.search.threshold_archive import ThresholdArchive
+from qdenv.search.turns import TurnsState
 from qdenv.types import Array, Measure, Score
 
 
@@ -28,7 +29,7 @@ class CmaMaeEmitterState(EmitterState):
     """
 
     key: jax.Array
-    emitters: EmittersState
+    emitters: EmittersState | TurnsState
     learning: ThresholdArchive
 
 

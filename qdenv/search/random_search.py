@@ -61,4 +61,4 @@ def random_search(
     def archive(state: RandomSearchState) -> GridArchive:
         return StoredElites(state.result, state.store).dense()
 
-    return Algorithm(init, ask, tell, archive, config.batch)
+    return Algorithm(init, ask, tell, archive, config.batch, ahead=config.ahead)

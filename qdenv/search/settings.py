@@ -70,6 +70,16 @@ def check_rates(learning_rate: float, threshold_min: float) -> None:
         raise InputError("threshold_min = -inf needs an archive learning rate of 1")
 
 
+def check_ahead(ahead: int) -> None:
+    """Refuse a number of populations asked ahead that is none.
+
+    Raises:
+        InputError: it is below 0, or more than any cluster needs.
+    """
+    if not 0 <= ahead <= 1000:
+        raise InputError(f"ahead must be from 0 to 1000, not {ahead}")
+
+
 @dataclass(frozen=True)
 class CmaMaeConfig:
     """Settings of CMA-MAE; the defaults are the paper's (Table 1).
@@ -86,6 +96,8 @@ class CmaMaeConfig:
         restart: when nothing was accepted, never (basic), or every so many iterations.
         strategy: how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full),
             its limited-memory form (lm_ma), or one of evosax'.
+        ahead: populations asked before the one before them is told, for many workers:
+            the emitters become ahead + 1 teams that take turns.
     """
 
     emitters: int = 5
@@ -97,12 +109,14 @@ class CmaMaeConfig:
     selection: Selection = "mu"
     restart: Literal["no_improvement", "basic"] | int = "no_improvement"
     strategy: Strategy = "iso"
+    ahead: int = 0
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no search."""
         positive(emitters=self.emitters, batch=self.batch, sigma0=self.sigma0)
         check_rates(self.learning_rate, self.threshold_min)
         check_strategy(self.strategy)
+        check_ahead(self.ahead)
 
 
 @dataclass(frozen=True)
@@ -133,6 +147,8 @@ class ScreenedConfig(CmaMaeConfig):
         """Refuse numbers that make no search."""
         super().__post_init__()
         positive(screen=self.screen, refit=self.refit)
+        if self.ahead:
+            raise InputError("cma-mae-screened asks nothing ahead: leave ahead at 0")
 
 
 @dataclass(frozen=True)
@@ -148,6 +164,7 @@ class MapElitesConfig:
             elitist archive; the published runs drew their parents from the soft archive of
             CMA-MAE (0.01 and 0).
         threshold_min: threshold of an empty cell of the parents' archive.
+        ahead: populations asked before the one before them is told, for many workers.
     """
 
     emitters: int = 5
@@ -156,11 +173,13 @@ class MapElitesConfig:
     sigma_line: float = 0.2
     learning_rate: float = 1.0
     threshold_min: float = -math.inf
+    ahead: int = 0
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no search."""
         positive(emitters=self.emitters, batch=self.batch, sigma_iso=self.sigma_iso)
         check_rates(self.learning_rate, self.threshold_min)
+        check_ahead(self.ahead)
 
 
 @dataclass(frozen=True)
@@ -184,6 +203,8 @@ class CmaEsConfig:
         strategy: how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full),
             its limited-memory form (lm_ma), or one of evosax', of which CMA_ES decomposes its full
             matrix at every step: for some hundreds of parameters at most.
+        ahead: populations asked before the one before them is told, for many workers:
+            the emitters become ahead + 1 teams that take turns.
     """
 
     emitters: int = 1
@@ -191,11 +212,13 @@ class CmaEsConfig:
     sigma0: float = 0.2
     restart: Literal["no_improvement", "basic"] | int = "basic"
     strategy: Strategy = "iso"
+    ahead: int = 0
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no search."""
         positive(emitters=self.emitters, batch=self.batch, sigma0=self.sigma0)
         check_strategy(self.strategy)
+        check_ahead(self.ahead)
 
 
 @dataclass(frozen=True)
@@ -205,14 +228,17 @@ class RandomSearchConfig:
     Attributes:
         batch: solutions per iteration.
         sigma: standard deviation of every parameter.
+        ahead: populations asked before the one before them is told, for many workers.
     """
 
     batch: int = 50
     sigma: float = 0.2
+    ahead: int = 0
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no search."""
         positive(batch=self.batch, sigma=self.sigma)
+        check_ahead(self.ahead)
 
 
 CMA_MAE = Entry(CmaMaeConfig, "qdenv.search.cma_mae:cma_mae")

@@ -20,13 +20,14 @@ from qdenv.training.config import RunConfig
 from qdenv.training.continued import check_settings, check_total, settings_of
 from qdenv.training.executors.choosing import Execution, opened
 from qdenv.training.feasible import check_feasible
+from qdenv.training.flight import Flight, Search, begin_search
 from qdenv.training.log import Log
 from qdenv.training.manifest import meaning_of
 from qdenv.training.problem import archive_axes, problem_of, seen
 from qdenv.training.progress import Progress
 from qdenv.training.published import Publisher, describe
 from qdenv.training.records import RunDirectory
-from qdenv.types import Measure
+from qdenv.types import InputError, Measure
 
 
 class Experiment(NamedTuple):
@@ -69,7 +70,12 @@ def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
     Under `jax.jit` the repair is the only thing that leaves the device (where the planner's
     backend is XLA); under `lax.scan` a run is one program. `train` runs the same iteration in
     parts instead, so that repairs and simulations overlap.
+
+    Raises:
+        InputError: the algorithm asks ahead, which one iteration after the other cannot.
     """
+    if experiment.algorithm.ahead:
+        raise InputError("a whole iteration as one function asks nothing ahead: leave ahead at 0")
 
     def iterate(state: Any, iteration: jax.Array) -> Any:
         solutions, state = experiment.algorithm.ask(state)
@@ -138,9 +144,9 @@ def resume(
 
 def _restored(
     experiment: Experiment, config: RunConfig, run: RunDirectory, algorithm: Algorithm
-) -> tuple[int, Any]:
-    """Read how far a run came: (iterations, state)."""
-    manifest, state = run.load_checkpoint(algorithm.init(experiment.search_key))
+) -> tuple[int, Search]:
+    """Read how far a run came: (iterations, the search after them)."""
+    manifest, search = run.load_checkpoint(begin_search(algorithm, experiment.search_key))
     done = manifest["iteration"]
     # Checkpoints of an older qdenv say nothing, but the manifest knows the axes.
     known = {"archive": [list(axis[1:4]) for axis in run.measures]}
@@ -149,7 +155,7 @@ def _restored(
     if config != run.config:
         check_total(config.evaluations, done, algorithm.batch_size)
         run.write_config(config)
-    return done, state
+    return done, search
 
 
 def _run(
@@ -172,32 +178,32 @@ def _run(
         execute = stack.enter_context(opened(execution, config, pipeline, shown.advance))
         evaluator = PipelinedEvaluator(pipeline, execute)
 
-        begun, state = _restored(experiment, config, run, algorithm)
-        done, log = begun, Log(run, begun)
-        if done >= total:
-            publisher.publish(state)  # it may be older, where a run was killed at its very end
-        shown.begin(done * batch)
+        begun, search = _restored(experiment, config, run, algorithm)
+        log = Log(run, begun)
+        if begun >= total:
+            publisher.publish(search)  # it may be older, where a run was killed at its very end
+        shown.begin(begun * batch)
+        flight = Flight(algorithm, evaluator, experiment.evaluation_key, total, begun, search)
         try:
-            while done < total:
+            while flight.done < total:
                 start = time.perf_counter()
                 with shown.during("the search prepares its next questions"):
-                    solutions, asked = jax.block_until_ready(algorithm.ask(state))
-                # Keys follow from the number of the iteration: a resumed run draws the same.
-                key = jax.random.fold_in(experiment.evaluation_key, done + 1)
-                evaluation = evaluator(solutions, key)
+                    flight.launch()
+                evaluation = flight.wait()
                 with undisturbed:
-                    state = algorithm.tell(asked, solutions, evaluation.score, seen(evaluation))
-                    done += 1
-                    summary, spent = publisher.summary(state), time.perf_counter() - start
-                    notes = algorithm.notes(state)
+                    flight.land(evaluation)
+                    done, search = flight.done, flight.search
+                    summary, spent = publisher.summary(search), time.perf_counter() - start
+                    notes = algorithm.notes(search.state)
                     row = log.add(done, batch, summary, spent, evaluation, notes)
                     shown.update(batch, describe(row))
-                    save_first(partial(publisher.save, done, state, settings))
+                    save_first(partial(publisher.save, done, search, settings))
                     if done % config.checkpoint_every == 0 or done == total or publisher.has_time:
                         save_first(None)
-                        publisher.save(done, state, settings)
+                        publisher.save(done, search, settings)
         except KeyboardInterrupt:  # in notebooks; programs end otherwise, see `interrupt`
-            if done > begun and not publisher.is_saved(done) and is_whole(state):
-                publisher.save(done, state, settings)
+            done, search = flight.done, flight.search
+            if done > begun and not publisher.is_saved(done) and is_whole(search):
+                publisher.save(done, search, settings)
             raise
     return run

@@ -73,7 +73,8 @@ class Progress(event.Listener):
         self._done += evaluations
         self._state = state
         self._bar.set_postfix_str(state, refresh=False)
-        self._bar.update(self._done - self._bar.n)
+        # Layouts of later populations may be done already.
+        self._bar.update(max(0, self._done - self._bar.n))
         self._bar.refresh()  # a tick a moment ago would make tqdm leave this state out
 
     @contextlib.contextmanager

@@ -13,6 +13,7 @@ from qdenv.formats.layouts import write_layout
 from qdenv.search.base import Algorithm
 from qdenv.search.export import collector
 from qdenv.training.elite import best_row, mark_cells
+from qdenv.training.flight import Search
 from qdenv.training.records import Metrics, RunDirectory
 from qdenv.types import Evaluation, Measure, RepairStatus
 
@@ -33,9 +34,9 @@ class Publisher:
         self._collect = collector(algorithm)
         self._summarise = jax.jit(lambda state: _summary(algorithm, state))
 
-    def summary(self, state: Any) -> list[float]:
+    def summary(self, search: Search) -> list[float]:
         """Compute QD-score, coverage and best objective, and wait for them."""
-        return [float(value) for value in self._summarise(state)]
+        return [float(value) for value in self._summarise(search.state)]
 
     @property
     def has_time(self) -> bool:
@@ -48,18 +49,18 @@ class Publisher:
         """Tell whether this process has saved the search after an iteration."""
         return self._saved == iteration
 
-    def save(self, iteration: int, state: Any, settings: dict[str, Any]) -> None:
+    def save(self, iteration: int, search: Search, settings: dict[str, Any]) -> None:
         """Write a checkpoint, then the archive and its best layout."""
         begun = time.perf_counter()
-        self._run.save_checkpoint(iteration, state, settings)
-        self.publish(state)
+        self._run.save_checkpoint(iteration, search, settings)
+        self.publish(search)
         self._since = time.perf_counter()
         self._last = self._since - begun
         self._saved, self._spent = iteration, self._spent + self._last
 
-    def publish(self, state: Any) -> None:
+    def publish(self, search: Search) -> None:
         """Write the archive and its best layout."""
-        archive = self._collect(state)
+        archive = self._collect(search.state)
         self._run.save_archive(archive)
         if len(archive["index"]) == 0:
             return

@@ -1,13 +1,15 @@
 """What an attack of the campaign is: a name, what it counts, and one attempt from a seed."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 
-class Attempt(NamedTuple):
+@dataclass(frozen=True)
+class Attempt:
     """What one attempt did.
 
     Attributes:
@@ -18,7 +20,7 @@ class Attempt(NamedTuple):
 
     count: int
     faults: tuple[str, ...] = ()
-    notes: Mapping[str, int] = {}
+    notes: Mapping[str, int] = field(default_factory=dict)
 
 
 class Attack(NamedTuple):

@@ -49,18 +49,15 @@ class Cluster:
         index, key = jax.ShapeDtypeStruct((1,), np.int32), jax.random.key(0)
         self._runs = jax.tree.structure(jax.eval_shape(pipeline.simulate, layouts, index, key))
 
-    def __call__(self, unrepaired: np.ndarray, key: Array) -> Outcomes:
-        """Repair and simulate int8 [B, H, W]."""
+    def __call__(self, unrepaired: np.ndarray, key: Array) -> Callable[[], Outcomes]:
+        """Begin to repair and simulate int8 [B, H, W]; what it returns waits for them."""
         drawn = np.asarray(jax.random.key_data(key))
         known = self._settings, versions()
         tasks = [(*known, layout, number, drawn) for number, layout in enumerate(unrepaired)]
-        return joined(
-            [
-                Outcomes(
-                    layout[None],
-                    np.array([status], np.int32),
-                    jax.tree.unflatten(self._runs, leaves),
-                )
-                for layout, status, leaves in self._workers.map(tasks)
-            ]
-        )
+        batch = self._workers.begin(tasks)
+        return lambda: joined([self._outcome(*answer) for answer in batch.finish()])
+
+    def _outcome(self, layout: np.ndarray, status: int, leaves: list[np.ndarray]) -> Outcomes:
+        """Give one answer of a worker the form of a population of one."""
+        runs = jax.tree.unflatten(self._runs, leaves)
+        return Outcomes(layout[None], np.array([status], np.int32), runs)

@@ -38,8 +38,8 @@ class Threads:
         self._simulate = jax.jit(pipeline.simulate)
         self._threads = ThreadPoolExecutor(devices.threads())
 
-    def __call__(self, unrepaired: np.ndarray, key: Array) -> Outcomes:
-        """Repair and simulate int8 [B, H, W]."""
+    def __call__(self, unrepaired: np.ndarray, key: Array) -> Callable[[], Outcomes]:
+        """Begin to repair and simulate int8 [B, H, W]; what it returns waits for them."""
         size = math.gcd(len(unrepaired), self._chunk)  # equal chunks compile once
         chunks = np.arange(len(unrepaired), dtype=np.int32).reshape(-1, size)
         repairs = [[self._submit(unrepaired[index]) for index in chunk] for chunk in chunks]
@@ -47,7 +47,7 @@ class Threads:
             self._threads.submit(self._finish, chunk, repair, key)
             for chunk, repair in zip(chunks, repairs, strict=True)
         ]
-        return joined([future.result() for future in pending])
+        return lambda: joined([future.result() for future in pending])
 
     def _submit(self, layout: np.ndarray) -> Future:
         if self._pipeline.pool is not None:

@@ -9,7 +9,7 @@ import logging
 import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from qdenv.training.executors.task import WrongWorkerError, timed, versions
@@ -45,23 +45,29 @@ class Workers:
         self._client, self._work, self._progress = client, work, progress
         self._seconds: deque[float] = deque([0.0], REMEMBERED)
 
-    def map(self, tasks: Sequence[tuple]) -> list[Any]:
-        """Do all tasks, each a tuple of arguments, and give the answers in order.
+    def begin(self, tasks: Sequence[tuple]) -> Batch:
+        """Send all tasks, each a tuple of arguments; several batches may be out at once."""
+        return Batch(self, tasks)
 
-        Raises:
-            InputError: no worker has the versions of the search, or a task keeps killing workers.
-            Exception: whatever a task raises each time it is tried.
-        """
-        return Batch(self, tasks).finish()
-
-    def submit(self, task: tuple, among: Sequence[str] = ()) -> Future:
-        """Send one task to whoever is free, if possible among these workers."""
+    def submit(self, tasks: Sequence[tuple], among: Sequence[str] = ()) -> list[Future]:
+        """Send tasks to whoever is free, if possible among these workers."""
         chosen = {"workers": list(among), "allow_other_workers": True} if among else {}
-        return self._client.submit(timed, self._work, *task, pure=False, **chosen)
+        columns = [self._work] * len(tasks), *zip(*tasks, strict=True)
+        sent: list[Future] = self._client.map(timed, *columns, pure=False, **chosen)
+        return sent
 
-    def answered(self, seconds: float) -> None:
-        """Note that a task is done, and how long its worker worked on it."""
-        self._seconds.append(seconds)
+    def answers(self, futures: Mapping[int, Future]) -> dict[int, Any]:
+        """Fetch answers that are there, by the numbers of their tasks, in one go.
+
+        Where something went wrong in the meantime there is none.
+        """
+        said = self._client.gather(dict(futures), errors="skip")
+        whole = {number: answer for number, answer in said.items() if answer is not None}
+        self._seconds.extend(seconds for seconds, _ in whole.values())
+        return {number: answer for number, (_, answer) in whole.items()}
+
+    def advance(self) -> None:
+        """Note that a task is done."""
         self._progress(1)
 
     @property
@@ -92,7 +98,8 @@ class Workers:
 
     def forget(self, futures: list[Future]) -> None:
         """Take back what nobody waits for any more."""
-        self._client.cancel(futures, force=True)
+        if futures:
+            self._client.cancel(futures, force=True)
 
 
 class Batch:
@@ -105,51 +112,70 @@ class Batch:
         self._answers: dict[int, Any] = {}
         self._errors = dict.fromkeys(self._sent, 0)
         self._deaths = dict.fromkeys(self._sent, 0)
-        for number in self._sent:
-            self._send(number)
-        self._heard = time.monotonic()
+        self._told: set[int] = set()  # tasks whose progress is noted
+        self._heard = 0.0  # when somebody answered last
+        self._send(list(self._sent))
 
     def finish(self) -> list[Any]:
-        """Wait for all answers and give them in order."""
+        """Wait for all answers and give them in order.
+
+        Raises:
+            InputError: no worker has the versions of the search, or a task keeps killing workers.
+            Exception: whatever a task raises each time it is tried.
+        """
         import distributed
 
+        self._heard = time.monotonic()  # until now nobody listened
         while self._sent:
             futures = [future for sent in self._sent.values() for future in sent]
+            # The first answer to a task that is out twice will do.
+            until = "ALL_COMPLETED" if len(futures) == len(self._sent) else "FIRST_COMPLETED"
             left = self._heard + self._workers.patience - time.monotonic()
             try:
-                distributed.wait(futures, max(left, 0.01), "FIRST_COMPLETED")
+                distributed.wait(futures, max(left, 0.01), until)
             except TimeoutError:
-                self._ask_others()
-                continue
-            for number in list(self._sent):
-                self._look(number)
+                if time.monotonic() >= self._heard + self._workers.patience:
+                    self._ask_others()
+            self._collect()
         return [self._answers[number] for number in sorted(self._answers)]
 
-    def _send(self, number: int, among: Sequence[str] = ()) -> None:
-        self._sent[number].append(self._workers.submit(self._tasks[number], among))
+    def _send(self, numbers: Sequence[int], among: Sequence[str] = ()) -> None:
+        tasks = [self._tasks[number] for number in numbers]
+        for number, future in zip(numbers, self._workers.submit(tasks, among), strict=True):
+            future.add_done_callback(lambda _, number=number: self._hear(number))
+            self._sent[number].append(future)
+
+    def _hear(self, number: int) -> None:
+        """Note that a task came back; in a thread of the cluster's client."""
+        self._heard = time.monotonic()
+        if number not in self._told:
+            self._told.add(number)
+            self._workers.advance()
 
     def _ask_others(self) -> None:
         """Send what is still out once more: its worker may hang. The first answer counts."""
-        LOG.warning("%d tasks are overdue and sent to others, too", len(self._sent))
-        out = [future for sent in self._sent.values() for future in sent]
-        others = self._workers.without(out)
-        for number in self._sent:
-            self._send(number, others)
+        out = [future for sent in self._sent.values() for future in sent if not future.done()]
+        late = [number for number, sent in self._sent.items() if not any(f.done() for f in sent)]
+        LOG.warning("%d tasks are overdue and sent to others, too", len(late))
+        self._send(late, self._workers.without(out))
         self._heard = time.monotonic()
 
-    def _look(self, number: int) -> None:
-        """Take the answer of a task, or send it again if its worker failed."""
-        for future in [one for one in self._sent[number] if one.done()]:
-            if future.status == "finished":
-                seconds, self._answers[number] = future.result()
-                self._workers.forget(self._sent.pop(number))
-                self._heard = time.monotonic()
-                self._workers.answered(seconds)
-                return
-            self._sent[number].remove(future)
-            self._excuse(number, future)
-        if not self._sent[number]:
-            self._send(number)
+    def _collect(self) -> None:
+        """Take all answers that are there, and send again what failed."""
+        there = {
+            number: future
+            for number, sent in self._sent.items()
+            for future in sent
+            if future.status == "finished"
+        }
+        answers = self._workers.answers(there) if there else {}
+        self._answers |= answers
+        self._workers.forget([future for number in answers for future in self._sent.pop(number)])
+        for number, sent in self._sent.items():
+            for future in [one for one in sent if one.done() and one.status != "finished"]:
+                sent.remove(future)
+                self._excuse(number, future)
+        self._send([number for number, sent in self._sent.items() if not sent])
 
     def _excuse(self, number: int, future: Future) -> None:
         """Decide whether what went wrong is worth another try."""
