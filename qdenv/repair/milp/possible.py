@@ -24,7 +24,7 @@ from qdenv.types import RepairStatus, Rules
 MAX_CELLS = 20_000  # that may change: beyond, the relaxation alone takes minutes
 BRANCHED_CELLS = 120  # that may change: with more, branching decides little
 NODES = 2000  # of one solve
-ASKED = 300  # times one solve may ask whether to go on
+ASKED = 1500  # times one solve may ask whether to go on
 ROUNDS = 40  # solves, each with more connectivity cuts
 MENDING_MOVES = 300  # annealing moves per cell that mend a solution's connections
 REMEMBERED = 32  # rules whose answer is kept
@@ -72,26 +72,36 @@ def _decide(facts: Facts) -> Possible:
     """Ask the relaxation, then the solver."""
     if facts.free_cells > MAX_CELLS:
         return UNKNOWN
-    layout = facts.rules.allowed.argmax(-1).astype(np.int8)
-    program = span(build(layout, facts), facts)
-    program = program._replace(cost=np.zeros_like(program.cost), constant=0.0)
-    if _is_refuted(program):
+    if is_refuted(facts):
         return IMPOSSIBLE
-    return _branch(program, layout, facts) if facts.free_cells <= BRANCHED_CELLS else UNKNOWN
+    return _branch(facts) if facts.free_cells <= BRANCHED_CELLS else UNKNOWN
 
 
-def _is_refuted(program: Program) -> bool:
-    """Tell whether not even the relaxation has a solution."""
-    solver = load(program, 0)
+def _any_layout(facts: Facts) -> np.ndarray:
+    """Give a layout to count changes from, which cost nothing here (int8 [H, W])."""
+    layout: np.ndarray = facts.rules.allowed.argmax(-1).astype(np.int8)
+    return layout
+
+
+def _state(facts: Facts) -> Program:
+    """State the rules, all layouts alike."""
+    program = span(build(_any_layout(facts), facts), facts)
+    return program._replace(cost=np.zeros_like(program.cost), constant=0.0)
+
+
+def is_refuted(facts: Facts) -> bool:
+    """Tell whether not even the relaxation has a solution: then no layout obeys the rules."""
+    solver = load(_state(facts), 0)
     for name, value in {"solve_relaxation": True, "solver": "ipm", "run_crossover": "off"}.items():
         solver.setOptionValue(name, value)
     solver.run()
     return bool(solver.getModelStatus() == highspy.HighsModelStatus.kInfeasible)
 
 
-def _branch(program: Program, layout: np.ndarray, facts: Facts) -> Possible:
+def _branch(facts: Facts) -> Possible:
     """Solve with more and more connectivity cuts, until a layout obeys every rule or none can."""
-    solver, rng = load(program, 0), np.random.default_rng(0)
+    program, layout, rng = _state(facts), _any_layout(facts), np.random.default_rng(0)
+    solver = load(program, 0)
     solver.setOptionValue("mip_max_nodes", NODES)
     for _ in range(ROUNDS):
         asked = [0]
