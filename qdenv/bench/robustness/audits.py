@@ -73,6 +73,7 @@ DRIVERS = {
     "published, long": Drivers(PbsConfig("published", 0.5), None, 20, 7),
 }
 DOMAINS = ("warehouse-even", "warehouse-uneven", "manufacturing")
+NAMES = (*STAYS, *DOMAINS)
 
 
 class Site(NamedTuple):
@@ -133,7 +134,7 @@ def _tasks_of(name: str) -> TaskRule:
 def attempt(chance: np.random.Generator, folder: Path) -> Attempt:
     """Drive fleets of one planner on one layout and audit every step."""
     del folder
-    name = str(chance.choice(["plain", "services", *DOMAINS]))
+    name = str(chance.choice(NAMES))
     site, driver = draw_site(chance, name), str(chance.choice(list(DRIVERS)))
     drivers, free = DRIVERS[driver], _count_free(site)
     agents = int(np.clip(round(chance.uniform(*SHARE) * free), 1, AGENTS))

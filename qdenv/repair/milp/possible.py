@@ -24,7 +24,7 @@ from qdenv.types import RepairStatus, Rules
 MAX_CELLS = 20_000  # that may change: beyond, the relaxation alone takes minutes
 BRANCHED_CELLS = 120  # that may change: with more, branching decides little
 NODES = 2000  # of one solve
-ASKED = 1500  # times one solve may ask whether to go on
+ASKED = 600  # times one solve may ask whether to go on
 ROUNDS = 40  # solves, each with more connectivity cuts
 MENDING_MOVES = 300  # annealing moves per cell that mend a solution's connections
 REMEMBERED = 32  # rules whose answer is kept
