@@ -12,10 +12,12 @@ from typing import Annotated
 import tyro
 
 from experiments.catalogue import find, names
+from experiments.machines import at_work
 from experiments.pieces import RESULTS, Experiment, Folders
 from qdenv.commands.costs import in_words
 from qdenv.files import write_atomically
 from qdenv.plots.figure import save_figure
+from qdenv.training.executors.choosing import Execution, ExecutorName
 from qdenv.types import InputError
 
 
@@ -66,6 +68,9 @@ def main(
     runs: Path = Path("runs"),
     results: Path = RESULTS,
     out: Path | None = None,
+    executor: ExecutorName = "threads",
+    scheduler: str | None = None,
+    workers: int | None = None,
 ) -> None:
     """Draw experiments from saved results; without a name list all of them.
 
@@ -75,12 +80,17 @@ def main(
         runs: folder of whole runs, which are begun or continued here.
         results: folder of what is kept of them.
         out: folder for the pictures and tables; that of the results unless given.
+        executor: who searches and simulates: threads of this process, or a Dask cluster; on this
+            machine with --workers processes, or
+        scheduler: where the scheduler of a running cluster answers, like tcp://10.0.0.1:8786.
+        workers: processes of a cluster on this machine; one per core unless given.
     """
-    folders = Folders(results, runs)
+    folders, execution = Folders(results, runs), Execution(executor, scheduler, workers)
     chosen = [name for name in names() if find(name).drawable(folders)]
     chosen = chosen if experiments == ("all",) else list(experiments)
     if making is not None:
-        make(find(making), folders)
+        with at_work(execution) as machines:
+            make(find(making), folders._replace(machines=machines))
         chosen = [making, *chosen]
     if not chosen:
         list_all(folders)

@@ -9,7 +9,6 @@ import numpy as np
 from experiments.layouts import SavedLayout
 from experiments.pieces import Folders, Piece, Say
 from experiments.traffic import SavedTraffic, rate
-from qdenv.study.ledger import complete
 from qdenv.study.outcomes import Outcome
 
 STEP = 1.05  # agents from one number to the next where the peak is located
@@ -104,8 +103,7 @@ class SavedPeak(NamedTuple):
         """Climb in large steps until throughput falls, then locate the top in small ones."""
         while wanted := self.wanted(folders):
             traffic = self.traffic(wanted)
-            path, cases = traffic.path(folders), traffic.cases(folders)
-            complete(path, cases, range(self.seeds), say=say)
+            traffic.make(folders, say)
         if (peak := self.read(folders)) is not None:
             say(f"{self.layout.stem}: {peak.mean_of_all:.3f} with {peak.agents} agents")
 

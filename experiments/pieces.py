@@ -8,21 +8,25 @@ from typing import NamedTuple, Protocol, TypeAlias, TypeVar, get_type_hints
 
 from matplotlib.figure import Figure
 
+from experiments.machines import HERE, Machines
+
 RESULTS = Path(__file__).parent / "results"
 Say: TypeAlias = Callable[[str], None]
 Row = TypeVar("Row", bound=tuple)
 
 
 class Folders(NamedTuple):
-    """Where everything lies.
+    """Where everything lies, and who makes what is missing.
 
     Attributes:
         results: what is kept and ships.
         runs: whole run directories, with all weights: too large to ship.
+        machines: who searches and simulates.
     """
 
     results: Path = RESULTS
     runs: Path = Path("runs")
+    machines: Machines = HERE
 
 
 class Piece(Protocol):

@@ -121,7 +121,7 @@ class SavedRun(NamedTuple):
         path = folders.runs / self.folder
         if not (path / "config.json").exists():
             say(f"{path}: begins; an interruption loses minutes at most")
-            run = qdenv.train(self.config, path)
+            run = qdenv.train(self.config, path, execution=folders.machines.execution)
         else:
             run = RunDirectory.open(path)
             found = replace(run.config, evaluations=self.config.evaluations)
@@ -130,7 +130,8 @@ class SavedRun(NamedTuple):
             rows = run.read_metrics(salvage=True)
             if not rows or rows[-1].evaluations < self.config.evaluations:
                 say(f"{path}: goes on")
-                run = qdenv.resume(path, evaluations=self.config.evaluations)
+                total, execution = self.config.evaluations, folders.machines.execution
+                run = qdenv.resume(path, evaluations=total, execution=execution)
         return run
 
     def read(self, folders: Folders) -> Summary | None:

@@ -86,8 +86,9 @@ class SavedTraffic(NamedTuple):
         return rate(self.planner, known) * work * self.timesteps
 
     def make(self, folders: Folders, say: Say) -> None:
-        """Simulate what is missing, one run at a time."""
-        complete(self.path(folders), self.cases(folders), range(self.seeds), say=say)
+        """Simulate what is missing."""
+        given = self.path(folders), self.cases(folders), range(self.seeds)
+        complete(*given, say=say, simulate_all=folders.machines.simulate_all)
 
 
 def rate(planner: str, known: Sequence[Run]) -> float:

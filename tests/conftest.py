@@ -1,6 +1,8 @@
 """What every test runs under: strict numerics, and where layouts lie."""
 
 import os
+import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +25,24 @@ SMALL = (
 
 # A shape that broadcasts by chance is a mistake: every axis is written out.
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep what XLA compiles for the length of a test run: many tests make the same search anew.
+
+    The processes of a run share it, those that tests start as well.
+    """
+    if not hasattr(config, "workerinput"):  # the first process, whose environment others inherit
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp("-qdenv-tests")
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
+    jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Forget what was compiled."""
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 
 @pytest.fixture(scope="session")

@@ -113,7 +113,9 @@ def test_what_is_left_is_reckoned_from_runs_of_the_same_planner(simulated, tmp_p
     assert seconds_for(cases[1:], [slow]) == pytest.approx(8)
     said: list[str] = []
     complete(tmp_path / "runs.csv", [CASE], (0, 1), say=said.append)
-    assert said == ["2 of 2 runs, about 0:00:00 left: hall, 4 agents, low, seed 1: 2.500"]
+    assert said == [
+        "2 of 2 runs, about 0:00:00 of one core left: hall, 4 agents, low, seed 1: 2.500"
+    ]
 
 
 def test_mistakes_are_refused_before_anything_is_simulated(simulated, tmp_path):

@@ -11,7 +11,10 @@ import pytest
 from conftest import SMALL
 
 from qdenv.cli import run as qdenv
+from qdenv.domains.base import find_domain
 from qdenv.repair import pool as pools
+from qdenv.study.elsewhere import handed_to
+from qdenv.study.ledger import Case, complete, read_runs
 from qdenv.training import loop
 from qdenv.training.executors import choosing, task, workers
 from qdenv.training.executors.choosing import Execution
@@ -92,6 +95,21 @@ def test_the_layouts_of_a_worker_that_hangs_go_to_another(whole, local, tmp_path
         finally:
             os.kill(pid, signal.SIGKILL)  # its nanny starts a new one
     assert_alike(run, whole)
+
+
+def test_runs_of_a_study_are_the_same_on_a_cluster(local, tmp_path):
+    domain = find_domain("warehouse-even").resized(9, 12)
+    plan = domain.human()
+    cases = [Case("hall", plan, domain, agents, 40, "low") for agents in (3, 6)]
+    here = complete(tmp_path / "here.csv", cases, range(3))
+    with distributed.Client(local.scheduler_address) as client:
+        options = {"simulate_all": handed_to(client)}
+        there = complete(tmp_path / "there.csv", cases, range(3), **options)
+    assert len({run.throughput for run in here}) > 2
+    assert [run._replace(cpu_seconds=0) for run in here] == [
+        run._replace(cpu_seconds=0) for run in there
+    ]
+    assert [run.key for run in read_runs(tmp_path / "there.csv")] == [run.key for run in here]
 
 
 def test_an_error_that_comes_each_time_is_raised_and_once_is_not(local, tmp_path):

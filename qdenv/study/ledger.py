@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import time
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -107,6 +107,10 @@ class Run(NamedTuple):
         return (self.layout, self.domain, *numbers, self.tiles, self.seed)
 
 
+# Simulates cases, each from its seed, and gives the runs as they end, in any order.
+SimulateAll: TypeAlias = Callable[[Sequence[tuple[Case, int]]], Iterator[Run]]
+
+
 def read_runs(path: Path) -> list[Run]:
     """Read the runs of a file.
 
@@ -128,14 +132,20 @@ def _truth(text: str) -> bool:
     return {"True": True, "False": False}[text]
 
 
+def one_by_one(todo: Sequence[tuple[Case, int]]) -> Iterator[Run]:
+    """Simulate cases, each from its seed, one after the other."""
+    return (simulate(case, seed) for case, seed in todo)
+
+
 def complete(
     path: Path,
     cases: Sequence[Case],
     seeds: Sequence[int],
     others: Sequence[Path] = (),
     say: Callable[[str], None] = lambda line: None,
+    simulate_all: SimulateAll = one_by_one,
 ) -> list[Run]:
-    """Simulate what stands in no file yet, one run at a time, and write each down as it ends.
+    """Simulate what stands in no file yet and write each run down as it ends.
 
     Several processes may share a file. If two write in the same instant a row can get lost; it is
     simulated again the next time.
@@ -146,6 +156,7 @@ def complete(
         seeds: of each case.
         others: further files of runs; only read.
         say: told every half minute how far it is.
+        simulate_all: who simulates, and in which order.
 
     Returns:
         the runs of all cases, case by case.
@@ -160,17 +171,16 @@ def complete(
     known |= {run.key: run for run in _written(path)}
     todo = [(case, seed) for case in cases for seed in seeds if case.key(seed) not in known]
     said = time.time()
-    for done, (case, seed) in enumerate(todo, start=1):
-        run = simulate(case, seed)
+    for done, run in enumerate(simulate_all(todo), start=1):
         known[run.key] = run
         write_csv(path, Run._fields, [*_written(path), run])
         if time.time() - said > PAUSE or done == len(todo):
             said = time.time()
-            rest = [case for case, _ in todo[done:]]
+            rest = [case for case, seed in todo if case.key(seed) not in known]
             left = timedelta(seconds=round(seconds_for(rest, list(known.values()))))
             say(
-                f"{done} of {len(todo)} runs, about {left} left: {run.layout}, {run.agents} "
-                f"agents, {run.planner}, seed {seed}: {run.throughput:.3f}"
+                f"{done} of {len(todo)} runs, about {left} of one core left: {run.layout}, "
+                f"{run.agents} agents, {run.planner}, seed {run.seed}: {run.throughput:.3f}"
                 + f", congested at {run.end_timestep}"
                 * run.congested
             )

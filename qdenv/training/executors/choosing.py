@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Literal
 from qdenv.types import InputError
 
 if TYPE_CHECKING:  # imports both compilers
+    from distributed import Client
+
     from qdenv.pipeline import Executor, Pipeline
     from qdenv.training.config import RunConfig
 
@@ -70,10 +72,22 @@ def opened(
     if execution.executor == "threads":
         yield Threads(pipeline, progress=progress)
         return
+    from qdenv.training.executors.cluster import Cluster
+
+    with connected(execution) as client:
+        yield Cluster(client, config, pipeline, progress)
+
+
+@contextlib.contextmanager
+def connected(execution: Execution) -> Iterator[Client]:
+    """Connect to a cluster that has a worker; one on this machine ends with the context.
+
+    Raises:
+        InputError: nobody answers at the scheduler's address, or no worker comes.
+    """
     from distributed import Client, LocalCluster
 
     from qdenv.repair.pool import count_cores
-    from qdenv.training.executors.cluster import Cluster
 
     with contextlib.ExitStack() as stack:
         place = execution.scheduler
@@ -92,4 +106,4 @@ def opened(
         except (OSError, ValueError, TimeoutError) as error:
             hint = f"start `dask scheduler` and `dask worker {place}` first"
             raise InputError(f"{place}: no worker answers ({error}): {hint}") from error
-        yield Cluster(client, config, pipeline, progress)
+        yield client

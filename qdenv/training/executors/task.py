@@ -34,6 +34,12 @@ def versions() -> str:
     return ", ".join([f"python {python}", *known, f"qdenv {code.hexdigest()}"])
 
 
+def check_versions(wanted: str) -> None:
+    """Refuse work for a search of other versions, which is a `WrongWorkerError`."""
+    if versions() != wanted:
+        raise WrongWorkerError(versions())
+
+
 def timed(work: Callable[..., Any], *given: Any) -> tuple[float, Any]:
     """Do something and say how many seconds it took."""
     begun = time.perf_counter()
@@ -73,8 +79,7 @@ def evaluate_layout(
     Raises:
         WrongWorkerError: this worker has other versions.
     """
-    if versions() != wanted:
-        raise WrongWorkerError(versions())
+    check_versions(wanted)
     import jax
 
     from qdenv.pipeline import unrepaired_as_is

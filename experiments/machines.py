@@ -1,0 +1,39 @@
+"""Who makes experiments: this process, or a Dask cluster to which independent runs are handed."""
+
+import contextlib
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from qdenv.study.elsewhere import handed_to
+from qdenv.study.ledger import SimulateAll, one_by_one
+from qdenv.training.executors.choosing import Execution, connected
+
+
+class Machines(NamedTuple):
+    """Who searches and simulates.
+
+    Attributes:
+        execution: where a search evaluates its layouts.
+        simulate_all: simulates cases, each from its seed.
+    """
+
+    execution: Execution
+    simulate_all: SimulateAll
+
+
+HERE = Machines(Execution(), one_by_one)
+
+
+@contextlib.contextmanager
+def at_work(execution: Execution) -> Iterator[Machines]:
+    """Connect to those who work; a cluster on this machine ends with the context.
+
+    Raises:
+        InputError: nobody answers at the scheduler's address, or no worker comes.
+    """
+    if execution.executor == "threads":
+        yield HERE._replace(execution=execution)
+        return
+    with connected(execution) as client:
+        address = client.scheduler_info()["address"]
+        yield Machines(Execution("dask", scheduler=address), handed_to(client))
