@@ -46,6 +46,12 @@ def lanes(on_accelerator: int = ACCELERATOR_LANES, on_host: int = 1) -> int:
     return on_host if on_cpu() else on_accelerator
 
 
+def count() -> int:
+    """Count the devices of this process."""
+    number: int = jax.local_device_count()
+    return number
+
+
 def threads() -> int:
     """Count the host threads that feed the device: one per core where the cores are the device."""
     return (os.cpu_count() or 1) if on_cpu() else 1

@@ -2,9 +2,12 @@
 
 import contextlib
 import csv
+import errno
 import io
 import json
 import os
+import re
+import stat
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -15,6 +18,7 @@ import numpy as np
 from qdenv.interrupt import unfinished
 from qdenv.types import InputError
 
+_TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}")  # how `write_atomically` calls what is under way
 DIGITS = 6  # significant ones of a number in a file: single precision holds no more
 
 
@@ -35,6 +39,7 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
             _write_through(path, content)
             return
         path.parent.mkdir(parents=True, exist_ok=True)
+        mode = _mode_of(path)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         unfinished.add(temporary)
         with os.fdopen(handle, "wb") as file:
@@ -44,7 +49,7 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
                 content(file)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~_UMASK)
+        os.chmod(temporary, mode)
         os.replace(temporary, path)
     except OSError as error:
         raise InputError(
@@ -56,6 +61,32 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
             unfinished.discard(temporary)
+
+
+def _mode_of(path: Path) -> int:
+    """Choose a file's permissions: those that it has, or an ordinary file's.
+
+    Raises:
+        OSError: it is there to be read only; renaming would replace it all the same.
+    """
+    if not path.is_file():
+        return 0o666 & ~_UMASK
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if not mode & 0o222:
+        raise PermissionError(errno.EACCES, "the file is read-only")
+    return mode
+
+
+def sweep(folder: Path) -> None:
+    """Take away what a process that was killed while it wrote left in a folder.
+
+    Args:
+        folder: where nobody else is writing.
+    """
+    for path in folder.glob(".*"):
+        if _TEMPORARY.fullmatch(path.name):
+            with contextlib.suppress(OSError):
+                path.unlink()
 
 
 def _write_through(path: Path, content: bytes | Callable[[BinaryIO], None]) -> None:

@@ -7,13 +7,14 @@ numbers for the same key.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv import devices
+from qdenv import devices, mesh
 from qdenv.domains.base import Domain, Simulator, make_domain
 from qdenv.generate.generator import GENERATORS, Canvas
 from qdenv.repair.callback import repair_in_jit
@@ -86,6 +87,13 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     )
 
 
+def grow_layouts(grow: Callable[[jax.Array], jax.Array], parameters: jax.Array) -> jax.Array:
+    """Grow a population float32 [B, P], a share of it on each device (-> int8 [B, H, W])."""
+    if devices.count() == 1:
+        return grow(parameters)
+    return jnp.asarray(mesh.map_items(grow, parameters))
+
+
 def in_lanes(function: Callable, items: Any, lanes: int) -> Any:
     """Map `function` over the leading axis of `items`, `lanes` at a time side by side."""
     return jax.lax.map(function, items, batch_size=lanes if lanes > 1 else None)
@@ -95,16 +103,27 @@ def simulate_layouts(
     simulator: Simulator, layouts: jax.Array, keys: jax.Array, simulations: int
 ) -> Any:
     """Simulate layouts [B, H, W], each `simulations` times from its own key of `keys` [B]."""
-    on_host = simulations if simulator.layout_at_once else 1
-    lanes = devices.lanes(simulator.accelerator_lanes, on_host)
+    runs = jax.vmap(lambda key: jax.random.split(key, simulations))(keys)
 
-    def one(item: tuple[jax.Array, jax.Array]) -> Any:
-        layout, key = item
-        tables = simulator.prepare(layout)
-        runs = jax.random.split(key, simulations)
-        return in_lanes(lambda run: simulator.run(tables, run), runs, lanes)
+    def share(layouts: jax.Array, runs: jax.Array) -> Any:
+        on_host = runs.shape[1] if simulator.layout_at_once else 1
+        lanes = devices.lanes(simulator.accelerator_lanes, on_host)
 
-    return in_lanes(one, (layouts, keys), lanes // simulations)
+        def one(item: tuple[jax.Array, jax.Array]) -> Any:
+            layout, runs = item
+            tables = simulator.prepare(layout)
+            return in_lanes(lambda run: simulator.run(tables, run), runs, lanes)
+
+        return in_lanes(one, (layouts, runs), lanes // runs.shape[1])
+
+    if devices_for(simulator) == 1:
+        return share(layouts, runs)
+    return mesh.map_runs(share, layouts, runs)
+
+
+def devices_for(simulator: Simulator) -> int:
+    """Count the devices that share one call of the simulator."""
+    return 1 if devices.count() == 1 or simulator.on_host() else devices.count()
 
 
 def score_layout(
@@ -143,7 +162,7 @@ def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evalu
     Returns:
         `Evaluation` with leading axis B.
     """
-    unrepaired = pipeline.grow(parameters)
+    unrepaired = grow_layouts(pipeline.grow, parameters)
     if pipeline.pool is None:
         repair = jax.vmap(unrepaired_as_is)(unrepaired)
     else:
@@ -192,7 +211,7 @@ class PipelinedEvaluator:
             execute: who repairs and simulates, like `training.executors.threads.Threads`.
         """
         self._execute = execute
-        self._grow = jax.jit(pipeline.grow)
+        self._grow = jax.jit(partial(grow_layouts, pipeline.grow))
         self._score = jax.jit(pipeline.score)
 
     def __call__(self, parameters: Array, key: Array) -> Evaluation:
@@ -201,7 +220,8 @@ class PipelinedEvaluator:
 
     def begin(self, parameters: Array, key: Array) -> Callable[[], Evaluation]:
         """Begin to evaluate float32 [B, P]; what it returns waits for the evaluation."""
-        unrepaired = np.asarray(self._grow(parameters))
+        with mesh.turn:
+            unrepaired = np.asarray(self._grow(parameters))
         finish = self._execute(unrepaired, key)
         return lambda: self._score(unrepaired, *finish())
 

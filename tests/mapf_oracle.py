@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import parse
-from qdenv.simulate.mapf.distances import UNREACHABLE
 from qdenv.simulate.mapf.negotiated.path_rules import COST_UNIT
+from qdenv.simulate.mapf.planner import UNREACHABLE
 
 WINDOW = 6
 MOVES = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))

@@ -33,7 +33,8 @@ ALLOWED = {
     "agent": BASE | {"checkpoints", "simulate.maze", "score", "devices"},
     "domains": BASE | STAGES | PLUGS,
     "settings": STAGES | {"types", "domains.base"},
-    "pipeline": BASE | STAGES | {"domains.base", "devices", "settings"},
+    "mesh": set(),
+    "pipeline": BASE | STAGES | {"domains.base", "devices", "mesh", "settings"},
     "surrogate": {"types"},
     "search": {"types", "lazy", "files", "reading", "checkpoints", "registry", "surrogate"},
     "zoo": {"types", "reading"},
@@ -44,7 +45,7 @@ ALLOWED = {
     | STAGES
     | PLUGS
     | {"checkpoints", "search", "pipeline", "settings", "domains", "formats", "plots.inline"}
-    | {"zoo"},
+    | {"mesh", "zoo"},
     "study": BASE
     | STAGES
     | PLUGS

@@ -28,6 +28,24 @@ def test_a_pipe_is_written_into_and_stays(tmp_path):
     assert heard == [b"text"] and pipe.is_fifo()
 
 
+@pytest.mark.parametrize("mode", [0o600, 0o664])
+def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path, mode):
+    target = tmp_path / "a.json"
+    target.touch()
+    target.chmod(mode)
+    write_json(target, 1)
+    assert (target.stat().st_mode & 0o777, target.read_text()) == (mode, "1\n")
+
+
+def test_a_file_that_may_only_be_read_is_not_replaced(tmp_path):
+    target = tmp_path / "a.json"
+    target.write_text("old")
+    target.chmod(0o444)
+    with pytest.raises(InputError, match="the file is read-only"):
+        write_json(target, 1)
+    assert target.read_text() == "old" and list(tmp_path.iterdir()) == [target]
+
+
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_whatever_goes_wrong_the_old_file_stays_and_nothing_else(tmp_path, error):
     target = tmp_path / "a.bin"

@@ -154,6 +154,8 @@ MISTAKES = {
     # Results that would destroy something.
     "layout human --rows 20 --cols 20 --out h.png": "ends in .json",
     "layout tile plan.txt --rows 5 --cols 5": "smaller than the layout it repeats",
+    "layout tile thin.txt --rows 9 --cols 9": "5 x 4: warehouse-even has no room inside its frame",
+    "layout human --rows 20 --cols 20 --out sealed.json": "the file is read-only",
     "simulate plan.txt --agents 5 --plot p.gif": "ends in .png",
     "layout human --rows 10000 --cols 10000": "1000",
     "repair plan.txt --out plan.txt": "that is what is read",
@@ -185,6 +187,8 @@ def folder(tmp_path_factory):
     (folder / "ragged.txt").write_text("...........\n...\n")
     (folder / "strange.txt").write_text("....\n....\n.?..\n")
     (folder / "empty.txt").write_text("")
+    (folder / "thin.txt").write_text("....\n" * 5)
+    (folder / "sealed.json").touch(0o444)
     (folder / "taken").touch()
     (folder / "maze.txt").write_text("XXXXX\nX   X\nX X X\nX   X\nXXXXX\n")
     rows = ", ".join(f'"{row}"' for row in PLAN)

@@ -91,6 +91,24 @@ def test_threshold_after_k_solutions_in_one_cell(count, expected):
         np.testing.assert_allclose(archive.thresholds.max(), expected, rtol=1e-6)
 
 
+@pytest.mark.parametrize("rate", [0.0, 0.1, 1.0])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_thresholds_stay_numbers_next_to_the_largest_number(rate, sign):
+    largest = float(np.finfo(np.float32).max)
+    objective = sign * np.array([3e38, 3.1e38, 3.2e38, *[largest] * 6], np.float32)
+    archive = ThresholdArchive.empty(np.zeros(1, np.float32), GRID, None, rate, -largest)
+    archive, _ = add(archive, objective, np.zeros((9, 2)))
+    # float64 has room for what overflows; -largest is no improvement and does not count.
+    accepted = objective[objective > -largest].astype(float)
+    kept = (1 - rate) ** len(accepted)
+    expected = kept * -largest + (1 - kept) * accepted.mean()
+    cell = int(archive.best)
+    np.testing.assert_allclose(archive.thresholds[cell], expected, rtol=1e-6, atol=1e32)
+    better = np.nextafter(archive.thresholds[cell], np.float32(np.inf))
+    if np.isfinite(better):
+        assert add(archive, [better], [[0.0, 0.0]])[1].status.tolist() == [1]
+
+
 def test_a_soft_archive_keeps_what_beats_the_threshold_and_the_result_archive_the_best():
     soft = ThresholdArchive.empty(np.zeros(1, np.float32), GRID, None, 0.1, 0.0)
     hard = GridArchive.empty(np.zeros(1, np.float32), GRID)

@@ -1,10 +1,12 @@
 """Distances on demand: every answer is that of a plain search, whatever was asked before."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import shortest_path
 
+from qdenv.simulate.mapf.distances import goal_distances
 from qdenv.simulate.mapf.host.fields import PAGES, ROWS, Fields, empty_fields, make_room
 from qdenv.simulate.mapf.host.measure import distance, lacks_room
 from qdenv.simulate.mapf.host.site import Site
@@ -68,6 +70,67 @@ def test_fields_make_room_for_others_and_grow_where_that_is_too_little(shape):
     assert fields.free[PAGES] == len(fields.steps) - 1 - held.sum()
     used = np.concatenate([fields.page[held], fields.free_pages[: fields.free[PAGES]]])
     assert sorted(used) == list(range(1, len(fields.steps)))
+
+
+def plain_site(free: np.ndarray, goal: int) -> Site:
+    """Show a grid with a ring of walls and one goal to host code."""
+    width = free.shape[1]
+    steps = np.array([0, 1, -1, width, -width])
+    goals, odds = np.array([goal]), np.ones((1, 1), np.float32)
+    return Site(free.reshape(-1), goals, odds, np.zeros(1, int), steps, width, 1)
+
+
+def snake(rows: int, cols: int) -> np.ndarray:
+    """Draw one winding corridor (bool [rows, cols]) within a ring of walls."""
+    free = np.zeros((rows, cols), bool)
+    free[1:-1:2, 1:-1] = True
+    free[2:-1:4, -2] = free[4:-1:4, 1] = True
+    return free
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_ways_longer_than_a_short_integer_are_counted_in_full(reverse):
+    free = snake(259, 264)  # 257 x 262 and a ring of walls
+    cells = np.flatnonzero(free)
+    goal = int(cells[-1 if reverse else 0])
+    site = plain_site(free, goal)
+    expected = plain_distances(site)[0]
+    assert expected[free.reshape(-1)].max() == free.sum() - 1 == 33_925
+    fields = empty_fields(free.shape, 1, 1, pages=1000)
+    found = [distance(fields, site, 0, cell) for cell in cells[:: 7 if reverse else -7]]
+    np.testing.assert_array_equal(found, expected[cells[:: 7 if reverse else -7]])
+
+
+def test_xla_measures_large_grids_with_longer_integers():
+    free = snake(259, 264)
+    free[16:] = False  # a part of it, which XLA fills in a second
+    cells, walls = np.flatnonzero(free), np.flatnonzero(~free)
+    (found,) = goal_distances(jnp.asarray(free), jnp.array([cells[0]]), jnp.array([True]))
+    expected = plain_distances(plain_site(free, cells[0]))[0]
+    assert found.dtype == jnp.int32 and expected[cells].max() == cells.size - 1
+    np.testing.assert_array_equal(found[cells], expected[cells])
+    assert (found[walls] > free.size).all()
+
+
+def test_distances_are_right_on_a_thousand_rows_and_columns():
+    rng = np.random.default_rng(4)
+    free = np.pad(rng.random((1000, 1000)) < 0.9, 1)
+    free[1, 1] = free[1000, 1000] = True
+    site = plain_site(free, 1002 + 1)
+    far, along = np.full(free.shape, -1), np.zeros_like(free)
+    along[1, 1] = True
+    for steps in range(free.size):  # breadth first, a whole front at a time
+        far[along] = steps
+        grown = np.zeros_like(free)
+        grown[1:-1, 1:-1] = along[:-2, 1:-1] | along[2:, 1:-1] | along[1:-1, :-2] | along[1:-1, 2:]
+        along = grown & free & (far < 0)
+        if not along.any():
+            break
+    fields = empty_fields(free.shape, 1, 1, pages=5000)
+    cells = [1000 * 1002 + 1000, *rng.choice(np.flatnonzero(far.reshape(-1) >= 0), 300)]
+    assert [distance(fields, site, 0, cell) for cell in cells] == far.reshape(-1)[cells].tolist()
+    walled_in = np.flatnonzero(free.reshape(-1) & (far.reshape(-1) < 0))
+    assert walled_in.size and distance(fields, site, 0, walled_in[0]) > free.size
 
 
 def test_a_first_question_measures_little_of_a_large_grid():

@@ -22,7 +22,7 @@ from mapf_oracle import (
 )
 
 from qdenv.grid import parse
-from qdenv.simulate.mapf.distances import UNREACHABLE, goal_distances
+from qdenv.simulate.mapf.distances import goal_distances
 from qdenv.simulate.mapf.host import site
 from qdenv.simulate.mapf.host.fields import empty_fields
 from qdenv.simulate.mapf.negotiated.numba import reservations, states
@@ -33,7 +33,7 @@ from qdenv.simulate.mapf.negotiated.xla import bitplanes
 from qdenv.simulate.mapf.negotiated.xla.observation import Planning, gather
 from qdenv.simulate.mapf.negotiated.xla.rounds import choose
 from qdenv.simulate.mapf.negotiated.xla.search import find_paths
-from qdenv.simulate.mapf.planner import AgentState, World
+from qdenv.simulate.mapf.planner import UNREACHABLE, AgentState, World
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.simulate.mapf.tasks import GoalTable
 from qdenv.types import InputError
@@ -155,6 +155,21 @@ def test_one_agent_agrees_with_uniform_cost_search_in_both_backends(services: tu
         assert cost_of(case, unpadded(np.asarray(xla))) == best
         assert cost_of(case, unpadded(host)) == best
         np.testing.assert_array_equal(xla, host)
+
+
+def test_in_xla_a_long_way_beyond_the_goal_costs_more_and_changes_no_path():
+    rng, far = np.random.default_rng(8), 900_000
+    for number in range(6):
+        case, noise = random_case(rng, number, (2, 0)), number * 977
+        world, others = world_of(case.goals), jnp.asarray(padded(case.others))
+        numbers = jnp.int32(case.penalty), jnp.int32(noise)
+        later = world.distance.astype(jnp.int32).at[1].add(far)
+        near, shift = (
+            search_in_xla(world, state_of(case, distance), others, *numbers, case.levels)
+            for distance in (world.distance, later)
+        )
+        np.testing.assert_array_equal(shift[0], near[0])
+        assert int(shift[1]) == int(near[1]) + 4 * far
 
 
 def test_reservations_are_seen_where_they_are_and_vanish_when_removed():

@@ -115,6 +115,18 @@ def test_a_second_process_is_refused_and_a_dead_one_leaves_no_lock(run):
     assert len(loop.resume(run.path, False, 40).read_metrics()) == 5
 
 
+def test_what_killed_processes_left_half_written_is_swept_and_nothing_else(whole, run):
+    names = {path.relative_to(run.path) for path in run.path.rglob("*")}
+    left = [".archive.npz.abc_1234", ".metrics.csv.00000000", "checkpoints/.000002.npz.zzzzzzzz"]
+    for name in [*left, ".notes", ".my.archive"]:
+        (run.path / name).write_bytes(b"half")
+    loop.resume(run.path, progress=False)
+    now = {path.relative_to(run.path) for path in run.path.rglob("*")}
+    assert now - {Path(".lock")} == (names | {Path(".notes"), Path(".my.archive")}) - {
+        Path(".lock")
+    }
+
+
 def edited(run: RunDirectory, **changes: object) -> None:
     path = run.path / "config.json"
     content = json.loads(path.read_text())

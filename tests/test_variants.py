@@ -13,7 +13,8 @@ import numpy as np
 from qdenv.grid import count_components, parse
 from qdenv.score import layout as score
 from qdenv.search.archive import GridArchive
-from qdenv.simulate.mapf.distances import UNREACHABLE, goal_distances
+from qdenv.simulate.mapf.distances import goal_distances
+from qdenv.simulate.mapf.planner import UNREACHABLE
 from qdenv.types import Measure
 
 EVERY = partial(

@@ -46,6 +46,7 @@ class Simulator(NamedTuple):
             line (scan).
         layout_at_once: on a CPU, whether all runs of one layout go side by side. Otherwise they
             go one after the other, which is best where the work per run is data-dependent.
+        on_host: tells whether runs are computed by host code, which no other device can share.
     """
 
     prepare: Callable[[Any], Any]
@@ -53,6 +54,7 @@ class Simulator(NamedTuple):
     tasks: TaskRule | None = None
     accelerator_lanes: int = 128
     layout_at_once: bool = False
+    on_host: Callable[[], bool] = lambda: False
 
 
 @dataclass(frozen=True)
@@ -143,11 +145,17 @@ class Domain:
             cols: columns of the framed layout.
             numbers: exact numbers of tiles; those left out are what is known of the size, or else
                 follow the generated area.
+
+        Raises:
+            InputError: this size has no generated area that numbers could follow.
         """
         stays = {} if (rows, cols) == self.shape else {"keep": ()}
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
         area = max(empty.generated_shape[0], 0) * max(empty.generated_shape[1], 0)
         own_area = self.generated_shape[0] * self.generated_shape[1]
+        if min(self.generated_shape) < 1:
+            rows, cols = self.shape
+            raise InputError(f"{rows} x {cols}: {self.name} has no room inside its frame")
         scaled = {name: round(number * area / own_area) for name, number in self.numbers.items()}
         size = self.known_size(rows, cols)
         return empty.with_numbers(scaled | dict(size.numbers if size else {}) | dict(numbers or {}))

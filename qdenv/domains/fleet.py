@@ -54,7 +54,10 @@ def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
     def run(world: Any, key: jax.Array) -> Traffic:
         return _fleet().simulate(world, key, config)
 
-    return Simulator(prepare, run, tasks)
+    def on_host() -> bool:
+        return config.make_planner().drive is not None
+
+    return Simulator(prepare, run, tasks, on_host=on_host)
 
 
 def _fleet() -> Any:

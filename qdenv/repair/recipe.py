@@ -1,8 +1,10 @@
 """The repair of one layout: bound its cost, anneal, audit; where it is asked for, improve.
 
 Anneal first: that finds a feasible layout in a fraction of a second whatever came in, where the
-solver alone often finds none. The solver then starts from it: it improves windows of the layout,
-and on the whole of it lowers the cost and bounds how low a cost can be.
+solver alone often finds none. Where annealing finds none either, so near to what is impossible that
+hardly any layout is left, the solver is asked whether there is one. It then starts from what was
+found: it improves windows of the layout, and on the whole of it lowers the cost and bounds how low
+a cost can be.
 """
 
 import hashlib
@@ -18,6 +20,7 @@ from qdenv.repair.bounds import bound_cost, find_contradiction
 from qdenv.repair.facts import Facts
 from qdenv.repair.kinds import balance
 from qdenv.repair.milp.improve import improve, keep_cheaper
+from qdenv.repair.milp.possible import find_possible
 from qdenv.repair.milp.windows import WindowSearch
 from qdenv.repair.result import Report, Result, no_report
 from qdenv.repair.settings import RepairConfig
@@ -63,6 +66,8 @@ def _repair_possible(
     bound, effort = bound_cost(layout, facts), config.effort
     candidate, cost = _anneal_until_feasible(layout, facts, seed, config, bound, report)
     if candidate is None:
+        if find_possible(facts).status == RepairStatus.IMPOSSIBLE:
+            return Result(layout, np.inf, np.inf, RepairStatus.IMPOSSIBLE)
         return Result(layout, np.inf, bound, RepairStatus.FAILED)
     best = Result(candidate, cost, bound, RepairStatus.ANNEALED)
     if effort.windows is not None and facts.rules.aisle <= 1 and not best.proven():
@@ -84,7 +89,7 @@ def _anneal_until_feasible(
     bound: float,
     report: Report,
 ) -> tuple[np.ndarray | None, float]:
-    """Anneal until a layout passes the audit: from the input, then from regular layouts."""
+    """Anneal until a layout passes the audit: from the input, then from layouts that hold more."""
     moves = config.count_moves(facts.free_cells)
     for attempt, (start, schedule) in enumerate(_starts(layout, facts)):
         candidate, cost = anneal(
@@ -103,6 +108,9 @@ def _starts(layout: np.ndarray, facts: Facts) -> Iterator[tuple[np.ndarray, Sche
     by_breaches = sorted(templates, key=lambda start: len(audit(start, facts.rules)))
     for start in by_breaches[:MAX_TEMPLATES]:
         yield start, STRICT
+    known = find_possible(facts)
+    if known.layout is not None:
+        yield known.layout, STRICT
 
 
 def mix_seed(layout: np.ndarray, seed: int) -> int:

@@ -89,7 +89,12 @@ class ThresholdArchive(GridArchive):
             # Only the rows of winners are kept below; a row that shares a cell with no accepted
             # one divides by one instead of by zero.
             count = jnp.maximum(accepted.sum(axis=1), 1).astype(objective.dtype)
-            total = jnp.where(accepted, objective[None, :], 0).sum(axis=1)
+            # In parts so small that no sum of them overflows; a power of two rounds nothing.
+            whole = 2.0 ** math.ceil(math.log2(max(objective.size, 1)))
+            total = jnp.where(accepted, objective[None, :] / whole, 0).sum(axis=1)
+            # Rounding alone can lead beyond the largest number, from next to it.
+            largest = float(jnp.finfo(objective.dtype).max)
+            mean = jnp.clip(total / count, -largest / whole, largest / whole) * whole
             ratio = jnp.asarray(1 - self.learning_rate, objective.dtype) ** count
-            raised = ratio * threshold + total / count * (1 - ratio)
+            raised = jnp.clip(ratio * threshold + mean * (1 - ratio), -largest, largest)
         return self.replace(thresholds=self.thresholds.at[target].set(raised, mode="drop"))

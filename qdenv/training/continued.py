@@ -20,7 +20,7 @@ def settings_of(config: RunConfig, measures: Sequence[Measure]) -> dict[str, Any
         config: the resolved configuration.
         measures: axes of the archive.
     """
-    axes = tuple((axis.low, axis.high, axis.cells) for axis in measures)
+    axes = tuple((float(axis.low), float(axis.high), axis.cells) for axis in measures)
     content = json.loads(json.dumps(config_to_json(replace(config, archive=axes))))
     return dict(_flat(content))
 

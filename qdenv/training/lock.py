@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from qdenv.files import sweep
 from qdenv.types import InputError
 
 
@@ -11,7 +12,8 @@ from qdenv.types import InputError
 def locked(folder: Path) -> Iterator[None]:
     """Keep every other process from writing into a folder, which is made if need be.
 
-    The system frees the lock when this process ends, however it ends.
+    The system frees the lock when this process ends, however it ends. What a process that was
+    killed left half written is taken away.
 
     Args:
         folder: the run directory.
@@ -33,6 +35,8 @@ def locked(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"{folder}: cannot be written to ({error.strerror or error})") from error
     try:
+        for place in (folder, folder / "checkpoints"):
+            sweep(place)
         yield
     finally:
         lock.release()

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.grid import MOVES, shift
-from qdenv.simulate.mapf.planner import NOBODY, UNREACHABLE, World
+from qdenv.simulate.mapf.planner import NOBODY, World, steps_type, unreachable
 
 Planes: TypeAlias = tuple[jax.Array, ...]
 
@@ -24,7 +24,7 @@ class _Wave(NamedTuple):
 
     Attributes:
         reached: uint32 [G / 32, H, W], one bit per goal.
-        distance: int16 [G, H * W], steps for which each cell has been out of reach.
+        distance: [G, H * W], steps for which each cell has been out of reach, see `steps_type`.
         grew: bool, the last epoch reached new cells.
     """
 
@@ -55,10 +55,11 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
         used: bool [G], slots that hold a goal.
 
     Returns:
-        int16 [G, H * W]; `UNREACHABLE` where no way leads, and in unused slots.
+        int16 or int32 [G, H * W], see `steps_type`; `unreachable` where no way leads, and in
+        unused slots.
     """
     rows, cols = traversable.shape
-    count = cells.shape[0]
+    count, steps = cells.shape[0], steps_type(traversable.size)
     open_cells = jnp.where(traversable, jnp.uint32(0xFFFFFFFF), jnp.uint32(0))
     start = pack_goals(cells, used, (rows, cols)) & open_cells[None]
 
@@ -75,7 +76,7 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
 
     def unpack(words: jax.Array) -> jax.Array:
         bits = (words[:, None] >> jnp.arange(WORD, dtype=jnp.uint32)[None, :, None, None]) & 1
-        return bits.astype(jnp.int16).reshape(-1, rows * cols)[:count]
+        return bits.astype(steps).reshape(-1, rows * cols)[:count]
 
     def epoch(wave: _Wave) -> _Wave:
         planes = (jnp.zeros_like(wave.reached),) * PLANES
@@ -85,16 +86,16 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
             distance = distance + (unpack(plane) << bit)
         return _Wave(reached, distance, (reached != wave.reached).any())
 
-    first = _Wave(start, jnp.zeros((count, rows * cols), jnp.int16), jnp.bool_(True))
+    first = _Wave(start, jnp.zeros((count, rows * cols), steps), jnp.bool_(True))
     wave = jax.lax.while_loop(lambda wave: wave.grew, epoch, first)
-    return jnp.where(unpack(wave.reached) == 1, wave.distance, jnp.int16(UNREACHABLE))
+    return jnp.where(unpack(wave.reached) == 1, wave.distance, steps(unreachable(rows * cols)))
 
 
 class Fields(NamedTuple):
     """Distances to the goals that agents have; two rows for each of A agents.
 
     Attributes:
-        distance: int16 [2 A, H' * W'], steps from every cell.
+        distance: [2 A, H' * W'], steps from every cell, see `steps_type`.
         goal: int32 [2, A], the slot of the goal that each row was measured for, or `NOBODY`.
         flipped: bool [A], whether the current goal is in the second of an agent's rows: what was
             the next goal becomes the current one without a copy.
@@ -107,8 +108,9 @@ class Fields(NamedTuple):
 
 def no_fields(world: World, agents: int) -> Fields:
     """Make room for the fields of `agents`, none measured."""
+    cells = world.traversable.size
     return Fields(
-        jnp.full((2 * agents, world.traversable.size), UNREACHABLE, jnp.int16),
+        jnp.full((2 * agents, cells), unreachable(cells), steps_type(cells)),
         jnp.full((2, agents), NOBODY, jnp.int32),
         jnp.zeros((agents,), bool),
     )

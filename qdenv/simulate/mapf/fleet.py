@@ -33,11 +33,11 @@ from qdenv.simulate.mapf.metrics import (
     summarise,
 )
 from qdenv.simulate.mapf.padding import pad
-from qdenv.simulate.mapf.planner import UNREACHABLE, World
+from qdenv.simulate.mapf.planner import World, steps_type, unreachable
 from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.types import Array, InputError, TaskRule, Traffic
 
-TABLE_ENTRIES = 1 << 26  # of a table of all distances, 128 MB; above, agents measure their own
+TABLE_BYTES = 1 << 27  # of a table of all distances; above, agents measure their own
 
 
 def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
@@ -68,12 +68,12 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     capacity = config.goal_capacity or rows * cols
     traversable = jnp.asarray(of_tiles(layout, rule.traversable, rule.tiles))
     goals = tasks.goal_table(layout, rule, capacity)
-    distance = None
-    if planner.drive is None and capacity * layout.size <= TABLE_ENTRIES:
+    distance, entry = None, np.dtype(steps_type(layout.size))
+    if planner.drive is None and capacity * layout.size * entry.itemsize <= TABLE_BYTES:
         used = goals.used & traversable.reshape(-1)[goals.cells]
         distance = goal_distances(traversable, goals.cells, used).reshape(capacity, rows, cols)
-        sides = (planner.margin, planner.margin)
-        distance = jnp.pad(distance, ((0, 0), sides, sides), constant_values=UNREACHABLE)
+        sides, far = (planner.margin, planner.margin), unreachable(layout.size)
+        distance = jnp.pad(distance, ((0, 0), sides, sides), constant_values=far)
         distance = distance.reshape(capacity, -1)
     return World(
         traversable=jnp.pad(traversable, planner.margin),

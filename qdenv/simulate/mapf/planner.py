@@ -12,11 +12,23 @@ from typing import Any, NamedTuple, TypeAlias
 
 import flax.struct
 import jax
+import numpy as np
 
 from qdenv.simulate.mapf.tasks import GoalTable
 
 NOBODY = -1  # stands where an agent's number could stand
-UNREACHABLE = 32_000  # steps to where no way leads, and to whatever is farther still; fits int16
+UNREACHABLE = 32_000  # steps to where no way leads, on grids of at most so many cells
+UNREACHABLE_AFAR = 1 << 20  # likewise on larger ones, of a thousand rows and columns at most
+
+
+def steps_type(cells: int) -> type[np.int16] | type[np.int32]:
+    """Choose the type of distances on a grid of so many cells: no way is longer than the grid."""
+    return np.int16 if cells <= UNREACHABLE else np.int32
+
+
+def unreachable(cells: int) -> int:
+    """Give the number that stands for no way on a grid of so many cells, above all distances."""
+    return UNREACHABLE if cells <= UNREACHABLE else UNREACHABLE_AFAR
 
 
 @flax.struct.dataclass
@@ -29,8 +41,8 @@ class World:
     Attributes:
         traversable: bool [H', W'], cells agents may drive on.
         goals: the goal table; its cells are positions of the padded grid.
-        distance: int16 [G, H' * W'], steps from every cell to every goal; None where distances are
-            measured on demand.
+        distance: [G, H' * W'], steps from every cell to every goal, see `steps_type`; None where
+            distances are measured on demand.
         service_time: int32 [n], timesteps served at each kind of goal.
         valid: bool, agents and goals fit the layout.
         margin: rows and columns of walls on each side; compile-time.
@@ -56,7 +68,7 @@ class AgentState(NamedTuple):
             driving.
         age: int32 [A], timesteps since the agent last finished a task.
         previous: int32 [window + 1, A], the last paths from here on; their last cell is repeated.
-        distance: int16 [rows, H' * W'], steps from every cell to some goals.
+        distance: [rows, H' * W'], steps from every cell to some goals, see `steps_type`.
         row: int32 [2, A], the rows of `distance` that belong to `goal`.
     """
 

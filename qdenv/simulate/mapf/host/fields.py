@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.simulate.mapf.planner import NOBODY
+from qdenv.simulate.mapf.planner import NOBODY, steps_type, unreachable
 
 UNKNOWN = -1
 NOWHERE = 0  # a page that holds nothing but UNKNOWN: tiles of a field without a page share it
@@ -26,15 +26,16 @@ class Fields(NamedTuple):
         row: int32 [G], the row of each goal's field, or `NOBODY`.
         extent: int8 [R], how often a field was measured, see `measure`.
         page: int32 [R, tiles], the page of each tile of the grid.
-        steps: int16 [S, cells of a page], distances, or `UNKNOWN`.
+        steps: [S, cells of a page], distances (`planner.steps_type`), or `UNKNOWN`.
         tile: int32 [N], the tile of each cell.
         place: int32 [N], where in its page each cell lies.
         free_rows: int32 [R], a stack.
         free_pages: int32 [S], a stack.
         free: int64 [3], how many rows and pages are free, and whether one was wanting.
         queue: int64 [2, 4 N], cells that wait in a search.
-        found: int16 [N], distances found by the search under way; between searches all `UNKNOWN`.
+        found: [N], distances found by the search under way; between searches all `UNKNOWN`.
         order: int32 [N], the cells of `found`, as they were found.
+        unreachable: the distance to where no way leads.
     """
 
     row: np.ndarray
@@ -49,6 +50,7 @@ class Fields(NamedTuple):
     queue: np.ndarray
     found: np.ndarray
     order: np.ndarray
+    unreachable: int
 
 
 def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) -> Fields:
@@ -70,21 +72,22 @@ def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) 
         row=np.full(goals, NOBODY, np.int32),
         extent=np.zeros(rows, np.int8),
         page=np.zeros((rows, tiles), np.int32),
-        steps=_blank_pages(pages, side),
+        steps=_blank_pages(pages, side, steps_type(cells)),
         tile=row // side * tiles_across + column // side,
         place=row % side * side + column % side,
         free_rows=np.arange(rows, dtype=np.int32)[::-1].copy(),
         free_pages=np.arange(pages, dtype=np.int32)[:NOWHERE:-1].copy(),
         free=np.array([rows, pages - 1, 0], np.int64),
         queue=np.empty((2, 4 * cells), np.int64),
-        found=np.full(cells, UNKNOWN, np.int16),
+        found=np.full(cells, UNKNOWN, steps_type(cells)),
         order=np.empty(cells, np.int32),
+        unreachable=unreachable(cells),
     )
 
 
-def _blank_pages(pages: int, side: int) -> np.ndarray:
+def _blank_pages(pages: int, side: int, kind: type) -> np.ndarray:
     """Make pages that take memory once they are used, but for the first, which is never written."""
-    steps = np.empty((pages, side * side), np.int16)
+    steps: np.ndarray = np.empty((pages, side * side), kind)
     steps[NOWHERE] = UNKNOWN
     return steps
 
@@ -136,7 +139,7 @@ def _more_rows(fields: Fields) -> Fields:
 def _more_pages(fields: Fields) -> Fields:
     """Make room for twice as many pages."""
     old, cells = fields.steps.shape
-    steps = np.empty((2 * old, cells), np.int16)
+    steps = np.empty((2 * old, cells), fields.steps.dtype)
     steps[:old] = fields.steps
     stack = np.concatenate([fields.free_pages, np.zeros(old + 1, np.int32)])
     first = fields.free[PAGES]

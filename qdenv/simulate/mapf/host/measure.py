@@ -10,7 +10,7 @@ distances, so who asks what never shows in a result.
 from qdenv.native import formula, kernel
 from qdenv.simulate.mapf.host.fields import NOWHERE, PAGES, ROWS, UNKNOWN, WANTED, Fields
 from qdenv.simulate.mapf.host.site import DOWN, LEFT, MOVES, RIGHT, UP, Site
-from qdenv.simulate.mapf.planner import NOBODY, UNREACHABLE
+from qdenv.simulate.mapf.planner import NOBODY
 
 SLACK = 12  # steps longer than the shortest way that a first search measures as well
 REACHES = 6  # searches of a field after which the next one measures all of it
@@ -21,7 +21,7 @@ COMPLETE = 127  # of `Fields.extent`, which else counts the searches
 def distance(fields: Fields, site: Site, goal: int, cell: int) -> int:
     """Look up the steps from a free cell to a goal; measure them first where nobody asked before.
 
-    Where room is wanting the answer is `UNREACHABLE`, and `lacks_room` tells.
+    Where room is wanting the answer is `fields.unreachable`, and `lacks_room` tells.
     """
     row = fields.row[goal]
     if row != NOBODY:
@@ -41,16 +41,16 @@ def lacks_room(fields: Fields) -> bool:
 def _measure(fields: Fields, site: Site, goal: int, cell: int) -> int:
     """Measure the field of a goal, at least as far as a cell; returns the cell's distance."""
     if fields.free[WANTED]:
-        return UNREACHABLE  # nothing more can be learnt before there is room
+        return fields.unreachable  # nothing more can be learnt before there is room
     if fields.row[goal] == NOBODY:
         if fields.free[ROWS] == 0:
             fields.free[WANTED] = 1
-            return UNREACHABLE
+            return fields.unreachable
         fields.free[ROWS] -= 1
         fields.row[goal] = fields.free_rows[fields.free[ROWS]]
     row, begin = fields.row[goal], site.goals[goal]
     if fields.extent[row] == COMPLETE or not site.free[begin]:
-        return UNREACHABLE
+        return fields.unreachable
     # Small fields are cheap, and goals that many ask for are soon wanted everywhere.
     before = fields.extent[row]
     if before == REACHES or fields.page.shape[1] == 1:
@@ -62,8 +62,8 @@ def _measure(fields: Fields, site: Site, goal: int, cell: int) -> int:
     steps = fields.found[cell] + 0  # as a number of 64 bits
     if not _store(fields, row, count):
         fields.extent[row], fields.free[WANTED] = before, 1
-        return UNREACHABLE
-    return steps if steps != UNKNOWN else UNREACHABLE
+        return fields.unreachable
+    return steps if steps != UNKNOWN else fields.unreachable
 
 
 @kernel
@@ -97,7 +97,7 @@ def _write(fields: Fields, row: int, cell: int, steps: int) -> bool:
 @formula
 def _find(fields: Fields, count: int, cell: int, steps: int) -> int:
     """Note the distance of a cell; returns how many are found."""
-    fields.found[cell] = min(steps, UNREACHABLE)
+    fields.found[cell] = steps
     fields.order[count] = cell
     return count + 1
 

@@ -12,7 +12,7 @@ LEGS = 2
 COST_UNIT = 4  # costs are counted in quarters of a timestep
 CODE_BITS = 12  # room for the end of a path: leg, conflicts, row, column
 CODES = (1 << CODE_BITS) - 1
-INFEASIBLE = 2**30  # above the key of every end
+INFEASIBLE = 2**30  # above the key and the cost of every end
 SERVED_BITS = 32  # of the word of timesteps served
 
 

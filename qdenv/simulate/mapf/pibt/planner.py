@@ -55,7 +55,7 @@ def preferences(
 
     Args:
         world: where.
-        distance: int16 [rows, H' * W'], steps from every cell to goals.
+        distance: int16 or int32 [rows, H' * W'], steps from every cell to goals.
         rows: int32 [A], those of the agents' goals.
         position: int32 [A].
         fixed: bool [A], agents that can only stay.

@@ -19,8 +19,11 @@ class LocalWindow(NamedTuple):
         goal: uint32 [2, E, K], the current and the next goal, where they end a leg.
         goal_row: int32 [2, K], their rows in sight (0 where out of sight).
         goal_column: int32 [2, K], likewise.
-        cost_to_go: int32 [2, E, E, K], cost of what is left from each cell on, per leg.
+        cost_to_go: int32 [2, E, E, K], cost of what is left from each cell on, per leg, less
+            `shortest`.
         cost_after_goal: int32 [K], cost of what is left once the current goal is done.
+        shortest: int32 [K], cost of the shortest way through both goals; costs to go are counted
+            from it, for the keys of ends have no room for that of a long way.
         service_time: int32 [2, K], timesteps to serve at each goal.
         remaining_service: int32 [K], timesteps still to serve where the agent is; 0 while driving.
         penalty: int32 [K], cost of a conflict.
@@ -34,6 +37,7 @@ class LocalWindow(NamedTuple):
     goal_column: jax.Array
     cost_to_go: jax.Array
     cost_after_goal: jax.Array
+    shortest: jax.Array
     service_time: jax.Array
     remaining_service: jax.Array
     penalty: jax.Array
@@ -96,6 +100,7 @@ def gather(
     to_go = distance_to_go(world, state.distance, position, rows, window)
     # On the first leg the whole second one is still to come, whichever cell the window ends on.
     after_leg = jnp.stack([after, jnp.zeros_like(after)])
+    shortest = path_rules.driving_cost(to_go[0, window, window], service_time[0], after)
     planes = table.reshape(-1, rules.MOVES, *walls.shape)
     return LocalWindow(
         reserved=bitplanes.around(planes, position, width, window),
@@ -104,9 +109,10 @@ def gather(
         goal_row=row,
         goal_column=column,
         cost_to_go=path_rules.driving_cost(
-            to_go, service_time[:, None, None], after_leg[:, None, None]
+            to_go, service_time[:, None, None], (after_leg - shortest)[:, None, None]
         ),
         cost_after_goal=after,
+        shortest=shortest,
         service_time=service_time,
         remaining_service=state.remaining_service[who.agent],
         penalty=who.penalty,

@@ -73,7 +73,7 @@ def negotiate(
         local = gather(world, state, negotiation.reservations.table, walls, who)
         steps, cost = find_paths(local, config.conflict_levels)
         paths = state.position[agent] + steps[0] * shape[1] + steps[1]
-        return paths, cost < path_rules.INFEASIBLE >> path_rules.CODE_BITS
+        return paths, cost < path_rules.INFEASIBLE
 
     def plan_round(negotiation: Negotiation) -> Negotiation:
         reservations, attempts, turn = negotiation

@@ -131,7 +131,7 @@ def cheapest_end(
     tie = path_rules.tie_breaker(local.noise)
     best = jnp.full(tie.shape, path_rules.INFEASIBLE, jnp.int32)
     for leg in range(2):
-        after = (1 - leg) * local.cost_after_goal
+        after = (1 - leg) * local.cost_after_goal - local.shortest
         service_cost = path_rules.serving_cost(local.service_time[leg], elapsed, after)
         for conflicts in range(levels):
             cost = path_rules.f_cost(local.cost_to_go[leg], conflicts, local.penalty)
@@ -144,8 +144,10 @@ def cheapest_end(
             is_here = rules.has_served(served[conflicts, leg], elapsed.astype(jnp.uint32)) == 1
             key = jnp.where(is_here, path_rules.end_key(cost, code, tie), path_rules.INFEASIBLE)
             best = jnp.minimum(best, key.min(0))
-    code = jnp.where(best < path_rules.INFEASIBLE, (best ^ tie) & path_rules.CODES, 0)
-    return best >> path_rules.CODE_BITS, code
+    found = best < path_rules.INFEASIBLE
+    code = jnp.where(found, (best ^ tie) & path_rules.CODES, 0)
+    cost = (best >> path_rules.CODE_BITS) + local.shortest
+    return jnp.where(found, cost, path_rules.INFEASIBLE), code
 
 
 def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
@@ -157,7 +159,7 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
 
     Returns:
         rows and columns relative to the start, int32 [2, window + 1, K], and the cost int32 [K]
-        from the end of the window on (``INFEASIBLE >> CODE_BITS`` where nothing can be reached).
+        from the end of the window on (`INFEASIBLE` where nothing can be reached).
     """
     agent = jnp.arange(local.penalty.shape[0])
     leg = jnp.arange(2)[:, None]

@@ -1,0 +1,94 @@
+"""Several accelerators: the items of a batch are shared out among them.
+
+Each item is computed by one device, as it would be alone, and nothing is added up across devices:
+their number decides how long a batch takes and no bit of what comes out.
+"""
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+AXIS = "devices"
+# Held during a call that devices share: they wait for each other in it, and those of two calls at
+# once could wait for ever.
+turn = threading.Lock()
+
+
+def map_items(function: Callable[..., Any], *items: Any) -> Any:
+    """Apply a function to batches of items, an equal share on each device; traceable.
+
+    Args:
+        function: shares of the batches -> results, each item's from that item alone; traceable,
+            without host callbacks.
+        items: trees of arrays with leading axis B; what the devices do not divide is filled up.
+
+    Returns:
+        The results, with leading axis B, whole on every device.
+    """
+    devices = jax.local_devices()
+    mesh = Mesh(np.asarray(devices), (AXIS,))
+    # Whole on both sides: the compiler would share out what comes before and after as well, and
+    # add up in another order there.
+    whole = NamedSharding(mesh, PartitionSpec())
+    size = len(jax.tree.leaves(items)[0])
+    full = jax.tree.map(lambda leaf: _filled(leaf, -(-size // len(devices)) * len(devices)), items)
+    shared = jax.shard_map(
+        function,
+        mesh=mesh,
+        in_specs=PartitionSpec(AXIS),
+        out_specs=PartitionSpec(AXIS),
+        check_vma=False,  # loops begin from constants, which do not vary, and end with what does
+    )
+    results = shared(*jax.lax.with_sharding_constraint(full, whole))
+    results = jax.lax.with_sharding_constraint(results, whole)
+    return jax.tree.map(lambda leaf: leaf[:size], results)
+
+
+def map_runs(function: Callable[..., Any], layouts: jax.Array, runs: jax.Array) -> Any:
+    """Apply a function to layouts and their runs, so that few layouts use all devices as well.
+
+    Args:
+        function: (layouts [b, H, W], runs [b, s]) -> results with leading axes b, s; as in
+            `map_items`.
+        layouts: int8 [B, H, W].
+        runs: [B, S], what the runs of each layout draw from.
+
+    Returns:
+        The results, with leading axes B, S.
+    """
+    count, seeds = runs.shape
+    parts = count_parts(count, seeds, jax.local_device_count())
+    filled = _filled(runs.T, -(-seeds // parts) * parts)  # [parts * s, B]
+    drawn = filled.reshape(parts, -1, count).swapaxes(1, 2).reshape(parts * count, -1)
+    results = map_items(function, jnp.tile(layouts, (parts, 1, 1)), drawn)
+
+    def ordered(leaf: jax.Array) -> jax.Array:
+        by_part = leaf.reshape(parts, count, *leaf.shape[1:]).swapaxes(0, 1)
+        return by_part.reshape(count, -1, *leaf.shape[2:])[:, :seeds]
+
+    return jax.tree.map(ordered, results)
+
+
+def count_parts(layouts: int, seeds: int, devices: int) -> int:
+    """Choose into how many parts the runs of each layout are cut: a divisor of the devices.
+
+    The busiest device shall have the fewest runs; among equals the fewest parts, because each
+    computes once more what the runs of its layout have in common.
+    """
+
+    def busiest(parts: int) -> int:
+        return -(-layouts * parts // devices) * -(-seeds // parts)
+
+    return min((one for one in range(1, devices + 1) if devices % one == 0), key=busiest)
+
+
+def _filled(leaf: jax.Array, size: int) -> jax.Array:
+    """Lengthen the leading axis with items from its beginning."""
+    if size == len(leaf):
+        return leaf
+    return leaf[np.arange(size) % len(leaf)]

@@ -1,0 +1,94 @@
+"""Near the greatest number of shelves: found where one exists, or proven impossible."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from qdenv.domains.base import find_domain
+from qdenv.repair.audit import audit
+from qdenv.repair.facts import Facts
+from qdenv.repair.milp import possible
+from qdenv.repair.milp.possible import find_possible
+from qdenv.repair.recipe import repair
+from qdenv.repair.settings import RepairConfig
+from qdenv.types import Adjacency, Count, RepairStatus, Rules
+
+CROSS = ndimage.generate_binary_structure(2, 1)
+
+
+def warehouse(rows: int, cols: int, shelves: int) -> Rules:
+    return find_domain("warehouse-even").resized(rows, cols, {"shelves": shelves}).rules()
+
+
+def yard(rows: int, cols: int, shelves: int) -> Rules:
+    """A warehouse without a frame: no cell drives in every layout."""
+    return Rules(
+        tiles=".@e",
+        counts=(Count("@", shelves, shelves),),
+        adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
+        connected=".e",
+        allowed=np.ones((rows, cols, 3), bool),
+        change_cost=np.ones((rows, cols)),
+    )
+
+
+def numbers_that_exist(rules: Rules) -> set[int]:
+    """List by enumeration of all driving areas with how many shelves some layout exists."""
+    shelf = rules.tiles.index("@")
+    may, served = rules.allowed[..., shelf], rules.allowed[..., rules.tiles.index("e")]
+    free, found = np.argwhere(may), set[int]()
+    for stands in itertools.product([False, True], repeat=len(free)):
+        shelves = np.zeros_like(may)
+        shelves[tuple(free.T)] = stands
+        # Every driving cell beside a shelf may be an endpoint, so all of them are.
+        endpoints = ~shelves & served & ndimage.binary_dilation(shelves, CROSS)
+        alone = shelves & ~ndimage.binary_dilation(endpoints, CROSS)
+        if not alone.any() and ndimage.label(~shelves, CROSS)[1] <= 1:
+            found.add(int(shelves.sum()))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("make", "rows", "cols"),
+    [(warehouse, 4, 7), (warehouse, 6, 6), (warehouse, 3, 8), (yard, 3, 4), (yard, 2, 6)],
+)
+def test_every_number_of_shelves_is_found_or_proven_impossible(make, rows, cols):
+    exist = numbers_that_exist(make(rows, cols, 0))
+    assert {0, 1, 2, 3} <= exist
+    for shelves in range(max(exist) + 4):
+        rules = make(rows, cols, shelves)
+        known = find_possible(Facts(rules))
+        if shelves in exist:
+            assert known.layout is not None and audit(known.layout, rules) == []
+        else:
+            assert known.status == RepairStatus.IMPOSSIBLE
+
+
+@pytest.mark.parametrize(("shape", "most"), [((4, 11), 17), ((7, 7), 14), ((6, 14), 40)])
+def test_repairs_reach_the_greatest_number_from_any_layout_and_no_more(shape, most):
+    rng = np.random.default_rng(3)
+    for shelves in (most, most + 1):
+        rules = warehouse(*shape, shelves)
+        for seed in range(3):
+            layout = rng.integers(0, 3, shape).astype(np.int8)
+            repaired = repair(layout, rules, seed, RepairConfig("none"))
+            if shelves > most:
+                assert repaired.status == RepairStatus.IMPOSSIBLE
+                np.testing.assert_array_equal(repaired.layout, layout)
+            else:
+                assert audit(np.asarray(repaired.layout), rules) == []
+                assert repaired.cost == (repaired.layout != layout).sum() < np.inf
+
+
+def test_at_size_s_711_shelves_are_impossible_and_the_answer_is_remembered(monkeypatch):
+    facts = Facts(warehouse(33, 36, 711))
+    assert find_possible(facts).status == RepairStatus.IMPOSSIBLE
+    monkeypatch.setattr(possible, "_decide", lambda facts: pytest.fail("asked again"))
+    assert find_possible(Facts(warehouse(33, 36, 711))).status == RepairStatus.IMPOSSIBLE
+
+
+def test_what_is_not_decided_is_failed(monkeypatch):
+    monkeypatch.setattr(possible, "BRANCHED_CELLS", 0)
+    assert find_possible(Facts(warehouse(7, 14, 45))).status == RepairStatus.FAILED
