@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -26,9 +26,9 @@ from experiments.zoo_rules import LEARNT, RULES, Rule
 from qdenv.domains.base import DOMAINS
 from qdenv.files import write_json
 from qdenv.presets import PRESETS
+from qdenv.reading.json import read_json
 from qdenv.search.registry import ALGORITHMS
 from qdenv.training.archive import Archive
-from qdenv.training.manifest import read_object
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, look_up
 from qdenv.zoo.shipped import TABLE, USUAL, Generator, Origin, to_json
@@ -92,7 +92,7 @@ def choose(workshop: Workshop, rules: tuple[Rule, ...]) -> dict[Rule, Cell]:
 
 def origin_of(run: RunDirectory, domain: str, counted: str) -> Origin:
     """Say where generators come from."""
-    config, manifest = run.config, read_object(run.path / "manifest.json")
+    config, manifest = run.config, read_json(run.path / "manifest.json", dict[str, Any])
     alike = [name for name, one in PRESETS.items() if one.evaluation == config.evaluation]
     preset = domain if domain in alike else next(iter(alike), domain)
     version, created = manifest["versions"]["qdenv"], manifest["created"]

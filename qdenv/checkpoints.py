@@ -8,19 +8,26 @@ import json
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 
 from qdenv.files import write_atomically
+from qdenv.reading.arrays import Column, read_arrays
+from qdenv.reading.json import parse_json
+from qdenv.reading.strict import structured
 from qdenv.types import InputError
 
 SCHEMA = 2  # 1: a search held one dense array of solutions for each archive; still read
 PIECE = 2**24  # bytes that are copied at once
+NUMBERS = Column()
+T = TypeVar("T")
 
 
-class DamagedError(InputError):
-    """A file is not what was once written, as after a crash of the machine: others may be."""
+class _Written(NamedTuple):
+    """What every state says of itself."""
+
+    schema: int
 
 
 class Rows(NamedTuple):
@@ -100,39 +107,23 @@ def write_state(
     write_arrays(path, {**arrays, member: np.frombuffer(text.encode(), np.uint8)})
 
 
-def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
-    """Read all arrays of an .npz, without pickle.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        InputError: it is damaged, or cannot be read.
-    """
-    try:
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return dict(file)
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # of a dozen kinds: whatever numpy and zipfile make of wrong bytes
-        reason = str(error).partition("\n")[0] or type(error).__name__
-        raise InputError(f"{path}: cannot be read ({reason})") from error
-
-
-def read_state(path: Path, member: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def read_state(path: Path, member: str, kind: type[T]) -> tuple[dict[str, np.ndarray], T]:
     """Read what `write_state` wrote: (arrays, facts).
+
+    Args:
+        path: the .npz file.
+        member: name under which the facts are stored.
+        kind: NamedTuple of the facts that are needed.
 
     Raises:
         DamagedError: the file is damaged.
         InputError: there is no such file, or it is of a newer schema.
     """
-    try:
-        arrays = read_arrays(path)
-        facts = json.loads(arrays.pop(member).tobytes())
-        schema = int(facts["schema"])
-    except FileNotFoundError:
-        raise InputError(f"there is no checkpoint {path}: nothing to resume") from None
-    except (InputError, ValueError, KeyError, TypeError, RecursionError) as error:
-        reason = str(error).removeprefix(f"{path}: ")
-        raise DamagedError(f"{path} is no readable checkpoint ({reason})") from error
-    if schema > SCHEMA:
+    if not path.exists():
+        raise InputError(f"there is no checkpoint {path}: nothing to resume")
+    arrays = read_arrays(path, {member: Column("u", 1)}, NUMBERS)
+    place = f"{path}, {member}"
+    content = parse_json(arrays.pop(member).tobytes().decode(errors="replace"), place)
+    if structured(content, _Written, place).schema > SCHEMA:
         raise InputError(f"{path} was written by a newer qdenv: please upgrade")
-    return arrays, facts
+    return arrays, structured(content, kind, place)

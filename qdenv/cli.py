@@ -4,6 +4,7 @@ A command is imported when it is chosen: help is read in less time than jax take
 """
 
 import contextlib
+import errno
 import functools
 import importlib
 import inspect
@@ -81,6 +82,10 @@ def _run_loaded(arguments: list[str], wanted: list[str]) -> int:
             code = chosen()
     except InputError as error:
         return _complain(error)
+    except OSError as error:  # whatever is asked of a file, it can have no such name
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        return _complain(InputError(f"{str(error.filename)[:99]}...: too long for a file's name"))
     return code if isinstance(code, int) else 0
 
 

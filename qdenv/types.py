@@ -31,8 +31,32 @@ else:  # a name in annotations is no reason to import jax
     Array: TypeAlias = Any
 
 
+LONGEST_LINE = 2000  # characters of a message; a damaged file could fill gigabytes
+
+
 class InputError(ValueError):
-    """A mistake the user can mend: one line that says what is wrong and what to do."""
+    """A mistake the user can mend: one line that says what is wrong and what to do.
+
+    Whatever a file or a command line put into it, the line is printable and of a sensible length.
+    """
+
+    def __init__(self, message: str) -> None:
+        """Say what is wrong; line breaks become blanks, what no terminal should see is spelt."""
+        super().__init__(printable(message))
+
+
+class DamagedError(InputError):
+    """A file is not what was once written, as after a crash of the machine: others may be."""
+
+
+def printable(text: str) -> str:
+    """Make one printable line of any text, cut where it is too long for a person."""
+    if len(text) > LONGEST_LINE:
+        text = f"{text[:LONGEST_LINE]} ..."
+    if text.isprintable():
+        return text
+    line = " ".join(part.strip() for part in text.splitlines() if part.strip())
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in line)
 
 
 def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:

@@ -3,6 +3,8 @@
 import io
 import pickle
 import struct
+import time
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -128,6 +130,69 @@ def test_tensors_outside_their_storage_are_refused(tmp_path, count, size, stride
     pickled = b"\x80\x02}" + text("a") + tensor("0", count, size, stride) + b"s."
     with pytest.raises(InputError):
         read_checkpoint(write(tmp_path / "bad.tar", pickled, {"0": b"\0" * raw}))
+
+
+DEEP = b")" + b"\x85" * 90_000  # a tuple in a tuple in a tuple
+DOUBLED = b"K\x00" + b"q\x01h\x01\x86" * 60  # (x, x) of (x, x) of ...: 2 ** 60 parts
+DICTIONARY = b"ccollections\nOrderedDict\n"
+HOSTILE = {
+    "deep key": b"}" + DEEP + b"K\x01s.",
+    "deep pid": DEEP + b"Q.",
+    "deeper than any": b")" + b"\x85" * 2_000_000 + b"K\x01s.",
+    "doubled key": b"}" + DOUBLED + b"K\x01s.",
+    "doubled pid": DOUBLED + b"Q.",
+    "attributes of the class": DICTIONARY + b"}" + text("zzz") + b"K\x01sb0.",
+    "attributes of the builder": b"ctorch._utils\n_rebuild_tensor_v2\n}"
+    + text("__defaults__") + b")sb.",
+    "newline and escape": b"c" + b"a\x1b[31m\n" + b"b\x1b]0;c\x07\n.",
+    "key of escapes": b"}" + text("a") + tensor("\x1b[2J\r", 4, (4,), (1,)) + b"s.",
+    "stretched": b"}" + text("a") + tensor("0", 4, (2**29,), (0,)) + b"s.",
+    "endless": b"0" * 200_000,
+    "too many": b"N" * 200_000 + b".",
+    "no end": b"}",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_descriptions_are_refused_in_one_printable_line_at_once(name, tmp_path):
+    path = write(tmp_path / "bad.tar", HOSTILE[name], {"0": b"\0" * 16})
+    begun = time.process_time()
+    with pytest.raises(InputError) as refusal:
+        from_torch(read_checkpoint(path), str(path))
+    assert time.process_time() - begun < 5
+    assert str(refusal.value).isprintable() and len(str(refusal.value)) < 3000
+
+
+@pytest.mark.parametrize("state", ["get", "items", "keys", "__class__"])
+def test_attributes_of_a_dictionary_change_nothing(state, tmp_path, tensors):
+    whole = checkpoint(tmp_path / "model.tar", tensors)
+    with zipfile.ZipFile(whole) as archive:
+        pickled = archive.read("model/data.pkl")
+        raws = {str(key): archive.read(f"model/data/{key}") for key in range(len(tensors))}
+    built = pickled[:-1] + b"}" + text(state) + b"K\x01sb."
+    found = read_checkpoint(write(tmp_path / "built.tar", built, raws))
+    assert found.keys() == tensors.keys()
+
+
+def test_a_storage_that_is_asked_for_often_is_held_once(tmp_path):
+    raw = 8 * 2**20
+    body = b"".join(text(f"t{n}") + tensor("0", raw // 4, (raw // 4,), (1,)) for n in range(40))
+    path = write(tmp_path / "big.tar", b"\x80\x02}(" + body + b"u.", {"0": bytes(raw)})
+    tracemalloc.start()
+    found = read_checkpoint(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(found) == 40 and peak < 4 * raw
+
+
+def test_a_member_that_expands_to_gigabytes_is_refused_before_it_does(tmp_path):
+    with zipfile.ZipFile(tmp_path / "bomb.tar", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("model/data.pkl", b"N.")
+        with archive.open("model/data/0", "w") as member:
+            for _ in range(80):
+                member.write(bytes(2**20))
+    with pytest.raises(InputError, match="would take 80 MB"):
+        read_checkpoint(tmp_path / "bomb.tar")
 
 
 def test_damaged_files_are_refused(tmp_path, tensors):

@@ -175,7 +175,7 @@ def test_weights_survive_a_file_and_damage_is_refused(tmp_path, weights):
         policy.load_weights(tmp_path / "none.npz")
     for content in (b"", b"no zip", path.read_bytes()[:1000]):
         (tmp_path / "bad.npz").write_bytes(content)
-        with pytest.raises(InputError, match="is no agent"):
+        with pytest.raises(InputError, match="cannot be read"):
             policy.load_weights(tmp_path / "bad.npz")
     named = weights._asdict()
     for change, reason in (
@@ -189,10 +189,10 @@ def test_weights_survive_a_file_and_damage_is_refused(tmp_path, weights):
             policy.load_weights(tmp_path / "bad.npz")
     del named["critic"]
     np.savez(tmp_path / "bad.npz", **named)
-    with pytest.raises(InputError, match="lacks critic"):
+    with pytest.raises(InputError, match="critic is missing"):
         policy.load_weights(tmp_path / "bad.npz")
     np.savez(tmp_path / "bad.npz", **{**weights._asdict(), "critic": np.array([{}], object)})
-    with pytest.raises(InputError, match="is no agent"):
+    with pytest.raises(InputError, match="cannot be read"):
         policy.load_weights(tmp_path / "bad.npz")
 
 

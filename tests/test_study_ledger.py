@@ -127,7 +127,7 @@ def test_mistakes_are_refused_before_anything_is_simulated(simulated, tmp_path):
         with pytest.raises(InputError, match=said):
             complete(path, [CASE, case], (0,))
     path.write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match="no table of runs"):
+    with pytest.raises(InputError, match="cannot be read"):
         complete(path, [CASE], (0,))
     good = Run(*CASE.key(0), 1.0, False, 20, 8.0)
     write_csv(path, Run._fields, [good, [*good[:9], "Maybe", *good[10:]]])

@@ -50,7 +50,7 @@ def test_every_bit_comes_back(tmp_path):
     with np.load(tmp_path / "c.npz") as file:
         assert file["0.changed"].tolist() == [1, 2, 3]
     again, manifest = load_checkpoint(tmp_path / "c.npz", blank)
-    assert manifest["iteration"] == 7
+    assert manifest.iteration == 7
     assert (jax.random.key_data(again.pop("key")) == jax.random.key_data(state.pop("key"))).all()
     for name, values in state.items():
         assert np.asarray(again[name]).tobytes() == values.tobytes(), name
@@ -61,7 +61,7 @@ def test_writing_copies_pieces_and_never_a_whole_array(tmp_path):
     big = np.ones((4096, 4 * PIECE // 4096), np.float32)  # 16 pieces
     big[5] = 0
     tracemalloc.start()
-    save_checkpoint(tmp_path / "c.npz", {"big": big}, {})
+    save_checkpoint(tmp_path / "c.npz", {"big": big}, {"iteration": 1})
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert big.nbytes == 16 * PIECE and peak < 3 * PIECE
@@ -73,7 +73,7 @@ def test_a_search_of_schema_1_goes_on_as_it_did_then(name):
     search = growing(make_algorithm(SEARCHES[name], PROBLEM))
     saved = RECORDED / f"schema1_{name}.npz"
     state, manifest = load_checkpoint(saved, search.init(jax.random.key(0)))
-    assert manifest["iteration"] == 4
+    assert manifest.iteration == 4
     state = go_on(search, state, 4)
     found = elites(search.archive(state))
     with np.load(RECORDED / f"schema1_{name}_elites.npz") as expected:
@@ -100,7 +100,9 @@ def test_schema_1_holds_the_same_solutions_bit_for_bit(name):
 def test_a_checkpoint_of_another_search_is_refused_in_one_line(tmp_path):
     make = lambda config, dim, grid: growing(make_algorithm(config, Problem(dim, grid, EXTRAS)))  # noqa: E731
     search = make(SEARCHES["cma_mae"], DIM, GRID)
-    save_checkpoint(tmp_path / "c.npz", go_on(search, search.init(jax.random.key(0)), 1), {})
+    save_checkpoint(
+        tmp_path / "c.npz", go_on(search, search.init(jax.random.key(0)), 1), {"iteration": 1}
+    )
     coarse = (Measure("x", -1, 1, 4), GRID[1])
     for config, dim, grid in (
         (SEARCHES["map_elites"], DIM, GRID),

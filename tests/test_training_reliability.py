@@ -274,10 +274,18 @@ FILES = {
         b"", b"[]", b"{}", b'{"schema": "1"}', b'{"schema": null}', b"[" * 100_000,
         b'{"schema": 2, "tiles": ".", "measures": [3]}',
         b'{"schema": 2, "tiles": ".", "measures": [{"name": "x"}]}',
+        b'{"schema": 2, "tiles": ".", "measures": [{"name": 3, "low": 0, "high": 1, "cells": 5}]}',
+        b'{"schema": 2, "measures": [{"name": "x", "low": 0, "high": NaN, "cells": 5}]}',
+        b'{"schema": 1e400, "tiles": ".", "measures": []}',
     ],
-    "config.json": [b"", b"{}", b"[" * 100_000, b'{"evaluation": {}}'],
-    "best_layout.json": [b"", b"{}", b'{"layout": 3}', b"\xff"],
-    "metrics.csv": [b"", b"iteration\nmany\n", b'a,"' + b"x" * 200_000, None],
+    "config.json": [
+        b"", b"{}", b"[" * 100_000, b'{"evaluation": {}}', b'{"evaluation": {}, "algorithm": 3}',
+        b'{"evaluation": {"domain": {"name": []}}}', b'{"evaluation": {"domain": "moon"}}',
+    ],
+    "best_layout.json": [b"", b"{}", b'{"layout": 3}', b"\xff",
+        b'{"layout": ["..."], "marks": {"x": 1e999}}', b'{"layout": ["\x1b[31m"]}'],
+    "metrics.csv": [b"", b"iteration\nmany\n", b'a,"' + b"x" * 200_000, None,
+        b"iteration,evaluations,qd_score,coverage,best_objective,seconds\n1,8,nan,0.1,0.7,3\n"],
 }  # fmt: skip
 
 
@@ -303,6 +311,15 @@ def test_an_archive_of_other_columns_gives_one_line(run):
         good | {"objective": good["objective"][:-1]},
         good | {"measures": good["measures"][:, :1]},
         good | {"similarity": np.float32(0)},
+        {name: column for name, column in good.items() if name != "repaired"},
+        good | {"repaired": good["repaired"] + 50},
+        good | {"repaired": good["repaired"][:, 0]},
+        good | {"objective": np.full_like(good["objective"], np.nan)},
+        good | {"index": np.zeros_like(good["index"])},
+        good | {"similarity": good["similarity"].astype("U9")},
+        good | {"success": np.zeros(len(good["index"]), bool)},
+        good | {"unrepaired": good["repaired"][:, :2]},
+        good | {"similarity": np.zeros((len(good["index"]), 0))},
     ):
         np.savez(run.path / "archive.npz", **wrong)
         with pytest.raises(InputError, match=r"archive\.npz: cannot be read"):

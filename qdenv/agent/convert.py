@@ -1,14 +1,10 @@
 """Read the published PyTorch checkpoint into our weights, without PyTorch and without trust.
 
 A .tar of `torch.save` is a zip: ``<name>/data.pkl`` describes tensors whose raw numbers lie in
-``<name>/data/<key>``. The description is a pickle, so it is read by an unpickler that knows three
-names (ordered dictionary, float storage, tensor builder) and none of them is the real thing.
+``<name>/data/<key>``. The description is a pickle, which `pickled` reads as data.
 """
 
-import io
-import pickle
 import zipfile
-from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.agent.files import save_weights
+from qdenv.agent.pickled import Machine
+from qdenv.reading.zips import open_zip
 from qdenv.simulate.maze.policy import (
     FILTERS,
     PATCHES,
@@ -27,6 +25,7 @@ from qdenv.simulate.maze.policy import (
 from qdenv.types import Array, InputError
 
 LARGEST = 64 * 2**20  # bytes of one member; the published checkpoint has 2 MB in all
+DESCRIPTION = "data.pkl"
 TENSORS = {
     "kernel": "image_conv.0.weight",
     "kernel_bias": "image_conv.0.bias",
@@ -46,62 +45,6 @@ TENSORS = {
 GATE_BIASES = ("rnn.rnn.bias_ih_l0", "rnn.rnn.bias_hh_l0")
 
 
-class _FloatStorage:
-    """A name only: tells that a storage holds float32."""
-
-
-def _member(archive: zipfile.ZipFile, name: str) -> bytes:
-    if archive.getinfo(name).file_size > LARGEST:
-        raise InputError(f"checkpoint member {name} is larger than {LARGEST} bytes")
-    return archive.read(name)
-
-
-def _view(storage: np.ndarray, offset: int, size: tuple, stride: tuple) -> np.ndarray:
-    """Cut a tensor out of its storage, refusing any element outside of it."""
-    numbers = (offset, *size, *stride)
-    if len(size) != len(stride) or any(type(n) is not int or n < 0 for n in numbers):
-        raise InputError("the checkpoint holds a tensor of impossible shape")
-    if min(size, default=1) > 0:
-        last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
-        if last >= storage.size:
-            raise InputError("the checkpoint holds a tensor larger than its storage")
-    steps = [step * storage.itemsize for step in stride]
-    return np.lib.stride_tricks.as_strided(storage[offset:], size, steps).copy()
-
-
-class _Reader(pickle.Unpickler):
-    """An unpickler that can build ordered dictionaries of float32 arrays and nothing else."""
-
-    def __init__(self, archive: zipfile.ZipFile, root: str) -> None:
-        super().__init__(io.BytesIO(_member(archive, f"{root}data.pkl")))
-        self._archive, self._root = archive, root
-
-    def find_class(self, module: str, name: str) -> Any:
-        known = {
-            ("collections", "OrderedDict"): OrderedDict,
-            ("torch", "FloatStorage"): _FloatStorage,
-            ("torch._utils", "_rebuild_tensor_v2"): self._tensor,
-        }
-        if (module, name) not in known:
-            raise InputError(f"refused: the checkpoint asks for {module}.{name}")
-        return known[module, name]
-
-    def persistent_load(self, pid: Any) -> np.ndarray:
-        if not isinstance(pid, tuple) or len(pid) != 5 or pid[:2] != ("storage", _FloatStorage):
-            raise InputError("refused: the checkpoint holds something other than float32 tensors")
-        key, count = pid[2], pid[4]
-        raw = _member(self._archive, f"{self._root}data/{key}")
-        if len(raw) != 4 * count:
-            raise InputError(f"storage {key} has {len(raw)} bytes, not {4 * count}: file damaged")
-        return np.frombuffer(raw, "<f4")
-
-    @staticmethod
-    def _tensor(storage: Any, offset: Any, size: Any, stride: Any, *_: Any) -> np.ndarray:
-        if not isinstance(storage, np.ndarray):
-            raise InputError("refused: the checkpoint builds a tensor from something else")
-        return _view(storage, offset, tuple(size), tuple(stride))
-
-
 def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
     """Read the tensors of a `torch.save` zip; no code of the file is ever run.
 
@@ -112,30 +55,49 @@ def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
         InputError: missing, damaged, or asking for anything but float32 tensors.
     """
     path = Path(path)
+    if not path.exists():
+        raise InputError(f"there is no checkpoint {path}")
     try:
-        with zipfile.ZipFile(path) as archive:
-            roots = [name[:-8] for name in archive.namelist() if name.endswith("data.pkl")]
-            if len(roots) != 1:
-                raise InputError(f"{path} is no PyTorch checkpoint: it has no single data.pkl")
-            found = _Reader(archive, roots[0]).load()
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError(f"there is no checkpoint {path}") from None
-    except zipfile.BadZipFile:
-        raise InputError(f"{path} is damaged or no zip: PyTorch 1.6 or later writes one") from None
-    except Exception as error:  # a hostile pickle can raise whatever it likes
-        raise InputError(f"{path} is damaged: {type(error).__name__}: {error}") from None
+        with open_zip(path) as archive:
+            found = _described(archive)
+    except InputError as error:
+        said = str(error)
+        raise InputError(said if said.startswith(f"{path}: ") else f"{path}: {said}") from error
     if not isinstance(found, dict):
         raise InputError(f"{path} holds no dictionary of tensors")
     for wrapper in ("model", "state_dict"):
         if isinstance(found.get(wrapper), dict):
             found = found[wrapper]
-    return {
-        str(name): value
-        for name, value in found.items()
-        if isinstance(value, np.ndarray) and value.dtype == np.float32
-    }
+    return {str(name): value for name, value in found.items() if isinstance(value, np.ndarray)}
+
+
+def _described(archive: zipfile.ZipFile) -> Any:
+    """Build what the one description in an archive describes."""
+    names = archive.namelist()
+    roots = [name.removesuffix(DESCRIPTION) for name in names if name.endswith(DESCRIPTION)]
+    if len(roots) != 1:
+        raise InputError(f"no PyTorch checkpoint: it has no single {DESCRIPTION}")
+    storages: dict[str, np.ndarray] = {}
+
+    def load(key: str, count: int) -> np.ndarray:
+        name = f"{roots[0]}data/{key}"
+        if name not in names:
+            raise InputError(f"storage {key} is missing: file damaged")
+        if key not in storages:
+            storages[key] = np.frombuffer(_member(archive, name), np.uint8)
+        if storages[key].size != 4 * count:
+            raise InputError(
+                f"storage {key} has {storages[key].size} bytes, not {4 * count}: file damaged"
+            )
+        return storages[key].view("<f4")
+
+    return Machine(load).run(_member(archive, f"{roots[0]}{DESCRIPTION}"))
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    if archive.getinfo(name).file_size > LARGEST:
+        raise InputError(f"checkpoint member {name} is larger than {LARGEST} bytes")
+    return archive.read(name)
 
 
 def from_torch(tensors: dict[str, np.ndarray], source: str = "checkpoint") -> Weights:

@@ -1,7 +1,7 @@
 """Files of the trainer: weights and checkpoints."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,16 @@ from qdenv.simulate.maze.policy import Weights
 from qdenv.types import InputError
 
 _FACTS = "facts"
+
+
+class Facts(NamedTuple):
+    """What a checkpoint of a training says beside its arrays.
+
+    Attributes:
+        cpu_seconds: spent so far.
+    """
+
+    cpu_seconds: float = 0.0
 
 
 def save_weights(weights: Weights, path: Path, dtype: DTypeLike = np.float32) -> None:
@@ -36,7 +46,7 @@ def save_state(path: Path, state: Any, facts: dict[str, Any]) -> None:
     write_state(path, {str(n): np.asarray(leaf) for n, leaf in enumerate(leaves)}, facts, _FACTS)
 
 
-def load_state(path: Path, like: Any) -> tuple[Any, dict[str, Any]]:
+def load_state(path: Path, like: Any) -> tuple[Any, Facts]:
     """Read what `save_state` wrote, bit for bit.
 
     Args:
@@ -50,9 +60,8 @@ def load_state(path: Path, like: Any) -> tuple[Any, dict[str, Any]]:
         InputError: missing, damaged, newer, or of a run with other sizes.
     """
     leaves, structure = jax.tree.flatten(like)
-    arrays, facts = read_state(path, _FACTS)
-    found = [arrays[name] for name in sorted(arrays, key=int)]
-    wanted = [(leaf.shape, leaf.dtype) for leaf in leaves]
-    if [(leaf.shape, leaf.dtype) for leaf in found] != wanted:
+    arrays, facts = read_state(path, _FACTS, Facts)
+    wanted = {str(number): (leaf.shape, leaf.dtype) for number, leaf in enumerate(leaves)}
+    if {name: (leaf.shape, leaf.dtype) for name, leaf in arrays.items()} != wanted:
         raise InputError(f"{path} belongs to a run with other sizes: keep units, lanes and bank")
-    return jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in found]), facts
+    return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in wanted]), facts

@@ -78,7 +78,7 @@ def train_agent(
     checkpoint = out / "checkpoint.npz"
     if resume:
         state, facts = load_state(checkpoint, state)
-        used = facts["cpu_seconds"]
+        used = facts.cpu_seconds
     elif checkpoint.exists():
         raise InputError(f"{out}: holds a run already; `qdenv resume {out}` continues it")
     out.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,6 @@ are those of one core. Without a reference the hand-made layouts are simulated, 
 of a fixed key, with nothing beside them.
 """
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -20,6 +19,7 @@ from qdenv.bench.layouts import grow_random, rules_at_size
 from qdenv.domains.base import find_domain
 from qdenv.files import write_json
 from qdenv.formats.layouts import read_layout
+from qdenv.reading.json import read_json
 from qdenv.repair.recipe import RepairConfig, repair
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study.ledger import DRIVERS
@@ -32,6 +32,24 @@ DOMAINS = {
     "manufacture": "manufacturing",
 }
 AGENTS = 200
+
+
+class Recorded(NamedTuple):
+    """A recorded run of another program, by the names of its file."""
+
+    layout: str
+    domain: Literal["warehouse_even", "warehouse_uneven", "manufacture"]
+    n_agents: int
+    T: int
+    throughput: float
+    congested: bool
+    cpu_s: float
+
+
+class _Reference(NamedTuple):
+    """A file of recorded runs."""
+
+    records: list[Recorded]
 
 
 class Case(NamedTuple):
@@ -51,7 +69,7 @@ class Case(NamedTuple):
     tiles: np.ndarray
     agents: int
     timesteps: int
-    records: Sequence[dict[str, Any]] = ()
+    records: Sequence[Recorded] = ()
 
 
 def run(
@@ -116,10 +134,7 @@ def recorded_cases(reference: Path, layouts: Path, longest: int) -> Iterator[Cas
     Raises:
         InputError: the records or one of the layouts cannot be read.
     """
-    try:
-        records = json.loads(reference.read_text())["records"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{reference}: no recorded runs there ({error})") from error
+    records = read_json(reference, _Reference).records
     for (layout, domain, agents, timesteps), runs in group(records).items():
         if timesteps > longest:
             print(f"{layout}: left out, T {timesteps} is above --longest {longest}")
@@ -161,22 +176,22 @@ def tasks_of(kind: str) -> TaskRule:
     return tasks
 
 
-def group(records: Sequence[dict[str, Any]]) -> dict[tuple, list[dict[str, Any]]]:
+def group(records: Sequence[Recorded]) -> dict[tuple, list[Recorded]]:
     """Collect the recorded runs of each case (layout, domain, agents, T)."""
-    cases: dict[tuple, list[dict[str, Any]]] = {}
+    cases: dict[tuple, list[Recorded]] = {}
     for record in records:
-        case = (record["layout"], record["domain"], record["n_agents"], record["T"])
+        case = (record.layout, record.domain, record.n_agents, record.T)
         cases.setdefault(case, []).append(record)
     return cases
 
 
-def compare(done: Simulated, records: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def compare(done: Simulated, records: Sequence[Recorded]) -> dict[str, Any]:
     """Put our runs and the recorded ones of one case into one row; None where none is recorded."""
     ours = np.array([float(run.throughput) for run in done.runs])
     seconds = done.cpu_seconds / len(ours)
     error = float(ours.std(ddof=1) / np.sqrt(len(ours))) if len(ours) > 1 else None
-    theirs = float(np.mean([record["throughput"] for record in records])) if records else None
-    their_seconds = float(np.mean([record["cpu_s"] for record in records])) if records else None
+    theirs = float(np.mean([record.throughput for record in records])) if records else None
+    their_seconds = float(np.mean([record.cpu_s for record in records])) if records else None
     return {
         "throughputs": ours.tolist(),
         "throughput": float(ours.mean()),
@@ -185,7 +200,7 @@ def compare(done: Simulated, records: Sequence[dict[str, Any]]) -> dict[str, Any
         "cpu_seconds": seconds,
         "compile_seconds": done.compile_seconds,
         "reference_throughput": theirs,
-        "reference_congested": int(sum(record["congested"] for record in records)),
+        "reference_congested": int(sum(record.congested for record in records)),
         "reference_runs": len(records),
         "reference_cpu_seconds": their_seconds,
         "throughput_ratio": None if theirs is None else float(ours.mean() / theirs),

@@ -23,6 +23,8 @@ from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 from qdenv.zoo.shipped import PREFIX
 
+LONGEST_NAME = 255  # bytes of a file's name
+
 
 def names_of(registry: Registry) -> str:
     """List the names of a registry's choices as help shows them, like {low,high}."""
@@ -170,6 +172,8 @@ def domain_of(arguments: Sequence[str]) -> Domain:
     if name is not None:
         return find_domain(name)
     for argument in rest:
+        if max(map(len, argument.split("/"))) > LONGEST_NAME:  # a list of numbers, perhaps
+            continue
         if argument.startswith(PREFIX) or (Path(argument) / "config.json").exists():
             return make_domain(RunDirectory.open(argument).config.evaluation.domain)
         if Path(argument).is_file():

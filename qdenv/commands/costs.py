@@ -1,13 +1,13 @@
 """What a search costs on this machine: measured here where one ran before, else estimated."""
 
 import contextlib
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from qdenv.files import write_json
 from qdenv.presets import find_preset
+from qdenv.reading.json import read_json
 from qdenv.training.choosing import planner_of
 from qdenv.training.config import RunConfig
 from qdenv.training.metrics import Metrics
@@ -99,7 +99,6 @@ def _file() -> Path:
 
 def _read() -> dict[str, float]:
     try:
-        content = json.loads(_file().read_text())
-    except (OSError, ValueError):
+        return read_json(_file(), dict[str, float])
+    except InputError:  # nothing is remembered yet, or no more
         return {}
-    return {name: value for name, value in content.items() if isinstance(value, float | int)}

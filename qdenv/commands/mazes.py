@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
-import cattrs
 import tyro
 
 from qdenv import interrupt
 from qdenv.agent.settings import TrainConfig
 from qdenv.commands.output import place
 from qdenv.commands.waiting import waiting
+from qdenv.reading.json import read_json
 from qdenv.types import InputError
 
 
@@ -80,10 +79,7 @@ def read_config(path: Path) -> TrainConfig:
     Raises:
         InputError: its configuration cannot be read.
     """
-    try:
-        return cattrs.structure(json.loads((path / "config.json").read_text()), TrainConfig)
-    except (OSError, ValueError, cattrs.BaseValidationError, KeyError) as error:
-        raise InputError(f"{path}/config.json: cannot be read ({error})") from error
+    return read_json(path / "config.json", TrainConfig)
 
 
 def convert_agent(checkpoint: tyro.conf.Positional[Path], out: Path | None = None) -> None:

@@ -1,18 +1,18 @@
 """Drawings in files: rows of symbols as JSON, plain text, a spreadsheet's CSV or MovingAI's map."""
 
-import codecs
 import csv
-import json
 from pathlib import Path
 from typing import Any, NamedTuple, TypeGuard
 
-from qdenv.types import InputError
+from qdenv.reading.files import damaged, read_text
+from qdenv.reading.json import parse_json
+from qdenv.types import DamagedError, InputError
 
 ENDINGS = (".json", ".txt", ".csv", ".map")  # of layout files; any other ending is JSON's
 MAX_BYTES = 32 * 2**20
 MAX_SIDE = 1000  # rows or columns; nothing larger was tried
+MOST_LINES = 20 * MAX_SIDE  # blank ones around a drawing with them
 DELIMITERS = ";,\t"
-UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 # Swamp is open ground, water is none: nobody gets there from the ground.
 OPEN, BLOCKED = ".GS", "@OTW"
 MOVING_AI = str.maketrans({**dict.fromkeys(OPEN, "."), **dict.fromkeys(BLOCKED, "#")})
@@ -41,19 +41,15 @@ def read_drawing(path: str | Path) -> Drawing:
         InputError: the file is missing, too big, or not what its ending says.
     """
     ending = Path(path).suffix.lower()
+    read = READERS.get(ending, _json)
     try:
-        if ending == ".txt":
-            drawing = Drawing(trim(_read_text(path, "text")))
-        elif ending == ".csv":
-            drawing = Drawing(_cells(_read_text(path, "CSV")))
-        elif ending == ".map":
-            drawing = Drawing(_moving_ai(_read_text(path, "map")))
-        else:
-            drawing = _json(_read_text(path, "JSON"))
-        if any(drawing.rows):
-            check_size(len(drawing.rows), max(map(len, drawing.rows)))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        drawing = read(Path(path))
+    except DamagedError as error:
+        if ending in ENDINGS:
+            raise
+        raise InputError(f"{error}: layouts end in {', '.join(ENDINGS)}") from error
+    if any(drawing.rows):
+        _check_size(len(drawing.rows), max(map(len, drawing.rows)), path)
     return drawing
 
 
@@ -69,6 +65,13 @@ def check_size(rows: int, cols: int) -> None:
         raise InputError(f"{rows} x {cols}: give 1 row and 1 column or more")
 
 
+def _check_size(rows: int, cols: int, path: str | Path) -> None:
+    try:
+        check_size(rows, cols)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
 def trim(text: str) -> list[str]:
     """Split text into lines, without the blank ones around them.
 
@@ -80,31 +83,25 @@ def trim(text: str) -> list[str]:
     return lines[drawn[0] : drawn[-1] + 1] if drawn else []
 
 
-def _read_text(path: str | Path, what: str) -> str:
-    """Read a text file of a sensible size, as UTF-8 or as the UTF-16 of Windows' shell."""
-    try:
-        if Path(path).stat().st_size > MAX_BYTES:
-            raise InputError(f"bigger than {MAX_BYTES >> 20} MB, this is no layout file")
-        content = Path(path).read_bytes()
-        return content.decode("utf-16" if content.startswith(UTF_16) else "utf-8-sig")
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"not a {what} file ({error})") from error
+def _lines(path: Path, what: str) -> list[str]:
+    """Read the lines of a text file; there may be blank ones, but not without end."""
+    text = read_text(path, MAX_BYTES, what)
+    if text.count("\n") + text.count("\r") > MOST_LINES:
+        raise damaged(path, f"more than {MOST_LINES:,} lines, this is no layout file")
+    return trim(text)
 
 
-def _json(text: str) -> Drawing:
+def _text(path: Path) -> Drawing:
+    return Drawing(_lines(path, "text"))
+
+
+def _json(path: Path) -> Drawing:
     """Find the rows in an object with "layout", or in a plain list."""
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"not a JSON file ({error}): layouts end in {', '.join(ENDINGS)}"
-        ) from error
+    content = parse_json(read_text(path, MAX_BYTES, "JSON"), path)
     content = content if isinstance(content, dict) else {"layout": content}
     rows, domain, keep = (content.get(name) for name in ("layout", "domain", "keep"))
     if not _are_rows(rows):
-        raise InputError('expected an object with a list of strings under "layout", or the list')
+        raise damaged(path, 'expected an object with a list of strings under "layout", or the list')
     kept = tuple(keep) if _are_rows(keep) else ()
     return Drawing(rows, domain if isinstance(domain, str) else None, kept)
 
@@ -113,45 +110,57 @@ def _are_rows(value: Any) -> TypeGuard[list[str]]:
     return isinstance(value, list) and all(isinstance(row, str) for row in value)
 
 
-def _cells(text: str) -> list[str]:
+def _csv(path: Path) -> Drawing:
     """Join a table's cells, one tile each; lines of one cell are rows as they are."""
-    lines, delimiter = trim(text), max(DELIMITERS, key=text.count)
+    lines = _lines(path, "CSV")
+    counts = {one: sum(line.count(one) for line in lines) for one in DELIMITERS}
+    delimiter = max(DELIMITERS, key=counts.__getitem__)
     if lines and lines[0].lower().startswith("sep="):  # Excel's own hint
-        lines, delimiter = lines[1:], lines[0][4:5] or delimiter
+        hint, *lines = lines
+        delimiter = hint[4:5] if hint[4:5] in (*DELIMITERS, "|") else delimiter
+    if lines:
+        _check_size(len(lines), 1 + max(line.count(delimiter) for line in lines), path)
     try:
         table = list(csv.reader(lines, delimiter=delimiter, strict=True))
     except csv.Error as error:
-        raise InputError(f"not a CSV file ({error})") from error
+        raise damaged(path, f"not a CSV file: {error}") from error
     if all(len(line) == 1 for line in table):
-        return [line[0] for line in table]
-    return [
-        "".join(_tile(cell, row, col) for col, cell in enumerate(line))
-        for row, line in enumerate(table)
-    ]
+        return Drawing([line[0] for line in table])
+    return Drawing(
+        [
+            "".join(_tile(cell, row, col, path) for col, cell in enumerate(line))
+            for row, line in enumerate(table)
+        ]
+    )
 
 
-def _tile(cell: str, row: int, col: int) -> str:
+def _tile(cell: str, row: int, col: int, path: Path) -> str:
     """Read one cell of a table; an empty one is a blank."""
     tile = cell.strip() or " "
     if len(tile) > 1:
-        raise InputError(f"{cell!r} at row {row}, column {col}: a cell holds one tile")
+        shown = cell if len(cell) < MAX_SIDE else f"{cell[:MAX_SIDE]}..."
+        raise damaged(path, f"{shown!r} at row {row}, column {col}: a cell holds one tile")
     return tile
 
 
-def _moving_ai(text: str) -> list[str]:
+def _moving_ai(path: Path) -> Drawing:
     """Read a map of the MovingAI benchmarks: a head that ends with the line ``map``, then rows.
 
     Open ground becomes ``.`` and everything blocked ``#``; other symbols stay as they are.
     """
-    lines = trim(text)
-    words = [line.split() for line in lines]
-    if ["map"] not in words:
-        raise InputError("not a MovingAI map: the lines type, height, width and map come first")
-    end = words.index(["map"])
-    head = dict(line for line in words[:end] if len(line) == 2)
+    lines = _lines(path, "map")
+    names = [line.strip() for line in lines]
+    if "map" not in names:
+        raise damaged(path, "not a MovingAI map: type, height, width and map come first")
+    end = names.index("map")
+    words = [line.split(maxsplit=2) for line in lines[:end]]
+    head = dict(line for line in words if len(line) == 2)
     rows = [line.translate(MOVING_AI) for line in lines[end + 1 :]]
     found = {"height": len(rows), "width": max(map(len, rows), default=0)}
     for name, number in found.items():
         if head.get(name, str(number)) != str(number):
-            raise InputError(f"the head says {name} {head[name]}, the map has {number}: mend one")
-    return rows
+            raise damaged(path, f"the head says {name} {head[name]}, the map has {number}")
+    return Drawing(rows)
+
+
+READERS = {".txt": _text, ".csv": _csv, ".map": _moving_ai}

@@ -5,13 +5,37 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from qdenv.lazy import jax, jnp
+from qdenv.reading.files import damaged
 from qdenv.types import Array, InputError, Measure
 
 EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
+
+
+class Axis(NamedTuple):
+    """One axis of an archive as a file writes it."""
+
+    name: str
+    low: float
+    high: float
+    cells: int
+
+
+def axes_of(written: Sequence[Axis], source: Path | str) -> tuple[Measure, ...]:
+    """Make the axes that a file writes.
+
+    Raises:
+        DamagedError: they are none, as in `check_measures`; the line names `source`.
+    """
+    try:
+        return check_measures([Measure(*axis) for axis in written])
+    except InputError as error:
+        raise damaged(source, error) from error
 
 
 def check_measures(measures: Sequence[Measure]) -> tuple[Measure, ...]:

@@ -1,17 +1,20 @@
 """Archives as tables and files: one column layout for npz, CSV and pandas (pyribs' names)."""
 
-import json
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
 
-from qdenv.checkpoints import read_arrays, write_arrays
+from qdenv.checkpoints import write_arrays
 from qdenv.files import write_atomically
+from qdenv.reading.arrays import Column, read_arrays
+from qdenv.reading.files import damaged
+from qdenv.reading.json import read_json
 from qdenv.search.archive import GridArchive
+from qdenv.search.axes import Axis, axes_of
 from qdenv.search.base import Algorithm
 from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import InputError, Measure
@@ -20,6 +23,19 @@ if TYPE_CHECKING:
     import pandas
 
 TAKEN_AT_ONCE = 1024  # elites
+# What a saved archive must hold.
+SAVED = {
+    "index": Column("iu", 1),
+    "solution": Column("iuf", 2),
+    "objective": Column("iuf", 1),
+    "measures": Column("iuf", 2),
+}
+
+
+class _Axes(NamedTuple):
+    """The part of a manifest that says what an archive is over."""
+
+    measures: list[Axis]
 
 
 def elites(archive: GridArchive) -> dict[str, np.ndarray]:
@@ -152,13 +168,11 @@ def load_npz(path: str | os.PathLike, measures: Sequence[Measure] | None = None)
     Raises:
         InputError: the file is missing, no archive, or has no axes and none were given.
     """
-    try:
-        rows = read_arrays(Path(path))
-        index, solution = rows.pop("index"), rows.pop("solution")
-        objective, places = rows.pop("objective"), rows.pop("measures")
-        stored = _pop_axes(rows) or _axes_of_run(Path(path).with_name("manifest.json"))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is no saved archive ({error})") from error
+    path = Path(path)
+    rows = read_arrays(path, SAVED)
+    index, solution = rows.pop("index"), rows.pop("solution")
+    objective, places = rows.pop("objective"), rows.pop("measures")
+    stored = _pop_axes(rows, path) or _axes_of_run(path.with_name("manifest.json"))
     axes = measures or stored
     if not axes:
         raise InputError(
@@ -171,7 +185,9 @@ def load_npz(path: str | os.PathLike, measures: Sequence[Measure] | None = None)
         axes,
         {name: jax.ShapeDtypeStruct(rows[name].shape[1:], rows[name].dtype) for name in rows},
     )
-    if places.shape[1:] != (len(axes),) or index.max(initial=0) >= len(blank.fitnesses):
+    inside = 0 <= index.min(initial=0) <= index.max(initial=0) < len(blank.fitnesses)
+    alike = all(len(values) == len(index) for values in (solution, objective, places))
+    if places.shape[1:] != (len(axes),) or not (inside and alike):
         raise InputError(f"{path} is an archive over other measures: hand in those of its run")
     return blank.replace(
         genotypes=blank.genotypes.at[index].set(solution),
@@ -185,17 +201,14 @@ def load_npz(path: str | os.PathLike, measures: Sequence[Measure] | None = None)
 
 def _axes_of_run(manifest: Path) -> tuple[Measure, ...]:
     """Read the axes of a run's archive, which its manifest holds; none where there is no such."""
-    if not manifest.exists():
-        return ()
-    return tuple(Measure(**axis) for axis in json.loads(manifest.read_text())["measures"])
+    return axes_of(read_json(manifest, _Axes).measures, manifest) if manifest.exists() else ()
 
 
-def _pop_axes(rows: dict[str, np.ndarray]) -> tuple[Measure, ...]:
+def _pop_axes(rows: dict[str, np.ndarray], source: Path) -> tuple[Measure, ...]:
     """Take the axes out of the arrays of a file; none where it has none."""
-    if "measure_names" not in rows:
-        return ()
-    grid = [rows.pop(f"measure_{part}") for part in ("names", "lows", "highs", "cells")]
-    return tuple(
-        Measure(str(name), float(low), float(high), int(cells))
-        for name, low, high, cells in zip(*grid, strict=True)
-    )
+    parts = ("names", "lows", "highs", "cells")
+    grid = [rows.pop(f"measure_{part}", np.empty(0)) for part in parts]
+    if len({column.shape for column in grid}) > 1 or grid[0].ndim != 1:
+        raise damaged(source, "its axes are incomplete")
+    columns = [column.tolist() for column in grid]
+    return axes_of(list(map(Axis, *columns)), source) if columns[0] else ()

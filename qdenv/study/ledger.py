@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import csv
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, get_type_hints
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from qdenv.domains.base import Domain
 from qdenv.files import write_csv
+from qdenv.reading.tables import read_table
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
 from qdenv.study.sweep import check_fleet, room_for
-from qdenv.types import InputError, look_up
+from qdenv.types import look_up
 
 # Who drives, by a word: our planner at two efforts, the paper's by two rules.
 DRIVERS: Mapping[str, Any] = {
@@ -117,19 +117,7 @@ def read_runs(path: Path) -> list[Run]:
     Raises:
         InputError: there is no such file, or it is no table of runs.
     """
-    kinds = {**get_type_hints(Run), "stop": _truth, "congested": _truth}
-    try:
-        head, *rows = csv.reader(path.read_text().splitlines())
-        if tuple(head) != Run._fields:
-            raise ValueError(f"columns {', '.join(head)}")
-        pairs = [zip(Run._fields, row, strict=True) for row in rows]
-        return [Run(*(kinds[name](text) for name, text in row)) for row in pairs]
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: no table of runs ({error}): name another file") from error
-
-
-def _truth(text: str) -> bool:
-    return {"True": True, "False": False}[text]
+    return list(read_table(path, Run))
 
 
 def one_by_one(todo: Sequence[tuple[Case, int]]) -> Iterator[Run]:

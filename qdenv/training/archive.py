@@ -198,7 +198,7 @@ class Archive:
             },
         )
         if len(self):
-            archive.add(*(self.columns[name] for name in COLUMNS[1:]), **extras)
+            archive.add(*(self.columns[name] for name in COLUMNS if name != "index"), **extras)
         return archive
 
     def __repr__(self) -> str:

@@ -7,20 +7,42 @@ copy of an archive is ever made.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv.checkpoints import DamagedError, Rows, read_state, write_state
+from qdenv.checkpoints import SCHEMA, Rows, read_state, write_state
 from qdenv.lazy import jax, jnp
+from qdenv.reading.files import damaged
 from qdenv.search.store import stores_in
 from qdenv.training.dense import upgraded
-from qdenv.types import InputError
+from qdenv.training.leaf import another, check_leaf, filled
+from qdenv.types import DamagedError, InputError
 
 _MANIFEST = "manifest"
+# A store doubles before a batch might not fit, and at most half of what it refers to is let go.
+MOST_GROWN = 8
 LOG = logging.getLogger(__name__)
+
+
+class Manifest(NamedTuple):
+    """What a checkpoint says beside its arrays.
+
+    Attributes:
+        iteration: the last that is in it.
+        schema: of the checkpoint.
+        lengths: rows of each leaf.
+        leaves: how many there are, as schema 1 says it.
+        settings: what decides the run's result; empty where an older qdenv did not say it.
+    """
+
+    iteration: int
+    schema: int = SCHEMA
+    lengths: tuple[int, ...] = ()
+    leaves: int = 0
+    settings: Mapping[str, Any] = {}
 
 
 def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
@@ -29,7 +51,7 @@ def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
     Args:
         path: the .npz file.
         state: pytree of arrays.
-        manifest: JSON-ready facts, returned by `load_checkpoint`.
+        manifest: JSON-ready facts of `Manifest`, ``iteration`` at least.
 
     Raises:
         InputError: the file cannot be written.
@@ -47,7 +69,7 @@ def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
     write_state(path, arrays, {"lengths": lengths, **manifest}, _MANIFEST)
 
 
-def load_checkpoint(path: Path, initial: Any) -> tuple[Any, dict[str, Any]]:
+def load_checkpoint(path: Path, initial: Any) -> tuple[Any, Manifest]:
     """Read a checkpoint back, bit for bit.
 
     Args:
@@ -61,53 +83,39 @@ def load_checkpoint(path: Path, initial: Any) -> tuple[Any, dict[str, Any]]:
         DamagedError: the file is damaged.
         InputError: it is of a newer schema, or of another configuration.
     """
-    arrays, manifest = read_state(path, _MANIFEST)
-    try:
-        return _fitted(path, arrays, manifest, initial)
-    except (KeyError, IndexError, ValueError, TypeError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise DamagedError(f"{path} is no readable checkpoint ({error!r})") from error
-
-
-def _fitted(
-    path: Path, arrays: dict[str, np.ndarray], manifest: dict[str, Any], initial: Any
-) -> tuple[Any, dict[str, Any]]:
-    """Put the arrays of a checkpoint into the form of an initial state."""
-    another = InputError(f"{path}: belongs to another configuration")
+    arrays, manifest = read_state(path, _MANIFEST, Manifest)
+    if manifest.iteration < 0:
+        raise damaged(path, f"iteration {manifest.iteration}")
     leaves, structure = jax.tree.flatten(initial)
     plain = [_as_bits(leaf) for leaf in leaves]
-    if manifest["schema"] == 1:
-        try:
-            arrays, manifest = upgraded(arrays, manifest, initial, plain)
-        except (KeyError, IndexError, ValueError) as error:  # arrays of other shapes
-            raise another from error
-    if len(manifest["lengths"]) != len(leaves):
-        raise another
+    lengths: Sequence[int] = manifest.lengths
+    if manifest.schema == 1:
+        arrays, lengths = upgraded(arrays, manifest.leaves, initial, plain, path)
+    if len(lengths) != len(leaves):
+        raise another(path)
     growing = {id(leaf) for store in stores_in(initial) for leaf in store}
     for number, (leaf, like) in enumerate(zip(leaves, plain, strict=True)):
         # Taken out one by one: what is restored is not held twice for long.
-        rows, held = arrays.pop(f"{number}.rows"), arrays.pop(f"{number}.changed", None)
-        length = manifest["lengths"][number]
-        as_long = not like.ndim or length == len(like) or id(leaf) in growing
-        if not as_long or rows.dtype != like.dtype or rows.shape[1:] != like.shape[1:]:
-            raise another
-        leaves[number] = _restore(leaf, rows, held, length)
+        held = arrays.pop(f"{number}.changed", None)
+        rows = check_leaf(arrays.pop(f"{number}.rows", None), held, like, path)
+        fits = lengths[number] == (len(like) if like.ndim else 0)
+        if id(leaf) in growing and held is not None:
+            fits = 0 < lengths[number] <= MOST_GROWN * (len(held) + len(like))
+        if not fits:
+            raise another(path)
+        bits = filled(rows, held, lengths[number], None, path)
+        leaves[number] = _from_bits(bits, leaf)
     return jax.tree.unflatten(structure, leaves), manifest
-
-
-def _restore(like: Any, rows: np.ndarray, held: np.ndarray | None, length: int) -> jax.Array:
-    bits = rows
-    if held is not None:
-        bits = np.zeros((length, *rows.shape[1:]), rows.dtype)
-        bits[held] = rows
-    if _is_key(like):
-        return jax.random.wrap_key_data(jnp.asarray(bits))
-    return jnp.asarray(bits.view(like.dtype))
 
 
 def _is_key(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array) and jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def _from_bits(bits: np.ndarray, like: Any) -> jax.Array:
+    if _is_key(like):
+        return jax.random.wrap_key_data(jnp.asarray(bits))
+    return jnp.asarray(bits.view(like.dtype))
 
 
 def _as_bits(leaf: Any) -> np.ndarray:
@@ -116,7 +124,7 @@ def _as_bits(leaf: Any) -> np.ndarray:
     return array.view(f"u{array.itemsize}") if array.dtype.kind == "f" else array
 
 
-def load_newest(saved: Sequence[Path], initial: Any) -> tuple[dict[str, Any], Any]:
+def load_newest(saved: Sequence[Path], initial: Any) -> tuple[Manifest, Any]:
     """Load the newest checkpoint that is whole, as `RunDirectory.load_checkpoint` says.
 
     Args:
@@ -126,11 +134,11 @@ def load_newest(saved: Sequence[Path], initial: Any) -> tuple[dict[str, Any], An
     for older, path in enumerate(reversed(saved), start=1):
         try:
             state, manifest = load_checkpoint(path, initial)
-            return {**manifest, "iteration": int(manifest["iteration"])}, state
-        except (DamagedError, KeyError, TypeError) as error:
+            return manifest, state
+        except DamagedError as error:
             if older == len(saved):
                 raise InputError(
                     f"{error}: no checkpoint is whole, delete {path.parent} to begin anew"
                 ) from error
             LOG.warning("%s: going on from the checkpoint before it", error)
-    return {"iteration": 0}, initial
+    return Manifest(0), initial

@@ -2,14 +2,15 @@
 
 import dataclasses
 from pathlib import Path
-from types import UnionType
-from typing import Any, Literal, Union, get_origin
+from typing import Any
 
 import cattrs
 from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn, override
 
 from qdenv.domains.base import DOMAINS
 from qdenv.generate.generator import GENERATORS
+from qdenv.reading.files import damaged
+from qdenv.reading.strict import demand, strict_converter, structured
 from qdenv.registry import Registry
 from qdenv.search.registry import ALGORITHMS
 from qdenv.settings import EvaluationConfig
@@ -71,33 +72,28 @@ def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
     """Read what `config_to_json` wrote, now or with schema 1.
 
     Raises:
-        InputError: a setting is unknown or of the wrong type; the line names `source`.
+        InputError: a setting is unknown, missing or of the wrong type; the line names it and
+            `source`.
     """
     if not isinstance(content.get("evaluation"), dict):
-        raise InputError(f"{source}: not a configuration of a run ('evaluation' is missing)")
+        raise damaged(source, "no configuration of a run: evaluation is missing")
     try:
-        return _converter().structure(schema1.upgraded(content), RunConfig)
-    except (cattrs.BaseValidationError, KeyError, TypeError, ValueError) as error:
-        unknown = _first_input_error(error)
-        reasons = str(unknown) if unknown else "; ".join(cattrs.transform_error(error))
-        raise InputError(f"{source}: not a configuration of this version ({reasons})") from error
-
-
-def _first_input_error(error: BaseException) -> InputError | None:
-    """Find what a registry said, however deep cattrs has wrapped it."""
-    if isinstance(error, InputError):
-        return error
-    parts = error.exceptions if isinstance(error, BaseExceptionGroup) else ()
-    return next((found for part in parts if (found := _first_input_error(part))), None)
+        content = schema1.upgraded(content)
+    except InputError as error:
+        raise damaged(source, error) from error
+    return structured(content, RunConfig, source, _converter())
 
 
 def _converter() -> cattrs.Converter:
-    converter = cattrs.Converter(forbid_extra_keys=True)
+    converter = strict_converter(infinite=True)
 
     def structure_choice(registry: Registry) -> Any:
-        def structure(content: dict[str, Any], _: Any) -> Any:
-            settings = dict(content)
-            return converter.structure(settings, registry.entry(settings.pop("name")).config)
+        def structure(content: Any, _: Any) -> Any:
+            settings = dict(demand(content, dict))
+            name = settings.pop("name", None)
+            if not isinstance(name, str):
+                raise InputError("name must be a word")
+            return converter.structure(settings, registry.entry(name).config)
 
         return structure
 
@@ -108,7 +104,8 @@ def _converter() -> cattrs.Converter:
         hooks: dict[str, Any] = {
             name: override(struct_hook=structure_choice(CHOICES[name])) for name in _choices_in(cls)
         }
-        return make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True, **hooks)
+        fill = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True, **hooks)
+        return lambda content, _: fill(demand(content, dict), cls)
 
     def unstructure_fields(cls: Any) -> Any:
         hooks: dict[str, Any] = {
@@ -117,10 +114,6 @@ def _converter() -> cattrs.Converter:
         }
         return make_dict_unstructure_fn(cls, converter, **hooks)
 
-    # JSON itself tells a number from a word; a word may name what a user has registered.
-    converter.register_structure_hook_func(
-        lambda kind: get_origin(kind) in (Union, UnionType, Literal), lambda value, _: value
-    )
     converter.register_structure_hook_factory(dataclasses.is_dataclass, structure_fields)
     converter.register_unstructure_hook_factory(dataclasses.is_dataclass, unstructure_fields)
     return converter

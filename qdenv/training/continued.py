@@ -1,7 +1,7 @@
 """What a run must still be to go on from a checkpoint: the same search, with as much left to do."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ def _flat(content: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
             yield f"{prefix}{name}", value
 
 
-def check_settings(now: dict[str, Any], then: dict[str, Any], path: Path) -> None:
+def check_settings(now: dict[str, Any], then: Mapping[str, Any], path: Path) -> None:
     """Refuse to go on with other settings than a checkpoint was made with.
 
     Args:

@@ -1,17 +1,30 @@
 """The elites of a run, its best layout, and what the columns of a saved archive must be."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from qdenv.domains.base import Domain
 from qdenv.grid import parse
+from qdenv.reading.arrays import Column, read_arrays
+from qdenv.reading.files import damaged
+from qdenv.reading.json import read_json
 from qdenv.training.manifest import Meaning
 from qdenv.types import InputError
 
-COLUMNS = ("index", "solution", "objective", "measures")  # those that every archive has
+# Those that every archive has.
+COLUMNS = {
+    "index": Column("iu", 1),
+    "solution": Column("iuf", 2, finite=True),
+    "objective": Column("iuf", 1, finite=True),
+    "measures": Column("iuf", 2, finite=True),
+}
+REPAIRED = {"repaired": Column("iu", 3)}  # the layouts, which the archive of a run has beside
+# Those that the archive of a run may have: the layouts before the repair, how each run ended.
+KNOWN = {"unrepaired": Column("iu", 3), "congested": Column("b", 2), "success": Column("b", 2)}
 Columns = Mapping[str, np.ndarray]
 
 
@@ -63,21 +76,28 @@ def best_row(columns: Columns, tie_break: str | None) -> int:
     return int(best[np.argmax(worth[best])])
 
 
-def check_columns(columns: Columns, meaning: Meaning, source: str) -> None:
-    """Refuse arrays that are no archive over these measures.
+def read_columns(path: Path, meaning: Meaning) -> dict[str, np.ndarray]:
+    """Read the archive of a run.
 
     Raises:
-        InputError: a column is missing or of another length, or a cell lies outside.
+        InputError: it cannot be read; it is no archive over these measures: a column is missing or
+            of another length, a cell lies outside, or a tile means nothing.
     """
-    missing = [name for name in COLUMNS if name not in columns]
-    if missing:
-        raise InputError(f"{source}: cannot be read (no archive: {missing[0]!r} is missing)")
-    index, cells = columns["index"], int(np.prod([one.cells for one in meaning.measures]))
+    columns = read_arrays(path, COLUMNS | REPAIRED, Column(), KNOWN)
+    index, cells = columns["index"], math.prod(one.cells for one in meaning.measures)
     alike = all(column.ndim and len(column) == len(index) for column in columns.values())
-    inside = index.ndim == 1 and index.dtype.kind in "iu" and ((index >= 0) & (index < cells)).all()
-    shapes = (columns["measures"].shape[1:], columns["objective"].ndim, columns["solution"].ndim)
-    if not (alike and inside and shapes == ((len(meaning.measures),), 1, 2)):
-        raise InputError(f"{source}: cannot be read (not over the measures of this run)")
+    inside = ((index >= 0) & (index < cells)).all() and len(np.unique(index)) == len(index)
+    if not (alike and inside and columns["measures"].shape[1] == len(meaning.measures)):
+        raise damaged(path, "not over the measures of this run")
+    if len(index) and not all(column.size for column in columns.values()):
+        raise damaged(path, "a column holds nothing")
+    for name in columns.keys() & {"repaired", "unrepaired"}:
+        layouts, tiles = columns[name], len(meaning.tiles)
+        if layouts.size and not 0 <= layouts.min() <= layouts.max() < tiles:
+            raise damaged(path, f"{name} holds tiles that this run does not know")
+        if layouts.shape != columns["repaired"].shape:
+            raise damaged(path, f"{name} has another size than repaired")
+    return columns
 
 
 class BestLayout(NamedTuple):
@@ -101,18 +121,21 @@ def mark_cells(layout: np.ndarray, domain: Domain) -> dict[str, tuple[int, int]]
     }
 
 
-def parse_best_layout(content: Mapping[str, Any], tiles: str, source: Path) -> BestLayout:
-    """Read the content of best_layout.json.
+class _BestLayout(NamedTuple):
+    """The content of best_layout.json."""
+
+    layout: list[str]
+    marks: Mapping[str, tuple[int, int]] = {}
+
+
+def read_best_layout(path: Path, tiles: str) -> BestLayout:
+    """Read best_layout.json.
 
     Raises:
-        InputError: it is damaged; the line names `source`.
+        InputError: it cannot be read, or is damaged.
     """
+    content = read_json(path, _BestLayout)
     try:
-        layout = parse(content["layout"], tiles)
-        marks = {
-            name: (int(row), int(column))
-            for name, (row, column) in content.get("marks", {}).items()
-        }
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{source}: cannot be read ({error!r})") from error
-    return BestLayout(layout, marks)
+        return BestLayout(parse(content.layout, tiles), dict(content.marks))
+    except InputError as error:
+        raise damaged(path, error) from error

@@ -147,11 +147,11 @@ def _restored(
 ) -> tuple[int, Search]:
     """Read how far a run came: (iterations, the search after them)."""
     manifest, search = run.load_checkpoint(begin_search(algorithm, experiment.search_key))
-    done = manifest["iteration"]
+    done = manifest.iteration
     # Checkpoints of an older qdenv say nothing, but the manifest knows the axes.
     known = {"archive": [list(axis[1:4]) for axis in run.measures]}
     settings = settings_of(config, experiment.measures)
-    check_settings(settings, manifest.get("settings", known), run.path)
+    check_settings(settings, manifest.settings or known, run.path)
     if config != run.config:
         check_total(config.evaluations, done, algorithm.batch_size)
         run.write_config(config)

@@ -1,6 +1,5 @@
 """The manifest of a run: what its archive means, and where and with what it was made."""
 
-import json
 import platform
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -11,7 +10,9 @@ from typing import Any, NamedTuple
 
 from qdenv.domains.base import Domain
 from qdenv.lazy import jax
-from qdenv.search.axes import check_measures
+from qdenv.reading.files import damaged
+from qdenv.reading.json import read_json
+from qdenv.search.axes import Axis, axes_of
 from qdenv.types import InputError, Measure
 
 SCHEMA = 2  # 1: one flat record for the numbers of every domain; still read
@@ -42,51 +43,43 @@ def meaning_of(domain: Domain, measures: Sequence[Measure]) -> Meaning:
     return Meaning(axes, tiles, domain.names, domain.objective_name, domain.tie_break)
 
 
-def read_meaning(content: dict[str, Any], source: Path) -> Meaning:
-    """Read the meaning out of a manifest.
+class _Manifest(NamedTuple):
+    """What a manifest must say; it says more, for people."""
+
+    measures: list[Axis]
+    tiles: str
+    tile_names: Mapping[str, str] = {}
+    objective: str = "objective"
+    tie_break: str | None = None
+
+
+class _Written(NamedTuple):
+    """Which qdenv wrote a manifest."""
+
+    schema: int = 0
+
+
+def read_meaning(path: Path) -> Meaning:
+    """Read the meaning of an archive out of a manifest.
 
     Raises:
-        InputError: a part is missing or of another form; the line names `source`.
+        InputError: it cannot be read, or a part is missing or of another form.
     """
-    try:
-        axes = check_measures([Measure(**axis) for axis in content["measures"]])
-        tiles, objective = content["tiles"], content.get("objective", "objective")
-        names, tie_break = dict(content.get("tile_names", {})), content.get("tie_break")
-        if not (isinstance(tiles, str) and tiles and isinstance(objective, str)):
-            raise TypeError("tiles and objective must be words")
-        if not isinstance(tie_break, str | None):
-            raise TypeError("tie_break must be a word")
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{source}: no manifest of a run ({error})") from error
-    return Meaning(axes, tiles, names, objective, tie_break)
+    content = read_json(path, _Manifest)
+    axes = axes_of(content.measures, path)
+    if not content.tiles:
+        raise damaged(path, "tiles: there must be one")
+    return Meaning(axes, content.tiles, *content[2:])
 
 
-def read_object(path: Path) -> dict[str, Any]:
-    """Read a JSON object of a run.
-
-    Raises:
-        InputError: it cannot be read, or is none.
-    """
-    try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: expected a JSON object")
-    return content
-
-
-def check_schema(content: dict[str, Any], source: Path) -> None:
+def check_schema(path: Path) -> None:
     """Refuse the manifest of a newer qdenv.
 
     Raises:
-        InputError: it is one, or it does not say which schema it has.
+        InputError: it is one, or cannot be read.
     """
-    schema = content.get("schema", 0)
-    if not isinstance(schema, int):
-        raise InputError(f"{source}: no manifest of a run (schema {schema!r} is no number)")
-    if schema > SCHEMA:
-        raise InputError(f"{source.parent}: written by a newer qdenv, please upgrade")
+    if read_json(path, _Written).schema > SCHEMA:
+        raise InputError(f"{path.parent}: written by a newer qdenv, please upgrade")
 
 
 def make_manifest(meaning: Meaning) -> dict[str, Any]:

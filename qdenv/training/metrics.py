@@ -1,12 +1,13 @@
 """metrics.csv: one row per iteration of a run."""
 
-import csv
 import logging
 from pathlib import Path
 from typing import NamedTuple
 
+from qdenv.reading.tables import read_table
 from qdenv.types import InputError
 
+INFINITE = ("best_objective",)  # of a search without success
 LOG = logging.getLogger(__name__)
 
 
@@ -33,14 +34,12 @@ def read_metrics(path: Path, salvage: bool = False) -> list[Metrics]:
     Raises:
         InputError: the file is missing or damaged.
     """
-    kinds, rows = Metrics.__annotations__, []
+    rows = []
     try:
-        with path.open(newline="") as file:
-            for row in csv.DictReader(file, strict=True):
-                rows.append(Metrics(**{name: kinds[name](value) for name, value in row.items()}))
-    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-        damage = f"{path}: cannot be read ({error})"
+        for row in read_table(path, Metrics, INFINITE):
+            rows.append(row)
+    except InputError as error:
         if not salvage:
-            raise InputError(damage) from error
-        LOG.warning("%s: what follows row %d is lost", damage, len(rows))
+            raise
+        LOG.warning("%s: what follows row %d is lost", error, len(rows))
     return rows

@@ -1,6 +1,5 @@
 """notes.csv: what an algorithm says of itself after each iteration, like a surrogate's losses."""
 
-import csv
 import logging
 import math
 from collections.abc import Mapping
@@ -8,6 +7,8 @@ from pathlib import Path
 from typing import SupportsFloat
 
 from qdenv.files import write_csv
+from qdenv.reading.files import damaged
+from qdenv.reading.tables import parse_cell, read_rows
 from qdenv.types import InputError
 
 NOTES = "notes.csv"
@@ -40,17 +41,19 @@ def read_notes(path: Path) -> list[Note]:
     """
     if not path.exists():
         return []
-    try:
-        with path.open(newline="") as file:
-            notes = [
-                {name: float(value) if value else math.nan for name, value in row.items()}
-                for row in csv.DictReader(file, strict=True)
-            ]
-        if any(not note.keys() >= PLACE for note in notes):
-            raise ValueError("a column is missing")
-        return notes
-    except (OSError, ValueError, TypeError, AttributeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
+    notes = []
+    for number, row in enumerate(read_rows(path), start=1):
+        if not row.keys() >= PLACE:
+            raise damaged(path, f"one of the columns {', '.join(sorted(PLACE))} is missing")
+        try:
+            notes.append({name: _number(text) for name, text in row.items()})
+        except ValueError as error:
+            raise damaged(path, f"row {number}: {error}") from error
+    return notes
+
+
+def _number(text: str) -> float:
+    return parse_cell(text, float, infinite=True) if text else math.nan
 
 
 def notes_until(path: Path, iteration: int) -> list[Note]:

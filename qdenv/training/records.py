@@ -17,27 +17,25 @@ import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qdenv.checkpoints import read_arrays, write_arrays
+from qdenv.checkpoints import write_arrays
 from qdenv.domains.base import make_domain
 from qdenv.files import write_csv, write_json
+from qdenv.reading.json import read_json
 from qdenv.training.archive import Archive
 from qdenv.training.config import RunConfig, config_from_json, config_to_json
-from qdenv.training.elite import BestLayout, Elite, check_columns, mark_cells, parse_best_layout
+from qdenv.training.elite import BestLayout, Elite, mark_cells, read_best_layout, read_columns
 from qdenv.training.lock import locked
-from qdenv.training.manifest import (
-    Meaning,
-    check_schema,
-    make_manifest,
-    read_meaning,
-    read_object,
-)
+from qdenv.training.manifest import Meaning, check_schema, make_manifest, read_meaning
 from qdenv.training.metrics import Metrics, read_metrics
 from qdenv.types import InputError, Measure
 from qdenv.zoo.shipped import Shipped, find
+
+if TYPE_CHECKING:  # it imports jax and the archives
+    from qdenv.training.checkpoint import Manifest
 
 KEPT_CHECKPOINTS = 2
 
@@ -86,7 +84,7 @@ class RunDirectory:
         run = cls(shipped.collection.folder, shipped) if shipped else cls(Path(path))
         if not (run.path / "config.json").exists():
             raise InputError(f"{path}: no run here (config.json is missing)")
-        check_schema(read_object(run.path / "manifest.json"), run.path / "manifest.json")
+        check_schema(run.path / "manifest.json")
         return run
 
     def locked(self) -> AbstractContextManager[None]:
@@ -114,12 +112,13 @@ class RunDirectory:
     @property
     def config(self) -> RunConfig:
         """The resolved configuration."""
-        return config_from_json(read_object(self.path / "config.json"), self.path / "config.json")
+        path = self.path / "config.json"
+        return config_from_json(read_json(path, dict[str, Any]), path)
 
     @property
     def meaning(self) -> Meaning:
         """What the archive means: its axes, the alphabet of its layouts, its objective."""
-        return read_meaning(read_object(self.path / "manifest.json"), self.path / "manifest.json")
+        return read_meaning(self.path / "manifest.json")
 
     @property
     def measures(self) -> tuple[Measure, ...]:
@@ -192,11 +191,11 @@ class RunDirectory:
         for old in self._checkpoints()[:-KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
 
-    def load_checkpoint(self, initial: Any) -> tuple[dict[str, Any], Any]:
+    def load_checkpoint(self, initial: Any) -> tuple[Manifest, Any]:
         """Load the newest checkpoint that is whole; says so where a newer one is not.
 
         Returns:
-            (manifest with ``iteration``, state); iteration 0 and `initial` where none is saved.
+            (manifest, state); iteration 0 and `initial` where none is saved.
 
         Raises:
             InputError: all are damaged, or they are of another search or a newer qdenv.
@@ -215,13 +214,11 @@ class RunDirectory:
         Raises:
             InputError: there is none yet, or it is damaged.
         """
-        try:
-            columns = read_arrays(self.path / "archive.npz")
-        except FileNotFoundError:
+        path = self.path / "archive.npz"
+        if not path.exists():
             hint = f"`qdenv resume {self.path}` goes on"
-            raise InputError(f"{self.path}: no archive was saved yet; {hint}") from None
-        check_columns(columns, self.meaning, str(self.path / "archive.npz"))
-        return columns
+            raise InputError(f"{self.path}: no archive was saved yet; {hint}")
+        return read_columns(path, self.meaning)
 
     def read_best_layout(self) -> BestLayout | None:
         """Read best_layout.json; None where no layout succeeded yet.
@@ -236,7 +233,7 @@ class RunDirectory:
         path = self.path / "best_layout.json"
         if not path.exists():
             return None
-        return parse_best_layout(read_object(path), self.tiles, path)
+        return read_best_layout(path, self.tiles)
 
     def _checkpoints(self) -> list[Path]:
         """List the checkpoints, the newest last; files of other names are not ours."""

@@ -1,11 +1,13 @@
 """Configurations of schema 1, in which one flat record held the numbers of every domain."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 from qdenv.domains.base import DOMAINS
 from qdenv.generate.generator import GENERATORS
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
+from qdenv.types import InputError, look_up
 
 FLEET = ("agents", "timesteps")
 
@@ -17,8 +19,7 @@ def upgraded(content: dict[str, Any]) -> dict[str, Any]:
     nothing and are dropped.
 
     Raises:
-        InputError: the domain is unknown.
-        KeyError: a number is missing.
+        InputError: the domain is unknown, or a number is missing.
     """
     flat = content["evaluation"]
     if not isinstance(flat.get("domain"), str):
@@ -26,13 +27,21 @@ def upgraded(content: dict[str, Any]) -> dict[str, Any]:
     name = flat["domain"]
     domain = {"name": name} | _fields_of(DOMAINS.entry(name).config, flat)
     if "fleet" in {field.name for field in dataclasses.fields(DOMAINS.entry(name).config)}:
-        planner = {"name": "negotiated"} | dataclasses.asdict(EFFORTS[flat["effort"]])
-        domain["fleet"] = {key: flat[key] for key in FLEET} | {"planner": planner}
+        effort = look_up(EFFORTS, str(flat.get("effort")), "effort")
+        planner = {"name": "negotiated"} | dataclasses.asdict(effort)
+        domain["fleet"] = _taken(flat, FLEET) | {"planner": planner}
     generator = {"name": "nca"} | _fields_of(GENERATORS.entry("nca").config, flat)
-    kept = {key: flat[key] for key in ("simulations", "alpha", "repair")}
+    kept = _taken(flat, ("simulations", "alpha", "repair"))
     return content | {"evaluation": kept | {"domain": domain, "generator": generator}}
 
 
 def _fields_of(settings: type, flat: dict[str, Any]) -> dict[str, Any]:
     names = {field.name for field in dataclasses.fields(settings)}
     return {name: value for name, value in flat.items() if name in names}
+
+
+def _taken(flat: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    for name in names:
+        if name not in flat:
+            raise InputError(f"evaluation.{name} is missing")
+    return {name: flat[name] for name in names}

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from qdenv.reading.json import read_json
 from qdenv.types import look_up
 
 PREFIX = "zoo:"
@@ -194,25 +194,20 @@ def named(text: str) -> Shipped:
     return Shipped(collection, name or USUAL)
 
 
+class _Table(NamedTuple):
+    """The content of a folder's table."""
+
+    domain: str
+    origin: Origin
+    generators: tuple[Generator, ...]
+
+
 @lru_cache(maxsize=16)
 def read_collection(folder: Path) -> Collection:
     """Read a folder of generators, whose table is that of `to_json`."""
-    content = json.loads((folder / TABLE).read_text())
-    generators = [
-        Generator(
-            **{
-                **one,
-                "cell": tuple(one["cell"]),
-                "sizes": tuple(
-                    Grown(**{**size, "driven": tuple(Driven(**row) for row in size["driven"])})
-                    for size in one["sizes"]
-                ),
-            }
-        )
-        for one in content["generators"]
-    ]
-    origin = Origin(**content["origin"])
-    return Collection(content["domain"], folder, origin, {one.name: one for one in generators})
+    table = read_json(folder / TABLE, _Table)
+    generators = {one.name: one for one in table.generators}
+    return Collection(table.domain, folder, table.origin, generators)
 
 
 def to_json(domain: str, origin: Origin, generators: Sequence[Generator]) -> dict[str, Any]:

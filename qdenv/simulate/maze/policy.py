@@ -6,7 +6,6 @@ number of units and of actions read off the weights.
 
 from __future__ import annotations
 
-import zipfile
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
@@ -14,11 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.lazy import jax, jnp
+from qdenv.reading.arrays import Column, read_arrays
 from qdenv.types import Array, InputError
 
 VIEW, WINDOW, CHANNELS, FILTERS, COMPASS, HEAD = 5, 3, 3, 16, 5, 32
 PATCHES = VIEW - WINDOW + 1
 FEATURES = FILTERS * PATCHES * PATCHES + COMPASS
+NUMBERS = Column()
 
 
 class Weights(NamedTuple):
@@ -191,16 +192,7 @@ def load_weights(path: str | Path = "") -> Weights:
         InputError: no such file, or not an agent.
     """
     path = Path(path) if path else shipped_agent()
-    try:
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            missing = sorted(set(Weights._fields) - set(stored.files))
-            if missing:
-                raise InputError(f"{path} is no agent: it lacks {', '.join(missing)}")
-            weights = Weights(*(stored[name] for name in Weights._fields))
-    except FileNotFoundError:
-        raise InputError(f"there is no agent {path}: train or convert one first") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path} is no agent (.npz): {error}") from None
-    return check_weights(weights, str(path))
+    if not path.exists():
+        raise InputError(f"there is no agent {path}: train or convert one first")
+    arrays = read_arrays(path, dict.fromkeys(Weights._fields, NUMBERS), others=None)
+    return check_weights(Weights(**arrays), str(path))

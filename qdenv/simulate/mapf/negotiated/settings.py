@@ -13,6 +13,9 @@ MARGIN = MAX_WINDOW  # so that no agent sees beyond the border
 MAX_CONFLICT_LEVELS = 4  # more would not fit into the code of a path's end
 
 
+LARGEST = 1_000_000  # of any number: more fits into no count of costs
+
+
 @dataclass(frozen=True)
 class NegotiatedConfig:
     """Settings of the negotiated planner.
@@ -56,6 +59,9 @@ class NegotiatedConfig:
             raise InputError(
                 "a negotiated planner needs a lookahead, lanes, rounds and penalties above nothing"
             )
+        numbers = (self.lookahead, self.lanes, self.rounds, *self.penalties)
+        if not all(0 <= number <= LARGEST for number in numbers):
+            raise InputError(f"numbers of a negotiated planner lie from 0 to {LARGEST:,}")
         if self.last_resort not in ("pibt", "wait"):
             raise InputError(f"unknown last resort {self.last_resort!r}: choose one of pibt, wait")
         check_backend(self.backend)

@@ -1,0 +1,105 @@
+"""CSV: the columns and every cell against a record type."""
+
+import csv
+import math
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from qdenv.reading.files import LARGEST, damaged, read_text
+
+MOST_COLUMNS = 1000
+MOST_ROWS = 2_000_000
+LONGEST_NUMBER = 40  # characters
+TRUTH = {"True": True, "False": False}
+WORDS = {int: "a whole number", float: "a number", bool: "True or False"}
+T = TypeVar("T", bound=tuple)
+
+
+def read_rows(path: Path | str, most: int = LARGEST) -> Iterator[dict[str, str]]:
+    """Read a CSV file with a head.
+
+    Args:
+        path: the file.
+        most: bytes of it.
+
+    Yields:
+        the cells of a row by the names of the columns.
+
+    Raises:
+        InputError: it cannot be read, or is damaged; the rows before the damage come first.
+    """
+    rows = csv.reader(read_text(path, most, "CSV").splitlines(keepends=True), strict=True)
+    number = 0
+    try:
+        head = next(rows, [])
+        if len(set(head)) < len(head) or not 0 < len(head) <= MOST_COLUMNS:
+            raise damaged(path, "no table: columns need names of their own")
+        for number, row in enumerate(rows, start=1):
+            if len(row) != len(head):
+                raise damaged(path, f"row {number} has {len(row)} cells, the head {len(head)}")
+            if number > MOST_ROWS:
+                raise damaged(path, f"more than {MOST_ROWS:,} rows")
+            yield dict(zip(head, row, strict=True))
+    except csv.Error as error:
+        raise damaged(path, f"not a CSV file after row {number}: {error}") from error
+
+
+def read_table(
+    path: Path | str, kind: type[T], infinite: Collection[str] = (), most: int = LARGEST
+) -> Iterator[T]:
+    """Read a CSV file with a record per row.
+
+    Args:
+        path: the file.
+        kind: NamedTuple of the records; columns of fields that have defaults may be missing.
+        infinite: names of the columns that may hold infinite numbers.
+        most: bytes of the file.
+
+    Yields:
+        the records.
+
+    Raises:
+        InputError: it cannot be read, or is damaged: the line names row and column; the records
+            before the damage come first.
+    """
+    hints = get_type_hints(kind)
+    optional: Collection[str] = getattr(kind, "_field_defaults")  # noqa: B009
+    for number, row in enumerate(read_rows(path, most), start=1):
+        unlike = [name for name in row if name not in hints]
+        unlike += [name for name in hints if name not in row and name not in optional]
+        if unlike:
+            raise damaged(path, f"columns {', '.join(row)}: {unlike[0]} is missing or unknown")
+        cells = {}
+        for name, text in row.items():
+            try:
+                cells[name] = parse_cell(text, hints[name], name in infinite)
+            except ValueError as error:
+                raise damaged(path, f"row {number}, {name}: {error}") from error
+        yield kind(**cells)
+
+
+def parse_cell(text: str, kind: type, infinite: bool = False) -> Any:
+    """Turn the text of a cell into an int, a finite float, a bool or a str.
+
+    Args:
+        text: of the cell.
+        kind: what it must be.
+        infinite: whether a float may be infinite.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if kind is str:
+        return text
+    try:
+        if len(text) > LONGEST_NUMBER:
+            raise ValueError
+        value = TRUTH[text] if kind is bool else kind(text)
+    except (ValueError, KeyError):
+        raise ValueError(f"{text[:LONGEST_NUMBER]!r} is not {WORDS[kind]}") from None
+    if kind is float and not (math.isfinite(value) or (infinite and not math.isnan(value))):
+        raise ValueError(f"{text} is no finite number")
+    if kind is int and abs(value) >= 2**63:
+        raise ValueError(f"{text} is too large")
+    return value
