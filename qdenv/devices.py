@@ -47,8 +47,11 @@ def lanes(on_accelerator: int = ACCELERATOR_LANES, on_host: int = 1) -> int:
 
 
 def count() -> int:
-    """Count the devices of this process."""
-    number: int = jax.local_device_count()
+    """Count the devices that share the work: all of this process, unless one was chosen.
+
+    `jax.default_device` chooses one.
+    """
+    number: int = 1 if jax.config.jax_default_device else jax.local_device_count()
     return number
 
 
