@@ -50,9 +50,10 @@ class DamagedError(InputError):
 
 
 def printable(text: str) -> str:
-    """Make one printable line of any text, cut where it is too long for a person."""
+    """Make one printable line of any text; the middle is left out where it is too long to read."""
     if len(text) > LONGEST_LINE:
-        text = f"{text[:LONGEST_LINE]} ..."
+        half = LONGEST_LINE // 2
+        text = f"{text[:half]} ... {text[-half:]}"
     if text.isprintable():
         return text
     line = " ".join(part.strip() for part in text.splitlines() if part.strip())

@@ -21,6 +21,7 @@ MISTAKES = {
     "repair plan.txt --shelves 1.5": "--shelves '1.5' is no whole number",
     "simulate plan.txt --seconds-per-step x": "--seconds-per-step 'x' is no number",
     "train quick --archive a b c": "--archive a b c has not the form",
+    "train quick --archive 0 9 10000 0 1 10000": "100,000,000 cells: give 1,000,000 at most",
     "simulate plan.txt --effort medium": "choose one of low, high",
     "simulate": "layout file",
     "simulate plan.txt --domain moon": "unknown domain 'moon'",

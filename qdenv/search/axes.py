@@ -14,6 +14,7 @@ from qdenv.lazy import jax, jnp
 from qdenv.reading.files import damaged
 from qdenv.types import Array, InputError, Measure
 
+MOST_CELLS = 1_000_000  # each holds two layouts: of size S 2.4 GB in all
 EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
 
 
@@ -42,7 +43,8 @@ def check_measures(measures: Sequence[Measure]) -> tuple[Measure, ...]:
     """Reduce measures to their axes, which are compared and hashed as static fields of an archive.
 
     Raises:
-        InputError: there is no measure, a range is empty or infinite, or an axis has no cell.
+        InputError: there is no measure, a range is empty or infinite, an axis has no cell, or there
+            are too many in all.
     """
     if not measures:
         raise InputError("an archive needs at least one measure")
@@ -52,6 +54,9 @@ def check_measures(measures: Sequence[Measure]) -> tuple[Measure, ...]:
             raise InputError(f"measure {axis.name!r}: the range {axis.low}..{axis.high} is empty")
         if axis.cells < 1:
             raise InputError(f"measure {axis.name!r}: give at least one cell, not {axis.cells}")
+    cells = math.prod(axis.cells for axis in axes)
+    if cells > MOST_CELLS:
+        raise InputError(f"an archive of {cells:,} cells: give {MOST_CELLS:,} at most")
     return axes
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from qdenv.domains.base import Domain, make_domain
 from qdenv.formats.drawings import MAX_SIDE
 from qdenv.repair.bounds import impossible
+from qdenv.search.axes import check_measures
 from qdenv.training.config import RunConfig
 from qdenv.training.following import limit_of
 from qdenv.types import InputError, Rules
@@ -62,7 +63,8 @@ def _check_axes(config: RunConfig, domain: Domain) -> None:
             f"{len(config.archive)} axes given: this archive has {len(measures)}, {names}; write "
             f"--archive LOW HIGH CELLS for each of them, one after the other"
         )
-    for axis, given in zip(measures, config.archive or [one[1:4] for one in measures], strict=True):
+    ranges = config.archive or [axis[1:4] for axis in measures]
+    for axis, given in zip(measures, ranges, strict=True):
         low, high, cells = given
         if not low < high or cells < 1:
             raise InputError(
@@ -76,3 +78,6 @@ def _check_axes(config: RunConfig, domain: Domain) -> None:
                 f"axis {axis.name!r} runs from {low:g} to {high:g}, but layouts of {rows} x {cols} "
                 f"reach 0 to {most:g}: leave --archive out, or give a range within"
             )
+    check_measures(
+        [axis._replace(cells=one[2]) for axis, one in zip(measures, ranges, strict=True)]
+    )
