@@ -35,14 +35,20 @@ def load(program: Program, seed: int) -> highspy.Highs:
 
 
 def bound_relaxation(program: Program, facts: Facts) -> float:
-    """Bound the cost from below by the linear relaxation (interior point, no crossover)."""
+    """Bound the cost from below by the linear relaxation."""
+    solver = solve_relaxation(program)
+    if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
+        return 0.0
+    return _round_up(solver.getInfo().objective_function_value, facts)
+
+
+def solve_relaxation(program: Program) -> highspy.Highs:
+    """Solve the linear relaxation (interior point, no crossover)."""
     solver = load(program, 0)
     for name, value in {"solve_relaxation": True, "solver": "ipm", "run_crossover": "off"}.items():
         solver.setOptionValue(name, value)
     solver.run()
-    if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
-        return 0.0
-    return _round_up(solver.getInfo().objective_function_value, facts)
+    return solver
 
 
 def read_bound(solver: highspy.Highs, facts: Facts) -> float:

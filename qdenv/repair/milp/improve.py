@@ -56,12 +56,12 @@ def improve(
         values = encode(program, best.layout, layout, facts)
         stopped = solve(solver, values, config.gap, config.time_limit, limits)
         best = best._replace(bound=max(best.bound, read_bound(solver, facts)))
-        candidate = _read_layout(program, read_values(solver), layout, facts, rng)
+        candidate = read_layout(program, read_values(solver), layout, facts, rng)
         cuts = []
         if facts.rules.connected:
             cuts = separate(facts.driving[candidate], facts.must(facts.rules.connected))
         if cuts:
-            candidate = _mend(candidate, layout, facts, rng)
+            candidate = mend(candidate, layout, facts, rng)
         best = keep_cheaper(best, candidate, layout, facts)
         if best.proven(config.gap):
             return best._replace(status=RepairStatus.OPTIMAL)
@@ -81,7 +81,7 @@ def _worth_branching(program: Program, best: Result, limits: MilpLimits) -> bool
     return best.bound >= best.cost * (1 - limits.max_gap_to_branch)
 
 
-def _read_layout(
+def read_layout(
     program: Program,
     values: np.ndarray,
     layout: np.ndarray,
@@ -93,7 +93,7 @@ def _read_layout(
     return hand_out(roles, layout, facts, rng)
 
 
-def _mend(
+def mend(
     candidate: np.ndarray, layout: np.ndarray, facts: Facts, rng: np.random.Generator
 ) -> np.ndarray:
     """Mend the connections of a solution near what it is, or return it as it is."""

@@ -11,13 +11,12 @@ from typing import NamedTuple
 import highspy
 import numpy as np
 
-from qdenv.repair.anneal.annealer import COLD, anneal
 from qdenv.repair.audit import audit
 from qdenv.repair.facts import Facts
-from qdenv.repair.kinds import hand_out
 from qdenv.repair.milp.cuts import separate
-from qdenv.repair.milp.highs import add_cuts, load, read_values
-from qdenv.repair.milp.program import Program, build, decode
+from qdenv.repair.milp.highs import add_cuts, load, read_values, solve_relaxation
+from qdenv.repair.milp.improve import mend, read_layout
+from qdenv.repair.milp.program import Program, build
 from qdenv.repair.milp.spanning import span
 from qdenv.types import RepairStatus, Rules
 
@@ -26,7 +25,6 @@ BRANCHED_CELLS = 120  # that may change: with more, branching decides little
 NODES = 2000  # of one solve
 ASKED = 600  # times one solve may ask whether to go on
 ROUNDS = 40  # solves, each with more connectivity cuts
-MENDING_MOVES = 300  # annealing moves per cell that mend a solution's connections
 REMEMBERED = 32  # rules whose answer is kept
 
 
@@ -91,10 +89,7 @@ def _state(facts: Facts) -> Program:
 
 def is_refuted(facts: Facts) -> bool:
     """Tell whether not even the relaxation has a solution: then no layout obeys the rules."""
-    solver = load(_state(facts), 0)
-    for name, value in {"solve_relaxation": True, "solver": "ipm", "run_crossover": "off"}.items():
-        solver.setOptionValue(name, value)
-    solver.run()
+    solver = solve_relaxation(_state(facts))
     return bool(solver.getModelStatus() == highspy.HighsModelStatus.kInfeasible)
 
 
@@ -104,25 +99,16 @@ def _branch(facts: Facts) -> Possible:
     solver = load(program, 0)
     solver.setOptionValue("mip_max_nodes", NODES)
     for _ in range(ROUNDS):
-        asked = [0]
-
-        def count(event: highspy.HighsCallbackEvent, asked: list[int] = asked) -> None:
-            asked[0] += 1
-            event.interrupt(asked[0] > ASKED)
-
-        solver.cbMipInterrupt.subscribe(count)
-        solver.run()
-        solver.cbMipInterrupt.unsubscribe(count)
+        _run_limited(solver)
         status = solver.getModelStatus()
         if status == highspy.HighsModelStatus.kInfeasible:
             return IMPOSSIBLE
         if status != highspy.HighsModelStatus.kOptimal:
             break
         values = read_values(solver)[: program.variables.total]
-        roles = decode(program, values, layout.shape)
-        found = hand_out(roles, layout, facts, rng)
+        found = read_layout(program, values, layout, facts, rng)
         cuts = separate(facts.driving[found], facts.must(facts.rules.connected))
-        for candidate in (found, _mend(found, layout, facts, rng)):
+        for candidate in (found, mend(found, found, facts, rng)):
             if not audit(candidate, facts.rules):
                 return Possible(RepairStatus.ANNEALED, candidate)
         if not cuts:
@@ -131,10 +117,14 @@ def _branch(facts: Facts) -> Possible:
     return UNKNOWN
 
 
-def _mend(
-    found: np.ndarray, layout: np.ndarray, facts: Facts, rng: np.random.Generator
-) -> np.ndarray:
-    """Mend the connections of a solution near what it is, or return it as it is."""
-    moves, seed = MENDING_MOVES * layout.size, int(rng.integers(1 << 62))
-    best, _ = anneal(found, facts, seed, moves, found, COLD)
-    return found if best is None else best
+def _run_limited(solver: highspy.Highs) -> None:
+    """Solve until the solver has asked often enough whether to go on: the same on any machine."""
+    asked = [0]
+
+    def count(event: highspy.HighsCallbackEvent) -> None:
+        asked[0] += 1
+        event.interrupt(asked[0] > ASKED)
+
+    solver.cbMipInterrupt.subscribe(count)
+    solver.run()
+    solver.cbMipInterrupt.unsubscribe(count)
