@@ -105,6 +105,7 @@ def run_of(instance: Instance, seed: int = 0) -> Run:
         np.arange(2 * count).reshape(-1, 2).T.copy(),
         np.array([agent.serving for agent in instance.agents]),
         np.zeros(count, np.int64),
+        np.zeros(count, np.int64),
         paths,
         np.zeros(count, np.bool_),
     )

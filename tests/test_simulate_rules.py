@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 import qdenv.simulate
+from qdenv.simulate.mapf.agents import drive, place
 from qdenv.simulate.mapf.audit import Trajectory, check_moves, jammed_windows, replay_tasks
+from qdenv.simulate.mapf.fleet import FleetConfig, numbers_of, prepare
 from qdenv.simulate.mapf.goals import tile_goal
+from qdenv.simulate.mapf.host.crew import Tape, drive_window
+from qdenv.simulate.mapf.host.run import empty_run
 from qdenv.simulate.mapf.padding import pad, unpad
 from qdenv.simulate.mapf.tasks import serve
 from qdenv.types import TaskRule
@@ -115,3 +119,44 @@ def test_padding_moves_every_cell_inwards_and_back(variant):
     padded = variant(lambda cells: pad(cells, 4, 2))(cells)
     assert padded.reshape(3, 4)[:, 0].tolist() == [18, 26, 34]  # rows are 8 wide now
     assert variant(lambda cells: unpad(cells, 4, 2))(padded).tolist() == cells.tolist()
+
+
+HALL = np.array([[TILES.index(tile) for tile in "12."]], np.int8)
+# Goals 1 and 2 without a stay, then goal 1 again with one of two timesteps.
+STAYS = (("1", 0), ("2", 0), ("1", 2))
+ROUND = TaskRule(TILES, ".12", tuple(tile_goal(goal, TILES, stay) for goal, stay in STAYS))
+# Two windows of five steps: in the first the agent comes upon its third goal twice.
+WALK = np.array([1, 0, 1, 0, 1, 0, 0, 0, 0, 1, 1])
+LEFT_TO_SERVE = [0, 0, 0, 0, 0, 2, 1, 0, 0, 0]
+ENDS = np.array([1, 1, 0, 0, 0, 0, 0, 1, 0, 0], bool)
+CONFIG = FleetConfig(agents=1, timesteps=10, horizon=5, stop_when_congested=False)
+
+
+def test_a_stay_at_a_goal_that_no_plan_knew_begins_after_the_next_plan():
+    goals = np.where(np.cumsum(ENDS) - ENDS == 1, 1, 0)
+    steps = Trajectory(WALK[:, None], np.append(goals, 0)[:, None], ENDS[:, None])
+    finished, _, broken = replay_tasks(HALL, ROUND, steps, 10, horizon=5)
+    assert broken == [] and (finished[:, 0] == ENDS).all()
+    assert any("stay short" in one for one in replay_tasks(HALL, ROUND, steps, 10)[2])
+
+
+def test_both_backends_let_such_a_stay_wait():
+    world = jax.tree.map(np.asarray, prepare(HALL, ROUND, CONFIG))
+    cells = pad(WALK, 3, world.margin)
+    tape = Tape(*(np.zeros((10, 1), kind) for kind in (np.int32, np.int32, np.bool_, np.int32)))
+    run = empty_run(world, numbers_of(CONFIG), 1, tape)
+    run.crew.position[:], run.crew.goal[:] = cells[0], [[0], [1]]
+    fleet, active = place(world, CONFIG.window, np.ones(1, bool), np.uint32(0)), np.ones(1, bool)
+    fleet = fleet._replace(position=jnp.int32(cells[:1]), goal=jnp.int32([[0], [1]]))
+    left, ends = [], []
+    for window in range(2):
+        ahead = cells[5 * window : 5 * window + 6]
+        run.crew.paths[0, :6] = ahead
+        drive_window(run)
+        fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))
+        for cell in ahead[1:]:
+            fleet, finished = drive(world, fleet, jnp.int32([cell]), active, np.uint32(0))
+            left.append(int(fleet.remaining_service[0]))
+            ends.append(bool(finished[0]))
+    assert left == tape.remaining_service[:, 0].tolist() == LEFT_TO_SERVE
+    assert ends == tape.finished[:, 0].tolist() == ENDS.tolist()

@@ -82,6 +82,10 @@ EXTREMES = (
 )
 
 
+# These end at a folder that holds a run already; in another one they would train for hours.
+TRAINING, PLACES = ("train", "train-agent"), ("--out", "--run-dir")
+
+
 class Input(NamedTuple):
     """One bad input.
 
@@ -200,11 +204,14 @@ def command_line(chance: Chance, folder: Path) -> Input:
     save(folder / "agent", {"checkpoint.npz": b"", "config.json": b"{}"})
     command = pick(chance, tuple(LINES))
     files = {"PLAN": "plan.json", "MAZE": "maze.txt", "RUN": "run", "AGENT": "agent"}
-    if chance.random() < 0.2:
+    known = options_of(command)
+    if command in TRAINING:
+        known = tuple(option for option in known if option not in PLACES)
+    elif chance.random() < 0.2:
         files[pick(chance, tuple(files))] = pick(chance, EXTREMES)
     words = list(placed(LINES[command], files))
     for _ in range(int(chance.integers(1, 4))):
-        words.append(pick(chance, (*options_of(command), "--unknown")))
+        words.append(pick(chance, (*known, "--unknown")))
         words += [pick(chance, EXTREMES) for _ in range(pick(chance, (0, 1, 1, 1, 1, 2, 6)))]
     return Input(command, tuple(words))
 

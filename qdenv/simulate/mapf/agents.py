@@ -20,6 +20,7 @@ class Fleet(NamedTuple):
         goal: int32 [2, A], slots of the current and the next goal.
         remaining_service: int32 [A], timesteps still to serve.
         age: int32 [A], timesteps since the last finished task.
+        legs: int32 [A], tasks finished since all were planned.
         previous: int32 [window + 1, A], the plan from here on.
         fields: distances measured on demand; None where the world has a table of all.
     """
@@ -29,6 +30,7 @@ class Fleet(NamedTuple):
     goal: jax.Array
     remaining_service: jax.Array
     age: jax.Array
+    legs: jax.Array
     previous: jax.Array
     fields: Fields | None
 
@@ -67,7 +69,7 @@ def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Flee
     ]
     still = jnp.broadcast_to(position, (window + 1, *active.shape))
     fields = no_fields(world, active.shape[0]) if world.distance is None else None
-    return Fleet(position, zero, jnp.stack(goal), zero, zero, still, fields)
+    return Fleet(position, zero, jnp.stack(goal), zero, zero, zero, still, fields)
 
 
 def drive(
@@ -75,8 +77,10 @@ def drive(
 ) -> tuple[Fleet, jax.Array]:
     """Move every agent to `cell` (int32 [A]) and serve goals; returns who finished (bool [A])."""
     cycle = world.service_time.shape[0]
-    on_goal = (cell == world.goals.cells[fleet.goal[0]]) & active
     service_time = world.service_time[fleet.kind]
+    # Where a goal was not known when all were planned, nobody was told to stay.
+    known = (fleet.legs < tasks.KNOWN) | (service_time == 0)
+    on_goal = (cell == world.goals.cells[fleet.goal[0]]) & active & known
     remaining, finished = tasks.serve(fleet.remaining_service, on_goal, service_time)
     kind = jnp.where(finished, (fleet.kind + 1) % cycle, fleet.kind)
     drawn = tasks.draw_goals(world.goals, (kind + 1) % cycle, seed)
@@ -86,6 +90,7 @@ def drive(
         goal=jnp.where(finished, jnp.stack([fleet.goal[1], drawn]), fleet.goal),
         remaining_service=remaining,
         age=jnp.where(finished, 0, fleet.age + 1),
+        legs=fleet.legs + finished,
     ), finished
 
 

@@ -55,7 +55,7 @@ def audit(
     end = int(traffic.end_timestep)
     positions = trajectory.positions[: end + 1].astype(np.int64)
     broken = check_moves(layout, rule, positions)
-    finished, working, messages = replay_tasks(layout, rule, trajectory, end)
+    finished, working, messages = replay_tasks(layout, rule, trajectory, end, horizon)
     return broken + messages + check_report(layout, positions, finished, working, traffic, horizon)
 
 
@@ -90,11 +90,18 @@ def check_moves(layout: np.ndarray, rule: TaskRule, positions: np.ndarray) -> li
 
 
 def replay_tasks(
-    layout: np.ndarray, rule: TaskRule, trajectory: Trajectory, end: int
+    layout: np.ndarray, rule: TaskRule, trajectory: Trajectory, end: int, horizon: int = 1
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Work out arrivals, services and finished tasks from positions and goals alone.
 
     The service rule is written a second time here on purpose: the audit trusts no code it checks.
+
+    Args:
+        layout: int8 [H, W].
+        rule: what the agents do.
+        trajectory: the run.
+        end: timesteps of it.
+        horizon: timesteps from one planning to the next.
 
     Returns:
         finished bool [end, A], working bool [end + 1, A] (serving after the step), messages.
@@ -103,11 +110,12 @@ def replay_tasks(
     service_time = np.array([goal.stay for goal in rule.cycle])
     positions, goals = trajectory.positions, trajectory.goals
     agents = positions.shape[1]
-    kind, remaining = np.zeros(agents, int), np.zeros(agents, int)
+    kind, remaining, legs = (np.zeros(agents, int) for _ in range(3))
     finished = np.zeros((end, agents), bool)
     working = np.zeros((end + 1, agents), bool)
     broken = []
     for time in range(end):
+        legs[:] = 0 if time % horizon == 0 else legs
         goal, cell = goals[time], positions[time + 1]
         proper = goal_cells[kind, goal]
         if not proper.all():
@@ -117,10 +125,13 @@ def replay_tasks(
             broken.append(
                 f"t={time}: agent {np.argmax(serving & (cell != goal))} cuts a stay short"
             )
-        arrived = ~serving & (cell == goal)
+        # A third goal since the last planning was unknown then: a stay there has to wait.
+        known = (legs < 2) | (service_time[kind] == 0)
+        arrived = ~serving & (cell == goal) & known
         remaining = np.where(serving, remaining - 1, np.where(arrived, service_time[kind], 0))
         done = (serving | arrived) & (remaining == 0)
         finished[time], working[time + 1] = done, remaining > 0
+        legs += done
         kind = np.where(done, (kind + 1) % len(service_time), kind)
         changed = goals[time + 1] != goal
         if (changed & ~done).any():

@@ -177,6 +177,7 @@ class Environment:
         drawn = chance.draw(chance.draw(state.seed, chance.GOALS), state.time)
         refused = (cell == fleet.position) & (actions >= 0) & (actions < WAIT)
         fleet, finished = drive(self._world, fleet, cell, self._everyone, drawn)
+        fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))  # who drives here decides anew
         after = self._state(fleet, state.time + 1, state.seed)
         return after, self._timestep(after, finished.astype(jnp.float32), refused)
 

@@ -94,7 +94,7 @@ def run_window(
     time: jax.Array,
 ) -> tuple[Fleet, Block]:
     """Plan the window that begins at `time` and drive its first steps."""
-    fleet = look_ahead(world, fleet)
+    fleet = look_ahead(world, fleet)._replace(legs=jnp.zeros_like(fleet.legs))
     state = agent_state(world, fleet, active)
     key = chance.key_of(chance.draw(seed, chance.PLANS), time)
     plan = config.make_planner().plan

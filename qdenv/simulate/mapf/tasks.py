@@ -10,6 +10,7 @@ from qdenv.simulate.mapf import chance
 from qdenv.types import Array, TaskRule
 
 Counts = TypeVar("Counts", int, jax.Array)
+KNOWN = 2  # goals that planners know of each agent: the current and the next
 
 
 class GoalTable(NamedTuple):

@@ -8,7 +8,7 @@ from qdenv.native import kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.site import Site
 from qdenv.simulate.mapf.padding import unpad
-from qdenv.simulate.mapf.tasks import serve
+from qdenv.simulate.mapf.tasks import KNOWN, serve
 
 TIME, CONGESTED, MOVES = range(3)  # entries of `Tally.total`
 
@@ -22,6 +22,7 @@ class Crew(NamedTuple):
         goal: int64 [2, A], slots of the current and the next goal.
         remaining_service: int64 [A], timesteps still to serve.
         age: int64 [A], timesteps since the last finished task.
+        legs: int64 [A], tasks finished since all were planned.
         paths: int64 [A, w + 1], the plan from here on.
         stuck: bool [A], whether the agent neither moved nor served in this window.
     """
@@ -31,6 +32,7 @@ class Crew(NamedTuple):
     goal: np.ndarray
     remaining_service: np.ndarray
     age: np.ndarray
+    legs: np.ndarray
     paths: np.ndarray
     stuck: np.ndarray
 
@@ -143,7 +145,7 @@ def drive_window(run: Run) -> None:
     begin, count, stuck = tally.total[TIME], crew.position.size, 0
     goals = chance.mix(run.numbers.seed, chance.GOALS)
     for agent in range(count):
-        crew.stuck[agent] = True
+        crew.stuck[agent], crew.legs[agent] = True, 0
     for step in range(horizon):
         drawn = chance.mix(goals, begin + step)
         for agent in range(count):
@@ -173,7 +175,10 @@ def _drive(run: Run, agent: int, step: int, drawn: int) -> None:
         crew.stuck[agent] = False
     crew.position[agent] = cell
     kind = crew.kind[agent]
-    left, finished = serve(crew.remaining_service[agent], cell == goal, site.service_time[kind])
+    service_time = site.service_time[kind]
+    known = crew.legs[agent] < KNOWN or service_time == 0
+    on_goal = cell == goal and known
+    left, finished = serve(crew.remaining_service[agent], on_goal, service_time)
     crew.remaining_service[agent] = left
     crew.age[agent] += 1
     if run.tape.positions.size:
@@ -185,6 +190,7 @@ def _drive(run: Run, agent: int, step: int, drawn: int) -> None:
         kind = (kind + 1) % site.service_time.size
         coming = (kind + 1) % site.service_time.size
         crew.kind[agent], crew.age[agent] = kind, 0
+        crew.legs[agent] += 1
         crew.goal[0, agent] = crew.goal[1, agent]
         crew.goal[1, agent] = _draw_goal(site, coming, chance.mix(drawn, agent))
         if time < run.numbers.timesteps:

@@ -35,6 +35,7 @@ def empty_run(world: World, numbers: Numbers, agents: int, tape: Tape) -> Run:
         goal=np.zeros((2, agents), np.int64),
         remaining_service=np.zeros(agents, np.int64),
         age=np.zeros(agents, np.int64),
+        legs=np.zeros(agents, np.int64),
         paths=np.zeros((agents, numbers.window + 1), np.int64),
         stuck=np.zeros(agents, np.bool_),
     )
