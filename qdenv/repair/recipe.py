@@ -66,7 +66,7 @@ def _repair_possible(
     bound, effort = bound_cost(layout, facts), config.effort
     candidate, cost = _anneal_until_feasible(layout, facts, seed, config, bound, report)
     if candidate is None:
-        if find_possible(facts).status == RepairStatus.IMPOSSIBLE:
+        if find_possible(facts, report).status == RepairStatus.IMPOSSIBLE:
             return Result(layout, np.inf, np.inf, RepairStatus.IMPOSSIBLE)
         return Result(layout, np.inf, bound, RepairStatus.FAILED)
     best = Result(candidate, cost, bound, RepairStatus.ANNEALED)
@@ -91,7 +91,7 @@ def _anneal_until_feasible(
 ) -> tuple[np.ndarray | None, float]:
     """Anneal until a layout passes the audit: from the input, then from layouts that hold more."""
     moves = config.count_moves(facts.free_cells)
-    for attempt, (start, schedule) in enumerate(_starts(layout, facts)):
+    for attempt, (start, schedule) in enumerate(_starts(layout, facts, report)):
         candidate, cost = anneal(
             layout, facts, seed + attempt, moves, start, schedule, report, bound
         )
@@ -100,7 +100,9 @@ def _anneal_until_feasible(
     return None, np.inf
 
 
-def _starts(layout: np.ndarray, facts: Facts) -> Iterator[tuple[np.ndarray, Schedule]]:
+def _starts(
+    layout: np.ndarray, facts: Facts, report: Report
+) -> Iterator[tuple[np.ndarray, Schedule]]:
     """List where and how to anneal, the later ones for layouts that the earlier ones fail on."""
     yield layout, GENTLE
     yield layout, FIRM
@@ -108,7 +110,7 @@ def _starts(layout: np.ndarray, facts: Facts) -> Iterator[tuple[np.ndarray, Sche
     by_breaches = sorted(templates, key=lambda start: len(audit(start, facts.rules)))
     for start in by_breaches[:MAX_TEMPLATES]:
         yield start, STRICT
-    known = find_possible(facts)
+    known = find_possible(facts, report)
     if known.layout is not None:
         yield known.layout, STRICT
 

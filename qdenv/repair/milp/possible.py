@@ -1,7 +1,8 @@
 """What the rules alone allow, whatever layout came in: a layout that obeys them, or proof of none.
 
 Asked where annealing found nothing. The relaxation with a spanning tree in it (`spanning`) refutes
-most of what is impossible at any size; small programs are decided by branch and cut.
+most of what is impossible at any size; small programs are decided by branch and cut, larger layouts
+are packed (`anneal.packing`).
 """
 
 import threading
@@ -11,6 +12,7 @@ from typing import NamedTuple
 import highspy
 import numpy as np
 
+from qdenv.repair.anneal.packing import pack
 from qdenv.repair.audit import audit
 from qdenv.repair.facts import Facts
 from qdenv.repair.milp.cuts import separate
@@ -18,6 +20,7 @@ from qdenv.repair.milp.highs import add_cuts, load, read_values, solve_relaxatio
 from qdenv.repair.milp.improve import mend, read_layout
 from qdenv.repair.milp.program import Program, build
 from qdenv.repair.milp.spanning import span
+from qdenv.repair.result import Report, no_report
 from qdenv.types import RepairStatus, Rules
 
 MAX_CELLS = 20_000  # that may change: beyond, the relaxation alone takes minutes
@@ -46,15 +49,19 @@ _answers: OrderedDict[bytes, Possible] = OrderedDict()
 _lock = threading.Lock()
 
 
-def find_possible(facts: Facts) -> Possible:
+def find_possible(facts: Facts, report: Report = no_report) -> Possible:
     """Find a layout that obeys the rules, or prove that there is none; both may fail.
 
     The answer follows from the rules alone and is remembered: a batch pays for it once.
+
+    Args:
+        facts: the constraints.
+        report: told what is being done, and from 0 to 1 how much of it is.
     """
     key = _key_of(facts.rules)
     with _lock:
         if key not in _answers:
-            _answers[key] = _decide(facts)
+            _answers[key] = _decide(facts, report)
             while len(_answers) > REMEMBERED:
                 _answers.popitem(last=False)
         return _answers[key]
@@ -66,13 +73,17 @@ def _key_of(rules: Rules) -> bytes:
     return repr((words, rules.allowed.shape)).encode() + np.packbits(rules.allowed).tobytes()
 
 
-def _decide(facts: Facts) -> Possible:
-    """Ask the relaxation, then the solver."""
+def _decide(facts: Facts, report: Report) -> Possible:
+    """Ask the relaxation, then the solver or the packer."""
     if facts.free_cells > MAX_CELLS:
         return UNKNOWN
+    report("asking whether any layout exists", 0.0)
     if is_refuted(facts):
         return IMPOSSIBLE
-    return _branch(facts) if facts.free_cells <= BRANCHED_CELLS else UNKNOWN
+    if facts.free_cells <= BRANCHED_CELLS:
+        return _branch(facts)
+    layout = pack(facts, report)
+    return UNKNOWN if layout is None else Possible(RepairStatus.ANNEALED, layout)
 
 
 def _any_layout(facts: Facts) -> np.ndarray:

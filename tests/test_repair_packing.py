@@ -1,0 +1,70 @@
+"""Packing: layouts near the greatest number of obstacles, audited and counted anew."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from qdenv.domains.base import find_domain
+from qdenv.repair.anneal import packing
+from qdenv.repair.anneal.packing import pack
+from qdenv.repair.anneal.packing_moves import pack_moves
+from qdenv.repair.audit import audit
+from qdenv.repair.facts import Facts
+from qdenv.repair.recipe import repair
+from qdenv.repair.settings import RepairConfig
+from qdenv.types import RepairStatus, Rules
+
+CROSS = ndimage.generate_binary_structure(2, 1)
+
+
+def warehouse(rows: int, cols: int, shelves: int) -> Rules:
+    return find_domain("warehouse-even").resized(rows, cols, {"shelves": shelves}).rules()
+
+
+# Straight aisles hold 96, 200, 416 and 704 shelves here.
+@pytest.mark.parametrize(
+    ("shape", "shelves"), [((18, 12), 98), ((30, 14), 203), ((24, 30), 419), ((33, 36), 708)]
+)
+def test_more_shelves_than_straight_aisles_hold(shape, shelves):
+    rules = warehouse(*shape, shelves)
+    layout = pack(Facts(rules))
+    assert layout is not None and audit(layout, rules) == []
+    assert (layout == rules.tiles.index("@")).sum() == shelves
+
+
+def test_repairs_use_it_where_annealing_finds_nothing():
+    rules = warehouse(18, 12, 98)
+    layout = np.random.default_rng(3).integers(0, 3, (18, 12)).astype(np.int8)
+    repaired = repair(layout, rules, 0, RepairConfig("none"))
+    assert repaired.status == RepairStatus.ANNEALED
+    assert audit(np.asarray(repaired.layout), rules) == []
+
+
+@pytest.mark.parametrize("moves", [1, 1000, 50_000])
+def test_what_is_counted_along_the_way_is_what_counting_anew_gives(moves):
+    facts = Facts(warehouse(12, 14, 85))
+    service = packing._find_service(facts)
+    ground = packing._lay_out(facts.driving[packing._draw_starts(facts)[0]], facts, service)
+    assert not pack_moves(ground, 85, 85, np.uint64(moves), 0, moves, moves)
+    drives = ground.drives.reshape(14, 16)[1:-1, 1:-1]
+    again = packing._lay_out(drives.copy(), facts, service)
+    np.testing.assert_array_equal(ground.tolls[:3], again.tolls[:3])
+    np.testing.assert_array_equal(ground.ring, again.ring)
+    assert drives[facts.must(".ew")].all() and again.tolls[2] == ndimage.label(drives, CROSS)[1]
+
+
+def test_where_a_run_is_cut_makes_no_difference(monkeypatch):
+    facts, told = Facts(warehouse(18, 12, 97)), list[float]()
+    whole = pack(facts)
+    monkeypatch.setattr(packing, "CHUNK", 70_001)
+    cut = pack(facts, lambda doing, done: told.append(done))
+    np.testing.assert_array_equal(whole, cut)
+    assert told == sorted(told) and told[0] > 0 and told[-1] < 1
+
+
+def test_rules_of_another_kind_are_left_to_others():
+    rules = warehouse(18, 12, 97)
+    assert pack(Facts(rules._replace(aisle=2))) is None
+    assert pack(Facts(rules._replace(counts=()))) is None
+    assert pack(Facts(rules._replace(connected=""))) is None
+    assert pack(Facts(find_domain("manufacturing").rules())) is None
