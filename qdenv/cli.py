@@ -170,10 +170,13 @@ def _parse(
 
 
 def _later(command: Callable) -> Callable:
-    """Make a function with the same arguments that binds them and does no more."""
+    """Make a function with the same arguments that checks their ranges and binds them."""
 
     @functools.wraps(command)
     def bound(*values: Any, **named: Any) -> Callable[[], Any]:
+        from qdenv.ranges import check_arguments  # imports numpy: not for help
+
+        check_arguments(inspect.signature(command, eval_str=True).bind(*values, **named))
         return functools.partial(command, *values, **named)
 
     bound.__signature__ = inspect.signature(command)  # type: ignore[attr-defined]

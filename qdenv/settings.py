@@ -1,17 +1,16 @@
 """The settings of one evaluation: which domain, which generator, how often it is simulated."""
 
-import math
 from dataclasses import dataclass, field
 from typing import Any
 
 from qdenv.domains.base import DOMAINS
 from qdenv.generate.generator import GENERATORS
+from qdenv.ranges import FiniteFloat, PositiveInt, Ranged
 from qdenv.repair.settings import RepairConfig
-from qdenv.types import InputError
 
 
 @dataclass(frozen=True)
-class EvaluationConfig:
+class EvaluationConfig(Ranged):
     """What one evaluation does (Table 1 of the paper).
 
     Attributes:
@@ -24,13 +23,6 @@ class EvaluationConfig:
 
     domain: Any = field(default_factory=lambda: DOMAINS.config("warehouse-even"))
     generator: Any = field(default_factory=lambda: GENERATORS.config("nca"))
-    simulations: int = 5
-    alpha: float = 5.0
+    simulations: PositiveInt = 5
+    alpha: FiniteFloat = 5.0
     repair: RepairConfig = field(default_factory=RepairConfig)
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that score nothing."""
-        if self.simulations < 1:
-            raise InputError(f"simulations must be at least 1, not {self.simulations}")
-        if not math.isfinite(self.alpha):
-            raise InputError(f"alpha must be a finite number, not {self.alpha}")

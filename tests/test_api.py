@@ -186,7 +186,7 @@ def test_train_takes_a_name_and_overrides(tmp_path):
     assert grown.layout.shape == (14, 15) and qdenv.check(grown) == []
     raw = qdenv.generate(str(run.path), elite=run.best, repair=False)
     assert raw.facts["elite"] == ",".join(map(str, run.best.cell))
-    with pytest.raises(InputError, match="steps must be 0 or more, not -3"):
+    with pytest.raises(InputError, match="steps must be at least 0, not -3"):
         qdenv.generate(run, steps=-3)
     with pytest.raises(InputError, match="unknown preset 'nothing'"):
         qdenv.train("nothing", tmp_path / "other")

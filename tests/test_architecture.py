@@ -11,12 +11,13 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "qdenv"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"types", "grid", "files", "reading", "lazy", "interrupt"}
+BASE = {"types", "ranges", "grid", "files", "reading", "lazy", "interrupt"}
 STAGES = {"generate", "repair", "simulate", "score"}
 PLUGS = {"registry", "devices"}
 ALLOWED = {
     "lazy": set(),
     "types": {"lazy"},
+    "ranges": {"types"},
     "native": set(),
     "grid": {"types", "lazy"},
     "interrupt": set(),
@@ -26,17 +27,26 @@ ALLOWED = {
     "devices": {"types", "lazy"},
     "registry": {"types"},
     "formats": BASE,
-    "generate": {"types", "grid", "lazy", "registry"},
-    "repair": {"types", "grid", "lazy", "native"},
-    "simulate": {"types", "grid", "lazy", "native", "reading"} | PLUGS,
+    "generate": {"types", "ranges", "grid", "lazy", "registry"},
+    "repair": {"types", "ranges", "grid", "lazy", "native"},
+    "simulate": {"types", "ranges", "grid", "lazy", "native", "reading"} | PLUGS,
     "score": {"types", "grid", "lazy"},
     "agent": BASE | {"checkpoints", "simulate.maze", "score", "devices"},
     "domains": BASE | STAGES | PLUGS,
-    "settings": STAGES | {"types", "domains.base"},
+    "settings": STAGES | {"types", "ranges", "domains.base"},
     "mesh": set(),
     "pipeline": BASE | STAGES | {"domains.base", "devices", "mesh", "settings"},
-    "surrogate": {"types"},
-    "search": {"types", "lazy", "files", "reading", "checkpoints", "registry", "surrogate"},
+    "surrogate": {"types", "ranges"},
+    "search": {
+        "types",
+        "ranges",
+        "lazy",
+        "files",
+        "reading",
+        "checkpoints",
+        "registry",
+        "surrogate",
+    },
     "zoo": {"types", "reading"},
     "presets": BASE
     | STAGES
@@ -95,7 +105,7 @@ ALLOWED = {
     | {"cli", "commands.waiting"}
     | {"agent", "domains", "formats", "pipeline", "plots", "presets", "search"}
     | {"settings", "study", "surrogate", "training"},
-    "cli": {"commands", "types", "interrupt"},
+    "cli": {"commands", "types", "ranges", "interrupt"},
     "__main__": {"cli", "interrupt"},
     "__init__": set(),  # names the public homes and imports each when it is asked for
 }

@@ -68,7 +68,7 @@ print("loaded:", *({{"jax", "numba", "numpy", "matplotlib", "qdax", "scipy"}} & 
         (["resume", "nowhere"], "no run here", {"numpy"}),
         (["generate", "nowhere"], "no run here", {"numpy"}),
         (["evaluate-agent", "nowhere.json"], "cannot be read", {"numpy"}),
-        (["train-agent", "--steps", "0"], "1 step", {"numpy"}),
+        (["train-agent", "--steps", "0"], "steps must be at least 1", {"numpy"}),
     ],
 )
 def test_a_command_line_imports_no_more_than_it_needs(arguments, said, loaded):

@@ -296,8 +296,8 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
     ("change", "reason"),
     [
         ({"method": "magic"}, "choose one of dr, plr, accel"),
-        ({"actions": 2}, "at least 3 actions"),
-        ({"fresh": 17}, "fresh levels"),
+        ({"actions": 2}, "actions must be at least 3"),
+        ({"fresh": 17}, "more levels are fresh"),
         ({"ppo": ppo.PPOConfig(lanes=8, minibatches=3)}, "divide"),
         ({"warm_start": "/nowhere.npz"}, "there is no agent"),
         ({"anchor": 0.5}, "add --warm-start"),

@@ -92,3 +92,9 @@ def test_at_size_s_711_shelves_are_impossible_and_the_answer_is_remembered(monke
 def test_what_is_not_decided_is_failed(monkeypatch):
     monkeypatch.setattr(possible, "BRANCHED_CELLS", 0)
     assert find_possible(Facts(warehouse(7, 14, 45))).status == RepairStatus.FAILED
+
+
+def test_wide_aisles_that_leave_no_room_are_proven_impossible():
+    rules = warehouse(8, 8, 18)
+    rules = rules._replace(counts=(Count("@", 18, None),), aisle=2)
+    assert find_possible(Facts(rules)).status == RepairStatus.IMPOSSIBLE

@@ -225,7 +225,7 @@ def test_centroids_lie_in_their_own_cells_row_major():
         ((Measure("x", 1, 1, 4),), (), "'x'"),
         ((Measure("x", 0, np.nan, 4),), (), "'x'"),
         ((Measure("x", 0, 1, 0),), (), "one cell"),
-        (GRID, (1.5, 0.0), "learning rate"),
+        (GRID, (1.5, 0.0), "learning-rate must be at most 1"),
         (GRID, (0.5, -np.inf), "learning rate of 1"),
         (GRID, (0.5, np.nan), "threshold_min"),
     ],

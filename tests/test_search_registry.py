@@ -80,7 +80,7 @@ def test_a_users_strategy_plugs_in_by_name(monkeypatch):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"emitters": 0}, "emitters must be a positive"),
+        ({"emitters": 0}, "emitters must be at least 1, not 0"),
         ({"sigma0": float("nan")}, "sigma0"),
         ({"ranker": "best"}, "unknown ranker 'best': choose one of imp"),
         ({"selection": "all"}, "unknown selection"),
@@ -88,7 +88,7 @@ def test_a_users_strategy_plugs_in_by_name(monkeypatch):
         ({"strategy": "LM_MA_ES"}, "LM_MA_ES is not offered: .* use lm_ma"),
         ({"restart": 0}, "restart"),
         ({"restart": "sometimes"}, "restart"),
-        ({"learning_rate": 2.0}, "learning rate"),
+        ({"learning_rate": 2.0}, "learning-rate must be at most 1"),
         ({"strategy": "lm_ma", "batch": 99}, "batch of at most 12"),
         ({"strategy": "Open_ES", "batch": 5}, "even batch"),
         ({"strategy": "PGPE", "batch": 5}, "even batch"),

@@ -175,7 +175,7 @@ def test_commands_compare_and_climb(layouts, tmp_path, capsys):
         (["FILE", "--domain", "moon"], "unknown domain"),
         (["FILE", "--planner", "moon"], "unknown planner"),
         (["FILE", "--seeds", "0"], "at least one seed"),
-        (["FILE", "--timesteps", "0"], "at least one agent and one timestep"),
+        (["FILE", "--timesteps", "0"], "timesteps must be at least 1, not 0"),
     ],
 )
 @pytest.mark.parametrize("command", ["compare", "scalability"])

@@ -230,7 +230,7 @@ def refusal(arguments: list[str], capsys) -> str:
         (["--cols", "5"], "smaller than the seed block"),
         (["--cols", "3"], "smaller than the seed block"),
         (["--shelves", "88"], "shelves"),
-        (["--frames", "0"], "give 1 or more"),
+        (["--frames", "0"], "frames must be at least 1, not 0"),
     ],
 )
 def test_generate_refuses_in_one_line(run, tmp_path, capsys, extra, said):

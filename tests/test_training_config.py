@@ -111,7 +111,7 @@ def changed(path: str, value: object) -> dict:
         (changed("algorithm.name", "luck"), "unknown algorithm 'luck'"),
         (changed("evaluation.domain.rows", "many"), "rows"),
         (changed("evaluation.domain.towers", 3), "towers"),
-        (changed("evaluation.domain.fleet.agents", 0), "at least one agent"),
+        (changed("evaluation.domain.fleet.agents", 0), "agents must be at least 1, not 0"),
     ],
 )
 def test_mistakes_give_one_line_that_names_the_file(content, said):

@@ -158,7 +158,7 @@ def test_a_worker_of_another_version_computes_nothing():
     [
         ({"scheduler": "tcp://x:1"}, "--scheduler is for a cluster: add --executor dask"),
         ({"executor": "dask", "scheduler": "tcp://x:1", "workers": 2}, "leave --scheduler out"),
-        ({"executor": "dask", "workers": 0}, "--workers 0: give 1 or more"),
+        ({"executor": "dask", "workers": 0}, "workers must be at least 1, not 0"),
     ],
 )
 def test_contradictions_are_refused(given, said):

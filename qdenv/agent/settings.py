@@ -1,15 +1,30 @@
 """The settings of the agent's training: what a user may choose."""
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
+from annotated_types import Interval
+
+from qdenv.ranges import (
+    MOST,
+    FiniteFloat,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Ranged,
+    Seed,
+    Share,
+)
 from qdenv.types import InputError
 
 Method = Literal["dr", "plr", "accel"]
 
+LARGEST_SIDE = 1000  # of a maze: nothing larger was tried
+
 
 @dataclass(frozen=True)
-class PPOConfig:
+class PPOConfig(Ranged):
     """Numbers of the algorithm.
 
     Attributes:
@@ -23,18 +38,18 @@ class PPOConfig:
         critic: weight of the value loss.
     """
 
-    lanes: int = 256
-    timesteps: int = 128
-    epochs: int = 2
-    minibatches: int = 4
-    clip: float = 0.2
-    discount: float = 0.995
-    trace: float = 0.95
-    critic: float = 0.5
+    lanes: PositiveInt = 256
+    timesteps: PositiveInt = 128
+    epochs: PositiveInt = 2
+    minibatches: PositiveInt = 4
+    clip: PositiveFloat = 0.2
+    discount: Share = 0.995
+    trace: Share = 0.95
+    critic: NonNegativeFloat = 0.5
 
 
 @dataclass(frozen=True)
-class RewardConfig:
+class RewardConfig(Ranged):
     """What is rewarded beside the goal.
 
     Attributes:
@@ -43,13 +58,13 @@ class RewardConfig:
         haste: share of the goal's reward that is lost by the horizon.
     """
 
-    novelty: float = 0.01
-    progress: float = 0.0
-    haste: float = 0.9
+    novelty: FiniteFloat = 0.01
+    progress: FiniteFloat = 0.0
+    haste: Share = 0.9
 
 
 @dataclass(frozen=True)
-class LevelConfig:
+class LevelConfig(Ranged):
     """What levels look like.
 
     Attributes:
@@ -63,24 +78,25 @@ class LevelConfig:
         edits: tiles flipped when a level is varied (ACCEL).
     """
 
-    size: int = 16
-    smallest: int = 0
-    most_walls: int = 110
-    textured: float = 0.25
-    longest: float = 0.5
-    horizon: tuple[int, int] = (250, 648)
-    edits: int = 5
+    size: Annotated[int, Interval(ge=2, le=LARGEST_SIDE)] = 16
+    smallest: NonNegativeInt = 0
+    most_walls: NonNegativeInt = 110
+    textured: Share = 0.25
+    longest: Share = 0.5
+    horizon: tuple[PositiveInt, PositiveInt] = (250, 648)
+    edits: NonNegativeInt = 5
 
     def __post_init__(self) -> None:
         """Refuse sizes that make no mazes."""
-        if self.size < 2 or (self.smallest and not 2 <= self.smallest <= self.size):
+        super().__post_init__()
+        if self.smallest and not 2 <= self.smallest <= self.size:
             raise InputError(
                 f"sizes of mazes, {self.smallest} to {self.size}: give 2 or more, in order"
             )
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(Ranged):
     """One training run.
 
     Attributes:
@@ -105,37 +121,33 @@ class TrainConfig:
     """
 
     method: Method = "dr"
-    steps: int = 80_000_000
-    seed: int = 0
-    units: int = 64
-    actions: int = 3
+    steps: Annotated[int, Interval(ge=1, lt=2**63)] = 80_000_000
+    seed: Seed = 0
+    units: PositiveInt = 64
+    actions: Annotated[int, Interval(ge=3, le=MOST)] = 3
     warm_start: str = ""
-    anchor: float = 0.0
-    bank: int = 4096
-    fresh: int = 64
-    rate: float = 1e-3
-    entropy: float = 5e-3
-    novelty_until: float = 1.0
-    exam: int = 32
+    anchor: NonNegativeFloat = 0.0
+    bank: PositiveInt = 4096
+    fresh: PositiveInt = 64
+    rate: PositiveFloat = 1e-3
+    entropy: NonNegativeFloat = 5e-3
+    novelty_until: PositiveFloat = 1.0
+    exam: PositiveInt = 32
     ppo: PPOConfig = field(default_factory=PPOConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     levels: LevelConfig = field(default_factory=LevelConfig)
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no training."""
+        super().__post_init__()
         if self.method not in get_args(Method):
             raise InputError(f"unknown method {self.method!r}: choose one of dr, plr, accel")
-        if self.actions < 3 or self.units < 1 or self.steps < 1:
-            raise InputError("the agent needs at least 3 actions, 1 unit and 1 step")
-        sizes = (self.ppo.lanes, self.ppo.timesteps, self.ppo.epochs, self.ppo.minibatches)
-        if min(sizes) < 1 or self.ppo.lanes % self.ppo.minibatches:
-            raise InputError("minibatches must divide lanes, and all numbers of PPO be 1 or more")
+        if self.ppo.lanes % self.ppo.minibatches:
+            raise InputError("minibatches must divide lanes")
         if self.anchor and not self.warm_start:
             raise InputError("an anchor is a policy to start from: add --warm-start AGENT.npz")
-        if not 0 < self.fresh <= self.bank:
-            raise InputError("fresh levels per update must number between 1 and the bank's size")
-        if not 0 <= self.seed < 2**32:
-            raise InputError(f"seed {self.seed}: give 0 to {2**32 - 1}")
+        if self.fresh > self.bank:
+            raise InputError("more levels are fresh in an update than the bank holds")
 
     @property
     def updates(self) -> int:

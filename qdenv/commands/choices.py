@@ -13,6 +13,7 @@ import tyro
 from qdenv.commands.arguments import take
 from qdenv.commands.planners import stated_planner
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
+from qdenv.ranges import PositiveFloat, PositiveInt, Ranged
 from qdenv.registry import Registry
 from qdenv.simulate.mapf.choosing import OWN
 from qdenv.simulate.mapf.negotiated.settings import HIGH
@@ -45,7 +46,7 @@ Effort = Annotated[str | None, tyro.conf.arg(metavar="{low,high}")]
 
 
 @dataclasses.dataclass(frozen=True)
-class RunOptions:
+class RunOptions(Ranged):
     """Who drives on a layout, and for how long.
 
     Attributes:
@@ -59,7 +60,7 @@ class RunOptions:
     """
 
     domain: DomainName = None
-    timesteps: int | None = None
+    timesteps: PositiveInt | None = None
     effort: Effort = None
     planner: Annotated[str, tyro.conf.arg(metavar=names_of(PLANNERS))] = OWN
     planner_settings: Annotated[Any, tyro.conf.arg(name="")] = HIGH
@@ -97,7 +98,7 @@ class FleetOptions(RunOptions):
     """
 
     seeds: tuple[str, ...] = ("10",)
-    seconds_per_step: float | None = None
+    seconds_per_step: PositiveFloat | None = None
 
 
 # How a command takes them: without a prefix of their own.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
+from annotated_types import Interval
 
 from qdenv.commands.choices import LayoutFile
 from qdenv.commands.output import JsonFile, place, write_facts
@@ -15,6 +16,7 @@ from qdenv.commands.waiting import waiting
 from qdenv.commands.words import Picture, place_picture
 from qdenv.files import write_csv
 from qdenv.formats.layouts import write_layout
+from qdenv.ranges import PositiveInt, Ranged, Seed
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
 
@@ -29,7 +31,7 @@ TABLE = ("file", "rows", "cols", "walls", "shortest", "runs", "success", "low", 
 
 
 @dataclass(frozen=True)
-class Episodes:
+class Episodes(Ranged):
     """Who walks through the maze, how often, and for how long.
 
     Attributes:
@@ -41,19 +43,10 @@ class Episodes:
     """
 
     agent: str = ""
-    runs: int = 100
-    timesteps: Annotated[int | None, tyro.conf.arg(aliases=("--horizon",))] = None
-    seed: int = 0
+    runs: Annotated[int, Interval(ge=1, le=MOST_RUNS)] = 100
+    timesteps: Annotated[PositiveInt | None, tyro.conf.arg(aliases=("--horizon",))] = None
+    seed: Seed = 0
     reference_batching: bool = False
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that make no episode."""
-        if not 1 <= self.runs <= MOST_RUNS:
-            raise InputError(f"--runs {self.runs}: give 1 to {MOST_RUNS:,}")
-        if self.timesteps is not None and not 1 <= self.timesteps < 2**31:
-            raise InputError(f"--timesteps {self.timesteps}: give 1 or more, or leave it out")
-        if not 0 <= self.seed < 2**32:
-            raise InputError(f"--seed {self.seed}: give 0 to {2**32 - 1}")
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from qdenv.commands import output
 from qdenv.commands.choices import RunFolder
 from qdenv.commands.output import JsonFile, write_facts
 from qdenv.commands.waiting import waiting
+from qdenv.ranges import NonNegativeInt
 from qdenv.training.records import RunDirectory
 
 PAGES = (".html",)
@@ -13,7 +14,7 @@ PAGES = (".html",)
 
 def explore(
     run_dir: RunFolder,
-    growth: int | None = None,
+    growth: NonNegativeInt | None = None,
     out: Path | None = None,
     json_file: JsonFile = None,
 ) -> None:

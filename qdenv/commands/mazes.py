@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
+from annotated_types import Interval
 
 from qdenv import interrupt
 from qdenv.agent.settings import TrainConfig
 from qdenv.commands.output import place
 from qdenv.commands.waiting import waiting
+from qdenv.ranges import PositiveInt
 from qdenv.reading.json import read_json
 from qdenv.types import InputError
 
@@ -20,8 +22,8 @@ def train_agent(
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008 (frozen)
     out: Annotated[Path, tyro.conf.arg(aliases=("--run-dir",))] = Path("runs/agent"),
     resume: bool = False,
-    report_every: int = 50,
-    cpu_seconds: float = float("inf"),
+    report_every: PositiveInt = 50,
+    cpu_seconds: Annotated[float, Interval(gt=0)] = float("inf"),
 ) -> None:
     """Train an agent for mazes: PPO over a curriculum of random mazes.
 
@@ -32,8 +34,6 @@ def train_agent(
         report_every: updates between two lines of the log.
         cpu_seconds: stop after about so many CPU seconds, ready to be resumed.
     """
-    if report_every < 1:
-        raise InputError(f"--report-every {report_every}: give 1 or more")
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: that is a file: name a folder")
     if not resume and (out / "checkpoint.npz").exists():

@@ -14,6 +14,7 @@ from qdenv.commands.choices import LayoutFile, OneRun, RunOptions
 from qdenv.commands.waiting import waiting
 from qdenv.commands.words import Picture, place_picture
 from qdenv.pages.page import demand
+from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
 from qdenv.simulate.mapf.choosing import OWN, record_planner
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.study import motion as studies
@@ -30,7 +31,7 @@ SHORT = 100  # timesteps of a GIF of robots, unless more are asked for: it grows
 
 
 @dataclass(frozen=True)
-class Films:
+class Films(Ranged):
     """Films beside the page, for where no page can be opened.
 
     Attributes:
@@ -43,12 +44,13 @@ class Films:
 
     gif: Picture = None
     mp4: Picture = None
-    first: int = 0
-    last: int | None = None
+    first: NonNegativeInt = 0
+    last: PositiveInt | None = None
 
     def __post_init__(self) -> None:
         """Refuse stretches of time that are none."""
-        if self.first < 0 or (self.last is not None and self.last <= self.first):
+        super().__post_init__()
+        if self.last is not None and self.last <= self.first:
             raise InputError(
                 f"--first {self.first} --last {self.last}: give timesteps, the first before the "
                 "last"
@@ -84,7 +86,7 @@ def replay(
     layout: LayoutFile,
     agents: int | None = None,
     options: OneRun = RunOptions(),  # noqa: B008 (frozen)
-    seed: int = 0,
+    seed: Seed = 0,
     films: Annotated[Films, tyro.conf.arg(name="")] = Films(),
     out: Path | None = None,
     json_file: output.JsonFile = None,
@@ -155,8 +157,6 @@ def _show_episode(
         raise InputError("one agent walks in a maze: leave --agents out")
     if options.effort or PLANNERS.name_of(options.planner_settings) != OWN or not options.stop:
         raise InputError("in a maze nobody plans: leave --planner, --effort and --no-stop out")
-    if options.timesteps is not None and options.timesteps < 1:
-        raise InputError(f"--timesteps {options.timesteps}: give 1 or more, or leave it out")
     films.check(options.timesteps)
     studies.check_run(1, options.timesteps or 1, seed)
     from qdenv.pages.replay import about_episode, make_replay

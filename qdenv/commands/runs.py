@@ -17,6 +17,7 @@ from qdenv.commands.plot import report
 from qdenv.commands.waiting import waiting
 from qdenv.formats.drawings import check_size
 from qdenv.formats.layouts import endings_for, write_layout
+from qdenv.ranges import PositiveInt, Ranged
 from qdenv.training.executors.choosing import Execution
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus
@@ -56,7 +57,7 @@ def resume(
 
 
 @dataclass(frozen=True)
-class Growth:
+class Growth(Ranged):
     """How far an elite grows.
 
     Attributes:
@@ -70,17 +71,14 @@ class Growth:
 
     rows: int | None = None
     cols: int | None = None
-    steps: int | None = None
+    steps: PositiveInt | None = None
     keep: Path | None = None
-    frames: int | None = None
+    frames: PositiveInt | None = None
 
     def __post_init__(self) -> None:
         """Refuse what nothing could grow to."""
+        super().__post_init__()
         check_size(1 if self.rows is None else self.rows, 1 if self.cols is None else self.cols)
-        for name in ("steps", "frames"):
-            value = getattr(self, name)
-            if value is not None and not 1 <= value < 2**31:
-                raise InputError(f"--{name} {value}: give 1 or more, or leave it out")
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from qdenv.domains.measures import environment_entropy
 from qdenv.domains.settings import DomainConfig, KnownSize
 from qdenv.generate.decode import inside_frame
 from qdenv.lazy import jax, jnp
+from qdenv.ranges import PositiveInt
 from qdenv.registry import Entry
 from qdenv.score import layout as score
 from qdenv.simulate.maze import world
@@ -48,7 +49,7 @@ class MazeConfig(DomainConfig):
 
     rows: int = 18
     cols: int = 18
-    timesteps: int = 648
+    timesteps: PositiveInt = 648
     agent: str = ""
 
     def for_area(self, ratio: float, given: Collection[str]) -> Self:

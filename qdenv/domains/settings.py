@@ -8,6 +8,8 @@ from typing import NamedTuple, Self
 
 import tyro
 
+from qdenv.ranges import Ranged
+
 
 class KnownSize(NamedTuple):
     """The numbers of a domain at one size, where they do not follow from those of another.
@@ -28,7 +30,7 @@ class KnownSize(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DomainConfig:
+class DomainConfig(Ranged):
     """What the settings of every domain hold; a domain's own derive from this.
 
     Attributes:

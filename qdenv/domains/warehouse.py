@@ -20,6 +20,7 @@ from qdenv.domains.settings import KnownSize
 from qdenv.generate.decode import inside_frame, put_in_frame
 from qdenv.grid import parse
 from qdenv.lazy import jax
+from qdenv.ranges import PositiveFloat
 from qdenv.registry import Entry
 from qdenv.score import layout as score
 from qdenv.simulate.mapf.goals import favour_left, tile_goal
@@ -91,7 +92,7 @@ class WarehouseConfig(FleetDomainConfig):
     """
 
     shelves: int = 240
-    left_odds: float = 1.0
+    left_odds: PositiveFloat = 1.0
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class UnevenWarehouseConfig(WarehouseConfig):
         left_odds: how much likelier a workstation on the left border is than one on the right.
     """
 
-    left_odds: float = 5.0
+    left_odds: PositiveFloat = 5.0
 
 
 def rules(config: WarehouseConfig) -> Rules:

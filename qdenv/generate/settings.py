@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from qdenv.ranges import PositiveInt, Ranged
 from qdenv.registry import Entry
 from qdenv.types import InputError
 
@@ -18,7 +19,7 @@ def check_kernels(sizes: Sequence[int]) -> None:
 
 
 @dataclass(frozen=True)
-class NcaConfig:
+class NcaConfig(Ranged):
     """The numbers of a neural cellular automaton.
 
     Attributes:
@@ -27,16 +28,13 @@ class NcaConfig:
         hidden: channels of its hidden layers.
     """
 
-    steps: int = 50
+    steps: PositiveInt = 50
     kernel_sizes: tuple[int, ...] = (3, 3, 3)
-    hidden: int = 32
+    hidden: PositiveInt = 32
 
     def __post_init__(self) -> None:
         """Refuse what draws nothing."""
-        if self.steps < 1 or self.hidden < 1:
-            raise InputError(
-                f"{self.steps} steps of growth, {self.hidden} hidden channels: give 1 or more"
-            )
+        super().__post_init__()
         check_kernels(self.kernel_sizes)
 
 

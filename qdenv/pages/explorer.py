@@ -22,6 +22,7 @@ from qdenv.pages.explorer_numbers import columns_of, facts_of_columns, runs_of
 from qdenv.pages.page import Page, make_page, missing
 from qdenv.plots.archive import COLOURS as SCALE
 from qdenv.plots.layouts import CHANGED, COLOURS, UNKNOWN
+from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.study.frames import make_grower
 from qdenv.study.progress import Progress, silent
 from qdenv.training.archive import Archive
@@ -50,8 +51,7 @@ def read_archive(run: RunDirectory, growth: int | None = None) -> Archive:
         InputError: there is no elite, there are more than two measures, or the number of elites
             whose growth is shown is negative.
     """
-    if growth is not None and growth < 0:
-        raise InputError(f"growth {growth}: give a number of elites, 0 or more, or leave it out")
+    check_range("growth", growth, NonNegativeInt | None)
     measures = run.measures
     if len(measures) > 2:
         raise InputError(

@@ -1,9 +1,11 @@
 """The settings of a repair: what a user may choose, and the numbers behind each named effort."""
 
-import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
+from annotated_types import Interval
+
+from qdenv.ranges import NonNegativeFloat, NonNegativeInt, Ranged
 from qdenv.types import InputError
 
 Polish = Literal["none", "quick", "full"]
@@ -78,7 +80,7 @@ MIN_MOVES = 20_000  # a few milliseconds, which tiny layouts need as well
 
 
 @dataclass(frozen=True)
-class RepairConfig:
+class RepairConfig(Ranged):
     """Limits of one repair; all but `time_limit` are deterministic.
 
     Attributes:
@@ -94,25 +96,21 @@ class RepairConfig:
     """
 
     polish: Polish = "quick"
-    moves_per_cell: int | None = None
-    gap: float = 0.0
-    node_limit: int | None = None
-    time_limit: float = 1800.0
-    workers: int | None = None
+    moves_per_cell: NonNegativeInt | None = None
+    gap: NonNegativeFloat = 0.0
+    node_limit: NonNegativeInt | None = None
+    time_limit: Annotated[float, Interval(gt=0)] = 1800.0
+    workers: NonNegativeInt | None = None
 
     def __post_init__(self) -> None:
-        """Reject a polish that does not exist and numbers that count nothing."""
+        """Reject a polish that does not exist; 0 leaves a number out."""
+        super().__post_init__()
         if self.polish not in EFFORTS:
             raise InputError(f"polish {self.polish!r} must be one of {', '.join(EFFORTS)}")
-        if not 0 <= self.gap < math.inf or not self.time_limit > 0:
-            raise InputError(f"gap {self.gap}, time limit {self.time_limit}: give positive numbers")
+        # Runs saved by the first version say 0 where nothing was chosen.
         for name in ("moves_per_cell", "node_limit", "workers"):
-            value = getattr(self, name)
-            # Runs saved by the first version say 0 where nothing was chosen.
-            if value == 0:
+            if getattr(self, name) == 0:
                 object.__setattr__(self, name, None)
-            elif value is not None and not (isinstance(value, int) and value > 0):
-                raise InputError(f"{name} {value!r} must be a positive whole number, or left out")
 
     @property
     def effort(self) -> Effort:

@@ -2,8 +2,11 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
+from annotated_types import Interval
+
+from qdenv.ranges import NonNegativeFloat, PositiveFloat, PositiveInt, Ranged, Share, check_range
 from qdenv.registry import Entry
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import InputError
@@ -45,43 +48,24 @@ def check_strategy(name: str) -> None:
         raise InputError(f"the evosax strategy {name} is not offered: {UNSOUND[name]}")
 
 
-def positive(**values: float) -> None:
-    """Demand that every named setting is a finite positive number.
-
-    Raises:
-        InputError: one of them is not; the line names it.
-    """
-    for name, value in values.items():
-        if not 0 < value < math.inf:
-            raise InputError(f"{name} must be a positive number, not {value}")
-
-
 def check_rates(learning_rate: float, threshold_min: float) -> None:
     """Refuse numbers of a soft archive that are out of range or do not go together.
 
     Raises:
         InputError: they are.
     """
-    if not 0 <= learning_rate <= 1:
-        raise InputError(f"the archive learning rate must be in [0, 1], not {learning_rate}")
+    check_range("learning_rate", learning_rate, Share)
     if math.isnan(threshold_min) or threshold_min == math.inf:
         raise InputError(f"threshold_min must be a number or -inf, not {threshold_min}")
     if threshold_min == -math.inf and learning_rate != 1:
         raise InputError("threshold_min = -inf needs an archive learning rate of 1")
 
 
-def check_ahead(ahead: int) -> None:
-    """Refuse a number of populations asked ahead that is none.
-
-    Raises:
-        InputError: it is below 0, or more than any cluster needs.
-    """
-    if not 0 <= ahead <= 1000:
-        raise InputError(f"ahead must be from 0 to 1000, not {ahead}")
+Ahead = Annotated[int, Interval(ge=0, le=1000)]  # no cluster needs more
 
 
 @dataclass(frozen=True)
-class CmaMaeConfig:
+class CmaMaeConfig(Ranged):
     """Settings of CMA-MAE; the defaults are the paper's (Table 1).
 
     Attributes:
@@ -100,30 +84,29 @@ class CmaMaeConfig:
             the emitters become ahead + 1 teams that take turns.
     """
 
-    emitters: int = 5
-    batch: int = 10
-    sigma0: float = 0.2
-    learning_rate: float = 0.01
+    emitters: PositiveInt = 5
+    batch: PositiveInt = 10
+    sigma0: PositiveFloat = 0.2
+    learning_rate: Share = 0.01
     threshold_min: float = 0.0
     ranker: Ranker = "imp"
     selection: Selection = "mu"
-    restart: Literal["no_improvement", "basic"] | int = "no_improvement"
+    restart: Literal["no_improvement", "basic"] | PositiveInt = "no_improvement"
     strategy: Strategy = "iso"
-    ahead: int = 0
+    ahead: Ahead = 0
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no search."""
-        positive(emitters=self.emitters, batch=self.batch, sigma0=self.sigma0)
+        super().__post_init__()
         check_rates(self.learning_rate, self.threshold_min)
         check_strategy(self.strategy)
-        check_ahead(self.ahead)
 
 
 @dataclass(frozen=True)
 class CmaMeConfig(CmaMaeConfig):
     """Settings of CMA-ME: CMA-MAE with an elitist archive (Fontaine et al. 2020)."""
 
-    learning_rate: float = 1.0
+    learning_rate: Share = 1.0
     threshold_min: float = -math.inf
     ranker: Ranker = "2imp"
     selection: Selection = "filter"
@@ -139,20 +122,19 @@ class ScreenedConfig(CmaMaeConfig):
         surrogate: its size, and how it learns.
     """
 
-    screen: int = 4
-    refit: int = 1
+    screen: PositiveInt = 4
+    refit: PositiveInt = 1
     surrogate: SurrogateConfig = field(default_factory=SurrogateConfig)
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no search."""
         super().__post_init__()
-        positive(screen=self.screen, refit=self.refit)
         if self.ahead:
             raise InputError("cma-mae-screened asks nothing ahead: leave ahead at 0")
 
 
 @dataclass(frozen=True)
-class MapElitesConfig:
+class MapElitesConfig(Ranged):
     """Settings of MAP-Elites.
 
     Attributes:
@@ -167,23 +149,22 @@ class MapElitesConfig:
         ahead: populations asked before the one before them is told, for many workers.
     """
 
-    emitters: int = 5
-    batch: int = 10
-    sigma_iso: float = 0.01
-    sigma_line: float = 0.2
-    learning_rate: float = 1.0
+    emitters: PositiveInt = 5
+    batch: PositiveInt = 10
+    sigma_iso: PositiveFloat = 0.01
+    sigma_line: NonNegativeFloat = 0.2
+    learning_rate: Share = 1.0
     threshold_min: float = -math.inf
-    ahead: int = 0
+    ahead: Ahead = 0
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no search."""
-        positive(emitters=self.emitters, batch=self.batch, sigma_iso=self.sigma_iso)
+        super().__post_init__()
         check_rates(self.learning_rate, self.threshold_min)
-        check_ahead(self.ahead)
 
 
 @dataclass(frozen=True)
-class CmaEsConfig:
+class CmaEsConfig(Ranged):
     """Settings of the single-objective search.
 
     The default strategy, `iso`, is what CMA-ES is at the size of a layout's generator. To decompose
@@ -207,22 +188,21 @@ class CmaEsConfig:
             the emitters become ahead + 1 teams that take turns.
     """
 
-    emitters: int = 1
-    batch: int = 50
-    sigma0: float = 0.2
-    restart: Literal["no_improvement", "basic"] | int = "basic"
+    emitters: PositiveInt = 1
+    batch: PositiveInt = 50
+    sigma0: PositiveFloat = 0.2
+    restart: Literal["no_improvement", "basic"] | PositiveInt = "basic"
     strategy: Strategy = "iso"
-    ahead: int = 0
+    ahead: Ahead = 0
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no search."""
-        positive(emitters=self.emitters, batch=self.batch, sigma0=self.sigma0)
+        super().__post_init__()
         check_strategy(self.strategy)
-        check_ahead(self.ahead)
 
 
 @dataclass(frozen=True)
-class RandomSearchConfig:
+class RandomSearchConfig(Ranged):
     """Settings of random search.
 
     Attributes:
@@ -231,14 +211,9 @@ class RandomSearchConfig:
         ahead: populations asked before the one before them is told, for many workers.
     """
 
-    batch: int = 50
-    sigma: float = 0.2
-    ahead: int = 0
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that make no search."""
-        positive(batch=self.batch, sigma=self.sigma)
-        check_ahead(self.ahead)
+    batch: PositiveInt = 50
+    sigma: PositiveFloat = 0.2
+    ahead: Ahead = 0
 
 
 CMA_MAE = Entry(CmaMaeConfig, "qdenv.search.cma_mae:cma_mae")

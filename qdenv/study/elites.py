@@ -11,6 +11,7 @@ import numpy as np
 from qdenv.domains.base import Domain, make_domain
 from qdenv.generate.generator import GENERATORS
 from qdenv.lazy import jax, jnp
+from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.repair.bounds import impossible
 from qdenv.repair.result import Report, no_report
 from qdenv.repair.settings import RepairConfig
@@ -73,8 +74,7 @@ def grow_series(
         InputError: the canvas is smaller than the seed block or the frame, or the solution is
             one of another architecture, or a number of steps is negative.
     """
-    if min(steps) < 0:
-        raise InputError(f"steps must be 0 or more, not {min(steps)}")
+    check_range("steps", tuple(steps), tuple[NonNegativeInt, ...])
     generator = _generator_of(config, domain)
     if generator.choices and solution.shape != (generator.size,):
         raise InputError(

@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qdenv.ranges import Seed, check_range
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.study.options import LARGEST_SEED, fleet_tasks
+from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
 from qdenv.study.progress import Progress, silent
 from qdenv.types import InputError, Traffic
@@ -56,8 +57,7 @@ def check_run(agents: int, timesteps: int, seed: int) -> None:
     Raises:
         InputError: the seed is none, or the run is too long.
     """
-    if not 0 <= seed <= LARGEST_SEED:
-        raise InputError(f"seed {seed}: give 0 to {LARGEST_SEED}")
+    check_range("seed", seed, Seed)
     if agents * timesteps > MOST_SHOWN:
         raise InputError(
             f"{agents} agents over {timesteps} timesteps are too much for a browser: replay at "

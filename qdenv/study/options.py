@@ -7,6 +7,7 @@ from typing import Any, TypedDict
 
 import numpy as np
 
+from qdenv.ranges import LARGEST_SEED
 from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.simulate.mapf.goals import check_playable
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -14,7 +15,6 @@ from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.types import InputError, TaskRule, look_up
 
 SURROGATES = {"small": SurrogateConfig(), "published": PUBLISHED}
-LARGEST_SEED = 2**32 - 1
 MOST_SEEDS = 100_000
 MOST_COUNTS = 1000  # numbers of agents in one study
 

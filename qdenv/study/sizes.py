@@ -9,6 +9,7 @@ import numpy as np
 from qdenv.domains.base import Domain
 from qdenv.files import write_csv
 from qdenv.generate.decode import inside_frame
+from qdenv.ranges import PositiveInt, check_range
 from qdenv.repair.settings import RepairConfig
 from qdenv.study.elites import Grown, grow_elite, grow_series, repair_grown
 from qdenv.training.records import RunDirectory
@@ -120,8 +121,7 @@ def grow_frames(run: RunDirectory, grown: Grown, every: int) -> tuple[list[int],
     Raises:
         InputError: `every` is not positive, or no elite drew the layout.
     """
-    if every < 1:
-        raise InputError(f"a frame every {every} steps: give 1 or more")
+    check_range("every", every, PositiveInt)
     if grown.elite is None:
         raise InputError("a tiled layout did not grow: it has no frames")
     steps = sorted({*range(0, grown.steps, every), grown.steps})

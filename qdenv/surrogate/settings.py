@@ -1,16 +1,15 @@
 """The settings of the surrogate: what a user may choose."""
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
-from qdenv.types import InputError
+from qdenv.ranges import NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, Ranged
 
 UsageLoss = Literal["kl", "mse"]
 
 
 @dataclass(frozen=True)
-class SurrogateConfig:
+class SurrogateConfig(Ranged):
     """The size of the surrogate and how it learns; the defaults suit a CPU.
 
     Attributes:
@@ -26,27 +25,15 @@ class SurrogateConfig:
         weights: of objective, result objective and each measure in the loss; 1 each unless given.
     """
 
-    channels: int = 16
-    blocks: int = 1
-    epochs: int = 20
-    minibatch: int = 64
-    samples: int = 20_000
-    rate: float = 1e-3
+    channels: PositiveInt = 16
+    blocks: NonNegativeInt = 1
+    epochs: PositiveInt = 20
+    minibatch: PositiveInt = 64
+    samples: PositiveInt = 20_000
+    rate: PositiveFloat = 1e-3
     usage_loss: UsageLoss = "kl"
     standardise: bool = True
-    weights: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that learn nothing."""
-        for name in ("channels", "epochs", "minibatch", "samples"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, not {getattr(self, name)}")
-        if self.blocks < 0:
-            raise InputError(f"blocks must be 0 or more, not {self.blocks}")
-        if not 0 < self.rate < math.inf:
-            raise InputError(f"rate must be a positive number, not {self.rate}")
-        if not all(0 <= weight < math.inf for weight in self.weights):
-            raise InputError(f"weights must be 0 or more, not {self.weights}")
+    weights: tuple[NonNegativeFloat, ...] = ()
 
 
 # The published size, for GPUs; `python -m qdenv.bench surrogate` says what each takes.

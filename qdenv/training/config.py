@@ -2,13 +2,15 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cattrs
+from annotated_types import Interval
 from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn, override
 
 from qdenv.domains.base import DOMAINS
 from qdenv.generate.generator import GENERATORS
+from qdenv.ranges import MOST, PositiveInt, Ranged
 from qdenv.reading.files import damaged
 from qdenv.reading.strict import demand, strict_converter, structured
 from qdenv.registry import Registry
@@ -17,8 +19,6 @@ from qdenv.settings import EvaluationConfig
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.training import schema1
 from qdenv.types import InputError
-
-LARGEST = 2**31 - 1  # of a seed, and of whatever is counted
 
 # Settings whose type is a choice, wherever a field of this name stands.
 CHOICES = {
@@ -30,7 +30,7 @@ CHOICES = {
 
 
 @dataclasses.dataclass(frozen=True)
-class RunConfig:
+class RunConfig(Ranged):
     """Everything that decides the result of a run.
 
     Attributes:
@@ -38,25 +38,16 @@ class RunConfig:
         algorithm: settings of the search; their type says which algorithm it is.
         evaluations: how many solutions are evaluated, rounded up to whole iterations.
         archive: (low, high, cells) of each measure; empty for the domain's own.
-        seed: the one random seed.
+        seed: the one random seed; new runs take none below 0.
         checkpoint_every: iterations between checkpoints; decides no result.
     """
 
     evaluation: EvaluationConfig = dataclasses.field(default_factory=EvaluationConfig)
     algorithm: Any = dataclasses.field(default_factory=lambda: ALGORITHMS.config("cma-mae"))
-    evaluations: int = 10_000
+    evaluations: PositiveInt = 10_000
     archive: tuple[tuple[float, float, int], ...] = ()
-    seed: int = 0
-    checkpoint_every: int = 5
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that make no run."""
-        for name in ("evaluations", "checkpoint_every"):
-            value = getattr(self, name)
-            if not 1 <= value <= LARGEST:
-                raise InputError(f"{name.replace('_', '-')} must be at least 1, not {value}")
-        if not -LARGEST <= self.seed <= LARGEST:
-            raise InputError(f"seed must be from 0 to {LARGEST}, not {self.seed}")
+    seed: Annotated[int, Interval(ge=-MOST, le=MOST)] = 0
+    checkpoint_every: PositiveInt = 5
 
 
 def config_to_json(config: RunConfig) -> dict[str, Any]:

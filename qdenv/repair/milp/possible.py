@@ -26,7 +26,7 @@ from qdenv.types import RepairStatus, Rules
 MAX_CELLS = 20_000  # that may change: beyond, the relaxation alone takes minutes
 BRANCHED_CELLS = 120  # that may change: with more, branching decides little
 NODES = 2000  # of one solve
-ASKED = 600  # times one solve may ask whether to go on
+ASKED = 2000  # times one solve may ask whether to go on
 ROUNDS = 40  # solves, each with more connectivity cuts
 REMEMBERED = 32  # rules whose answer is kept
 
@@ -94,19 +94,21 @@ def _any_layout(facts: Facts) -> np.ndarray:
 
 def _state(facts: Facts) -> Program:
     """State the rules, all layouts alike."""
-    program = span(build(_any_layout(facts), facts), facts)
+    program = build(_any_layout(facts), facts)
     return program._replace(cost=np.zeros_like(program.cost), constant=0.0)
 
 
 def is_refuted(facts: Facts) -> bool:
     """Tell whether not even the relaxation has a solution: then no layout obeys the rules."""
-    solver = solve_relaxation(_state(facts))
+    solver = solve_relaxation(span(_state(facts), facts))
     return bool(solver.getModelStatus() == highspy.HighsModelStatus.kInfeasible)
 
 
 def _branch(facts: Facts) -> Possible:
     """Solve with more and more connectivity cuts, until a layout obeys every rule or none can."""
     program, layout, rng = _state(facts), _any_layout(facts), np.random.default_rng(0)
+    if facts.rules.aisle <= 1:  # wide aisles say more than a tree, which takes ten times as long
+        program = span(program, facts)
     solver = load(program, 0)
     solver.setOptionValue("mip_max_nodes", NODES)
     for _ in range(ROUNDS):

@@ -3,14 +3,14 @@
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged
 from qdenv.registry import Entry
 from qdenv.surrogate.settings import PUBLISHED as PUBLISHED_SURROGATE
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.types import InputError
 
 
 @dataclass(frozen=True)
-class DsageConfig:
+class DsageConfig(Ranged):
     """Settings of DSAGE; the defaults suit a CPU, `PUBLISHED` is the paper's.
 
     Attributes:
@@ -27,22 +27,14 @@ class DsageConfig:
 
     encoding: ClassVar[str] = "direct"  # the generator that it searches
 
-    batch: int = 50
-    initial: int = 100
-    inner_iterations: int = 500
-    inner_batch: int = 50
-    inner_random: int = 2
-    mutations: int = 0
-    downsample: tuple[int, ...] = ()
+    batch: PositiveInt = 50
+    initial: PositiveInt = 100
+    inner_iterations: PositiveInt = 500
+    inner_batch: PositiveInt = 50
+    inner_random: PositiveInt = 2
+    mutations: NonNegativeInt = 0
+    downsample: tuple[PositiveInt, ...] = ()
     surrogate: SurrogateConfig = field(default_factory=SurrogateConfig)
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that make no search."""
-        for name in ("batch", "initial", "inner_iterations", "inner_batch", "inner_random"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, not {getattr(self, name)}")
-        if self.mutations < 0 or any(blocks < 1 for blocks in self.downsample):
-            raise InputError("mutations must be 0 or more, blocks of downsample 1 or more")
 
 
 PUBLISHED = DsageConfig(inner_iterations=10_000, downsample=(50, 25), surrogate=PUBLISHED_SURROGATE)

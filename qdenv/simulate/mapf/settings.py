@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from qdenv.ranges import PositiveInt, Ranged
 from qdenv.registry import Registry
 from qdenv.simulate.mapf.negotiated.settings import LOW
 from qdenv.types import InputError
@@ -28,7 +29,7 @@ PLANNERS = Registry(
 
 
 @dataclass(frozen=True)
-class FleetConfig:
+class FleetConfig(Ranged):
     """The numbers of a simulation, all compile-time.
 
     Attributes:
@@ -41,28 +42,25 @@ class FleetConfig:
         goal_capacity: goal cells the tables have room for; None for one per cell of the layout.
     """
 
-    agents: int = 200
-    timesteps: int = 1000
-    window: int = 10
-    horizon: int = 5
+    agents: PositiveInt = 200
+    timesteps: PositiveInt = 1000
+    window: PositiveInt = 10
+    horizon: PositiveInt = 5
     planner: Any = field(default_factory=lambda: LOW)
     stop_when_congested: bool = True
-    goal_capacity: int | None = None
+    goal_capacity: PositiveInt | None = None
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no simulation, and what is no planner's settings."""
-        if self.agents < 1 or self.timesteps < 1:
-            raise InputError("a simulation needs at least one agent and one timestep")
+        super().__post_init__()
         if self.timesteps > MOST_TIMESTEPS or self.agents * self.timesteps > MOST_STEPS:
             most = max(1, min(MOST_TIMESTEPS, MOST_STEPS // self.agents))
             raise InputError(
                 f"{self.agents} agents over {self.timesteps} timesteps are more than a run can "
                 f"count: simulate at most {most} timesteps"
             )
-        if not 1 <= self.horizon <= self.window:
-            raise InputError(
-                f"need 1 <= horizon <= window, not horizon {self.horizon}, window {self.window}"
-            )
+        if self.horizon > self.window:
+            raise InputError(f"a horizon of {self.horizon} is beyond the window, {self.window}")
         PLANNERS.name_of(self.planner)
 
     def make_planner(self) -> Planner:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from qdenv.ranges import PositiveInt, Ranged
 from qdenv.types import InputError
 
 if TYPE_CHECKING:  # imports both compilers
@@ -22,7 +23,7 @@ ARRIVAL = 120  # seconds that the first worker may take to come
 
 
 @dataclass(frozen=True)
-class Execution:
+class Execution(Ranged):
     """Where layouts are repaired and simulated; decides how long a run takes, not what it finds.
 
     Attributes:
@@ -34,12 +35,11 @@ class Execution:
 
     executor: ExecutorName = "threads"
     scheduler: str | None = None
-    workers: int | None = None
+    workers: PositiveInt | None = None
 
     def __post_init__(self) -> None:
         """Refuse what contradicts itself, and a cluster without Dask."""
-        if self.workers is not None and self.workers < 1:
-            raise InputError(f"--workers {self.workers}: give 1 or more, or leave it out")
+        super().__post_init__()
         if self.executor == "threads":
             if self.scheduler:
                 raise InputError("--scheduler is for a cluster: add --executor dask")

@@ -1,9 +1,12 @@
 """The negotiated planner's numbers: its settings, the two efforts in use, its limits."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+from annotated_types import Interval
 
 from qdenv.devices import Backend, check_backend
+from qdenv.ranges import Ranged
 from qdenv.registry import Entry
 from qdenv.types import InputError
 
@@ -14,10 +17,11 @@ MAX_CONFLICT_LEVELS = 4  # more would not fit into the code of a path's end
 
 
 LARGEST = 1_000_000  # of any number: more fits into no count of costs
+_Number = Annotated[int, Interval(ge=1, le=LARGEST)]
 
 
 @dataclass(frozen=True)
-class NegotiatedConfig:
+class NegotiatedConfig(Ranged):
     """Settings of the negotiated planner.
 
     Attributes:
@@ -36,11 +40,11 @@ class NegotiatedConfig:
             ("auto").
     """
 
-    lookahead: int = 10
-    lanes: int = 4
-    rounds: float = 12.0
-    conflict_levels: int = 4
-    penalties: tuple[float, ...] = (
+    lookahead: _Number = 10
+    lanes: _Number = 4
+    rounds: Annotated[float, Interval(gt=0, le=LARGEST)] = 12.0
+    conflict_levels: Annotated[int, Interval(ge=1, le=MAX_CONFLICT_LEVELS)] = 4
+    penalties: tuple[Annotated[float, Interval(ge=0, le=LARGEST)], ...] = (
         *(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5),
         *(4.5, 5.5, 6.5, 8.5, 11.0, 16.0),
     )
@@ -50,18 +54,9 @@ class NegotiatedConfig:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no planner."""
-        if not 1 <= self.conflict_levels <= MAX_CONFLICT_LEVELS:
-            raise InputError(
-                f"a negotiated planner counts conflicts in 1 to {MAX_CONFLICT_LEVELS} levels, "
-                f"not {self.conflict_levels}"
-            )
-        if self.lookahead < 1 or self.lanes < 1 or self.rounds <= 0 or not self.penalties:
-            raise InputError(
-                "a negotiated planner needs a lookahead, lanes, rounds and penalties above nothing"
-            )
-        numbers = (self.lookahead, self.lanes, self.rounds, *self.penalties)
-        if not all(0 <= number <= LARGEST for number in numbers):
-            raise InputError(f"numbers of a negotiated planner lie from 0 to {LARGEST:,}")
+        super().__post_init__()
+        if not self.penalties:
+            raise InputError("a negotiated planner needs penalties: give at least one")
         if self.last_resort not in ("pibt", "wait"):
             raise InputError(f"unknown last resort {self.last_resort!r}: choose one of pibt, wait")
         check_backend(self.backend)

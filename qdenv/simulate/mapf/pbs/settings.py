@@ -1,8 +1,11 @@
 """The settings of priority-based search."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
+from annotated_types import Interval
+
+from qdenv.ranges import Ranged
 from qdenv.registry import Entry
 from qdenv.types import InputError
 
@@ -13,7 +16,7 @@ Rule = Literal["published", "plain"]
 
 
 @dataclass(frozen=True)
-class PbsConfig:
+class PbsConfig(Ranged):
     """Priority-based search, window by window.
 
     Attributes:
@@ -27,18 +30,14 @@ class PbsConfig:
     """
 
     rule: Rule = "published"
-    nodes_per_agent: float = 5.0
+    nodes_per_agent: Annotated[float, Interval(ge=0, le=MOST_NODES)] = 5.0
 
     def __post_init__(self) -> None:
-        """Refuse an unknown rule, and a search without nodes."""
+        """Refuse an unknown rule."""
+        super().__post_init__()
         if self.rule not in get_args(Rule):
             known = ", ".join(get_args(Rule))
             raise InputError(f"unknown rule {self.rule!r}: choose one of {known}")
-        if not 0 <= self.nodes_per_agent <= MOST_NODES:
-            raise InputError(
-                f"priority-based search expands 0 to {MOST_NODES:,} nodes per agent and window, "
-                f"not {self.nodes_per_agent}"
-            )
 
 
 PBS = Entry(PbsConfig, "qdenv.simulate.mapf.pbs.planner:pbs")

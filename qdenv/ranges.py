@@ -1,0 +1,118 @@
+"""Types with ranges: what a setting may be is stated where it is declared, and checked in one way.
+
+A record whose fields have such types derives from `Ranged`, which checks them wherever its values
+come from: a command line, a file, Python.
+"""
+
+import inspect
+import math
+import operator
+from collections.abc import Iterator
+from functools import cache
+from numbers import Real
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+from annotated_types import Interval
+
+from qdenv.types import InputError
+
+MOST = 2**31 - 1  # what is counted in 32 bits
+LARGEST_SEED = 2**32 - 1
+_LIMITS = (
+    ("ge", operator.ge, "at least"),
+    ("gt", operator.gt, "above"),
+    ("le", operator.le, "at most"),
+    ("lt", operator.lt, "below"),
+)
+
+PositiveInt = Annotated[int, Interval(ge=1, le=MOST)]
+NonNegativeInt = Annotated[int, Interval(ge=0, le=MOST)]
+FiniteFloat = Annotated[float, Interval(gt=-math.inf, lt=math.inf)]
+PositiveFloat = Annotated[float, Interval(gt=0, lt=math.inf)]
+NonNegativeFloat = Annotated[float, Interval(ge=0, lt=math.inf)]
+Share = Annotated[float, Interval(ge=0, le=1)]
+Seed = Annotated[int, Interval(ge=0, le=LARGEST_SEED)]
+
+
+class Ranged:
+    """A record that refuses values outside the ranges of its fields."""
+
+    def __post_init__(self) -> None:
+        """Check every field.
+
+        Raises:
+            InputError: a value is out of its range; the line names the field.
+        """
+        record: Any = type(self)
+        for name, kind in _ranged(record):
+            check_range(name, getattr(self, name), kind)
+
+
+def check_arguments(arguments: inspect.BoundArguments) -> None:
+    """Check what a function is about to be called with, where its signature states ranges.
+
+    Raises:
+        InputError: a value is out of its range; the line names the argument.
+    """
+    for name, value in arguments.arguments.items():
+        kind = arguments.signature.parameters[name].annotation
+        if _has_range(kind):
+            check_range(name, value, kind)
+
+
+def check_range(name: str, value: Any, kind: Any) -> None:
+    """Refuse a value that lies outside the ranges of a type.
+
+    Args:
+        name: how the message calls it.
+        value: a number, None, or a tuple of numbers.
+        kind: its type; `Annotated` with `annotated_types.Interval` where it has a range.
+
+    Raises:
+        InputError: it does.
+    """
+    words = name.replace("_", "-")
+    for number, interval in _pairs(value, kind):
+        if not isinstance(number, Real):
+            raise InputError(f"{words} must be a number, not {number!r}")
+        if wanted := _breach(number, interval):
+            raise InputError(f"{words} must be {wanted}, not {number}")
+
+
+@cache
+def _ranged(record: type) -> tuple[tuple[str, Any], ...]:
+    """List the fields that have a range somewhere in their type."""
+    hints = get_type_hints(record, include_extras=True)
+    return tuple((name, kind) for name, kind in hints.items() if _has_range(kind))
+
+
+def _has_range(kind: Any) -> bool:
+    return isinstance(kind, Interval) or any(
+        _has_range(part) for part in get_args(kind) if get_origin(kind) is not Literal
+    )
+
+
+def _pairs(value: Any, kind: Any) -> Iterator[tuple[Any, Interval]]:
+    """List each number in a value with the range that its type states."""
+    parts = get_args(kind)
+    if get_origin(kind) is Annotated:
+        ranges = [part for part in parts if isinstance(part, Interval)]
+        yield from ((value, one) for one in ranges)
+        if not ranges:
+            yield from _pairs(value, parts[0])
+    elif get_origin(kind) is tuple:
+        kinds = [parts[0]] * len(value) if parts[-1] is Ellipsis else parts
+        for one, its_kind in zip(value, kinds, strict=False):
+            yield from _pairs(one, its_kind)
+    elif value is not None and not isinstance(value, str):
+        # One of several types: at most one of ours has a range.
+        yield from (pair for part in parts if _has_range(part) for pair in _pairs(value, part))
+
+
+def _breach(number: Any, interval: Interval) -> str | None:
+    """Say what a number had to be; None where it is in its range."""
+    for name, holds, words in _LIMITS:
+        limit = getattr(interval, name)
+        if limit is not None and not holds(number, limit):
+            return f"{words} {limit}" if math.isfinite(number) else "a finite number"
+    return None
