@@ -51,6 +51,21 @@ def test_the_table_counts_what_was_tried_and_its_file_says_the_same(attacks, tmp
     assert (row["attempts"], row["breaths"], row["faults"]) == (1, 1, [])
 
 
+def test_an_interrupted_campaign_tells_what_it_has_counted(monkeypatch, tmp_path, capsys):
+    def tire(chance: np.random.Generator, folder: Path) -> Attempt:
+        if chance.random() < 0.2:
+            raise KeyboardInterrupt
+        return Attempt(1)
+
+    monkeypatch.setattr(campaign, "ATTACKS", (HARMLESS._replace(attempt=tire),))
+    counts = tmp_path / "counts.json"
+    with pytest.raises(KeyboardInterrupt):
+        campaign.run(seed=1, json_file=counts)
+    (row,) = json.loads(counts.read_text())["attacks"]
+    assert row["attempts"] == row["breaths"] > 0
+    assert f"{row['breaths']} breaths" in capsys.readouterr().out
+
+
 def test_a_broken_promise_ends_with_code_1_and_the_line_that_repeats_it(attacks, capsys):
     number = first_six(11)
     capsys.readouterr()

@@ -78,6 +78,7 @@ def run(
     """Attack with fresh seeds, each attack for an equal share of the time, and print the counts.
 
     Ends with exit code 1 if a promise was broken; the line of the fault says how to repeat it.
+    Interrupted, it prints and writes what it has counted.
 
     Args:
         minutes: how long all attacks last together; each makes one attempt at least.
@@ -94,13 +95,15 @@ def run(
     print(f"seed {seed}: {', '.join(attack.name for attack in chosen)}", flush=True)
     tallies = [Tally(attack) for attack in chosen]
     end = time.monotonic() + 60 * minutes
-    while not all(tally.attempts for tally in tallies) or time.monotonic() < end:
-        tally = min(tallies, key=lambda one: (one.attempts > 0, one.seconds))
-        attack_once(tally, seed, first + tally.attempts)
-    result = {"seed": seed, "attacks": [tally.facts() for tally in tallies]}
-    print(*tallies, sep="\n")
-    if json_file:
-        write_json(json_file, result)
+    try:
+        while not all(tally.attempts for tally in tallies) or time.monotonic() < end:
+            tally = min(tallies, key=lambda one: (one.attempts > 0, one.seconds))
+            attack_once(tally, seed, first + tally.attempts)
+    finally:  # what was counted before an interrupt counts
+        result = {"seed": seed, "attacks": [tally.facts() for tally in tallies]}
+        print(*tallies, sep="\n", flush=True)
+        if json_file:
+            write_json(json_file, result)
     if any(tally.faults for tally in tallies):
         sys.exit(1)
     return result
