@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from scipy import ndimage
+from small_yard import yard
 
 from qdenv.domains.base import find_domain
 from qdenv.repair.audit import audit
@@ -13,7 +14,7 @@ from qdenv.repair.milp import possible
 from qdenv.repair.milp.possible import find_possible
 from qdenv.repair.recipe import repair
 from qdenv.repair.settings import RepairConfig
-from qdenv.types import Adjacency, Count, RepairStatus, Rules
+from qdenv.types import Count, RepairStatus, Rules
 
 CROSS = ndimage.generate_binary_structure(2, 1)
 
@@ -22,16 +23,8 @@ def warehouse(rows: int, cols: int, shelves: int) -> Rules:
     return find_domain("warehouse-even").resized(rows, cols, {"shelves": shelves}).rules()
 
 
-def yard(rows: int, cols: int, shelves: int) -> Rules:
-    """A warehouse without a frame: no cell drives in every layout."""
-    return Rules(
-        tiles=".@e",
-        counts=(Count("@", shelves, shelves),),
-        adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
-        connected=".e",
-        allowed=np.ones((rows, cols, 3), bool),
-        change_cost=np.ones((rows, cols)),
-    )
+def exact_yard(rows: int, cols: int, shelves: int) -> Rules:
+    return yard(rows, cols, shelves, shelves)
 
 
 def numbers_that_exist(rules: Rules) -> set[int]:
@@ -52,7 +45,13 @@ def numbers_that_exist(rules: Rules) -> set[int]:
 
 @pytest.mark.parametrize(
     ("make", "rows", "cols"),
-    [(warehouse, 4, 7), (warehouse, 6, 6), (warehouse, 3, 8), (yard, 3, 4), (yard, 2, 6)],
+    [
+        (warehouse, 4, 7),
+        (warehouse, 6, 6),
+        (warehouse, 3, 8),
+        (exact_yard, 3, 4),
+        (exact_yard, 2, 6),
+    ],
 )
 def test_every_number_of_shelves_is_found_or_proven_impossible(make, rows, cols):
     exist = numbers_that_exist(make(rows, cols, 0))

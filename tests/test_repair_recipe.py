@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_yard import yard
 
 from qdenv.domains.base import find_domain
 from qdenv.formats.layouts import read_layout
@@ -16,22 +17,9 @@ from qdenv.repair.milp.cuts import separate
 from qdenv.repair.milp.program import build, decode, encode
 from qdenv.repair.recipe import repair
 from qdenv.repair.settings import EFFORTS, RepairConfig
-from qdenv.types import Adjacency, Count, InputError, RepairStatus, Rules
+from qdenv.types import InputError, RepairStatus, Rules
 
 FULL = RepairConfig("full", moves_per_cell=300)
-
-
-def yard(rows: int, cols: int, low: int, high: int | None, **changes) -> Rules:
-    """A warehouse without a frame."""
-    rules = Rules(
-        tiles=".@e",
-        counts=(Count("@", low, high),),
-        adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
-        connected=".e",
-        allowed=np.ones((rows, cols, 3), bool),
-        change_cost=np.ones((rows, cols)),
-    )
-    return rules._replace(**changes)
 
 
 def factory(rows: int, cols: int, **changes) -> Rules:

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from scipy import ndimage
+from small_yard import yard
 
 from qdenv.domains.base import find_domain
 from qdenv.repair.anneal.annealer import anneal
@@ -12,19 +13,7 @@ from qdenv.repair.audit import audit
 from qdenv.repair.facts import Facts
 from qdenv.repair.milp.windows import CROSS, WindowSearch, hangs_together
 from qdenv.repair.settings import WindowLimits
-from qdenv.types import Adjacency, Count, Rules
-
-
-def yard(rows: int, cols: int, shelves: int) -> Rules:
-    """A warehouse without a frame."""
-    return Rules(
-        tiles=".@e",
-        counts=(Count("@", shelves, shelves),),
-        adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
-        connected=".e",
-        allowed=np.ones((rows, cols, 3), bool),
-        change_cost=np.ones((rows, cols)),
-    )
+from qdenv.types import Rules
 
 
 def poor_start(layout: np.ndarray, facts: Facts) -> tuple[np.ndarray, float]:
@@ -49,7 +38,7 @@ def test_a_window_is_solved_to_the_optimum_that_enumeration_finds():
     rng, improved = np.random.default_rng(2), 0
     for _ in range(6):
         layout = rng.integers(0, 3, (6, 7)).astype(np.int8)
-        facts = Facts(yard(6, 7, 8))
+        facts = Facts(yard(6, 7, 8, 8))
         start, cost = poor_start(layout, facts)
         for corner in ((2, -1), (4, 2)):  # both reach beyond the grid: six cells each
             search = WindowSearch(layout, start, facts, 0)
