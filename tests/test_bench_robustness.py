@@ -124,6 +124,16 @@ def test_the_exact_program_finds_the_cheapest_layout_and_refutes():
         assert cost == best.cost
 
 
+def test_a_fixed_shelf_that_nothing_serves_is_no_layout_to_the_exact_program():
+    rules = find_domain("warehouse-even").resized(3, 9, {"shelves": 1}).rules()
+    allowed = rules.allowed.copy()
+    for cell, tile in {(2, 2): "@", (1, 2): ".", (2, 3): "."}.items():
+        allowed[cell] = np.arange(4) == rules.tiles.index(tile)
+    rules, layout = rules._replace(allowed=allowed), np.zeros((3, 9), np.int8)
+    assert repairs.solve_exactly(layout, Facts(rules))[0] == "none"
+    assert repair(layout, rules).status == RepairStatus.IMPOSSIBLE
+
+
 def test_fleets_are_audited_in_both_backends_and_a_wrong_step_is_found(monkeypatch):
     monkeypatch.setattr(audits, "DRIVERS", {"pibt": audits.DRIVERS["pibt"]})
     monkeypatch.setattr(audits, "TWIN_SHARE", 1.0)

@@ -16,9 +16,9 @@ from qdenv.repair import pool as pools
 from qdenv.study.elsewhere import handed_to
 from qdenv.study.ledger import Case, complete, read_runs
 from qdenv.training import loop
-from qdenv.training.executors import choosing, task, workers
+from qdenv.training.executors import choosing, cluster, task, workers
 from qdenv.training.executors.choosing import Execution
-from qdenv.training.executors.task import WrongWorkerError, evaluate_layout, versions
+from qdenv.training.executors.task import WrongWorkerError, evaluate_layouts, versions
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus
 
@@ -60,6 +60,21 @@ def trained(whole, path, local):
 
 def test_a_cluster_finds_bit_for_bit_what_threads_find(whole, local, tmp_path):
     assert_alike(trained(whole, tmp_path / "run", local), whole)
+
+
+def test_short_layouts_share_tasks_and_nothing_else_changes(whole, local, tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "SHORTEST", 1000.0)
+    monkeypatch.setattr(cluster, "TASKS", 1)
+    sizes, sent = [], workers.Workers.begin
+
+    def begin(self, tasks, shares=()):
+        sizes.append(list(shares))
+        return sent(self, tasks, shares)
+
+    monkeypatch.setattr(workers.Workers, "begin", begin)
+    assert_alike(trained(whole, tmp_path / "run", local), whole)
+    assert sizes[0] == [1] * 6  # nobody knows yet how long they take
+    assert sizes[1:] == [[3, 3]] * (EVALUATIONS // 6 - 1)
 
 
 def test_workers_that_are_killed_cost_time_and_no_results(whole, local, tmp_path):
@@ -150,7 +165,7 @@ def test_where_every_worker_has_other_versions_the_search_is_refused(whole, loca
 
 def test_a_worker_of_another_version_computes_nothing():
     with pytest.raises(WrongWorkerError, match=versions()):
-        evaluate_layout("", "another", np.zeros((9, 10), np.int8), 0, np.zeros(2, np.uint32))
+        evaluate_layouts("", "another", np.zeros((1, 9, 10), np.int8), 0, np.zeros(2, np.uint32))
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ LATEST = 300.0  # seconds until it must end, however busy the machine is
 MOST = 1024.0  # megabytes above the start
 RENEWED = 3072.0  # megabytes at which a process that kept too much is replaced
 HANGS = "hangs: killed"
+TRIES = 3  # of what hangs
 TICK = 0.05
 CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -46,16 +47,20 @@ class Judge:
     def fault_of(self, argv: Sequence[str], folder: Path, limited: bool = True) -> str | None:
         """Run a command line in a folder; None where all promises held.
 
-        What takes long is tried again: programs are compiled once on a machine, and kept.
+        What takes long is tried again: programs are compiled once on a machine, and kept, some at
+        each try.
 
         Args:
             argv: what follows `qdenv`.
             folder: to run in.
             limited: whether it must end soon.
         """
-        fault = self._tried(argv, folder, limited)
-        again = fault is not None and fault.startswith(HANGS)
-        return self._tried(argv, folder, limited) if again else fault
+        fault = None
+        for _ in range(TRIES):
+            fault = self._tried(argv, folder, limited)
+            if fault is None or not fault.startswith(HANGS):
+                break
+        return fault
 
     def _tried(self, argv: Sequence[str], folder: Path, limited: bool) -> str | None:
         process = self._ready()

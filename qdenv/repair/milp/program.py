@@ -69,7 +69,8 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
             [(block.expressions, block.high) for block in blocks],
         )
     )
-    used = np.diff(rows.indptr) > 0  # a row without variables is the audit's business
+    # A row without variables says something only where fixed cells break it.
+    used = (np.diff(rows.indptr) > 0) | (low > 0) | (high < 0)
     return Program(
         variables=variables,
         cost=cost.matrix.toarray()[0],

@@ -1,4 +1,4 @@
-"""A Dask cluster that repairs and simulates: a task is one layout.
+"""A Dask cluster that repairs and simulates: a task is one layout, or a few that take no time.
 
 What is found depends on the layout, its number and the key alone, not on who works.
 """
@@ -15,12 +15,15 @@ import numpy as np
 
 from qdenv.pipeline import Outcomes, Pipeline, joined
 from qdenv.training.config import RunConfig, config_to_json
-from qdenv.training.executors.task import evaluate_layout, versions
+from qdenv.training.executors.task import evaluate_layouts, versions
 from qdenv.training.executors.workers import Workers
 from qdenv.types import Array
 
 if TYPE_CHECKING:
     from distributed import Client
+
+SHORTEST = 0.15  # seconds of a task
+TASKS = 4  # of each worker in a population, so that none waits long for the last
 
 
 class Cluster:
@@ -41,7 +44,7 @@ class Cluster:
             pipeline: its chain, to know the form of what comes back.
             progress: told how many layouts more are done.
         """
-        self._workers = Workers(client, evaluate_layout, progress)
+        self._workers = Workers(client, evaluate_layouts, progress)
         evaluation = config.evaluation
         alone = replace(evaluation, repair=replace(evaluation.repair, workers=1))
         self._settings = json.dumps(config_to_json(replace(config, evaluation=alone)))
@@ -53,9 +56,21 @@ class Cluster:
         """Begin to repair and simulate int8 [B, H, W]; what it returns waits for them."""
         drawn = np.asarray(jax.random.key_data(key))
         known = self._settings, versions()
-        tasks = [(*known, layout, number, drawn) for number, layout in enumerate(unrepaired)]
-        batch = self._workers.begin(tasks)
-        return lambda: joined([self._outcome(*answer) for answer in batch.finish()])
+        portion = self._choose_portion(len(unrepaired))
+        firsts = range(0, len(unrepaired), portion)
+        parts = [unrepaired[first : first + portion] for first in firsts]
+        tasks = [(*known, *task, drawn) for task in zip(parts, firsts, strict=True)]
+        batch = self._workers.begin(tasks, [len(part) for part in parts])
+        return lambda: joined(
+            [self._outcome(*answer) for answers in batch.finish() for answer in answers]
+        )
+
+    def _choose_portion(self, layouts: int) -> int:
+        """Choose how many layouts are a task: the scheduler spends milliseconds on each."""
+        if self._workers.usual == 0:  # how long they take is not known yet
+            return 1
+        most = layouts // (TASKS * self._workers.count)
+        return max(min(round(SHORTEST / self._workers.usual), most), 1)
 
     def _outcome(self, layout: np.ndarray, status: int, leaves: list[np.ndarray]) -> Outcomes:
         """Give one answer of a worker the form of a population of one."""

@@ -1,4 +1,4 @@
-"""What a worker of a cluster does: repair and simulate one layout, as the search itself would."""
+"""What a worker of a cluster does: repair and simulate layouts, as the search itself would."""
 
 from __future__ import annotations
 
@@ -60,26 +60,33 @@ def _chain(settings: str) -> Any:
     return pipeline, jax.jit(pipeline.simulate)
 
 
-def evaluate_layout(
-    settings: str, wanted: str, layout: np.ndarray, index: int, key: np.ndarray
-) -> tuple[np.ndarray, int, list[np.ndarray]]:
-    """Repair and simulate one layout.
+Answer = tuple[np.ndarray, int, list[np.ndarray]]
+
+
+def evaluate_layouts(
+    settings: str, wanted: str, layouts: np.ndarray, first: int, key: np.ndarray
+) -> list[Answer]:
+    """Repair and simulate layouts, one by one.
 
     Args:
         settings: a whole `RunConfig` as JSON.
         wanted: `versions` of the search.
-        layout: int8 [H, W], unrepaired.
-        index: of the layout in its population.
+        layouts: int8 [n, H, W], unrepaired.
+        first: index of the first of them in its population.
         key: uint32, the data of the population's key.
 
     Returns:
-        the repaired layout int8 [H, W], its status, and the leaves of its runs, each with a leading
-        axis 1.
+        for each the repaired layout int8 [H, W], its status, and the leaves of its runs, each with
+        a leading axis 1.
 
     Raises:
         WrongWorkerError: this worker has other versions.
     """
     check_versions(wanted)
+    return [_evaluate(settings, one, first + place, key) for place, one in enumerate(layouts)]
+
+
+def _evaluate(settings: str, layout: np.ndarray, index: int, key: np.ndarray) -> Answer:
     import jax
 
     from qdenv.pipeline import unrepaired_as_is

@@ -33,21 +33,26 @@ class Workers:
         self,
         client: Client,
         work: Callable[..., Any],
-        progress: Callable[[int], None] = lambda tasks: None,
+        progress: Callable[[int], None] = lambda size: None,
     ) -> None:
         """Send nothing yet.
 
         Args:
             client: of the cluster.
             work: what is done with each task.
-            progress: told how many tasks more are done.
+            progress: told how much more is done.
         """
         self._client, self._work, self._progress = client, work, progress
         self._seconds: deque[float] = deque([0.0], REMEMBERED)
 
-    def begin(self, tasks: Sequence[tuple]) -> Batch:
-        """Send all tasks, each a tuple of arguments; several batches may be out at once."""
-        return Batch(self, tasks)
+    def begin(self, tasks: Sequence[tuple], sizes: Sequence[int] = ()) -> Batch:
+        """Send all tasks; several batches may be out at once.
+
+        Args:
+            tasks: a tuple of arguments each.
+            sizes: how much progress each of them is; 1 unless given.
+        """
+        return Batch(self, tasks, sizes or [1] * len(tasks))
 
     def submit(self, tasks: Sequence[tuple], among: Sequence[str] = ()) -> list[Future]:
         """Send tasks to whoever is free, if possible among these workers."""
@@ -56,24 +61,37 @@ class Workers:
         sent: list[Future] = self._client.map(timed, *columns, pure=False, **chosen)
         return sent
 
-    def answers(self, futures: Mapping[int, Future]) -> dict[int, Any]:
+    def answers(self, futures: Mapping[int, Future], sizes: Sequence[int]) -> dict[int, Any]:
         """Fetch answers that are there, by the numbers of their tasks, in one go.
 
         Where something went wrong in the meantime there is none.
+
+        Args:
+            futures: by number.
+            sizes: of all tasks.
         """
         said = self._client.gather(dict(futures), errors="skip")
         whole = {number: answer for number, answer in said.items() if answer is not None}
-        self._seconds.extend(seconds for seconds, _ in whole.values())
+        self._seconds.extend(took / sizes[number] for number, (took, _) in whole.items())
         return {number: answer for number, (_, answer) in whole.items()}
 
-    def advance(self) -> None:
-        """Note that a task is done."""
-        self._progress(1)
+    def advance(self, size: int) -> None:
+        """Note that a task is done, which is so much progress."""
+        self._progress(size)
 
     @property
-    def patience(self) -> float:
-        """Seconds without any answer after which others are asked, too."""
-        return max(PATIENCE, SLOW * statistics.median(self._seconds))
+    def count(self) -> int:
+        """How many workers there are; 1 while all are being replaced."""
+        return max(len(self._client.nthreads()), 1)
+
+    @property
+    def usual(self) -> float:
+        """Seconds that tasks of size 1 took lately, the median; 0 before the first."""
+        return statistics.median(self._seconds)
+
+    def patience(self, size: int) -> float:
+        """Seconds without an answer to tasks of a size after which others are asked, too."""
+        return max(PATIENCE, SLOW * self.usual * size)
 
     def without(self, futures: Sequence[Future]) -> list[str]:
         """List the workers that have nothing to do with these tasks."""
@@ -105,9 +123,9 @@ class Workers:
 class Batch:
     """Tasks under way, by their numbers."""
 
-    def __init__(self, workers: Workers, tasks: Sequence[tuple]) -> None:
-        """Send all tasks."""
-        self._workers, self._tasks = workers, tasks
+    def __init__(self, workers: Workers, tasks: Sequence[tuple], sizes: Sequence[int]) -> None:
+        """Send all tasks, each of a size."""
+        self._workers, self._tasks, self._sizes = workers, tasks, sizes
         self._sent: dict[int, list[Future]] = {number: [] for number in range(len(tasks))}
         self._answers: dict[int, Any] = {}
         self._errors = dict.fromkeys(self._sent, 0)
@@ -126,15 +144,16 @@ class Batch:
         import distributed
 
         self._heard = time.monotonic()  # until now nobody listened
+        largest = max(self._sizes, default=1)
         while self._sent:
             futures = [future for sent in self._sent.values() for future in sent]
             # The first answer to a task that is out twice will do.
             until = "ALL_COMPLETED" if len(futures) == len(self._sent) else "FIRST_COMPLETED"
-            left = self._heard + self._workers.patience - time.monotonic()
+            left = self._heard + self._workers.patience(largest) - time.monotonic()
             try:
                 distributed.wait(futures, max(left, 0.01), until)
             except TimeoutError:
-                if time.monotonic() >= self._heard + self._workers.patience:
+                if time.monotonic() >= self._heard + self._workers.patience(largest):
                     self._ask_others()
             self._collect()
         return [self._answers[number] for number in sorted(self._answers)]
@@ -150,7 +169,7 @@ class Batch:
         self._heard = time.monotonic()
         if number not in self._told:
             self._told.add(number)
-            self._workers.advance()
+            self._workers.advance(self._sizes[number])
 
     def _ask_others(self) -> None:
         """Send what is still out once more: its worker may hang. The first answer counts."""
@@ -168,7 +187,7 @@ class Batch:
             for future in sent
             if future.status == "finished"
         }
-        answers = self._workers.answers(there) if there else {}
+        answers = self._workers.answers(there, self._sizes) if there else {}
         self._answers |= answers
         self._workers.forget([future for number in answers for future in self._sent.pop(number)])
         for number, sent in self._sent.items():
