@@ -21,10 +21,8 @@ def warehouse(rows: int, cols: int, shelves: int) -> Rules:
     return find_domain("warehouse-even").resized(rows, cols, {"shelves": shelves}).rules()
 
 
-# Straight aisles hold 96, 200, 416 and 704 shelves here.
-@pytest.mark.parametrize(
-    ("shape", "shelves"), [((18, 12), 98), ((30, 14), 203), ((24, 30), 419), ((33, 36), 708)]
-)
+# Straight aisles hold 96, 416 and 704 shelves here.
+@pytest.mark.parametrize(("shape", "shelves"), [((18, 12), 98), ((24, 30), 419), ((33, 36), 708)])
 def test_more_shelves_than_straight_aisles_hold(shape, shelves):
     rules = warehouse(*shape, shelves)
     layout = pack(Facts(rules))

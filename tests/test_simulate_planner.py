@@ -244,8 +244,8 @@ def test_the_xla_backend_can_be_exported_on_a_cpu(last_resort: str):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"conflict_levels": 5}, "1 to 4 levels, not 5"),
-        ({"penalties": ()}, "penalties above nothing"),
+        ({"conflict_levels": 5}, "conflict-levels must be at most 4, not 5"),
+        ({"penalties": ()}, "needs penalties: give at least one"),
         ({"last_resort": "hope"}, "choose one of pibt, wait"),
         ({"backend": "gpu"}, "choose one of auto, xla, host"),
     ],

@@ -66,5 +66,5 @@ def test_the_agent_of_a_maze_walks_from_start_to_beside_its_goal():
 def test_what_no_browser_could_play_is_refused(warehouse):
     with pytest.raises(InputError, match=f"at most {MOST_SHOWN // 50} timesteps"):
         record_fleet(warehouse, FleetConfig(50, MOST_SHOWN // 50 + 1))
-    with pytest.raises(InputError, match="seed -1: give 0"):
+    with pytest.raises(InputError, match="seed must be at least 0, not -1"):
         record_fleet(warehouse, FleetConfig(5, 10), -1)
