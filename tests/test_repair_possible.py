@@ -97,3 +97,18 @@ def test_wide_aisles_that_leave_no_room_are_proven_impossible():
     rules = warehouse(8, 8, 18)
     rules = rules._replace(counts=(Count("@", 18, None),), aisle=2)
     assert find_possible(Facts(rules)).status == RepairStatus.IMPOSSIBLE
+
+
+@pytest.mark.parametrize(("stations", "exists"), [(2, False), (3, True)])
+def test_a_station_that_is_fixed_counts_as_its_own_kind(stations, exists):
+    rules = find_domain("manufacturing").resized(4, 9).rules()
+    kinds = tuple(Count(kind, low, None) for kind, low in (("0", 1), ("1", 0), ("2", 1)))
+    allowed = rules.allowed.copy()
+    allowed[2, 8] = np.arange(len(rules.tiles)) == rules.tiles.index("1")
+    rules = rules._replace(counts=(Count("012", stations, stations), *kinds), allowed=allowed)
+    layout = np.random.default_rng(5).integers(0, 5, (4, 9)).astype(np.int8)
+    repaired = repair(layout, rules, 0, RepairConfig("quick"))
+    if exists:
+        assert audit(np.asarray(repaired.layout), rules) == []
+    else:
+        assert repaired.status == RepairStatus.IMPOSSIBLE

@@ -131,9 +131,25 @@ def _retyped_amounts(
             staying = hold.combined((kept & (layout == kind)).astype(float))
             amounts[kind] = staying.plus(gained).minus(lost)
             blocks.append(Block(staying.minus(lost), 0.0, np.inf))
+            blocks += _settled(facts, hold, amounts[kind], kind, members)
             difference = difference.minus(amounts[kind])
         blocks.append(Block(difference, 0.0, 0.0))
     return amounts, blocks
+
+
+def _settled(
+    facts: Facts, hold: Affine, amount: Affine, kind: int, members: list[int]
+) -> list[Block]:
+    """Bound the amount of a kind by the cells that may hold it, or no other kind of its role."""
+    may = facts.rules.allowed[..., members].reshape(-1, len(members))
+    this = may[:, members.index(kind)]
+    only = this & (may.sum(1) == 1)
+    blocks = []
+    if only.any():
+        blocks.append(Block(amount.minus(hold.combined(only.astype(float))), 0.0, np.inf))
+    if (may.any(1) & ~this).any():
+        blocks.append(Block(hold.combined(this.astype(float)).minus(amount), 0.0, np.inf))
+    return blocks
 
 
 def _counts(facts: Facts, variables: Variables, layout: np.ndarray) -> list[Block]:
