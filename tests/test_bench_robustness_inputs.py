@@ -87,7 +87,12 @@ def test_every_promise_is_looked_at(changes, said):
 
 
 def test_inputs_are_the_same_for_the_same_seed(tmp_path, monkeypatch):
-    monkeypatch.setattr(inputs, "run_files", lambda: {"config.json": b"{}", "metrics.csv": b"a"})
+    files = {
+        "config.json": b"{}",
+        "metrics.csv": b"a",
+        "checkpoint.npz": shipped_agent().read_bytes(),
+    }
+    monkeypatch.setattr(inputs, "run_files", lambda made_by=(): files)
     drawn = []
     for copy in ("one", "two"):
         chance = np.random.default_rng(8)

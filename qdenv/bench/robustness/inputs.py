@@ -16,6 +16,7 @@ from qdenv.bench.robustness.attack import Attack, Attempt
 from qdenv.bench.robustness.damage import Chance, damaged, pick, spoilt
 from qdenv.bench.robustness.hostile import checkpoint
 from qdenv.bench.robustness.judge import Judge
+from qdenv.bench.robustness.lines import EXTREMES, LINES, PLACES, SEARCH, TRAINED, TRAINING
 from qdenv.formats.drawings import ENDINGS
 from qdenv.simulate.maze.policy import shipped_agent
 
@@ -29,61 +30,6 @@ WAREHOUSE = [
     "...........",
 ]
 MAZE = ["      ", " XXXX ", "    X ", " XX X ", "  X   ", "X   X "]
-SHORT = ("--agents", "2", "--timesteps", "5")
-ONCE = (*SHORT, "--seeds", "1")
-# A search of seconds, whose folder is what commands are told to read.
-SEARCH = (
-    *("train", "maze-quick", "--evaluations", "8", "--simulations", "1", "--timesteps", "20"),
-    *("--rows", "6", "--cols", "6", "--steps", "3", "--hidden", "4", "--emitters", "1"),
-    *("--batch", "4", "--archive", "0", "36", "4", "0", "36", "4", "--out", "run"),
-)
-# Command lines that do next to nothing; the word in capitals is a file or folder.
-LINES: Mapping[str, tuple[str, ...]] = {
-    "check": ("check", "PLAN"),
-    "render": ("render", "PLAN"),
-    "simulate": ("simulate", "PLAN", *ONCE, "--no-verdict"),
-    "replay": ("replay", "PLAN", *SHORT),
-    "repair": ("repair", "PLAN"),
-    "compare": ("compare", "PLAN", *ONCE),
-    "sweep": ("sweep", "PLAN", *ONCE),
-    "scalability": ("scalability", "PLAN", *ONCE),
-    "layout human": ("layout", "human"),
-    "layout tile": ("layout", "tile", "PLAN", "--rows", "12", "--cols", "22"),
-    "layout symbols": ("layout", "symbols"),
-    "zoo": ("zoo",),
-    "presets": ("presets",),
-    "plot": ("plot", "RUN", "--out", "pictures"),
-    "generate": ("generate", "RUN"),
-    "export": ("export", "RUN"),
-    "explore": ("explore", "RUN", "--growth", "0"),
-    "evaluate-agent": ("evaluate-agent", "MAZE", "--runs", "1"),
-    "convert-agent": ("convert-agent", "MAZE"),
-    "completion": ("completion", "bash"),
-    # Refused at the very end of all checks: there is a run already, or nothing is left to do.
-    "train": ("train", "maze-quick", "--out", "RUN"),
-    "train-agent": ("train-agent", "--out", "AGENT"),
-}
-EXTREMES = (
-    *("-1", "0", "1", "0.5", "-0.0", "nan", "inf", "-inf", "1e308", "1e-320", "9" * 30, "9" * 5000),
-    *("2147483648", "9223372036854775808", "18446744073709551616", "-2147483649", "", " ", "a"),
-    *(
-        "\x1b[31m",
-        "two\nlines",
-        "\u00e9\u202e",
-        "1:99999999999",
-        "5:1",
-        "1,1,1",
-        "1,",
-        "best",
-        "a.png",
-    ),
-    *("a.json", "a.csv", "a.html", ".", "..", "/", "/dev/null", "-", "--", "=", "plan.json", "run"),
-    *("nowhere/x.json", "None", "True", "auto", "zoo:moon", "zoo:maze-walls", "pbs", "pibt", "low"),
-)
-
-
-# These end at a folder that holds a run already; in another one they would train for hours.
-TRAINING, PLACES = ("train", "train-agent"), ("--out", "--run-dir")
 
 
 class Input(NamedTuple):
@@ -107,10 +53,10 @@ def judge() -> Judge:
 
 
 @functools.cache
-def run_files() -> dict[str, bytes]:
+def run_files(made_by: tuple[str, ...] = SEARCH) -> dict[str, bytes]:
     """Make a run directory, once: its files by name."""
     with tempfile.TemporaryDirectory(prefix="qdenv-robustness-") as folder:
-        fault = judge().fault_of(SEARCH, Path(folder), limited=False)
+        fault = judge().fault_of(made_by, Path(folder), limited=False)
         assert fault is None, fault
         home = Path(folder) / "run"
         return {
@@ -161,6 +107,13 @@ def checkpoints(chance: Chance, folder: Path) -> Input:
     names = [one for one in files if one.startswith("checkpoints")]
     save(folder / "run", files | {one: spoilt(chance, one, files[one]) for one in names})
     return Input("checkpoints", ("resume", "run"), "checkpoints")
+
+
+def trained_agent(chance: Chance, folder: Path) -> Input:
+    """Damage the checkpoint of an agent's training, and go on from it."""
+    files, name = run_files(TRAINED), "checkpoint.npz"
+    save(folder / "run", files | {name: spoilt(chance, name, files[name])})
+    return Input("checkpoints", ("resume", "run"), f"an agent's {name}")
 
 
 def agent(chance: Chance, folder: Path) -> Input:
@@ -235,8 +188,8 @@ def attempt(
 
 def bad_file(chance: Chance, folder: Path) -> Input:
     """Draw a bad file of any kind; those that cost seconds are the fewest."""
-    draws = (layout,) * 8 + (foreign,) * 8 + (run_directory,) * 6 + (agent,) * 3 + (checkpoints,)
-    return pick(chance, draws)(chance, folder)
+    draws = (layout,) * 8 + (foreign,) * 8 + (run_directory,) * 6 + (agent,) * 3
+    return pick(chance, (*draws, checkpoints, trained_agent))(chance, folder)
 
 
 PROMISE = "one line and exit code 2, within 10 s and 1 GB"

@@ -85,11 +85,14 @@ def connected(execution: Execution) -> Iterator[Client]:
     Raises:
         InputError: nobody answers at the scheduler's address, or no worker comes.
     """
+    import dask
     from distributed import Client, LocalCluster
 
     from qdenv.repair.pool import count_cores
 
     with contextlib.ExitStack() as stack:
+        # Workers look a hundred times a second what they are doing, for a dashboard nobody sees.
+        stack.enter_context(dask.config.set({"distributed.worker.profile.enabled": False}))
         place = execution.scheduler
         if place is None:
             local = LocalCluster(

@@ -6,6 +6,7 @@ What is found depends on the layout, its number and the key alone, not on who wo
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -22,8 +23,7 @@ from qdenv.types import Array
 if TYPE_CHECKING:
     from distributed import Client
 
-SHORTEST = 0.15  # seconds of a task
-TASKS = 4  # of each worker in a population, so that none waits long for the last
+LONGEST = 1.0  # seconds of a task of several layouts: the scheduler spends milliseconds on each
 
 
 class Cluster:
@@ -56,21 +56,29 @@ class Cluster:
         """Begin to repair and simulate int8 [B, H, W]; what it returns waits for them."""
         drawn = np.asarray(jax.random.key_data(key))
         known = self._settings, versions()
-        portion = self._choose_portion(len(unrepaired))
-        firsts = range(0, len(unrepaired), portion)
-        parts = [unrepaired[first : first + portion] for first in firsts]
+        firsts = self._divide(len(unrepaired))
+        parts = np.split(unrepaired, firsts[1:])
         tasks = [(*known, *task, drawn) for task in zip(parts, firsts, strict=True)]
         batch = self._workers.begin(tasks, [len(part) for part in parts])
         return lambda: joined(
             [self._outcome(*answer) for answers in batch.finish() for answer in answers]
         )
 
-    def _choose_portion(self, layouts: int) -> int:
-        """Choose how many layouts are a task: the scheduler spends milliseconds on each."""
-        if self._workers.usual == 0:  # how long they take is not known yet
-            return 1
-        most = layouts // (TASKS * self._workers.count)
-        return max(min(round(SHORTEST / self._workers.usual), most), 1)
+    def _divide(self, layouts: int) -> list[int]:
+        """Divide a population into tasks, ever smaller ones, so that all workers end together.
+
+        Guided self-scheduling (Polychronopoulos and Kuck 1987): each is what is left, divided by
+        the workers, but no longer than `LONGEST`.
+
+        Returns:
+            the first layout of each task.
+        """
+        usual = self._workers.usual  # 0 if how long a layout takes is not known yet
+        most = max(round(LONGEST / usual), 1) if usual else 1
+        firsts = [0]
+        while (left := layouts - firsts[-1]) > 1:
+            firsts.append(firsts[-1] + min(math.ceil(left / max(self._workers.count, 2)), most))
+        return firsts
 
     def _outcome(self, layout: np.ndarray, status: int, leaves: list[np.ndarray]) -> Outcomes:
         """Give one answer of a worker the form of a population of one."""
