@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from experiments.generators import SavedZoo
 from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
 from qdenv.agent.baseline import BAND, draw_mazes
@@ -91,10 +92,12 @@ class SavedLayout(NamedTuple):
 
     @property
     def needs(self) -> tuple[Piece, ...]:
-        """The run whose elite draws it, or the layout that it takes after."""
+        """The run or the zoo whose elite draws it, or the layout that it takes after."""
         if self.maker == "tiled" or self.maker.startswith("random-"):
             return (self.like,)
-        return () if self.maker in ("human", "nca") else (self.run(),)
+        if self.maker == "nca":
+            return (SavedZoo(self.domain),)
+        return () if self.maker == "human" else (self.run(),)
 
     def path(self, folders: Folders) -> Path:
         """Find its file."""

@@ -150,6 +150,20 @@ def test_layouts_are_drawn_once_and_shown_with_what_the_repair_changed(folders):
         absent.read(folders)
 
 
+def test_a_zoo_is_chosen_from_its_run_before_it_draws_layouts(folders, monkeypatch):
+    chosen: dict[str, Path] = {}
+    monkeypatch.setattr("experiments.zoo.main", lambda path: chosen.update(found=path))
+    monkeypatch.setattr("qdenv.zoo.shipped.names", lambda: chosen)
+    layout = SavedLayout("warehouse-even", "nca", (13, 16))
+    grown = panels_of("plans", (Panel("grown", layout),))
+    (zoo,) = layout.needs
+    assert grown.missing(folders) == [zoo.run, zoo, layout]
+    zoo.make(folders, silent)
+    assert chosen == {"found": zoo.run.whole(folders, silent).path}
+    chosen["warehouse-even"] = chosen["found"]
+    assert grown.missing(folders) == [layout] and zoo.cost(folders) == 0
+
+
 class Cheap:
     """A piece that takes as many turns to make as it is told."""
 
