@@ -74,3 +74,21 @@ def test_it_shows_nothing_unless_asked(capsys):
         time.sleep(0.05)
         shown.update(4, "QD-score 3")
     assert capsys.readouterr().err == ""
+
+
+def test_what_is_left_is_reckoned_without_the_compilation(monkeypatch):
+    now = [1000.0]
+    monkeypatch.setattr(progress.time, "time", lambda: now[0])
+    with Progress(600, True) as shown:
+        shown.begin(0)
+        bar = shown._bar
+        bar._time, bar.start_t, bar.last_print_t = progress.time.time, now[0], now[0]
+        now[0] += 36  # compiling
+        for _ in range(50):
+            shown.advance(1)
+            now[0] += 0.125
+        shown.update(50, "QD-score 3")
+        drawn = bar.format_dict
+        assert drawn["elapsed"] == pytest.approx(6.25)
+        assert drawn["n"] / drawn["elapsed"] == pytest.approx(8)
+        assert "00:06<01:08,  8.00eval/s" in str(bar)

@@ -62,20 +62,24 @@ class Progress(event.Listener):
 
     def advance(self, evaluations: int) -> None:
         """Move on within an iteration; any thread may call this."""
-        if not self._moves.is_set():
-            self._moves.set()
-            self._bar.set_postfix_str("", refresh=False)
+        self._set_moving()
         self._bar.update(evaluations)
 
     def update(self, evaluations: int, state: str) -> None:
         """End an iteration of so many evaluations and say how the search stands."""
-        self._moves.set()
+        self._set_moving()
         self._done += evaluations
         self._state = state
         self._bar.set_postfix_str(state, refresh=False)
         # Layouts of later populations may be done already.
         self._bar.update(max(0, self._done - self._bar.n))
         self._bar.refresh()  # a tick a moment ago would make tqdm leave this state out
+
+    def _set_moving(self) -> None:
+        if not self._moves.is_set():
+            self._moves.set()
+            self._bar.set_postfix_str("", refresh=False)
+            self._bar.unpause()  # what compiling took tells nothing of how long the rest takes
 
     @contextlib.contextmanager
     def during(self, what: str) -> Iterator[None]:
