@@ -4,10 +4,17 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import shlex
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Annotated
+
+from qdenv import interrupt
+
+if __name__ == "__main__":
+    interrupt.watch("python -m experiments")
+
+from functools import partial
 
 import tyro
 
@@ -22,17 +29,28 @@ from qdenv.types import InputError
 
 
 def list_all(folders: Folders) -> None:
-    """Print a line per experiment, and below it what is missing."""
+    """Print two lines per experiment: what is there, and what is missing, by kind."""
     for name in names():
         found = find(name)
-        missing = found.missing(folders)
-        every = len(found.everything)
-        cost = sum(piece.cost(folders) for piece in missing)
-        rest = f", the rest takes about {in_words(cost)} of one core" if missing else ""
-        print(f"{name:13} {found.shows}: {every - len(missing)} of {every} pieces{rest}")
+        missing, every = found.missing(folders), len(found.everything)
+        print(f"{name:13} {found.shows}: {every - len(missing)} of {every} pieces")
+        costs: dict[str, list[float]] = {}
         for piece in missing:
-            share = f"{piece.done(folders):.0%} there, " if piece.done(folders) else ""
-            print(f"{'':15}- {piece.name}: {share}about {in_words(piece.cost(folders))}")
+            costs.setdefault(piece.kind, []).append(piece.cost(folders))
+        kinds = (f"{kind}: {len(some)} ({in_words(sum(some))})" for kind, some in costs.items())
+        if missing:
+            print(f"{'':13} missing, with the time of one core: {', '.join(kinds)}")
+    print("--missing NAME lists the missing pieces of one, --make NAME makes them")
+
+
+def list_missing(experiment: Experiment, folders: Folders) -> None:
+    """Print a line per piece that is missing, in the order in which they can be made."""
+    missing = experiment.missing(folders)
+    if not missing:
+        print("nothing is missing")
+    for piece in missing:
+        share = f"{piece.done(folders):.0%} there, " if piece.done(folders) else ""
+        print(f"{piece.name}: {share}about {in_words(piece.cost(folders))} of one core")
 
 
 def make(experiment: Experiment, folders: Folders) -> None:
@@ -65,6 +83,7 @@ def draw(name: str, experiment: Experiment, folders: Folders, out: Path) -> None
 def main(
     experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = (),
     making: Annotated[str | None, tyro.conf.arg(name="make", metavar="NAME")] = None,
+    missing: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     runs: Path = Path("runs"),
     results: Path = RESULTS,
     out: Path | None = None,
@@ -77,6 +96,7 @@ def main(
     Args:
         experiments: which to draw; all for all that can be drawn.
         making: make what this one is still missing, then draw it; an interruption loses little.
+        missing: list what this one is still missing and what making it costs.
         runs: folder of whole runs, which are begun or continued here.
         results: folder of what is kept of them.
         out: folder for the pictures and tables; that of the results unless given.
@@ -89,10 +109,13 @@ def main(
     chosen = [name for name in names() if find(name).drawable(folders)]
     chosen = chosen if experiments == ("all",) else list(experiments)
     if making is not None:
+        interrupt.advise(f"`python -m experiments {shlex.join(sys.argv[1:])}` goes on")
         with at_work(execution) as machines:
             make(find(making), folders._replace(machines=machines))
         chosen = [making, *chosen]
-    if not chosen:
+    if missing is not None:
+        list_missing(find(missing), folders)
+    elif not chosen:
         list_all(folders)
     for name in chosen:
         draw(name, find(name), folders, out or results)
@@ -104,3 +127,5 @@ if __name__ == "__main__":
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
+    except BrokenPipeError:  # whoever read has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -73,6 +73,11 @@ class SavedCourse(NamedTuple):
     planner: str = "high"
 
     @property
+    def kind(self) -> str:
+        """Count it among these."""
+        return "courses"
+
+    @property
     def name(self) -> str:
         """How lists call it."""
         return f"course of {self.seeds} runs of {self.layout.stem}, {self.agents} agents"

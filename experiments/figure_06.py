@@ -30,6 +30,11 @@ class SavedGrowth(NamedTuple):
     every: int = 10
 
     @property
+    def kind(self) -> str:
+        """Count it among these."""
+        return "growths"
+
+    @property
     def name(self) -> str:
         """How lists call it."""
         return f"growth of {self.domain}"

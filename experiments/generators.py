@@ -20,6 +20,11 @@ class SavedZoo(NamedTuple):
     domain: str
 
     @property
+    def kind(self) -> str:
+        """Count it among these."""
+        return "zoos"
+
+    @property
     def name(self) -> str:
         """How lists call it."""
         return f"zoo of {self.domain}"

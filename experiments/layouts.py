@@ -81,6 +81,11 @@ class SavedLayout(NamedTuple):
         return "{}-{}-{}x{}".format(self.domain, self.maker, *self.shape)
 
     @property
+    def kind(self) -> str:
+        """Count it among these."""
+        return "layouts"
+
+    @property
     def name(self) -> str:
         """How lists call it."""
         return f"layout {self.stem}"

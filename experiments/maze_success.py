@@ -62,6 +62,11 @@ class SavedSuccess(NamedTuple):
     runs: int = 100
 
     @property
+    def kind(self) -> str:
+        """Count it among these."""
+        return "mazes"
+
+    @property
     def name(self) -> str:
         """How lists call it."""
         return f"{self.runs} runs of {self.layout.stem} and of {self.mazes} random mazes like it"

@@ -39,6 +39,11 @@ class SavedPeak(NamedTuple):
     planner: str = "high"
 
     @property
+    def kind(self) -> str:
+        """Count it among these."""
+        return "peaks"
+
+    @property
     def name(self) -> str:
         """How lists call it."""
         return f"peak of {self.layout.stem}"

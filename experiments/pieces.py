@@ -33,6 +33,10 @@ class Piece(Protocol):
     """A saved result."""
 
     @property
+    def kind(self) -> str:
+        """What pieces like it are, in the plural: lists count these."""
+
+    @property
     def name(self) -> str:
         """How lists call it."""
 

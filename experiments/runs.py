@@ -78,6 +78,11 @@ class SavedRun(NamedTuple):
         return (self.row or self.preset) + (f"-seed{self.seed}" if self.seed else "")
 
     @property
+    def kind(self) -> str:
+        """Count it among these."""
+        return "searches"
+
+    @property
     def name(self) -> str:
         """How lists call it."""
         return f"run {self.folder}"

@@ -59,6 +59,11 @@ class SavedRuntime(NamedTuple):
     seeds: int = SEEDS
 
     @property
+    def kind(self) -> str:
+        """Count it among these."""
+        return "runtimes"
+
+    @property
     def name(self) -> str:
         """How lists call it."""
         return "runtimes of {} at {}x{}".format(self.domain, *self.shape)

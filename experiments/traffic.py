@@ -35,6 +35,11 @@ class SavedTraffic(NamedTuple):
     stop: bool = True
 
     @property
+    def kind(self) -> str:
+        """Count it among these."""
+        return "simulations"
+
+    @property
     def name(self) -> str:
         """How lists call it."""
         counts = ",".join(map(str, self.agents))

@@ -1,6 +1,8 @@
 """The experiments by name: made once, drawn from what is saved, listed with their costs."""
 
 import csv
+import re
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -169,7 +171,8 @@ class Cheap:
 
     def __init__(self, name: str, seconds: float):
         """Begin unmade."""
-        self.name, self.seconds, self.made, self.needs = name, seconds, False, ()
+        self.name, self.kind, self.needs = name, "things", ()
+        self.seconds, self.made = seconds, False
 
     def done(self, folders: Folders) -> float:
         """Say whether it was made."""
@@ -205,19 +208,47 @@ def test_the_command_draws_lists_and_refuses(folders, capsys, tmp_path):
     command.main((), **where)
     said = capsys.readouterr().out
     assert "table_4       QD-score and coverage of all algorithms: 1 of " in said
-    assert "- run warehouse-even-map-elites: about " in said and "- run warehouse-even:" not in said
+    missing = said.partition("table_4 ")[2].splitlines()[1]
+    assert re.search(r"missing, .* searches: \d+ \(\d+ (min|h)\)$", missing)
+    command.main((), **where, missing="table_4")
+    said = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("run warehouse-even-map-elites: about ") for line in said)
+    assert not any(line.startswith("run warehouse-even:") for line in said)
     with pytest.raises(InputError, match="nothing is saved to draw from"):
         command.main(("figure_14",), **where)
     with pytest.raises(InputError, match=r"unknown experiment.*figure_99"):
         command.main(("figure_99",), **where)
 
 
-def test_a_mistake_is_one_line_and_exit_code_2():
-    done = subprocess.run(
-        [sys.executable, "-m", "experiments", "figure_99"],
+def start(*arguments: str) -> subprocess.Popen:
+    """Start the command as people do."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "experiments", *arguments],
         cwd=Path(__file__).parents[1],
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
     )
-    assert done.returncode == 2 and not done.stdout
-    assert done.stderr.count("\n") == 1 and "figure_99" in done.stderr
+
+
+def test_a_mistake_is_one_line_and_exit_code_2():
+    done = start("figure_99")
+    out, err = done.communicate()
+    assert done.returncode == 2 and not out
+    assert err.count("\n") == 1 and "figure_99" in err
+
+
+def test_whoever_has_read_enough_closes_the_list_in_peace():
+    with start("--results", "nowhere") as listing:
+        listing.stdout.close()
+        assert listing.stderr.read() == "" and listing.wait() == 0
+
+
+def test_an_interruption_says_how_to_go_on(tmp_path):
+    arguments = ("--make", "runtimes", "--results", str(tmp_path))
+    making = start(*arguments)
+    assert "pieces, about" in making.stdout.readline()
+    making.send_signal(signal.SIGINT)
+    _, err = making.communicate()
+    assert making.returncode == 130
+    assert err.strip() == f"qdenv: stopped; `python -m experiments {' '.join(arguments)}` goes on"
