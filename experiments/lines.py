@@ -80,7 +80,7 @@ def finish(figure: Figure, panels: np.ndarray) -> None:
             axes.text(0.5, 0.5, "not made yet", **place)
             axes.set(xticks=[], yticks=[])
             continue
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, 1.05 * axes.get_ylim()[1])  # a margin even where all is one point
     if named:
         figure.legend(
             list(named.values()),
