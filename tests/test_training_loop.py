@@ -154,6 +154,8 @@ def test_metrics_have_the_promised_columns_and_grow(finished):
     rows = finished.read_metrics()
     assert [row.evaluations for row in rows] == [8, 16, 24, 32, 40, 48]
     assert all(a.coverage <= b.coverage and a.seconds < b.seconds for a, b in pairwise(rows))
+    cells = np.prod(finished.archive.shape)
+    assert rows[-1].coverage == len(finished.archive) / cells  # to the last bit
 
 
 def test_archive_keeps_layouts_that_obey_the_rules(finished):

@@ -36,7 +36,8 @@ class Publisher:
 
     def summary(self, search: Search) -> list[float]:
         """Compute QD-score, coverage and best objective, and wait for them."""
-        return [float(value) for value in self._summarise(search.state)]
+        qd_score, filled, cells, best = map(float, self._summarise(search.state))
+        return [qd_score, filled / cells, best]
 
     @property
     def has_time(self) -> bool:
@@ -107,8 +108,8 @@ def describe(row: Metrics) -> str:
     )
 
 
-def _summary(algorithm: Algorithm, state: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute QD-score, coverage and best objective of the result archive."""
+def _summary(algorithm: Algorithm, state: Any) -> tuple[jax.Array, jax.Array, int, jax.Array]:
+    """Compute QD-score, filled cells, all cells and best objective of the result archive."""
     archive = algorithm.archive(state)
     best = jnp.where(archive.filled.any(), archive.objectives.max(), 0.0)
-    return archive.qd_score(), archive.coverage, best
+    return archive.qd_score(), archive.filled.sum(), archive.filled.size, best
