@@ -124,6 +124,7 @@ def main(
 if __name__ == "__main__":
     try:
         tyro.cli(main, prog="python -m experiments")
+        sys.stdout.flush()
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

@@ -164,12 +164,13 @@ def headed(chance: Chance, content: bytes, name: str) -> bytes:
     bomb = chance.random() < 0.1
     with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(out, "w") as new:
         for one in old.namelist():
+            member = zipfile.ZipInfo(one)  # without today's date: a seed draws the same bytes
             if one != f"{name}.npy":
-                new.writestr(one, old.read(one))
+                new.writestr(member, old.read(one))
             elif bomb:
-                new.writestr(one, head + bytes(2**27), zipfile.ZIP_DEFLATED)
+                new.writestr(member, head + bytes(2**27), zipfile.ZIP_DEFLATED)
             else:
-                new.writestr(one, head + bytes(16))
+                new.writestr(member, head + bytes(16))
     return out.getvalue()
 
 
