@@ -13,6 +13,7 @@ names an `Entry`::
 """
 
 import importlib
+import inspect
 from collections.abc import Callable, Mapping
 from importlib import metadata
 from typing import Any, NamedTuple
@@ -107,9 +108,24 @@ class Registry:
         Raises:
             InputError: the type of `config` is not registered.
         """
+        return self._maker(config)(config, *details)
+
+    def takes(self, config: Any, count: int) -> bool:
+        """Tell whether the maker of what `config` chooses can be called with `count` arguments.
+
+        Raises:
+            InputError: the type of `config` is not registered.
+        """
+        try:
+            inspect.signature(self._maker(config)).bind(*range(count))
+        except TypeError:
+            return False
+        return True
+
+    def _maker(self, config: Any) -> Callable[..., Any]:
         name = self.name_of(config)
         make = self.entry(name).make
-        return (self._import(name, make) if isinstance(make, str) else make)(config, *details)
+        return self._import(name, make) if isinstance(make, str) else make
 
     def _look_for_plugins(self) -> None:
         if self._looked:

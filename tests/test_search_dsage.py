@@ -254,7 +254,7 @@ def test_what_has_no_tiles_or_a_start_is_refused():
             dsage(CONFIG, TOY._replace(drawing=TOY.drawing._replace(choices=choices)))
     with pytest.raises(InputError, match="has none"):
         dsage(CONFIG, TOY._replace(drawing=None))
-    with pytest.raises(InputError, match="leave x0 out"):
+    with pytest.raises(InputError, match="leave the start out"):
         dsage(CONFIG, TOY, np.zeros(SIDE**2))
     with pytest.raises(InputError, match="give 2 numbers of blocks"):
         dsage(DsageConfig(downsample=(3,)), TOY)

@@ -31,6 +31,7 @@ from qdenv.training.config import RunConfig
 from qdenv.training.executors.choosing import Execution, ExecutorName
 from qdenv.training.feasible import check_feasible
 from qdenv.training.following import follow_size
+from qdenv.training.start import find_start
 from qdenv.types import InputError
 from qdenv.zoo.shipped import PREFIX
 
@@ -77,6 +78,7 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
     """
     config, followed = follow_size(setup.config, find_preset(preset), given)
     check_feasible(config)
+    find_start(config)  # it refuses what cannot be one before anything is said
     workers = config.evaluation.repair.workers
     execution = Execution(setup.executor, setup.scheduler, workers)
     if setup.keep is not None:

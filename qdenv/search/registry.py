@@ -3,11 +3,13 @@
 from typing import TYPE_CHECKING, Any
 
 from qdenv.registry import Registry
+from qdenv.types import InputError
 
 if TYPE_CHECKING:  # a registry imports an algorithm, and qdax with it, when it is asked for one
     from qdenv.search.base import Algorithm, Problem
 
-# Makers are called as make(config, problem) and return an `Algorithm`.
+# Makers are called as make(config, problem), or make(config, problem, x0) where a search begins
+# at a solution x0, and return an `Algorithm`.
 ALGORITHMS = Registry(
     "algorithm",
     "qdenv.algorithms",
@@ -23,14 +25,21 @@ ALGORITHMS = Registry(
 )
 
 
-def make_algorithm(config: Any, problem: "Problem") -> "Algorithm":
+def make_algorithm(config: Any, problem: "Problem", x0: Any = None) -> "Algorithm":
     """Make the algorithm that `config` chooses.
 
     Args:
         config: settings of a registered algorithm, like `CmaMaeConfig`.
         problem: what is searched.
+        x0: where the search begins, float [P]; wherever the algorithm begins where None.
 
     Raises:
-        InputError: no algorithm is registered for this type of config, or a setting is impossible.
+        InputError: no algorithm is registered for this type of config, it takes no x0, or a
+            setting is impossible.
     """
-    return ALGORITHMS.make(config, problem)
+    if x0 is None:
+        return ALGORITHMS.make(config, problem)
+    if not ALGORITHMS.takes(config, 3):
+        name = ALGORITHMS.name_of(config)
+        raise InputError(f"{name} begins by itself: its maker takes no x0; leave start out")
+    return ALGORITHMS.make(config, problem, x0)

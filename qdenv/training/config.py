@@ -38,6 +38,9 @@ class RunConfig(Ranged):
         algorithm: settings of the search; their type says which algorithm it is.
         evaluations: how many solutions are evaluated, rounded up to whole iterations.
         archive: (low, high, cells) of each measure; empty for the domain's own.
+        start: generator from which the search begins: the best of a run or one of the zoo
+            (runs/first, zoo:warehouse-even/calm), or the elite of a cell (runs/first@12,40); zeros
+            where empty.
         seed: the one random seed; new runs take none below 0.
         checkpoint_every: iterations between checkpoints; decides no result.
     """
@@ -46,6 +49,7 @@ class RunConfig(Ranged):
     algorithm: Any = dataclasses.field(default_factory=lambda: ALGORITHMS.config("cma-mae"))
     evaluations: PositiveInt = 10_000
     archive: tuple[tuple[float, float, int], ...] = ()
+    start: str = ""
     seed: Annotated[int, Interval(ge=-MOST, le=MOST)] = 0
     checkpoint_every: PositiveInt = 5
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 
 from qdenv.interrupt import advise, save_first, undisturbed
 from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
@@ -27,6 +28,7 @@ from qdenv.training.problem import archive_axes, problem_of, seen
 from qdenv.training.progress import Progress
 from qdenv.training.published import Publisher, describe
 from qdenv.training.records import RunDirectory
+from qdenv.training.start import find_start, read_start
 from qdenv.types import InputError, Measure
 
 
@@ -48,11 +50,13 @@ class Experiment(NamedTuple):
     evaluation_key: jax.Array
 
 
-def make_experiment(config: RunConfig) -> Experiment:
+def make_experiment(config: RunConfig, start: np.ndarray | None = None) -> Experiment:
     """Build a run's parts.
 
     Args:
         config: the resolved configuration.
+        start: parameters from which the search begins, float [P]; what `config.start` names
+            unless given.
 
     Raises:
         InputError: a setting is impossible.
@@ -60,7 +64,8 @@ def make_experiment(config: RunConfig) -> Experiment:
     pipeline = make_pipeline(config.evaluation, repair_seed=config.seed)
     measures = archive_axes(pipeline.domain.measures, config.archive)
     search_key, evaluation_key = jax.random.split(jax.random.key(config.seed))
-    algorithm = make_algorithm(config.algorithm, problem_of(pipeline, measures))
+    start = find_start(config) if start is None else start
+    algorithm = make_algorithm(config.algorithm, problem_of(pipeline, measures), start)
     return Experiment(measures, pipeline, algorithm, search_key, evaluation_key)
 
 
@@ -105,11 +110,12 @@ def train(
             or is read-only.
     """
     check_feasible(config)
-    experiment = make_experiment(config)
+    start = find_start(config)
+    experiment = make_experiment(config, start)
     run = RunDirectory(Path(path))
     with run.locked():
         meaning = meaning_of(experiment.pipeline.domain, experiment.measures)
-        run = RunDirectory.create(path, config, meaning)
+        run = RunDirectory.create(path, config, meaning, start)
         return _run(experiment, config, run, progress, execution)
 
 
@@ -138,7 +144,7 @@ def resume(
             config = dataclasses.replace(config, evaluations=evaluations)
         # A domain may have other ranges today than when the run began.
         axes = config.archive or tuple(axis[1:4] for axis in run.measures)
-        experiment = make_experiment(dataclasses.replace(config, archive=axes))
+        experiment = make_experiment(dataclasses.replace(config, archive=axes), read_start(run))
         return _run(experiment, config, run, progress, execution)
 
 

@@ -2,6 +2,7 @@
 
 RUN/config.json             every setting, resolved; enough to run it again
 RUN/manifest.json           schema, measures, versions, device, git revision
+RUN/start.npz               the generator from which the search began, if it was one
 RUN/metrics.csv             one row per iteration
 RUN/notes.csv               one row per iteration of what the algorithm says of itself, if it does
 RUN/checkpoints/NUMBER.npz  the search after that iteration
@@ -38,6 +39,7 @@ if TYPE_CHECKING:  # it imports jax and the archives
     from qdenv.training.checkpoint import Manifest
 
 KEPT_CHECKPOINTS = 2
+START = "start.npz"
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -51,13 +53,16 @@ class RunDirectory:
     shipped: Shipped | None = None
 
     @classmethod
-    def create(cls, path: str | Path, config: RunConfig, meaning: Meaning) -> RunDirectory:
+    def create(
+        cls, path: str | Path, config: RunConfig, meaning: Meaning, start: np.ndarray | None = None
+    ) -> RunDirectory:
         """Start a run's folder.
 
         Args:
             path: the folder; made if need be.
             config: the resolved configuration.
             meaning: of the archive.
+            start: parameters from which the search begins, float [P]; None for zeros.
 
         Raises:
             InputError: there is a run already, or the place cannot be written to.
@@ -67,6 +72,8 @@ class RunDirectory:
             raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
         write_json(run.path / "manifest.json", make_manifest(meaning))
         run.write_metrics([])
+        if start is not None:
+            write_arrays(run.path / START, {"solution": start})
         run.write_config(config)  # last: a folder with a configuration counts as a run
         return run
 

@@ -72,7 +72,7 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
             "dsage searches tiles, one per parameter: its generator is direct, not an automaton"
         )
     if x0 is not None:
-        raise InputError("dsage starts from random solutions: leave x0 out")
+        raise InputError("dsage begins with random solutions: leave the start out")
     blocks = blocks_along(problem.measures, config.downsample)
     first = _whole_batches(config.initial, config.batch)
     aspect = aspect_of(problem, drawing)
