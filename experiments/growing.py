@@ -1,6 +1,6 @@
 """What elites of a run are worth at other sizes: grown, repaired, simulated; each but once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -39,7 +39,6 @@ class Measuring:
         seeds: of each layout under our planner at high effort.
         pbs_seeds: of each under priority-based search; 0 leaves it out.
         episodes: of the agent in each maze.
-        candidates: how many are tried for the best, which are those that the search liked best.
         trial_timesteps: horizon of a trial of a fleet, which has one seed.
     """
 
@@ -48,23 +47,30 @@ class Measuring:
     seeds: str = "2"
     pbs_seeds: str = "1"
     episodes: int = 100
-    candidates: int = 8
     trial_timesteps: int = 1000
 
 
 class Workshop:
-    """Grows elites of one run, and simulates their layouts."""
+    """Grows elites of one run, and of those that began at them, and simulates their layouts."""
 
-    def __init__(self, run: RunDirectory, measuring: Measuring, ledger: Path) -> None:
+    def __init__(self, runs: Sequence[RunDirectory], measuring: Measuring, ledger: Path) -> None:
         """Simulate nothing yet.
 
         Args:
-            run: whose elites.
+            runs: whose elites; all but the first began at elites of it.
             measuring: what is simulated.
             ledger: CSV file that keeps every simulation of a fleet.
+
+        Raises:
+            InputError: runs were evaluated in different ways.
         """
-        self.run, self.measuring, self.ledger = run, measuring, ledger
-        self.config = run.config
+        (self.run, *self.further), self.measuring, self.ledger = runs, measuring, ledger
+        self.config = self.run.config
+        for one in self.further:
+            if one.config.evaluation != self.config.evaluation or one.measures != self.run.measures:
+                raise InputError(
+                    f"{one}: its objectives mean something else than those of {self.run}"
+                )
         trained = make_domain(self.config.evaluation.domain)
         self.fleet = trained.simulator.tasks is not None
         asked = [sizes.parse_size(text) for text in measuring.sizes]
@@ -74,8 +80,15 @@ class Workshop:
 
     @cached_property
     def archive(self) -> Archive:
-        """The run's archive."""
-        return self.run.archive
+        """The runs' archive: the best elite of each cell."""
+        first, *others = (one.archive for one in (self.run, *self.further))
+        columns = {
+            name: np.concatenate([values, *(one.columns[name] for one in others)])
+            for name, values in first.columns.items()
+        }
+        order = np.lexsort((-columns["objective"], columns["index"]))  # stable: the first run's
+        firsts = order[np.unique(columns["index"][order], return_index=True)[1]]
+        return replace(first, columns={name: values[firsts] for name, values in columns.items()})
 
     def at(self, shape: Shape) -> Domain:
         """Make the domain at a size, with all numbers that follow from it."""

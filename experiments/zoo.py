@@ -1,12 +1,13 @@
 """Choose about ten generators of a finished run, measure them, and write them into the zoo.
 
     python -m experiments.zoo runs/warehouse-even
+    python -m experiments.zoo runs/warehouse-even --further runs/warehouse-even-further
 
-Each rule orders the elites of the run; the first that nobody else has taken, and whose layout of
-the evaluation size can be repaired and flows, is chosen. The best is the one that is worth most at
-that size among the few that the search liked best, and flows there under priority-based search,
-too. Every simulation of a fleet is a row of a file and is not done again, so this can be stopped
-and started again.
+Each rule orders the elites of the run, and of runs that began at one of them; the first that nobody
+else has taken, and whose layout of the evaluation size can be repaired and flows, is chosen. The
+best is the one that is worth most at that size among a few (of fleets, from all over the archive),
+and flows there under priority-based search, too. Every simulation of a fleet is a row of a file and
+is not done again, so this can be stopped and started again.
 """
 
 import os
@@ -14,7 +15,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +23,7 @@ import numpy as np
 import tyro
 
 from experiments.growing import Cell, Measuring, Workshop
-from experiments.zoo_rules import LEARNT, RULES, Rule
+from experiments.zoo_rules import RULES, Rule
 from qdenv.domains.base import DOMAINS
 from qdenv.files import write_json
 from qdenv.presets import PRESETS
@@ -35,11 +36,10 @@ from qdenv.zoo.shipped import TABLE, USUAL, Generator, Origin, to_json
 
 ZOO = Path(__file__).parents[1] / "qdenv" / "zoo"
 FILES = ("config.json", "manifest.json", "metrics.csv")
-TRIED = 5  # elites that a rule tries before it takes the first of its order as it is
 
 
-def numbers_of(archive: Archive, alpha: float) -> dict[str, np.ndarray]:
-    """List what rules order elites by, float [elites] each; `alpha` is the search's."""
+def numbers_of(archive: Archive) -> dict[str, np.ndarray]:
+    """List what rules order elites by, float [elites] each."""
     columns = dict(archive.columns)
     measures = columns.pop("measures")
     found = {
@@ -48,7 +48,6 @@ def numbers_of(archive: Archive, alpha: float) -> dict[str, np.ndarray]:
         if name != "solution" and values.ndim <= 2
     }
     names = (axis.name for axis in archive.meaning.measures)
-    found[LEARNT] = found["objective"] + alpha * found["similarity"]
     return found | dict(zip(names, measures.T.astype(float), strict=True))
 
 
@@ -68,37 +67,48 @@ def in_order(rule: Rule, numbers: Mapping[str, np.ndarray], elites: np.ndarray) 
     return elites
 
 
+def spread(cells: Iterable[Cell], apart: int) -> list[Cell]:
+    """Keep the first cell in each square of `apart` cells; all of them where that is 0."""
+    firsts: dict[Cell, Cell] = {}
+    for cell in cells:
+        firsts.setdefault(tuple(place // max(apart, 1) for place in cell), cell)
+    return list(firsts.values())
+
+
 def choose(workshop: Workshop, rules: tuple[Rule, ...]) -> dict[Rule, Cell]:
     """Choose a cell of the archive for each rule."""
     archive = workshop.archive
-    alpha = workshop.config.evaluation.alpha
-    numbers, elites, cells = numbers_of(archive, alpha), sound(archive), archive.cells
+    numbers, elites, cells = numbers_of(archive), sound(archive), archive.cells
     chosen: dict[Rule, Cell] = {}
     for rule in rules:
         ordered = (tuple(map(int, cells[row])) for row in in_order(rule, numbers, elites))
-        free = [cell for cell in ordered if cell not in chosen.values()]
+        free = spread((cell for cell in ordered if cell not in chosen.values()), rule.apart)
         if not free:
             raise InputError(f"{rule.name}: the run has too few elites: search for longer")
+        tried = free[: rule.tried]
         if rule.name == USUAL:
-            tried = free[: workshop.measuring.candidates]
             tried.sort(key=workshop.worth, reverse=True)
             chosen[rule] = next((cell for cell in tried if workshop.flows(cell)), tried[0])
         else:
-            passing = (cell for cell in free[:TRIED] if workshop.worth(cell) >= 0)
+            passing = (cell for cell in tried if workshop.worth(cell) >= 0)
             chosen[rule] = next(passing, free[0])
         print(f"{rule.name}: {chosen[rule]}", flush=True)
     return chosen
 
 
-def origin_of(run: RunDirectory, domain: str, counted: str) -> Origin:
+def origin_of(workshop: Workshop, domain: str) -> Origin:
     """Say where generators come from."""
+    run, counted = workshop.run, "actions to the goal"
+    if workshop.fleet:
+        counted = "throughput [tasks per timestep]"
     config, manifest = run.config, read_json(run.path / "manifest.json", dict[str, Any])
     alike = [name for name, one in PRESETS.items() if one.evaluation == config.evaluation]
     preset = domain if domain in alike else next(iter(alike), domain)
     version, created = manifest["versions"]["qdenv"], manifest["created"]
     algorithm = ALGORITHMS.name_of(config.algorithm)
     done = run.read_metrics()[-1].evaluations
-    return Origin(preset, algorithm, config.seed, done, version, created, counted)
+    more = sum(one.read_metrics()[-1].evaluations for one in workshop.further)
+    return Origin(preset, algorithm, config.seed, done, version, created, counted, more)
 
 
 def write(
@@ -120,6 +130,7 @@ def main(
     measuring: Annotated[Measuring, tyro.conf.arg(name="")] = Measuring(),  # noqa: B008 (frozen)
     ledger: Path | None = None,
     out: Path = ZOO,
+    further: tuple[Path, ...] = (),
 ) -> None:
     """Write the zoo of the run's domain.
 
@@ -128,11 +139,13 @@ def main(
         measuring: what is simulated.
         ledger: CSV file that keeps every simulation; zoo-DOMAIN.csv beside the run unless given.
         out: folder of the zoo.
+        further: folders of runs that began at its elites, whose elites count like its own.
     """
     run = RunDirectory.open(run_dir)
     domain = DOMAINS.name_of(run.config.evaluation.domain)
     rules = look_up(RULES, domain, "domain of the zoo")
-    workshop = Workshop(run, measuring, ledger or run_dir.with_name(f"zoo-{domain}.csv"))
+    every = [run, *map(RunDirectory.open, further)]
+    workshop = Workshop(every, measuring, ledger or run_dir.with_name(f"zoo-{domain}.csv"))
     chosen = choose(workshop, rules)
     archive = workshop.archive
     found = [
@@ -145,8 +158,7 @@ def main(
         )
         for rule, cell in chosen.items()
     ]
-    counted = "throughput [tasks per timestep]" if workshop.fleet else "actions to the goal"
-    write(out / domain, run, archive, origin_of(run, domain, counted), found)
+    write(out / domain, run, archive, origin_of(workshop, domain), found)
     size = sum(path.stat().st_size for path in (out / domain).iterdir())
     print(f"{out / domain}: {len(found)} generators, {size / 1e6:.2f} MB")
 

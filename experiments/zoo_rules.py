@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 from qdenv.zoo.shipped import USUAL
 
-LEARNT = "learning objective"  # what the search maximised: throughput, and how little repair
 ENTROPY, ACTIONS = "environment entropy", "mean agent path length"
 GOOD, SURE = ("objective", 0.5), ("success", 0.5)
 
@@ -16,15 +15,20 @@ class Rule(NamedTuple):
     Attributes:
         name: of the generator.
         about: what it is.
-        order: the number, a measure, a mean over simulations or `LEARNT`; the largest comes first,
-            or the smallest where a minus stands before it.
+        order: the number, a measure or a mean over simulations; the largest comes first, or the
+            smallest where a minus stands before it.
         steps: (number, share): keep this share of what is left, the first in this order.
+        tried: elites that are grown at the largest size, the first in this order.
+        apart: try one elite, the first, in each square of so many cells of the archive: those
+            beside each other grow much alike; 0 tries them all.
     """
 
     name: str
     about: str
     order: str
     steps: tuple[tuple[str, float], ...] = (GOOD,)
+    tried: int = 5
+    apart: int = 0
 
 
 def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]:
@@ -77,10 +81,18 @@ def in_mazes(
 
 # Rule and order of the candidates for the best, and the rules of the others.
 FLEET_BEST = Rule(
-    USUAL, "moves most at the largest size, and flows there under both planners", LEARNT
+    USUAL,
+    "moves most at the largest size, and flows there under both planners",
+    "objective",
+    tried=24,
+    apart=8,
 )
 MAZE_BEST = Rule(
-    USUAL, "a long way that the agent finds most surely at the largest size", "shortest", (SURE,)
+    USUAL,
+    "a long way that the agent finds most surely at the largest size",
+    "shortest",
+    (SURE,),
+    tried=8,
 )
 _WAREHOUSE = (
     FLEET_BEST,

@@ -1,6 +1,7 @@
 """Every script of experiments/ runs at a toy size, and prints and writes what it promises."""
 
 import csv
+import dataclasses
 import importlib.util
 import json
 import re
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+import qdenv
 from qdenv.files import write_csv
 from qdenv.formats.layouts import write_layout
 from qdenv.presets import PRESETS
@@ -219,10 +221,9 @@ def test_congestion_puts_several_files_into_one_table(own_layout, tmp_path, caps
 def test_zoo_chooses_measures_and_writes_the_same_files_again(small_run, tmp_path, monkeypatch):
     script = load("zoo")
     rules = script.RULES["warehouse-even"]
-    monkeypatch.setattr(script, "RULES", {"warehouse-even": (rules[0], rules[1])})
-    how = script.Measuring(
-        sizes=("9x10", "13x12"), timesteps=20, seeds="2", candidates=2, trial_timesteps=10
-    )
+    best_of_two = rules[0]._replace(tried=2, apart=0)
+    monkeypatch.setattr(script, "RULES", {"warehouse-even": (best_of_two, rules[1])})
+    how = script.Measuring(sizes=("9x10", "13x12"), timesteps=20, seeds="2", trial_timesteps=10)
     script.main(small_run.path, how, tmp_path / "runs.csv", tmp_path / "zoo")
     folder, archive = tmp_path / "zoo" / "warehouse-even", small_run.archive
     content = json.loads((folder / "generators.json").read_text())
@@ -255,17 +256,45 @@ def test_zoo_chooses_measures_and_writes_the_same_files_again(small_run, tmp_pat
     script.main(small_run.path, how, tmp_path / "runs.csv", tmp_path / "zoo")
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     with pytest.raises(InputError, match="too few elites"):
-        script.choose(script.Workshop(small_run, how, tmp_path / "runs.csv"), rules * 3)
+        script.choose(script.Workshop([small_run], how, tmp_path / "runs.csv"), rules * 3)
 
 
 def best_two(run: RunDirectory) -> list[tuple[int, ...]]:
-    """List the two cells that the search liked best, of the better half of those that flowed."""
-    columns, alpha = run.archive.columns, run.config.evaluation.alpha
+    """List the two cells of the best elites that flowed."""
+    columns = run.archive.columns
     flowed = np.flatnonzero(~columns["congested"].any(axis=1))
     good = flowed[np.argsort(-columns["objective"][flowed], kind="stable")]
-    good = good[: max(1, round(len(good) / 2))]
-    liked = columns["objective"][good] + alpha * columns["similarity"][good]
-    return [tuple(map(int, run.archive.cells[row])) for row in good[np.argsort(-liked)][:2]]
+    return [tuple(map(int, run.archive.cells[row])) for row in good[:2]]
+
+
+def test_elites_of_further_runs_count_like_the_runs_own(small_run, tmp_path):
+    script = load("zoo")
+    cell = ",".join(map(str, small_run.best.cell))
+    config = dataclasses.replace(small_run.config, start=f"{small_run.path}@{cell}", seed=1)
+    further = qdenv.train(config, tmp_path / "further", progress=False)
+    workshop = script.Workshop([small_run, further], script.Measuring(), tmp_path / "runs.csv")
+    found, runs = workshop.archive, (small_run.archive, further.archive)
+    taken = [
+        dict(zip(map(tuple, one.cells), one.columns["objective"], strict=True)) for one in runs
+    ]
+    expected = {
+        cell: max(one[cell] for one in taken if cell in one) for cell in {*taken[0], *taken[1]}
+    }
+    assert len(expected) > len(runs[0]) and len(found) == len(expected)
+    for cell, objective in expected.items():
+        assert found.elite(cell).objective == objective
+    origin = script.origin_of(workshop, "warehouse-even")
+    assert origin.further == further.read_metrics()[-1].evaluations
+    other = dataclasses.replace(config, evaluation=dataclasses.replace(config.evaluation, alpha=1))
+    strange = qdenv.train(other, tmp_path / "strange", progress=False)
+    with pytest.raises(InputError, match="its objectives mean something else"):
+        script.Workshop([small_run, strange], script.Measuring(), tmp_path / "runs.csv")
+
+
+def test_one_elite_is_tried_in_each_square_of_the_archive():
+    cells = [(9, 9), (8, 15), (0, 7), (7, 0), (8, 16)]
+    assert load("zoo").spread(cells, 8) == [(9, 9), (0, 7), (8, 16)]
+    assert load("zoo").spread(cells, 0) == cells
 
 
 def test_zoos_rules_narrow_down_before_they_order():

@@ -16,6 +16,7 @@ from qdenv.zoo.shipped import (
     Driven,
     Generator,
     Grown,
+    Origin,
     Shipped,
     named,
     names,
@@ -97,9 +98,17 @@ def describe_origin(collection: Collection) -> str:
     """Say in a line what the generators come from and what their figures are."""
     origin = collection.origin
     return (
-        f"{collection.domain}: from {origin.evaluations:,} evaluations of {origin.run}, "
-        f"{origin.algorithm}, seed {origin.seed}, qdenv {origin.qdenv}; {origin.counted}, "
+        f"{collection.domain}: from {describe_search(origin)}; {origin.counted}, "
         "+- standard error, (share of the runs that succeed)"
+    )
+
+
+def describe_search(origin: Origin) -> str:
+    """Say in a clause which runs the generators of a domain come from."""
+    further = f", {origin.further:,} more from its elites" if origin.further else ""
+    return (
+        f"{origin.evaluations:,} evaluations of {origin.run}, {origin.algorithm}, "
+        f"seed {origin.seed}{further}, qdenv {origin.qdenv}"
     )
 
 
@@ -114,8 +123,7 @@ def describe(shipped: Shipped) -> list[str]:
     one, origin = shipped.generator, shipped.collection.origin
     return [
         f"{shipped}: {one.about}",
-        f"from         {origin.evaluations:,} evaluations of {origin.run}, {origin.algorithm}, "
-        f"seed {origin.seed}, qdenv {origin.qdenv}, begun {origin.created}",
+        f"from         {describe_search(origin)}, begun {origin.created}",
         f"elite        {','.join(map(str, one.cell))}, objective {one.objective:.4g}",
         *(line for size in one.sizes for line in describe_size(size, origin.counted)),
         f"grow it      qdenv generate {shipped} --rows {one.sizes[-1].rows} "

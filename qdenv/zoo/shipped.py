@@ -92,6 +92,7 @@ class Origin(NamedTuple):
         qdenv: version that searched.
         created: when it began.
         counted: what is averaged over simulations, with its unit.
+        further: evaluations of runs that began at elites of this one, and gave some.
     """
 
     run: str
@@ -101,6 +102,7 @@ class Origin(NamedTuple):
     qdenv: str
     created: str
     counted: str
+    further: int = 0
 
 
 class Collection(NamedTuple):
