@@ -5,9 +5,11 @@ from typing import NamedTuple
 from experiments import zoo
 from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
-from qdenv.zoo import shipped
+from qdenv.training.records import RunDirectory
+from qdenv.zoo.shipped import PREFIX, USUAL, named, names
 
 SECONDS = 1200.0  # CPU seconds of choosing and measuring about ten
+GROWERS = ("nca", "nca-s")  # makers of layouts that are generators of the zoo
 
 
 class SavedZoo(NamedTuple):
@@ -41,7 +43,7 @@ class SavedZoo(NamedTuple):
 
     def done(self, folders: Folders) -> float:
         """Say whether the package has one."""
-        return float(self.domain in shipped.names())
+        return float(self.domain in names())
 
     def cost(self, folders: Folders) -> float:
         """Estimate the CPU seconds of choosing and measuring."""
@@ -51,3 +53,32 @@ class SavedZoo(NamedTuple):
         """Choose the generators and write them into the package."""
         say(f"{self.name}: is being chosen; {zoo.ZOO} will hold it")
         zoo.main(self.run.whole(folders, say).path)
+
+
+def open_generator(domain: str, maker: str) -> RunDirectory:
+    """Open the generator of the zoo that draws for a maker.
+
+    Args:
+        domain: whose.
+        maker: "nca" for the best, "nca-s" for the one that moves most at the trained size.
+
+    Raises:
+        InputError: the zoo has no such domain.
+    """
+    name = USUAL if maker == "nca" else most_at_s(domain)
+    return RunDirectory.open(f"{PREFIX}{domain}/{name}")
+
+
+def most_at_s(domain: str) -> str:
+    """Name the generator of the zoo that moves most at the trained size, and flows there.
+
+    Raises:
+        InputError: the zoo has no such domain.
+    """
+    generators = named(domain).collection.generators
+
+    def moved(name: str) -> float:
+        driven = generators[name].sizes[0].driven[0]
+        return driven.mean if driven.success == 1 else 0.0
+
+    return max(generators, key=moved)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from experiments.generators import SavedZoo
+from experiments.generators import GROWERS, SavedZoo, open_generator
 from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
 from qdenv.agent.baseline import BAND, draw_mazes
@@ -22,7 +22,6 @@ from qdenv.repair.settings import RepairConfig
 from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.study import sizes
 from qdenv.study.elites import Grown, grow_elite
-from qdenv.training.records import RunDirectory
 from qdenv.types import Array, InputError
 
 S, S_EVAL = (33, 36), (101, 102)
@@ -65,7 +64,8 @@ class SavedLayout(NamedTuple):
 
     Attributes:
         domain: its name.
-        maker: "human", "tiled", "nca" (the zoo's best), "random-0" and so on (a random maze like
+        maker: "human", "tiled", "nca" (the zoo's best), "nca-s" (the zoo's that moves most at S),
+            "random-0" and so on (a random maze like
             the zoo's best), or the end of a preset's name: "a0", "a1", "cma-es", "dsage", whose
             run's best elite draws it.
         shape: rows and columns.
@@ -100,7 +100,7 @@ class SavedLayout(NamedTuple):
         """The run or the zoo whose elite draws it, or the layout that it takes after."""
         if self.maker == "tiled" or self.maker.startswith("random-"):
             return (self.like,)
-        if self.maker == "nca":
+        if self.maker in GROWERS:
             return (SavedZoo(self.domain),)
         return () if self.maker == "human" else (self.run(),)
 
@@ -118,8 +118,8 @@ class SavedLayout(NamedTuple):
 
     def origin(self, folders: Folders) -> str:
         """Tell what it is made from, by a checksum; "" where it could be made from nothing else."""
-        if self.maker == "nca":
-            return best_of(self.domain)
+        if self.maker in GROWERS:
+            return best_of(self.domain, self.maker)
         if self.like in self.needs:
             return checksum(self.like.read(folders).layout) if self.like.done(folders) else "none"
         return ""
@@ -173,8 +173,8 @@ class SavedLayout(NamedTuple):
         if self.maker.startswith("random-"):
             drawn = random_like(self.like.read(folders).layout, int(self.maker[7:]))
             return Grown(domain, None, np.asarray(domain.frame(drawn)), 0), RepairConfig(), 0
-        if self.maker == "nca":
-            run = RunDirectory.open(f"zoo:{self.domain}/best")
+        if self.maker in GROWERS:
+            run = open_generator(self.domain, self.maker)
         else:
             run = self.run().whole(folders, say)
         return (
@@ -207,9 +207,9 @@ def _read(path: Path, stamp: tuple[int, int], name: str, shape: tuple[int, int])
     return Made(layout, unrepaired, domain.fitted(layout), content)
 
 
-def best_of(domain: str) -> str:
-    """Tell the zoo's best generator of a domain from others, by a checksum."""
-    return checksum(RunDirectory.open(f"zoo:{domain}/best").best.solution)
+def best_of(domain: str, maker: str = "nca") -> str:
+    """Tell the zoo's generator that draws for a maker from others, by a checksum."""
+    return checksum(open_generator(domain, maker).best.solution)
 
 
 def checksum(*arrays: Array) -> str:

@@ -32,6 +32,7 @@ class Look(NamedTuple):
 
 LOOKS = {
     "nca": Look("CMA-MAE + NCA", "#0072B2", "-", "o"),
+    "nca-s": Look("CMA-MAE + NCA, best at S", "#56B4E9", "-", "D"),
     "human": Look("hand-made", "#D55E00", "--", "s"),
     "cma-es": Look("CMA-ES + NCA", "#E69F00", "-.", "^"),
     "tiled": Look("tiled", "#009E73", ":", "v"),

@@ -25,7 +25,7 @@ def draw(folders: Folders) -> Drawn:
         else:
             refused = refusal_of(saved.layout, folders)
             said = ("N/A", refused) if refused else ("not made yet", "")
-        rows.append((*named, *said, TRAFFIC[domain, maker, agents]))
+        rows.append((*named, *said, TRAFFIC[domain, maker.removesuffix("-s"), agents]))
     return Drawn(None, (*table(HEAD, rows), "", NOTE))
 
 
