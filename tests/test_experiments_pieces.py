@@ -155,7 +155,7 @@ def test_layouts_are_drawn_once_and_shown_with_what_the_repair_changed(folders):
 def test_a_zoo_is_chosen_from_its_run_before_it_draws_layouts(folders, monkeypatch):
     chosen: dict[str, Path] = {}
     monkeypatch.setattr("experiments.zoo.main", lambda path: chosen.update(found=path))
-    monkeypatch.setattr("qdenv.zoo.shipped.names", lambda: chosen)
+    monkeypatch.setattr("experiments.generators.names", lambda: chosen)
     layout = SavedLayout("warehouse-even", "nca", (13, 16))
     grown = panels_of("plans", (Panel("grown", layout),))
     (zoo,) = layout.needs
