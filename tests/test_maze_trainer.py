@@ -13,10 +13,10 @@ import optax
 import pytest
 
 from qdenv.agent import curriculum, levels, ppo, rollout
-from qdenv.agent.files import load_state, save_state, save_weights
-from qdenv.agent.train import train_agent
+from qdenv.agent.files import load_state, mean_weights, save_state, save_weights
+from qdenv.agent.train import choose, train_agent
 from qdenv.agent.update import TrainConfig, start, update
-from qdenv.simulate.maze.policy import Memory, draw_weights
+from qdenv.simulate.maze.policy import Memory, draw_weights, load_weights
 from qdenv.simulate.maze.world import GOAL, WALL
 from qdenv.types import InputError
 
@@ -269,11 +269,12 @@ def test_a_run_may_change_its_method(method):
 
 
 def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
-    whole = np.load(train_agent(CONFIG, tmp_path / "whole", report_every=2))
+    config = replace(CONFIG, average=1)  # for a run in parts has more lines to take the mean of
+    whole = np.load(train_agent(config, tmp_path / "whole", report_every=2))
     part = tmp_path / "part"
-    train_agent(CONFIG, part, report_every=2, cpu_seconds=0)
+    train_agent(config, part, report_every=2, cpu_seconds=0)
     assert len((part / "curve.jsonl").read_text().splitlines()) == 1
-    resumed = np.load(train_agent(CONFIG, part, resume=True, report_every=2))
+    resumed = np.load(train_agent(config, part, resume=True, report_every=2))
     for name in whole.files:
         np.testing.assert_array_equal(whole[name], resumed[name])
     rows = [json.loads(row) for row in (part / "curve.jsonl").read_text().splitlines()]
@@ -290,6 +291,30 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
     (part / "checkpoint.npz").write_bytes(b"no")
     with pytest.raises(InputError, match=r"checkpoint\.npz: cannot be read"):
         train_agent(CONFIG, part, resume=True)
+
+
+@pytest.mark.parametrize("best", ["mean", "last"])
+def test_the_mean_of_the_last_agents_is_kept_unless_the_last_solves_more(tmp_path, best):
+    agents = [draw_weights(jax.random.key(seed), 4, 3) for seed in range(3)]
+    for number, agent in enumerate(agents):
+        save_weights(agent, tmp_path / "agents" / f"{number:06}.npz")
+    means = jax.tree.map(lambda one, other: (one + other) / 2, *agents[1:])
+    expected = {"mean": means, "last": agents[2]}[best]
+
+    def examine(weights):
+        return {"exam_60": float(np.allclose(weights.kernel, expected.kernel))}
+
+    row = choose(tmp_path, 2, examine)
+    assert row == {"exam_60": best == "last", "mean_exam_60": best == "mean"}
+    chex.assert_trees_all_close(load_weights(tmp_path / "agent.npz"), expected, rtol=1e-6)
+
+
+def test_agents_of_different_sizes_have_no_mean(tmp_path):
+    paths = [tmp_path / f"{units}.npz" for units in (4, 5)]
+    for path, units in zip(paths, (4, 5), strict=True):
+        save_weights(draw_weights(jax.random.key(0), units, 3), path)
+    with pytest.raises(InputError, match=r"5\.npz: an agent of another size"):
+        mean_weights(paths)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Files of the trainer: weights and checkpoints."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from qdenv.checkpoints import read_state, write_arrays, write_state
-from qdenv.simulate.maze.policy import Weights
+from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.types import InputError
 
 _FACTS = "facts"
@@ -34,6 +35,22 @@ def save_weights(weights: Weights, path: Path, dtype: DTypeLike = np.float32) ->
     named = zip(Weights._fields, weights, strict=True)
     arrays: dict[str, np.ndarray] = {name: np.asarray(array, dtype) for name, array in named}
     write_arrays(path, arrays, compressed=True)
+
+
+def mean_weights(paths: Sequence[Path]) -> Weights:
+    """Average agents of one training, weight by weight (Izmailov et al. 2018).
+
+    Late agents of one training lie around a point that does better than they where mazes are
+    unlike those of the training.
+
+    Raises:
+        InputError: a file is missing, damaged, or of an agent of another size.
+    """
+    every = [load_weights(path) for path in paths]
+    for path, weights in zip(paths, every, strict=True):
+        if [part.shape for part in weights] != [part.shape for part in every[0]]:
+            raise InputError(f"{path}: an agent of another size than {paths[0]}")
+    return Weights(*(np.mean(parts, axis=0) for parts in zip(*every, strict=True)))
 
 
 def save_state(path: Path, state: Any, facts: dict[str, Any]) -> None:

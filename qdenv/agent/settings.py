@@ -115,6 +115,8 @@ class TrainConfig(Ranged):
         novelty_until: share of the training after which the novelty reward has faded to nothing;
             it begins to fade halfway there.
         exam: held-out mazes of each kind, played for every line of the log.
+        average: agents, those of the last lines of the log, whose mean weights are the agent that
+            is kept, unless the last alone does better in the exam.
         ppo: numbers of the algorithm.
         reward: what is rewarded beside the goal.
         levels: what levels look like.
@@ -133,6 +135,7 @@ class TrainConfig(Ranged):
     entropy: NonNegativeFloat = 5e-3
     novelty_until: PositiveFloat = 1.0
     exam: PositiveInt = 32
+    average: PositiveInt = 8
     ppo: PPOConfig = field(default_factory=PPOConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     levels: LevelConfig = field(default_factory=LevelConfig)

@@ -13,14 +13,15 @@ import numpy as np
 
 from qdenv.agent.baseline import random_mazes
 from qdenv.agent.evaluate import default_horizon, run_batch
-from qdenv.agent.files import load_state, save_state, save_weights
+from qdenv.agent.files import load_state, mean_weights, save_state, save_weights
 from qdenv.agent.settings import TrainConfig
 from qdenv.agent.update import start, update
 from qdenv.files import write_json
-from qdenv.simulate.maze.policy import Weights
+from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.types import InputError
 
 Progress = Callable[[int, dict[str, Any] | None], None]
+Examine = Callable[[Weights], dict[str, float]]
 EXAM_WALLS = (60, 90)
 EXAM_EPISODES = 8
 
@@ -29,7 +30,7 @@ _play = jax.jit(run_batch, static_argnums=(3, 4))
 _update = jax.jit(update, static_argnums=1)
 
 
-def _exam(config: TrainConfig) -> Callable[[Weights], dict[str, float]]:
+def _exam(config: TrainConfig) -> Examine:
     """Prepare the held-out mazes: weights -> success rate for each number of walls."""
     size = config.levels.size
     share = [walls * size * size // 256 for walls in EXAM_WALLS]
@@ -47,6 +48,20 @@ def _exam(config: TrainConfig) -> Callable[[Weights], dict[str, float]]:
     return examine
 
 
+def choose(out: Path, average: int, examine: Examine) -> dict[str, float]:
+    """Keep the mean of the last agents of a run, or the last alone where that solves more.
+
+    Returns:
+        the log's columns: success rates of the last agent, and of the mean.
+    """
+    last = load_weights((kept := sorted((out / "agents").glob("*.npz"))[-average:])[-1])
+    mean = mean_weights(kept)
+    alone, together = examine(last), examine(mean)
+    better = mean if sum(together.values()) >= sum(alone.values()) else last
+    save_weights(better, out / "agent.npz")
+    return alone | {f"mean_{name}": rate for name, rate in together.items()}
+
+
 def train_agent(
     config: TrainConfig,
     out: Path,
@@ -59,8 +74,8 @@ def train_agent(
 
     Args:
         config: the run.
-        out: folder; gets config.json, curve.jsonl, checkpoint.npz, agent.npz, and in agents/ the
-            agent at every line of the log by its update, for the last need not be the best.
+        out: folder; gets config.json, curve.jsonl, checkpoint.npz, in agents/ the agent at every
+            line of the log by its update, and agent.npz, the mean of the last of these.
         resume: go on from the folder's checkpoint; `config` may ask for more steps or another
             method, not for other sizes.
         report_every: updates between two lines of the log, each with a checkpoint and an exam on
@@ -102,13 +117,12 @@ def train_agent(
             "cpu_seconds": round(spent, 1),
             "method": config.method,
             **mean,
-            **examine(state.weights),
         }
         logs = []
         # The log comes last: a run killed in between misses a line of it and repeats none.
         save_state(checkpoint, state, {"cpu_seconds": spent})
-        save_weights(state.weights, out / "agent.npz")
         save_weights(state.weights, out / "agents" / f"{done:06}.npz")
+        row |= choose(out, config.average, examine)
         with (out / "curve.jsonl").open("a") as log:
             log.write(json.dumps(row) + "\n")
         progress(done, row)

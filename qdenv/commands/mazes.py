@@ -29,7 +29,7 @@ def train_agent(
 
     Args:
         config: the run.
-        out: folder of the run: log, checkpoint, agent.npz, and earlier agents in agents/.
+        out: folder of the run: log, checkpoint, agent.npz, and the agents it averages in agents/.
         resume: go on from the folder's checkpoint; `qdenv resume FOLDER` does the same.
         report_every: updates between two lines of the log.
         cpu_seconds: stop after about so many CPU seconds, ready to be resumed.
@@ -55,7 +55,9 @@ def train_agent(
             if row:  # a checkpoint was written before
                 interrupt.advise(f"`qdenv resume {shlex.quote(str(out))}` goes on")
                 exams = ", ".join(
-                    f"{row[name]:.0%} of {name[5:]} walls" for name in row if name[:5] == "exam_"
+                    f"{row[name]:.0%} (mean {row[f'mean_{name}']:.0%}) of {name[5:]} walls"
+                    for name in row
+                    if name[:5] == "exam_"
                 )
                 bar.print(f"update {done} of {config.updates}: solves {exams}")
 
