@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 import toy
 
+from qdenv.agent.files import save_weights
 from qdenv.cli import run as command
-from qdenv.pipeline import PipelinedEvaluator
+from qdenv.domains.maze import MazeConfig, agent_weights, checksum_of_agent
+from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
 from qdenv.search.cma_mae import CmaMaeConfig
+from qdenv.simulate.maze.policy import load_weights
 from qdenv.training import loop
+from qdenv.training.config import RunConfig
 from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
@@ -139,7 +143,7 @@ def edited(run: RunDirectory, **changes: object) -> None:
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"seed": 5}, "seed 0, config.json says 5"),
+        ({"seed": 5}, "seed 0, now it is 5"),
         ({"archive": [[0, 30, 6], [0, 6, 10]]}, "archive"),
         ({"algorithm__emitters": 4, "algorithm__batch": 2}, "algorithm.emitters 2"),
         ({"evaluation__simulations": 2}, "evaluation.simulations 3"),
@@ -154,6 +158,31 @@ def test_a_run_whose_settings_were_edited_is_not_continued(changes, named, run):
     assert named in str(refusal.value) or "another configuration" in str(refusal.value)
     assert "\n" not in str(refusal.value)
     assert (run.path / "config.json").read_bytes() == before
+
+
+def test_a_maze_run_goes_on_with_the_agent_it_began_with_only(tmp_path):
+    agent, other = tmp_path / "agent.npz", tmp_path / "other.npz"
+    weights = load_weights()
+    save_weights(weights, agent)
+    save_weights(weights._replace(value_bias=weights.value_bias + 1), other)
+    domain = MazeConfig(rows=8, cols=8, timesteps=20, agent=str(agent))
+    evaluation = EvaluationConfig(domain, toy.CONFIG.evaluation.generator, simulations=2)
+    config = RunConfig(evaluation, CmaMaeConfig(emitters=1, batch=4), 8, checkpoint_every=1)
+    begun = loop.train(config, tmp_path / "begun", progress=False)
+    manifest = json.loads((begun.path / "manifest.json").read_text())
+    assert manifest["reads"] == {"agent": checksum_of_agent("")} != {}
+    own = agent.read_bytes()
+
+    agent.write_bytes(other.read_bytes())
+    agent_weights.cache_clear()
+    before = {path: path.read_bytes() for path in begun.path.rglob("*") if path.is_file()}
+    with pytest.raises(InputError, match=r"made with the agent of checksum .*, now it is"):
+        loop.resume(begun.path, False, 16)
+    assert before == {path: path.read_bytes() for path in begun.path.rglob("*") if path.is_file()}
+
+    agent.write_bytes(own)
+    agent_weights.cache_clear()
+    assert len(loop.resume(begun.path, False, 16).read_metrics()) == 4
 
 
 def test_settings_that_decide_no_result_may_change(whole, run):

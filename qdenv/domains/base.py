@@ -86,6 +86,8 @@ class Domain:
             the layout itself decides them; None for none.
         meanings: what the tiles mean to people, by their symbols.
         known: sizes (rows, columns) whose numbers do not follow from those of another size.
+        reads: names what results depend on beside the settings, each with a checksum, like an
+            agent that is read from a file; a run goes on with the same only.
     """
 
     config: Any
@@ -106,6 +108,7 @@ class Domain:
     marks: Callable[[np.ndarray], Mapping[str, int]] | None = None
     meanings: Mapping[str, Tile] = field(default_factory=dict)
     known: Mapping[tuple[int, int], KnownSize] = field(default_factory=dict)
+    reads: Callable[[], Mapping[str, str]] = dict
 
     @property
     def names(self) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -82,6 +83,14 @@ def agent_weights(agent: str) -> policy.Weights:
     return load_weights(agent)
 
 
+def checksum_of_agent(agent: str) -> str:
+    """Tell an agent from others by a checksum of its weights."""
+    digest = hashlib.blake2b(digest_size=6)
+    for array in agent_weights(agent):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
 def maze_simulator(config: MazeConfig) -> Simulator:
     """Make the maze's simulator, whose runs are `episode.Episode`."""
 
@@ -150,6 +159,7 @@ def maze(config: MazeConfig) -> Domain:
         measures=(first, PATH_LENGTH),
         meanings=MEANINGS,
         known=SIZES,
+        reads=lambda: {"agent": checksum_of_agent(config.agent)},
     )
 
 

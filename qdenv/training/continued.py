@@ -13,16 +13,19 @@ from qdenv.types import InputError, Measure
 IDLE = ("evaluations", "checkpoint_every", "workers", "backend")
 
 
-def settings_of(config: RunConfig, measures: Sequence[Measure]) -> dict[str, Any]:
+def settings_of(
+    config: RunConfig, measures: Sequence[Measure], reads: Mapping[str, str]
+) -> dict[str, Any]:
     """List what decides the result of a run, by the names of config.json (``algorithm.sigma0``).
 
     Args:
         config: the resolved configuration.
         measures: axes of the archive.
+        reads: checksums of what the domain reads beside its settings.
     """
     axes = tuple((float(axis.low), float(axis.high), axis.cells) for axis in measures)
     content = json.loads(json.dumps(config_to_json(replace(config, archive=axes))))
-    return dict(_flat(content))
+    return dict(_flat(content)) | {f"the {name} of checksum": reads[name] for name in reads}
 
 
 def _flat(content: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -47,8 +50,8 @@ def check_settings(now: dict[str, Any], then: Mapping[str, Any], path: Path) -> 
     for name, value in now.items():
         if name in then and then[name] != value:
             raise InputError(
-                f"{path}: its checkpoint was made with {name} {then[name]}, config.json says "
-                f"{value}: put that back, or train anew in another folder"
+                f"{path}: its checkpoint was made with {name} {then[name]}, now it is {value}: "
+                "put that back, or train anew in another folder"
             )
 
 

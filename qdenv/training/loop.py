@@ -49,6 +49,10 @@ class Experiment(NamedTuple):
     search_key: jax.Array
     evaluation_key: jax.Array
 
+    def settings(self, config: RunConfig) -> dict[str, Any]:
+        """List what decides the result, for checkpoints."""
+        return settings_of(config, self.measures, self.pipeline.domain.reads())
+
 
 def make_experiment(config: RunConfig, start: np.ndarray | None = None) -> Experiment:
     """Build a run's parts.
@@ -156,7 +160,7 @@ def _restored(
     done = manifest.iteration
     # Checkpoints of an older qdenv say nothing, but the manifest knows the axes.
     known = {"archive": [list(axis[1:4]) for axis in run.measures]}
-    settings = settings_of(config, experiment.measures)
+    settings = experiment.settings(config)
     check_settings(settings, manifest.settings or known, run.path)
     if config != run.config:
         check_total(config.evaluations, done, algorithm.batch_size)
@@ -175,7 +179,7 @@ def _run(
     batch = experiment.algorithm.batch_size
     total = -(-config.evaluations // batch)
     advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
-    settings = settings_of(config, experiment.measures)
+    settings = experiment.settings(config)
     with contextlib.ExitStack() as stack:
         shown = stack.enter_context(Progress(total * batch, progress))
         algorithm = growing(shown.over_algorithm(experiment.algorithm))

@@ -82,8 +82,8 @@ def check_schema(path: Path) -> None:
         raise InputError(f"{path.parent}: written by a newer qdenv, please upgrade")
 
 
-def make_manifest(meaning: Meaning) -> dict[str, Any]:
-    """List what manifest.json holds of a run that begins now."""
+def make_manifest(meaning: Meaning, domain: Domain) -> dict[str, Any]:
+    """List what manifest.json holds of a run in a domain that begins now."""
     axes = ("name", "low", "high", "cells")
     return {
         "schema": SCHEMA,
@@ -92,6 +92,7 @@ def make_manifest(meaning: Meaning) -> dict[str, Any]:
         "tile_names": dict(meaning.names),
         "objective": meaning.objective,
         "tie_break": meaning.tie_break,
+        "reads": dict(domain.reads()),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {"python": platform.python_version()}
         | {name: _version(name) for name in _PACKAGES},

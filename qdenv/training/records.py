@@ -70,7 +70,8 @@ class RunDirectory:
         run = cls(Path(path))
         if (run.path / "config.json").exists():
             raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
-        write_json(run.path / "manifest.json", make_manifest(meaning))
+        manifest = make_manifest(meaning, make_domain(config.evaluation.domain))
+        write_json(run.path / "manifest.json", manifest)
         run.write_metrics([])
         if start is not None:
             write_arrays(run.path / START, {"solution": start})

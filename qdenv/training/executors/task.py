@@ -24,10 +24,11 @@ class WrongWorkerError(RuntimeError):
 
 @lru_cache(maxsize=1)
 def versions() -> str:
-    """Name what decides a result: versions of packages, and the very code of this one."""
+    """Name what decides a result: versions of packages, and this one's very code and agent."""
     code = hashlib.blake2b(digest_size=8)
     home = Path(__file__).parents[2]
-    for path in sorted(home.rglob("*.py")):
+    files = (path for path in home.rglob("*") if path.suffix in (".py", ".npz"))  # and the agent
+    for path in sorted(files):
         code.update(path.relative_to(home).as_posix().encode() + path.read_bytes())
     known = [f"{name} {metadata.version(name)}" for name in PACKAGES]
     python = ".".join(platform.python_version_tuple()[:2])
