@@ -22,6 +22,7 @@ from experiments.catalogue import find, names
 from experiments.machines import at_work
 from experiments.pieces import RESULTS, Experiment, Folders
 from qdenv.commands.costs import in_words
+from qdenv.commands.parsing import run_program
 from qdenv.files import write_atomically
 from qdenv.plots.figure import save_figure
 from qdenv.training.executors.choosing import Execution, ExecutorName
@@ -122,11 +123,4 @@ def main(
 
 
 if __name__ == "__main__":
-    try:
-        tyro.cli(main, prog="python -m experiments")
-        sys.stdout.flush()
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
-    except BrokenPipeError:  # whoever read has read enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(run_program(main, "python -m experiments"))

@@ -11,6 +11,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import sys
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ import tyro
 from scipy.stats import rankdata
 
 import qdenv
+from qdenv.commands.parsing import run_program
 from qdenv.domains.base import make_domain
 from qdenv.files import write_csv
 from qdenv.plots.agreement import Opinion, save_agreement
@@ -240,4 +242,4 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    sys.exit(run_program(main, "python -m experiments.agreement"))

@@ -12,6 +12,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import itertools
+import sys
 import time
 from collections.abc import Iterable
 from dataclasses import replace
@@ -19,11 +20,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import tyro
 
 import qdenv
 from experiments.published import TABLE_4
 from qdenv.commands.costs import in_words
+from qdenv.commands.parsing import run_program
 from qdenv.files import write_csv
 from qdenv.plots.figure import new_figure, save_figure
 from qdenv.study.differences import margin, sample_of
@@ -184,4 +185,4 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    sys.exit(run_program(main, "python -m experiments.algorithms"))

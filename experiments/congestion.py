@@ -15,6 +15,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import sys
 from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import product
@@ -29,6 +30,7 @@ from matplotlib.axes import Axes
 import qdenv
 from experiments.published import TRAFFIC
 from experiments.traffic import moved_in, rate_of
+from qdenv.commands.parsing import run_program
 from qdenv.files import write_csv
 from qdenv.plots.figure import new_figure, save_figure
 from qdenv.study.ledger import Case, complete, read_runs
@@ -175,4 +177,4 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    sys.exit(run_program(main, "python -m experiments.congestion"))

@@ -10,12 +10,13 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import sys
 from pathlib import Path
 
 import jax
 import numpy as np
-import tyro
 
+from qdenv.commands.parsing import run_program
 from qdenv.plots.archive import save_heatmap
 from qdenv.search.base import Problem
 from qdenv.search.export import save_csv
@@ -60,4 +61,4 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    sys.exit(run_program(main, "python -m experiments.own_objective"))

@@ -13,6 +13,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +25,7 @@ import numpy as np
 import tyro
 
 import qdenv
+from qdenv.commands.parsing import run_program
 from qdenv.files import write_csv
 from qdenv.search.growth import growing
 from qdenv.study.held_out import judge, split
@@ -121,4 +123,4 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    sys.exit(run_program(main, "python -m experiments.surrogate"))

@@ -8,6 +8,7 @@ with the separable evolution strategy. Finished runs are kept, so it can be stop
 
 import itertools
 import os
+import sys
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -15,9 +16,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import tyro
 
 import qdenv
+from qdenv.commands.parsing import run_program
 from qdenv.training.config import RunConfig
 from qdenv.training.records import RunDirectory
 
@@ -79,4 +80,4 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    sys.exit(run_program(main, "python -m experiments.which_nca"))

@@ -15,6 +15,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import shutil
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,6 +25,7 @@ import tyro
 
 from experiments.growing import Cell, Measuring, Workshop
 from experiments.zoo_rules import RULES, Rule
+from qdenv.commands.parsing import run_program
 from qdenv.domains.base import DOMAINS
 from qdenv.files import write_json
 from qdenv.presets import PRESETS
@@ -164,4 +166,4 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    sys.exit(run_program(main, "python -m experiments.zoo"))

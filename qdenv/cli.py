@@ -5,10 +5,7 @@ A command is imported when it is chosen: help is read in less time than jax take
 
 import contextlib
 import errno
-import functools
 import importlib
-import inspect
-import io
 import itertools
 import os
 import sys
@@ -23,7 +20,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import tyro
 
 from qdenv.commands.catalogue import COMMANDS, summary_of
-from qdenv.commands.mistakes import one_line, unknown_command
+from qdenv.commands.mistakes import unknown_command
+from qdenv.commands.parsing import later, parsed
 from qdenv.interrupt import EXIT_CODE, last_words
 
 AUTO = "auto"  # the value of an option like --plot that was given none
@@ -149,38 +147,16 @@ def _parse(
         InputError: the arguments make no sense.
         SystemExit: help or completion was asked for, and printed.
     """
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said):
-            chosen: Callable[[], Any] = tyro.extras.subcommand_cli_from_dict(
-                {name: _later(command) for name, command in commands.items()},
-                prog="qdenv",
-                args=arguments,
-                config=(tyro.conf.AvoidSubcommands,),
-                registry=names,
-            )
-    except SystemExit as stop:
-        if stop.code in (0, None):
-            raise
-        from qdenv.types import InputError  # imports numpy: not for help
-
-        named = arguments[0] if arguments[0] in COMMANDS else ""
-        raise InputError(one_line(said.getvalue(), f"qdenv {named}".strip())) from None
-    return chosen
-
-
-def _later(command: Callable) -> Callable:
-    """Make a function with the same arguments that checks their ranges and binds them."""
-
-    @functools.wraps(command)
-    def bound(*values: Any, **named: Any) -> Callable[[], Any]:
-        from qdenv.ranges import check_arguments  # imports numpy: not for help
-
-        check_arguments(inspect.signature(command, eval_str=True).bind(*values, **named))
-        return functools.partial(command, *values, **named)
-
-    bound.__signature__ = inspect.signature(command)  # type: ignore[attr-defined]
-    return bound
+    return parsed(
+        lambda: tyro.extras.subcommand_cli_from_dict(
+            {name: later(command) for name, command in commands.items()},
+            prog="qdenv",
+            args=arguments,
+            config=(tyro.conf.AvoidSubcommands,),
+            registry=names,
+        ),
+        f"qdenv {arguments[0]}" if arguments[0] in COMMANDS else "qdenv",
+    )
 
 
 def _loaded(command: str, given: list[str]) -> Callable:

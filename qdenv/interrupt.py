@@ -14,6 +14,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable
+from types import FrameType
 from typing import NoReturn
 
 EXIT_CODE = 130  # what shells expect of a program ended by Ctrl-C
@@ -30,15 +31,19 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 def watch(program: str = "qdenv") -> None:
     """Answer Ctrl-C and SIGTERM from now on; for programs, not for notebooks.
 
+    Where somebody watches already nothing changes.
+
     Args:
         program: how it was called, to say how to call it again.
     """
+    if signal.getsignal(signal.SIGINT) is _ignore:
+        return
     advise(f"`{program} {shlex.join(sys.argv[1:])}` begins anew")
     reader, writer = socket.socketpair()
     writer.setblocking(False)
     # Python's own handler does nothing; the number of the signal arrives at the socket at once.
     for number in SIGNALS:
-        signal.signal(number, lambda number, frame: None)
+        signal.signal(number, _ignore)
     signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
 
     def wait() -> None:
@@ -48,6 +53,10 @@ def watch(program: str = "qdenv") -> None:
             leave()
 
     threading.Thread(target=wait, daemon=True, name="interrupt").start()
+
+
+def _ignore(number: int, frame: FrameType | None) -> None:
+    """Do nothing: the thread hears of it."""
 
 
 def _await_signal(reader: socket.socket) -> None:

@@ -12,10 +12,8 @@ if __name__ == "__main__":
 import importlib
 import sys
 
-import tyro
-
+from qdenv.commands.parsing import run_program
 from qdenv.commands.waiting import waiting
-from qdenv.types import InputError
 
 BENCHMARKS = (
     *("pipeline", "simulate", "repair", "search", "maze", "scale", "surrogate"),
@@ -30,13 +28,8 @@ def main() -> int:
         return 2
     name = sys.argv[1]
     benchmark = importlib.import_module(f"qdenv.bench.{name}").run
-    try:
-        with waiting(f"measuring: {name}"):
-            tyro.cli(benchmark, prog=f"python -m qdenv.bench {name}", args=sys.argv[2:])
-    except InputError as error:
-        print(f"qdenv: {error}", file=sys.stderr)
-        return 2
-    return 0
+    with waiting(f"measuring: {name}"):
+        return run_program(benchmark, f"python -m qdenv.bench {name}", sys.argv[2:])
 
 
 if __name__ == "__main__":
