@@ -15,6 +15,7 @@ from qdenv.simulate.mapf.planner import NOBODY
 SLACK = 12  # steps longer than the shortest way that a first search measures as well
 REACHES = 6  # searches of a field after which the next one measures all of it
 COMPLETE = 127  # of `Fields.extent`, which else counts the searches
+INDICES = (1 << 31) - 1  # a masked index is known not to count from the end
 
 
 @formula
@@ -25,7 +26,8 @@ def distance(fields: Fields, site: Site, goal: int, cell: int) -> int:
     """
     row = fields.row[goal]
     if row != NOBODY:
-        steps = fields.steps[fields.page[row, fields.tile[cell]], fields.place[cell]]
+        page = fields.page[row & INDICES, fields.tile[cell] & INDICES]
+        steps = fields.steps[page & INDICES, fields.place[cell] & INDICES]
         if steps != UNKNOWN:
             return steps + 0  # as a number of 64 bits
     return _measure(fields, site, goal, cell)

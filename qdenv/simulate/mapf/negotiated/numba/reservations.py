@@ -16,6 +16,8 @@ from qdenv.simulate.mapf.planner import NOBODY
 
 PLANE = 12  # bits of a plane: a window of at most ten steps, and five planes below the sign
 WALL = -1 << 63  # the sign: a wall
+# Where in a word those stand who leave against each move.
+AGAINST = np.array([PLANE * rules.opposite(move) for move in range(rules.MOVES)])
 
 
 class Reservations(NamedTuple):
@@ -58,8 +60,7 @@ def is_taken(word: int, t: int, move: int) -> int:
     """Tell whether arriving in a cell by a move, from t to t + 1, conflicts (0 or 1)."""
     here = word >> t
     # Who leaves the cell against the move would be swapped with.
-    against = rules.opposite(move)
-    return (here | (here >> (PLANE * against))) & 1
+    return (here | (here >> AGAINST[move])) & 1
 
 
 @formula

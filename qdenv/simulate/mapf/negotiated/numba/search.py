@@ -9,7 +9,7 @@ as they do in XLA. Most searches end among the shortest ways without a conflict,
 
 from qdenv.native import formula, kernel
 from qdenv.simulate.mapf.host.fields import Fields
-from qdenv.simulate.mapf.host.measure import distance
+from qdenv.simulate.mapf.host.measure import INDICES, distance
 from qdenv.simulate.mapf.host.site import Site
 from qdenv.simulate.mapf.negotiated import path_rules, rules
 from qdenv.simulate.mapf.negotiated.numba.reservations import (
@@ -19,9 +19,11 @@ from qdenv.simulate.mapf.negotiated.numba.reservations import (
 )
 from qdenv.simulate.mapf.negotiated.numba.states import (
     BETWEEN,
+    CELLS,
     ELAPSED_BIT,
     NO_STATE,
     NOT_MEASURED,
+    PLACES,
     SEARCH,
     STATES,
     TIME_BIT,
@@ -30,6 +32,8 @@ from qdenv.simulate.mapf.negotiated.numba.states import (
     Agent,
     Workspace,
     enqueue,
+    in_range,
+    link,
     mark,
     pack,
     unpack,
@@ -48,7 +52,7 @@ def find_path(
             for t in range(work.served.shape[2]):
                 work.served[conflicts, leg, t] = 0
     least = _start(work, fields, site, agent)
-    best, cost = path_rules.INFEASIBLE, 0
+    best, cost, dearest = path_rules.INFEASIBLE, 0, work.first.size
     while cost <= work.number[TOP]:
         index = work.first[cost]
         if index == NO_STATE:
@@ -56,14 +60,16 @@ def find_path(
                 break  # all of its cost were visited
             cost += 1
             continue
+        index &= INDICES
         work.first[cost] = work.later[index]
         state = work.state[index]
         if (state >> TIME_BIT) & TIMES == work.mark.shape[0] - 1:
             best = min(best, _end_code(work, state) ^ path_rules.tie_breaker(agent.noise))
+            dearest = cost
         elif state >> ELAPSED_BIT:
             _serve_on(work, reservations, fields, site, agent, state, least)
         else:
-            _drive_on(work, reservations, fields, site, agent, state, least)
+            _drive_on(work, reservations, fields, site, agent, state, least, dearest)
     # From 0 on: where fields lack room costs mean nothing, and states may wait below this one.
     for other in range(work.number[TOP] + 1):
         work.first[other] = NO_STATE
@@ -82,7 +88,7 @@ def _start(work: Workspace, fields: Fields, site: Site, agent: Agent) -> int:
         enqueue(work, state | ((elapsed + 1) << ELAPSED_BIT), 0)
         return path_rules.COST_UNIT * agent.remaining_service
     # Standing on the goal is not arriving: the path leaves it like any other cell.
-    mark(work, 0, middle, 0, 0)
+    mark(work, work.number[SEARCH], 0, middle, 0, 0)
     enqueue(work, pack(agent.position, middle, 0, 0, 0), 0)
     left = distance(fields, site, agent.goal[0], agent.position) + agent.service_time[0]
     return path_rules.COST_UNIT * left
@@ -107,23 +113,35 @@ def _drive_on(
     agent: Agent,
     state: int,
     least: int,
+    dearest: int,
 ) -> None:
-    """Visit a driving state: queue what one step leads to."""
+    """Visit a driving state: queue what one step leads to, if it costs no more than `dearest`.
+
+    Half of a run's time is spent here: what the loop counts stays in registers, for the compiler
+    must expect any array to overlap any other.
+    """
     cell, place, t, leg, conflicts = unpack(state)
     goal = agent.cell[leg] if rules.ends_leg(leg, agent.service_time[leg]) else -1
-    for move in range(rules.MOVES):
-        other = cell + site.steps[move]
+    search, states, top = work.number[SEARCH], work.number[STATES], work.number[TOP]
+    # Waiting always costs a timestep more: once the best cost is known, nobody does.
+    for move in range(dearest < work.first.size, rules.MOVES):
+        other = (cell + site.steps[move]) & CELLS
         word = reservations.word[other]
         if word < 0:
             continue
         after = min(conflicts + is_taken(word, t, move), work.levels - 1)
-        there = place + work.steps[move]
+        there = (place + work.steps[move]) & PLACES
         if other == goal:
+            work.number[STATES], work.number[TOP] = states, top
             _serve(work, fields, site, agent, pack(other, there, t + 1, leg, after), 0, least)
-        elif mark(work, t + 1, there, leg, after):
+            states, top = work.number[STATES], work.number[TOP]
+        elif mark(work, search, t + 1, there, leg, after):
             left = t + 1 + _left(work, fields, site, agent, leg, other)
-            cost = path_rules.COST_UNIT * left + after * agent.penalty - least
-            enqueue(work, pack(other, there, t + 1, leg, after), cost)
+            cost = in_range(work, path_rules.COST_UNIT * left + after * agent.penalty - least)
+            if cost <= dearest:
+                link(work, states, pack(other, there, t + 1, leg, after), cost)
+                states, top = states + 1, max(top, cost)
+    work.number[STATES], work.number[TOP] = states, top
 
 
 @kernel
@@ -166,7 +184,9 @@ def _serve(
     price = conflicts * agent.penalty - least
     cost = path_rules.COST_UNIT * (t + left) + price
     enqueue(work, state | ((elapsed + 1) << ELAPSED_BIT), cost)
-    if leg == 0 and elapsed == agent.service_time[0] and mark(work, t, place, 1, conflicts):
+    if leg == 0 and elapsed == agent.service_time[0]:
+        if not mark(work, work.number[SEARCH], t, place, 1, conflicts):
+            return
         left = _left(work, fields, site, agent, 1, cell)
         cost = path_rules.COST_UNIT * (t + left) + price
         enqueue(work, pack(cell, place, t, 1, conflicts), cost)

@@ -118,19 +118,30 @@ def unpack(state: int) -> tuple[int, int, int, int, int]:
 
 @formula
 def enqueue(work: Workspace, state: int, cost: int) -> None:
-    """Queue a state by its cost; a cost out of range is none, as fields that lack room give."""
-    cost = min(max(cost, 0), work.first.size - 1)
-    index = work.number[STATES]
-    work.state[index], work.later[index] = state, work.first[cost]
-    work.first[cost] = index
+    """Queue a state by its cost."""
+    cost = in_range(work, cost)
+    link(work, work.number[STATES], state, cost)
     work.number[STATES] += 1
     work.number[TOP] = max(work.number[TOP], cost)
 
 
 @formula
-def mark(work: Workspace, t: int, place: int, leg: int, conflicts: int) -> bool:
-    """Mark that paths go on from a place; returns whether that is new."""
-    marks, search = work.mark[t, place], work.number[SEARCH]
+def in_range(work: Workspace, cost: int) -> int:
+    """Bound a cost: one out of range is none, as fields that lack room give."""
+    return min(max(cost, 0), work.first.size - 1)
+
+
+@formula
+def link(work: Workspace, index: int, state: int, cost: int) -> None:
+    """Put a state, the `index`-th of the search, before all others that cost as much."""
+    work.state[index], work.later[index] = state, work.first[cost]
+    work.first[cost] = index
+
+
+@formula
+def mark(work: Workspace, search: int, t: int, place: int, leg: int, conflicts: int) -> bool:
+    """Mark that paths go on from a place in this search; returns whether that is new."""
+    marks = work.mark[t, place]
     if marks >> MARK_BITS != search:
         marks = search << MARK_BITS
     bit = 1 << (leg * LEG_MARKS + conflicts)
