@@ -1,14 +1,17 @@
 """Figure 22: throughput over agents, of layouts by CMA-ES and by CMA-MAE, at S and S_eval."""
 
+from experiments.layouts import S_EVAL, S
 from experiments.lines import LOOKS, draw_line, finish, new_panels
-from experiments.makers import CURVES, MAKERS, SIZES, own_agents, refusal_of
+from experiments.makers import CURVE_RUNS, CURVES, MAKERS, RUNS, SIZES, own_agents, refusal_of
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import FLEETS
 from qdenv.study.differences import Sample, margin
 
 HEAD = ("domain", "size", "layout", "runs", "most tasks / timestep", "agents then", "success then")
 NOTES = (
-    "Mean of all runs, congested ones too, with its 95 % interval; dotted: N_a of Table 5.",
+    "Mean of all runs, congested ones too, with its 95 % interval; dotted: N_a of Table 5. "
+    f"{CURVE_RUNS[S]} runs for each number of agents at S; {CURVE_RUNS[S_EVAL]} at S_eval, "
+    f"{RUNS} for N_a.",
     "The paper: at S both are alike; at S_eval CMA-ES's generators are far behind "
     "(warehouse-uneven), or their drawings cannot be repaired.",
 )

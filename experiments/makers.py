@@ -13,6 +13,9 @@ MAKERS = ("cma-es", "nca")
 SIZES = {S: "S", S_EVAL: "S_eval"}
 # Of N_a: numbers of agents over which Figure 22 draws throughput.
 SHARES = {S: (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0), S_EVAL: (0.4, 0.6, 0.8, 1.0, 1.2, 1.4)}
+RUNS = 50
+# A run at S_eval takes ten times as long, and moves what others move to within a few per mille.
+CURVE_RUNS = {S: RUNS, S_EVAL: 10}
 
 
 def own_agents(domain: str, shape: tuple[int, int]) -> int:
@@ -21,11 +24,25 @@ def own_agents(domain: str, shape: tuple[int, int]) -> int:
 
 
 def runs_at(
-    domain: str, maker: str, shape: tuple[int, int], agents: int, planner: str = "high"
+    domain: str,
+    maker: str,
+    shape: tuple[int, int],
+    agents: int,
+    planner: str = "high",
+    runs: int = RUNS,
 ) -> SavedTraffic:
-    """Name 50 runs of 5,000 timesteps with one number of agents."""
+    """Name runs of 5,000 timesteps with one number of agents."""
     layout = SavedLayout(domain, maker, shape)
-    return SavedTraffic(f"makers-{domain}", layout, (agents,), planner=planner)
+    return SavedTraffic(f"makers-{domain}", layout, (agents,), seeds=runs, planner=planner)
+
+
+def curve(domain: str, maker: str, shape: tuple[int, int]) -> tuple[SavedTraffic, ...]:
+    """Name the runs of one curve: with N_a agents those of the table, with others fewer."""
+    own = own_agents(domain, shape)
+    return tuple(
+        runs_at(domain, maker, shape, agents, runs=RUNS if agents == own else CURVE_RUNS[shape])
+        for agents in (round(share * own) for share in SHARES[shape])
+    )
 
 
 # With N_a agents, by domain, maker, size and planner. The best generator is the one that moves most
@@ -40,13 +57,7 @@ TABLE = {
     if maker in MAKERS or (shape == S and domain in names() and most_at_s(domain) != USUAL)
 }
 # With each number of agents, by domain, maker and size.
-CURVES = {
-    (domain, maker, shape): tuple(
-        runs_at(domain, maker, shape, round(share * own_agents(domain, shape)))
-        for share in SHARES[shape]
-    )
-    for domain, maker, shape in product(FLEETS, MAKERS, SIZES)
-}
+CURVES = {key: curve(*key) for key in product(FLEETS, MAKERS, SIZES)}
 
 
 def refusal_of(layout: SavedLayout, folders: Folders) -> str:
