@@ -14,7 +14,7 @@ SIZES = {S: "S", S_EVAL: "S_eval"}
 # Of N_a: numbers of agents over which Figure 22 draws throughput.
 SHARES = {S: (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0), S_EVAL: (0.4, 0.6, 0.8, 1.0, 1.2, 1.4)}
 RUNS = 50
-# A run at S_eval takes ten times as long, and moves what others move to within a few per mille.
+# A run at S_eval takes ten times as long or more; where nothing jams they differ by few per mille.
 CURVE_RUNS = {S: RUNS, S_EVAL: 10}
 
 
