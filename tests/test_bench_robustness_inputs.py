@@ -59,11 +59,11 @@ def test_the_judge_sees_what_is_planted_and_goes_on_after_each(judge, tmp_path):
         "spin": "hangs",
         "die": "dies with exit code 9",
     }.items():
+        # The command itself is well, in the same process or in a new one, which takes its time.
+        assert judge.fault_of(["check", "nowhere.txt"], tmp_path, limited=False) is None
         found = judge.fault_of([word], tmp_path)
         assert found is not None and said in found
         assert "\n" not in found
-        # The command itself is well, in the same process or in a new one.
-        assert judge.fault_of(["check", "nowhere.txt"], tmp_path, limited=False) is None
     (tmp_path / "plan.txt").write_text("...\n.x\n")
     assert judge.fault_of(["check", "plan.txt"], tmp_path, limited=False) is None
 

@@ -62,6 +62,7 @@ def test_the_shipped_agent_solves_random_mazes(agent):
         assert rates.mean() >= 0.95
 
 
+@pytest.mark.usefixtures("optimized")
 def test_the_shipped_agent_solves_mazes_larger_than_those_it_learned_in(agent):
     # 8 mazes x 4 episodes, with walls and ways like those of the published 64 x 64 maze
     mazes = draw_mazes(5, 8, (64, 64), 1681, lambda way: 181 <= way <= 271)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import pytest
 
 from qdenv.search.cma_mae import CmaMaeConfig
 
@@ -26,6 +27,7 @@ PYRIBS = np.array(
 )
 
 
+@pytest.mark.usefixtures("optimized")
 def test_a_hundred_iterations_score_as_pyribs_does():
     config = CmaMaeConfig(15, 36, sigma0=0.5, restart="basic", strategy="iso")
     search = SPHERE["search_sphere"](config, 100, 100)
