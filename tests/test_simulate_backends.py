@@ -46,8 +46,9 @@ def test_a_simulation_in_xla_is_exported_whole_and_gives_the_hosts_numbers(plann
     arguments = layout, jax.random.key_data(jax.random.key(2))
     stored = jax.export.export(simulation(xla))(*arguments).serialize()
     exported = jax.export.deserialize(stored).call(*arguments)
-    on_host = simulation(host)(*arguments)
+    on_host, jitted = (simulation(settings)(*arguments) for settings in (host, xla))
     assert on_host[0] > 0.2  # tasks per timestep
+    jax.tree.map(np.testing.assert_array_equal, exported, jitted)
     jax.tree.map(np.testing.assert_array_equal, exported, on_host)
     with pytest.raises(Exception, match="callback"):
         jax.export.export(simulation(host))(*arguments).serialize()
