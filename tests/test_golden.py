@@ -1,0 +1,22 @@
+"""A part of the golden corpus (tests/golden): no number has changed since it was recorded."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from golden import record
+
+SCRIPT = Path(record.__file__)
+
+
+@pytest.mark.parametrize("section", record.sections())
+def test_no_number_differs(section: str) -> None:
+    # A process of its own: XLA must optimize as it did when the section was recorded.
+    command = [sys.executable, str(SCRIPT), section, "--check", "--own-part"]
+    environment = {**os.environ, "PYTHONPATH": str(SCRIPT.parents[2])}
+    result = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr[-2000:]
+    assert ", 0 numbers differ" in result.stdout
