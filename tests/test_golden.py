@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
 from golden import record
 
 SCRIPT = Path(record.__file__)
