@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from qdenv.bench import browser
+from experiments.benchmarks import browser
 
 
 @contextmanager

@@ -99,12 +99,6 @@ ALLOWED = {
         "training",
         "zoo",
     },
-    "bench": BASE
-    | STAGES
-    | PLUGS
-    | {"cli", "commands.parsing", "commands.waiting"}
-    | {"agent", "domains", "formats", "pipeline", "plots", "presets", "search"}
-    | {"settings", "study", "surrogate", "training"},
     "cli": {"commands", "types", "interrupt"},
     "__main__": {"cli", "interrupt"},
     "__init__": set(),  # names the public homes and imports each when it is asked for

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from browser import opened
 
-from qdenv.bench.browser import find_browser
-from qdenv.bench.pages import run
+from experiments.benchmarks.browser import find_browser
+from experiments.benchmarks.pages import run
 from qdenv.pages import page as pages
 from qdenv.pages.page import make_page, pack
 from qdenv.types import InputError

@@ -17,8 +17,8 @@ MISTAKES = {
     "experiments.sphere --seeds many": "--seeds 'many' is no whole number",
     "experiments.own_objective --algorithm magic": "unknown algorithm 'magic'",
     "experiments.zoo nowhere": "nowhere: ",
-    "qdenv.bench maze --unit 3": "unknown option --unit",
-    "qdenv.bench speed": "usage: python -m qdenv.bench {pipeline,",
+    "experiments.benchmarks maze --unit 3": "unknown option --unit",
+    "experiments.benchmarks speed": "usage: python -m experiments.benchmarks {pipeline,",
 }
 
 

@@ -25,8 +25,8 @@ CPU_SECONDS = {
     "maze-entropy": 0.023,
     "maze-quick": 0.017,
     "dsage-quick": 0.25,
-    # Reckoned: the surrogate's part from `python -m qdenv.bench surrogate`, for outer loops of one
-    # batch of 50 (mazes: 400 evaluations) that learn from half of the evaluations.
+    # Reckoned: the surrogate's part from `python -m experiments.benchmarks surrogate`, for outer
+    # loops of one batch of 50 (mazes: 400 evaluations) that learn from half of the evaluations.
     "dsage-laptop": 4.8,
     "warehouse-even-dsage": 280.0,
     "warehouse-uneven-dsage": 280.0,

@@ -59,7 +59,7 @@ def run_program(function: Callable, program: str, arguments: Sequence[str] | Non
 
     Args:
         function: its arguments are the options.
-        program: how it is called, like "python -m qdenv.bench maze".
+        program: how it is called, like "python -m experiments.benchmarks maze".
         arguments: what follows that on the command line; what this process was given unless set.
     """
     from qdenv.types import InputError

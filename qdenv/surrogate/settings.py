@@ -36,5 +36,5 @@ class SurrogateConfig(Ranged):
     weights: tuple[NonNegativeFloat, ...] = ()
 
 
-# The published size, for GPUs; `python -m qdenv.bench surrogate` says what each takes.
+# The published size, for GPUs; `python -m experiments.benchmarks surrogate` says what each takes.
 PUBLISHED = SurrogateConfig(channels=64, blocks=2)

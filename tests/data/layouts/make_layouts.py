@@ -10,8 +10,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from experiments.benchmarks.layouts import KERNELS, grow_random
 from qdenv import cli
-from qdenv.bench.layouts import KERNELS, grow_random
 from qdenv.domains.base import find_domain
 from qdenv.formats.layouts import write_layout
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from robustness import audits, campaign, repairs
+from robustness.attack import Attack, Attempt
 
-from qdenv.bench.robustness import audits, campaign, repairs
-from qdenv.bench.robustness.attack import Attack, Attempt
 from qdenv.domains.base import find_domain
 from qdenv.repair.facts import Facts
 from qdenv.repair.recipe import repair

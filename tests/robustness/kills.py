@@ -14,9 +14,6 @@ import jax
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
-from qdenv.bench.robustness.attack import Attack, Attempt
-from qdenv.bench.robustness.dying import DeathError, Kind, Trouble
-from qdenv.bench.robustness.kept import contents, differences
 from qdenv.domains.maze import MazeConfig
 from qdenv.generate.settings import NcaConfig
 from qdenv.presets import find_preset
@@ -24,6 +21,9 @@ from qdenv.search.settings import CmaMaeConfig
 from qdenv.training import loop
 from qdenv.training.config import RunConfig
 from qdenv.types import InputError
+from robustness.attack import Attack, Attempt
+from robustness.dying import DeathError, Kind, Trouble
+from robustness.kept import contents, differences
 
 # Five iterations of two mazes: what dies is the writing, whatever is searched.
 CONFIG: RunConfig = replace(

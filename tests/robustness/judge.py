@@ -14,8 +14,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from qdenv.bench.robustness.worker import Ending
 from qdenv.types import printable
+from robustness import worker
+from robustness.worker import Ending
 
 LONGEST = 10.0  # CPU seconds of one command line
 LATEST = 300.0  # seconds until it must end, however busy the machine is
@@ -89,7 +90,7 @@ class Judge:
             cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
             programs = {"JAX_COMPILATION_CACHE_DIR": f"{cache}/qdenv/jax"}
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "qdenv.bench.robustness.worker", self._program],
+                [sys.executable, worker.__file__, self._program],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,

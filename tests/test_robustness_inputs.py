@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from robustness import damage, hostile, inputs
+from robustness.judge import Judge, verdict
+from robustness.worker import Ending
 
 from qdenv.agent.convert import read_checkpoint
-from qdenv.bench.robustness import damage, hostile, inputs
-from qdenv.bench.robustness.judge import Judge, verdict
-from qdenv.bench.robustness.worker import Ending
 from qdenv.formats.drawings import ENDINGS, read_drawing
 from qdenv.reading.arrays import read_arrays
 from qdenv.simulate.maze.policy import load_weights, shipped_agent

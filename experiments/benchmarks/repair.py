@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from qdenv.bench.layouts import (
+from experiments.benchmarks.layouts import (
     DOMAINS,
     EVAL_SIZE,
     FLEETS,

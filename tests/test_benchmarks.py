@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from qdenv.bench.surrogate import SIZES, Options, reckon, run, searched
+from experiments.benchmarks.surrogate import SIZES, Options, reckon, run, searched
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import InputError
 

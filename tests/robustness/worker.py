@@ -1,6 +1,6 @@
 """A process of its own that runs command lines as `qdenv` would, and says how each ended.
 
-Started as ``python -m qdenv.bench.robustness.worker MODULE:FUNCTION``, where the function takes the
+Started as ``python tests/robustness/worker.py MODULE:FUNCTION``, where the function takes the
 words of a command line and returns an exit code. Each line of input is {"argv", "folder"} as JSON,
 each line of output the fields of `Ending`.
 """

@@ -12,10 +12,10 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from qdenv.bench.robustness.attack import Attack, Attempt
-from qdenv.bench.robustness.catalogue import ATTACKS
 from qdenv.files import write_json
 from qdenv.types import InputError
+from robustness.attack import Attack, Attempt
+from robustness.catalogue import ATTACKS
 
 
 @dataclass
@@ -128,4 +128,4 @@ def attack_once(tally: Tally, seed: int, number: int) -> None:
     tally.add(number, attempt, time.monotonic() - begun)
     for fault in attempt.faults:
         again = f"--only {name} --seed {seed} --first {number} --minutes 0"
-        print(f"FAULT {fault}\n  again: python -m qdenv.bench robustness {again}", flush=True)
+        print(f"FAULT {fault}\n  again: python tests/robustness {again}", flush=True)

@@ -6,7 +6,7 @@ import zipfile
 
 import numpy as np
 
-from qdenv.bench.robustness.damage import Chance, pick
+from robustness.damage import Chance, pick
 
 
 def text(value: str) -> bytes:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from robustness import kills
+from robustness.dying import DeathError, Trouble
+from robustness.kept import differences
 
-from qdenv.bench.robustness import kills
-from qdenv.bench.robustness.dying import DeathError, Trouble
-from qdenv.bench.robustness.kept import differences
 from qdenv.files import write_atomically
 from qdenv.types import InputError
 

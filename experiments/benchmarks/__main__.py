@@ -1,4 +1,4 @@
-"""Run a benchmark: `python -m qdenv.bench NAME [--json FILE]`."""
+"""Run a benchmark: `python -m experiments.benchmarks NAME [--json FILE]`."""
 
 import os
 
@@ -7,7 +7,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from qdenv import interrupt
 
 if __name__ == "__main__":
-    interrupt.watch("python -m qdenv.bench")
+    interrupt.watch("python -m experiments.benchmarks")
 
 import importlib
 import sys
@@ -17,19 +17,22 @@ from qdenv.commands.waiting import waiting
 
 BENCHMARKS = (
     *("pipeline", "simulate", "repair", "search", "maze", "scale", "surrogate"),
-    *("pages", "executors", "robustness"),
+    *("pages", "executors"),
 )
 
 
 def main() -> int:
     """Run the benchmark named on the command line; each has a `run` with its own options."""
     if len(sys.argv) < 2 or sys.argv[1] not in BENCHMARKS:
-        print(f"qdenv: usage: python -m qdenv.bench {{{','.join(BENCHMARKS)}}}", file=sys.stderr)
+        print(
+            f"qdenv: usage: python -m experiments.benchmarks {{{','.join(BENCHMARKS)}}}",
+            file=sys.stderr,
+        )
         return 2
     name = sys.argv[1]
-    benchmark = importlib.import_module(f"qdenv.bench.{name}").run
+    benchmark = importlib.import_module(f"experiments.benchmarks.{name}").run
     with waiting(f"measuring: {name}"):
-        return run_program(benchmark, f"python -m qdenv.bench {name}", sys.argv[2:])
+        return run_program(benchmark, f"python -m experiments.benchmarks {name}", sys.argv[2:])
 
 
 if __name__ == "__main__":

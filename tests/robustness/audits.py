@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from qdenv.bench.robustness.attack import Attack, Attempt
 from qdenv.domains.base import find_domain
 from qdenv.repair.recipe import repair
 from qdenv.repair.settings import RepairConfig
@@ -25,6 +24,7 @@ from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.study.runs import run_seeds
 from qdenv.types import InputError, RepairStatus, TaskRule, Traffic
+from robustness.attack import Attack, Attempt
 
 TILES = ".#ew"
 STAYS = {"plain": (0, 0), "services": (0, 2, 11, 0)}  # kinds of goal e and w by turns

@@ -12,13 +12,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from qdenv.bench.robustness.attack import Attack, Attempt
-from qdenv.bench.robustness.damage import Chance, damaged, pick, spoilt
-from qdenv.bench.robustness.hostile import checkpoint
-from qdenv.bench.robustness.judge import Judge
-from qdenv.bench.robustness.lines import EXTREMES, LINES, PLACES, SEARCH, TRAINED, TRAINING
 from qdenv.formats.drawings import ENDINGS
 from qdenv.simulate.maze.policy import shipped_agent
+from robustness.attack import Attack, Attempt
+from robustness.damage import Chance, damaged, pick, spoilt
+from robustness.hostile import checkpoint
+from robustness.judge import Judge
+from robustness.lines import EXTREMES, LINES, PLACES, SEARCH, TRAINED, TRAINING
 
 INPUTS = 50  # of one attempt
 WAREHOUSE = [

@@ -1,3 +1,3 @@
 """The campaign: attacks with fresh seeds on files, runs, fleets and repairs, and their counts."""
 
-from qdenv.bench.robustness.campaign import run as run
+from robustness.campaign import run as run

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from qdenv.bench.browser import opened
+from experiments.benchmarks.browser import opened
 from qdenv.files import write_json
 from qdenv.types import InputError
 

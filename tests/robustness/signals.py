@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from qdenv.bench.robustness.attack import Attack, Attempt
-from qdenv.bench.robustness.kept import contents, differences
-from qdenv.bench.robustness.kills import MOST_TROUBLES, Reference, compiled
+from robustness.attack import Attack, Attempt
+from robustness.kept import contents, differences
+from robustness.kills import MOST_TROUBLES, Reference, compiled
 
 # As in `kills`, with more iterations to be hit.
 OPTIONS = (

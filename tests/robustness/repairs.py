@@ -6,7 +6,6 @@ from typing import Literal, NamedTuple
 import highspy
 import numpy as np
 
-from qdenv.bench.robustness.attack import Attack, Attempt
 from qdenv.domains.base import find_domain
 from qdenv.repair.audit import audit
 from qdenv.repair.facts import Facts
@@ -17,6 +16,7 @@ from qdenv.repair.milp.program import build, decode
 from qdenv.repair.recipe import repair
 from qdenv.repair.settings import Polish, RepairConfig
 from qdenv.types import Count, RepairStatus, Rules
+from robustness.attack import Attack, Attempt
 
 KINDS = {"warehouse-even": "@", "warehouse-uneven": "@", "manufacturing": "012"}  # and obstacles
 USUAL = 0.01  # share of layouts of the size of a search, the others being small

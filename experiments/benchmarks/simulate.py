@@ -15,7 +15,7 @@ import jax
 import numpy as np
 import tyro
 
-from qdenv.bench.layouts import grow_random, rules_at_size
+from experiments.benchmarks.layouts import grow_random, rules_at_size
 from qdenv.domains.base import find_domain
 from qdenv.files import write_json
 from qdenv.formats.layouts import read_layout

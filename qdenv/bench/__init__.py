@@ -1,1 +1,0 @@
-"""Benchmarks: `python -m qdenv.bench NAME --json FILE`."""

@@ -1,0 +1,23 @@
+"""Run the campaign: `python tests/robustness --minutes 10`."""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # tests import `robustness` from there, too
+
+from qdenv import interrupt
+
+if __name__ == "__main__":
+    interrupt.watch("python tests/robustness")
+
+from qdenv.commands.parsing import run_program
+from qdenv.commands.waiting import waiting
+from robustness.campaign import run
+
+if __name__ == "__main__":
+    with waiting("attacking"):
+        sys.exit(run_program(run, "python tests/robustness"))
