@@ -6,7 +6,6 @@ import errno
 import io
 import json
 import os
-import re
 import stat
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +17,9 @@ import numpy as np
 from qdenv.interrupt import unfinished
 from qdenv.types import InputError
 
-_TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}")  # how `write_atomically` calls what is under way
+# Prefix of the names under which `write_atomically` writes. It is ours alone: `sweep` deletes by
+# it, and a user's hidden files must never match.
+TEMPORARY_PREFIX = ".qdenv-tmp-"
 DIGITS = 6  # significant ones of a number in a file: single precision holds no more
 
 
@@ -40,7 +41,9 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         mode = _mode_of(path)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, temporary = tempfile.mkstemp(
+            dir=path.parent, prefix=f"{TEMPORARY_PREFIX}{path.name}."
+        )
         unfinished.add(temporary)
         with os.fdopen(handle, "wb") as file:
             if isinstance(content, bytes):
@@ -78,15 +81,14 @@ def _mode_of(path: Path) -> int:
 
 
 def sweep(folder: Path) -> None:
-    """Take away what a process that was killed while it wrote left in a folder.
+    """Delete the temporary files that a killed process left in a folder, and nothing else.
 
     Args:
-        folder: where nobody else is writing.
+        folder: must be locked, so that no other process is writing there.
     """
-    for path in folder.glob(".*"):
-        if _TEMPORARY.fullmatch(path.name):
-            with contextlib.suppress(OSError):
-                path.unlink()
+    for path in folder.glob(f"{TEMPORARY_PREFIX}*"):
+        with contextlib.suppress(OSError):
+            path.unlink()
 
 
 def _write_through(path: Path, content: bytes | Callable[[BinaryIO], None]) -> None:

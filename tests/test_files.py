@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from qdenv.files import write_atomically, write_json
+from qdenv.files import TEMPORARY_PREFIX, sweep, write_atomically, write_json
 from qdenv.interrupt import unfinished
 from qdenv.types import InputError
 
@@ -59,3 +59,21 @@ def test_whatever_goes_wrong_the_old_file_stays_and_nothing_else(tmp_path, error
         write_atomically(target, fail)
     assert [path.name for path in tmp_path.iterdir()] == ["a.bin"]
     assert target.read_bytes() == b"old" and not unfinished
+
+
+def test_sweeping_deletes_our_temporary_files_and_no_hidden_file_of_the_user(tmp_path):
+    theirs = [
+        ".env.template",
+        ".env.defaults",
+        ".bashrc.original",
+        ".vimrc.personal",
+        ".a.b_c_d_e_",
+    ]
+    for name in theirs:
+        (tmp_path / name).write_text("theirs")
+    seen = []
+    write_atomically(tmp_path / "a.json", lambda file: seen.extend(tmp_path.glob(".qdenv*")))
+    assert [path.name.startswith(f"{TEMPORARY_PREFIX}a.json.") for path in seen] == [True]
+    seen[0].write_text("left by a process that was killed")
+    sweep(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"a.json", *theirs}

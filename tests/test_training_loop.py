@@ -140,8 +140,12 @@ def test_killed_run_resumes_to_the_same_bits(where, finished, tmp_path):
     assert child.returncode == -signal.SIGKILL, child.stderr.decode()
     survived = RunDirectory.open(path)
     assert 0 < len(survived.read_metrics()) < 6
+    theirs = {path / ".env.template", path / "checkpoints" / ".env.defaults"}
+    for file in theirs:
+        file.write_text("theirs")
     resumed = loop.resume(path, progress=False)
     assert same(resumed.load_archive(), finished.load_archive())
+    assert {file for file in path.rglob(".*") if file.name != ".lock"} == theirs
 
 
 def test_metrics_have_the_promised_columns_and_grow(finished):

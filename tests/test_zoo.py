@@ -179,3 +179,21 @@ def test_zoo_lists_every_generator_with_its_figures(tmp_path, monkeypatch, capsy
     assert run(["zoo", EVEN, "--plot"]) == 0
     assert imread("zoo.png").shape[0] > 600
     assert "zoo:maze" not in capsys.readouterr().out
+
+
+def test_a_folder_of_the_zoo_is_read_only_by_path_too(tmp_path, capsys):
+    folder = ZOO / "maze-walls"
+    (tmp_path / "link").symlink_to(folder)
+    for place in (folder, tmp_path / "link"):
+        assert RunDirectory.open(place).shipped is not None
+        for command in (["resume", str(place), "--evaluations", "1000"], ["train", "--out"]):
+            assert run(command if command[0] == "resume" else [*command, str(place)]) == 2
+            assert "ships with qdenv" in capsys.readouterr().err
+    with pytest.raises(InputError, match="ships with qdenv"):
+        qdenv.train("quick", folder)
+
+
+def test_no_hint_names_a_command_that_would_write_into_the_zoo(capsys):
+    assert run(["surrogate", "zoo:maze-walls"]) == 2
+    line = capsys.readouterr().err
+    assert "at least 50 elites" in line and "resume" not in line and str(ZOO) not in line

@@ -31,6 +31,7 @@ from qdenv.training.config import RunConfig
 from qdenv.training.executors.choosing import Execution, ExecutorName
 from qdenv.training.feasible import check_feasible
 from qdenv.training.following import follow_size
+from qdenv.training.records import RunDirectory
 from qdenv.training.start import find_start
 from qdenv.types import InputError
 from qdenv.zoo.shipped import PREFIX
@@ -87,6 +88,7 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
     path = setup.out or Path("runs") / f"{preset}-{stamp}"
     if path.as_posix().startswith(PREFIX):
         raise InputError(f"{path}: names that begin with {PREFIX} ship with qdenv: name a folder")
+    RunDirectory(path).demand_own()
     files = [place for place in (path, *path.parents) if place.exists() and not place.is_dir()]
     if files:
         raise InputError(f"{path}: {files[0]} is a file: name a folder")

@@ -67,9 +67,14 @@ def read_elites(run: RunDirectory) -> Evaluated:
     """
     archive, domain = run.archive, make_domain(run.config.evaluation.domain)
     if len(archive) < FEWEST:
+        cure = (
+            "choose a run of your own"
+            if run.shipped
+            else f"continue the run with `qdenv resume {run} --evaluations N`"
+        )
         raise InputError(
-            f"{run.path}: a surrogate needs at least {FEWEST} elites, this archive has "
-            f"{len(archive)}: let the run go on with `qdenv resume {run.path} --evaluations N`"
+            f"{run}: a surrogate needs at least {FEWEST} elites, this archive has {len(archive)}: "
+            + cure
         )
     columns = archive.columns
     objective, _, units = domain.objective_name.partition(" [")

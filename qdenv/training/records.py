@@ -83,7 +83,8 @@ class RunDirectory:
         """Open an existing run.
 
         Args:
-            path: its folder, or ``zoo:DOMAIN/NAME`` for a generator that ships.
+            path: its folder, or ``zoo:DOMAIN/NAME`` for a generator that ships. A folder of the
+                zoo is opened as ``zoo:DOMAIN``, so that it is only read.
 
         Raises:
             InputError: there is none, or a newer qdenv wrote it.
@@ -105,9 +106,9 @@ class RunDirectory:
         return locked(self.path)
 
     def demand_own(self) -> None:
-        """Refuse to write where the package lies, which is an `InputError`."""
-        if self.shipped is not None:
-            raise InputError(self.shipped.refusal)
+        """Raise InputError if the folder is one of the zoo's, by name or by path."""
+        if shipped := self.shipped or find(self.path):
+            raise InputError(shipped.refusal)
 
     def __str__(self) -> str:
         """Say the run as command lines do."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib import resources
@@ -168,13 +169,24 @@ def _home() -> Path:
 
 
 def find(place: str | Path) -> Shipped | None:
-    """Find what ``zoo:DOMAIN`` or ``zoo:DOMAIN/NAME`` stands for; None for other places.
+    """Find what ``zoo:DOMAIN``, ``zoo:DOMAIN/NAME`` or the path of a folder of the zoo stands for.
+
+    Args:
+        place: a name or a path; links are followed.
+
+    Returns:
+        The generator; None for other places.
 
     Raises:
         InputError: nothing has this name; the line lists what there is.
     """
     text = place.as_posix() if isinstance(place, Path) else place
-    return named(text.removeprefix(PREFIX)) if text.startswith(PREFIX) else None
+    if text.startswith(PREFIX):
+        return named(text.removeprefix(PREFIX))
+    folder = Path(os.path.realpath(text))  # unlike Path.resolve, it never raises
+    if folder.parent != Path(os.path.realpath(_home())) or folder.name not in names():
+        return None
+    return named(folder.name)
 
 
 def file_name(run_dir: Path) -> str:
