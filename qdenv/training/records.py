@@ -83,8 +83,7 @@ class RunDirectory:
         """Open an existing run.
 
         Args:
-            path: its folder, or ``zoo:DOMAIN/NAME`` for a generator that ships. A folder of the
-                zoo is opened as ``zoo:DOMAIN``, so that it is only read.
+            path: its folder, or ``zoo:DOMAIN/NAME``; a folder of the zoo is ``zoo:DOMAIN``.
 
         Raises:
             InputError: there is none, or a newer qdenv wrote it.
