@@ -39,33 +39,20 @@ PARTED = 6  # layouts listed of each planner
 
 
 class Subject(NamedTuple):
-    """A layout that is judged.
+    """A layout that is judged."""
 
-    Attributes:
-        name: of the file, or the elite's cell.
-        tiles: int8 [H, W].
-        objective: what the archive says it is worth; NaN where it comes from a file.
-        flowed: none of the archive's own simulations congested.
-        measures: float [M].
-    """
-
-    name: str
-    tiles: np.ndarray
-    objective: float
-    flowed: bool
-    measures: np.ndarray
+    name: str  # of the file, or the elite's cell
+    tiles: np.ndarray  # int8 [H, W]
+    objective: float  # what the archive says it is worth; NaN where it comes from a file
+    flowed: bool  # none of the archive's own simulations congested
+    measures: np.ndarray  # float [M]
 
 
 class Judged(NamedTuple):
-    """What all planners say.
+    """What all planners say."""
 
-    Attributes:
-        throughput: by planner, float [layouts, seeds].
-        jams: by planner, how many runs of each layout congested, int [layouts].
-    """
-
-    throughput: dict[str, np.ndarray]
-    jams: dict[str, np.ndarray]
+    throughput: dict[str, np.ndarray]  # by planner, float [layouts, seeds]
+    jams: dict[str, np.ndarray]  # by planner, how many runs of each layout congested, int [layouts]
 
     def flows(self, planner: str) -> np.ndarray:
         """Tell which layouts never congest under a planner nor the paper's, bool [layouts]."""

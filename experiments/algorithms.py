@@ -39,17 +39,11 @@ ENTROPY = ("mean_entropy", "lowest_entropy", "share_below_half")
 
 
 class Runs(NamedTuple):
-    """The runs of one algorithm.
+    """The runs of one algorithm."""
 
-    Attributes:
-        evaluations: int [N], where its metrics were taken.
-        metrics: float [seeds, N, 3], in the order of `METRICS`.
-        entropy: float [seeds, 3], over the elites, in the order of `ENTROPY`.
-    """
-
-    evaluations: np.ndarray
-    metrics: np.ndarray
-    entropy: np.ndarray
+    evaluations: np.ndarray  # int [N], where its metrics were taken
+    metrics: np.ndarray  # float [seeds, N, 3], in the order of `METRICS`
+    entropy: np.ndarray  # float [seeds, 3], over the elites, in the order of `ENTROPY`
 
 
 def run_of(config: RunConfig, path: Path) -> qdenv.RunDirectory:

@@ -20,23 +20,14 @@ PARTS = 1_000_000  # of all agents' time: what the file counts it in
 
 
 class Course(NamedTuple):
-    """What several runs did; sums, so that further runs can be added.
+    """What several runs did; sums, so that further runs can be added."""
 
-    Attributes:
-        runs: how many, of seeds 0, 1, 2, ...
-        congested: how many of them congested.
-        cpu_seconds: of all of them.
-        tasks: int [bins], finished in `BIN` timesteps, summed over the runs.
-        squares: int [bins], the squares of these counts, summed.
-        usage: float [H, W], share of all agents' time spent on each cell, summed.
-    """
-
-    runs: int
-    congested: int
-    cpu_seconds: float
-    tasks: np.ndarray
-    squares: np.ndarray
-    usage: np.ndarray
+    runs: int  # how many, of seeds 0, 1, 2, ..
+    congested: int  # how many of them congested
+    cpu_seconds: float  # of all of them
+    tasks: np.ndarray  # int [bins], finished in `BIN` timesteps, summed over the runs
+    squares: np.ndarray  # int [bins], the squares of these counts, summed
+    usage: np.ndarray  # float [H, W], share of all agents' time spent on each cell, summed
 
     @property
     def rates(self) -> tuple[np.ndarray, np.ndarray]:
@@ -54,23 +45,14 @@ class Course(NamedTuple):
 
 
 class SavedCourse(NamedTuple):
-    """Runs of one layout with one number of agents.
+    """Runs of one layout with one number of agents."""
 
-    Attributes:
-        layout: which.
-        agents: how many.
-        timesteps: horizon T, a multiple of `BIN`.
-        seeds: how many.
-        stop: runs end where they congest.
-        planner: one of `ledger.DRIVERS`.
-    """
-
-    layout: SavedLayout
-    agents: int = 200
-    timesteps: int = 5000
-    seeds: int = 100
-    stop: bool = False
-    planner: str = "high"
+    layout: SavedLayout  # which
+    agents: int = 200  # how many
+    timesteps: int = 5000  # horizon T, a multiple of `BIN`
+    seeds: int = 100  # how many
+    stop: bool = False  # runs end where they congest
+    planner: str = "high"  # one of `ledger.DRIVERS`
 
     @property
     def kind(self) -> str:

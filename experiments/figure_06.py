@@ -19,15 +19,10 @@ from qdenv.training.records import RunDirectory
 
 
 class SavedGrowth(NamedTuple):
-    """How an automaton of the zoo grows a layout of its trained size.
+    """How an automaton of the zoo grows a layout of its trained size."""
 
-    Attributes:
-        domain: whose best generator.
-        every: steps from one frame to the next.
-    """
-
-    domain: str
-    every: int = 10
+    domain: str  # whose best generator
+    every: int = 10  # steps from one frame to the next
 
     @property
     def kind(self) -> str:

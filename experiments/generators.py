@@ -13,13 +13,9 @@ GROWERS = ("nca", "nca-s")  # makers of layouts that are generators of the zoo
 
 
 class SavedZoo(NamedTuple):
-    """The zoo of one domain.
+    """The zoo of one domain."""
 
-    Attributes:
-        domain: its name.
-    """
-
-    domain: str
+    domain: str  # its name
 
     @property
     def kind(self) -> str:

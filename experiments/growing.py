@@ -30,24 +30,16 @@ NONE = "0"  # seeds: leave this planner out
 
 @dataclass(frozen=True)
 class Measuring:
-    """What is simulated.
+    """What is simulated."""
 
-    Attributes:
-        sizes: rows and columns of layouts, like 33x36 101x102; the trained size and those that the
-            domain knows unless given.
-        timesteps: horizon of what is reported of fleets.
-        seeds: of each layout under our planner at high effort.
-        pbs_seeds: of each under priority-based search; 0 leaves it out.
-        episodes: of the agent in each maze.
-        trial_timesteps: horizon of a trial of a fleet, which has one seed.
-    """
-
+    # rows and columns of layouts, like 33x36 101x102; the trained size and those that the domain
+    # knows unless given
     sizes: tuple[str, ...] = ()
-    timesteps: int = 5000
-    seeds: str = "2"
-    pbs_seeds: str = "1"
-    episodes: int = 100
-    trial_timesteps: int = 1000
+    timesteps: int = 5000  # horizon of what is reported of fleets
+    seeds: str = "2"  # of each layout under our planner at high effort
+    pbs_seeds: str = "1"  # of each under priority-based search; 0 leaves it out
+    episodes: int = 100  # of the agent in each maze
+    trial_timesteps: int = 1000  # horizon of a trial of a fleet, which has one seed
 
 
 class Workshop:

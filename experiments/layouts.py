@@ -31,19 +31,13 @@ SECONDS = {S: 4.0, S_EVAL: 10.0}  # CPU seconds of growing and repairing
 
 
 class Made(NamedTuple):
-    """A saved layout.
+    """A saved layout."""
 
-    Attributes:
-        layout: int8 [H, W], as it is simulated.
-        unrepaired: int8 [H, W], as it was grown or tiled; the same where nothing was repaired.
-        domain: at its size.
-        facts: what its file says else: steps, cells changed, CPU seconds of growth and repair.
-    """
-
-    layout: np.ndarray
+    layout: np.ndarray  # int8 [H, W], as it is simulated
+    # int8 [H, W], as it was grown or tiled; the same where nothing was repaired
     unrepaired: np.ndarray
-    domain: Domain
-    facts: dict
+    domain: Domain  # at its size
+    facts: dict  # what its file says else: steps, cells changed, CPU seconds of growth and repair
 
     @property
     def refused(self) -> str:
@@ -60,20 +54,14 @@ class Made(NamedTuple):
 
 
 class SavedLayout(NamedTuple):
-    """A layout of one domain, maker and size.
+    """A layout of one domain, maker and size."""
 
-    Attributes:
-        domain: its name.
-        maker: "human", "tiled", "nca" (the zoo's best), "nca-s" (the zoo's that moves most at S),
-            "random-0" and so on (a random maze like
-            the zoo's best), or the end of a preset's name: "a0", "a1", "cma-es", "dsage", whose
-            run's best elite draws it.
-        shape: rows and columns.
-    """
-
-    domain: str
+    domain: str  # its name
+    # "human", "tiled", "nca" (the zoo's best), "nca-s" (the zoo's that moves most at S), "random-0"
+    # and so on (a random maze like the zoo's best), or the end of a preset's name: "a0", "a1",
+    # "cma-es", "dsage", whose run's best elite draws it
     maker: str
-    shape: tuple[int, int] = S
+    shape: tuple[int, int] = S  # rows and columns
 
     @property
     def stem(self) -> str:

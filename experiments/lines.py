@@ -15,19 +15,12 @@ Values: TypeAlias = Sequence[float] | np.ndarray
 
 
 class Look(NamedTuple):
-    """How the layouts of one maker are drawn; colours of Okabe and Ito 2008.
+    """How the layouts of one maker are drawn; colours of Okabe and Ito 2008."""
 
-    Attributes:
-        label: in the legend.
-        colour: of line and band.
-        style: of the line.
-        marker: of its points.
-    """
-
-    label: str
-    colour: str
-    style: str
-    marker: str
+    label: str  # in the legend
+    colour: str  # of line and band
+    style: str  # of the line
+    marker: str  # of its points
 
 
 LOOKS = {

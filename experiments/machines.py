@@ -10,15 +10,10 @@ from qdenv.training.executors.choosing import Execution, connected
 
 
 class Machines(NamedTuple):
-    """Who searches and simulates.
+    """Who searches and simulates."""
 
-    Attributes:
-        execution: where a search evaluates its layouts.
-        simulate_all: simulates cases, each from its seed.
-    """
-
-    execution: Execution
-    simulate_all: SimulateAll
+    execution: Execution  # where a search evaluates its layouts
+    simulate_all: SimulateAll  # simulates cases, each from its seed
 
 
 HERE = Machines(Execution(), one_by_one)

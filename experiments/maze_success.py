@@ -23,43 +23,25 @@ TELL = 10  # mazes from one word on how far it is to the next
 
 
 class Solved(NamedTuple):
-    """The agent on one maze, a row of the file.
+    """The agent on one maze, a row of the file."""
 
-    Attributes:
-        agent: checksum of its weights.
-        like: checksum of the grown maze.
-        maze: seed of a random maze; `GROWN` for the grown one itself.
-        walls: of the maze, inside its ring.
-        shortest: moves of the way to the goal.
-        runs: of the agent.
-        successes: how many of them reached the goal.
-        mean_length: actions, failures counted with the horizon.
-        cpu_seconds: of drawing the maze and of all runs.
-    """
-
-    agent: str
-    like: str
-    maze: int
-    walls: int
-    shortest: int
-    runs: int
-    successes: int
-    mean_length: float
-    cpu_seconds: float
+    agent: str  # checksum of its weights
+    like: str  # checksum of the grown maze
+    maze: int  # seed of a random maze; `GROWN` for the grown one itself
+    walls: int  # of the maze, inside its ring
+    shortest: int  # moves of the way to the goal
+    runs: int  # of the agent
+    successes: int  # how many of them reached the goal
+    mean_length: float  # actions, failures counted with the horizon
+    cpu_seconds: float  # of drawing the maze and of all runs
 
 
 class SavedSuccess(NamedTuple):
-    """The shipped agent on a grown maze and on random ones like it.
+    """The shipped agent on a grown maze and on random ones like it."""
 
-    Attributes:
-        layout: the grown maze.
-        mazes: how many random ones.
-        runs: on each maze.
-    """
-
-    layout: SavedLayout
-    mazes: int = 100
-    runs: int = 100
+    layout: SavedLayout  # the grown maze
+    mazes: int = 100  # how many random ones
+    runs: int = 100  # on each maze
 
     @property
     def kind(self) -> str:

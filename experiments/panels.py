@@ -15,17 +15,11 @@ COLUMNS = 3  # panels side by side
 
 
 class Panel(NamedTuple):
-    """One layout of a figure.
+    """One layout of a figure."""
 
-    Attributes:
-        title: above it.
-        saved: which.
-        unrepaired: show what it was before its repair.
-    """
-
-    title: str
-    saved: SavedLayout
-    unrepaired: bool = False
+    title: str  # above it
+    saved: SavedLayout  # which
+    unrepaired: bool = False  # show what it was before its repair
 
 
 def panels_of(shows: str, panels: Sequence[Panel]) -> Experiment:

@@ -22,21 +22,13 @@ LIKELY, RUNS = 0.25, 14.0
 
 
 class SavedPeak(NamedTuple):
-    """The peak of one layout (section E.3).
+    """The peak of one layout (section E.3)."""
 
-    Attributes:
-        table: the file in which the runs stand, which peaks share.
-        layout: which.
-        timesteps: horizon T.
-        seeds: how many runs with each number of agents.
-        planner: one of `ledger.DRIVERS`.
-    """
-
-    table: str
-    layout: SavedLayout
-    timesteps: int
-    seeds: int
-    planner: str = "high"
+    table: str  # the file in which the runs stand, which peaks share
+    layout: SavedLayout  # which
+    timesteps: int  # horizon T
+    seeds: int  # how many runs with each number of agents
+    planner: str = "high"  # one of `ledger.DRIVERS`
 
     @property
     def kind(self) -> str:

@@ -16,17 +16,11 @@ Row = TypeVar("Row", bound=tuple)
 
 
 class Folders(NamedTuple):
-    """Where everything lies, and who makes what is missing.
+    """Where everything lies, and who makes what is missing."""
 
-    Attributes:
-        results: what is kept and ships.
-        runs: whole run directories, with all weights: too large to ship.
-        machines: who searches and simulates.
-    """
-
-    results: Path = RESULTS
-    runs: Path = Path("runs")
-    machines: Machines = HERE
+    results: Path = RESULTS  # what is kept and ships
+    runs: Path = Path("runs")  # whole run directories, with all weights: too large to ship
+    machines: Machines = HERE  # who searches and simulates
 
 
 class Piece(Protocol):
@@ -58,30 +52,19 @@ class Piece(Protocol):
 
 
 class Drawn(NamedTuple):
-    """What an experiment shows.
+    """What an experiment shows."""
 
-    Attributes:
-        figure: the picture; None for a table alone.
-        lines: a table in markdown, ours beside the paper's.
-    """
-
-    figure: Figure | None
-    lines: tuple[str, ...] = ()
+    figure: Figure | None  # the picture; None for a table alone
+    lines: tuple[str, ...] = ()  # a table in markdown, ours beside the paper's
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A figure or a table of the paper.
+    """A figure or a table of the paper."""
 
-    Attributes:
-        shows: what, in one line.
-        pieces: what it is drawn from.
-        draw: draws what is saved of the pieces; at least one is.
-    """
-
-    shows: str
-    pieces: tuple[Piece, ...]
-    draw: Callable[[Folders], Drawn]
+    shows: str  # what, in one line
+    pieces: tuple[Piece, ...]  # what it is drawn from
+    draw: Callable[[Folders], Drawn]  # draws what is saved of the pieces; at least one is
 
     @property
     def everything(self) -> tuple[Piece, ...]:

@@ -10,17 +10,11 @@ AGENTS |= {"manufacturing": (200, 1800)}
 
 
 class Found(NamedTuple):
-    """A row of Table 4, over 5 runs.
+    """A row of Table 4, over 5 runs."""
 
-    Attributes:
-        qd_score: mean.
-        qd_error: its standard error; NaN where it is not known.
-        coverage: mean share of filled cells; NaN where it is not known.
-    """
-
-    qd_score: float
-    qd_error: float
-    coverage: float
+    qd_score: float  # mean
+    qd_error: float  # its standard error; NaN where it is not known
+    coverage: float  # mean share of filled cells; NaN where it is not known
 
     def __str__(self) -> str:
         """Write it as tables do."""
@@ -48,17 +42,12 @@ TABLE_4 = {
 
 
 class Moved(NamedTuple):
-    """What fleets made of a layout, over 50 runs of 5,000 timesteps.
+    """What fleets made of a layout, over 50 runs of 5,000 timesteps."""
 
-    Attributes:
-        throughput: tasks per timestep, mean of the successful runs; NaN where none is given.
-        success: share of runs that never congested; NaN where it is not given.
-        words: what is said where there are no numbers.
-    """
-
+    # tasks per timestep, mean of the successful runs; NaN where none is given
     throughput: float = nan
-    success: float = nan
-    words: str = ""
+    success: float = nan  # share of runs that never congested; NaN where it is not given
+    words: str = ""  # what is said where there are no numbers
 
     def __str__(self) -> str:
         """Write it as tables do."""

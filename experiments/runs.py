@@ -24,19 +24,13 @@ SUMMARY = "elites.csv"
 
 
 class Summary(NamedTuple):
-    """What is kept of a run.
+    """What is kept of a run."""
 
-    Attributes:
-        config: every setting.
-        measures: the axes of its archive.
-        metrics: one row per iteration.
-        elites: a column per number of the archive, by name: ``cell`` (row-major index),
-            ``objective``, each measure by its name, and means over the simulations.
-    """
-
-    config: RunConfig
-    measures: tuple[Measure, ...]
-    metrics: list[Metrics]
+    config: RunConfig  # every setting
+    measures: tuple[Measure, ...]  # the axes of its archive
+    metrics: list[Metrics]  # one row per iteration
+    # a column per number of the archive, by name: ``cell`` (row-major index), ``objective``, each
+    # measure by its name, and means over the simulations
     elites: dict[str, np.ndarray]
 
     @property
@@ -58,19 +52,12 @@ class Summary(NamedTuple):
 
 
 class SavedRun(NamedTuple):
-    """A search, named after its preset and seed.
+    """A search, named after its preset and seed."""
 
-    Attributes:
-        preset: whose settings.
-        seed: of the search.
-        evaluations: as many as the preset has unless given.
-        row: how tables call it; the preset unless given.
-    """
-
-    preset: str
-    seed: int = 0
-    evaluations: int | None = None
-    row: str = ""
+    preset: str  # whose settings
+    seed: int = 0  # of the search
+    evaluations: int | None = None  # as many as the preset has unless given
+    row: str = ""  # how tables call it; the preset unless given
 
     @property
     def folder(self) -> str:

@@ -22,41 +22,24 @@ SEEDS = 3  # repairs of each layout
 
 
 class Runtime(NamedTuple):
-    """What one layout took, a row of the file.
+    """What one layout took, a row of the file."""
 
-    Attributes:
-        seed: of the repair.
-        steps: of growth.
-        compile_seconds: CPU seconds of compiling the growth, once per size.
-        grow_seconds: CPU seconds of the growth.
-        repair_seconds: CPU seconds of the repair; 0 where nothing is repaired.
-        repair: how the repair ended.
-        changed: cells that it changed.
-        origin: of the generator, as `layouts.best_of` tells it.
-    """
-
-    seed: int
-    steps: int
-    compile_seconds: float
-    grow_seconds: float
-    repair_seconds: float
-    repair: str
-    changed: int
-    origin: str
+    seed: int  # of the repair
+    steps: int  # of growth
+    compile_seconds: float  # CPU seconds of compiling the growth, once per size
+    grow_seconds: float  # CPU seconds of the growth
+    repair_seconds: float  # CPU seconds of the repair; 0 where nothing is repaired
+    repair: str  # how the repair ended
+    changed: int  # cells that it changed
+    origin: str  # of the generator, as `layouts.best_of` tells it
 
 
 class SavedRuntime(NamedTuple):
-    """Growing and repairing the best layout of the zoo at one size.
+    """Growing and repairing the best layout of the zoo at one size."""
 
-    Attributes:
-        domain: its name.
-        shape: rows and columns.
-        seeds: how many repairs.
-    """
-
-    domain: str
-    shape: tuple[int, int]
-    seeds: int = SEEDS
+    domain: str  # its name
+    shape: tuple[int, int]  # rows and columns
+    seeds: int = SEEDS  # how many repairs
 
     @property
     def kind(self) -> str:

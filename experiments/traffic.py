@@ -14,25 +14,15 @@ RATES = {"low": 1.3e-6, "high": 2.5e-6, "plain": 6e-6, "published": 5e-6}
 
 
 class SavedTraffic(NamedTuple):
-    """Simulations of one layout.
+    """Simulations of one layout."""
 
-    Attributes:
-        table: the file they stand in, which figures share.
-        layout: which.
-        agents: numbers of them.
-        timesteps: horizon T.
-        seeds: how many.
-        planner: one of `ledger.DRIVERS`.
-        stop: runs end where they congest.
-    """
-
-    table: str
-    layout: SavedLayout
-    agents: tuple[int, ...]
-    timesteps: int = 5000
-    seeds: int = 50
-    planner: str = "high"
-    stop: bool = True
+    table: str  # the file they stand in, which figures share
+    layout: SavedLayout  # which
+    agents: tuple[int, ...]  # numbers of them
+    timesteps: int = 5000  # horizon T
+    seeds: int = 50  # how many
+    planner: str = "high"  # one of `ledger.DRIVERS`
+    stop: bool = True  # runs end where they congest
 
     @property
     def kind(self) -> str:

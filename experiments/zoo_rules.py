@@ -10,24 +10,18 @@ GOOD, SURE = ("objective", 0.5), ("success", 0.5)
 
 
 class Rule(NamedTuple):
-    """How a generator is chosen: steps narrow the elites down, and a number orders the rest.
+    """How a generator is chosen: steps narrow the elites down, and a number orders the rest."""
 
-    Attributes:
-        name: of the generator.
-        about: what it is.
-        order: the number, a measure or a mean over simulations; the largest comes first, or the
-            smallest where a minus stands before it.
-        steps: (number, share): keep this share of what is left, the first in this order.
-        tried: elites that are grown at the largest size, the first in this order.
-        apart: try one elite, the first, in each square of so many cells of the archive: those
-            beside each other grow much alike; 0 tries them all.
-    """
-
-    name: str
-    about: str
+    name: str  # of the generator
+    about: str  # what it is
+    # the number, a measure or a mean over simulations; the largest comes first, or the smallest
+    # where a minus stands before it
     order: str
+    # (number, share): keep this share of what is left, the first in this order
     steps: tuple[tuple[str, float], ...] = (GOOD,)
-    tried: int = 5
+    tried: int = 5  # elites that are grown at the largest size, the first in this order
+    # try one elite, the first, in each square of so many cells of the archive: those beside each
+    # other grow much alike; 0 tries them all
     apart: int = 0
 
 

@@ -31,15 +31,10 @@ class _Written(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Some rows of an array, which are copied piece by piece when they are written.
+    """Some rows of an array, which are copied piece by piece when they are written."""
 
-    Attributes:
-        array: [N, ...].
-        numbers: int [n], which rows.
-    """
-
-    array: np.ndarray
-    numbers: np.ndarray
+    array: np.ndarray  # [N, ...]
+    numbers: np.ndarray  # int [n], which rows
 
     def pieces(self) -> Iterator[np.ndarray]:
         """Copy the rows, about `PIECE` bytes at a time."""

@@ -136,17 +136,7 @@ def _parse(
     arguments: list[str],
     names: tyro.constructors.ConstructorRegistry | None = None,
 ) -> Callable[[], Any]:
-    """Choose a command and bind its arguments; nothing runs yet.
-
-    Args:
-        commands: by name.
-        arguments: the command line.
-        names: what the parser is told of how options are called.
-
-    Raises:
-        InputError: the arguments make no sense.
-        SystemExit: help or completion was asked for, and printed.
-    """
+    """Choose a command and bind its arguments; nothing runs yet."""
     return parsed(
         lambda: tyro.extras.subcommand_cli_from_dict(
             {name: later(command) for name, command in commands.items()},

@@ -67,11 +67,7 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
 
 
 def _mode_of(path: Path) -> int:
-    """Choose a file's permissions: those that it has, or an ordinary file's.
-
-    Raises:
-        OSError: it is there to be read only; renaming would replace it all the same.
-    """
+    """Choose a file's permissions: those that it has, or an ordinary file's."""
     if not path.is_file():
         return 0o666 & ~_UMASK
     mode = stat.S_IMODE(path.stat().st_mode)

@@ -25,26 +25,17 @@ from qdenv.types import Array, Evaluation, Repair, RepairStatus, Score
 
 
 class Pipeline(NamedTuple):
-    """The chain of one configuration; every function below is traceable.
+    """The chain of one configuration; every function below is traceable."""
 
-    Attributes:
-        domain: what is generated, repaired and simulated.
-        solution_size: parameters P of one solution.
-        choices: where each parameter names a tile, how many there are; 0 for real numbers.
-        grow: float32 [B, P] -> unrepaired layouts int8 [B, H, W].
-        pool: repairs layouts on the host; None where the domain repairs nothing.
-        repair_seed: the layout's own content and this number decide its repair.
-        simulate: (layouts [B, H, W], indices [B], key) -> runs with leading axes B, S.
-        score: (unrepaired, repaired, status, runs), each with leading axis B -> `Evaluation`.
-    """
-
-    domain: Domain
-    solution_size: int
-    choices: int
-    grow: Callable[[jax.Array], jax.Array]
-    pool: RepairPool | None
-    repair_seed: int
+    domain: Domain  # what is generated, repaired and simulated
+    solution_size: int  # parameters P of one solution
+    choices: int  # where each parameter names a tile, how many there are; 0 for real numbers
+    grow: Callable[[jax.Array], jax.Array]  # float32 [B, P] -> unrepaired layouts int8 [B, H, W]
+    pool: RepairPool | None  # repairs layouts on the host; None where the domain repairs nothing
+    repair_seed: int  # the layout's own content and this number decide its repair
+    # (layouts [B, H, W], indices [B], key) -> runs with leading axes B, S
     simulate: Callable[[jax.Array, jax.Array, jax.Array], Any]
+    # (unrepaired, repaired, status, runs), each with leading axis B -> `Evaluation`
     score: Callable[[jax.Array, jax.Array, jax.Array, Any], Evaluation]
 
 
@@ -179,17 +170,11 @@ def unrepaired_as_is(layout: Array) -> Repair:
 
 
 class Outcomes(NamedTuple):
-    """Layouts of a population, repaired and simulated.
+    """Layouts of a population, repaired and simulated."""
 
-    Attributes:
-        layout: int8 [B, H, W], repaired.
-        status: int32 [B], how the repairs ended.
-        runs: of the simulator, with leading axes B, S.
-    """
-
-    layout: np.ndarray
-    status: np.ndarray
-    runs: Any
+    layout: np.ndarray  # int8 [B, H, W], repaired
+    status: np.ndarray  # int32 [B], how the repairs ended
+    runs: Any  # of the simulator, with leading axes B, S
 
 
 # Begins to repair and simulate unrepaired layouts int8 [B, H, W] from a key, and gives a function

@@ -22,15 +22,11 @@ from qdenv.types import InputError, choices
 
 
 class Entry(NamedTuple):
-    """One choice.
+    """One choice."""
 
-    Attributes:
-        config: frozen dataclass of its settings, with defaults for all of them.
-        make: (settings, ...) -> the thing; each registry says what else it passes. Or where that
-            function is, as ``module:function``: then settings are known without its imports.
-    """
-
-    config: type
+    config: type  # frozen dataclass of its settings, with defaults for all of them
+    # (settings, ...) -> the thing; each registry says what else it passes. Or where that function
+    # is, as ``module:function``: then settings are known without its imports.
     make: Callable[..., Any] | str
 
 

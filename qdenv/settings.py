@@ -11,18 +11,12 @@ from qdenv.repair.settings import RepairConfig
 
 @dataclass(frozen=True)
 class EvaluationConfig(Ranged):
-    """What one evaluation does (Table 1 of the paper).
+    """What one evaluation does (Table 1 of the paper)."""
 
-    Attributes:
-        domain: settings of a registered domain; their type chooses it.
-        generator: settings of a registered generator, likewise.
-        simulations: how often each layout is simulated, N_e.
-        alpha: how much it counts that the repair changes little.
-        repair: limits of the repair.
-    """
-
+    # settings of a registered domain; their type chooses it
     domain: Any = field(default_factory=lambda: DOMAINS.config("warehouse-even"))
+    # settings of a registered generator, likewise
     generator: Any = field(default_factory=lambda: GENERATORS.config("nca"))
-    simulations: PositiveInt = 5
-    alpha: FiniteFloat = 5.0
-    repair: RepairConfig = field(default_factory=RepairConfig)
+    simulations: PositiveInt = 5  # how often each layout is simulated, N_e
+    alpha: FiniteFloat = 5.0  # how much it counts that the repair changes little
+    repair: RepairConfig = field(default_factory=RepairConfig)  # limits of the repair

@@ -80,19 +80,12 @@ def choices(name: str, known: Iterable[str]) -> str:
 
 
 class Tile(NamedTuple):
-    """What one symbol of an alphabet means to people.
+    """What one symbol of an alphabet means to people."""
 
-    Attributes:
-        name: a word or two, as legends and messages call it.
-        about: a sentence: what it is for, and where it may stand.
-        obstacle: nothing drives over it.
-        also: other symbols that drawings may use for it.
-    """
-
-    name: str
-    about: str = ""
-    obstacle: bool = False
-    also: str = ""
+    name: str  # a word or two, as legends and messages call it
+    about: str = ""  # a sentence: what it is for, and where it may stand
+    obstacle: bool = False  # nothing drives over it
+    also: str = ""  # other symbols that drawings may use for it
 
 
 class Count(NamedTuple):
@@ -114,25 +107,18 @@ class Rules(NamedTuple):
     """Hard constraints of one domain on one canvas, and what changing a cell costs.
 
     The model builder, the annealer and the audit all read this one record.
-
-    Attributes:
-        tiles: the alphabet; tile ``k`` is drawn as ``tiles[k]``.
-        counts: bounds on numbers of tiles.
-        adjacency: neighbourhood demands.
-        connected: symbols whose cells must form one 4-connected component ("" for none).
-        allowed: bool [H, W, K], the tiles each cell may hold. A fixed cell allows one tile, a
-            keep-out cell every tile but obstacles.
-        change_cost: float [H, W], the cost of changing each cell; 1 for the Hamming distance.
-        aisle: every connected cell lies in an ``aisle x aisle`` square of connected cells.
     """
 
-    tiles: str
-    counts: tuple[Count, ...]
-    adjacency: tuple[Adjacency, ...]
-    connected: str
+    tiles: str  # the alphabet; tile ``k`` is drawn as ``tiles[k]``
+    counts: tuple[Count, ...]  # bounds on numbers of tiles
+    adjacency: tuple[Adjacency, ...]  # neighbourhood demands
+    connected: str  # symbols whose cells must form one 4-connected component ("" for none)
+    # bool [H, W, K], the tiles each cell may hold. A fixed cell allows one tile, a keep-out cell
+    # every tile but obstacles.
     allowed: np.ndarray
+    # float [H, W], the cost of changing each cell; 1 for the Hamming distance
     change_cost: np.ndarray
-    aisle: int = 1
+    aisle: int = 1  # every connected cell lies in an ``aisle x aisle`` square of connected cells
 
 
 class RepairStatus(IntEnum):
@@ -157,32 +143,21 @@ class Repair(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """One kind of goal in a task cycle.
+    """One kind of goal in a task cycle."""
 
-    Attributes:
-        weight: function layout int8 [H, W] -> float32 [H, W], the odds of each cell being drawn;
-            0 where a cell is no goal of this kind.
-        stay: timesteps an agent stays on the goal after arriving, blocking the cell.
-        name: how messages call it.
-    """
-
+    # function layout int8 [H, W] -> float32 [H, W], the odds of each cell being drawn; 0 where a
+    # cell is no goal of this kind
     weight: Callable[[Array], Array]
-    stay: int = 0
-    name: str = "goal"
+    stay: int = 0  # timesteps an agent stays on the goal after arriving, blocking the cell
+    name: str = "goal"  # how messages call it
 
 
 class TaskRule(NamedTuple):
-    """What agents do: drive on `traversable` tiles and visit goals of `cycle`, again and again.
+    """What agents do: drive on `traversable` tiles and visit goals of `cycle`, again and again."""
 
-    Attributes:
-        tiles: the alphabet of the layouts.
-        traversable: symbols agents may drive on.
-        cycle: kinds of goal in the order in which every agent visits them.
-    """
-
-    tiles: str
-    traversable: str
-    cycle: tuple[Goal, ...]
+    tiles: str  # the alphabet of the layouts
+    traversable: str  # symbols agents may drive on
+    cycle: tuple[Goal, ...]  # kinds of goal in the order in which every agent visits them
 
 
 class Traffic(NamedTuple):
@@ -199,24 +174,17 @@ class Traffic(NamedTuple):
 
 
 class Measure(NamedTuple):
-    """One axis of the archive: `cells` equal intervals between `low` and `high`.
+    """One axis of the archive: `cells` equal intervals between `low` and `high`."""
 
-    Attributes:
-        name: how plots and tables call it.
-        low: value at the archive's lower edge.
-        high: value at its upper edge.
-        cells: number of cells in between.
-        value: (repaired layout int8 [H, W], runs with leading axis S) -> float32; None where
-            the measures come from elsewhere.
-        limit: name of the number that it cannot exceed, with which its axis grows: one of the
-            domain's settings, or "area", the cells of the generated area; "" for none.
-    """
-
-    name: str
-    low: float
-    high: float
-    cells: int
+    name: str  # how plots and tables call it
+    low: float  # value at the archive's lower edge
+    high: float  # value at its upper edge
+    cells: int  # number of cells in between
+    # (repaired layout int8 [H, W], runs with leading axis S) -> float32; None where the measures
+    # come from elsewhere
     value: Callable[[jax.Array, Any], jax.Array] | None = None
+    # name of the number that it cannot exceed, with which its axis grows: one of the domain's
+    # settings, or "area", the cells of the generated area; "" for none
     limit: str = ""
 
 

@@ -33,25 +33,15 @@ HEIGHT, WIDTH = FREE.shape
 
 
 class Case(NamedTuple):
-    """One agent among others.
+    """One agent among others."""
 
-    Attributes:
-        start: its cell.
-        goals: cells of its current and next goal.
-        services: timesteps to serve at each.
-        serving: timesteps still to serve at the start; 0 while driving.
-        others: int [WINDOW + 1, n], paths of the others, without conflicts.
-        penalty: cost of a conflict.
-        levels: conflict levels.
-    """
-
-    start: int
-    goals: tuple[int, int]
-    services: tuple[int, int]
-    serving: int
-    others: np.ndarray
-    penalty: int
-    levels: int
+    start: int  # its cell
+    goals: tuple[int, int]  # cells of its current and next goal
+    services: tuple[int, int]  # timesteps to serve at each
+    serving: int  # timesteps still to serve at the start; 0 while driving
+    others: np.ndarray  # int [WINDOW + 1, n], paths of the others, without conflicts
+    penalty: int  # cost of a conflict
+    levels: int  # conflict levels
 
 
 def numpy_distances(free: np.ndarray, goal: int) -> np.ndarray:

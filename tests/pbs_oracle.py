@@ -16,35 +16,21 @@ Blocked = list[dict[int, int]]  # per timestep, whoever is told of: cell -> cell
 
 
 class Agent(NamedTuple):
-    """One agent at the start of a window.
+    """One agent at the start of a window."""
 
-    Attributes:
-        start: its cell.
-        goals: cells of its current and of its next goal.
-        services: timesteps to serve at each.
-        serving: timesteps still to serve at the start, for the current goal; 0 while driving.
-    """
-
-    start: int
-    goals: tuple[int, int]
-    services: tuple[int, int]
-    serving: int
+    start: int  # its cell
+    goals: tuple[int, int]  # cells of its current and of its next goal
+    services: tuple[int, int]  # timesteps to serve at each
+    serving: int  # timesteps still to serve at the start, for the current goal; 0 while driving
 
 
 class Instance(NamedTuple):
-    """One window to plan.
+    """One window to plan."""
 
-    Attributes:
-        free: bool [H, W]; cells are ``row * W + column``.
-        agents: everybody.
-        window: timesteps planned ahead.
-        horizon: timesteps driven; who is done stays until then.
-    """
-
-    free: np.ndarray
-    agents: tuple[Agent, ...]
-    window: int
-    horizon: int
+    free: np.ndarray  # bool [H, W]; cells are ``row * W + column``
+    agents: tuple[Agent, ...]  # everybody
+    window: int  # timesteps planned ahead
+    horizon: int  # timesteps driven; who is done stays until then
 
 
 class State(NamedTuple):

@@ -40,21 +40,13 @@ INSTANCES = 200
 
 
 class Answer(NamedTuple):
-    """What the planner made of a window.
+    """What the planner made of a window."""
 
-    Attributes:
-        solved: whether it claims a plan without conflicts.
-        paths: of all agents, until they vanish.
-        late: how much longer than the shortest way it says each is.
-        above: the agents with precedence over each, through any number of others.
-        nodes: it expanded.
-    """
-
-    solved: bool
-    paths: list[Path]
-    late: list[int]
-    above: list[set[int]]
-    nodes: int
+    solved: bool  # whether it claims a plan without conflicts
+    paths: list[Path]  # of all agents, until they vanish
+    late: list[int]  # how much longer than the shortest way it says each is
+    above: list[set[int]]  # the agents with precedence over each, through any number of others
+    nodes: int  # it expanded
 
 
 @functools.cache

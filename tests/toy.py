@@ -22,15 +22,11 @@ TILES = ".*#"  # path, flower, hedge
 
 @dataclass(frozen=True)
 class GardenConfig(DomainConfig):
-    """A garden's numbers.
-
-    Attributes:
-        hedges: exact number of hedges.
-    """
+    """A garden's numbers."""
 
     rows: int = 5
     cols: int = 6
-    hedges: int = 3
+    hedges: int = 3  # exact number of hedges
 
 
 class Visit(NamedTuple):

@@ -25,27 +25,16 @@ from qdenv.training.records import RunDirectory
 
 @dataclass(frozen=True)
 class Options:
-    """What to run.
+    """What to run."""
 
-    Attributes:
-        preset: a named configuration.
-        evaluations: of each search.
-        workers: processes of the cluster, and threads to compare with.
-        kills: workers that are killed at random moments of the third search.
-        simulated: workers of the cluster that sleeps.
-        batch: layouts of its populations.
-        ahead: populations asked ahead, to compare with none.
-        seed: of the search, and of who is killed when.
-    """
-
-    preset: str = "quick"
-    evaluations: int = 300
-    workers: int = 2
-    kills: int = 20
-    simulated: int = 64
-    batch: int = 50
-    ahead: int = 2
-    seed: int = 0
+    preset: str = "quick"  # a named configuration
+    evaluations: int = 300  # of each search
+    workers: int = 2  # processes of the cluster, and threads to compare with
+    kills: int = 20  # workers that are killed at random moments of the third search
+    simulated: int = 64  # workers of the cluster that sleeps
+    batch: int = 50  # layouts of its populations
+    ahead: int = 2  # populations asked ahead, to compare with none
+    seed: int = 0  # of the search, and of who is killed when
 
 
 def run(

@@ -23,17 +23,11 @@ MUTATED = 10  # cells drawn anew by one mutation, at most
 
 
 class Case(NamedTuple):
-    """One layout to repair.
+    """One layout to repair."""
 
-    Attributes:
-        name: of its row.
-        kind: name of the domain.
-        layout: int8 [H, W], unrepaired.
-    """
-
-    name: str
-    kind: str
-    layout: np.ndarray
+    name: str  # of its row
+    kind: str  # name of the domain
+    layout: np.ndarray  # int8 [H, W], unrepaired
 
 
 def read_unrepaired(path: Path) -> Case:

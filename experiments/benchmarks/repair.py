@@ -51,30 +51,22 @@ BEFORE = {
 
 @dataclass(frozen=True)
 class Options:
-    """What to repair, and how often.
+    """What to repair, and how often."""
 
-    Attributes:
-        layouts: unrepaired layout files to measure as well, of size S or larger.
-        polish: levels to measure.
-        random: random generators per domain, weights from N(0, 0.2^2).
-        kernel_sizes: of the random generators.
-        hard: noise, stripes, pockets and one-tile layouts per domain, annealed and audited.
-        population: layouts repaired in one call, 0 for none.
-        tiles: random tile maps per domain and size, and mutations of them, as a search of tiles
-            asks for; a tenth of them at S_eval.
-        eval_size: layouts of size S_eval as well: the given ones, else one grown per domain.
-        seeds: repairs of each layout.
-    """
-
+    # unrepaired layout files to measure as well, of size S or larger
     layouts: tuple[Path, ...] = ()
-    polish: tuple[Polish, ...] = ("quick", "full")
-    random: int = 20
-    kernel_sizes: tuple[int, ...] = KERNELS
+    polish: tuple[Polish, ...] = ("quick", "full")  # levels to measure
+    random: int = 20  # random generators per domain, weights from N(0, 0.2^2)
+    kernel_sizes: tuple[int, ...] = KERNELS  # of the random generators
+    # noise, stripes, pockets and one-tile layouts per domain, annealed and audited
     hard: int = 1000
-    population: int = 50
+    population: int = 50  # layouts repaired in one call, 0 for none
+    # random tile maps per domain and size, and mutations of them, as a search of tiles asks for; a
+    # tenth of them at S_eval
     tiles: int = 50
+    # layouts of size S_eval as well: the given ones, else one grown per domain
     eval_size: bool = True
-    seeds: int = 2
+    seeds: int = 2  # repairs of each layout
 
 
 def run(

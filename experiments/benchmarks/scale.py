@@ -38,39 +38,24 @@ DRAWN = 20  # random automata, of which the one with the most varied small layou
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure.
+    """What to measure."""
 
-    Attributes:
-        sizes: rows x columns, the frame included.
-        domain: whose layouts, where no run is given.
-        run: a run whose best elite draws the layouts; else a random automaton of a fixed key.
-        density: agents per cell of the layout, walls included.
-        timesteps: length of the timed simulation.
-        effort: of the planner.
-        audit: check every step of every simulation, too.
-    """
-
-    sizes: tuple[str, ...] = SIZES
-    domain: str = "warehouse-even"
+    sizes: tuple[str, ...] = SIZES  # rows x columns, the frame included
+    domain: str = "warehouse-even"  # whose layouts, where no run is given
+    # a run whose best elite draws the layouts; else a random automaton of a fixed key
     run: Path | None = None
-    density: float = 10_000 / 401**2
-    timesteps: int = 200
-    effort: str = "low"
-    audit: bool = False
+    density: float = 10_000 / 401**2  # agents per cell of the layout, walls included
+    timesteps: int = 200  # length of the timed simulation
+    effort: str = "low"  # of the planner
+    audit: bool = False  # check every step of every simulation, too
 
 
 class Automaton(NamedTuple):
-    """What draws the layouts.
+    """What draws the layouts."""
 
-    Attributes:
-        config: how it grows.
-        domain: at the size it was made for.
-        solution: float32 [P], its parameters.
-    """
-
-    config: EvaluationConfig
-    domain: Domain
-    solution: np.ndarray
+    config: EvaluationConfig  # how it grows
+    domain: Domain  # at the size it was made for
+    solution: np.ndarray  # float32 [P], its parameters
 
 
 def run(

@@ -53,22 +53,14 @@ class _Reference(NamedTuple):
 
 
 class Case(NamedTuple):
-    """One layout and fleet to simulate.
+    """One layout and fleet to simulate."""
 
-    Attributes:
-        layout: name of the layout's file, or what it would be called.
-        kind: name of the domain.
-        tiles: int8 [H, W].
-        agents: how many drive.
-        timesteps: horizon T.
-        records: recorded runs of another program on the same layout; may be none.
-    """
-
-    layout: str
-    kind: str
-    tiles: np.ndarray
-    agents: int
-    timesteps: int
+    layout: str  # name of the layout's file, or what it would be called
+    kind: str  # name of the domain
+    tiles: np.ndarray  # int8 [H, W]
+    agents: int  # how many drive
+    timesteps: int  # horizon T
+    # recorded runs of another program on the same layout; may be none
     records: Sequence[Recorded] = ()
 
 

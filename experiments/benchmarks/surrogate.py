@@ -35,39 +35,24 @@ SIZES = {"small": SurrogateConfig(), "published": PUBLISHED}
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure, and what to reckon an outer loop with.
+    """What to measure, and what to reckon an outer loop with."""
 
-    Attributes:
-        size: of the surrogate; small are the defaults, for CPUs.
-        preset: whose layouts and archive.
-        timed: inner iterations, and steps of learning, per repeat.
-        repeats: the median of which is said.
-        inner_iterations: of an outer loop.
-        epochs: of an outer loop.
-        samples: that an outer loop learns.
-    """
-
+    # of the surrogate; small are the defaults, for CPUs
     size: Literal["small", "published"] = "small"
-    preset: str = "warehouse-even"
-    timed: int = 4
-    repeats: int = 3
-    inner_iterations: int = 10_000
-    epochs: int = 20
-    samples: int = 20_000
+    preset: str = "warehouse-even"  # whose layouts and archive
+    timed: int = 4  # inner iterations, and steps of learning, per repeat
+    repeats: int = 3  # the median of which is said
+    inner_iterations: int = 10_000  # of an outer loop
+    epochs: int = 20  # of an outer loop
+    samples: int = 20_000  # that an outer loop learns
 
 
 class Spent(NamedTuple):
-    """Seconds.
+    """Seconds."""
 
-    Attributes:
-        wall: of one iteration or step, by the clock.
-        cpu: the same, of all threads.
-        compile: CPU seconds of the compilation before them.
-    """
-
-    wall: float
-    cpu: float
-    compile: float
+    wall: float  # of one iteration or step, by the clock
+    cpu: float  # the same, of all threads
+    compile: float  # CPU seconds of the compilation before them
 
 
 def run(

@@ -27,19 +27,12 @@ def random_layout(rng: np.random.Generator, rows: int, cols: int, walls: int) ->
 
 
 class Drawn(NamedTuple):
-    """A random maze.
+    """A random maze."""
 
-    Attributes:
-        layout: int8 [H, W].
-        start: cell.
-        goal: cell.
-        shortest: moves from start to goal.
-    """
-
-    layout: np.ndarray
-    start: int
-    goal: int
-    shortest: int
+    layout: np.ndarray  # int8 [H, W]
+    start: int  # cell
+    goal: int  # cell
+    shortest: int  # moves from start to goal
 
 
 def draw_mazes(
@@ -104,21 +97,13 @@ def random_mazes(
 
 
 class Comparison(NamedTuple):
-    """Success on random mazes that resemble one maze.
+    """Success on random mazes that resemble one maze."""
 
-    Attributes:
-        walls: of the given maze, inside its ring, and of every random one.
-        given: the given maze without its ring.
-        mazes: the random mazes, without rings.
-        horizon: actions per episode.
-        results: of the agent on each of them.
-    """
-
-    walls: int
-    given: Drawn
-    mazes: list[Drawn]
-    horizon: int
-    results: list[Success]
+    walls: int  # of the given maze, inside its ring, and of every random one
+    given: Drawn  # the given maze without its ring
+    mazes: list[Drawn]  # the random mazes, without rings
+    horizon: int  # actions per episode
+    results: list[Success]  # of the agent on each of them
 
     @property
     def rates(self) -> list[float]:
@@ -179,19 +164,12 @@ def compare_with_random(
 
 
 class MazeSuccess(NamedTuple):
-    """The agent on a maze and on random ones like it, a row of the paper's comparison.
+    """The agent on a maze and on random ones like it, a row of the paper's comparison."""
 
-    Attributes:
-        rows: of the maze, without its ring.
-        cols: of the maze, without its ring.
-        own: success on the maze.
-        others: success on random mazes.
-    """
-
-    rows: int
-    cols: int
-    own: Success
-    others: Comparison
+    rows: int  # of the maze, without its ring
+    cols: int  # of the maze, without its ring
+    own: Success  # success on the maze
+    others: Comparison  # success on random mazes
 
 
 def maze_success(

@@ -31,15 +31,12 @@ class LevelBuffer(NamedTuple):
 
 
 class Method(NamedTuple):
-    """How the buffer is renewed.
+    """How the buffer is renewed."""
 
-    Attributes:
-        propose: (key, buffer, replay probabilities [C], config) -> one new level; consumes the key.
-        on_trial: new levels are tried without learning and enter by score (robust PLR); else each
-            replaces the oldest level, and all levels are replayed alike.
-    """
-
+    # (key, buffer, replay probabilities [C], config) -> one new level; consumes the key
     propose: Callable[[jax.Array, LevelBuffer, jax.Array, LevelConfig], Level]
+    # new levels are tried without learning and enter by score (robust PLR); else each replaces the
+    # oldest level, and all levels are replayed alike
     on_trial: bool
 
 

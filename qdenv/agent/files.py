@@ -17,13 +17,9 @@ _FACTS = "facts"
 
 
 class Facts(NamedTuple):
-    """What a checkpoint of a training says beside its arrays.
+    """What a checkpoint of a training says beside its arrays."""
 
-    Attributes:
-        cpu_seconds: spent so far.
-    """
-
-    cpu_seconds: float = 0.0
+    cpu_seconds: float = 0.0  # spent so far
 
 
 def save_weights(weights: Weights, path: Path, dtype: DTypeLike = np.float32) -> None:

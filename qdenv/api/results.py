@@ -18,17 +18,11 @@ DIGITS = 4  # significant ones of a number that is shown
 
 @dataclass(frozen=True, repr=False)
 class Layout:
-    """A layout that was drawn, repaired or read.
+    """A layout that was drawn, repaired or read."""
 
-    Attributes:
-        layout: int8 [H, W].
-        domain: whose layout, at its size.
-        facts: what is known of it, JSON-ready.
-    """
-
-    layout: np.ndarray
-    domain: Domain
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    layout: np.ndarray  # int8 [H, W]
+    domain: Domain  # whose layout, at its size
+    facts: Mapping[str, Any] = field(default_factory=dict)  # what is known of it, JSON-ready
 
     def save(self, path: str | Path) -> Path:
         """Write a layout file with the domain and the facts in it.
@@ -100,14 +94,8 @@ def table_html(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 class Broken(NamedTuple):
-    """A broken rule.
+    """A broken rule."""
 
-    Attributes:
-        message: which rule.
-        row: of the first cell that breaks it.
-        column: of that cell.
-    """
-
-    message: str
-    row: int
-    column: int
+    message: str  # which rule
+    row: int  # of the first cell that breaks it
+    column: int  # of that cell

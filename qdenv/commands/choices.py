@@ -47,23 +47,17 @@ Effort = Annotated[str | None, tyro.conf.arg(metavar="{low,high}")]
 
 @dataclasses.dataclass(frozen=True)
 class RunOptions(Ranged):
-    """Who drives on a layout, and for how long.
+    """Who drives on a layout, and for how long."""
 
-    Attributes:
-        domain: whose tasks the agents do; what the layout file says unless given.
-        timesteps: how long to simulate; 1000, or what is known of the layout's size, unless given.
-        effort: of the negotiated planner: low for a quick look, high, for numbers to report,
-            unless given.
-        planner: who plans, with the defaults below.
-        planner_settings: of the chosen planner.
-        stop: end a run at its first congested window, as published; --no-stop goes on (Figure 17).
-    """
-
-    domain: DomainName = None
+    domain: DomainName = None  # whose tasks the agents do; what the layout file says unless given
+    # how long to simulate; 1000, or what is known of the layout's size, unless given
     timesteps: PositiveInt | None = None
+    # of the negotiated planner: low for a quick look, high, for numbers to report, unless given
     effort: Effort = None
+    # who plans, with the defaults below
     planner: Annotated[str, tyro.conf.arg(metavar=names_of(PLANNERS))] = OWN
-    planner_settings: Annotated[Any, tyro.conf.arg(name="")] = HIGH
+    planner_settings: Annotated[Any, tyro.conf.arg(name="")] = HIGH  # of the chosen planner
+    # end a run at its first congested window, as published; --no-stop goes on (Figure 17)
     stop: bool = True
 
     def fleet(self, agents: int) -> FleetConfig:
@@ -90,15 +84,11 @@ class RunOptions(Ranged):
 
 @dataclasses.dataclass(frozen=True)
 class FleetOptions(RunOptions):
-    """Who drives on a layout, for how long, and how often.
+    """Who drives on a layout, for how long, and how often."""
 
-    Attributes:
-        seeds: 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one.
-        seconds_per_step: of one timestep, to report tasks per hour, too.
-    """
-
+    # 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one
     seeds: tuple[str, ...] = ("10",)
-    seconds_per_step: PositiveFloat | None = None
+    seconds_per_step: PositiveFloat | None = None  # of one timestep, to report tasks per hour, too
 
 
 # How a command takes them: without a prefix of their own.

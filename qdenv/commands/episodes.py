@@ -32,35 +32,25 @@ TABLE = ("file", "rows", "cols", "walls", "shortest", "runs", "success", "low", 
 
 @dataclass(frozen=True)
 class Episodes(Ranged):
-    """Who walks through the maze, how often, and for how long.
+    """Who walks through the maze, how often, and for how long."""
 
-    Attributes:
-        agent: an agent.npz; the shipped one unless given.
-        runs: independent episodes, in each maze.
-        timesteps: actions per episode; twice the tiles of the ringed maze unless given.
-        seed: of headings, actions and random mazes.
-        reference_batching: repeat the published evaluation's two quirks, for comparison.
-    """
-
-    agent: str = ""
-    runs: Annotated[int, Interval(ge=1, le=MOST_RUNS)] = 100
+    agent: str = ""  # an agent.npz; the shipped one unless given
+    runs: Annotated[int, Interval(ge=1, le=MOST_RUNS)] = 100  # independent episodes, in each maze
+    # actions per episode; twice the tiles of the ringed maze unless given
     timesteps: Annotated[PositiveInt | None, tyro.conf.arg(aliases=("--horizon",))] = None
-    seed: Seed = 0
-    reference_batching: bool = False
+    seed: Seed = 0  # of headings, actions and random mazes
+    reference_batching: bool = False  # repeat the published evaluation's two quirks, for comparison
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """Random mazes to compare with.
+    """Random mazes to compare with."""
 
-    Attributes:
-        random_mazes: also solve so many random mazes with as many walls and a path length within
-            0.8 to 1.2 of this one's.
-        out: table of the random mazes (.csv), their layout files in a folder and a picture of them
-            beside it; LAYOUT_random.csv unless given.
-    """
-
+    # also solve so many random mazes with as many walls and a path length within 0.8 to 1.2 of this
+    # one's
     random_mazes: int = 0
+    # table of the random mazes (.csv), their layout files in a folder and a picture of them beside
+    # it; LAYOUT_random.csv unless given
     out: Path | None = None
 
     def __post_init__(self) -> None:

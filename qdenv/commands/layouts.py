@@ -23,17 +23,13 @@ from qdenv.types import InputError, Repair, RepairStatus, Rules
 
 @dataclass(frozen=True)
 class Results:
-    """What a repair leaves behind.
+    """What a repair leaves behind."""
 
-    Attributes:
-        out: layout file to write (.json, .txt, .csv); LAYOUT_repaired.json unless given.
-        plot: picture of what changed to write.
-        json_file: facts to write; - for standard output.
-    """
-
+    # layout file to write (.json, .txt, .csv); LAYOUT_repaired.json unless given
     out: Path | None = None
+    # picture of what changed to write
     plot: Annotated[Path | None, tyro.conf.arg(aliases=("--diff",))] = None
-    json_file: output.JsonFile = None
+    json_file: output.JsonFile = None  # facts to write; - for standard output
 
 
 def repair(

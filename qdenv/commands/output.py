@@ -21,15 +21,10 @@ JsonFile = Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")]
 
 
 class Place(NamedTuple):
-    """Where a result goes.
+    """Where a result goes."""
 
-    Attributes:
-        path: the file.
-        replaces: there is such a file already, and the command line named it.
-    """
-
-    path: Path
-    replaces: bool
+    path: Path  # the file
+    replaces: bool  # there is such a file already, and the command line named it
 
     def __str__(self) -> str:
         """Say the place as commands print it."""

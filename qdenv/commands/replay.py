@@ -32,19 +32,13 @@ SHORT = 100  # timesteps of a GIF of robots, unless more are asked for: it grows
 
 @dataclass(frozen=True)
 class Films(Ranged):
-    """Films beside the page, for where no page can be opened.
+    """Films beside the page, for where no page can be opened."""
 
-    Attributes:
-        gif: draw an animated GIF.
-        mp4: draw a film.
-        first: timestep at which films begin.
-        last: timestep at which they end; unless given the end of the run, in a GIF of robots 100
-            after the first.
-    """
-
-    gif: Picture = None
-    mp4: Picture = None
-    first: NonNegativeInt = 0
+    gif: Picture = None  # draw an animated GIF
+    mp4: Picture = None  # draw a film
+    first: NonNegativeInt = 0  # timestep at which films begin
+    # timestep at which they end; unless given the end of the run, in a GIF of robots 100 after the
+    # first
     last: PositiveInt | None = None
 
     def __post_init__(self) -> None:

@@ -58,22 +58,16 @@ def resume(
 
 @dataclass(frozen=True)
 class Growth(Ranged):
-    """How far an elite grows.
+    """How far an elite grows."""
 
-    Attributes:
-        rows: rows of the layout; the trained size unless given.
-        cols: columns of the layout; the trained size unless given.
-        steps: steps of growth; unless given what is known of the size, or else scaled with it.
-        keep: drawing of the layout's shape: ? is free, a tile must be this tile; what the run
-            kept, at its size, unless given.
-        frames: also draw the layout after every so many steps (Figure 6).
-    """
-
-    rows: int | None = None
-    cols: int | None = None
+    rows: int | None = None  # rows of the layout; the trained size unless given
+    cols: int | None = None  # columns of the layout; the trained size unless given
+    # steps of growth; unless given what is known of the size, or else scaled with it
     steps: PositiveInt | None = None
+    # drawing of the layout's shape: ? is free, a tile must be this tile; what the run kept, at its
+    # size, unless given
     keep: Path | None = None
-    frames: PositiveInt | None = None
+    frames: PositiveInt | None = None  # also draw the layout after every so many steps (Figure 6)
 
     def __post_init__(self) -> None:
         """Refuse what nothing could grow to."""
@@ -83,14 +77,11 @@ class Growth(Ranged):
 
 @dataclass(frozen=True)
 class Choice:
-    """Which elite of the archive.
+    """Which elite of the archive."""
 
-    Attributes:
-        elite: "best" or another name in the zoo, or the archive cell's indices like 12,40.
-        measures: in place of that a value for each measure, like 200 0.8; the nearest elite.
-    """
-
+    # "best" or another name in the zoo, or the archive cell's indices like 12,40
     elite: str = "best"
+    # in place of that a value for each measure, like 200 0.8; the nearest elite
     measures: tuple[float, ...] = ()
 
 

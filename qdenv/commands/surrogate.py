@@ -25,24 +25,18 @@ if TYPE_CHECKING:  # imports jax
 
 @dataclasses.dataclass(frozen=True)
 class Learning:
-    """How large the surrogate is and how it learns.
+    """How large the surrogate is and how it learns."""
 
-    Attributes:
-        size: small suits a CPU, published is the paper's, for a GPU; what follows replaces
-            single numbers of it.
-        channels: hidden channels of its networks, 16 or 64.
-        blocks: residual blocks of the network that predicts repaired layouts, 1 or 2.
-        epochs: how often each network sees all elites it learns from, 20 unless given.
-        minibatch: elites per step of learning, 64 unless given.
-        rate: learning rate of Adam, 0.001 unless given.
-    """
-
+    # small suits a CPU, published is the paper's, for a GPU; what follows replaces single numbers
+    # of it
     size: Literal["small", "published"] = "small"
-    channels: int | None = None
+    channels: int | None = None  # hidden channels of its networks, 16 or 64
+    # residual blocks of the network that predicts repaired layouts, 1 or 2
     blocks: int | None = None
+    # how often each network sees all elites it learns from, 20 unless given
     epochs: int | None = None
-    minibatch: int | None = None
-    rate: float | None = None
+    minibatch: int | None = None  # elites per step of learning, 64 unless given
+    rate: float | None = None  # learning rate of Adam, 0.001 unless given
 
     @property
     def config(self) -> SurrogateConfig:

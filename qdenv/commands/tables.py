@@ -21,27 +21,16 @@ MOST_WARNINGS = 3
 
 
 class Study(NamedTuple):
-    """What a command was asked for, checked.
+    """What a command was asked for, checked."""
 
-    Attributes:
-        plans: of all layouts, by name.
-        trial: what they are put to.
-        per_hour: timesteps per hour; None where nobody said.
-        table: where the table goes.
-        picture: where the picture goes.
-        facts: where the facts go; None for nowhere.
-        settings: what facts are found with.
-        said: what is simulated, in words.
-    """
-
-    plans: dict[str, Plan]
-    trial: studies.Trial
-    per_hour: float | None
-    table: output.Place
-    picture: output.Place
-    facts: Path | None
-    settings: dict[str, Any]
-    said: str
+    plans: dict[str, Plan]  # of all layouts, by name
+    trial: studies.Trial  # what they are put to
+    per_hour: float | None  # timesteps per hour; None where nobody said
+    table: output.Place  # where the table goes
+    picture: output.Place  # where the picture goes
+    facts: Path | None  # where the facts go; None for nowhere
+    settings: dict[str, Any]  # what facts are found with
+    said: str  # what is simulated, in words
 
     @property
     def layouts(self) -> dict[str, np.ndarray]:

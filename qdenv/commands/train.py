@@ -41,32 +41,27 @@ FIRST = "quick"  # the preset where none is named
 
 @dataclass(frozen=True)
 class Setup:
-    """What is searched, and where the run goes.
+    """What is searched, and where the run goes."""
 
-    Attributes:
-        config: the preset's settings.
-        domain: another domain in place of the preset's, at its size.
-        effort: of the negotiated planner: low inside a search, high for numbers to report.
-        planner: another planner, with its defaults; what it can be told is listed below.
-        algorithm: another search algorithm, with its defaults.
-        out: folder of the run; a fresh one under runs/ unless given.
-        keep: drawing of the layouts' shape: ? is free, a tile must be this tile in all of them.
-        executor: who repairs and simulates layouts: threads of this process, or a Dask cluster; on
-            this machine with --workers processes, or
-        scheduler: where the scheduler of a running cluster answers, like tcp://10.0.0.1:8786.
-        progress: show a progress bar.
-    """
-
-    config: RunConfig
+    config: RunConfig  # the preset's settings
+    # another domain in place of the preset's, at its size
     domain: Annotated[str | None, tyro.conf.arg(metavar=names_of(DOMAINS))] = None
+    # of the negotiated planner: low inside a search, high for numbers to report
     effort: Effort = None
+    # another planner, with its defaults; what it can be told is listed below
     planner: Annotated[str | None, tyro.conf.arg(metavar=names_of(PLANNERS))] = None
+    # another search algorithm, with its defaults
     algorithm: Annotated[str | None, tyro.conf.arg(metavar=names_of(ALGORITHMS))] = None
+    # folder of the run; a fresh one under runs/ unless given
     out: Annotated[Path | None, tyro.conf.arg(aliases=("--run-dir",))] = None
+    # drawing of the layouts' shape: ? is free, a tile must be this tile in all of them
     keep: Path | None = None
+    # who repairs and simulates layouts: threads of this process, or a Dask cluster; on this machine
+    # with --workers processes, or
     executor: ExecutorName = "threads"
+    # where the scheduler of a running cluster answers, like tcp://10.0.0.1:8786
     scheduler: str | None = None
-    progress: bool = True
+    progress: bool = True  # show a progress bar
 
 
 def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> None:

@@ -36,78 +36,63 @@ DOMAINS = Registry(
 
 
 class Simulator(NamedTuple):
-    """How one layout is simulated; the pipeline batches it.
+    """How one layout is simulated; the pipeline batches it."""
 
-    Attributes:
-        prepare: layout int8 [H, W] -> tables shared by all runs of this layout.
-        run: (tables, key) -> one run (a record of arrays); consumes the key.
-        tasks: what a fleet does; None where no fleet drives.
-        accelerator_lanes: runs computed side by side (vmap) on an accelerator; the rest wait in
-            line (scan).
-        layout_at_once: on a CPU, whether all runs of one layout go side by side. Otherwise they
-            go one after the other, which is best where the work per run is data-dependent.
-        on_host: tells whether runs are computed by host code, which no other device can share.
-    """
-
-    prepare: Callable[[Any], Any]
+    prepare: Callable[[Any], Any]  # layout int8 [H, W] -> tables shared by all runs of this layout
+    # (tables, key) -> one run (a record of arrays); consumes the key
     run: Callable[[Any, Any], Any]
-    tasks: TaskRule | None = None
+    tasks: TaskRule | None = None  # what a fleet does; None where no fleet drives
+    # runs computed side by side (vmap) on an accelerator; the rest wait in line (scan)
     accelerator_lanes: int = 128
+    # on a CPU, whether all runs of one layout go side by side. Otherwise they go one after the
+    # other, which is best where the work per run is data-dependent.
     layout_at_once: bool = False
+    # tells whether runs are computed by host code, which no other device can share
     on_host: Callable[[], bool] = lambda: False
 
 
 @dataclass(frozen=True)
 class Domain:
-    """One domain at one size, every number bound.
+    """One domain at one size, every number bound."""
 
-    Attributes:
-        config: the settings it was made from.
-        tiles: alphabet of framed layouts.
-        generated: symbols the generator draws, in channel order; the first tiles of `tiles`.
-        seed_block: rows of the fixed block in the middle of the generator's start canvas.
-        margin: (rows, columns) that the frame adds to each side of the generated area.
-        frame: generated area int8 [H - 2 dr, W - 2 dc] -> framed layout int8 [H, W].
-        rules: makes the repair's `Rules`, or raises `InputError` where none fit this size; None
-            where nothing is repaired.
-        simulator: what happens in a layout.
-        objective: (repaired layout, runs with leading axis S) -> float32, the objective f_res of
-            the result archive; the learning objective adds alpha times the similarity.
-        measures: axes of the archive.
-        similarity_weights: unrepaired layout int8 [H, W] -> float32 [H, W], p_i / max p.
-        human: draws the hand-made layout int8 [H, W] of this size, the baseline of appendix D.2,
-            or raises `InputError` where nothing fits; None where people design none.
-        counted: settings that demand an exact number of one tile: name -> the tile's symbol. They
-            scale with the generated area, can be read off a layout, and are options of commands.
-        objective_name: what the objective is, with its unit.
-        tie_break: among elites of equal objective the one with the larger number in this column
-            of the archive is the best; None for the first.
-        marks: layout int8 [H, W] -> cells that pictures name, like the start and the goal where
-            the layout itself decides them; None for none.
-        meanings: what the tiles mean to people, by their symbols.
-        known: sizes (rows, columns) whose numbers do not follow from those of another size.
-        reads: names what results depend on beside the settings, each with a checksum, like an
-            agent that is read from a file; a run goes on with the same only.
-    """
-
-    config: Any
-    tiles: str
-    generated: str
+    config: Any  # the settings it was made from
+    tiles: str  # alphabet of framed layouts
+    generated: str  # symbols the generator draws, in channel order; the first tiles of `tiles`
+    # rows of the fixed block in the middle of the generator's start canvas
     seed_block: tuple[str, ...]
+    # (rows, columns) that the frame adds to each side of the generated area
     margin: tuple[int, int]
+    # generated area int8 [H - 2 dr, W - 2 dc] -> framed layout int8 [H, W]
     frame: Callable[[Array], Array]
+    # makes the repair's `Rules`, or raises `InputError` where none fit this size; None where
+    # nothing is repaired
     rules: Callable[[], Rules] | None
-    simulator: Simulator
+    simulator: Simulator  # what happens in a layout
+    # (repaired layout, runs with leading axis S) -> float32, the objective f_res of the result
+    # archive; the learning objective adds alpha times the similarity
     objective: Callable[[jax.Array, Any], jax.Array]
-    measures: tuple[Measure, ...]
+    measures: tuple[Measure, ...]  # axes of the archive
+    # unrepaired layout int8 [H, W] -> float32 [H, W], p_i / max p
     similarity_weights: Callable[[Array], jax.Array] = weigh_alike
+    # draws the hand-made layout int8 [H, W] of this size, the baseline of appendix D.2, or raises
+    # `InputError` where nothing fits; None where people design none
     human: Callable[[], np.ndarray] | None = None
+    # settings that demand an exact number of one tile: name -> the tile's symbol. They scale with
+    # the generated area, can be read off a layout, and are options of commands.
     counted: Mapping[str, str] = field(default_factory=dict)
-    objective_name: str = "objective"
+    objective_name: str = "objective"  # what the objective is, with its unit
+    # among elites of equal objective the one with the larger number in this column of the archive
+    # is the best; None for the first
     tie_break: str | None = None
+    # layout int8 [H, W] -> cells that pictures name, like the start and the goal where the layout
+    # itself decides them; None for none
     marks: Callable[[np.ndarray], Mapping[str, int]] | None = None
+    # what the tiles mean to people, by their symbols
     meanings: Mapping[str, Tile] = field(default_factory=dict)
+    # sizes (rows, columns) whose numbers do not follow from those of another size
     known: Mapping[tuple[int, int], KnownSize] = field(default_factory=dict)
+    # names what results depend on beside the settings, each with a checksum, like an agent that is
+    # read from a file; a run goes on with the same only
     reads: Callable[[], Mapping[str, str]] = dict
 
     @property

@@ -18,13 +18,9 @@ THROUGHPUT = "throughput [tasks per timestep]"
 
 @dataclass(frozen=True)
 class FleetDomainConfig(DomainConfig):
-    """What the settings of a domain with a fleet hold.
+    """What the settings of a domain with a fleet hold."""
 
-    Attributes:
-        fleet: agents, horizon and planner.
-    """
-
-    fleet: FleetConfig = field(default_factory=FleetConfig)
+    fleet: FleetConfig = field(default_factory=FleetConfig)  # agents, horizon and planner
 
     def for_area(self, ratio: float, given: Collection[str]) -> Self:
         """Let the number of agents follow the area."""

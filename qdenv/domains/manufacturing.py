@@ -33,13 +33,9 @@ STATION_WEIGHT = 5.0  # p_i of a generated station in the similarity (appendix C
 
 @dataclass(frozen=True)
 class ManufacturingConfig(FleetDomainConfig):
-    """The numbers of a factory.
+    """The numbers of a factory."""
 
-    Attributes:
-        stays: timesteps served beside each kind of station.
-    """
-
-    stays: tuple[int, int, int] = (2, 5, 10)
+    stays: tuple[int, int, int] = (2, 5, 10)  # timesteps served beside each kind of station
 
 
 def rules(rows: int, cols: int) -> Rules:

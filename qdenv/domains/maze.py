@@ -39,19 +39,12 @@ ACCELERATOR_LANES = 7500
 
 @dataclass(frozen=True)
 class MazeConfig(DomainConfig):
-    """The numbers of a maze whose first measure is the number of walls.
+    """The numbers of a maze whose first measure is the number of walls."""
 
-    Attributes:
-        rows: rows of the maze with its ring of walls.
-        cols: columns of the maze with its ring of walls.
-        timesteps: actions after which an episode fails, T.
-        agent: an .npz agent; the shipped one unless given.
-    """
-
-    rows: int = 18
-    cols: int = 18
-    timesteps: PositiveInt = 648
-    agent: str = ""
+    rows: int = 18  # rows of the maze with its ring of walls
+    cols: int = 18  # columns of the maze with its ring of walls
+    timesteps: PositiveInt = 648  # actions after which an episode fails, T
+    agent: str = ""  # an .npz agent; the shipped one unless given
 
     def for_area(self, ratio: float, given: Collection[str]) -> Self:
         """Let the length of an episode follow the area."""

@@ -12,37 +12,24 @@ from qdenv.ranges import Ranged
 
 
 class KnownSize(NamedTuple):
-    """The numbers of a domain at one size, where they do not follow from those of another.
+    """The numbers of a domain at one size, where they do not follow from those of another."""
 
-    Attributes:
-        steps: steps of growth of an automaton that was trained at another size, C.
-        timesteps: how long a simulation lasts whose numbers are reported, T.
-        agents: how many robots drive, N_a; 1 where no fleet does.
-        numbers: exact numbers of tiles, by the settings' names.
-        about: what kind of size it is, as commands say it.
-    """
-
-    steps: int
-    timesteps: int
-    agents: int = 1
-    numbers: Mapping[str, int] = {}
-    about: str = "the paper's evaluation size"
+    steps: int  # steps of growth of an automaton that was trained at another size, C
+    timesteps: int  # how long a simulation lasts whose numbers are reported, T
+    agents: int = 1  # how many robots drive, N_a; 1 where no fleet does
+    numbers: Mapping[str, int] = {}  # exact numbers of tiles, by the settings' names
+    about: str = "the paper's evaluation size"  # what kind of size it is, as commands say it
 
 
 @dataclass(frozen=True)
 class DomainConfig(Ranged):
-    """What the settings of every domain hold; a domain's own derive from this.
+    """What the settings of every domain hold; a domain's own derive from this."""
 
-    Attributes:
-        rows: rows of the whole layout, frame included.
-        cols: columns of the whole layout, frame included.
-        keep: rows of a drawing of the whole layout: a tile where a cell must hold it, ``?`` where
-            anything may be; empty where nothing is kept.
-    """
-
-    rows: int = 33
-    cols: int = 36
+    rows: int = 33  # rows of the whole layout, frame included
+    cols: int = 36  # columns of the whole layout, frame included
     # No option of its own: a drawing comes in a file.
+    # rows of a drawing of the whole layout: a tile where a cell must hold it, ``?`` where anything
+    # may be; empty where nothing is kept
     keep: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = field(
         default=(), kw_only=True
     )

@@ -84,25 +84,18 @@ def design(rows: int, cols: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class WarehouseConfig(FleetDomainConfig):
-    """The numbers of a warehouse whose workstations are all drawn alike.
+    """The numbers of a warehouse whose workstations are all drawn alike."""
 
-    Attributes:
-        shelves: how many shelves there are, exactly (N_s).
-        left_odds: how much likelier a workstation on the left border is than one on the right.
-    """
-
-    shelves: int = 240
+    shelves: int = 240  # how many shelves there are, exactly (N_s)
+    # how much likelier a workstation on the left border is than one on the right
     left_odds: PositiveFloat = 1.0
 
 
 @dataclass(frozen=True)
 class UnevenWarehouseConfig(WarehouseConfig):
-    """The numbers of a warehouse whose left workstations are likelier (appendix B.1).
+    """The numbers of a warehouse whose left workstations are likelier (appendix B.1)."""
 
-    Attributes:
-        left_odds: how much likelier a workstation on the left border is than one on the right.
-    """
-
+    # how much likelier a workstation on the left border is than one on the right
     left_odds: PositiveFloat = 5.0
 
 

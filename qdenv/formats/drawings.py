@@ -19,16 +19,11 @@ MOVING_AI = str.maketrans({**dict.fromkeys(OPEN, "."), **dict.fromkeys(BLOCKED, 
 
 
 class Drawing(NamedTuple):
-    """What a file draws; nobody has looked at the symbols yet.
+    """What a file draws; nobody has looked at the symbols yet."""
 
-    Attributes:
-        rows: the drawing.
-        domain: whose drawing the file says it is; None where it says nothing.
-        keep: which cells must stay, as the file says; empty where it says nothing.
-    """
-
-    rows: list[str]
-    domain: str | None = None
+    rows: list[str]  # the drawing
+    domain: str | None = None  # whose drawing the file says it is; None where it says nothing
+    # which cells must stay, as the file says; empty where it says nothing
     keep: tuple[str, ...] = ()
 
 

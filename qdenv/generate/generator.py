@@ -13,39 +13,26 @@ from qdenv.registry import Registry
 
 
 class Canvas(NamedTuple):
-    """What a generator draws on.
+    """What a generator draws on."""
 
-    Attributes:
-        rows: rows h of the generated area.
-        cols: columns w of the generated area.
-        tiles: symbols that may be drawn; the first one is the empty tile.
-        seed_block: rows of the fixed block in the middle of the empty canvas.
-    """
-
-    rows: int
-    cols: int
-    tiles: str
-    seed_block: tuple[str, ...]
+    rows: int  # rows h of the generated area
+    cols: int  # columns w of the generated area
+    tiles: str  # symbols that may be drawn; the first one is the empty tile
+    seed_block: tuple[str, ...]  # rows of the fixed block in the middle of the empty canvas
 
 
 class Generator(NamedTuple):
-    """A way to draw, addressed by one flat parameter vector.
+    """A way to draw, addressed by one flat parameter vector."""
 
-    Attributes:
-        size: number of parameters P.
-        steps: steps of growth at the size it was configured for; 0 where nothing grows.
-        grow: (solutions float32 [B, P], steps) -> tiles int8 [B, h, w]; traceable. Generators
-            that do not grow ignore the number of steps.
-        choices: where each parameter names a tile, how many there are; 0 for real numbers.
-        frames: (solutions float32 [B, P], steps) -> tiles int8 [B, steps + 1, h, w], the canvas
-            from the start to the layout that `grow` draws; the number of steps is static. None
-            where a generator tells only how it ends.
-    """
-
-    size: int
-    steps: int
+    size: int  # number of parameters P
+    steps: int  # steps of growth at the size it was configured for; 0 where nothing grows
+    # (solutions float32 [B, P], steps) -> tiles int8 [B, h, w]; traceable. Generators that do not
+    # grow ignore the number of steps.
     grow: Callable[[jax.Array, jax.Array | int], jax.Array]
-    choices: int = 0
+    choices: int = 0  # where each parameter names a tile, how many there are; 0 for real numbers
+    # (solutions float32 [B, P], steps) -> tiles int8 [B, steps + 1, h, w], the canvas from the
+    # start to the layout that `grow` draws; the number of steps is static. None where a generator
+    # tells only how it ends.
     frames: Callable[[jax.Array, int], jax.Array] | None = None
 
 

@@ -24,18 +24,12 @@ from qdenv.types import Array, InputError
 
 
 class NCA(nn.Module):
-    """One step of the automaton, [H, W, K] -> [H, W, K] in (0, 1).
+    """One step of the automaton, [H, W, K] -> [H, W, K] in (0, 1)."""
 
-    Attributes:
-        kinds: kinds of tile K, the channels in and out.
-        kernel_sizes: width of each convolution's kernel; the appendix uses (3, 3, 3), the
-            published code (3, 1, 1).
-        hidden: channels between the convolutions.
-    """
-
-    kinds: int
+    kinds: int  # kinds of tile K, the channels in and out
+    # width of each convolution's kernel; the appendix uses (3, 3, 3), the published code (3, 1, 1)
     kernel_sizes: tuple[int, ...] = (3, 3, 3)
-    hidden: int = 32
+    hidden: int = 32  # channels between the convolutions
 
     @nn.compact
     def __call__(self, cells: Array) -> Array:
@@ -54,16 +48,11 @@ class NCA(nn.Module):
 
 
 class Automaton(NamedTuple):
-    """An NCA addressed by one flat parameter vector.
+    """An NCA addressed by one flat parameter vector."""
 
-    Attributes:
-        size: number of parameters P.
-        unravel: flat float32 [P] -> the module's variables.
-        grow: (flat float32 [P], start float32 [H, W, K], steps) -> cells float32 [H, W, K].
-    """
-
-    size: int
-    unravel: Callable[[jax.Array], Any]
+    size: int  # number of parameters P
+    unravel: Callable[[jax.Array], Any]  # flat float32 [P] -> the module's variables
+    # (flat float32 [P], start float32 [H, W, K], steps) -> cells float32 [H, W, K]
     grow: Callable[[jax.Array, Array, Array | int], jax.Array]
 
 

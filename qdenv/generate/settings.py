@@ -20,17 +20,11 @@ def check_kernels(sizes: Sequence[int]) -> None:
 
 @dataclass(frozen=True)
 class NcaConfig(Ranged):
-    """The numbers of a neural cellular automaton.
+    """The numbers of a neural cellular automaton."""
 
-    Attributes:
-        steps: how often the drawing grows, the NCA steps C.
-        kernel_sizes: widths of the kernels of its convolutions, in cells.
-        hidden: channels of its hidden layers.
-    """
-
-    steps: PositiveInt = 50
-    kernel_sizes: tuple[int, ...] = (3, 3, 3)
-    hidden: PositiveInt = 32
+    steps: PositiveInt = 50  # how often the drawing grows, the NCA steps C
+    kernel_sizes: tuple[int, ...] = (3, 3, 3)  # widths of the kernels of its convolutions, in cells
+    hidden: PositiveInt = 32  # channels of its hidden layers
 
     def __post_init__(self) -> None:
         """Refuse what draws nothing."""

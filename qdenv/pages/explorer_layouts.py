@@ -19,20 +19,14 @@ ROOM = 12_000_000  # bytes that growth may take in a file unless more is asked f
 
 
 class Growth(NamedTuple):
-    """How elites grow.
+    """How elites grow."""
 
-    Attributes:
-        steps: of growth; 0 where nothing grows.
-        rows: of the archive's elites whose growth is here, in the order of the chunks.
-        differing: cells in which an elite that grew here differs from what the run drew, by row;
-            those of no difference are left out.
-        packed: chunks by name.
-    """
-
-    steps: int
-    rows: list[int]
+    steps: int  # of growth; 0 where nothing grows
+    rows: list[int]  # of the archive's elites whose growth is here, in the order of the chunks
+    # cells in which an elite that grew here differs from what the run drew, by row; those of no
+    # difference are left out
     differing: dict[int, int]
-    packed: dict[str, str]
+    packed: dict[str, str]  # chunks by name
 
 
 def bits_of(tiles: str) -> int:

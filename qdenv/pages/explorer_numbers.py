@@ -30,32 +30,20 @@ ALIKE = 1e-4  # relative; columns that differ by less are told once
 
 
 class Column(NamedTuple):
-    """A number of each elite.
+    """A number of each elite."""
 
-    Attributes:
-        key: a name for scripts.
-        label: in words, with the unit.
-        form: how it is written: a number, a share in per cent, or a whole number.
-        values: float32 [elites]; NaN where there is none.
-    """
-
-    key: str
-    label: str
-    form: str
-    values: np.ndarray
+    key: str  # a name for scripts
+    label: str  # in words, with the unit
+    form: str  # how it is written: a number, a share in per cent, or a whole number
+    values: np.ndarray  # float32 [elites]; NaN where there is none
 
 
 class Runs(NamedTuple):
-    """What was counted in each simulation of each elite.
+    """What was counted in each simulation of each elite."""
 
-    Attributes:
-        label: in words, with the unit.
-        values: float32 [elites, S].
-        factor: times the standard deviation: half of a 95 % interval of the mean; 0 for one run.
-    """
-
-    label: str
-    values: np.ndarray
+    label: str  # in words, with the unit
+    values: np.ndarray  # float32 [elites, S]
+    # times the standard deviation: half of a 95 % interval of the mean; 0 for one run
     factor: float
 
 

@@ -26,15 +26,10 @@ LEVEL = 9  # of gzip: pages are written once and sent around
 
 @dataclass(frozen=True, repr=False)
 class Page:
-    """A page that saves and shows itself.
+    """A page that saves and shows itself."""
 
-    Attributes:
-        title: of the browser's window.
-        html: the whole document.
-    """
-
-    title: str
-    html: str
+    title: str  # of the browser's window
+    html: str  # the whole document
 
     def save(self, path: str | Path) -> Path:
         """Write the page as one file.

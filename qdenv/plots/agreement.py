@@ -13,15 +13,10 @@ LOOKS = (("#0072B2", "^"), ("#E69F00", "o"), ("#009E73", "s"), ("#CC79A7", "D"))
 
 
 class Opinion(NamedTuple):
-    """What one judge says of layouts.
+    """What one judge says of layouts."""
 
-    Attributes:
-        throughput: float [layouts].
-        flows: bool [layouts], no run of either judge congested.
-    """
-
-    throughput: np.ndarray
-    flows: np.ndarray
+    throughput: np.ndarray  # float [layouts]
+    flows: np.ndarray  # bool [layouts], no run of either judge congested
 
 
 def save_agreement(

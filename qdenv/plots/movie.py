@@ -25,17 +25,11 @@ REST = 1.0  # seconds that the last picture of a GIF is seen before it begins an
 
 
 class Kind(NamedTuple):
-    """How films of one kind are drawn.
+    """How films of one kind are drawn."""
 
-    Attributes:
-        side: pixels of the layout's longer side, about.
-        parts: pictures from one timestep to the next.
-        rate: pictures a second.
-    """
-
-    side: int
-    parts: int
-    rate: float
+    side: int  # pixels of the layout's longer side, about
+    parts: int  # pictures from one timestep to the next
+    rate: float  # pictures a second
 
 
 KINDS = {".gif": Kind(600, 2, 12.5), ".mp4": Kind(720, 3, 24)}

@@ -33,17 +33,11 @@ MEANING = "lines: mean over runs, bands: its 95 % interval"
 
 
 class Shown(NamedTuple):
-    """One archive.
+    """One archive."""
 
-    Attributes:
-        title: whose.
-        objectives: float [C], row-major, not finite where a cell is empty.
-        measures: its axes.
-    """
-
-    title: str
-    objectives: np.ndarray
-    measures: Sequence[Measure]
+    title: str  # whose
+    objectives: np.ndarray  # float [C], row-major, not finite where a cell is empty
+    measures: Sequence[Measure]  # its axes
 
 
 @styled

@@ -15,21 +15,13 @@ ACROSS = 5
 
 
 class Picture(NamedTuple):
-    """One layout of a sheet.
+    """One layout of a sheet."""
 
-    Attributes:
-        layout: int8 [H, W].
-        tiles: its alphabet.
-        names: how the legend calls the tiles.
-        title: above it.
-        note: below it.
-    """
-
-    layout: Array
-    tiles: str
-    names: Mapping[str, str]
-    title: str
-    note: str
+    layout: Array  # int8 [H, W]
+    tiles: str  # its alphabet
+    names: Mapping[str, str]  # how the legend calls the tiles
+    title: str  # above it
+    note: str  # below it
 
 
 def draw_sheet(pictures: Sequence[Picture]) -> Figure:

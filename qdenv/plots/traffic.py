@@ -37,27 +37,17 @@ KEY = 6.5  # points of a rank, and of a cell that has room for it
 
 
 class Scene(NamedTuple):
-    """What the picture shows.
+    """What the picture shows."""
 
-    Attributes:
-        free: bool [H, W], cells that agents may drive on.
-        maps: averaged over the runs.
-        worst: the worst cells, the worst first.
-        over_time: [3, n]: ends of windows of time, mean throughput in each, its standard error.
-        jams: timesteps at which runs congested.
-        title: of the whole picture.
-        runs: how many there were.
-        stop: congestion ended those that congested.
-    """
-
-    free: np.ndarray
-    maps: Maps
-    worst: Sequence[Spot]
+    free: np.ndarray  # bool [H, W], cells that agents may drive on
+    maps: Maps  # averaged over the runs
+    worst: Sequence[Spot]  # the worst cells, the worst first
+    # [3, n]: ends of windows of time, mean throughput in each, its standard error
     over_time: np.ndarray
-    jams: Sequence[int]
-    title: str
-    runs: int
-    stop: bool = True
+    jams: Sequence[int]  # timesteps at which runs congested
+    title: str  # of the whole picture
+    runs: int  # how many there were
+    stop: bool = True  # congestion ended those that congested
 
 
 def scene_of(plan: Plan, study: Study, title: str, stop: bool = True) -> Scene:

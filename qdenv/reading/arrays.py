@@ -26,33 +26,20 @@ PIECE = 2**18  # bytes that are expanded at once
 
 
 class Column(NamedTuple):
-    """What an array must be.
+    """What an array must be."""
 
-    Attributes:
-        kinds: of numbers, as numpy's letters: b, i, u, f; U for words.
-        ndim: number of axes; None for any.
-        finite: no NaN, no infinity.
-    """
-
-    kinds: str = "biuf"
-    ndim: int | None = None
-    finite: bool = False
+    kinds: str = "biuf"  # of numbers, as numpy's letters: b, i, u, f; U for words
+    ndim: int | None = None  # number of axes; None for any
+    finite: bool = False  # no NaN, no infinity
 
 
 class Header(NamedTuple):
-    """What the head of a member says.
+    """What the head of a member says."""
 
-    Attributes:
-        dtype: of the array.
-        shape: of the array.
-        fortran: the first axis varies fastest.
-        length: bytes of the head.
-    """
-
-    dtype: np.dtype
-    shape: tuple[int, ...]
-    fortran: bool
-    length: int
+    dtype: np.dtype  # of the array
+    shape: tuple[int, ...]  # of the array
+    fortran: bool  # the first axis varies fastest
+    length: int  # bytes of the head
 
 
 ANY = Column("biufU")

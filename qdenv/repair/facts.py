@@ -18,12 +18,9 @@ class Facts:
     A *driving* tile is one of the connected group: its cells form the driving area. Tiles that no
     adjacency, connectivity or placement rule tells apart share a *role*: three kinds of station
     differ in counts and in cost only.
-
-    Attributes:
-        rules: the constraints.
     """
 
-    rules: Rules
+    rules: Rules  # the constraints
 
     def holding(self, tiles: str) -> np.ndarray:
         """Mark which tiles of the alphabet are among `tiles` (bool [K])."""

@@ -17,19 +17,12 @@ def no_report(doing: str, done: float) -> None:
 
 
 class Result(NamedTuple):
-    """The best layout so far, and what is known of it.
+    """The best layout so far, and what is known of it."""
 
-    Attributes:
-        layout: int8 [H, W].
-        cost: summed costs of its changed cells.
-        bound: no layout costs less.
-        status: how the repair stands.
-    """
-
-    layout: np.ndarray
-    cost: float
-    bound: float
-    status: RepairStatus
+    layout: np.ndarray  # int8 [H, W]
+    cost: float  # summed costs of its changed cells
+    bound: float  # no layout costs less
+    status: RepairStatus  # how the repair stands
 
     def proven(self, gap: float = 0.0) -> bool:
         """Whether the bound proves the cost within a relative gap."""

@@ -12,51 +12,32 @@ Polish = Literal["none", "quick", "full"]
 
 
 class MilpLimits(NamedTuple):
-    """When the solver works on a whole layout, and how long; deterministic.
+    """When the solver works on a whole layout, and how long; deterministic."""
 
-    Attributes:
-        node_limit: branch-and-bound nodes of one solve.
-        interrupt_budget: times the solver may ask whether to go on, which it does once per round
-            of its work.
-        rounds: solves, each with more connectivity cuts.
-        max_gap_to_branch: relative gap of the relaxation beyond which branching would not pay.
-        max_cells: free cells beyond which nothing is bounded: the relaxation alone takes minutes.
-    """
-
-    node_limit: int
+    node_limit: int  # branch-and-bound nodes of one solve
+    # times the solver may ask whether to go on, which it does once per round of its work
     interrupt_budget: int
-    rounds: int
-    max_gap_to_branch: float
-    max_cells: int
+    rounds: int  # solves, each with more connectivity cuts
+    max_gap_to_branch: float  # relative gap of the relaxation beyond which branching would not pay
+    max_cells: int  # free cells beyond which nothing is bounded: the relaxation alone takes minutes
 
 
 class WindowLimits(NamedTuple):
-    """How long windows of a layout are solved, one after the other; deterministic.
+    """How long windows of a layout are solved, one after the other; deterministic."""
 
-    Attributes:
-        side: cells a side of one window.
-        windows: how many are tried in vain on a layout of a thousand cells; more on larger ones.
-        reward: how many more are tried for each unit of cost that one has saved.
-        node_limit: branch-and-bound nodes of one window.
-    """
-
-    side: int
-    windows: int
-    reward: float
-    node_limit: int
+    side: int  # cells a side of one window
+    windows: int  # how many are tried in vain on a layout of a thousand cells; more on larger ones
+    reward: float  # how many more are tried for each unit of cost that one has saved
+    node_limit: int  # branch-and-bound nodes of one window
 
 
 class Effort(NamedTuple):
-    """What a named polish means.
+    """What a named polish means."""
 
-    Attributes:
-        moves_per_cell: annealing moves per free cell.
-        windows: limits of the solver on windows; None where it solves none.
-        milp: limits of the solver on the whole layout; None where it is not asked.
-    """
-
-    moves_per_cell: int
+    moves_per_cell: int  # annealing moves per free cell
+    # limits of the solver on windows; None where it solves none
     windows: WindowLimits | None = None
+    # limits of the solver on the whole layout; None where it is not asked
     milp: MilpLimits | None = None
 
 
@@ -81,25 +62,20 @@ MIN_MOVES = 20_000  # a few milliseconds, which tiny layouts need as well
 
 @dataclass(frozen=True)
 class RepairConfig(Ranged):
-    """Limits of one repair; all but `time_limit` are deterministic.
+    """Limits of one repair; all but `time_limit` are deterministic."""
 
-    Attributes:
-        polish: "none" anneals as little as is safe, "quick" as long as a search can afford, "full"
-            longer; then the solver improves windows, and runs on the whole layout to a proof or to
-            its limits.
-        moves_per_cell: annealing moves per free cell; None for what `polish` means.
-        gap: relative gap at which the solver stops.
-        node_limit: branch-and-bound nodes of one solve; None for what `polish` means.
-        time_limit: wall-clock safety net of one solve in seconds; only when it fires is a repair
-            not reproducible, and its status says so.
-        workers: threads that repair layouts of a batch; None for one per core.
-    """
-
+    # "none" anneals as little as is safe, "quick" as long as a search can afford, "full" longer;
+    # then the solver improves windows, and runs on the whole layout to a proof or to its limits
     polish: Polish = "quick"
+    # annealing moves per free cell; None for what `polish` means
     moves_per_cell: NonNegativeInt | None = None
-    gap: NonNegativeFloat = 0.0
+    gap: NonNegativeFloat = 0.0  # relative gap at which the solver stops
+    # branch-and-bound nodes of one solve; None for what `polish` means
     node_limit: NonNegativeInt | None = None
+    # wall-clock safety net of one solve in seconds; only when it fires is a repair not
+    # reproducible, and its status says so
     time_limit: Annotated[float, Interval(gt=0)] = 1800.0
+    # threads that repair layouts of a batch; None for one per core
     workers: NonNegativeInt | None = None
 
     def __post_init__(self) -> None:

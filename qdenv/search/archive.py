@@ -31,10 +31,9 @@ class GridArchive(MapElitesRepertoire):
         descriptors: float [C, M], the measures of the elites.
         centroids: float [C, M], the centres of the cells.
         extra_scores: dict of arrays [C, ...] kept beside each elite.
-        measures: the axes (static).
     """
 
-    measures: tuple[Measure, ...] = flax.struct.field(pytree_node=False)
+    measures: tuple[Measure, ...] = flax.struct.field(pytree_node=False)  # the axes (static)
 
     @classmethod
     def empty(

@@ -13,65 +13,46 @@ from qdenv.types import Array, InputError, Measure, Score
 
 
 class Drawing(NamedTuple):
-    """What solutions look like, for algorithms that look at them.
+    """What solutions look like, for algorithms that look at them."""
 
-    Attributes:
-        draw: float [B, P] -> int8 [B, H, W], traceable.
-        shape: rows H and columns W.
-        kinds: kinds of tile K.
-        choices: how many tiles each parameter may name; 0 where parameters are real numbers.
-        repairs: what is drawn is changed before it is scored; `tell` is handed "repaired".
-        usage: `tell` is handed "usage", the share of agent-steps on each cell.
-    """
-
-    draw: Callable[[Array], jax.Array]
-    shape: tuple[int, int]
-    kinds: int
-    choices: int = 0
+    draw: Callable[[Array], jax.Array]  # float [B, P] -> int8 [B, H, W], traceable
+    shape: tuple[int, int]  # rows H and columns W
+    kinds: int  # kinds of tile K
+    choices: int = 0  # how many tiles each parameter may name; 0 where parameters are real numbers
+    # what is drawn is changed before it is scored; `tell` is handed "repaired"
     repairs: bool = False
-    usage: bool = False
+    usage: bool = False  # `tell` is handed "usage", the share of agent-steps on each cell
 
 
 class Problem(NamedTuple):
-    """What an algorithm knows of what it searches.
+    """What an algorithm knows of what it searches."""
 
-    Attributes:
-        solution_dim: P, the parameters of a solution.
-        measures: axes of the archives.
-        extras: one example of what the result archive stores beside each elite.
-        drawing: what solutions look like; None where they are nothing but numbers.
-    """
-
-    solution_dim: int
-    measures: Sequence[Measure]
+    solution_dim: int  # P, the parameters of a solution
+    measures: Sequence[Measure]  # axes of the archives
+    # one example of what the result archive stores beside each elite
     extras: Mapping[str, Any] | None = None
+    # what solutions look like; None where they are nothing but numbers
     drawing: Drawing | None = None
 
 
 class Algorithm(NamedTuple):
-    """A search algorithm as a record of pure, jittable functions.
+    """A search algorithm as a record of pure, jittable functions."""
 
-    Attributes:
-        init: key -> state. The state is one pytree of arrays with the random key inside; its
-            shapes never change.
-        ask: state -> (solutions float [B, P], state).
-        tell: (state, solutions, `Score` with a leading axis B, extras: dict of arrays [B, ...],
-            those of the problem and others) -> state. Rows whose score is no success enter no
-            archive and change nobody's rank.
-        archive: state -> the result archive.
-        batch_size: B, the number of solutions of every ask.
-        notes: state -> numbers by name that a run logs after each iteration; NaN where there is
-            nothing to say yet. The names never change.
-        ahead: populations that may be asked before the answers of the one before them are told;
-            they are told in the order in which they were asked.
-    """
-
+    # key -> state. The state is one pytree of arrays with the random key inside; its shapes never
+    # change.
     init: Callable[[jax.Array], Any]
-    ask: Callable[[Any], tuple[jax.Array, Any]]
+    ask: Callable[[Any], tuple[jax.Array, Any]]  # state -> (solutions float [B, P], state)
+    # (state, solutions, `Score` with a leading axis B, extras: dict of arrays [B, ...], those of
+    # the problem and others) -> state. Rows whose score is no success enter no archive and change
+    # nobody's rank.
     tell: Callable[[Any, Array, Score, Mapping[str, Array]], Any]
-    archive: Callable[[Any], GridArchive]
-    batch_size: int
+    archive: Callable[[Any], GridArchive]  # state -> the result archive
+    batch_size: int  # B, the number of solutions of every ask
+    # state -> numbers by name that a run logs after each iteration; NaN where there is nothing to
+    # say yet. The names never change.
     notes: Callable[[Any], Mapping[str, jax.Array]] = lambda state: {}
+    # populations that may be asked before the answers of the one before them are told; they are
+    # told in the order in which they were asked
     ahead: int = 0
 
 

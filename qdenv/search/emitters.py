@@ -48,17 +48,13 @@ class EmittersState(NamedTuple):
 
 
 class Emitters(NamedTuple):
-    """E emitters as a record of functions.
+    """E emitters as a record of functions."""
 
-    Attributes:
-        init: key -> state, a pytree; consumes the key.
-        ask: (state, key) -> (solutions float [E * b, P], state); consumes the key.
-        tell: (state, key, solutions, insertion, objective, usable, archive) -> state, the
-            arrays with a leading axis E * b; `archive` holds the batch already. Consumes the key.
-    """
-
-    init: Callable[[jax.Array], Any]
+    init: Callable[[jax.Array], Any]  # key -> state, a pytree; consumes the key
+    # (state, key) -> (solutions float [E * b, P], state); consumes the key
     ask: Callable[[Any, jax.Array], tuple[jax.Array, Any]]
+    # (state, key, solutions, insertion, objective, usable, archive) -> state, the arrays with a
+    # leading axis E * b; `archive` holds the batch already. Consumes the key.
     tell: Callable[..., Any]
 
 

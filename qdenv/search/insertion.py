@@ -7,15 +7,10 @@ import jax.numpy as jnp
 
 
 class Insertion(NamedTuple):
-    """What an archive says of each solution of a batch, seen against the archive before it.
+    """What an archive says of each solution of a batch, seen against the archive before it."""
 
-    Attributes:
-        status: int32 [B], 2 found a new cell, 1 improved a filled one, 0 was not accepted.
-        value: float [B], objective minus the cell's threshold; -inf for a failed solution.
-    """
-
-    status: jax.Array
-    value: jax.Array
+    status: jax.Array  # int32 [B], 2 found a new cell, 1 improved a filled one, 0 was not accepted
+    value: jax.Array  # float [B], objective minus the cell's threshold; -inf for a failed solution
 
 
 def first_of_best(objective: jax.Array, candidates: jax.Array, same_cell: jax.Array) -> jax.Array:

@@ -20,17 +20,11 @@ from qdenv.types import Array, Measure, Score
 
 
 class CmaMaeEmitterState(EmitterState):
-    """What `CmaMaeEmitter` remembers; the driver's repertoire is the result archive.
+    """What `CmaMaeEmitter` remembers; the driver's repertoire is the result archive."""
 
-    Attributes:
-        key: uint32 [2], for restarts.
-        emitters: the evolution strategies.
-        learning: the soft archive that ranks solutions.
-    """
-
-    key: jax.Array
-    emitters: EmittersState | TurnsState
-    learning: ThresholdArchive
+    key: jax.Array  # uint32 [2], for restarts
+    emitters: EmittersState | TurnsState  # the evolution strategies
+    learning: ThresholdArchive  # the soft archive that ranks solutions
 
 
 class CmaMaeEmitter(Emitter):

@@ -66,33 +66,25 @@ Ahead = Annotated[int, Interval(ge=0, le=1000)]  # no cluster needs more
 
 @dataclass(frozen=True)
 class CmaMaeConfig(Ranged):
-    """Settings of CMA-MAE; the defaults are the paper's (Table 1).
+    """Settings of CMA-MAE; the defaults are the paper's (Table 1)."""
 
-    Attributes:
-        emitters: evolution strategies E running side by side.
-        batch: solutions b of each emitter per iteration.
-        sigma0: initial step size.
-        learning_rate: of the learning archive's thresholds, in [0, 1].
-        threshold_min: threshold of an empty cell.
-        ranker: sort rows by improvement (imp), status then improvement (2imp), objective (obj)
-            or status then objective (2obj).
-        selection: parents are the better half (mu) or as many as were accepted (filter).
-        restart: when nothing was accepted, never (basic), or every so many iterations.
-        strategy: how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full),
-            its limited-memory form (lm_ma), or one of evosax'.
-        ahead: populations asked before the one before them is told, for many workers:
-            the emitters become ahead + 1 teams that take turns.
-    """
-
-    emitters: PositiveInt = 5
-    batch: PositiveInt = 10
-    sigma0: PositiveFloat = 0.2
-    learning_rate: Share = 0.01
-    threshold_min: float = 0.0
+    emitters: PositiveInt = 5  # evolution strategies E running side by side
+    batch: PositiveInt = 10  # solutions b of each emitter per iteration
+    sigma0: PositiveFloat = 0.2  # initial step size
+    learning_rate: Share = 0.01  # of the learning archive's thresholds, in [0, 1]
+    threshold_min: float = 0.0  # threshold of an empty cell
+    # sort rows by improvement (imp), status then improvement (2imp), objective (obj) or status then
+    # objective (2obj)
     ranker: Ranker = "imp"
+    # parents are the better half (mu) or as many as were accepted (filter)
     selection: Selection = "mu"
+    # when nothing was accepted, never (basic), or every so many iterations
     restart: Literal["no_improvement", "basic"] | PositiveInt = "no_improvement"
+    # how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full), its
+    # limited-memory form (lm_ma), or one of evosax'
     strategy: Strategy = "iso"
+    # populations asked before the one before them is told, for many workers: the emitters become
+    # ahead + 1 teams that take turns
     ahead: Ahead = 0
 
     def __post_init__(self) -> None:
@@ -114,16 +106,11 @@ class CmaMeConfig(CmaMaeConfig):
 
 @dataclass(frozen=True)
 class ScreenedConfig(CmaMaeConfig):
-    """Settings of CMA-MAE whose offspring a surrogate screens.
+    """Settings of CMA-MAE whose offspring a surrogate screens."""
 
-    Attributes:
-        screen: offspring drawn for each that is evaluated; 1 screens nothing.
-        refit: iterations from one fit of the surrogate to the next.
-        surrogate: its size, and how it learns.
-    """
-
-    screen: PositiveInt = 4
-    refit: PositiveInt = 1
+    screen: PositiveInt = 4  # offspring drawn for each that is evaluated; 1 screens nothing
+    refit: PositiveInt = 1  # iterations from one fit of the surrogate to the next
+    # its size, and how it learns
     surrogate: SurrogateConfig = field(default_factory=SurrogateConfig)
 
     def __post_init__(self) -> None:
@@ -135,27 +122,18 @@ class ScreenedConfig(CmaMaeConfig):
 
 @dataclass(frozen=True)
 class MapElitesConfig(Ranged):
-    """Settings of MAP-Elites.
+    """Settings of MAP-Elites."""
 
-    Attributes:
-        emitters: kept beside `batch` so that algorithms compare at equal settings.
-        batch: an iteration makes ``emitters * batch`` solutions.
-        sigma_iso: standard deviation of the isotropic noise.
-        sigma_line: standard deviation of the step along the line to another elite.
-        learning_rate: of the parents' archive. 1 with a `threshold_min` of -inf is the plain
-            elitist archive; the published runs drew their parents from the soft archive of
-            CMA-MAE (0.01 and 0).
-        threshold_min: threshold of an empty cell of the parents' archive.
-        ahead: populations asked before the one before them is told, for many workers.
-    """
-
-    emitters: PositiveInt = 5
-    batch: PositiveInt = 10
-    sigma_iso: PositiveFloat = 0.01
+    emitters: PositiveInt = 5  # kept beside `batch` so that algorithms compare at equal settings
+    batch: PositiveInt = 10  # an iteration makes ``emitters * batch`` solutions
+    sigma_iso: PositiveFloat = 0.01  # standard deviation of the isotropic noise
+    # standard deviation of the step along the line to another elite
     sigma_line: NonNegativeFloat = 0.2
+    # of the parents' archive. 1 with a `threshold_min` of -inf is the plain elitist archive; the
+    # published runs drew their parents from the soft archive of CMA-MAE (0.01 and 0).
     learning_rate: Share = 1.0
-    threshold_min: float = -math.inf
-    ahead: Ahead = 0
+    threshold_min: float = -math.inf  # threshold of an empty cell of the parents' archive
+    ahead: Ahead = 0  # populations asked before the one before them is told, for many workers
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no search."""
@@ -174,25 +152,20 @@ class CmaEsConfig(Ranged):
     emitters of 10: beyond the paper's budget of 10,000. Until then CMA-ES samples N(m, sigma^2 I)
     and adapts sigma by its path, which is `iso`, at linear cost. Strategies that adapt more than a
     step size earlier, `sep` and `lm_ma` among them, found no better layouts on the preset quick.
-
-    Attributes:
-        emitters: independent evolution strategies.
-        batch: solutions of each strategy per iteration.
-        sigma0: initial step size.
-        restart: never (basic), when no cell improved, or every so many iterations. A strategy
-            whose distribution is degenerate restarts anyway, from a random elite.
-        strategy: how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full),
-            its limited-memory form (lm_ma), or one of evosax', of which CMA_ES decomposes its full
-            matrix at every step: for some hundreds of parameters at most.
-        ahead: populations asked before the one before them is told, for many workers:
-            the emitters become ahead + 1 teams that take turns.
     """
 
-    emitters: PositiveInt = 1
-    batch: PositiveInt = 50
-    sigma0: PositiveFloat = 0.2
+    emitters: PositiveInt = 1  # independent evolution strategies
+    batch: PositiveInt = 50  # solutions of each strategy per iteration
+    sigma0: PositiveFloat = 0.2  # initial step size
+    # never (basic), when no cell improved, or every so many iterations. A strategy whose
+    # distribution is degenerate restarts anyway, from a random elite.
     restart: Literal["no_improvement", "basic"] | PositiveInt = "basic"
+    # how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full), its
+    # limited-memory form (lm_ma), or one of evosax', of which CMA_ES decomposes its full matrix at
+    # every step: for some hundreds of parameters at most
     strategy: Strategy = "iso"
+    # populations asked before the one before them is told, for many workers: the emitters become
+    # ahead + 1 teams that take turns
     ahead: Ahead = 0
 
     def __post_init__(self) -> None:
@@ -203,17 +176,11 @@ class CmaEsConfig(Ranged):
 
 @dataclass(frozen=True)
 class RandomSearchConfig(Ranged):
-    """Settings of random search.
+    """Settings of random search."""
 
-    Attributes:
-        batch: solutions per iteration.
-        sigma: standard deviation of every parameter.
-        ahead: populations asked before the one before them is told, for many workers.
-    """
-
-    batch: PositiveInt = 50
-    sigma: PositiveFloat = 0.2
-    ahead: Ahead = 0
+    batch: PositiveInt = 50  # solutions per iteration
+    sigma: PositiveFloat = 0.2  # standard deviation of every parameter
+    ahead: Ahead = 0  # populations asked before the one before them is told, for many workers
 
 
 CMA_MAE = Entry(CmaMaeConfig, "qdenv.search.cma_mae:cma_mae")

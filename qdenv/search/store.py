@@ -20,16 +20,11 @@ class Store(NamedTuple):
     """Solutions by row, and which rows are free.
 
     Row 0 is what empty cells refer to: zeros, never given away.
-
-    Attributes:
-        cells: int32 [R], the cell that each row was last kept for.
-        used: bool [R], whether an archive refers to the row.
-        solutions: float [R, P].
     """
 
-    cells: jax.Array
-    used: jax.Array
-    solutions: jax.Array
+    cells: jax.Array  # int32 [R], the cell that each row was last kept for
+    used: jax.Array  # bool [R], whether an archive refers to the row
+    solutions: jax.Array  # float [R, P]
 
     @classmethod
     def empty(cls, solution: jax.Array, batch: int, *archives: "GridArchive") -> Self:

@@ -22,15 +22,12 @@ class ThresholdArchive(GridArchive):
 
     A winner replaces the elite of its cell even when its objective is lower (the archive is not
     elitist): keep a `GridArchive` beside it for results.
-
-    Attributes:
-        thresholds: float [C].
-        learning_rate: how far a threshold moves towards what it accepted, in [0, 1] (static).
-        threshold_min: threshold of an empty cell; -inf gives the archive of CMA-ME (static).
     """
 
-    thresholds: jax.Array
+    thresholds: jax.Array  # float [C]
+    # how far a threshold moves towards what it accepted, in [0, 1] (static)
     learning_rate: float = flax.struct.field(pytree_node=False)
+    # threshold of an empty cell; -inf gives the archive of CMA-ME (static)
     threshold_min: float = flax.struct.field(pytree_node=False)
 
     @classmethod

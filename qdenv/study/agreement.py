@@ -12,35 +12,21 @@ FEWEST = 3  # layouts that a correlation takes
 
 
 class Correlation(NamedTuple):
-    """A rank correlation over layouts.
+    """A rank correlation over layouts."""
 
-    Attributes:
-        value: of them; NaN with fewer than three layouts, or where a judge tells none apart.
-        low: lower end of its 95 % bootstrap interval over layouts; NaN where it has none.
-        high: upper end.
-    """
-
-    value: float
-    low: float
-    high: float
+    value: float  # of them; NaN with fewer than three layouts, or where a judge tells none apart
+    low: float  # lower end of its 95 % bootstrap interval over layouts; NaN where it has none
+    high: float  # upper end
 
 
 class Agreement(NamedTuple):
-    """How far two judges agree.
+    """How far two judges agree."""
 
-    Attributes:
-        layouts: how many both judged.
-        spearman: rank correlation.
-        kendall: the correlation tau-b of the order of pairs.
-        ratio: mean of what the one says over what the other says, where that is above 0.
-        ratio_error: its standard error.
-    """
-
-    layouts: int
-    spearman: Correlation
-    kendall: Correlation
-    ratio: float
-    ratio_error: float
+    layouts: int  # how many both judged
+    spearman: Correlation  # rank correlation
+    kendall: Correlation  # the correlation tau-b of the order of pairs
+    ratio: float  # mean of what the one says over what the other says, where that is above 0
+    ratio_error: float  # its standard error
 
 
 def agree(ours: np.ndarray, theirs: np.ndarray, seed: int = 0) -> Agreement:

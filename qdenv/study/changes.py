@@ -11,26 +11,17 @@ SHOWN = 3  # cells of a list that are named, the rest is counted
 
 
 class Change(NamedTuple):
-    """How the cells of one kind of tile changed.
+    """How the cells of one kind of tile changed."""
 
-    Attributes:
-        tile: its symbol.
-        name: its name; the symbol where it has none.
-        station: people decide where it stands: no generator draws it, or the rules ask for at
-            least so many of it.
-        before: how many cells held it.
-        after: how many do.
-        removed: (row, column) of those that hold another tile now.
-        placed: (row, column) of those that held another tile.
-    """
-
-    tile: str
-    name: str
+    tile: str  # its symbol
+    name: str  # its name; the symbol where it has none
+    # people decide where it stands: no generator draws it, or the rules ask for at least so many of
+    # it
     station: bool
-    before: int
-    after: int
-    removed: list[tuple[int, int]]
-    placed: list[tuple[int, int]]
+    before: int  # how many cells held it
+    after: int  # how many do
+    removed: list[tuple[int, int]]  # (row, column) of those that hold another tile now
+    placed: list[tuple[int, int]]  # (row, column) of those that held another tile
 
 
 def list_changes(before: np.ndarray, after: np.ndarray, domain: Domain) -> list[Change]:

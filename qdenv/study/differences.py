@@ -8,33 +8,20 @@ SURE = 0.975  # quantile of a two-sided 95 % interval
 
 
 class Difference(NamedTuple):
-    """A mean against another one, in per cent of the latter.
+    """A mean against another one, in per cent of the latter."""
 
-    Attributes:
-        percent: how much higher it is.
-        low: lower end of the 95 % interval; NaN where it has none.
-        high: upper end.
-        significant: the interval excludes 0.
-    """
-
-    percent: float
-    low: float
-    high: float
-    significant: bool
+    percent: float  # how much higher it is
+    low: float  # lower end of the 95 % interval; NaN where it has none
+    high: float  # upper end
+    significant: bool  # the interval excludes 0
 
 
 class Sample(NamedTuple):
-    """The mean of independent runs.
+    """The mean of independent runs."""
 
-    Attributes:
-        mean: of them.
-        error: standard error of the mean; NaN for one run.
-        runs: how many.
-    """
-
-    mean: float
-    error: float
-    runs: int
+    mean: float  # of them
+    error: float  # standard error of the mean; NaN for one run
+    runs: int  # how many
 
 
 def sample_of(values: np.ndarray) -> Sample:

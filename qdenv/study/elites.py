@@ -23,19 +23,12 @@ from qdenv.types import InputError, Repair, RepairStatus
 
 
 class Grown(NamedTuple):
-    """A layout drawn for one size, unrepaired.
+    """A layout drawn for one size, unrepaired."""
 
-    Attributes:
-        domain: at the layout's size, with the numbers that its repair will demand.
-        elite: whose layout; None where no elite drew it (a tiled layout).
-        layout: int8 [H, W].
-        steps: of growth; 0 where nothing grew.
-    """
-
-    domain: Domain
-    elite: Elite | None
-    layout: np.ndarray
-    steps: int
+    domain: Domain  # at the layout's size, with the numbers that its repair will demand
+    elite: Elite | None  # whose layout; None where no elite drew it (a tiled layout)
+    layout: np.ndarray  # int8 [H, W]
+    steps: int  # of growth; 0 where nothing grew
 
 
 def find_elite(

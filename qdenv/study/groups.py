@@ -26,19 +26,12 @@ CURVES = {"qd_score": "QD-score", "coverage": "coverage", "best_objective": "bes
 
 
 class Group(NamedTuple):
-    """Runs that differ in chance alone.
+    """Runs that differ in chance alone."""
 
-    Attributes:
-        label: what tells them from other groups, in words.
-        runs: one or more.
-        evaluations: int [n], up to where all of them came.
-        curves: float [runs, n] each: what their metrics were then, by name.
-    """
-
-    label: str
-    runs: tuple[RunDirectory, ...]
-    evaluations: np.ndarray
-    curves: Mapping[str, np.ndarray]
+    label: str  # what tells them from other groups, in words
+    runs: tuple[RunDirectory, ...]  # one or more
+    evaluations: np.ndarray  # int [n], up to where all of them came
+    curves: Mapping[str, np.ndarray]  # float [runs, n] each: what their metrics were then, by name
 
     @property
     def title(self) -> str:
@@ -49,14 +42,10 @@ class Group(NamedTuple):
 
 
 class Band(NamedTuple):
-    """The mean of a curve over runs.
+    """The mean of a curve over runs."""
 
-    Attributes:
-        mean: float [n].
-        half: float [n], half the width of its 95 % interval (Student's t); NaN for one run.
-    """
-
-    mean: np.ndarray
+    mean: np.ndarray  # float [n]
+    # float [n], half the width of its 95 % interval (Student's t); NaN for one run
     half: np.ndarray
 
 

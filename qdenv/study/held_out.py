@@ -17,27 +17,16 @@ FEWEST = 50  # elites; ten held out tell little, fewer tell nothing
 
 @dataclass(frozen=True)
 class Evaluated:
-    """The elites of a run with what a true evaluation said of them.
+    """The elites of a run with what a true evaluation said of them."""
 
-    Attributes:
-        cells: int [N, M], where each stands in the archive.
-        drawn: int8 [N, H, W], before the repair.
-        repaired: int8 [N, H, W].
-        numbers: float32 [N, 1 + M], objective and measures.
-        names: of the numbers.
-        units: of the objective; empty where it has none.
-        kinds: kinds of tile.
-        repairs: the domain repairs its layouts.
-    """
-
-    cells: np.ndarray
-    drawn: np.ndarray
-    repaired: np.ndarray
-    numbers: np.ndarray
-    names: tuple[str, ...]
-    units: str
-    kinds: int
-    repairs: bool
+    cells: np.ndarray  # int [N, M], where each stands in the archive
+    drawn: np.ndarray  # int8 [N, H, W], before the repair
+    repaired: np.ndarray  # int8 [N, H, W]
+    numbers: np.ndarray  # float32 [N, 1 + M], objective and measures
+    names: tuple[str, ...]  # of the numbers
+    units: str  # of the objective; empty where it has none
+    kinds: int  # kinds of tile
+    repairs: bool  # the domain repairs its layouts
 
     def __len__(self) -> int:
         """Count the elites."""
@@ -45,18 +34,13 @@ class Evaluated:
 
 
 class Skill(NamedTuple):
-    """How well one number of held-out elites is predicted.
+    """How well one number of held-out elites is predicted."""
 
-    Attributes:
-        r2: share of the variance of the held-out elites that is explained: 1 is perfect, 0 no
-            better than their mean, below 0 worse; NaN where they do not vary.
-        rmse: root mean squared error, in the number's own units.
-        rank: Spearman's rank correlation; NaN where either side does not vary.
-    """
-
+    # share of the variance of the held-out elites that is explained: 1 is perfect, 0 no better than
+    # their mean, below 0 worse; NaN where they do not vary
     r2: float
-    rmse: float
-    rank: float
+    rmse: float  # root mean squared error, in the number's own units
+    rank: float  # Spearman's rank correlation; NaN where either side does not vary
 
 
 def read_elites(run: RunDirectory) -> Evaluated:

@@ -21,21 +21,16 @@ class Maps(NamedTuple):
 
     Waiting is a timestep without a move anywhere but on the agent's own goal: time that is spent
     being served there is work.
-
-    Attributes:
-        usage: [H, W], agents on the cell, averaged over time.
-        waiting: [H, W], agents that wait there, averaged over time: the share of time in which
-            one does, as a cell holds one agent.
-        visits: [H, W], agents that come to the cell, per timestep.
-        finished: [H, W], tasks finished there per timestep of the whole T; throughput in all.
-        agents: how many take part.
     """
 
-    usage: np.ndarray
+    usage: np.ndarray  # [H, W], agents on the cell, averaged over time
+    # [H, W], agents that wait there, averaged over time: the share of time in which one does, as a
+    # cell holds one agent
     waiting: np.ndarray
-    visits: np.ndarray
+    visits: np.ndarray  # [H, W], agents that come to the cell, per timestep
+    # [H, W], tasks finished there per timestep of the whole T; throughput in all
     finished: np.ndarray
-    agents: float
+    agents: float  # how many take part
 
     @property
     def waiting_share(self) -> float:
@@ -44,23 +39,14 @@ class Maps(NamedTuple):
 
 
 class Spot(NamedTuple):
-    """A cell where agents wait.
+    """A cell where agents wait."""
 
-    Attributes:
-        row: of the cell, from 0 at the top.
-        column: of the cell, from 0 at the left.
-        tile: index of what lies there.
-        share: of all waiting, in 0 to 1.
-        waiting: share of time in which an agent waits there.
-        wait_per_visit: timesteps that an agent waits there each time it comes by.
-    """
-
-    row: int
-    column: int
-    tile: int
-    share: float
-    waiting: float
-    wait_per_visit: float
+    row: int  # of the cell, from 0 at the top
+    column: int  # of the cell, from 0 at the left
+    tile: int  # index of what lies there
+    share: float  # of all waiting, in 0 to 1
+    waiting: float  # share of time in which an agent waits there
+    wait_per_visit: float  # timesteps that an agent waits there each time it comes by
 
 
 def map_run(shape: tuple[int, int], run: Traffic, recording: Recording) -> Maps:

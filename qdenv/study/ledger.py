@@ -32,25 +32,15 @@ Key: TypeAlias = tuple[str, str, int, int, str, bool, str, int]
 
 
 class Case(NamedTuple):
-    """What is simulated once per seed.
+    """What is simulated once per seed."""
 
-    Attributes:
-        layout: how tables call it.
-        tiles: int8 [H, W].
-        domain: whose tasks the agents do.
-        agents: how many.
-        timesteps: horizon T.
-        planner: one of `DRIVERS`.
-        stop: end a run where it congests.
-    """
-
-    layout: str
-    tiles: np.ndarray
-    domain: Domain
-    agents: int
-    timesteps: int
-    planner: str
-    stop: bool = True
+    layout: str  # how tables call it
+    tiles: np.ndarray  # int8 [H, W]
+    domain: Domain  # whose tasks the agents do
+    agents: int  # how many
+    timesteps: int  # horizon T
+    planner: str  # one of `DRIVERS`
+    stop: bool = True  # end a run where it congests
 
     def key(self, seed: int) -> Key:
         """Tell the run of a seed from all others."""
@@ -70,35 +60,20 @@ class Case(NamedTuple):
 
 
 class Run(NamedTuple):
-    """One run, a row of the file.
+    """One run, a row of the file."""
 
-    Attributes:
-        layout: its name.
-        domain: name of the domain.
-        agents: how many drove.
-        timesteps: horizon T.
-        planner: one of `DRIVERS`.
-        stop: it would have ended where it congested.
-        tiles: checksum of the layout: another one of the same name has other runs.
-        seed: of starts, goals and ties.
-        throughput: tasks per timestep, over all of T.
-        congested: it congested.
-        end_timestep: timesteps driven.
-        cpu_seconds: of driving, without preparing and compiling.
-    """
-
-    layout: str
-    domain: str
-    agents: int
-    timesteps: int
-    planner: str
-    stop: bool
-    tiles: str
-    seed: int
-    throughput: float
-    congested: bool
-    end_timestep: int
-    cpu_seconds: float
+    layout: str  # its name
+    domain: str  # name of the domain
+    agents: int  # how many drove
+    timesteps: int  # horizon T
+    planner: str  # one of `DRIVERS`
+    stop: bool  # it would have ended where it congested
+    tiles: str  # checksum of the layout: another one of the same name has other runs
+    seed: int  # of starts, goals and ties
+    throughput: float  # tasks per timestep, over all of T
+    congested: bool  # it congested
+    end_timestep: int  # timesteps driven
+    cpu_seconds: float  # of driving, without preparing and compiling
 
     @property
     def key(self) -> Key:

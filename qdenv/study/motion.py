@@ -18,26 +18,17 @@ MOST_SHOWN = 20_000_000  # agent-steps of a run that a browser still moves throu
 
 
 class Motion(NamedTuple):
-    """What moved in one run of E timesteps with A agents; cells are ``row * columns + column``.
+    """What moved in one run of E timesteps with A agents; cells are ``row * columns + column``."""
 
-    Attributes:
-        positions: int32 [E + 1, A].
-        goals: int32 [E + 1, A], the cell each agent is heading for at each timestep.
-        finished: bool [E, A], tasks finished by each step.
-        congested: (begin, end) of each stretch of congested windows.
-        timesteps: T, of which E are driven.
-        headings: int8 [E + 1], where the agent of a maze looks: 0 right, 1 down, 2 left, 3 up;
-            None for robots, which look nowhere.
-        shortest: moves of the maze's shortest path; 0 for robots.
-    """
-
-    positions: np.ndarray
-    goals: np.ndarray
-    finished: np.ndarray
-    congested: tuple[tuple[int, int], ...]
-    timesteps: int
+    positions: np.ndarray  # int32 [E + 1, A]
+    goals: np.ndarray  # int32 [E + 1, A], the cell each agent is heading for at each timestep
+    finished: np.ndarray  # bool [E, A], tasks finished by each step
+    congested: tuple[tuple[int, int], ...]  # (begin, end) of each stretch of congested windows
+    timesteps: int  # T, of which E are driven
+    # int8 [E + 1], where the agent of a maze looks: 0 right, 1 down, 2 left, 3 up; None for robots,
+    # which look nowhere
     headings: np.ndarray | None = None
-    shortest: int = 0
+    shortest: int = 0  # moves of the maze's shortest path; 0 for robots
 
     @property
     def steps(self) -> int:

@@ -81,17 +81,11 @@ def scale_counts(text: str, factor: float) -> str:
 
 
 class Driving(TypedDict, total=False):
-    """Who plans, and until when.
+    """Who plans, and until when."""
 
-    Attributes:
-        effort: "low" for a quick look, "high" for numbers to report; of the negotiated planner.
-        planner: name of a registered planner, or settings like ``PbsConfig(rule="plain")``.
-        stop: end a run at its first congested window, as published; else it goes on.
-    """
-
-    effort: str
-    planner: Any
-    stop: bool
+    effort: str  # "low" for a quick look, "high" for numbers to report; of the negotiated planner
+    planner: Any  # name of a registered planner, or settings like ``PbsConfig(rule="plain")``
+    stop: bool  # end a run at its first congested window, as published; else it goes on
 
 
 def make_fleet(

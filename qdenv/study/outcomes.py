@@ -11,47 +11,26 @@ from qdenv.study.ledger import Key, Run
 
 
 class Outcome(NamedTuple):
-    """The runs of one case.
+    """The runs of one case."""
 
-    Attributes:
-        layout: its name.
-        domain: whose tasks.
-        agents: how many.
-        timesteps: horizon T.
-        planner: who drove.
-        stop: runs ended where they congested.
-        runs: how many.
-        successes: how many never congested.
-        low: lower end of the 95 % Wilson interval of the success rate.
-        high: upper end.
-        throughput: mean over the successful runs, as published tables have it; NaN for none.
-        error: its standard error; NaN with fewer than two.
-        mean_of_all: mean over all runs.
-        error_of_all: its standard error.
-        jam_median: timestep at which runs congested; NaN where none did, or none stopped there.
-        jam_least: of the first.
-        jam_most: of the last.
-        cpu_seconds: of a run, on average.
-    """
-
-    layout: str
-    domain: str
-    agents: int
-    timesteps: int
-    planner: str
-    stop: bool
-    runs: int
-    successes: int
-    low: float
-    high: float
-    throughput: float
-    error: float
-    mean_of_all: float
-    error_of_all: float
-    jam_median: float
-    jam_least: float
-    jam_most: float
-    cpu_seconds: float
+    layout: str  # its name
+    domain: str  # whose tasks
+    agents: int  # how many
+    timesteps: int  # horizon T
+    planner: str  # who drove
+    stop: bool  # runs ended where they congested
+    runs: int  # how many
+    successes: int  # how many never congested
+    low: float  # lower end of the 95 % Wilson interval of the success rate
+    high: float  # upper end
+    throughput: float  # mean over the successful runs, as published tables have it; NaN for none
+    error: float  # its standard error; NaN with fewer than two
+    mean_of_all: float  # mean over all runs
+    error_of_all: float  # its standard error
+    jam_median: float  # timestep at which runs congested; NaN where none did, or none stopped there
+    jam_least: float  # of the first
+    jam_most: float  # of the last
+    cpu_seconds: float  # of a run, on average
 
 
 def outcomes_of(runs: Iterable[Run]) -> list[Outcome]:

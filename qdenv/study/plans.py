@@ -17,20 +17,13 @@ USUAL = "warehouse-even"  # the domain where nothing says otherwise
 
 
 class Plan(NamedTuple):
-    """A layout with its domain.
+    """A layout with its domain."""
 
-    Attributes:
-        name: how tables and messages call it.
-        layout: int8 [H, W].
-        domain: whose layout; at its default size, not fitted to this one.
-        assumed: nothing but the tiles said whose layout it is.
-        keep: rows of a drawing of what must stay, as in `DomainConfig`; empty where nothing must.
-    """
-
-    name: str
-    layout: np.ndarray
-    domain: Domain
-    assumed: bool
+    name: str  # how tables and messages call it
+    layout: np.ndarray  # int8 [H, W]
+    domain: Domain  # whose layout; at its default size, not fitted to this one
+    assumed: bool  # nothing but the tiles said whose layout it is
+    # rows of a drawing of what must stay, as in `DomainConfig`; empty where nothing must
     keep: tuple[str, ...] = ()
 
     @property

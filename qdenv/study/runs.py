@@ -25,21 +25,13 @@ Reader: TypeAlias = Callable[[int, Traffic, Recording], Any]
 
 
 class Simulated(NamedTuple):
-    """The runs of one layout.
+    """The runs of one layout."""
 
-    Attributes:
-        seeds: one per run.
-        runs: `Traffic` of numpy values.
-        readings: what a reader made of each run; empty without one.
-        cpu_seconds: of simulating all runs, without compiling and reading.
-        compile_seconds: CPU seconds of compiling; 0 where the program was at hand.
-    """
-
-    seeds: tuple[int, ...]
-    runs: list[Traffic]
-    readings: list[Any]
-    cpu_seconds: float
-    compile_seconds: float
+    seeds: tuple[int, ...]  # one per run
+    runs: list[Traffic]  # `Traffic` of numpy values
+    readings: list[Any]  # what a reader made of each run; empty without one
+    cpu_seconds: float  # of simulating all runs, without compiling and reading
+    compile_seconds: float  # CPU seconds of compiling; 0 where the program was at hand
 
 
 def run_seeds(
@@ -117,19 +109,12 @@ def _look_on(futures: Sequence[Future], timesteps: int, progress: Progress) -> N
 
 @dataclass
 class _Program:
-    """The simulation of layouts of one size.
+    """The simulation of layouts of one size."""
 
-    Attributes:
-        prepare: layout -> world.
-        run: (world, seed, number of agents) -> traffic and recording.
-        on_host: runs are driven by compiled code of the host.
-        ready: that code has been loaded, or compiled.
-    """
-
-    prepare: Callable
-    run: Callable
-    on_host: bool
-    ready: bool = False
+    prepare: Callable  # layout -> world
+    run: Callable  # (world, seed, number of agents) -> traffic and recording
+    on_host: bool  # runs are driven by compiled code of the host
+    ready: bool = False  # that code has been loaded, or compiled
 
     def make_ready(self, layout: np.ndarray) -> Any:
         """Prepare a layout; the first one drives nobody around, which loads all that is needed."""

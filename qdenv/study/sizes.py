@@ -20,23 +20,14 @@ SIZES = ((33, 36), (45, 47), (57, 58), (69, 69), (81, 80), (93, 91), (101, 102))
 
 
 class Sized(NamedTuple):
-    """One layout of a series and how it came about.
+    """One layout of a series and how it came about."""
 
-    Attributes:
-        layout: int8 [H, W], repaired where the domain repairs.
-        steps: of growth; 0 for a tiled layout.
-        numbers: how many tiles of each counted kind it holds, by the settings' names.
-        repair: a RepairStatus by name, "none" where nothing was repaired.
-        changed: cells that the repair changed.
-        cpu_seconds: of the repair.
-    """
-
-    layout: np.ndarray
-    steps: int
-    numbers: dict[str, int]
-    repair: str
-    changed: int
-    cpu_seconds: float
+    layout: np.ndarray  # int8 [H, W], repaired where the domain repairs
+    steps: int  # of growth; 0 for a tiled layout
+    numbers: dict[str, int]  # how many tiles of each counted kind it holds, by the settings' names
+    repair: str  # a RepairStatus by name, "none" where nothing was repaired
+    changed: int  # cells that the repair changed
+    cpu_seconds: float  # of the repair
 
 
 def details(sized: Sized) -> dict[str, int | float | str]:

@@ -28,33 +28,20 @@ Predictor: TypeAlias = Callable[
 
 
 class Trial(NamedTuple):
-    """One split: what was predicted of the elites that were held out.
+    """One split: what was predicted of the elites that were held out."""
 
-    Attributes:
-        seed: of the split and of the networks.
-        held: int [n], which elites were held out.
-        predicted: float32 [n, numbers].
-        skills: of each number.
-        tiles: share of the tiles of repaired layouts that were predicted; NaN without a repair.
-    """
-
-    seed: int
-    held: np.ndarray
-    predicted: np.ndarray
-    skills: tuple[Skill, ...]
-    tiles: float
+    seed: int  # of the split and of the networks
+    held: np.ndarray  # int [n], which elites were held out
+    predicted: np.ndarray  # float32 [n, numbers]
+    skills: tuple[Skill, ...]  # of each number
+    tiles: float  # share of the tiles of repaired layouts that were predicted; NaN without a repair
 
 
 class Mean(NamedTuple):
-    """A number over all splits.
+    """A number over all splits."""
 
-    Attributes:
-        mean: over the splits in which it is known; NaN where there is none.
-        spread: its standard deviation from split to split; NaN with fewer than two.
-    """
-
-    mean: float
-    spread: float
+    mean: float  # over the splits in which it is known; NaN where there is none
+    spread: float  # its standard deviation from split to split; NaN with fewer than two
 
 
 def try_surrogate(

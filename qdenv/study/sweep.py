@@ -20,19 +20,12 @@ FEWEST = 64  # agents that a compiled program has room for at least
 
 
 class Trial(NamedTuple):
-    """What layouts are put to: who drives on them, and how often.
+    """What layouts are put to: who drives on them, and how often."""
 
-    Attributes:
-        tasks: what the agents do; None where no fleet drives.
-        config: the numbers of a simulation; its own number of agents does not matter.
-        counts: numbers of agents.
-        seeds: of the runs with each number.
-    """
-
-    tasks: TaskRule | None
-    config: FleetConfig
-    counts: Sequence[int]
-    seeds: Sequence[int]
+    tasks: TaskRule | None  # what the agents do; None where no fleet drives
+    config: FleetConfig  # the numbers of a simulation; its own number of agents does not matter
+    counts: Sequence[int]  # numbers of agents
+    seeds: Sequence[int]  # of the runs with each number
 
 
 def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:

@@ -17,62 +17,37 @@ WORTH = 0.5  # share of what an average agent brings; one that brings less is ha
 
 
 class Row(NamedTuple):
-    """One layout at one number of agents.
+    """One layout at one number of agents."""
 
-    Attributes:
-        layout: its name.
-        rows: its rows.
-        cols: its columns.
-        agents: how many took part.
-        runs: how many simulations, one per seed.
-        throughput: tasks per timestep, averaged over the runs that never congested (as published
-            tables do); NaN where every run congested. Over all runs where congestion ends none.
-        standard_error: of `throughput`; NaN with fewer than two such runs.
-        success_rate: share of the runs that never congested.
-        success_low: lower end of its 95 % Wilson interval.
-        success_high: upper end.
-        mean_of_all: tasks per timestep, averaged over all runs.
-        cpu_seconds_per_run: without compilation.
-        error_of_all: standard error of `mean_of_all`; NaN with one run.
-        fading: by which share of itself throughput falls with time, see `jams.fading`.
-    """
-
-    layout: str
-    rows: int
-    cols: int
-    agents: int
-    runs: int
+    layout: str  # its name
+    rows: int  # its rows
+    cols: int  # its columns
+    agents: int  # how many took part
+    runs: int  # how many simulations, one per seed
+    # tasks per timestep, averaged over the runs that never congested (as published tables do); NaN
+    # where every run congested. Over all runs where congestion ends none.
     throughput: float
-    standard_error: float
-    success_rate: float
-    success_low: float
-    success_high: float
-    mean_of_all: float
-    cpu_seconds_per_run: float
-    error_of_all: float = float("nan")
-    fading: float = 0.0
+    standard_error: float  # of `throughput`; NaN with fewer than two such runs
+    success_rate: float  # share of the runs that never congested
+    success_low: float  # lower end of its 95 % Wilson interval
+    success_high: float  # upper end
+    mean_of_all: float  # tasks per timestep, averaged over all runs
+    cpu_seconds_per_run: float  # without compilation
+    error_of_all: float = float("nan")  # standard error of `mean_of_all`; NaN with one run
+    fading: float = 0.0  # by which share of itself throughput falls with time, see `jams.fading`
 
 
 class Peak(NamedTuple):
-    """The most a layout moves, and the number of agents that moves it (Figure 18).
+    """The most a layout moves, and the number of agents that moves it (Figure 18)."""
 
-    Attributes:
-        layout: its name.
-        rows: its rows.
-        cols: its columns.
-        agents: where the mean throughput peaks, the maximum scalability of section E.3.
-        throughput: the peak: tasks per timestep, averaged over all runs, congested ones too.
-        success_rate: of the runs at the peak.
-        dropped: throughput fell at the next number of agents; False where it still rose at the
-            last one tried, so that the true peak lies higher.
-    """
-
-    layout: str
-    rows: int
-    cols: int
-    agents: int
-    throughput: float
-    success_rate: float
+    layout: str  # its name
+    rows: int  # its rows
+    cols: int  # its columns
+    agents: int  # where the mean throughput peaks, the maximum scalability of section E.3
+    throughput: float  # the peak: tasks per timestep, averaged over all runs, congested ones too
+    success_rate: float  # of the runs at the peak
+    # throughput fell at the next number of agents; False where it still rose at the last one tried,
+    # so that the true peak lies higher
     dropped: bool
 
 

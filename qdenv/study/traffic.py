@@ -27,47 +27,28 @@ MOST_RECORDED = 50_000_000  # agent-steps recorded at a time: 650 MB, and copies
 
 
 class Wanted(NamedTuple):
-    """What a study looks into beyond throughput.
+    """What a study looks into beyond throughput."""
 
-    Attributes:
-        audit: check every trajectory against the rules.
-        maps: count where agents wait and work.
-        verdict: simulate other numbers of agents, too, and judge this one.
-    """
-
-    audit: bool = True
-    maps: bool = True
-    verdict: bool = True
+    audit: bool = True  # check every trajectory against the rules
+    maps: bool = True  # count where agents wait and work
+    verdict: bool = True  # simulate other numbers of agents, too, and judge this one
 
 
 class Reading(NamedTuple):
-    """What is read off the recording of one run.
+    """What is read off the recording of one run."""
 
-    Attributes:
-        maps: where agents waited and worked.
-        broken: what was done against the rules; empty without an audit.
-    """
-
-    maps: Maps
-    broken: list[str]
+    maps: Maps  # where agents waited and worked
+    broken: list[str]  # what was done against the rules; empty without an audit
 
 
 class Study(NamedTuple):
-    """What is known of a fleet on a layout.
+    """What is known of a fleet on a layout."""
 
-    Attributes:
-        row: its numbers in brief.
-        done: its runs.
-        maps: averaged over the runs; None where they were not wanted.
-        verdict: None where it was not wanted.
-        broken: what was done against the rules; None where nobody looked.
-    """
-
-    row: Row
-    done: Simulated
-    maps: Maps | None
-    verdict: Verdict | None
-    broken: list[str] | None
+    row: Row  # its numbers in brief
+    done: Simulated  # its runs
+    maps: Maps | None  # averaged over the runs; None where they were not wanted
+    verdict: Verdict | None  # None where it was not wanted
+    broken: list[str] | None  # what was done against the rules; None where nobody looked
 
 
 def examine(

@@ -14,17 +14,11 @@ AGENTS, TIMESTEPS = 200, 1000
 
 
 class Usual(NamedTuple):
-    """The numbers of a simulation.
+    """The numbers of a simulation."""
 
-    Attributes:
-        agents: how many robots drive.
-        timesteps: how long, T.
-        said: a line about those that a known size gives; "" where it gives none.
-    """
-
-    agents: int
-    timesteps: int
-    said: str
+    agents: int  # how many robots drive
+    timesteps: int  # how long, T
+    said: str  # a line about those that a known size gives; "" where it gives none
 
 
 def usual_fleet(

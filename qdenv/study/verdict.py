@@ -33,36 +33,22 @@ GAIN = 0.02  # more throughput than this with fewer agents: past the peak
 
 
 class Point(NamedTuple):
-    """The throughput at one number of agents.
+    """The throughput at one number of agents."""
 
-    Attributes:
-        agents: how many agents.
-        throughput: tasks per timestep, the mean over all runs.
-        standard_error: of it; NaN for one run.
-        runs: how many.
-        congested: how many of them congested.
-        fading: by which share of itself throughput falls with time, see `jams.fading`.
-    """
-
-    agents: int
-    throughput: float
-    standard_error: float
-    runs: int
-    congested: int
-    fading: float
+    agents: int  # how many agents
+    throughput: float  # tasks per timestep, the mean over all runs
+    standard_error: float  # of it; NaN for one run
+    runs: int  # how many
+    congested: int  # how many of them congested
+    fading: float  # by which share of itself throughput falls with time, see `jams.fading`
 
 
 class Verdict(NamedTuple):
-    """How a layout bears a fleet.
+    """How a layout bears a fleet."""
 
-    Attributes:
-        word: "flows", "near capacity", "past its peak" or "congested".
-        reason: what shows it, in one line.
-        points: the evidence: this number of agents first, then those that were probed.
-    """
-
-    word: str
-    reason: str
+    word: str  # "flows", "near capacity", "past its peak" or "congested"
+    reason: str  # what shows it, in one line
+    # the evidence: this number of agents first, then those that were probed
     points: tuple[Point, ...]
 
 

@@ -96,19 +96,12 @@ convolve.defvjp(_forward, _backward)
 
 
 class Convolution(nn.Module):
-    """`convolve` as a layer.
+    """`convolve` as a layer."""
 
-    Attributes:
-        features: channels F of the result.
-        size: width of the kernel: odd with a stride of 1, 4 with a stride of 2.
-        stride: cells between the centres.
-        bias: whether a number is added to each channel.
-    """
-
-    features: int
-    size: int = 3
-    stride: int = 1
-    bias: bool = True
+    features: int  # channels F of the result
+    size: int = 3  # width of the kernel: odd with a stride of 1, 4 with a stride of 2
+    stride: int = 1  # cells between the centres
+    bias: bool = True  # whether a number is added to each channel
 
     @nn.compact
     def __call__(self, maps: jax.Array) -> jax.Array:

@@ -20,17 +20,11 @@ def normalise(train: bool) -> nn.BatchNorm:
 
 
 class MapPredictor(nn.Module):
-    """A residual network from a map to a map of the same size.
+    """A residual network from a map to a map of the same size."""
 
-    Attributes:
-        channels: hidden channels.
-        blocks: residual blocks of two convolutions each.
-        outputs: channels of the result.
-    """
-
-    channels: int
-    blocks: int
-    outputs: int
+    channels: int  # hidden channels
+    blocks: int  # residual blocks of two convolutions each
+    outputs: int  # channels of the result
 
     @nn.compact
     def __call__(self, maps: jax.Array, train: bool) -> jax.Array:
@@ -44,15 +38,10 @@ class MapPredictor(nn.Module):
 
 
 class ScorePredictor(nn.Module):
-    """A convolutional network that halves a map until it is 4 x 4, then linear heads.
+    """A convolutional network that halves a map until it is 4 x 4, then linear heads."""
 
-    Attributes:
-        channels: of the first layer; each further layer doubles them.
-        heads: numbers predicted.
-    """
-
-    channels: int
-    heads: int
+    channels: int  # of the first layer; each further layer doubles them
+    heads: int  # numbers predicted
 
     @nn.compact
     def __call__(self, maps: jax.Array, train: bool) -> jax.Array:

@@ -12,20 +12,15 @@ from qdenv.types import Measure
 
 
 class Report(NamedTuple):
-    """What was measured last.
+    """What was measured last."""
 
-    Attributes:
-        losses: float32 of each network, the mean of its last epoch; NaN before the first fit.
-        rmse: float32 [heads], root mean squared error on the newest batch, predicted before it was
-            learnt: objective, result objective, measures.
-        r2: float32 [heads], the share of the batch's variance that is explained.
-        tiles: float32, the share of tiles of repaired maps that were predicted.
-    """
-
+    # float32 of each network, the mean of its last epoch; NaN before the first fit
     losses: dict[str, jax.Array]
+    # float32 [heads], root mean squared error on the newest batch, predicted before it was learnt:
+    # objective, result objective, measures
     rmse: jax.Array
-    r2: jax.Array
-    tiles: jax.Array
+    r2: jax.Array  # float32 [heads], the share of the batch's variance that is explained
+    tiles: jax.Array  # float32, the share of tiles of repaired maps that were predicted
 
     def columns(self, measures: Sequence[Measure], fits: jax.Array) -> dict[str, jax.Array]:
         """Name the numbers; those of errors are NaN before the first fit."""

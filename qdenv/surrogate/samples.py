@@ -7,31 +7,20 @@ import jax.numpy as jnp
 
 
 class Samples(NamedTuple):
-    """What is known of N layouts.
+    """What is known of N layouts."""
 
-    Attributes:
-        drawn: int8 [N, H, W], before the repair.
-        repaired: int8 [N, H, W].
-        usage: float16 [N, H, W], share of agent-steps on each cell; zeros where nobody says.
-        numbers: float32 [N, heads], objective, result objective, measures.
-    """
-
-    drawn: jax.Array
-    repaired: jax.Array
+    drawn: jax.Array  # int8 [N, H, W], before the repair
+    repaired: jax.Array  # int8 [N, H, W]
+    # float16 [N, H, W], share of agent-steps on each cell; zeros where nobody says
     usage: jax.Array
-    numbers: jax.Array
+    numbers: jax.Array  # float32 [N, heads], objective, result objective, measures
 
 
 class Ring(NamedTuple):
-    """The newest samples.
+    """The newest samples."""
 
-    Attributes:
-        samples: with leading axis N; those from `known` on are blank while it is not full.
-        told: int32, samples ever added.
-    """
-
-    samples: Samples
-    told: jax.Array
+    samples: Samples  # with leading axis N; those from `known` on are blank while it is not full
+    told: jax.Array  # int32, samples ever added
 
     @classmethod
     def empty(cls, size: int, shape: tuple[int, int], heads: int) -> Self:

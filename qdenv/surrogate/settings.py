@@ -10,29 +10,21 @@ UsageLoss = Literal["kl", "mse"]
 
 @dataclass(frozen=True)
 class SurrogateConfig(Ranged):
-    """The size of the surrogate and how it learns; the defaults suit a CPU.
+    """The size of the surrogate and how it learns; the defaults suit a CPU."""
 
-    Attributes:
-        channels: hidden channels of its networks; the last doubles them as its maps shrink.
-        blocks: residual blocks of the networks that predict maps.
-        epochs: how often each network sees all samples when it is fitted.
-        minibatch: samples per step of learning.
-        samples: the newest true evaluations that are kept to learn from.
-        rate: learning rate of Adam.
-        usage_loss: of the predicted tile usage: kl, of distributions, or mse, of numbers.
-        standardise: learn objective and measures in units of their own spread; otherwise in their
-            own units, as published, where the measure with the largest numbers decides.
-        weights: of objective, result objective and each measure in the loss; 1 each unless given.
-    """
-
+    # hidden channels of its networks; the last doubles them as its maps shrink
     channels: PositiveInt = 16
-    blocks: NonNegativeInt = 1
-    epochs: PositiveInt = 20
-    minibatch: PositiveInt = 64
-    samples: PositiveInt = 20_000
-    rate: PositiveFloat = 1e-3
+    blocks: NonNegativeInt = 1  # residual blocks of the networks that predict maps
+    epochs: PositiveInt = 20  # how often each network sees all samples when it is fitted
+    minibatch: PositiveInt = 64  # samples per step of learning
+    samples: PositiveInt = 20_000  # the newest true evaluations that are kept to learn from
+    rate: PositiveFloat = 1e-3  # learning rate of Adam
+    # of the predicted tile usage: kl, of distributions, or mse, of numbers
     usage_loss: UsageLoss = "kl"
+    # learn objective and measures in units of their own spread; otherwise in their own units, as
+    # published, where the measure with the largest numbers decides
     standardise: bool = True
+    # of objective, result objective and each measure in the loss; 1 each unless given
     weights: tuple[NonNegativeFloat, ...] = ()
 
 

@@ -24,21 +24,13 @@ STAGES = ("repair", "usage", "score")
 
 
 class Aspect(NamedTuple):
-    """What the surrogate sees of layouts.
+    """What the surrogate sees of layouts."""
 
-    Attributes:
-        shape: rows H and columns W.
-        kinds: kinds of tile K.
-        measures: how many measures are predicted.
-        repairs: layouts are repaired before they are simulated.
-        usage: samples say how much each cell is used.
-    """
-
-    shape: tuple[int, int]
-    kinds: int
-    measures: int
-    repairs: bool = True
-    usage: bool = True
+    shape: tuple[int, int]  # rows H and columns W
+    kinds: int  # kinds of tile K
+    measures: int  # how many measures are predicted
+    repairs: bool = True  # layouts are repaired before they are simulated
+    usage: bool = True  # samples say how much each cell is used
 
 
 def stages_of(aspect: Aspect) -> list[str]:
@@ -56,53 +48,35 @@ class Chain(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """What the surrogate has learnt; one pytree.
+    """What the surrogate has learnt; one pytree."""
 
-    Attributes:
-        learners: its networks, by the names of `STAGES` that there are.
-        centre: float32 [heads], what is subtracted from objective and measures.
-        spread: float32 [heads], what they are divided by after that.
-        fits: int32, how often it was fitted to samples.
-    """
-
-    learners: dict[str, Learner]
-    centre: jax.Array
-    spread: jax.Array
-    fits: jax.Array
+    learners: dict[str, Learner]  # its networks, by the names of `STAGES` that there are
+    centre: jax.Array  # float32 [heads], what is subtracted from objective and measures
+    spread: jax.Array  # float32 [heads], what they are divided by after that
+    fits: jax.Array  # int32, how often it was fitted to samples
 
 
 class Prediction(NamedTuple):
-    """What the surrogate says of layouts.
+    """What the surrogate says of layouts."""
 
-    Attributes:
-        score: `Score` with leading axis B; a success where every number is finite.
-        repaired: int8 [B, H, W].
-        usage: float32 [B, H, W], in units of an even share; zeros where no usage is learnt.
-    """
-
-    score: Score
-    repaired: jax.Array
-    usage: jax.Array
+    score: Score  # `Score` with leading axis B; a success where every number is finite
+    repaired: jax.Array  # int8 [B, H, W]
+    usage: jax.Array  # float32 [B, H, W], in units of an even share; zeros where no usage is learnt
 
 
 class Surrogate(NamedTuple):
-    """A surrogate of true evaluations.
+    """A surrogate of true evaluations."""
 
-    Attributes:
-        init: key -> `Fitted` that knows nothing; consumes the key.
-        fit: (fitted, ring, key) -> (fitted, mean losses of each network's last epoch by the names
-            of `STAGES`); consumes the key.
-        fit_part: (fitted, ring, key, one of `STAGES`, first epoch, the one after the last) ->
-            (fitted, mean loss): the same in pieces, for one who waits; all with the same key.
-        predict: (fitted, drawn layouts int8 [B, H, W]) -> `Prediction`.
-        heads: numbers predicted of a layout: objective, result objective, measures.
-    """
-
-    init: Callable[[jax.Array], Fitted]
+    init: Callable[[jax.Array], Fitted]  # key -> `Fitted` that knows nothing; consumes the key
+    # (fitted, ring, key) -> (fitted, mean losses of each network's last epoch by the names of
+    # `STAGES`); consumes the key
     fit: Callable[[Fitted, Ring, jax.Array], tuple[Fitted, dict[str, jax.Array]]]
+    # (fitted, ring, key, one of `STAGES`, first epoch, the one after the last) -> (fitted, mean
+    # loss): the same in pieces, for one who waits; all with the same key
     fit_part: Callable[..., tuple[Fitted, jax.Array]]
+    # (fitted, drawn layouts int8 [B, H, W]) -> `Prediction`
     predict: Callable[[Fitted, jax.Array], Prediction]
-    heads: int
+    heads: int  # numbers predicted of a layout: objective, result objective, measures
 
 
 def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:

@@ -11,15 +11,10 @@ from qdenv.surrogate.samples import Ring, Samples, shuffled
 
 
 class Learner(NamedTuple):
-    """One network that learns.
+    """One network that learns."""
 
-    Attributes:
-        variables: of its Flax module: ``params`` and ``batch_stats``.
-        moments: Adam's.
-    """
-
-    variables: Any
-    moments: Any
+    variables: Any  # of its Flax module: ``params`` and ``batch_stats``
+    moments: Any  # Adam's
 
 
 # (variables, samples) -> (loss float32, running statistics after it)

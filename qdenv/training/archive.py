@@ -18,19 +18,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Archive:
-    """The filled cells of the result archive of a run.
+    """The filled cells of the result archive of a run."""
 
-    Attributes:
-        columns: arrays with one row per elite, as in archive.npz.
-        meaning: what they mean.
-        source: how messages call the run.
-        names: cells of elites that have names; "best" among them is the best, whatever it is
-            worth to the search.
-    """
-
-    columns: Columns
-    meaning: Meaning
-    source: str
+    columns: Columns  # arrays with one row per elite, as in archive.npz
+    meaning: Meaning  # what they mean
+    source: str  # how messages call the run
+    # cells of elites that have names; "best" among them is the best, whatever it is worth to the
+    # search
     names: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     def __len__(self) -> int:

@@ -28,20 +28,13 @@ LOG = logging.getLogger(__name__)
 
 
 class Manifest(NamedTuple):
-    """What a checkpoint says beside its arrays.
+    """What a checkpoint says beside its arrays."""
 
-    Attributes:
-        iteration: the last that is in it.
-        schema: of the checkpoint.
-        lengths: rows of each leaf.
-        leaves: how many there are, as schema 1 says it.
-        settings: what decides the run's result; empty where an older qdenv did not say it.
-    """
-
-    iteration: int
-    schema: int = SCHEMA
-    lengths: tuple[int, ...] = ()
-    leaves: int = 0
+    iteration: int  # the last that is in it
+    schema: int = SCHEMA  # of the checkpoint
+    lengths: tuple[int, ...] = ()  # rows of each leaf
+    leaves: int = 0  # how many there are, as schema 1 says it
+    # what decides the run's result; empty where an older qdenv did not say it
     settings: Mapping[str, Any] = {}
 
 

@@ -31,27 +31,22 @@ CHOICES = {
 
 @dataclasses.dataclass(frozen=True)
 class RunConfig(Ranged):
-    """Everything that decides the result of a run.
+    """Everything that decides the result of a run."""
 
-    Attributes:
-        evaluation: domain, generator and numbers of one evaluation.
-        algorithm: settings of the search; their type says which algorithm it is.
-        evaluations: how many solutions are evaluated, rounded up to whole iterations.
-        archive: (low, high, cells) of each measure; empty for the domain's own.
-        start: generator from which the search begins: the best of a run or one of the zoo
-            (runs/first, zoo:warehouse-even/calm), or the elite of a cell (runs/first@12,40); zeros
-            where empty.
-        seed: the one random seed; new runs take none below 0.
-        checkpoint_every: iterations between checkpoints; decides no result.
-    """
-
+    # domain, generator and numbers of one evaluation
     evaluation: EvaluationConfig = dataclasses.field(default_factory=EvaluationConfig)
+    # settings of the search; their type says which algorithm it is
     algorithm: Any = dataclasses.field(default_factory=lambda: ALGORITHMS.config("cma-mae"))
+    # how many solutions are evaluated, rounded up to whole iterations
     evaluations: PositiveInt = 10_000
+    # (low, high, cells) of each measure; empty for the domain's own
     archive: tuple[tuple[float, float, int], ...] = ()
+    # generator from which the search begins: the best of a run or one of the zoo (runs/first,
+    # zoo:warehouse-even/calm), or the elite of a cell (runs/first@12,40); zeros where empty
     start: str = ""
+    # the one random seed; new runs take none below 0
     seed: Annotated[int, Interval(ge=-MOST, le=MOST)] = 0
-    checkpoint_every: PositiveInt = 5
+    checkpoint_every: PositiveInt = 5  # iterations between checkpoints; decides no result
 
 
 def config_to_json(config: RunConfig) -> dict[str, Any]:

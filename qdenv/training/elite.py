@@ -29,23 +29,14 @@ Columns = Mapping[str, np.ndarray]
 
 
 class Elite(NamedTuple):
-    """One filled cell of a run's archive.
+    """One filled cell of a run's archive."""
 
-    Attributes:
-        solution: float32 [P], the parameters of the generator.
-        objective: what the search maximised.
-        cell: index along each measure.
-        measures: value of each measure, by its name.
-        layout: int8 [H, W], repaired, as it was simulated.
-        meaning: of the archive; `Meaning.tiles` is the alphabet of the layout.
-    """
-
-    solution: np.ndarray
-    objective: float
-    cell: tuple[int, ...]
-    measures: Mapping[str, float]
-    layout: np.ndarray
-    meaning: Meaning
+    solution: np.ndarray  # float32 [P], the parameters of the generator
+    objective: float  # what the search maximised
+    cell: tuple[int, ...]  # index along each measure
+    measures: Mapping[str, float]  # value of each measure, by its name
+    layout: np.ndarray  # int8 [H, W], repaired, as it was simulated
+    meaning: Meaning  # of the archive; `Meaning.tiles` is the alphabet of the layout
 
     def __repr__(self) -> str:
         """Say where it is in the archive and what it is worth, without its parameters."""
@@ -101,14 +92,10 @@ def read_columns(path: Path, meaning: Meaning) -> dict[str, np.ndarray]:
 
 
 class BestLayout(NamedTuple):
-    """The layout of the best elite.
+    """The layout of the best elite."""
 
-    Attributes:
-        layout: int8 [H, W].
-        marks: cells (row, column) that pictures name, like a maze's start and goal.
-    """
-
-    layout: np.ndarray
+    layout: np.ndarray  # int8 [H, W]
+    # cells (row, column) that pictures name, like a maze's start and goal
     marks: dict[str, tuple[int, int]]
 
 

@@ -13,15 +13,11 @@ from qdenv.types import Array, Evaluation
 
 
 class Search(NamedTuple):
-    """A search between two iterations; one pytree, which checkpoints hold.
+    """A search between two iterations; one pytree, which checkpoints hold."""
 
-    Attributes:
-        state: of the algorithm.
-        asked: float [B, P] each, the populations it was asked for and not told of, the oldest
-            first: as many as the algorithm may be asked ahead.
-    """
-
-    state: Any
+    state: Any  # of the algorithm
+    # float [B, P] each, the populations it was asked for and not told of, the oldest first: as many
+    # as the algorithm may be asked ahead
     asked: tuple[Array, ...]
 
 

@@ -33,21 +33,13 @@ from qdenv.types import InputError, Measure
 
 
 class Experiment(NamedTuple):
-    """One run's parts, built from its configuration and nothing else.
+    """One run's parts, built from its configuration and nothing else."""
 
-    Attributes:
-        measures: axes of the archive, with the configured ranges.
-        pipeline: the chain from parameters to evaluation, with its domain.
-        algorithm: the search.
-        search_key: key of the search's initial state.
-        evaluation_key: iteration ``i`` is evaluated with ``fold_in(evaluation_key, i)``.
-    """
-
-    measures: tuple[Measure, ...]
-    pipeline: Pipeline
-    algorithm: Algorithm
-    search_key: jax.Array
-    evaluation_key: jax.Array
+    measures: tuple[Measure, ...]  # axes of the archive, with the configured ranges
+    pipeline: Pipeline  # the chain from parameters to evaluation, with its domain
+    algorithm: Algorithm  # the search
+    search_key: jax.Array  # key of the search's initial state
+    evaluation_key: jax.Array  # iteration ``i`` is evaluated with ``fold_in(evaluation_key, i)``
 
     def settings(self, config: RunConfig) -> dict[str, Any]:
         """List what decides the result, for checkpoints."""

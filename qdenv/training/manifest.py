@@ -20,20 +20,13 @@ _PACKAGES = ("qdenv", "jax", "jaxlib", "numpy", "flax", "qdax", "evosax", "highs
 
 
 class Meaning(NamedTuple):
-    """What the columns of a run's archive mean.
+    """What the columns of a run's archive mean."""
 
-    Attributes:
-        measures: the axes of the archive.
-        tiles: the alphabet of the layouts.
-        names: how pictures call the tiles, by their symbols.
-        objective: what is maximised, with its unit.
-        tie_break: the column that chooses among elites of equal objective; None for none.
-    """
-
-    measures: tuple[Measure, ...]
-    tiles: str
-    names: Mapping[str, str]
-    objective: str = "objective"
+    measures: tuple[Measure, ...]  # the axes of the archive
+    tiles: str  # the alphabet of the layouts
+    names: Mapping[str, str]  # how pictures call the tiles, by their symbols
+    objective: str = "objective"  # what is maximised, with its unit
+    # the column that chooses among elites of equal objective; None for none
     tie_break: str | None = None
 
 

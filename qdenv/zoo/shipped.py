@@ -18,120 +18,70 @@ USUAL = "best"  # the generator of a domain where none is named
 
 
 class Driven(NamedTuple):
-    """What the simulations of one layout under one planner say.
+    """What the simulations of one layout under one planner say."""
 
-    Attributes:
-        planner: who drives: "high" effort of our planner, "published" priority-based search, or
-            the "agent" of mazes.
-        agents: how many drive.
-        timesteps: horizon T.
-        runs: how many simulations, seeds 0, 1, ...
-        mean: of what is counted (`Origin.counted`), over all runs.
-        error: its standard error; None with one run.
-        success: share of the runs that did not congest, or reached the goal.
-    """
-
+    # who drives: "high" effort of our planner, "published" priority-based search, or the "agent" of
+    # mazes
     planner: str
-    agents: int
-    timesteps: int
-    runs: int
-    mean: float
-    error: float | None
-    success: float
+    agents: int  # how many drive
+    timesteps: int  # horizon T
+    runs: int  # how many simulations, seeds 0, 1, ..
+    mean: float  # of what is counted (`Origin.counted`), over all runs
+    error: float | None  # its standard error; None with one run
+    success: float  # share of the runs that did not congest, or reached the goal
 
 
 class Grown(NamedTuple):
-    """A generator's layout of one size.
+    """A generator's layout of one size."""
 
-    Attributes:
-        rows: of the layout.
-        cols: of the layout.
-        steps: of growth.
-        numbers: exact numbers of tiles, by the settings' names.
-        repair: how the repair ended.
-        changed: cells it changed.
-        measures: of the repaired layout, as far as they need no simulation, by their names.
-        driven: what simulations say, a record for each planner.
-    """
-
-    rows: int
-    cols: int
-    steps: int
-    numbers: Mapping[str, int]
-    repair: str
-    changed: int
+    rows: int  # of the layout
+    cols: int  # of the layout
+    steps: int  # of growth
+    numbers: Mapping[str, int]  # exact numbers of tiles, by the settings' names
+    repair: str  # how the repair ended
+    changed: int  # cells it changed
+    # of the repaired layout, as far as they need no simulation, by their names
     measures: Mapping[str, float]
-    driven: tuple[Driven, ...]
+    driven: tuple[Driven, ...]  # what simulations say, a record for each planner
 
 
 class Generator(NamedTuple):
-    """One generator.
+    """One generator."""
 
-    Attributes:
-        name: within its domain.
-        about: a sentence.
-        cell: where it stands in the archive, an index along each measure.
-        objective: what the search thought of it.
-        sizes: layouts of it, the trained size first.
-    """
-
-    name: str
-    about: str
-    cell: tuple[int, ...]
-    objective: float
-    sizes: tuple[Grown, ...]
+    name: str  # within its domain
+    about: str  # a sentence
+    cell: tuple[int, ...]  # where it stands in the archive, an index along each measure
+    objective: float  # what the search thought of it
+    sizes: tuple[Grown, ...]  # layouts of it, the trained size first
 
 
 class Origin(NamedTuple):
-    """The run that the generators of a domain come from.
+    """The run that the generators of a domain come from."""
 
-    Attributes:
-        run: its name, that of a preset.
-        algorithm: of the search.
-        seed: its random seed.
-        evaluations: done in all.
-        qdenv: version that searched.
-        created: when it began.
-        counted: what is averaged over simulations, with its unit.
-        further: evaluations of runs that began at elites of this one, and gave some.
-    """
-
-    run: str
-    algorithm: str
-    seed: int
-    evaluations: int
-    qdenv: str
-    created: str
-    counted: str
-    further: int = 0
+    run: str  # its name, that of a preset
+    algorithm: str  # of the search
+    seed: int  # its random seed
+    evaluations: int  # done in all
+    qdenv: str  # version that searched
+    created: str  # when it began
+    counted: str  # what is averaged over simulations, with its unit
+    further: int = 0  # evaluations of runs that began at elites of this one, and gave some
 
 
 class Collection(NamedTuple):
-    """The generators of one domain.
+    """The generators of one domain."""
 
-    Attributes:
-        domain: its name.
-        folder: a run directory, which is only read.
-        origin: where they come from.
-        generators: by name.
-    """
-
-    domain: str
-    folder: Path
-    origin: Origin
-    generators: Mapping[str, Generator]
+    domain: str  # its name
+    folder: Path  # a run directory, which is only read
+    origin: Origin  # where they come from
+    generators: Mapping[str, Generator]  # by name
 
 
 class Shipped(NamedTuple):
-    """What a name in the zoo stands for.
+    """What a name in the zoo stands for."""
 
-    Attributes:
-        collection: the domain's.
-        name: of the generator.
-    """
-
-    collection: Collection
-    name: str
+    collection: Collection  # the domain's
+    name: str  # of the generator
 
     def __str__(self) -> str:
         """Say it as command lines do."""

@@ -14,16 +14,12 @@ TILES = ".Tb"  # grass, tree, basket
 
 @dataclass(frozen=True)
 class OrchardConfig(qdenv.DomainConfig):
-    """Pickers carry fruit from beside the trees to the baskets.
-
-    Attributes:
-        trees: exact number of trees.
-        fleet: agents, horizon and planner.
-    """
+    """Pickers carry fruit from beside the trees to the baskets."""
 
     rows: int = 8
     cols: int = 9
-    trees: int = 10
+    trees: int = 10  # exact number of trees
+    # agents, horizon and planner
     fleet: qdenv.FleetConfig = field(default_factory=lambda: qdenv.FleetConfig(4, 60))
 
 
@@ -59,13 +55,9 @@ def orchard(config: OrchardConfig) -> qdenv.Domain:
 
 @dataclass(frozen=True)
 class TurnsConfig:
-    """Agents move one after the other, each to the free cell that looks nearest to its goal.
+    """Agents move one after the other, each to the free cell that looks nearest to its goal."""
 
-    Attributes:
-        noise: steps by which a cell may look nearer than it is, so that jams dissolve.
-    """
-
-    noise: float = 1.5
+    noise: float = 1.5  # steps by which a cell may look nearer than it is, so that jams dissolve
 
 
 def take_turns(config: TurnsConfig) -> qdenv.Planner:
@@ -105,15 +97,10 @@ def take_turns(config: TurnsConfig) -> qdenv.Planner:
 
 @dataclass(frozen=True)
 class MutateBestConfig:
-    """Mutate the best solution so far.
+    """Mutate the best solution so far."""
 
-    Attributes:
-        batch: solutions per iteration.
-        sigma: standard deviation of the mutation.
-    """
-
-    batch: int = 8
-    sigma: float = 0.3
+    batch: int = 8  # solutions per iteration
+    sigma: float = 0.3  # standard deviation of the mutation
 
 
 def mutate_best(config: MutateBestConfig, problem: qdenv.Problem) -> qdenv.Algorithm:

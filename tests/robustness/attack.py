@@ -10,31 +10,20 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Attempt:
-    """What one attempt did.
+    """What one attempt did."""
 
-    Attributes:
-        count: how much was tried, in the attack's unit.
-        faults: a line for each promise that was broken; empty when all held.
-        notes: other counts by name, added up over attempts.
-    """
-
-    count: int
-    faults: tuple[str, ...] = ()
+    count: int  # how much was tried, in the attack's unit
+    faults: tuple[str, ...] = ()  # a line for each promise that was broken; empty when all held
+    # other counts by name, added up over attempts
     notes: Mapping[str, int] = field(default_factory=dict)
 
 
 class Attack(NamedTuple):
-    """One kind of attempt to break a promise.
+    """One kind of attempt to break a promise."""
 
-    Attributes:
-        name: as `--only` takes it.
-        promise: what must hold, in a few words.
-        unit: what is counted, in plural.
-        attempt: (chance, an empty folder to work in) -> what happened. Everything that varies is
-            drawn from `chance`, so the seed of an attempt repeats it.
-    """
-
-    name: str
-    promise: str
-    unit: str
+    name: str  # as `--only` takes it
+    promise: str  # what must hold, in a few words
+    unit: str  # what is counted, in plural
+    # (chance, an empty folder to work in) -> what happened. Everything that varies is drawn from
+    # `chance`, so the seed of an attempt repeats it.
     attempt: Callable[[np.random.Generator, Path], Attempt]

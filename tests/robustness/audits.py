@@ -42,19 +42,12 @@ TASKS = {
 
 
 class Drivers(NamedTuple):
-    """A planner and how far it looks; compiled once.
+    """A planner and how far it looks; compiled once."""
 
-    Attributes:
-        host: its settings on the host.
-        xla: in XLA; None where it does not run there.
-        window: timesteps planned ahead.
-        horizon: timesteps driven before planning again.
-    """
-
-    host: Any
-    xla: Any
-    window: int = 10
-    horizon: int = 5
+    host: Any  # its settings on the host
+    xla: Any  # in XLA; None where it does not run there
+    window: int = 10  # timesteps planned ahead
+    horizon: int = 5  # timesteps driven before planning again
 
 
 def _both(settings: Any, window: int = 10, horizon: int = 5) -> Drivers:
@@ -77,17 +70,11 @@ NAMES = (*STAYS, *DOMAINS)
 
 
 class Site(NamedTuple):
-    """Where fleets drive.
+    """Where fleets drive."""
 
-    Attributes:
-        name: of the rule.
-        layout: int8 [H, W].
-        tasks: what the agents do.
-    """
-
-    name: str
-    layout: np.ndarray
-    tasks: TaskRule
+    name: str  # of the rule
+    layout: np.ndarray  # int8 [H, W]
+    tasks: TaskRule  # what the agents do
 
 
 def draw_site(chance: np.random.Generator, name: str) -> Site:
@@ -159,17 +146,11 @@ def attempt(chance: np.random.Generator, folder: Path) -> Attempt:
 
 
 class Driven(NamedTuple):
-    """What is kept of one run.
+    """What is kept of one run."""
 
-    Attributes:
-        broken: what it did against the rules.
-        steps: agent-steps.
-        content: a hash of everything that was counted and recorded.
-    """
-
-    broken: list[str]
-    steps: int
-    content: str
+    broken: list[str]  # what it did against the rules
+    steps: int  # agent-steps
+    content: str  # a hash of everything that was counted and recorded
 
 
 def _drive(

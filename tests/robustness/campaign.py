@@ -20,23 +20,15 @@ from robustness.catalogue import ATTACKS
 
 @dataclass
 class Tally:
-    """What all attempts of one attack came to.
+    """What all attempts of one attack came to."""
 
-    Attributes:
-        attack: which one.
-        attempts: how many were made.
-        count: how much they tried, in the attack's unit.
-        seconds: time they took.
-        faults: (number of the attempt, what it broke).
-        notes: other counts.
-    """
-
-    attack: Attack
-    attempts: int = 0
-    count: int = 0
-    seconds: float = 0.0
+    attack: Attack  # which one
+    attempts: int = 0  # how many were made
+    count: int = 0  # how much they tried, in the attack's unit
+    seconds: float = 0.0  # time they took
+    # (number of the attempt, what it broke)
     faults: list[tuple[int, str]] = field(default_factory=list)
-    notes: Counter = field(default_factory=Counter)
+    notes: Counter = field(default_factory=Counter)  # other counts
 
     def add(self, number: int, attempt: Attempt, seconds: float) -> None:
         """Count one attempt."""

@@ -33,17 +33,11 @@ MAZE = ["      ", " XXXX ", "    X ", " XX X ", "  X   ", "X   X "]
 
 
 class Input(NamedTuple):
-    """One bad input.
+    """One bad input."""
 
-    Attributes:
-        kind: what it attacks.
-        argv: the command line.
-        about: what is wrong with it, for the message.
-    """
-
-    kind: str
-    argv: tuple[str, ...]
-    about: str = ""
+    kind: str  # what it attacks
+    argv: tuple[str, ...]  # the command line
+    about: str = ""  # what is wrong with it, for the message
 
 
 @functools.cache

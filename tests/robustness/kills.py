@@ -45,17 +45,11 @@ KINDS: tuple[Kind, ...] = ("death", "death", "death", "full disk", "failure")
 
 
 class Reference(NamedTuple):
-    """An uninterrupted run.
+    """An uninterrupted run."""
 
-    Attributes:
-        contents: of its folder, as `kept.contents` reads it.
-        size: file operations, or seconds from its beginning to the end of the process.
-        start: seconds from the start of the process to the beginning of the run.
-    """
-
-    contents: dict[str, bytes]
-    size: float
-    start: float = 0.0
+    contents: dict[str, bytes]  # of its folder, as `kept.contents` reads it
+    size: float  # file operations, or seconds from its beginning to the end of the process
+    start: float = 0.0  # seconds from the start of the process to the beginning of the run
 
 
 @lru_cache(maxsize=1)

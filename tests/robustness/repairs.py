@@ -31,17 +31,11 @@ Verdict = Literal["found", "none", "unknown"]
 
 
 class Task(NamedTuple):
-    """What is repaired.
+    """What is repaired."""
 
-    Attributes:
-        name: kind, size and number of obstacles, as faults call it.
-        layout: int8 [H, W].
-        rules: the constraints.
-    """
-
-    name: str
-    layout: np.ndarray
-    rules: Rules
+    name: str  # kind, size and number of obstacles, as faults call it
+    layout: np.ndarray  # int8 [H, W]
+    rules: Rules  # the constraints
 
 
 def draw_task(chance: np.random.Generator) -> Task:

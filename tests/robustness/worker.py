@@ -23,23 +23,14 @@ RESET = Path("/proc/self/clear_refs")  # 5 written there resets the peak
 
 
 class Ending(NamedTuple):
-    """How a command line ended.
+    """How a command line ended."""
 
-    Attributes:
-        code: exit code.
-        error: the traceback, if one escaped.
-        said: what it wrote to standard error.
-        logged: messages of the log.
-        megabytes: how far memory rose above what it was before, at most.
-        seconds: CPU seconds it took.
-    """
-
-    code: int | None
-    error: str
-    said: str
-    logged: list[str]
-    megabytes: float
-    seconds: float
+    code: int | None  # exit code
+    error: str  # the traceback, if one escaped
+    said: str  # what it wrote to standard error
+    logged: list[str]  # messages of the log
+    megabytes: float  # how far memory rose above what it was before, at most
+    seconds: float  # CPU seconds it took
 
 
 class Listener(logging.Handler):

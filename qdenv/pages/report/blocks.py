@@ -14,30 +14,19 @@ from qdenv.plots.figure import FONTS
 
 
 class Text(NamedTuple):
-    """A paragraph.
+    """A paragraph."""
 
-    Attributes:
-        words: of it.
-        kind: "plain", "answer" for what the reader came for, "faint" for a side note.
-    """
-
-    words: str
-    kind: str = "plain"
+    words: str  # of it
+    kind: str = "plain"  # "plain", "answer" for what the reader came for, "faint" for a side note
     block: str = "text"
 
 
 class Table(NamedTuple):
-    """A table.
+    """A table."""
 
-    Attributes:
-        head: names of the columns.
-        rows: cells as they are read, at least one row.
-        name: identifies it in the page.
-    """
-
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    name: str
+    head: Sequence[str]  # names of the columns
+    rows: Sequence[Sequence[str]]  # cells as they are read, at least one row
+    name: str  # identifies it in the page
     block: str = "table"
 
     @property
@@ -48,32 +37,20 @@ class Table(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """A figure.
+    """A figure."""
 
-    Attributes:
-        svg: drawing, inline.
-        caption: below it.
-        name: identifies it in the page.
-        half: two of its kind stand side by side where there is room.
-    """
-
-    svg: str
-    caption: str
-    name: str
-    half: bool = False
+    svg: str  # drawing, inline
+    caption: str  # below it
+    name: str  # identifies it in the page
+    half: bool = False  # two of its kind stand side by side where there is room
     block: str = "drawing"
 
 
 class Section(NamedTuple):
-    """A part of the report.
+    """A part of the report."""
 
-    Attributes:
-        title: its heading.
-        blocks: in order.
-    """
-
-    title: str
-    blocks: Sequence[Text | Table | Drawing]
+    title: str  # its heading
+    blocks: Sequence[Text | Table | Drawing]  # in order
 
     @property
     def lead(self) -> int:

@@ -16,15 +16,10 @@ from qdenv.study.traffic import facts_of
 
 
 class Report(NamedTuple):
-    """A report that is done.
+    """A report that is done."""
 
-    Attributes:
-        page: to save or to look at.
-        facts: all its numbers, JSON-ready; the page holds them, too.
-    """
-
-    page: Page
-    facts: dict[str, Any]
+    page: Page  # to save or to look at
+    facts: dict[str, Any]  # all its numbers, JSON-ready; the page holds them, too
 
 
 def fleet_report(found: Found, again: str = "") -> Report:

@@ -22,43 +22,25 @@ SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)  # of the number of agents that is asked ab
 
 
 class Asked(NamedTuple):
-    """What a report shall find out.
+    """What a report shall find out."""
 
-    Attributes:
-        subjects: the layouts, of one domain.
-        rivals: what people draw by hand at the size of each subject.
-        agents: the number that is looked at closely; None for the first layout's peak.
-        counts: the numbers of agents that are simulated, few to many.
-        config: the numbers of a simulation.
-        seeds: of the runs with each number of agents.
-        said: what a known size brings along; "" for nothing.
-        per_hour: timesteps per hour; None where nobody said.
-    """
-
-    subjects: list[Subject]
-    rivals: list[Rival]
-    agents: int | None
-    counts: tuple[int, ...]
-    config: FleetConfig
-    seeds: tuple[int, ...]
-    said: str
-    per_hour: float | None = None
+    subjects: list[Subject]  # the layouts, of one domain
+    rivals: list[Rival]  # what people draw by hand at the size of each subject
+    agents: int | None  # the number that is looked at closely; None for the first layout's peak
+    counts: tuple[int, ...]  # the numbers of agents that are simulated, few to many
+    config: FleetConfig  # the numbers of a simulation
+    seeds: tuple[int, ...]  # of the runs with each number of agents
+    said: str  # what a known size brings along; "" for nothing
+    per_hour: float | None = None  # timesteps per hour; None where nobody said
 
 
 class Found(NamedTuple):
-    """What was found out.
+    """What was found out."""
 
-    Attributes:
-        asked: what for.
-        agents: the number that was looked at closely.
-        rows: of all layouts and numbers of agents, the hand-made ones after the others.
-        studies: of each subject with this number.
-    """
-
-    asked: Asked
-    agents: int
-    rows: list[Row]
-    studies: list[Study]
+    asked: Asked  # what for
+    agents: int  # the number that was looked at closely
+    rows: list[Row]  # of all layouts and numbers of agents, the hand-made ones after the others
+    studies: list[Study]  # of each subject with this number
 
     def rows_of(self, name: str) -> list[Row]:
         """List the rows of one layout."""

@@ -33,21 +33,13 @@ _run = jax.jit(run_alone, static_argnums=(3, 4))
 
 
 class Solved(NamedTuple):
-    """How the agent does in one maze.
+    """How the agent does in one maze."""
 
-    Attributes:
-        subject: the maze.
-        horizon: actions after which an episode fails.
-        success: how often it reached the goal.
-        arrivals: float [episodes], actions to the goal, NaN where it was not reached.
-        usage: float [H, W], share of its actions that it takes on each cell.
-    """
-
-    subject: Subject
-    horizon: int
-    success: Success
-    arrivals: np.ndarray
-    usage: np.ndarray
+    subject: Subject  # the maze
+    horizon: int  # actions after which an episode fails
+    success: Success  # how often it reached the goal
+    arrivals: np.ndarray  # float [episodes], actions to the goal, NaN where it was not reached
+    usage: np.ndarray  # float [H, W], share of its actions that it takes on each cell
 
 
 def solve(

@@ -21,21 +21,13 @@ SHOWN = "At the right is what people draw by hand at this size."
 
 
 class Subject(NamedTuple):
-    """A floor plan that is reported on.
+    """A floor plan that is reported on."""
 
-    Attributes:
-        name: how the page calls it.
-        source: the file or run that it comes from, as the command line names it.
-        plan: the layout and its domain.
-        run: the run whose best elite it is; None for a file.
-        elite: that elite.
-    """
-
-    name: str
-    source: str
-    plan: Plan
-    run: RunDirectory | None = None
-    elite: Elite | None = None
+    name: str  # how the page calls it
+    source: str  # the file or run that it comes from, as the command line names it
+    plan: Plan  # the layout and its domain
+    run: RunDirectory | None = None  # the run whose best elite it is; None for a file
+    elite: Elite | None = None  # that elite
 
     @property
     def layout(self) -> np.ndarray:
@@ -55,17 +47,11 @@ class Subject(NamedTuple):
 
 
 class Rival(NamedTuple):
-    """The layout that people draw by hand, to compare with.
+    """The layout that people draw by hand, to compare with."""
 
-    Attributes:
-        name: how the page calls it.
-        layout: int8 [H, W]; None where there is none.
-        about: what it is, or why there is none.
-    """
-
-    name: str
-    layout: np.ndarray | None
-    about: str
+    name: str  # how the page calls it
+    layout: np.ndarray | None  # int8 [H, W]; None where there is none
+    about: str  # what it is, or why there is none
 
 
 def is_run(source: str | Path) -> bool:

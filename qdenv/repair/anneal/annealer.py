@@ -21,15 +21,10 @@ CHUNK = 2_000_000  # moves between two reports, a fraction of a second
 
 
 class Schedule(NamedTuple):
-    """How a run cools down and grows strict.
+    """How a run cools down and grows strict."""
 
-    Attributes:
-        temperatures: the first and the last, in units of the mean cost of a cell.
-        penalty_weights: the first and the last cost of a broken demand, in units of the largest
-            cost of a cell.
-    """
-
-    temperatures: tuple[float, float]
+    temperatures: tuple[float, float]  # the first and the last, in units of the mean cost of a cell
+    # the first and the last cost of a broken demand, in units of the largest cost of a cell
     penalty_weights: tuple[float, float]
 
 

@@ -10,17 +10,11 @@ CROSS = ndimage.generate_binary_structure(2, 1)
 
 
 class Reach(NamedTuple):
-    """Which piece of the driving area is nearest to each of N cells.
+    """Which piece of the driving area is nearest to each of N cells."""
 
-    Attributes:
-        owner: int32 [N], the piece, from 1 on; 0 for cells that none can reach.
-        distance: int32 [N], closed cells from there to the cell, itself included.
-        came_from: int64 [N], the cell before on the way, -1 in the pieces themselves.
-    """
-
-    owner: np.ndarray
-    distance: np.ndarray
-    came_from: np.ndarray
+    owner: np.ndarray  # int32 [N], the piece, from 1 on; 0 for cells that none can reach
+    distance: np.ndarray  # int32 [N], closed cells from there to the cell, itself included
+    came_from: np.ndarray  # int64 [N], the cell before on the way, -1 in the pieces themselves
 
 
 def join_pieces(
@@ -72,11 +66,7 @@ def _reach(driving: np.ndarray, may_open: np.ndarray, stride: int) -> Reach:
 
 
 def _choose_ways(reach: Reach, stride: int) -> tuple[np.ndarray, sparse.csr_array]:
-    """Choose where pieces meet: the shortest ways that join them all.
-
-    Returns:
-        The cells on both sides of each meeting point (int64), and the tree over the pieces.
-    """
+    """Choose where pieces meet: the shortest ways that join them all."""
     pieces = int(reach.owner.max()) + 1
     inside = np.flatnonzero(reach.owner > 0)
     pairs = []

@@ -29,19 +29,12 @@ CHUNK = 2_000_000  # moves between two reports, about a second
 
 
 class _Lines(NamedTuple):
-    """Columns or rows of a layout that may hold the same, one beside the other.
+    """Columns or rows of a layout that may hold the same, one beside the other."""
 
-    Attributes:
-        axis: 1 for columns, 0 for rows.
-        first: the first of those left out of the narrow layout, behind `NARROW` others.
-        left_out: how many are.
-        obstacles: in each of them, where aisles are straight.
-    """
-
-    axis: int
-    first: int
-    left_out: int
-    obstacles: int
+    axis: int  # 1 for columns, 0 for rows
+    first: int  # the first of those left out of the narrow layout, behind `NARROW` others
+    left_out: int  # how many are
+    obstacles: int  # in each of them, where aisles are straight
 
 
 def pack(facts: Facts, report: Report = no_report) -> np.ndarray | None:

@@ -20,31 +20,18 @@ _SIDE = 2 * REACH + 1
 
 
 class Ground(NamedTuple):
-    """What is being packed; N cells with a ring around the layout.
+    """What is being packed; N cells with a ring around the layout."""
 
-    Attributes:
-        free: int32 [F], the cells that may drive or not.
-        flips: bool [N], the same.
-        inside: bool [N], off the ring.
-        serves: bool [N], whether it may serve the obstacles beside it where it drives.
-        drives: bool [N], where robots drive now.
-        ring: uint8 [N], which of the eight neighbours drive.
-        steps: int64 [8], to these neighbours.
-        seen: int32 [N], number of the last search that came by.
-        front: int32 [N], room for a search.
-        tolls: int64 [4]: obstacles, unserved ones, pieces, searches so far.
-    """
-
-    free: np.ndarray
-    flips: np.ndarray
-    inside: np.ndarray
-    serves: np.ndarray
-    drives: np.ndarray
-    ring: np.ndarray
-    steps: np.ndarray
-    seen: np.ndarray
-    front: np.ndarray
-    tolls: np.ndarray
+    free: np.ndarray  # int32 [F], the cells that may drive or not
+    flips: np.ndarray  # bool [N], the same
+    inside: np.ndarray  # bool [N], off the ring
+    serves: np.ndarray  # bool [N], whether it may serve the obstacles beside it where it drives
+    drives: np.ndarray  # bool [N], where robots drive now
+    ring: np.ndarray  # uint8 [N], which of the eight neighbours drive
+    steps: np.ndarray  # int64 [8], to these neighbours
+    seen: np.ndarray  # int32 [N], number of the last search that came by
+    front: np.ndarray  # int32 [N], room for a search
+    tolls: np.ndarray  # int64 [4]: obstacles, unserved ones, pieces, searches so far
 
 
 @formula

@@ -23,11 +23,7 @@ DEAR, DEAR_EXACT = 4, 1
 
 
 def _tabulate_traits(facts: Facts) -> np.ndarray:
-    """Tabulate the facts about tiles (int32 [K + 1, traits]); the last row is the wall.
-
-    Raises:
-        InputError: there are more different needs than a tally can tell apart.
-    """
+    """Tabulate the facts about tiles (int32 [K + 1, traits]); the last row is the wall."""
     different = sorted({need for needs in facts.needs for need in needs})
     if len(different) > MAX_NEEDS:
         raise InputError(
@@ -48,9 +44,6 @@ def _tabulate_choices(allowed: np.ndarray, facts: Facts) -> tuple[np.ndarray, np
 
     Each role is as often drawn as another, so that three kinds of station are not three times as
     likely; another kind of the same role matters to the counts only, and comes a quarter as often.
-
-    Returns:
-        One palette of `Board.choices` and of `Board.fits`.
     """
     kinds = allowed.size
     choices = np.full((len(Asked), kinds + 1, DRAWS), NO_TILE, np.int8)

@@ -37,124 +37,78 @@ class Asked(IntEnum):
 
 
 class Board(NamedTuple):
-    """The rules and the input of one repair; nothing here changes.
+    """The rules and the input of one repair; nothing here changes."""
 
-    Attributes:
-        layout: int8 [N], the input layout.
-        change_cost: float32 [N], the cost of a cell that differs from the input.
-        free: int32 [F], the cells that may change.
-        beside: uint8 [N], bit p: the neighbour at place p may change.
-        open_tile: int8 [N], the default open tile: the driving tile with the fewest adjacency
-            demands that may stand here, or `NO_TILE`.
-        palette: int16 [N], cells that allow the same tiles share a palette.
-        choices: int8 [palettes, 3, K + 1, DRAWS], tiles to draw from, given what is `Asked` and
-            the tile that stands here; each role as often as another.
-        fits: int8 [palettes, 3, K + 1], 1 for tiles that are allowed and as `Asked`.
-        traits: int32 [K + 1, 5], facts about tiles; `Trait` names them.
-        count_bounds: int64 [Q, 2], lowest and highest number of tiles that count in bound q.
-        steps: int64 [8], from a cell to its places.
-        connected: bool, whether the driving area must be one piece.
-        dear: int, of four partners in a move that would leave their input tile, how many may.
-    """
-
-    layout: np.ndarray
-    change_cost: np.ndarray
-    free: np.ndarray
-    beside: np.ndarray
+    layout: np.ndarray  # int8 [N], the input layout
+    change_cost: np.ndarray  # float32 [N], the cost of a cell that differs from the input
+    free: np.ndarray  # int32 [F], the cells that may change
+    beside: np.ndarray  # uint8 [N], bit p: the neighbour at place p may change
+    # int8 [N], the default open tile: the driving tile with the fewest adjacency demands that may
+    # stand here, or `NO_TILE`
     open_tile: np.ndarray
-    palette: np.ndarray
+    palette: np.ndarray  # int16 [N], cells that allow the same tiles share a palette
+    # int8 [palettes, 3, K + 1, DRAWS], tiles to draw from, given what is `Asked` and the tile that
+    # stands here; each role as often as another
     choices: np.ndarray
-    fits: np.ndarray
-    traits: np.ndarray
+    fits: np.ndarray  # int8 [palettes, 3, K + 1], 1 for tiles that are allowed and as `Asked`
+    traits: np.ndarray  # int32 [K + 1, 5], facts about tiles; `Trait` names them
+    # int64 [Q, 2], lowest and highest number of tiles that count in bound q
     count_bounds: np.ndarray
-    steps: np.ndarray
-    connected: bool
-    dear: int
+    steps: np.ndarray  # int64 [8], from a cell to its places
+    connected: bool  # bool, whether the driving area must be one piece
+    dear: int  # int, of four partners in a move that would leave their input tile, how many may
 
 
 class State(NamedTuple):
-    """One layout under way, with everything its energy needs.
+    """One layout under way, with everything its energy needs."""
 
-    Attributes:
-        candidate: int8 [N], the layout under way.
-        ring: uint8 [N], bit p: the neighbour at place p drives.
-        tally: int32 [N], how many of the four neighbours meet each need, four bits per need.
-        counts: int64 [Q], how many cells count in each bound.
-        changed: int32 [1 + N], how many cells differ from the input, then these cells.
-        place: int32 [N], where in `changed` a cell stands, 0 for nowhere.
-        best: int8 [N], the cheapest layout so far that broke no rule.
-        since: int32 [2 + N], how many entries follow, then the cells changed since `best`; N + 1
-            entries stand for all cells.
-        walkers: int64 [3, 4], room for the connectivity test: cells, headings, ends.
-        sums: float64 [3], summed costs of the changed cells; the cost of `best`; how far the
-            penalty is raised beyond its schedule.
-        tolls: int64 [2], broken demands (neighbours, counts, aisles); the last period in which a
-            layout came by that broke none.
-    """
-
-    candidate: np.ndarray
-    ring: np.ndarray
+    candidate: np.ndarray  # int8 [N], the layout under way
+    ring: np.ndarray  # uint8 [N], bit p: the neighbour at place p drives
+    # int32 [N], how many of the four neighbours meet each need, four bits per need
     tally: np.ndarray
-    counts: np.ndarray
-    changed: np.ndarray
-    place: np.ndarray
-    best: np.ndarray
+    counts: np.ndarray  # int64 [Q], how many cells count in each bound
+    changed: np.ndarray  # int32 [1 + N], how many cells differ from the input, then these cells
+    place: np.ndarray  # int32 [N], where in `changed` a cell stands, 0 for nowhere
+    best: np.ndarray  # int8 [N], the cheapest layout so far that broke no rule
+    # int32 [2 + N], how many entries follow, then the cells changed since `best`; N + 1 entries
+    # stand for all cells
     since: np.ndarray
-    walkers: np.ndarray
+    walkers: np.ndarray  # int64 [3, 4], room for the connectivity test: cells, headings, ends
+    # float64 [3], summed costs of the changed cells; the cost of `best`; how far the penalty is
+    # raised beyond its schedule
     sums: np.ndarray
+    # int64 [2], broken demands (neighbours, counts, aisles); the last period in which a layout came
+    # by that broke none
     tolls: np.ndarray
 
 
 class Aisles(NamedTuple):
-    """Which driving cells lie in a wide aisle, where rules ask for one.
+    """Which driving cells lie in a wide aisle, where rules ask for one."""
 
-    Attributes:
-        side: int, side of the squares that must cover the driving area.
-        driving: int8 [N], 1 where the layout under way drives.
-        closed: int32 [N], closed cells in the square whose top left corner is here.
-        cover: int32 [N], open squares over the cell.
-    """
-
-    side: int
-    driving: np.ndarray
-    closed: np.ndarray
-    cover: np.ndarray
+    side: int  # int, side of the squares that must cover the driving area
+    driving: np.ndarray  # int8 [N], 1 where the layout under way drives
+    closed: np.ndarray  # int32 [N], closed cells in the square whose top left corner is here
+    cover: np.ndarray  # int32 [N], open squares over the cell
 
 
 class Move(NamedTuple):
-    """Up to five cells that change together.
+    """Up to five cells that change together."""
 
-    Attributes:
-        cells: int64 [5], the cells.
-        new: int64 [5], the tiles they get.
-        old: int64 [5], the tiles they had.
-    """
-
-    cells: np.ndarray
-    new: np.ndarray
-    old: np.ndarray
+    cells: np.ndarray  # int64 [5], the cells
+    new: np.ndarray  # int64 [5], the tiles they get
+    old: np.ndarray  # int64 [5], the tiles they had
 
 
 class Plan(NamedTuple):
-    """How a run draws and cools down.
+    """How a run draws and cools down."""
 
-    Attributes:
-        seed: of all draws.
-        moves: proposed moves.
-        period: moves between two steps of the schedule.
-        periods: how many of them there are.
-        temperatures: the first and the last.
-        penalty_weights: the first and the last cost of a broken demand.
-        enough: a cost that no layout undercuts: the run ends where one reaches it.
-    """
-
-    seed: np.uint64
-    moves: int
-    period: int
-    periods: int
-    temperatures: tuple[float, float]
-    penalty_weights: tuple[float, float]
-    enough: float
+    seed: np.uint64  # of all draws
+    moves: int  # proposed moves
+    period: int  # moves between two steps of the schedule
+    periods: int  # how many of them there are
+    temperatures: tuple[float, float]  # the first and the last
+    penalty_weights: tuple[float, float]  # the first and the last cost of a broken demand
+    enough: float  # a cost that no layout undercuts: the run ends where one reaches it
 
 
 def no_move() -> Move:

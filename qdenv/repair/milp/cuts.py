@@ -15,15 +15,10 @@ CROSS = ndimage.generate_binary_structure(2, 1)
 
 
 class Cut(NamedTuple):
-    """If both ends drive, so does a gate: driving(ends) - sum driving(gates) <= ends - 1.
+    """If both ends drive, so does a gate: driving(ends) - sum driving(gates) <= ends - 1."""
 
-    Attributes:
-        ends: positions; one where the main part always drives, else one in either part.
-        gates: positions of a separator: every path between the ends crosses one of them.
-    """
-
-    ends: list[int]
-    gates: list[int]
+    ends: list[int]  # positions; one where the main part always drives, else one in either part
+    gates: list[int]  # positions of a separator: every path between the ends crosses one of them
 
 
 def separate(driving: np.ndarray, always: np.ndarray, most: int = 4) -> list[Cut]:

@@ -32,15 +32,11 @@ REMEMBERED = 32  # rules whose answer is kept
 
 
 class Possible(NamedTuple):
-    """What is known of some rules.
+    """What is known of some rules."""
 
-    Attributes:
-        status: `ANNEALED` where a layout is known, `IMPOSSIBLE` where none exists, else `FAILED`.
-        layout: int8 [H, W], obeys every rule; None where none is known.
-    """
-
+    # `ANNEALED` where a layout is known, `IMPOSSIBLE` where none exists, else `FAILED`
     status: RepairStatus
-    layout: np.ndarray | None = None
+    layout: np.ndarray | None = None  # int8 [H, W], obeys every rule; None where none is known
 
 
 IMPOSSIBLE, UNKNOWN = Possible(RepairStatus.IMPOSSIBLE), Possible(RepairStatus.FAILED)

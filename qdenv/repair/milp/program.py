@@ -16,27 +16,16 @@ from qdenv.repair.milp.variables import Affine, Variables, number_variables
 
 
 class Program(NamedTuple):
-    """Minimise ``cost @ v + constant`` over ``0 <= v <= upper`` with ``low <= rows @ v <= high``.
+    """Minimise ``cost @ v + constant``, ``0 <= v <= upper``, ``low <= rows @ v <= high``."""
 
-    Attributes:
-        variables: where each variable v stands.
-        cost: float64 [variables].
-        constant: cost when all variables are 0.
-        upper: float64 [variables].
-        integer: bool [variables].
-        rows: float64 [rows, variables], sparse.
-        low: float64 [rows].
-        high: float64 [rows].
-    """
-
-    variables: Variables
-    cost: np.ndarray
-    constant: float
-    upper: np.ndarray
-    integer: np.ndarray
-    rows: sparse.csr_array
-    low: np.ndarray
-    high: np.ndarray
+    variables: Variables  # where each variable v stands
+    cost: np.ndarray  # float64 [variables]
+    constant: float  # cost when all variables are 0
+    upper: np.ndarray  # float64 [variables]
+    integer: np.ndarray  # bool [variables]
+    rows: sparse.csr_array  # float64 [rows, variables], sparse
+    low: np.ndarray  # float64 [rows]
+    high: np.ndarray  # float64 [rows]
 
 
 class Block(NamedTuple):
@@ -114,11 +103,7 @@ def _adjacency(facts: Facts, variables: Variables) -> list[Block]:
 def _retyped_amounts(
     facts: Facts, variables: Variables, layout: np.ndarray
 ) -> tuple[dict[int, Affine], list[Block]]:
-    """Express the amount of each kind counted apart: those kept, less those lost, plus the new.
-
-    Returns:
-        kind -> amount, and the rows that make the amounts of a role add up.
-    """
+    """Express the amount of each kind counted apart: those kept, less those lost, plus the new."""
     kept, layout = facts.keeps(layout).ravel(), layout.ravel()
     amounts: dict[int, Affine] = {}
     blocks = []

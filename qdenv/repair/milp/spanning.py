@@ -19,14 +19,10 @@ from qdenv.types import Adjacency
 
 
 class _Sides(NamedTuple):
-    """Directed pairs of neighbouring cells, two for each pair: ``n`` of them.
+    """Directed pairs of neighbouring cells, two for each pair: ``n`` of them."""
 
-    Attributes:
-        start: int64 [n], position of a cell.
-        end: int64 [n], of its neighbour; the second half of the pairs is the first reversed.
-    """
-
-    start: np.ndarray
+    start: np.ndarray  # int64 [n], position of a cell
+    # int64 [n], of its neighbour; the second half of the pairs is the first reversed
     end: np.ndarray
 
 

@@ -9,15 +9,10 @@ from qdenv.repair.facts import Facts
 
 
 class Affine(NamedTuple):
-    """A column of expressions ``matrix @ v + offset`` in the variables v.
+    """A column of expressions ``matrix @ v + offset`` in the variables v."""
 
-    Attributes:
-        matrix: float64 [expressions, variables], sparse.
-        offset: float64 [expressions].
-    """
-
-    matrix: sparse.csr_array
-    offset: np.ndarray
+    matrix: sparse.csr_array  # float64 [expressions, variables], sparse
+    offset: np.ndarray  # float64 [expressions]
 
     def plus(self, other: "Affine") -> "Affine":
         """Add a column of equal length."""
@@ -38,35 +33,22 @@ class Affine(NamedTuple):
 
 
 class Retype(NamedTuple):
-    """Two integers of a kind that is counted apart from the others of its role.
+    """Two integers of a kind that is counted apart from the others of its role."""
 
-    Attributes:
-        gained: column of the number of cells that become it.
-        lost: column of the number of its input cells that keep the role but not the kind.
-    """
-
-    gained: int
-    lost: int
+    gained: int  # column of the number of cells that become it
+    lost: int  # column of the number of its input cells that keep the role but not the kind
 
 
 class Variables(NamedTuple):
-    """Where each variable stands.
+    """Where each variable stands."""
 
-    Attributes:
-        total: how many there are.
-        first_role: int64 [cells], the role a cell holds when none of its binaries is set.
-        binaries: int64 [roles, cells], column of the binary "the cell holds the role", or -1.
-        retypes: kind -> its two integers.
-        squares: int64 [H, W], column of the aisle square that starts here, or -1.
-        holds: per role, one expression per cell: 1 where the cell holds the role.
-    """
-
-    total: int
-    first_role: np.ndarray
+    total: int  # how many there are
+    first_role: np.ndarray  # int64 [cells], the role a cell holds when none of its binaries is set
+    # int64 [roles, cells], column of the binary "the cell holds the role", or -1
     binaries: np.ndarray
-    retypes: dict[int, Retype]
-    squares: np.ndarray
-    holds: list[Affine]
+    retypes: dict[int, Retype]  # kind -> its two integers
+    squares: np.ndarray  # int64 [H, W], column of the aisle square that starts here, or -1
+    holds: list[Affine]  # per role, one expression per cell: 1 where the cell holds the role
 
     def group(self, facts: Facts, tiles: str) -> Affine:
         """Express which cells hold one of `tiles`, a union of roles."""
@@ -136,14 +118,7 @@ def _number_squares(facts: Facts, total: int) -> tuple[np.ndarray, int]:
 
 
 def _hold_role(binaries: np.ndarray, first: np.ndarray, role: int, total: int) -> Affine:
-    """Express which cells hold `role`: its binary, or what no other binary took.
-
-    Args:
-        binaries: int64 [roles, cells].
-        first: bool [cells], where `role` is the first role.
-        role: its index.
-        total: number of variables.
-    """
+    """Express which cells hold `role`: its binary, or what no other binary took."""
     own = np.flatnonzero(binaries[role] >= 0)
     others, taken = np.nonzero(first & (binaries >= 0))
     rows = np.concatenate([own, taken])

@@ -17,19 +17,12 @@ AROUND = 2  # cells around a window that its rules look at: neighbours, and what
 
 
 class Cells(NamedTuple):
-    """The cells of a window and those around it, as far as its rules look.
+    """The cells of a window and those around it, as far as its rules look."""
 
-    Attributes:
-        top: row of the first of them in the layout; may be negative, outside the grid.
-        left: its column.
-        roles: int64 [h, w], the role that stands there, -1 outside the grid.
-        columns: int64 [h, w, R], the variable "the cell takes the role", -1 for none.
-    """
-
-    top: int
-    left: int
-    roles: np.ndarray
-    columns: np.ndarray
+    top: int  # row of the first of them in the layout; may be negative, outside the grid
+    left: int  # its column
+    roles: np.ndarray  # int64 [h, w], the role that stands there, -1 outside the grid
+    columns: np.ndarray  # int64 [h, w, R], the variable "the cell takes the role", -1 for none
 
     @property
     def inside(self) -> np.ndarray:
@@ -44,21 +37,13 @@ class Cells(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Rows ``low <= sum of values * variables <= high``, as triplets.
+    """Rows ``low <= sum of values * variables <= high``, as triplets."""
 
-    Attributes:
-        row: int64 [entries], which row an entry belongs to.
-        column: int64 [entries], its variable.
-        value: float64 [entries].
-        low: float64 [rows].
-        high: float64 [rows].
-    """
-
-    row: np.ndarray
-    column: np.ndarray
-    value: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    row: np.ndarray  # int64 [entries], which row an entry belongs to
+    column: np.ndarray  # int64 [entries], its variable
+    value: np.ndarray  # float64 [entries]
+    low: np.ndarray  # float64 [rows]
+    high: np.ndarray  # float64 [rows]
 
 
 def cut_out(roles: np.ndarray, may: np.ndarray, corner: tuple[int, int], size: int) -> Cells:
@@ -123,13 +108,7 @@ def _adjacency(cells: Cells, tiles: np.ndarray, needs: np.ndarray) -> Rows:
 
 
 def _counts(cells: Cells, facts: Facts, held: np.ndarray) -> list[Rows]:
-    """Keep the counts of whole roles within their bounds.
-
-    Args:
-        cells: of the window.
-        facts: the constraints.
-        held: int64 [R], how many cells of the layout hold each role.
-    """
+    """Keep the counts of whole roles within their bounds."""
     inside, roles = cells.inside, len(facts.roles)
     outside = held - np.bincount(cells.roles[inside], minlength=roles)
     found = []

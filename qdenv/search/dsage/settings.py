@@ -11,29 +11,22 @@ from qdenv.surrogate.settings import SurrogateConfig
 
 @dataclass(frozen=True)
 class DsageConfig(Ranged):
-    """Settings of DSAGE; the defaults suit a CPU, `PUBLISHED` is the paper's.
-
-    Attributes:
-        batch: true evaluations per iteration.
-        initial: random solutions that are evaluated first, rounded up to whole iterations.
-        inner_iterations: of MAP-Elites on the surrogate, each time it has learnt.
-        inner_batch: solutions of each of them.
-        inner_random: the first of them draw random solutions.
-        mutations: tiles that a mutation draws anew; 0 draws their number, 2 on average.
-        downsample: blocks of the archive along each measure, from each of which one elite of the
-            inner loop is evaluated truly; half, then a quarter of the cells unless given.
-        surrogate: its size, and how it learns.
-    """
+    """Settings of DSAGE; the defaults suit a CPU, `PUBLISHED` is the paper's."""
 
     encoding: ClassVar[str] = "direct"  # the generator that it searches
 
-    batch: PositiveInt = 50
+    batch: PositiveInt = 50  # true evaluations per iteration
+    # random solutions that are evaluated first, rounded up to whole iterations
     initial: PositiveInt = 100
-    inner_iterations: PositiveInt = 500
-    inner_batch: PositiveInt = 50
-    inner_random: PositiveInt = 2
+    inner_iterations: PositiveInt = 500  # of MAP-Elites on the surrogate, each time it has learnt
+    inner_batch: PositiveInt = 50  # solutions of each of them
+    inner_random: PositiveInt = 2  # the first of them draw random solutions
+    # tiles that a mutation draws anew; 0 draws their number, 2 on average
     mutations: NonNegativeInt = 0
+    # blocks of the archive along each measure, from each of which one elite of the inner loop is
+    # evaluated truly; half, then a quarter of the cells unless given
     downsample: tuple[PositiveInt, ...] = ()
+    # its size, and how it learns
     surrogate: SurrogateConfig = field(default_factory=SurrogateConfig)
 
 

@@ -18,22 +18,18 @@ LARGEST_CONDITION = 1e14  # so does one whose covariance has a larger condition 
 
 
 class Strategy(NamedTuple):
-    """An evolution strategy as a record of functions on the state of one emitter.
+    """An evolution strategy as a record of functions on the state of one emitter."""
 
-    Attributes:
-        init: (mean float [P], key) -> state; consumes the key.
-        ask: (state, key) -> (solutions float [b, P], state); consumes the key.
-        tell: (state, solutions [b, P], order int32 [b] best first, parents int32, evaluated
-            int32) -> state. The first `parents` of the order are recombined, 0 to b.
-        exhausted: state -> bool, the distribution is degenerate and must restart.
-        refresh: applied before each ask to the states of all emitters at once (leading axis E);
-            the place for work that is rarely due and must not hide inside a vmap.
-    """
-
-    init: Callable[[jax.Array, jax.Array], Any]
+    init: Callable[[jax.Array, jax.Array], Any]  # (mean float [P], key) -> state; consumes the key
+    # (state, key) -> (solutions float [b, P], state); consumes the key
     ask: Callable[[Any, jax.Array], tuple[jax.Array, Any]]
+    # (state, solutions [b, P], order int32 [b] best first, parents int32, evaluated int32) ->
+    # state. The first `parents` of the order are recombined, 0 to b.
     tell: Callable[[Any, jax.Array, jax.Array, jax.Array, jax.Array], Any]
+    # state -> bool, the distribution is degenerate and must restart
     exhausted: Callable[[Any], jax.Array]
+    # applied before each ask to the states of all emitters at once (leading axis E); the place for
+    # work that is rarely due and must not hide inside a vmap
     refresh: Callable[[Any], Any] = lambda states: states
 
 

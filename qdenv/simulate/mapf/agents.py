@@ -12,27 +12,16 @@ from qdenv.simulate.mapf.planner import AgentState, World
 
 
 class Fleet(NamedTuple):
-    """The agents between two windows.
+    """The agents between two windows."""
 
-    Attributes:
-        position: int32 [A].
-        kind: int32 [A], the current goal's place in the cycle.
-        goal: int32 [2, A], slots of the current and the next goal.
-        remaining_service: int32 [A], timesteps still to serve.
-        age: int32 [A], timesteps since the last finished task.
-        legs: int32 [A], tasks finished since all were planned.
-        previous: int32 [window + 1, A], the plan from here on.
-        fields: distances measured on demand; None where the world has a table of all.
-    """
-
-    position: jax.Array
-    kind: jax.Array
-    goal: jax.Array
-    remaining_service: jax.Array
-    age: jax.Array
-    legs: jax.Array
-    previous: jax.Array
-    fields: Fields | None
+    position: jax.Array  # int32 [A]
+    kind: jax.Array  # int32 [A], the current goal's place in the cycle
+    goal: jax.Array  # int32 [2, A], slots of the current and the next goal
+    remaining_service: jax.Array  # int32 [A], timesteps still to serve
+    age: jax.Array  # int32 [A], timesteps since the last finished task
+    legs: jax.Array  # int32 [A], tasks finished since all were planned
+    previous: jax.Array  # int32 [window + 1, A], the plan from here on
+    fields: Fields | None  # distances measured on demand; None where the world has a table of all
 
 
 def draw_starts(world: World, active: jax.Array, seed: jax.Array) -> jax.Array:

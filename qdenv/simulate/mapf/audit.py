@@ -13,17 +13,11 @@ from qdenv.types import TaskRule, Traffic
 
 
 class Trajectory(NamedTuple):
-    """A run as the audit reads it; positions are ``row * width + column`` of the layout.
+    """A run as the audit reads it; positions are ``row * width + column`` of the layout."""
 
-    Attributes:
-        positions: int [T + 1, A].
-        goals: int [T + 1, A], the goal cell an agent heads for before each step.
-        finished: bool [T, A], tasks the simulator says the step finished.
-    """
-
-    positions: np.ndarray
-    goals: np.ndarray
-    finished: np.ndarray
+    positions: np.ndarray  # int [T + 1, A]
+    goals: np.ndarray  # int [T + 1, A], the goal cell an agent heads for before each step
+    finished: np.ndarray  # bool [T, A], tasks the simulator says the step finished
 
 
 def trajectory_of(recording: Recording) -> Trajectory:

@@ -20,17 +20,12 @@ AT_ONCE = 8 * WORD  # rows measured side by side
 
 
 class _Wave(NamedTuple):
-    """The breadth-first search between two epochs.
+    """The breadth-first search between two epochs."""
 
-    Attributes:
-        reached: uint32 [G / 32, H, W], one bit per goal.
-        distance: [G, H * W], steps for which each cell has been out of reach, see `steps_type`.
-        grew: bool, the last epoch reached new cells.
-    """
-
-    reached: jax.Array
+    reached: jax.Array  # uint32 [G / 32, H, W], one bit per goal
+    # [G, H * W], steps for which each cell has been out of reach, see `steps_type`
     distance: jax.Array
-    grew: jax.Array
+    grew: jax.Array  # bool, the last epoch reached new cells
 
 
 def pack_goals(cells: jax.Array, used: jax.Array, shape: tuple[int, int]) -> jax.Array:
@@ -92,17 +87,13 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
 
 
 class Fields(NamedTuple):
-    """Distances to the goals that agents have; two rows for each of A agents.
+    """Distances to the goals that agents have; two rows for each of A agents."""
 
-    Attributes:
-        distance: [2 A, H' * W'], steps from every cell, see `steps_type`.
-        goal: int32 [2, A], the slot of the goal that each row was measured for, or `NOBODY`.
-        flipped: bool [A], whether the current goal is in the second of an agent's rows: what was
-            the next goal becomes the current one without a copy.
-    """
-
-    distance: jax.Array
+    distance: jax.Array  # [2 A, H' * W'], steps from every cell, see `steps_type`
+    # int32 [2, A], the slot of the goal that each row was measured for, or `NOBODY`
     goal: jax.Array
+    # bool [A], whether the current goal is in the second of an agent's rows: what was the next goal
+    # becomes the current one without a copy
     flipped: jax.Array
 
 

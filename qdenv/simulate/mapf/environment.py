@@ -33,19 +33,12 @@ RIGHT, LEFT, DOWN, UP, WAIT = range(len(MOVES) + 1)
 
 
 class EnvironmentState(NamedTuple):
-    """A simulation between two steps.
+    """A simulation between two steps."""
 
-    Attributes:
-        fleet: the robots, as the simulator knows them.
-        goal: int32 [2, A], cells of the current and of the next goal.
-        time: int32, steps so far.
-        seed: uint32, of all that is drawn.
-    """
-
-    fleet: Fleet
-    goal: jax.Array
-    time: jax.Array
-    seed: jax.Array
+    fleet: Fleet  # the robots, as the simulator knows them
+    goal: jax.Array  # int32 [2, A], cells of the current and of the next goal
+    time: jax.Array  # int32, steps so far
+    seed: jax.Array  # uint32, of all that is drawn
 
     @property
     def position(self) -> jax.Array:
@@ -59,37 +52,22 @@ class EnvironmentState(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """What a learner sees unless it brings a function of its own.
+    """What a learner sees unless it brings a function of its own."""
 
-    Attributes:
-        position: int32 [A], cells.
-        goal: int32 [A], cells.
-        next_goal: int32 [A], cells.
-        remaining_service: int32 [A], timesteps.
-        time: int32.
-    """
-
-    position: jax.Array
-    goal: jax.Array
-    next_goal: jax.Array
-    remaining_service: jax.Array
-    time: jax.Array
+    position: jax.Array  # int32 [A], cells
+    goal: jax.Array  # int32 [A], cells
+    next_goal: jax.Array  # int32 [A], cells
+    remaining_service: jax.Array  # int32 [A], timesteps
+    time: jax.Array  # int32
 
 
 class Timestep(NamedTuple):
-    """What a step gives.
+    """What a step gives."""
 
-    Attributes:
-        observation: what the environment's `observe` made of the state.
-        reward: float32 [A], tasks that each robot finished, 0 or 1.
-        refused: bool [A], whose move became a wait.
-        last: bool, the horizon is reached; steps beyond it are possible.
-    """
-
-    observation: Any
-    reward: jax.Array
-    refused: jax.Array
-    last: jax.Array
+    observation: Any  # what the environment's `observe` made of the state
+    reward: jax.Array  # float32 [A], tasks that each robot finished, 0 or 1
+    refused: jax.Array  # bool [A], whose move became a wait
+    last: jax.Array  # bool, the horizon is reached; steps beyond it are possible
 
 
 Observe = Callable[[EnvironmentState], Any]

@@ -116,16 +116,11 @@ def run_window(
 
 
 class _Run(NamedTuple):
-    """A simulation under way.
+    """A simulation under way."""
 
-    Attributes:
-        fleet: the agents now.
-        metrics: what was counted so far.
-        buffer: what was recorded so far; without room where nothing shall be recorded.
-    """
-
-    fleet: Fleet
-    metrics: Metrics
+    fleet: Fleet  # the agents now
+    metrics: Metrics  # what was counted so far
+    # what was recorded so far; without room where nothing shall be recorded
     buffer: TrajectoryBuffer
 
 

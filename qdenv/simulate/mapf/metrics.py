@@ -11,55 +11,33 @@ from qdenv.types import Traffic
 
 
 class Block(NamedTuple):
-    """What happened in the executed steps of one window, each [h, A].
+    """What happened in the executed steps of one window, each [h, A]."""
 
-    Attributes:
-        positions: int32, after the step.
-        remaining_service: int32, after the step.
-        finished: bool, the step finished a task.
-        goals: int32, goal cells before the step.
-    """
-
-    positions: jax.Array
-    remaining_service: jax.Array
-    finished: jax.Array
-    goals: jax.Array
+    positions: jax.Array  # int32, after the step
+    remaining_service: jax.Array  # int32, after the step
+    finished: jax.Array  # bool, the step finished a task
+    goals: jax.Array  # int32, goal cells before the step
 
 
 class Metrics(NamedTuple):
-    """What was counted so far; T is rounded up to whole windows.
+    """What was counted so far; T is rounded up to whole windows."""
 
-    Attributes:
-        time: int32, timesteps driven.
-        congested_at: int32, timesteps driven when the first congested window ended; 0 for none.
-        finished: int32 [T], tasks finished at each timestep.
-        visits: int32 [H' * W'], agent-steps spent on each cell of the padded grid.
-        moves: int32, agent-steps with a move.
-    """
-
-    time: jax.Array
+    time: jax.Array  # int32, timesteps driven
+    # int32, timesteps driven when the first congested window ended; 0 for none
     congested_at: jax.Array
-    finished: jax.Array
-    visits: jax.Array
-    moves: jax.Array
+    finished: jax.Array  # int32 [T], tasks finished at each timestep
+    visits: jax.Array  # int32 [H' * W'], agent-steps spent on each cell of the padded grid
+    moves: jax.Array  # int32, agent-steps with a move
 
 
 class Recording(NamedTuple):
-    """A whole run, for the audit and for pictures; positions on the layout without margin.
+    """A whole run, for the audit and for pictures; positions on the layout without margin."""
 
-    Attributes:
-        positions: int32 [T + 1, A]; after the end of the run the last position is repeated.
-        goals: int32 [T + 1, A], the goal cell each agent is heading for before the step.
-        remaining_service: int32 [T + 1, A], timesteps it must still remain on its goal.
-        finished: bool [T, A], tasks finished by the step.
-        active: bool [A].
-    """
-
-    positions: jax.Array
-    goals: jax.Array
-    remaining_service: jax.Array
-    finished: jax.Array
-    active: jax.Array
+    positions: jax.Array  # int32 [T + 1, A]; after the end of the run the last position is repeated
+    goals: jax.Array  # int32 [T + 1, A], the goal cell each agent is heading for before the step
+    remaining_service: jax.Array  # int32 [T + 1, A], timesteps it must still remain on its goal
+    finished: jax.Array  # bool [T, A], tasks finished by the step
+    active: jax.Array  # bool [A]
 
 
 def empty_metrics(world: World, timesteps: int) -> Metrics:
@@ -136,15 +114,10 @@ def summarise(world: World, metrics: Metrics, active: jax.Array, timesteps: int)
 
 
 class TrajectoryBuffer(NamedTuple):
-    """All blocks of a run so far, and where the agents began.
+    """All blocks of a run so far, and where the agents began."""
 
-    Attributes:
-        start: int32 [A], the first positions.
-        block: what happened, each [T, A]; T is rounded up to whole windows.
-    """
-
-    start: jax.Array
-    block: Block
+    start: jax.Array  # int32 [A], the first positions
+    block: Block  # what happened, each [T, A]; T is rounded up to whole windows
 
     @classmethod
     def empty(cls, start: jax.Array, timesteps: int) -> "TrajectoryBuffer":
@@ -167,17 +140,11 @@ class TrajectoryBuffer(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a run leaves behind.
+    """What a run leaves behind."""
 
-    Attributes:
-        metrics: what was counted.
-        heading: int32 [A], the goal cells at the end.
-        buffer: what was recorded; without room where nothing was to be.
-    """
-
-    metrics: Metrics
-    heading: jax.Array
-    buffer: TrajectoryBuffer
+    metrics: Metrics  # what was counted
+    heading: jax.Array  # int32 [A], the goal cells at the end
+    buffer: TrajectoryBuffer  # what was recorded; without room where nothing was to be
 
 
 def recording_of(outcome: Outcome, active: jax.Array, world: World, timesteps: int) -> Recording:

@@ -37,72 +37,49 @@ class World:
 
     The grid is surrounded by `margin` rows and columns of walls, so that planners look around
     without testing for the border. Positions are ``row * width + column`` of this padded grid.
-
-    Attributes:
-        traversable: bool [H', W'], cells agents may drive on.
-        goals: the goal table; its cells are positions of the padded grid.
-        distance: [G, H' * W'], steps from every cell to every goal, see `steps_type`; None where
-            distances are measured on demand.
-        service_time: int32 [n], timesteps served at each kind of goal.
-        valid: bool, agents and goals fit the layout.
-        margin: rows and columns of walls on each side; compile-time.
     """
 
-    traversable: jax.Array
-    goals: GoalTable
+    traversable: jax.Array  # bool [H', W'], cells agents may drive on
+    goals: GoalTable  # the goal table; its cells are positions of the padded grid
+    # [G, H' * W'], steps from every cell to every goal, see `steps_type`; None where distances are
+    # measured on demand
     distance: jax.Array | None
-    service_time: jax.Array
-    valid: jax.Array
+    service_time: jax.Array  # int32 [n], timesteps served at each kind of goal
+    valid: jax.Array  # bool, agents and goals fit the layout
+    # rows and columns of walls on each side; compile-time
     margin: int = flax.struct.field(pytree_node=False)
 
 
 class AgentState(NamedTuple):
-    """Where the agents are and where they want to go.
+    """Where the agents are and where they want to go."""
 
-    Attributes:
-        position: int32 [A]. Padding agents are somewhere too, but do not count.
-        active: bool [A], False for padding.
-        goal: int32 [2, A], slots of the current and of the next goal.
-        service_time: int32 [2, A], timesteps to serve at each of them.
-        remaining_service: int32 [A], timesteps the agent must still remain on its goal; 0 while
-            driving.
-        age: int32 [A], timesteps since the agent last finished a task.
-        previous: int32 [window + 1, A], the last paths from here on; their last cell is repeated.
-        distance: [rows, H' * W'], steps from every cell to some goals, see `steps_type`.
-        row: int32 [2, A], the rows of `distance` that belong to `goal`.
-    """
-
-    position: jax.Array
-    active: jax.Array
-    goal: jax.Array
-    service_time: jax.Array
+    position: jax.Array  # int32 [A]. Padding agents are somewhere too, but do not count.
+    active: jax.Array  # bool [A], False for padding
+    goal: jax.Array  # int32 [2, A], slots of the current and of the next goal
+    service_time: jax.Array  # int32 [2, A], timesteps to serve at each of them
+    # int32 [A], timesteps the agent must still remain on its goal; 0 while driving
     remaining_service: jax.Array
-    age: jax.Array
+    age: jax.Array  # int32 [A], timesteps since the agent last finished a task
+    # int32 [window + 1, A], the last paths from here on; their last cell is repeated
     previous: jax.Array
-    distance: jax.Array
-    row: jax.Array
+    distance: jax.Array  # [rows, H' * W'], steps from every cell to some goals, see `steps_type`
+    row: jax.Array  # int32 [2, A], the rows of `distance` that belong to `goal`
 
 
 Drive: TypeAlias = Callable[[Any, Any], bool]
 
 
 class Planner(NamedTuple):
-    """A planner and its limits.
+    """A planner and its limits."""
 
-    Attributes:
-        plan: (world, state, horizon, key) -> paths int32 [window + 1, A]; traceable, consumes the
-            key. The window is the length of ``state.previous`` less one. None where a planner
-            drives whole runs only.
-        max_window: most timesteps it plans ahead.
-        max_service: longest service at a goal that it understands.
-        margin: rows and columns of walls it wants around the grid, at least 1.
-        drive: compiled host code for whole runs, (run, fields) -> whether `fields` had room for
-            the distances it asked for (`qdenv.simulate.mapf.host`); called again with more room
-            where not. Used instead of `plan` where a planner has it.
-    """
-
+    # (world, state, horizon, key) -> paths int32 [window + 1, A]; traceable, consumes the key. The
+    # window is the length of ``state.previous`` less one. None where a planner drives whole runs
+    # only.
     plan: Callable[[World, AgentState, int, jax.Array], jax.Array] | None
-    max_window: int = 1000
-    max_service: int = 1000
-    margin: int = 1
+    max_window: int = 1000  # most timesteps it plans ahead
+    max_service: int = 1000  # longest service at a goal that it understands
+    margin: int = 1  # rows and columns of walls it wants around the grid, at least 1
+    # compiled host code for whole runs, (run, fields) -> whether `fields` had room for the
+    # distances it asked for (`qdenv.simulate.mapf.host`); called again with more room where not.
+    # Used instead of `plan` where a planner has it.
     drive: Drive | None = None

@@ -30,24 +30,18 @@ PLANNERS = Registry(
 
 @dataclass(frozen=True)
 class FleetConfig(Ranged):
-    """The numbers of a simulation, all compile-time.
+    """The numbers of a simulation, all compile-time."""
 
-    Attributes:
-        agents: how many robots drive, or the most of them when `simulate` is told fewer.
-        timesteps: how long a simulation lasts, T.
-        window: timesteps planned ahead without conflict (w), at most what the planner can do.
-        horizon: timesteps driven before planning again, the replanning period (h).
-        planner: settings record of the planner; its type says which one of `PLANNERS`.
-        stop_when_congested: end the run at the first congested window.
-        goal_capacity: goal cells the tables have room for; None for one per cell of the layout.
-    """
-
+    # how many robots drive, or the most of them when `simulate` is told fewer
     agents: PositiveInt = 200
-    timesteps: PositiveInt = 1000
+    timesteps: PositiveInt = 1000  # how long a simulation lasts, T
+    # timesteps planned ahead without conflict (w), at most what the planner can do
     window: PositiveInt = 10
-    horizon: PositiveInt = 5
+    horizon: PositiveInt = 5  # timesteps driven before planning again, the replanning period (h)
+    # settings record of the planner; its type says which one of `PLANNERS`
     planner: Any = field(default_factory=lambda: LOW)
-    stop_when_congested: bool = True
+    stop_when_congested: bool = True  # end the run at the first congested window
+    # goal cells the tables have room for; None for one per cell of the layout
     goal_capacity: PositiveInt | None = None
 
     def __post_init__(self) -> None:

@@ -14,19 +14,12 @@ KNOWN = 2  # goals that planners know of each agent: the current and the next
 
 
 class GoalTable(NamedTuple):
-    """The goals of one layout; G is the goal capacity, n the number of kinds in the cycle.
+    """The goals of one layout; G is the goal capacity, n the number of kinds in the cycle."""
 
-    Attributes:
-        cells: int32 [G], the goal cells in row-major order; unused slots hold 0.
-        used: bool [G].
-        odds: float32 [n, G], cumulated odds of each slot within its kind, ending in 1.
-        complete: bool, every kind has a goal and no goal was left out for want of slots.
-    """
-
-    cells: jax.Array
-    used: jax.Array
-    odds: jax.Array
-    complete: jax.Array
+    cells: jax.Array  # int32 [G], the goal cells in row-major order; unused slots hold 0
+    used: jax.Array  # bool [G]
+    odds: jax.Array  # float32 [n, G], cumulated odds of each slot within its kind, ending in 1
+    complete: jax.Array  # bool, every kind has a goal and no goal was left out for want of slots
 
 
 def goal_table(layout: Array, rule: TaskRule, capacity: int) -> GoalTable:

@@ -18,18 +18,12 @@ FEWEST = 12  # episodes below which dropping some saves nothing
 
 
 class Episode(NamedTuple):
-    """One run of the agent.
+    """One run of the agent."""
 
-    Attributes:
-        success: bool, the goal was reached within T timesteps.
-        length: int32, actions taken; T after a failure, 0 in an unsolvable level.
-        shortest: int32, moves of the shortest path; 0 in an unsolvable level.
-        usage: float32 [H, W], share of the actions taken on each cell; zeros where none was.
-    """
-
-    success: jax.Array
-    length: jax.Array
-    shortest: jax.Array
+    success: jax.Array  # bool, the goal was reached within T timesteps
+    length: jax.Array  # int32, actions taken; T after a failure, 0 in an unsolvable level
+    shortest: jax.Array  # int32, moves of the shortest path; 0 in an unsolvable level
+    # float32 [H, W], share of the actions taken on each cell; zeros where none was
     usage: jax.Array
 
 
@@ -45,23 +39,14 @@ def choose(logits: jax.Array, uniform: jax.Array) -> jax.Array:
 
 
 class EpisodeState(NamedTuple):
-    """An episode under way.
+    """An episode under way."""
 
-    Attributes:
-        state: int32, position * 4 + heading.
-        memory: of the LSTM.
-        length: int32, actions taken.
-        done: bool, the goal is reached, or there is none to reach.
-        success: bool.
-        actions: int32 [H W], how many were taken on each cell.
-    """
-
-    state: jax.Array
-    memory: Memory
-    length: jax.Array
-    done: jax.Array
-    success: jax.Array
-    actions: jax.Array
+    state: jax.Array  # int32, position * 4 + heading
+    memory: Memory  # of the LSTM
+    length: jax.Array  # int32, actions taken
+    done: jax.Array  # bool, the goal is reached, or there is none to reach
+    success: jax.Array  # bool
+    actions: jax.Array  # int32 [H W], how many were taken on each cell
 
 
 Body = Callable[[EpisodeState, jax.Array], EpisodeState]

@@ -19,41 +19,24 @@ FIRST_HEADINGS = (3, 0, 1, 2, 3, 1)  # the published seed's; later ones are draw
 
 
 class _Level(NamedTuple):
-    """What all episodes share.
+    """What all episodes share."""
 
-    Attributes:
-        kinds: int8 [H + 8, W + 8], the `canvas`.
-        start: int32, flat index on the canvas.
-        headings: int32 [episodes + 1], first heading of each environment's n-th episode.
-    """
-
-    kinds: jax.Array
-    start: jax.Array
-    headings: jax.Array
+    kinds: jax.Array  # int8 [H + 8, W + 8], the `canvas`
+    start: jax.Array  # int32, flat index on the canvas
+    headings: jax.Array  # int32 [episodes + 1], first heading of each environment's n-th episode
 
 
 class _Batch(NamedTuple):
-    """All environments under way, and the episodes counted so far; E environments.
+    """All environments under way, and the episodes counted so far; E environments."""
 
-    Attributes:
-        key: random key.
-        pose: each [E].
-        memory: each [E, L].
-        elapsed: int32 [E], actions of the episode.
-        round: int32 [E], episodes this environment has finished.
-        counted: int32, episodes counted so far.
-        success: bool [episodes].
-        length: int32 [episodes].
-    """
-
-    key: jax.Array
-    pose: Pose
-    memory: Memory
-    elapsed: jax.Array
-    round: jax.Array
-    counted: jax.Array
-    success: jax.Array
-    length: jax.Array
+    key: jax.Array  # random key
+    pose: Pose  # each [E]
+    memory: Memory  # each [E, L]
+    elapsed: jax.Array  # int32 [E], actions of the episode
+    round: jax.Array  # int32 [E], episodes this environment has finished
+    counted: jax.Array  # int32, episodes counted so far
+    success: jax.Array  # bool [episodes]
+    length: jax.Array  # int32 [episodes]
 
 
 def reference_episodes(

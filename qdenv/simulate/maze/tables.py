@@ -24,21 +24,13 @@ from qdenv.types import Array
 
 
 class Tables(NamedTuple):
-    """Everything an episode looks up; state ``position * 4 + heading`` indexes the rows.
+    """Everything an episode looks up; state ``position * 4 + heading`` indexes the rows."""
 
-    Attributes:
-        layout: int8 [H, W].
-        course: start and goal.
-        ahead: int32 [4 H W], state after driving forward.
-        wins: bool [4 H W], driving forward reaches the goal.
-        gates: float32 [4 H W, 4 L], input of the LSTM's gates.
-    """
-
-    layout: jax.Array
-    course: Course
-    ahead: jax.Array
-    wins: jax.Array
-    gates: jax.Array
+    layout: jax.Array  # int8 [H, W]
+    course: Course  # start and goal
+    ahead: jax.Array  # int32 [4 H W], state after driving forward
+    wins: jax.Array  # bool [4 H W], driving forward reaches the goal
+    gates: jax.Array  # float32 [4 H W, 4 L], input of the LSTM's gates
 
 
 def prepare(weights: Weights, layout: Array) -> Tables:

@@ -24,45 +24,28 @@ CODES = np.array([(1, 0, 0), (2, 5, 0), (8, 1, 0)], np.float32)  # channels of e
 
 
 class Course(NamedTuple):
-    """The first pair of the longest shortest path.
+    """The first pair of the longest shortest path."""
 
-    Attributes:
-        start: int32, cell.
-        goal: int32, cell.
-        length: int32, moves from start to goal; 0 where no two empty tiles touch.
-    """
-
-    start: jax.Array
-    goal: jax.Array
-    length: jax.Array
+    start: jax.Array  # int32, cell
+    goal: jax.Array  # int32, cell
+    length: jax.Array  # int32, moves from start to goal; 0 where no two empty tiles touch
 
 
 class Pose(NamedTuple):
-    """Where the agent is.
+    """Where the agent is."""
 
-    Attributes:
-        position: int32, cell of the layout, or flat index of its `canvas` where that is said.
-        heading: int32, 0..3.
-    """
-
+    # int32, cell of the layout, or flat index of its `canvas` where that is said
     position: jax.Array
-    heading: jax.Array
+    heading: jax.Array  # int32, 0..3
 
 
 class _Meeting(NamedTuple):
-    """The breadth-first search from all sources at once.
+    """The breadth-first search from all sources at once."""
 
-    Attributes:
-        seen: uint32 [H, W, words], sources that have reached each cell, one bit each.
-        last: uint32 [H, W, words], the bits that were new in the last round with any.
-        length: int32, rounds with new bits.
-        grew: bool, the last round had some.
-    """
-
-    seen: jax.Array
-    last: jax.Array
-    length: jax.Array
-    grew: jax.Array
+    seen: jax.Array  # uint32 [H, W, words], sources that have reached each cell, one bit each
+    last: jax.Array  # uint32 [H, W, words], the bits that were new in the last round with any
+    length: jax.Array  # int32, rounds with new bits
+    grew: jax.Array  # bool, the last round had some
 
 
 def longest_path(layout: Array) -> Course:

@@ -24,17 +24,12 @@ ARRIVAL = 120  # seconds that the first worker may take to come
 
 @dataclass(frozen=True)
 class Execution(Ranged):
-    """Where layouts are repaired and simulated; decides how long a run takes, not what it finds.
+    """Where layouts are repaired and simulated; decides how long a run takes, not what it finds."""
 
-    Attributes:
-        executor: threads of this process, or a Dask cluster.
-        scheduler: address of the cluster's scheduler; a cluster on this machine unless given.
-        workers: threads that repair, or processes of a cluster on this machine; one per core
-            unless given.
-    """
-
-    executor: ExecutorName = "threads"
+    executor: ExecutorName = "threads"  # threads of this process, or a Dask cluster
+    # address of the cluster's scheduler; a cluster on this machine unless given
     scheduler: str | None = None
+    # threads that repair, or processes of a cluster on this machine; one per core unless given
     workers: PositiveInt | None = None
 
     def __post_init__(self) -> None:

@@ -69,9 +69,6 @@ class Cluster:
 
         Guided self-scheduling (Polychronopoulos and Kuck 1987): each is what is left, divided by
         the workers, but no longer than `LONGEST`.
-
-        Returns:
-            the first layout of each task.
         """
         usual = self._workers.usual  # 0 if how long a layout takes is not known yet
         most = max(round(LONGEST / usual), 1) if usual else 1

@@ -14,59 +14,35 @@ TIME, CONGESTED, MOVES = range(3)  # entries of `Tally.total`
 
 
 class Crew(NamedTuple):
-    """The agents that take part, between two windows; A of them, w steps planned ahead.
+    """The agents that take part, between two windows; A of them, w steps planned ahead."""
 
-    Attributes:
-        position: int64 [A].
-        kind: int64 [A], the current goal's place in the cycle.
-        goal: int64 [2, A], slots of the current and the next goal.
-        remaining_service: int64 [A], timesteps still to serve.
-        age: int64 [A], timesteps since the last finished task.
-        legs: int64 [A], tasks finished since all were planned.
-        paths: int64 [A, w + 1], the plan from here on.
-        stuck: bool [A], whether the agent neither moved nor served in this window.
-    """
-
-    position: np.ndarray
-    kind: np.ndarray
-    goal: np.ndarray
-    remaining_service: np.ndarray
-    age: np.ndarray
-    legs: np.ndarray
-    paths: np.ndarray
-    stuck: np.ndarray
+    position: np.ndarray  # int64 [A]
+    kind: np.ndarray  # int64 [A], the current goal's place in the cycle
+    goal: np.ndarray  # int64 [2, A], slots of the current and the next goal
+    remaining_service: np.ndarray  # int64 [A], timesteps still to serve
+    age: np.ndarray  # int64 [A], timesteps since the last finished task
+    legs: np.ndarray  # int64 [A], tasks finished since all were planned
+    paths: np.ndarray  # int64 [A, w + 1], the plan from here on
+    stuck: np.ndarray  # bool [A], whether the agent neither moved nor served in this window
 
 
 class Numbers(NamedTuple):
-    """The numbers of a run.
+    """The numbers of a run."""
 
-    Attributes:
-        seed: of all that is drawn.
-        timesteps: T.
-        window: timesteps planned ahead (w).
-        horizon: timesteps driven before planning again (h).
-        stop_when_congested: whether the first congested window ends the run.
-    """
-
-    seed: int
-    timesteps: int
-    window: int
-    horizon: int
-    stop_when_congested: bool
+    seed: int  # of all that is drawn
+    timesteps: int  # T
+    window: int  # timesteps planned ahead (w)
+    horizon: int  # timesteps driven before planning again (h)
+    stop_when_congested: bool  # whether the first congested window ends the run
 
 
 class Tally(NamedTuple):
-    """What was counted so far, see `metrics.Metrics`; T is rounded up to whole windows.
+    """What was counted so far, see `metrics.Metrics`; T is rounded up to whole windows."""
 
-    Attributes:
-        total: int64 [3], timesteps driven, those when the first congested window ended, moves.
-        finished: int32 [T], tasks finished at each timestep.
-        visits: int32 [N], agent-steps on each cell.
-    """
-
+    # int64 [3], timesteps driven, those when the first congested window ended, moves
     total: np.ndarray
-    finished: np.ndarray
-    visits: np.ndarray
+    finished: np.ndarray  # int32 [T], tasks finished at each timestep
+    visits: np.ndarray  # int32 [N], agent-steps on each cell
 
 
 class Tape(NamedTuple):
@@ -79,21 +55,13 @@ class Tape(NamedTuple):
 
 
 class Run(NamedTuple):
-    """One run under way, as planners see it.
+    """One run under way, as planners see it."""
 
-    Attributes:
-        site: the layout.
-        crew: the agents.
-        tally: what was counted.
-        tape: what was recorded.
-        numbers: of the run.
-    """
-
-    site: Site
-    crew: Crew
-    tally: Tally
-    tape: Tape
-    numbers: Numbers
+    site: Site  # the layout
+    crew: Crew  # the agents
+    tally: Tally  # what was counted
+    tape: Tape  # what was recorded
+    numbers: Numbers  # of the run
 
 
 def place(run: Run) -> None:

@@ -20,37 +20,22 @@ ROWS, PAGES, WANTED = range(3)  # entries of `Fields.free`
 
 
 class Fields(NamedTuple):
-    """Fields of distances; R rows for fields, S pages of cells, G goals, N cells.
+    """Fields of distances; R rows for fields, S pages of cells, G goals, N cells."""
 
-    Attributes:
-        row: int32 [G], the row of each goal's field, or `NOBODY`.
-        extent: int8 [R], how often a field was measured, see `measure`.
-        page: int32 [R, tiles], the page of each tile of the grid.
-        steps: [S, cells of a page], distances (`planner.steps_type`), or `UNKNOWN`.
-        tile: int32 [N], the tile of each cell.
-        place: int32 [N], where in its page each cell lies.
-        free_rows: int32 [R], a stack.
-        free_pages: int32 [S], a stack.
-        free: int64 [3], how many rows and pages are free, and whether one was wanting.
-        queue: int64 [2, 4 N], cells that wait in a search.
-        found: [N], distances found by the search under way; between searches all `UNKNOWN`.
-        order: int32 [N], the cells of `found`, as they were found.
-        unreachable: the distance to where no way leads.
-    """
-
-    row: np.ndarray
-    extent: np.ndarray
-    page: np.ndarray
-    steps: np.ndarray
-    tile: np.ndarray
-    place: np.ndarray
-    free_rows: np.ndarray
-    free_pages: np.ndarray
-    free: np.ndarray
-    queue: np.ndarray
+    row: np.ndarray  # int32 [G], the row of each goal's field, or `NOBODY`
+    extent: np.ndarray  # int8 [R], how often a field was measured, see `measure`
+    page: np.ndarray  # int32 [R, tiles], the page of each tile of the grid
+    steps: np.ndarray  # [S, cells of a page], distances (`planner.steps_type`), or `UNKNOWN`
+    tile: np.ndarray  # int32 [N], the tile of each cell
+    place: np.ndarray  # int32 [N], where in its page each cell lies
+    free_rows: np.ndarray  # int32 [R], a stack
+    free_pages: np.ndarray  # int32 [S], a stack
+    free: np.ndarray  # int64 [3], how many rows and pages are free, and whether one was wanting
+    queue: np.ndarray  # int64 [2, 4 N], cells that wait in a search
+    # [N], distances found by the search under way; between searches all `UNKNOWN`
     found: np.ndarray
-    order: np.ndarray
-    unreachable: int
+    order: np.ndarray  # int32 [N], the cells of `found`, as they were found
+    unreachable: int  # the distance to where no way leads
 
 
 def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) -> Fields:

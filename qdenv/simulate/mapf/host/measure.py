@@ -124,9 +124,6 @@ def _reach(fields: Fields, site: Site, begin: int, target: int) -> int:
 
     A step leads nearer to the target or away from it, so the length of a way through a cell stays
     or grows by two: two stacks serve as the queue.
-
-    Returns:
-        How many cells were found.
     """
     width = site.width
     target_row, target_column = target // width, target % width

@@ -11,25 +11,15 @@ RIGHT, LEFT, DOWN, UP = 1, 2, 3, 4  # 0 is to wait
 
 
 class Site(NamedTuple):
-    """One layout; N cells of the padded grid, G goals, n kinds.
+    """One layout; N cells of the padded grid, G goals, n kinds."""
 
-    Attributes:
-        free: bool [N], cells agents may drive on.
-        goals: int64 [G], the goal cells.
-        odds: float32 [n, G], cumulated odds of each goal within its kind.
-        service_time: int64 [n], timesteps served at each kind of goal.
-        steps: int64 [5], what each move adds to a position: wait, right, left, down, up.
-        width: columns of the padded grid.
-        margin: rows and columns of walls on each side.
-    """
-
-    free: np.ndarray
-    goals: np.ndarray
-    odds: np.ndarray
-    service_time: np.ndarray
-    steps: np.ndarray
-    width: int
-    margin: int
+    free: np.ndarray  # bool [N], cells agents may drive on
+    goals: np.ndarray  # int64 [G], the goal cells
+    odds: np.ndarray  # float32 [n, G], cumulated odds of each goal within its kind
+    service_time: np.ndarray  # int64 [n], timesteps served at each kind of goal
+    steps: np.ndarray  # int64 [5], what each move adds to a position: wait, right, left, down, up
+    width: int  # columns of the padded grid
+    margin: int  # rows and columns of walls on each side
 
 
 def site_of(world: World) -> Site:

@@ -17,21 +17,13 @@ SERVED_BITS = 32  # of the word of timesteps served
 
 
 class PathState(NamedTuple, Generic[Value]):
-    """Where a path is while it is read backwards: int32 [K], or numbers of one path.
+    """Where a path is while it is read backwards: int32 [K], or numbers of one path."""
 
-    Attributes:
-        leg: 0 or 1.
-        conflicts: how many there were so far, capped.
-        row: in the local window.
-        column: in the local window.
-        elapsed: timesteps served here; -1 while driving.
-    """
-
-    leg: Value
-    conflicts: Value
-    row: Value
-    column: Value
-    elapsed: Value
+    leg: Value  # 0 or 1
+    conflicts: Value  # how many there were so far, capped
+    row: Value  # in the local window
+    column: Value  # in the local window
+    elapsed: Value  # timesteps served here; -1 while driving
 
 
 # The cost and the code of an end.

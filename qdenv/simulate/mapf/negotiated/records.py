@@ -14,27 +14,17 @@ from qdenv.simulate.mapf.planner import AgentState
 
 
 class PlanResult(NamedTuple):
-    """What a negotiation ends with.
+    """What a negotiation ends with."""
 
-    Attributes:
-        paths: int32 [window + 1, A]. Those that are reserved never conflict.
-        is_reserved: bool [A], whose path is reserved; all padding agents count as such.
-    """
-
-    paths: jax.Array
-    is_reserved: jax.Array
+    paths: jax.Array  # int32 [window + 1, A]. Those that are reserved never conflict.
+    is_reserved: jax.Array  # bool [A], whose path is reserved; all padding agents count as such
 
 
 class Priorities(NamedTuple):
-    """What chance decides.
+    """What chance decides."""
 
-    Attributes:
-        order: int32 [A], who comes first among agents with equally many attempts.
-        noise: int32 [A], 24 bits that settle ties between paths.
-    """
-
-    order: jax.Array
-    noise: jax.Array
+    order: jax.Array  # int32 [A], who comes first among agents with equally many attempts
+    noise: jax.Array  # int32 [A], 24 bits that settle ties between paths
 
 
 def draw_priorities(state: AgentState, seed: jax.Array) -> Priorities:

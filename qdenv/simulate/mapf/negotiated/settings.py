@@ -22,34 +22,27 @@ _Number = Annotated[int, Interval(ge=1, le=LARGEST)]
 
 @dataclass(frozen=True)
 class NegotiatedConfig(Ranged):
-    """Settings of the negotiated planner.
+    """Settings of the negotiated planner."""
 
-    Attributes:
-        lookahead: timesteps planned without conflict, at most the simulation's window.
-        lanes: agents that plan against the same reservations in one round.
-        rounds: most rounds, in units of ``agents / lanes``.
-        conflict_levels: how finely the soft conflicts of a path are counted: the numbers 0, 1, ...
-            told apart, the last of which stands for all larger ones; 1 to 4.
-        penalties: timesteps an agent would rather lose than drive over one reservation, at its
-            first, second, ... attempt within a window; the last is used from then on.
-        remember: let agents avoid, where that costs nothing, where the others went in the last
-            plan.
-        last_resort: what agents without a reservation do: the joint plan of PIBT, or standing
-            still, which congests as priority-based search does.
-        backend: where to run: compiled host code, XLA, or the former on a CPU and else the latter
-            ("auto").
-    """
-
-    lookahead: _Number = 10
-    lanes: _Number = 4
+    lookahead: _Number = 10  # timesteps planned without conflict, at most the simulation's window
+    lanes: _Number = 4  # agents that plan against the same reservations in one round
+    # most rounds, in units of ``agents / lanes``
     rounds: Annotated[float, Interval(gt=0, le=LARGEST)] = 12.0
+    # how finely the soft conflicts of a path are counted: the numbers 0, 1, ... told apart, the
+    # last of which stands for all larger ones; 1 to 4.
     conflict_levels: Annotated[int, Interval(ge=1, le=MAX_CONFLICT_LEVELS)] = 4
+    # timesteps an agent would rather lose than drive over one reservation, at its first, second,
+    # ... attempt within a window; the last is used from then on.
     penalties: tuple[Annotated[float, Interval(ge=0, le=LARGEST)], ...] = (
         *(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5),
         *(4.5, 5.5, 6.5, 8.5, 11.0, 16.0),
     )
+    # let agents avoid, where that costs nothing, where the others went in the last plan
     remember: bool = True
+    # what agents without a reservation do: the joint plan of PIBT, or standing still, which
+    # congests as priority-based search does
     last_resort: Literal["pibt", "wait"] = "pibt"
+    # where to run: compiled host code, XLA, or the former on a CPU and else the latter ("auto")
     backend: Backend = "auto"
 
     def __post_init__(self) -> None:

@@ -15,29 +15,18 @@ DONE = GOALS  # the leg of an agent that has served both; legs 0 and 1 lead to a
 
 
 class Errands(NamedTuple):
-    """What A agents have to do; a leg is the way to one goal, and the service there.
+    """What A agents have to do; a leg is the way to one goal, and the service there."""
 
-    Attributes:
-        start: int64 [A], where they stand.
-        row: int64 [A], of the start.
-        column: int64 [A], of the start.
-        begin: int64 [A], timesteps of the service in progress; until then the agent stays.
-        goal: int64 [2, A], slots of the goals.
-        cell: int64 [2, A], where they are.
-        service_time: int64 [2, A], timesteps to serve there.
-        between: int64 [A], steps from the first goal to the second.
-        holds: bool [N], cells on which some goal asks for service: an agent that has served both
-            goals may find its next one there, and be held until the service ends.
-    """
-
-    start: np.ndarray
-    row: np.ndarray
-    column: np.ndarray
-    begin: np.ndarray
-    goal: np.ndarray
-    cell: np.ndarray
-    service_time: np.ndarray
-    between: np.ndarray
+    start: np.ndarray  # int64 [A], where they stand
+    row: np.ndarray  # int64 [A], of the start
+    column: np.ndarray  # int64 [A], of the start
+    begin: np.ndarray  # int64 [A], timesteps of the service in progress; until then the agent stays
+    goal: np.ndarray  # int64 [2, A], slots of the goals
+    cell: np.ndarray  # int64 [2, A], where they are
+    service_time: np.ndarray  # int64 [2, A], timesteps to serve there
+    between: np.ndarray  # int64 [A], steps from the first goal to the second
+    # bool [N], cells on which some goal asks for service: an agent that has served both goals may
+    # find its next one there, and be held until the service ends
     holds: np.ndarray
 
 

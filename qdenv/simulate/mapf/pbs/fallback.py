@@ -9,17 +9,11 @@ from qdenv.simulate.mapf.pibt.numba import Rollout, make_rollout
 
 
 class Resort(NamedTuple):
-    """What agents do whose path cannot be driven; A agents.
+    """What agents do whose path cannot be driven; A agents."""
 
-    Attributes:
-        rollout: a joint plan without conflicts.
-        falls: bool [A], who follows it.
-        waiting: int32 [A], those who fell and may make others fall.
-    """
-
-    rollout: Rollout
-    falls: np.ndarray
-    waiting: np.ndarray
+    rollout: Rollout  # a joint plan without conflicts
+    falls: np.ndarray  # bool [A], who follows it
+    waiting: np.ndarray  # int32 [A], those who fell and may make others fall
 
 
 def make_resort(agents: int, horizon: int, cells: int) -> Resort:

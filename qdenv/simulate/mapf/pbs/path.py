@@ -33,30 +33,18 @@ class Search(NamedTuple):
     All cells in reach lie in a square around the start, which has P = (2 w + 1)^2 places: so the
     room stays the same for all agents, and in the cache. A state is a number whose bits are, from
     the lowest, the place, the timestep and the layer: the leg, and `CAMPING` where it holds.
-
-    Attributes:
-        seen: int64 [S], the search that last reached a state.
-        parent: int32 [S], the state before it.
-        following: int32 [S], the next state of the same bucket.
-        bucket: int32 [delays, w + 1], the first state of each bucket.
-        cells: int64 [w + 1], the path found.
-        number: int64 [2], the number of this search, and the delay of the path found.
-        offset: int64 [P], what leads from the start to the cell at a place.
-        steps: int64 [5], what each move adds to a place: wait, right, left, down, up.
-        time_bit: the lowest bit of the timestep.
-        layer_bit: the lowest bit of the layer.
     """
 
-    seen: np.ndarray
-    parent: np.ndarray
-    following: np.ndarray
-    bucket: np.ndarray
-    cells: np.ndarray
-    number: np.ndarray
-    offset: np.ndarray
-    steps: np.ndarray
-    time_bit: int
-    layer_bit: int
+    seen: np.ndarray  # int64 [S], the search that last reached a state
+    parent: np.ndarray  # int32 [S], the state before it
+    following: np.ndarray  # int32 [S], the next state of the same bucket
+    bucket: np.ndarray  # int32 [delays, w + 1], the first state of each bucket
+    cells: np.ndarray  # int64 [w + 1], the path found
+    number: np.ndarray  # int64 [2], the number of this search, and the delay of the path found
+    offset: np.ndarray  # int64 [P], what leads from the start to the cell at a place
+    steps: np.ndarray  # int64 [5], what each move adds to a place: wait, right, left, down, up
+    time_bit: int  # the lowest bit of the timestep
+    layer_bit: int  # the lowest bit of the layer
 
 
 def make_search(window: int, width: int) -> Search:

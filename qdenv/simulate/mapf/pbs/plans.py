@@ -14,37 +14,26 @@ TIME_BIT, FIRST_BIT, AGENT_BITS = 48, 24, 24  # of a conflict, which sorts by it
 
 
 class Plan(NamedTuple):
-    """The joint plan in hand; A agents, w timesteps.
+    """The joint plan in hand; A agents, w timesteps."""
 
-    Attributes:
-        cell: int32 [w + 1, A], where they are; after a path's end a number of the agent's own
-            below zero, which is no cell.
-        fact: int32 [3, A], the timestep at which a path ends; the first timestep at which nothing
-            binds the agent to its start any more; how much longer than the shortest way it is.
-        total: int64 [1], the sum of the latter.
-        hit: int32 [A], the timesteps of conflicts of one agent with each other one, a bit each.
-    """
-
+    # int32 [w + 1, A], where they are; after a path's end a number of the agent's own below zero,
+    # which is no cell
     cell: np.ndarray
+    # int32 [3, A], the timestep at which a path ends; the first timestep at which nothing binds the
+    # agent to its start any more; how much longer than the shortest way it is
     fact: np.ndarray
-    total: np.ndarray
+    total: np.ndarray  # int64 [1], the sum of the latter
+    # int32 [A], the timesteps of conflicts of one agent with each other one, a bit each
     hit: np.ndarray
 
 
 class Changes(NamedTuple):
-    """Changes of paths, in the order in which they were made; R of them at most.
+    """Changes of paths, in the order in which they were made; R of them at most."""
 
-    Attributes:
-        agent: int32 [R].
-        cell: int32 [R, 2, w + 1], the column of `Plan.cell` before and after.
-        fact: int32 [R, 2, 3], that of `Plan.fact`.
-        made: int64 [1], how many there are.
-    """
-
-    agent: np.ndarray
-    cell: np.ndarray
-    fact: np.ndarray
-    made: np.ndarray
+    agent: np.ndarray  # int32 [R]
+    cell: np.ndarray  # int32 [R, 2, w + 1], the column of `Plan.cell` before and after
+    fact: np.ndarray  # int32 [R, 2, 3], that of `Plan.fact`
+    made: np.ndarray  # int64 [1], how many there are
 
 
 def make_plan(agents: int, window: int) -> Plan:

@@ -12,23 +12,14 @@ PAIRS, MARK = range(2)  # entries of `Priorities.number`
 
 
 class Priorities(NamedTuple):
-    """The pairs of the branch of the search tree that is in hand, as a graph; D pairs, A agents.
+    """The pairs of the branch of the search tree that is in hand, as a graph; D pairs, A agents."""
 
-    Attributes:
-        end: int32 [2, D], the agent above and the agent below of each pair.
-        following: int32 [2, D], the next pair of the same agent in either direction.
-        first: int32 [2, A], the first pair of each agent in either direction, or `NOBODY`.
-        mark: int64 [2, A], who was found by the last walk up, or down.
-        stack: int32 [A], agents whose pairs are still to be looked at.
-        number: int64 [2], how many pairs there are, and the mark of the last walk.
-    """
-
-    end: np.ndarray
-    following: np.ndarray
-    first: np.ndarray
-    mark: np.ndarray
-    stack: np.ndarray
-    number: np.ndarray
+    end: np.ndarray  # int32 [2, D], the agent above and the agent below of each pair
+    following: np.ndarray  # int32 [2, D], the next pair of the same agent in either direction
+    first: np.ndarray  # int32 [2, A], the first pair of each agent in either direction, or `NOBODY`
+    mark: np.ndarray  # int64 [2, A], who was found by the last walk up, or down
+    stack: np.ndarray  # int32 [A], agents whose pairs are still to be looked at
+    number: np.ndarray  # int64 [2], how many pairs there are, and the mark of the last walk
 
 
 def make_priorities(agents: int, pairs: int) -> Priorities:

@@ -13,16 +13,12 @@ LAST_STAMP = (1 << (31 - MOVE_BITS)) - 1
 
 
 class Reservations(NamedTuple):
-    """Reserved cells of one search; w timesteps, N cells.
+    """Reserved cells of one search; w timesteps, N cells."""
 
-    Attributes:
-        entry: int32 [w + 1, N], the bits of a cell and above them the stamp of the search that
-            they belong to: bits of other searches do not count.
-        number: int64 [1], the stamp.
-    """
-
+    # int32 [w + 1, N], the bits of a cell and above them the stamp of the search that they belong
+    # to: bits of other searches do not count
     entry: np.ndarray
-    number: np.ndarray
+    number: np.ndarray  # int64 [1], the stamp
 
 
 def make_reservations(window: int, cells: int) -> Reservations:

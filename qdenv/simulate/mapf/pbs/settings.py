@@ -17,19 +17,14 @@ Rule = Literal["published", "plain"]
 
 @dataclass(frozen=True)
 class PbsConfig(Ranged):
-    """Priority-based search, window by window.
+    """Priority-based search, window by window."""
 
-    Attributes:
-        rule: what becomes of an agent that finds no path past those with precedence over it.
-            "published": it stays where it is, against all reservations, and whoever waits at its
-            start has precedence there; so plans never fail, and crowds freeze. "plain": the search
-            tries another order.
-        nodes_per_agent: most nodes of the search tree that are expanded per window, in units of the
-            number of agents; a window that is still unsolved is driven by PIBT where its best plan
-            has conflicts.
-    """
-
+    # what becomes of an agent that finds no path past those with precedence over it. "published":
+    # it stays where it is, against all reservations, and whoever waits at its start has precedence
+    # there; so plans never fail, and crowds freeze. "plain": the search tries another order.
     rule: Rule = "published"
+    # most nodes of the search tree that are expanded per window, in units of the number of agents;
+    # a window that is still unsolved is driven by PIBT where its best plan has conflicts
     nodes_per_agent: Annotated[float, Interval(ge=0, le=MOST_NODES)] = 5.0
 
     def __post_init__(self) -> None:

@@ -16,97 +16,58 @@ CONFLICTS, WANTED, DEAD_ENDS = range(3)  # entries of `Tree.number`
 
 
 class Tree(NamedTuple):
-    """The branch of the search tree in hand; D nodes deep, K conflicts, A agents.
+    """The branch of the search tree in hand; D nodes deep, K conflicts, A agents."""
 
-    Attributes:
-        low: int32 [D, 2], who is put below whom in each child.
-        high: int32 [D, 2], and who above.
-        cost: int64 [D, 2], the delay of all paths of a child.
-        change: int64 [D, 2, 2], the first of the changes that lead to a child, and one past them.
-        clash: int64 [D, 2, 2], likewise its conflicts.
-        base: int64 [D, 2], how many changes and conflicts there were before the children.
-        turn: int64 [D, 2], the children in the order in which they are searched.
-        children: int64 [D, 2], how many there are, and how many were entered.
-        conflict: int64 [K], the conflicts of all these nodes.
-        dead_end: bool [A, A], pairs of agents, the smaller number first, that had no feasible
-            child once.
-        number: int64 [3], how many conflicts are kept, whether room was wanting, and how many
-            dead ends there are.
-        best: int32 [w + 1, A], the plan whose first conflict was latest.
-        score: int64 [2], the time of that conflict, and the delay of the plan.
-    """
-
-    low: np.ndarray
-    high: np.ndarray
-    cost: np.ndarray
+    low: np.ndarray  # int32 [D, 2], who is put below whom in each child
+    high: np.ndarray  # int32 [D, 2], and who above
+    cost: np.ndarray  # int64 [D, 2], the delay of all paths of a child
+    # int64 [D, 2, 2], the first of the changes that lead to a child, and one past them
     change: np.ndarray
-    clash: np.ndarray
-    base: np.ndarray
-    turn: np.ndarray
-    children: np.ndarray
-    conflict: np.ndarray
+    clash: np.ndarray  # int64 [D, 2, 2], likewise its conflicts
+    base: np.ndarray  # int64 [D, 2], how many changes and conflicts there were before the children
+    turn: np.ndarray  # int64 [D, 2], the children in the order in which they are searched
+    children: np.ndarray  # int64 [D, 2], how many there are, and how many were entered
+    conflict: np.ndarray  # int64 [K], the conflicts of all these nodes
+    # bool [A, A], pairs of agents, the smaller number first, that had no feasible child once
     dead_end: np.ndarray
+    # int64 [3], how many conflicts are kept, whether room was wanting, and how many dead ends there
+    # are
     number: np.ndarray
-    best: np.ndarray
-    score: np.ndarray
+    best: np.ndarray  # int32 [w + 1, A], the plan whose first conflict was latest
+    score: np.ndarray  # int64 [2], the time of that conflict, and the delay of the plan
 
 
 class Crowd(NamedTuple):
-    """Who matters to whom, and who waits to be planned again; A agents.
+    """Who matters to whom, and who waits to be planned again; A agents."""
 
-    Attributes:
-        near: int32 [A, A], the agents that each may meet within a window.
-        nears: int64 [A], how many they are.
-        waiting: int32 [A], agents to be planned again.
-        is_waiting: bool [A].
-    """
-
-    near: np.ndarray
-    nears: np.ndarray
-    waiting: np.ndarray
-    is_waiting: np.ndarray
+    near: np.ndarray  # int32 [A, A], the agents that each may meet within a window
+    nears: np.ndarray  # int64 [A], how many they are
+    waiting: np.ndarray  # int32 [A], agents to be planned again
+    is_waiting: np.ndarray  # bool [A]
 
 
 class Terms(NamedTuple):
-    """The numbers of a search.
+    """The numbers of a search."""
 
-    Attributes:
-        published: whether agents without a path stay, and waiting at the start has precedence.
-        node_limit: most nodes to expand.
-        horizon: timesteps that will be driven.
-    """
-
-    published: bool
-    node_limit: int
-    horizon: int
+    published: bool  # whether agents without a path stay, and waiting at the start has precedence
+    node_limit: int  # most nodes to expand
+    horizon: int  # timesteps that will be driven
 
 
 class Workspace(NamedTuple):
-    """Everything at hand.
+    """Everything at hand."""
 
-    Attributes:
-        errands: what agents have to do.
-        plan: the joint plan.
-        changes: of it.
-        order: who is above whom.
-        table: what the agent that is being planned must avoid.
-        search: room for its search.
-        crowd: who may meet whom.
-        tree: the branch in hand.
-        terms: the numbers.
-        tally: int64 [6], over all windows: nodes expanded, children that failed, paths planned,
-            agents that stayed against reservations, unsolved windows, windows.
-    """
-
-    errands: Errands
-    plan: Plan
-    changes: Changes
-    order: Priorities
-    table: Reservations
-    search: Search
-    crowd: Crowd
-    tree: Tree
-    terms: Terms
+    errands: Errands  # what agents have to do
+    plan: Plan  # the joint plan
+    changes: Changes  # of it
+    order: Priorities  # who is above whom
+    table: Reservations  # what the agent that is being planned must avoid
+    search: Search  # room for its search
+    crowd: Crowd  # who may meet whom
+    tree: Tree  # the branch in hand
+    terms: Terms  # the numbers
+    # int64 [6], over all windows: nodes expanded, children that failed, paths planned, agents that
+    # stayed against reservations, unsolved windows, windows
     tally: np.ndarray
 
 

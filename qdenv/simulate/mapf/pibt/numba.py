@@ -20,35 +20,21 @@ from qdenv.simulate.mapf.tasks import serve
 
 
 class Rollout(NamedTuple):
-    """The agents within a rollout of h steps; A agents, N cells.
+    """The agents within a rollout of h steps; A agents, N cells."""
 
-    Attributes:
-        path: int64 [A, h + 1], where they go.
-        stage: int64 [A], 0 on the way to the current goal, 1 afterwards.
-        remaining_service: int64 [A], timesteps left to serve.
-        age: int64 [A], timesteps since the last finished task.
-        order: int64 [A], the agents packed with their urgency, the most urgent first.
-        candidates: int64 [A, 5], the cells each may go to, from best to worst.
-        key: int64 [5], what orders the candidates of one agent.
-        allowed: int64 [A], how many of them count.
-        tried: int64 [A], how many were tried.
-        pusher: int64 [A], the agent that pushed it, or `NOBODY`.
-        standing: int32 [N], the agent on each cell, or `NOBODY`; so between two steps everywhere.
-        claimant: int32 [N], the agent that takes each cell, likewise.
-    """
-
-    path: np.ndarray
-    stage: np.ndarray
-    remaining_service: np.ndarray
-    age: np.ndarray
-    order: np.ndarray
-    candidates: np.ndarray
-    key: np.ndarray
-    allowed: np.ndarray
-    tried: np.ndarray
-    pusher: np.ndarray
+    path: np.ndarray  # int64 [A, h + 1], where they go
+    stage: np.ndarray  # int64 [A], 0 on the way to the current goal, 1 afterwards
+    remaining_service: np.ndarray  # int64 [A], timesteps left to serve
+    age: np.ndarray  # int64 [A], timesteps since the last finished task
+    order: np.ndarray  # int64 [A], the agents packed with their urgency, the most urgent first
+    candidates: np.ndarray  # int64 [A, 5], the cells each may go to, from best to worst
+    key: np.ndarray  # int64 [5], what orders the candidates of one agent
+    allowed: np.ndarray  # int64 [A], how many of them count
+    tried: np.ndarray  # int64 [A], how many were tried
+    pusher: np.ndarray  # int64 [A], the agent that pushed it, or `NOBODY`
+    # int32 [N], the agent on each cell, or `NOBODY`; so between two steps everywhere
     standing: np.ndarray
-    claimant: np.ndarray
+    claimant: np.ndarray  # int32 [N], the agent that takes each cell, likewise
 
 
 def make_rollout(agents: int, horizon: int, cells: int) -> Rollout:

@@ -23,19 +23,12 @@ from qdenv.simulate.mapf.tasks import serve
 
 
 class _Agents(NamedTuple):
-    """The agents within a rollout, each int32 [A].
+    """The agents within a rollout, each int32 [A]."""
 
-    Attributes:
-        position: where they stand.
-        stage: 0 on the way to the current goal, 1 afterwards.
-        remaining_service: timesteps left to serve.
-        age: timesteps since the last finished task.
-    """
-
-    position: jax.Array
-    stage: jax.Array
-    remaining_service: jax.Array
-    age: jax.Array
+    position: jax.Array  # where they stand
+    stage: jax.Array  # 0 on the way to the current goal, 1 afterwards
+    remaining_service: jax.Array  # timesteps left to serve
+    age: jax.Array  # timesteps since the last finished task
 
 
 def pibt(settings: PibtConfig) -> Planner:

@@ -8,13 +8,10 @@ from qdenv.registry import Entry
 
 @dataclass(frozen=True)
 class PibtConfig:
-    """Priority inheritance with backtracking, one timestep at a time.
+    """Priority inheritance with backtracking, one timestep at a time."""
 
-    Attributes:
-        backend: "host" for compiled code in a callback, "xla" for code without a callback, "auto"
-            for the host where jax computes on a CPU. The results are the same.
-    """
-
+    # "host" for compiled code in a callback, "xla" for code without a callback, "auto" for the host
+    # where jax computes on a CPU. The results are the same.
     backend: Backend = "auto"
 
     def __post_init__(self) -> None:

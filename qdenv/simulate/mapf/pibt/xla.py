@@ -13,41 +13,25 @@ from qdenv.simulate.mapf.planner import NOBODY
 
 
 class Crowd(NamedTuple):
-    """What does not change within one timestep.
+    """What does not change within one timestep."""
 
-    Attributes:
-        candidates: int32 [A, 5], cells from best to worst.
-        allowed: int32 [A], how many candidates count.
-        order: int32 [A], agents by falling priority.
-        position: int32 [A + 1], where the agents stand; the last entry is `NOBODY`.
-        standing: int32 [H' * W' + 1], the agent on each cell, or `NOBODY`.
-    """
-
-    candidates: jax.Array
-    allowed: jax.Array
-    order: jax.Array
-    position: jax.Array
-    standing: jax.Array
+    candidates: jax.Array  # int32 [A, 5], cells from best to worst
+    allowed: jax.Array  # int32 [A], how many candidates count
+    order: jax.Array  # int32 [A], agents by falling priority
+    position: jax.Array  # int32 [A + 1], where the agents stand; the last entry is `NOBODY`
+    standing: jax.Array  # int32 [H' * W' + 1], the agent on each cell, or `NOBODY`
 
 
 class Chain(NamedTuple):
-    """The search within one timestep; the last entry of every array belongs to `NOBODY`.
+    """The search within one timestep; the last entry of every array belongs to `NOBODY`."""
 
-    Attributes:
-        next_cell: int32 [A + 1], where each agent goes, `NOBODY` while undecided.
-        claimant: int32 [H' * W' + 1], the agent that takes each cell, or `NOBODY`.
-        tried: int32 [A + 1], candidates each agent has used up.
-        pusher: int32 [A + 1], the agent that pushed it, or `NOBODY`.
-        current: int32, the agent whose turn it is, or `NOBODY` to take the next by priority.
-        rank: int32, agents taken from the priority list so far.
-    """
-
-    next_cell: jax.Array
-    claimant: jax.Array
-    tried: jax.Array
-    pusher: jax.Array
+    next_cell: jax.Array  # int32 [A + 1], where each agent goes, `NOBODY` while undecided
+    claimant: jax.Array  # int32 [H' * W' + 1], the agent that takes each cell, or `NOBODY`
+    tried: jax.Array  # int32 [A + 1], candidates each agent has used up
+    pusher: jax.Array  # int32 [A + 1], the agent that pushed it, or `NOBODY`
+    # int32, the agent whose turn it is, or `NOBODY` to take the next by priority
     current: jax.Array
-    rank: jax.Array
+    rank: jax.Array  # int32, agents taken from the priority list so far
 
 
 def one_step(

@@ -34,19 +34,12 @@ from qdenv.simulate.mapf.planner import NOBODY
 
 
 class Resort(NamedTuple):
-    """What agents without a reservation do.
+    """What agents without a reservation do."""
 
-    Attributes:
-        rollout: a joint plan without conflicts.
-        falls: bool [A], who follows it.
-        waiting: int64 [A], those who fell and may make others fall.
-        waits: whether it is standing still, instead of PIBT's plan.
-    """
-
-    rollout: Rollout
-    falls: np.ndarray
-    waiting: np.ndarray
-    waits: bool
+    rollout: Rollout  # a joint plan without conflicts
+    falls: np.ndarray  # bool [A], who follows it
+    waiting: np.ndarray  # int64 [A], those who fell and may make others fall
+    waits: bool  # whether it is standing still, instead of PIBT's plan
 
 
 def drive(config: NegotiatedConfig, run: Run, fields: Fields) -> bool:

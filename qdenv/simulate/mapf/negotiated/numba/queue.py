@@ -12,31 +12,18 @@ from qdenv.simulate.mapf.negotiated import rules
 
 
 class Queue(NamedTuple):
-    """Who holds no whole path, the most urgent first, and who plans in this round.
+    """Who holds no whole path, the most urgent first, and who plans in this round."""
 
-    Attributes:
-        heap: int64 [A], the urgencies of those who wait, a binary heap.
-        size: int64 [1], how many wait.
-        order: int64 [A], the agents' luck of the draw.
-        turn: int64 [A], the agent of each place in that order.
-        noise: int64 [A], bits that settle ties.
-        attempts: int64 [A], how often each agent has planned in this window.
-        asking: int64 [lanes], who plans in this round.
-        is_found: bool [lanes], whether each found a path.
-        is_chosen: bool [2, lanes], whose path is taken, before and after a sweep.
-        conflict: bool [lanes, lanes], whose paths conflict.
-    """
-
-    heap: np.ndarray
-    size: np.ndarray
-    order: np.ndarray
-    turn: np.ndarray
-    noise: np.ndarray
-    attempts: np.ndarray
-    asking: np.ndarray
-    is_found: np.ndarray
-    is_chosen: np.ndarray
-    conflict: np.ndarray
+    heap: np.ndarray  # int64 [A], the urgencies of those who wait, a binary heap
+    size: np.ndarray  # int64 [1], how many wait
+    order: np.ndarray  # int64 [A], the agents' luck of the draw
+    turn: np.ndarray  # int64 [A], the agent of each place in that order
+    noise: np.ndarray  # int64 [A], bits that settle ties
+    attempts: np.ndarray  # int64 [A], how often each agent has planned in this window
+    asking: np.ndarray  # int64 [lanes], who plans in this round
+    is_found: np.ndarray  # bool [lanes], whether each found a path
+    is_chosen: np.ndarray  # bool [2, lanes], whose path is taken, before and after a sweep
+    conflict: np.ndarray  # bool [lanes, lanes], whose paths conflict
 
 
 def make_queue(agents: int, lanes: int) -> Queue:

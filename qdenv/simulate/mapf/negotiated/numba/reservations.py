@@ -21,20 +21,14 @@ AGAINST = np.array([PLANE * rules.opposite(move) for move in range(rules.MOVES)]
 
 
 class Reservations(NamedTuple):
-    """Who has reserved what; w steps are planned, A agents, N cells.
+    """Who has reserved what; w steps are planned, A agents, N cells."""
 
-    Attributes:
-        word: int64 [N], the planes of every cell, and `WALL`.
-        owner: int32 [N, w + 1], who was the last to reserve a cell at a time; holds it as long as
-            the bits say so.
-        path: int64 [A, w + 1], the latest path of every agent.
-        steps: int64 [A], steps of that path that are reserved.
-    """
-
-    word: np.ndarray
+    word: np.ndarray  # int64 [N], the planes of every cell, and `WALL`
+    # int32 [N, w + 1], who was the last to reserve a cell at a time; holds it as long as the bits
+    # say so
     owner: np.ndarray
-    path: np.ndarray
-    steps: np.ndarray
+    path: np.ndarray  # int64 [A, w + 1], the latest path of every agent
+    steps: np.ndarray  # int64 [A], steps of that path that are reserved
 
 
 def make_reservations(site: Site, agents: int, window: int) -> Reservations:

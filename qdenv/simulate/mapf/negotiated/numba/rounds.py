@@ -26,35 +26,21 @@ from qdenv.simulate.mapf.planner import NOBODY
 
 
 class Terms(NamedTuple):
-    """The numbers of a negotiation.
+    """The numbers of a negotiation."""
 
-    Attributes:
-        penalties: int64 [attempts], cost of driving over one reservation.
-        rounds: most rounds.
-        remembered_steps: steps of the previous paths that are reserved before anybody plans.
-    """
-
-    penalties: np.ndarray
-    rounds: int
-    remembered_steps: int
+    penalties: np.ndarray  # int64 [attempts], cost of driving over one reservation
+    rounds: int  # most rounds
+    remembered_steps: int  # steps of the previous paths that are reserved before anybody plans
 
 
 class Negotiation(NamedTuple):
-    """Everything that a negotiation works on.
+    """Everything that a negotiation works on."""
 
-    Attributes:
-        terms: its numbers.
-        reservations: of all agents.
-        queue: who is next.
-        work: of one search.
-        fields: distances to the goals.
-    """
-
-    terms: Terms
-    reservations: Reservations
-    queue: Queue
-    work: Workspace
-    fields: Fields
+    terms: Terms  # its numbers
+    reservations: Reservations  # of all agents
+    queue: Queue  # who is next
+    work: Workspace  # of one search
+    fields: Fields  # distances to the goals
 
 
 @kernel

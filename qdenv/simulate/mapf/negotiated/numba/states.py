@@ -22,53 +22,33 @@ MARK_BITS = 2 * LEG_MARKS
 
 
 class Agent(NamedTuple):
-    """Who plans.
+    """Who plans."""
 
-    Attributes:
-        position: cell of the padded grid.
-        goal: slots of the current and of the next goal.
-        cell: their cells.
-        service_time: timesteps to serve at each.
-        remaining_service: timesteps still to serve where the agent is; 0 while driving.
-        penalty: cost of a conflict.
-        noise: random bits that settle ties.
-    """
-
-    position: int
-    goal: tuple[int, int]
-    cell: tuple[int, int]
-    service_time: tuple[int, int]
-    remaining_service: int
-    penalty: int
-    noise: int
+    position: int  # cell of the padded grid
+    goal: tuple[int, int]  # slots of the current and of the next goal
+    cell: tuple[int, int]  # their cells
+    service_time: tuple[int, int]  # timesteps to serve at each
+    remaining_service: int  # timesteps still to serve where the agent is; 0 while driving
+    penalty: int  # cost of a conflict
+    noise: int  # random bits that settle ties
 
 
 class Workspace(NamedTuple):
-    """The arrays of one search; w steps, L conflict levels, a square of E x E cells in sight.
+    """The arrays of one search; w steps, L conflict levels, a square of E x E cells in sight."""
 
-    Attributes:
-        mark: int64 [w + 1, E * E], the number of the last search that reached a cell at a time, and
-            below it one bit per leg and number of conflicts.
-        served: int64 [L, 2, w + 1], bit e: a path has served for e timesteps.
-        state: int64 [states], as `pack` makes them.
-        later: int32 [states], the next state that costs as much.
-        first: int32 [costs], the first state of each cost above the least possible one.
-        number: int64 [4], states so far, the largest cost among them, searches so far, and the
-            distance between the two goals.
-        steps: int64 [5], what each move adds to a place in sight.
-        side: E.
-        levels: L.
-    """
-
+    # int64 [w + 1, E * E], the number of the last search that reached a cell at a time, and below
+    # it one bit per leg and number of conflicts
     mark: np.ndarray
-    served: np.ndarray
-    state: np.ndarray
-    later: np.ndarray
-    first: np.ndarray
+    served: np.ndarray  # int64 [L, 2, w + 1], bit e: a path has served for e timesteps
+    state: np.ndarray  # int64 [states], as `pack` makes them
+    later: np.ndarray  # int32 [states], the next state that costs as much
+    first: np.ndarray  # int32 [costs], the first state of each cost above the least possible one
+    # int64 [4], states so far, the largest cost among them, searches so far, and the distance
+    # between the two goals
     number: np.ndarray
-    steps: np.ndarray
-    side: int
-    levels: int
+    steps: np.ndarray  # int64 [5], what each move adds to a place in sight
+    side: int  # E
+    levels: int  # L
 
 
 def make_workspace(window: int, levels: int, dearest: int) -> Workspace:

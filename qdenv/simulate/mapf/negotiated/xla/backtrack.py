@@ -13,19 +13,13 @@ PathStates: TypeAlias = PathState[jax.Array]  # of K paths
 
 
 class History(NamedTuple):
-    """What the search found, for the step from t to t + 1; over all steps with a leading axis.
+    """What the search found, for the step from t to t + 1; over all steps with a leading axis."""
 
-    Attributes:
-        reserved: uint32 [5, E, K], reservations of the step (`bitplanes`).
-        expandable: uint32 [L, 2, E, K], cells that paths go on from at t, by conflicts and leg.
-        served: uint32 [L, 2, K], timesteps served at t.
-        served_after: uint32 [L, 2, K], the same at t + 1.
-    """
-
-    reserved: jax.Array
+    reserved: jax.Array  # uint32 [5, E, K], reservations of the step (`bitplanes`)
+    # uint32 [L, 2, E, K], cells that paths go on from at t, by conflicts and leg
     expandable: jax.Array
-    served: jax.Array
-    served_after: jax.Array
+    served: jax.Array  # uint32 [L, 2, K], timesteps served at t
+    served_after: jax.Array  # uint32 [L, 2, K], the same at t + 1
 
 
 def end_state(local: LocalWindow, code: jax.Array, levels: int) -> PathStates:

@@ -11,37 +11,24 @@ from qdenv.simulate.mapf.planner import AgentState, World
 
 
 class LocalWindow(NamedTuple):
-    """What K agents see around them: squares of side E = 2 * window + 1, at most 21.
+    """What K agents see around them: squares of side E = 2 * window + 1, at most 21."""
 
-    Attributes:
-        reserved: uint32 [window, 5, E, K], reserved cells and moves (`bitplanes`).
-        traversable: uint32 [E, K], cells without walls.
-        goal: uint32 [2, E, K], the current and the next goal, where they end a leg.
-        goal_row: int32 [2, K], their rows in sight (0 where out of sight).
-        goal_column: int32 [2, K], likewise.
-        cost_to_go: int32 [2, E, E, K], cost of what is left from each cell on, per leg, less
-            `shortest`.
-        cost_after_goal: int32 [K], cost of what is left once the current goal is done.
-        shortest: int32 [K], cost of the shortest way through both goals; costs to go are counted
-            from it, for the keys of ends have no room for that of a long way.
-        service_time: int32 [2, K], timesteps to serve at each goal.
-        remaining_service: int32 [K], timesteps still to serve where the agent is; 0 while driving.
-        penalty: int32 [K], cost of a conflict.
-        noise: int32 [K], random bits that settle ties.
-    """
-
-    reserved: jax.Array
-    traversable: jax.Array
-    goal: jax.Array
-    goal_row: jax.Array
-    goal_column: jax.Array
+    reserved: jax.Array  # uint32 [window, 5, E, K], reserved cells and moves (`bitplanes`)
+    traversable: jax.Array  # uint32 [E, K], cells without walls
+    goal: jax.Array  # uint32 [2, E, K], the current and the next goal, where they end a leg
+    goal_row: jax.Array  # int32 [2, K], their rows in sight (0 where out of sight)
+    goal_column: jax.Array  # int32 [2, K], likewise
+    # int32 [2, E, E, K], cost of what is left from each cell on, per leg, less `shortest`
     cost_to_go: jax.Array
-    cost_after_goal: jax.Array
+    cost_after_goal: jax.Array  # int32 [K], cost of what is left once the current goal is done
+    # int32 [K], cost of the shortest way through both goals; costs to go are counted from it, for
+    # the keys of ends have no room for that of a long way
     shortest: jax.Array
-    service_time: jax.Array
+    service_time: jax.Array  # int32 [2, K], timesteps to serve at each goal
+    # int32 [K], timesteps still to serve where the agent is; 0 while driving
     remaining_service: jax.Array
-    penalty: jax.Array
-    noise: jax.Array
+    penalty: jax.Array  # int32 [K], cost of a conflict
+    noise: jax.Array  # int32 [K], random bits that settle ties
 
     @property
     def side(self) -> int:
@@ -55,17 +42,11 @@ class LocalWindow(NamedTuple):
 
 
 class Planning(NamedTuple):
-    """Who plans in one round.
+    """Who plans in one round."""
 
-    Attributes:
-        agent: int32 [K].
-        penalty: int32 [K], cost of a conflict.
-        noise: int32 [K], random bits that settle ties.
-    """
-
-    agent: jax.Array
-    penalty: jax.Array
-    noise: jax.Array
+    agent: jax.Array  # int32 [K]
+    penalty: jax.Array  # int32 [K], cost of a conflict
+    noise: jax.Array  # int32 [K], random bits that settle ties
 
 
 def gather(

@@ -13,19 +13,12 @@ Shape = tuple[int, int]  # (H', W') of the padded grid
 
 
 class Reservations(NamedTuple):
-    """Who has reserved what.
+    """Who has reserved what."""
 
-    Attributes:
-        table: uint32, flat, the packed reservations (`bitplanes`).
-        owner: int32 [window + 1, H' * W'], the agent at each cell and time, or `NOBODY`.
-        paths: int32 [window + 1, A], the latest path of every agent.
-        reserved_steps: int32 [A], steps of that path that are reserved.
-    """
-
-    table: jax.Array
-    owner: jax.Array
-    paths: jax.Array
-    reserved_steps: jax.Array
+    table: jax.Array  # uint32, flat, the packed reservations (`bitplanes`)
+    owner: jax.Array  # int32 [window + 1, H' * W'], the agent at each cell and time, or `NOBODY`
+    paths: jax.Array  # int32 [window + 1, A], the latest path of every agent
+    reserved_steps: jax.Array  # int32 [A], steps of that path that are reserved
 
     @property
     def is_reserved(self) -> jax.Array:
@@ -34,17 +27,11 @@ class Reservations(NamedTuple):
 
 
 class Accepted(NamedTuple):
-    """New paths that do not conflict with one another.
+    """New paths that do not conflict with one another."""
 
-    Attributes:
-        agent: int32 [K].
-        paths: int32 [window + 1, K].
-        mask: bool [K], which of them count.
-    """
-
-    agent: jax.Array
-    paths: jax.Array
-    mask: jax.Array
+    agent: jax.Array  # int32 [K]
+    paths: jax.Array  # int32 [window + 1, K]
+    mask: jax.Array  # bool [K], which of them count
 
 
 def no_reservations(state: AgentState, shape: Shape) -> Reservations:

@@ -33,17 +33,11 @@ from qdenv.simulate.mapf.planner import AgentState, World
 
 
 class Negotiation(NamedTuple):
-    """What changes from round to round.
+    """What changes from round to round."""
 
-    Attributes:
-        reservations: of all agents.
-        attempts: int32 [A], how often each agent has planned in this window.
-        turn: int32, rounds so far.
-    """
-
-    reservations: Reservations
-    attempts: jax.Array
-    turn: jax.Array
+    reservations: Reservations  # of all agents
+    attempts: jax.Array  # int32 [A], how often each agent has planned in this window
+    turn: jax.Array  # int32, rounds so far
 
 
 def negotiate(

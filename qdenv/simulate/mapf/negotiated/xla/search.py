@@ -33,15 +33,11 @@ class ReachableSet(NamedTuple):
     """What can be reached at one timestep; the axes are conflicts (L levels), leg, row, agent.
 
     The order matters for speed: whole levels and rows move as blocks, agents lie side by side.
-
-    Attributes:
-        cells: uint32 [L, 2, E, K], reached by driving, goals included.
-        served: uint32 [L, 2, K], bit e: serving for e timesteps.
-        just_served: uint32 [L, 2, 1, K], mask: on leg 1, service at the current goal just ended.
     """
 
-    cells: jax.Array
-    served: jax.Array
+    cells: jax.Array  # uint32 [L, 2, E, K], reached by driving, goals included
+    served: jax.Array  # uint32 [L, 2, K], bit e: serving for e timesteps
+    # uint32 [L, 2, 1, K], mask: on leg 1, service at the current goal just ended
     just_served: jax.Array
 
 
