@@ -13,7 +13,7 @@ from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, read_rows
 from experiments.published import MAZES
 from qdenv.agent.evaluate import evaluate_agent, without_ring
 from qdenv.files import write_csv
-from qdenv.score.traffic import wilson_interval
+from qdenv.score import wilson_interval
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.simulate.maze.world import WALL
 from qdenv.study.differences import sample_of

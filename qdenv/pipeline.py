@@ -19,7 +19,7 @@ from qdenv.domains.base import Domain, Simulator, make_domain
 from qdenv.generate.generator import GENERATORS, Canvas
 from qdenv.repair.callback import repair_in_jit
 from qdenv.repair.pool import RepairPool
-from qdenv.score.layout import similarity
+from qdenv.score import similarity
 from qdenv.settings import EvaluationConfig
 from qdenv.types import Array, Evaluation, Repair, RepairStatus, Score
 

@@ -16,7 +16,7 @@ from qdenv.presets import find_preset
 from qdenv.repair.anneal.annealer import anneal
 from qdenv.repair.audit import audit
 from qdenv.repair.facts import Facts
-from qdenv.score.layout import similarity
+from qdenv.score import similarity
 from qdenv.simulate.mapf import goals, tasks
 
 DOMAIN = find_domain("manufacturing")

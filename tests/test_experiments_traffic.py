@@ -36,7 +36,7 @@ from qdenv.generate.generator import GENERATORS
 from qdenv.generate.nca import NcaConfig
 from qdenv.grid import draw as draw_rows
 from qdenv.pipeline import EvaluationConfig, canvas_of
-from qdenv.score.traffic import wilson_interval
+from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.simulate.maze.world import longest_path
 from qdenv.study import ledger, sizes

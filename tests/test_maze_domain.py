@@ -19,7 +19,7 @@ from qdenv.pipeline import (
     score_layout,
     simulate_layouts,
 )
-from qdenv.score.layout import entropy
+from qdenv.score import entropy
 from qdenv.simulate.maze.policy import draw_weights
 from qdenv.types import RepairStatus
 

@@ -22,7 +22,7 @@ from qdenv.agent.evaluate import (
 from qdenv.cli import run
 from qdenv.formats.layouts import read_layout
 from qdenv.plots.maze import save_episode, save_mazes
-from qdenv.score.traffic import wilson_interval
+from qdenv.score import wilson_interval
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.types import InputError
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from qdenv.grid import parse
-from qdenv.score.layout import entropy
+from qdenv.score import entropy
 from qdenv.simulate.maze import world
 
 DATA = Path(__file__).parent / "data" / "maze"

@@ -9,7 +9,7 @@ import pytest
 from qdenv import cli, grid
 from qdenv.domains.base import find_domain
 from qdenv.formats.layouts import write_layout
-from qdenv.score.traffic import wilson_interval
+from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.study.runs import Simulated, run_seeds

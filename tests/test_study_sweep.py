@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from qdenv.grid import parse
-from qdenv.score.traffic import wilson_interval
+from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.goals import tile_goal
 from qdenv.simulate.mapf.pibt.settings import PibtConfig

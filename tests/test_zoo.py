@@ -17,7 +17,7 @@ from qdenv.formats.layouts import read_layout
 from qdenv.generate.generator import GENERATORS
 from qdenv.pipeline import canvas_of
 from qdenv.presets import PRESETS
-from qdenv.score.layout import entropy
+from qdenv.score import entropy
 from qdenv.search.registry import ALGORITHMS
 from qdenv.study.elites import Grown, repair_grown
 from qdenv.training.records import RunDirectory

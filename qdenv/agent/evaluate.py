@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.score.traffic import wilson_interval
+from qdenv.score import wilson_interval
 from qdenv.simulate.maze.episode import (
     Episode,
     all_timesteps,

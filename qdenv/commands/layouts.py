@@ -123,7 +123,7 @@ def possible_rules(domain: Domain, path: Path) -> Rules:
 def facts_of(plan: Plan, result: Repair, rules: Rules) -> dict[str, Any]:
     """List what is known of a repair."""
     # Only here: jax takes long to import, and who is refused need not wait.
-    from qdenv.score.layout import similarity
+    from qdenv.score import similarity
 
     weights = plan.domain.similarity_weights(plan.layout)
     return {

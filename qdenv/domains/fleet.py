@@ -9,7 +9,7 @@ from typing import Any, Self
 from qdenv.domains.base import Simulator
 from qdenv.domains.settings import DomainConfig, KnownSize
 from qdenv.lazy import jax
-from qdenv.score.traffic import mean_throughput
+from qdenv.score import mean_throughput
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import Array, TaskRule, Traffic
 

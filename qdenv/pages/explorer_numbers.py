@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain
-from qdenv.score.traffic import wilson_interval
+from qdenv.score import wilson_interval
 from qdenv.study.differences import Sample, margin
 from qdenv.training.archive import Archive
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.score.traffic import wilson_interval
+from qdenv.score import wilson_interval
 from qdenv.study.differences import sample_of
 from qdenv.study.ledger import Key, Run
 

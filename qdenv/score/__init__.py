@@ -1,1 +1,0 @@
-"""The scores: what the search sees of a layout and its runs."""
