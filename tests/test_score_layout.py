@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from qdenv import grid
+from qdenv import grid, score
 from qdenv.domains.base import find_domain
-from qdenv.score import layout as score
 from qdenv.types import InputError
 
 TILES = ".@e"

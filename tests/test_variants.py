@@ -10,8 +10,8 @@ import chex
 import jax.numpy as jnp
 import numpy as np
 
+from qdenv import score
 from qdenv.grid import count_components, parse
-from qdenv.score import layout as score
 from qdenv.search.archive import GridArchive
 from qdenv.simulate.mapf.distances import goal_distances
 from qdenv.simulate.mapf.planner import UNREACHABLE

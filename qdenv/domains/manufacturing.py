@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from qdenv import score
 from qdenv.domains import designs
 from qdenv.domains.base import Domain
 from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
@@ -14,7 +15,6 @@ from qdenv.domains.settings import KnownSize
 from qdenv.grid import of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
-from qdenv.score import layout as score
 from qdenv.simulate.mapf.goals import beside_goal
 from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Tile, Traffic
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from qdenv import devices
+from qdenv import devices, score
 from qdenv.domains.base import Domain, Simulator
 from qdenv.domains.measures import environment_entropy
 from qdenv.domains.settings import DomainConfig, KnownSize
@@ -18,7 +18,6 @@ from qdenv.generate.decode import inside_frame
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveInt
 from qdenv.registry import Entry
-from qdenv.score import layout as score
 from qdenv.simulate.maze import world
 from qdenv.types import Array, Measure, Tile
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from qdenv import score
 from qdenv.generate.decode import inside_frame
 from qdenv.lazy import jax, jnp
-from qdenv.score import layout as score
 from qdenv.types import Array, Measure
 
 

@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 
+from qdenv import score
 from qdenv.domains import designs
 from qdenv.domains.base import Domain
 from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
@@ -22,7 +23,6 @@ from qdenv.grid import parse
 from qdenv.lazy import jax
 from qdenv.ranges import PositiveFloat
 from qdenv.registry import Entry
-from qdenv.score import layout as score
 from qdenv.simulate.mapf.goals import favour_left, tile_goal
 from qdenv.types import (
     Adjacency,
