@@ -23,7 +23,7 @@ from experiments.machines import at_work
 from experiments.pieces import RESULTS, Experiment, Folders
 from qdenv.commands.costs import in_words
 from qdenv.commands.parsing import run_program
-from qdenv.files import write_atomically
+from qdenv.io.files import write_atomically
 from qdenv.plots.figure import save_figure
 from qdenv.training.executors.choosing import Execution, ExecutorName
 from qdenv.types import InputError

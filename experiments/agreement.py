@@ -25,7 +25,7 @@ from scipy.stats import rankdata
 import qdenv
 from qdenv.commands.parsing import run_program
 from qdenv.domains.base import make_domain
-from qdenv.files import write_csv
+from qdenv.io.files import write_csv
 from qdenv.plots.agreement import Opinion, save_agreement
 from qdenv.study.agreement import Agreement, agree, correlate
 from qdenv.study.ledger import Case, Run, complete

@@ -25,7 +25,7 @@ import qdenv
 from experiments.published import TABLE_4
 from qdenv.commands.costs import in_words
 from qdenv.commands.parsing import run_program
-from qdenv.files import write_csv
+from qdenv.io.files import write_csv
 from qdenv.plots.figure import new_figure, save_figure
 from qdenv.study.differences import margin, sample_of
 from qdenv.training.choosing import choose_algorithm

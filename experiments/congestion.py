@@ -31,7 +31,7 @@ import qdenv
 from experiments.published import TRAFFIC
 from experiments.traffic import moved_in, rate_of
 from qdenv.commands.parsing import run_program
-from qdenv.files import write_csv
+from qdenv.io.files import write_csv
 from qdenv.plots.figure import new_figure, save_figure
 from qdenv.study.ledger import Case, complete, read_runs
 from qdenv.study.options import parse_counts, parse_seeds

@@ -10,7 +10,7 @@ import numpy as np
 from experiments.layouts import SavedLayout
 from experiments.pieces import Folders, Piece, Say
 from experiments.traffic import RATES
-from qdenv.files import write_json
+from qdenv.io.files import write_json
 from qdenv.study.differences import Sample, margin
 from qdenv.study.ledger import Case
 

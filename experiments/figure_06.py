@@ -9,9 +9,9 @@ import numpy as np
 from experiments.layouts import best_of
 from experiments.pieces import Drawn, Experiment, Folders, Piece, Say
 from qdenv.domains.base import Domain, find_domain
-from qdenv.files import write_json
 from qdenv.grid import draw as drawn_as
 from qdenv.grid import parse
+from qdenv.io.files import write_json
 from qdenv.plots.layouts import draw_frames
 from qdenv.study import sizes
 from qdenv.study.elites import grow_elite

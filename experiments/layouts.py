@@ -16,8 +16,8 @@ from experiments.runs import SavedRun
 from qdenv.agent.baseline import BAND, draw_mazes
 from qdenv.agent.evaluate import without_ring
 from qdenv.domains.base import Domain, find_domain
-from qdenv.formats.layouts import write_layout
 from qdenv.grid import draw, of_tiles, parse
+from qdenv.io.layouts import write_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.study import sizes

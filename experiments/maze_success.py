@@ -12,7 +12,7 @@ from experiments.lines import LOOKS, finish, new_panels
 from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, read_rows, table
 from experiments.published import MAZES
 from qdenv.agent.evaluate import evaluate_agent, without_ring
-from qdenv.files import write_csv
+from qdenv.io.files import write_csv
 from qdenv.score import wilson_interval
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.simulate.maze.world import WALL

@@ -12,7 +12,7 @@ import numpy as np
 import qdenv
 from experiments.pieces import Folders, Piece, Say
 from qdenv.commands.costs import reckon_seconds
-from qdenv.files import write_csv
+from qdenv.io.files import write_csv
 from qdenv.plots.archive import scatter_objectives
 from qdenv.training.config import RunConfig
 from qdenv.training.metrics import Metrics

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SECONDS, best_of
 from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, read_rows, table
 from experiments.published import FLEETS
-from qdenv.files import write_csv
+from qdenv.io.files import write_csv
 from qdenv.plots.figure import new_figure
 from qdenv.study.differences import Sample, sample_of
 from qdenv.study.elites import Grown, find_elite, grow_elite

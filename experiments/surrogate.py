@@ -26,7 +26,7 @@ import tyro
 
 import qdenv
 from qdenv.commands.parsing import run_program
-from qdenv.files import write_csv
+from qdenv.io.files import write_csv
 from qdenv.search.growth import growing
 from qdenv.study.held_out import judge, split
 from qdenv.surrogate.samples import Ring, Samples

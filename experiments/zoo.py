@@ -27,9 +27,9 @@ from experiments.growing import Cell, Measuring, Workshop
 from experiments.zoo_rules import RULES, Rule
 from qdenv.commands.parsing import run_program
 from qdenv.domains.base import DOMAINS
-from qdenv.files import write_json
+from qdenv.io.files import write_json
+from qdenv.io.records import read_json
 from qdenv.presets import PRESETS
-from qdenv.reading.json import read_json
 from qdenv.search.registry import ALGORITHMS
 from qdenv.training.archive import Archive
 from qdenv.training.records import RunDirectory

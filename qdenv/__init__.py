@@ -55,12 +55,12 @@ _HOMES = {
     "make_pipeline": ("qdenv.pipeline", "make_pipeline"),
     "plot_run": ("qdenv.plots.run", "plot_run"),
     "report": ("qdenv.api.pages", "report"),
-    "read_layout": ("qdenv.formats.layouts", "read_layout"),
+    "read_layout": ("qdenv.io.layouts", "read_layout"),
     "repair_layout": ("qdenv.repair.recipe", "repair"),
     "resume": ("qdenv.training.loop", "resume"),
     "simulate_layout": ("qdenv.study.traffic", "simulate_layout"),
     "train": ("qdenv.api.runs", "train"),
-    "write_layout": ("qdenv.formats.layouts", "write_layout"),
+    "write_layout": ("qdenv.io.layouts", "write_layout"),
     # Extend it: any of the four.
     "Entry": ("qdenv.registry", "Entry"),
     # A domain.

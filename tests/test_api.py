@@ -15,8 +15,8 @@ import qdenv
 from qdenv.api.runs import overridden
 from qdenv.cli import run as command
 from qdenv.domains.manufacturing import ManufacturingConfig
-from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.grid import parse
+from qdenv.io.layouts import read_layout, write_layout
 from qdenv.presets import PRESETS
 from qdenv.training import loop
 from qdenv.training.records import RunDirectory

@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "qdenv"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"types", "ranges", "grid", "files", "reading", "lazy", "interrupt"}
+BASE = {"types", "ranges", "grid", "io", "lazy", "interrupt"}
 STAGES = {"generate", "repair", "simulate", "score"}
 PLUGS = {"registry", "devices"}
 ALLOWED = {
@@ -21,17 +21,14 @@ ALLOWED = {
     "native": set(),
     "grid": {"types", "lazy"},
     "interrupt": set(),
-    "files": {"types", "interrupt"},
-    "reading": {"types"},
-    "checkpoints": {"types", "files", "reading"},
+    "io": {"types", "interrupt", "registry", "grid"},
     "devices": {"types", "lazy"},
     "registry": {"types"},
-    "formats": BASE,
     "generate": {"types", "ranges", "grid", "lazy", "registry"},
     "repair": {"types", "ranges", "grid", "lazy", "native"},
-    "simulate": {"types", "ranges", "grid", "lazy", "native", "reading"} | PLUGS,
+    "simulate": {"types", "ranges", "grid", "lazy", "native", "io"} | PLUGS,
     "score": {"types", "grid", "lazy"},
-    "agent": BASE | {"checkpoints", "simulate.maze", "score", "devices"},
+    "agent": BASE | {"simulate.maze", "score", "devices"},
     "domains": BASE | STAGES | PLUGS,
     "settings": STAGES | {"types", "ranges", "domains.base"},
     "mesh": set(),
@@ -41,29 +38,27 @@ ALLOWED = {
         "types",
         "ranges",
         "lazy",
-        "files",
-        "reading",
-        "checkpoints",
+        "io",
         "registry",
         "surrogate",
     },
-    "zoo": {"types", "reading"},
+    "zoo": {"types", "io"},
     "presets": BASE
     | STAGES
     | {"domains", "search", "settings", "surrogate", "training.config", "training.choosing"},
     "training": BASE
     | STAGES
     | PLUGS
-    | {"checkpoints", "search", "pipeline", "settings", "domains", "formats", "plots.inline"}
+    | {"search", "pipeline", "settings", "domains", "plots.inline"}
     | {"mesh", "zoo"},
     "study": BASE
     | STAGES
     | PLUGS
-    | {"agent", "domains", "pipeline", "settings", "formats", "surrogate", "training"},
+    | {"agent", "domains", "pipeline", "settings", "surrogate", "training"},
     "api": BASE
     | STAGES
     | PLUGS
-    | {"domains", "formats", "pages", "plots", "presets", "study", "training"}
+    | {"domains", "pages", "plots", "presets", "study", "training"}
     | {"zoo"},
     "plots": BASE
     | {
@@ -81,14 +76,13 @@ ALLOWED = {
     "pages": BASE
     | STAGES
     | PLUGS
-    | {"agent", "domains", "formats", "plots", "search.registry", "study", "training", "zoo"},
+    | {"agent", "domains", "plots", "search.registry", "study", "training", "zoo"},
     "commands": BASE
     | STAGES
     | PLUGS
     | {
         "agent",
         "domains",
-        "formats",
         "pages",
         "plots",
         "presets",

@@ -14,8 +14,8 @@ from small_warehouse import TILES
 
 from qdenv import cli
 from qdenv.cli import run
-from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.grid import parse
+from qdenv.io.layouts import read_layout, write_layout
 from qdenv.presets import PRESETS
 
 

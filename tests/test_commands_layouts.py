@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from qdenv.cli import run
 from qdenv.commands.drawings import rows_of as rows_of_table
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import read_layout, write_layout
+from qdenv.io.layouts import read_layout, write_layout
 
 README = Path(__file__).parents[1] / "README.md"
 TILES = ".@ew"

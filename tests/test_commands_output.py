@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from qdenv.commands.output import PICTURES, Place, place, words_aside, write_facts
-from qdenv.files import tidy
+from qdenv.io.files import tidy
 from qdenv.types import InputError
 
 

@@ -9,8 +9,8 @@ from matplotlib.image import imread
 
 from qdenv.cli import run
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import write_layout
 from qdenv.grid import parse
+from qdenv.io.layouts import write_layout
 
 WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
 LANE = parse(["w...@@@@@...e", "w.........e.e", "w...@@@@@...e"], WAREHOUSE.tiles)

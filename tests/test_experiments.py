@@ -13,8 +13,8 @@ import pytest
 from matplotlib.image import imread
 
 import qdenv
-from qdenv.files import write_csv
-from qdenv.formats.layouts import write_layout
+from qdenv.io.files import write_csv
+from qdenv.io.layouts import write_layout
 from qdenv.presets import PRESETS
 from qdenv.study.ledger import Run, read_runs
 from qdenv.training.records import RunDirectory

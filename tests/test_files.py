@@ -5,8 +5,8 @@ import threading
 
 import pytest
 
-from qdenv.files import TEMPORARY_PREFIX, sweep, write_atomically, write_json
 from qdenv.interrupt import unfinished
+from qdenv.io.files import TEMPORARY_PREFIX, sweep, write_atomically, write_json
 from qdenv.types import InputError
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from qdenv.cli import run
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import read_layout
+from qdenv.io.layouts import read_layout
 from qdenv.repair.audit import audit
 
 # Doors in the bottom wall, dead ends between the shelves, and two shelves that nobody can serve.

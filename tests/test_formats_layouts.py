@@ -8,9 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from qdenv.domains.base import DOMAINS, find_domain
-from qdenv.formats.drawings import ENDINGS, MAX_SIDE, read_drawing
-from qdenv.formats.layouts import alphabet, endings_for, read_layout, write_layout
 from qdenv.grid import draw, parse
+from qdenv.io.layouts import (
+    ENDINGS,
+    MAX_SIDE,
+    alphabet,
+    endings_for,
+    read_drawing,
+    read_layout,
+    write_layout,
+)
 from qdenv.types import InputError
 
 TILES = ".@ew"

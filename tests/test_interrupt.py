@@ -21,7 +21,7 @@ if {advice!r}:
     advise({advice!r})
 import numba
 from pathlib import Path
-from qdenv.files import write_atomically
+from qdenv.io.files import write_atomically
 
 @numba.njit(nogil={nogil})
 def spin(n):

@@ -20,7 +20,7 @@ from qdenv.agent.evaluate import (
     without_ring,
 )
 from qdenv.cli import run
-from qdenv.formats.layouts import read_layout
+from qdenv.io.layouts import read_layout
 from qdenv.plots.maze import save_episode, save_mazes
 from qdenv.score import wilson_interval
 from qdenv.simulate.maze.policy import load_weights

@@ -9,9 +9,9 @@ import pytest
 from browser import opened
 
 import qdenv
-from qdenv.checkpoints import write_arrays
 from qdenv.cli import run as command
 from qdenv.domains.base import make_domain
+from qdenv.io.arrays import write_arrays
 from qdenv.pages.explorer import make_explorer
 from qdenv.pages.explorer_layouts import pack_bits
 from qdenv.study.elites import grow_series

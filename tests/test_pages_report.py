@@ -12,8 +12,8 @@ from small_warehouse import ROWS, TILES
 import qdenv
 from qdenv.cli import run
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import write_layout
 from qdenv.grid import parse
+from qdenv.io.layouts import write_layout
 from qdenv.pages.report.blocks import Drawing, Section, Table, Text, drawing
 from qdenv.pages.report.fleet import around
 from qdenv.pages.report.subjects import find_rival, read_subjects

@@ -11,12 +11,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import pytest
 
-from qdenv.checkpoints import read_state, write_arrays, write_state
-from qdenv.reading.arrays import Column, read_arrays
-from qdenv.reading.files import read_bytes
-from qdenv.reading.json import read_json
-from qdenv.reading.strict import structured
-from qdenv.reading.tables import read_table
+from qdenv.io.arrays import Column, read_arrays, read_state, write_arrays, write_state
+from qdenv.io.files import read_bytes
+from qdenv.io.records import read_json, structured
+from qdenv.io.tables import read_table
 from qdenv.simulate.maze.policy import load_weights, shipped_agent
 from qdenv.types import DamagedError, InputError
 

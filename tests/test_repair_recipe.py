@@ -8,8 +8,8 @@ import pytest
 from small_yard import yard
 
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import read_layout
 from qdenv.grid import parse
+from qdenv.io.layouts import read_layout
 from qdenv.repair.audit import audit
 from qdenv.repair.bounds import impossible
 from qdenv.repair.facts import Facts

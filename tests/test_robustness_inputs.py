@@ -13,8 +13,8 @@ from robustness.judge import Judge, verdict
 from robustness.worker import Ending
 
 from qdenv.agent.convert import read_checkpoint
-from qdenv.formats.drawings import ENDINGS, read_drawing
-from qdenv.reading.arrays import read_arrays
+from qdenv.io.arrays import read_arrays
+from qdenv.io.layouts import ENDINGS, read_drawing
 from qdenv.simulate.maze.policy import load_weights, shipped_agent
 from qdenv.types import InputError
 

@@ -10,7 +10,7 @@ from robustness import kills
 from robustness.dying import DeathError, Trouble
 from robustness.kept import differences
 
-from qdenv.files import write_atomically
+from qdenv.io.files import write_atomically
 from qdenv.types import InputError
 
 

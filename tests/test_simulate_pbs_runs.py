@@ -10,7 +10,7 @@ import pytest
 from fleet_runs import PLAIN, SERVICES, random_layout
 
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import read_layout
+from qdenv.io.layouts import read_layout
 from qdenv.simulate.mapf import chance, fleet
 from qdenv.simulate.mapf.host import run as host_run
 from qdenv.simulate.mapf.host.fields import Fields, empty_fields

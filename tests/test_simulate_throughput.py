@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import read_layout
+from qdenv.io.layouts import read_layout
 from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.negotiated.settings import LOW
 from qdenv.study.traffic import run_seeds, simulate_layout

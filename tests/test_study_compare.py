@@ -8,7 +8,7 @@ import pytest
 
 from qdenv import cli, grid
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import write_layout
+from qdenv.io.layouts import write_layout
 from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig

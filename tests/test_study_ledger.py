@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from qdenv.domains.base import find_domain
-from qdenv.files import write_csv
+from qdenv.io.files import write_csv
 from qdenv.study import ledger
 from qdenv.study.agreement import agree, correlate
 from qdenv.study.ledger import Case, Run, complete, read_runs, seconds_for

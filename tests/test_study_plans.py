@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from qdenv.domains.base import DOMAINS, find_domain
-from qdenv.formats.layouts import write_layout
+from qdenv.io.layouts import write_layout
 from qdenv.study.plans import read_plan
 from qdenv.types import InputError
 

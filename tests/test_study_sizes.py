@@ -14,9 +14,9 @@ from qdenv.domains.base import find_domain, make_domain
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.settings import KnownSize
 from qdenv.domains.warehouse import WarehouseConfig
-from qdenv.formats.layouts import read_layout, write_layout
 from qdenv.generate.generator import GENERATORS
 from qdenv.generate.nca import NcaConfig
+from qdenv.io.layouts import read_layout, write_layout
 from qdenv.pipeline import EvaluationConfig, canvas_of, make_pipeline
 from qdenv.repair.audit import audit
 from qdenv.repair.pool import RepairPool

@@ -9,7 +9,7 @@ import pytest
 import qdenv
 from qdenv.cli import run
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import write_layout
+from qdenv.io.layouts import write_layout
 from qdenv.study.usual import usual_fleet
 
 EVEN, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")

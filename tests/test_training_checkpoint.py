@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from search_harness import DIM, EXTRAS, GRID, PROBLEM, extras_of, score_of
 
-from qdenv.checkpoints import PIECE
+from qdenv.io.arrays import PIECE
 from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.export import elites

@@ -111,7 +111,7 @@ CHILD = """
 import os, signal, sys
 sys.path.insert(0, {here!r})
 import toy
-from qdenv import files
+from qdenv.io import files
 from qdenv.training import checkpoint, flight, loop
 
 def die(*args, **kwargs):

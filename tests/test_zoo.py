@@ -13,8 +13,8 @@ from matplotlib.image import imread
 import qdenv
 from qdenv.cli import run
 from qdenv.domains.base import make_domain
-from qdenv.formats.layouts import read_layout
 from qdenv.generate.generator import GENERATORS
+from qdenv.io.layouts import read_layout
 from qdenv.pipeline import canvas_of
 from qdenv.presets import PRESETS
 from qdenv.score import entropy

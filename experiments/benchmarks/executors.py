@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from qdenv.files import write_json
+from qdenv.io.files import write_json
 from qdenv.presets import find_preset
 from qdenv.training import loop
 from qdenv.training.executors.choosing import Execution

@@ -8,10 +8,10 @@ import jax
 import numpy as np
 
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import read_layout
 from qdenv.generate.decode import inside_frame
 from qdenv.generate.generator import GENERATORS
 from qdenv.generate.nca import NcaConfig
+from qdenv.io.layouts import read_layout
 from qdenv.pipeline import canvas_of
 from qdenv.types import InputError, Rules
 

@@ -20,7 +20,7 @@ import tyro
 from qdenv.agent.baseline import random_layout, random_mazes
 from qdenv.agent.convert import pad_units
 from qdenv.agent.evaluate import default_horizon, run_alone, run_batch, success_rates
-from qdenv.files import write_json
+from qdenv.io.files import write_json
 from qdenv.simulate.maze.policy import Weights, draw_weights, load_weights, units_of
 from qdenv.simulate.maze.world import longest_path
 

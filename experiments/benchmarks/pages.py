@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from experiments.benchmarks.browser import opened
-from qdenv.files import write_json
+from qdenv.io.files import write_json
 from qdenv.types import InputError
 
 # Milliseconds from the start of loading: first paint, and all scripts done.

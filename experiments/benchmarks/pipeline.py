@@ -13,7 +13,7 @@ import jax
 import numpy as np
 import tyro
 
-from qdenv.files import write_json
+from qdenv.io.files import write_json
 from qdenv.pipeline import PipelinedEvaluator
 from qdenv.presets import find_preset
 from qdenv.search.growth import growing

@@ -26,7 +26,7 @@ from experiments.benchmarks.layouts import (
     read_unrepaired,
     rules_at_size,
 )
-from qdenv.files import write_json
+from qdenv.io.files import write_json
 from qdenv.repair.audit import audit
 from qdenv.repair.pool import RepairPool
 from qdenv.repair.recipe import repair

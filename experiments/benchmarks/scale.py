@@ -18,9 +18,9 @@ import numpy as np
 import tyro
 
 from qdenv.domains.base import Domain, find_domain, make_domain
-from qdenv.files import write_json
 from qdenv.generate.generator import GENERATORS
 from qdenv.generate.nca import NcaConfig
+from qdenv.io.files import write_json
 from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.plots.scale import save_scale
 from qdenv.repair.recipe import repair

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from qdenv.files import write_json
+from qdenv.io.files import write_json
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae

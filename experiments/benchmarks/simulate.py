@@ -17,9 +17,9 @@ import tyro
 
 from experiments.benchmarks.layouts import grow_random, rules_at_size
 from qdenv.domains.base import find_domain
-from qdenv.files import write_json
-from qdenv.formats.layouts import read_layout
-from qdenv.reading.json import read_json
+from qdenv.io.files import write_json
+from qdenv.io.layouts import read_layout
+from qdenv.io.records import read_json
 from qdenv.repair.recipe import RepairConfig, repair
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study.ledger import DRIVERS

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from qdenv.files import write_json
 from qdenv.generate.settings import DirectConfig
+from qdenv.io.files import write_json
 from qdenv.pipeline import make_pipeline
 from qdenv.presets import find_preset
 from qdenv.search.base import Problem

@@ -14,7 +14,7 @@ import numpy as np
 
 from qdenv.agent.files import save_weights
 from qdenv.agent.pickled import Machine
-from qdenv.reading.zips import open_zip
+from qdenv.io.arrays import open_zip
 from qdenv.simulate.maze.policy import (
     FILTERS,
     PATCHES,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import DTypeLike
 
-from qdenv.checkpoints import read_state, write_arrays, write_state
+from qdenv.io.arrays import read_state, write_arrays, write_state
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.types import InputError
 

@@ -16,7 +16,7 @@ from qdenv.agent.evaluate import default_horizon, run_batch
 from qdenv.agent.files import load_state, mean_weights, save_state, save_weights
 from qdenv.agent.settings import TrainConfig
 from qdenv.agent.update import start, update
-from qdenv.files import write_json
+from qdenv.io.files import write_json
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.types import InputError
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain
-from qdenv.formats.layouts import write_layout
+from qdenv.io.layouts import write_layout
 
 DIGITS = 4  # significant ones of a number that is shown
 

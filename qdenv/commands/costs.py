@@ -5,9 +5,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from qdenv.files import write_json
+from qdenv.io.files import write_json
+from qdenv.io.records import read_json
 from qdenv.presets import find_preset
-from qdenv.reading.json import read_json
 from qdenv.training.choosing import planner_of
 from qdenv.training.config import RunConfig
 from qdenv.training.metrics import Metrics

@@ -5,7 +5,7 @@ from pathlib import Path
 from qdenv.commands import output
 from qdenv.commands.choices import DomainName, LayoutFile
 from qdenv.domains.base import DOMAINS, Domain, find_domain
-from qdenv.formats.layouts import aliases
+from qdenv.io.layouts import aliases
 from qdenv.study.plans import read_plan
 
 

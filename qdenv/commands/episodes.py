@@ -14,8 +14,8 @@ from qdenv.commands.choices import LayoutFile
 from qdenv.commands.output import JsonFile, place, write_facts
 from qdenv.commands.waiting import waiting
 from qdenv.commands.words import Picture, place_picture
-from qdenv.files import write_csv
-from qdenv.formats.layouts import write_layout
+from qdenv.io.files import write_csv
+from qdenv.io.layouts import write_layout
 from qdenv.ranges import PositiveInt, Ranged, Seed
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError

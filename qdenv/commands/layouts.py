@@ -11,8 +11,8 @@ from qdenv.commands import output
 from qdenv.commands.choices import DomainName, LayoutFile, Numbers
 from qdenv.commands.waiting import waiting
 from qdenv.domains.base import Domain
-from qdenv.files import tidy
-from qdenv.formats.layouts import endings_for, write_layout
+from qdenv.io.files import tidy
+from qdenv.io.layouts import endings_for, write_layout
 from qdenv.repair.audit import Violation, audit, check_allowed
 from qdenv.repair.bounds import impossible
 from qdenv.repair.settings import RepairConfig

@@ -13,8 +13,8 @@ from qdenv import interrupt
 from qdenv.agent.settings import TrainConfig
 from qdenv.commands.output import place
 from qdenv.commands.waiting import waiting
+from qdenv.io.records import read_json
 from qdenv.ranges import PositiveInt
-from qdenv.reading.json import read_json
 from qdenv.types import InputError
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple, TextIO
 
 import tyro
 
-from qdenv.files import tidy, write_json
+from qdenv.io.files import tidy, write_json
 from qdenv.types import InputError
 
 PICTURES = (".png", ".svg", ".pdf")

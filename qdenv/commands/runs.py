@@ -15,8 +15,7 @@ from qdenv.commands.mazes import is_agent_run, resume_agent
 from qdenv.commands.output import JsonFile, place, write_facts
 from qdenv.commands.plot import report
 from qdenv.commands.waiting import waiting
-from qdenv.formats.drawings import check_size
-from qdenv.formats.layouts import endings_for, write_layout
+from qdenv.io.layouts import check_size, endings_for, write_layout
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.training.executors.choosing import Execution
 from qdenv.training.records import RunDirectory

@@ -10,8 +10,7 @@ import tyro
 from qdenv.commands import output
 from qdenv.commands.choices import DomainName, LayoutFile, ManyNumbers, Numbers, RunFolder, names_of
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
-from qdenv.formats.drawings import check_size
-from qdenv.formats.layouts import endings_for, write_layout
+from qdenv.io.layouts import check_size, endings_for, write_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.study.plans import USUAL, read_plan
 from qdenv.study.usual import describe_growth

@@ -12,7 +12,7 @@ import tyro
 from qdenv.commands import output, words
 from qdenv.commands.choices import RunFolder
 from qdenv.commands.waiting import waiting
-from qdenv.files import write_csv
+from qdenv.io.files import write_csv
 from qdenv.study.held_out import Evaluated, read_elites
 from qdenv.study.options import find_surrogate, parse_seeds
 from qdenv.surrogate.settings import SurrogateConfig

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from qdenv.files import tidy, write_atomically
+from qdenv.io.files import tidy, write_atomically
 from qdenv.types import InputError
 
 HEIGHT = 760  # pixels of a page inside of a notebook

@@ -15,7 +15,7 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 
-from qdenv.files import write_atomically
+from qdenv.io.files import write_atomically
 
 DPI = 150
 FINE_DPI = 220  # of pictures whose size is that on paper

@@ -13,7 +13,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from PIL import Image
 
-from qdenv.files import write_atomically
+from qdenv.io.files import write_atomically
 from qdenv.plots.frames import draw, palette_of
 from qdenv.study.motion import Motion
 from qdenv.types import InputError

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qdenv.io.files import damaged
 from qdenv.lazy import jax, jnp
-from qdenv.reading.files import damaged
 from qdenv.types import Array, InputError, Measure
 
 MOST_CELLS = 1_000_000  # each holds two layouts: of size S 2.4 GB in all

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
-from qdenv.checkpoints import write_arrays
-from qdenv.files import write_atomically
-from qdenv.reading.arrays import Column, read_arrays
-from qdenv.reading.files import damaged
-from qdenv.reading.json import read_json
+from qdenv.io.arrays import Column, read_arrays, write_arrays
+from qdenv.io.files import damaged, write_atomically
+from qdenv.io.records import read_json
 from qdenv.search.archive import GridArchive
 from qdenv.search.axes import Axis, axes_of
 from qdenv.search.base import Algorithm

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from qdenv.domains.base import DOMAINS
-from qdenv.files import write_atomically, write_csv
-from qdenv.formats.layouts import write_layout
+from qdenv.io.files import write_atomically, write_csv
+from qdenv.io.layouts import write_layout
 from qdenv.training.archive import Archive
 from qdenv.types import InputError
 

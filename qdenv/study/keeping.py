@@ -6,8 +6,7 @@ import numpy as np
 
 from qdenv.domains.base import Domain
 from qdenv.domains.keep import FREE, SAME, check_shape
-from qdenv.formats.drawings import read_drawing
-from qdenv.formats.layouts import BLANKS, aliases, alphabet, respell
+from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing, respell
 from qdenv.repair.bounds import impossible
 from qdenv.types import InputError
 

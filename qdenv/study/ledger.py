@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from qdenv.domains.base import Domain
-from qdenv.files import write_csv
-from qdenv.reading.tables import read_table
+from qdenv.io.files import write_csv
+from qdenv.io.tables import read_table
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig

@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.domains.base import DOMAINS, Domain, find_domain
-from qdenv.formats.drawings import read_drawing
-from qdenv.formats.layouts import aliases, to_layout
+from qdenv.io.layouts import aliases, read_drawing, to_layout
 from qdenv.study.keeping import keep_from
 from qdenv.types import InputError
 

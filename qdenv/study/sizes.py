@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain
-from qdenv.files import write_csv
 from qdenv.generate.decode import inside_frame
+from qdenv.io.files import write_csv
 from qdenv.ranges import PositiveInt, check_range
 from qdenv.repair.settings import RepairConfig
 from qdenv.study.elites import Grown, grow_elite, grow_series, repair_grown

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv.files import write_csv
+from qdenv.io.files import write_csv
 from qdenv.score import wilson_interval
 from qdenv.study.differences import Difference, Sample, difference, sample_of
 from qdenv.study.jams import fading

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv.checkpoints import SCHEMA, Rows, read_state, write_state
+from qdenv.io.arrays import SCHEMA, Rows, read_state, write_state
+from qdenv.io.files import damaged
 from qdenv.lazy import jax, jnp
-from qdenv.reading.files import damaged
 from qdenv.search.store import stores_in
 from qdenv.training.dense import upgraded
 from qdenv.training.leaf import another, check_leaf, filled

@@ -4,16 +4,13 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Any
 
-import cattrs
 from annotated_types import Interval
-from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn, override
 
 from qdenv.domains.base import DOMAINS
 from qdenv.generate.generator import GENERATORS
+from qdenv.io.files import damaged
+from qdenv.io.records import structured, unstructured
 from qdenv.ranges import MOST, PositiveInt, Ranged
-from qdenv.reading.files import damaged
-from qdenv.reading.strict import demand, strict_converter, structured
-from qdenv.registry import Registry
 from qdenv.search.registry import ALGORITHMS
 from qdenv.settings import EvaluationConfig
 from qdenv.simulate.mapf.settings import PLANNERS
@@ -55,7 +52,8 @@ def config_to_json(config: RunConfig) -> dict[str, Any]:
     Raises:
         InputError: the type of a setting is not registered.
     """
-    return _converter().unstructure(config)
+    content: dict[str, Any] = unstructured(config, CHOICES)
+    return content
 
 
 def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
@@ -71,43 +69,4 @@ def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
         content = schema1.upgraded(content)
     except InputError as error:
         raise damaged(source, error) from error
-    return structured(content, RunConfig, source, _converter())
-
-
-def _converter() -> cattrs.Converter:
-    converter = strict_converter(infinite=True)
-
-    def structure_choice(registry: Registry) -> Any:
-        def structure(content: Any, _: Any) -> Any:
-            settings = dict(demand(content, dict))
-            name = settings.pop("name", None)
-            if not isinstance(name, str):
-                raise InputError("name must be a word")
-            return converter.structure(settings, registry.entry(name).config)
-
-        return structure
-
-    def unstructure_choice(registry: Registry) -> Any:
-        return lambda config: {"name": registry.name_of(config)} | converter.unstructure(config)
-
-    def structure_fields(cls: Any) -> Any:
-        hooks: dict[str, Any] = {
-            name: override(struct_hook=structure_choice(CHOICES[name])) for name in _choices_in(cls)
-        }
-        fill = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True, **hooks)
-        return lambda content, _: fill(demand(content, dict), cls)
-
-    def unstructure_fields(cls: Any) -> Any:
-        hooks: dict[str, Any] = {
-            name: override(unstruct_hook=unstructure_choice(CHOICES[name]))
-            for name in _choices_in(cls)
-        }
-        return make_dict_unstructure_fn(cls, converter, **hooks)
-
-    converter.register_structure_hook_factory(dataclasses.is_dataclass, structure_fields)
-    converter.register_unstructure_hook_factory(dataclasses.is_dataclass, unstructure_fields)
-    return converter
-
-
-def _choices_in(cls: Any) -> list[str]:
-    return [field.name for field in dataclasses.fields(cls) if field.name in CHOICES]
+    return structured(content, RunConfig, source, infinite=True, choices=CHOICES)

@@ -9,9 +9,9 @@ import numpy as np
 
 from qdenv.domains.base import Domain
 from qdenv.grid import parse
-from qdenv.reading.arrays import Column, read_arrays
-from qdenv.reading.files import damaged
-from qdenv.reading.json import read_json
+from qdenv.io.arrays import Column, read_arrays
+from qdenv.io.files import damaged
+from qdenv.io.records import read_json
 from qdenv.training.manifest import Meaning
 from qdenv.types import InputError
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from qdenv.domains.base import Domain, make_domain
-from qdenv.formats.drawings import MAX_SIDE
+from qdenv.io.layouts import MAX_SIDE
 from qdenv.repair.bounds import impossible
 from qdenv.search.axes import check_measures
 from qdenv.training.config import RunConfig

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from qdenv.reading.files import damaged
+from qdenv.io.files import damaged
 from qdenv.types import InputError
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from qdenv.files import sweep
+from qdenv.io.files import sweep
 from qdenv.types import InputError
 
 

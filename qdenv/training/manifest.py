@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from qdenv.domains.base import Domain
+from qdenv.io.files import damaged
+from qdenv.io.records import read_json
 from qdenv.lazy import jax
-from qdenv.reading.files import damaged
-from qdenv.reading.json import read_json
 from qdenv.search.axes import Axis, axes_of
 from qdenv.types import InputError, Measure
 

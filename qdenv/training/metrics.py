@@ -4,7 +4,7 @@ import logging
 from pathlib import Path
 from typing import NamedTuple
 
-from qdenv.reading.tables import read_table
+from qdenv.io.tables import read_table
 from qdenv.types import InputError
 
 INFINITE = ("best_objective",)  # of a search without success

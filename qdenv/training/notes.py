@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import SupportsFloat
 
-from qdenv.files import write_csv
-from qdenv.reading.files import damaged
-from qdenv.reading.tables import parse_cell, read_rows
+from qdenv.io.files import damaged, write_csv
+from qdenv.io.tables import parse_cell, read_rows
 from qdenv.types import InputError
 
 NOTES = "notes.csv"

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.domains.base import Domain
-from qdenv.formats.layouts import write_layout
+from qdenv.io.layouts import write_layout
 from qdenv.search.base import Algorithm
 from qdenv.search.export import collector
 from qdenv.training.elite import best_row, mark_cells

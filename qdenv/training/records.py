@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from qdenv.checkpoints import write_arrays
 from qdenv.domains.base import make_domain
-from qdenv.files import write_csv, write_json
-from qdenv.reading.json import read_json
+from qdenv.io.arrays import write_arrays
+from qdenv.io.files import write_csv, write_json
+from qdenv.io.records import read_json
 from qdenv.training.archive import Archive
 from qdenv.training.config import RunConfig, config_from_json, config_to_json
 from qdenv.training.elite import BestLayout, Elite, mark_cells, read_best_layout, read_columns

@@ -6,7 +6,7 @@ import numpy as np
 
 from qdenv.domains.base import make_domain
 from qdenv.generate.generator import GENERATORS
-from qdenv.reading.arrays import Column, read_arrays
+from qdenv.io.arrays import Column, read_arrays
 from qdenv.training.config import RunConfig
 from qdenv.training.records import START, RunDirectory
 from qdenv.types import InputError

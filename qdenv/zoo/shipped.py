@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from qdenv.reading.json import read_json
+from qdenv.io.records import read_json
 from qdenv.types import look_up
 
 PREFIX = "zoo:"

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from qdenv.files import write_json
+from qdenv.io.files import write_json
 from qdenv.types import InputError
 from robustness.attack import Attack, Attempt
 from robustness.catalogue import ATTACKS

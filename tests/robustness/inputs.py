@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from qdenv.formats.drawings import ENDINGS
+from qdenv.io.layouts import ENDINGS
 from qdenv.simulate.maze.policy import shipped_agent
 from robustness.attack import Attack, Attempt
 from robustness.damage import Chance, damaged, pick, spoilt

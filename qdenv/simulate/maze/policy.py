@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qdenv.io.arrays import Column, read_arrays
 from qdenv.lazy import jax, jnp
-from qdenv.reading.arrays import Column, read_arrays
 from qdenv.types import Array, InputError
 
 VIEW, WINDOW, CHANNELS, FILTERS, COMPASS, HEAD = 5, 3, 3, 16, 5, 32

@@ -13,7 +13,7 @@ from pathlib import Path
 from experiments.benchmarks.layouts import KERNELS, grow_random
 from qdenv import cli
 from qdenv.domains.base import find_domain
-from qdenv.formats.layouts import write_layout
+from qdenv.io.layouts import write_layout
 
 FOLDER = Path(__file__).parent
 DRAWN = 24  # layouts of each key

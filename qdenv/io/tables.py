@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from qdenv.reading.files import LARGEST, damaged, read_text
+from qdenv.io.files import LARGEST, damaged, read_text
 
 MOST_COLUMNS = 1000
 MOST_ROWS = 2_000_000

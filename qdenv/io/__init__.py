@@ -1,0 +1,1 @@
+"""Files: atomic writing, reading within limits, layouts, tables, arrays."""

@@ -1,0 +1,286 @@
+"""Arrays and facts in .npz files: written whole or not at all, read within limits, no pickle.
+
+The list of members is checked before it is read, a member's size before it is expanded, an array's
+header before anything is allocated. Facts are JSON in a member of their own, so that one file is
+one state: arrays and facts of different moments cannot meet.
+"""
+
+import json
+import math
+import os
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, BinaryIO, NamedTuple, TypeVar
+
+import numpy as np
+
+from qdenv.io.files import MEGABYTE, damaged, unreadable, write_atomically
+from qdenv.io.records import parse_json, structured
+from qdenv.types import InputError
+
+SCHEMA = 2
+MAX_MEMBERS = 10_000
+MAX_DIRECTORY = 4 * MEGABYTE  # bytes of the list of members
+# An archive may expand to this many bytes, or else to this multiple of its own size.
+MAX_EXPANDED, MAX_RATIO = 64 * MEGABYTE, 30
+MAX_HEADER = 1000  # characters of an array's header: what numpy parses as a Python literal
+PIECE = 2**24  # bytes that are copied at once
+ENCRYPTED = 1  # bit of a member's flags
+# Errors that the zip module and numpy raise for wrong bytes.
+DAMAGES = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    MemoryError,
+    OverflowError,
+    RuntimeError,
+    SyntaxError,
+    ValueError,
+)
+T = TypeVar("T")
+
+
+class Column(NamedTuple):
+    """What an array must be."""
+
+    kinds: str = "biuf"  # of numbers, as numpy's letters: b, i, u, f; U for text
+    ndim: int | None = None  # number of axes; None for any
+    finite: bool = False  # no NaN, no infinity
+
+
+class Rows(NamedTuple):
+    """Some rows of an array, which are copied piece by piece when they are written."""
+
+    array: np.ndarray  # [N, ...]
+    numbers: np.ndarray  # int [n], which rows
+
+
+class _Schema(NamedTuple):
+    """The fact that every state records."""
+
+    schema: int
+
+
+NUMBERS = Column()
+ANY = Column("biufU")
+NONE: Mapping[str, Column] = MappingProxyType({})
+
+
+@contextmanager
+def open_zip(path: Path | str) -> Iterator[zipfile.ZipFile]:
+    """Open an archive whose members are plain, few, and of a sensible size in all.
+
+    Raises:
+        InputError: it cannot be read; `DamagedError` if it is not such an archive, or turns out to
+            be damaged while it is open.
+    """
+    try:
+        with open(path, "rb") as stream:
+            _check_directory(stream, path)
+            with zipfile.ZipFile(stream) as archive:
+                _check_members(archive, os.fstat(stream.fileno()).st_size, path)
+                yield archive
+    except OSError as error:
+        raise unreadable(path, error) from error
+    except InputError:
+        raise
+    except DAMAGES as error:
+        raise damaged(path, str(error) or type(error).__name__) from error
+
+
+def _check_directory(stream: BinaryIO, source: Path | str) -> None:
+    """Refuse an archive whose list of members is too long: zipfile would read all of it."""
+
+    def read_at(place: int, count: int) -> bytes:
+        stream.seek(place)
+        return stream.read(count)
+
+    size = stream.seek(0, os.SEEK_END)
+    end = read_at(max(0, size - 22), 22)
+    # A comment would follow: none of our archives has one, and it could hide another end.
+    if len(end) < 22 or end[:4] != b"PK\5\6" or end[20:] != b"\0\0":
+        raise damaged(source, "no archive, or its end is missing")
+    (directory,) = struct.unpack("<L", end[12:16])
+    locator = read_at(max(0, size - 42), 20)
+    if locator[:4] == b"PK\6\7":  # a long archive, whose true end comes before
+        place = struct.unpack("<Q", locator[8:16])[0]
+        long_end = read_at(place, 56) if place < size else b""
+        if len(long_end) < 56 or long_end[:4] != b"PK\6\6":
+            raise damaged(source, "no archive, or its end is missing")
+        (directory,) = struct.unpack("<Q", long_end[40:48])
+    if directory > MAX_DIRECTORY:
+        raise damaged(source, "too many members")
+    stream.seek(0)
+
+
+def _check_members(archive: zipfile.ZipFile, size: int, source: Path | str) -> None:
+    """Refuse members that are encrypted, packed oddly, named twice, or too large in all."""
+    members = archive.infolist()
+    if len(members) > MAX_MEMBERS or len({one.filename for one in members}) < len(members):
+        raise damaged(source, "too many members, or two of one name")
+    for one in members:
+        plain = one.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+        if one.flag_bits & ENCRYPTED or not plain:
+            raise damaged(source, f"{one.filename} is encrypted or packed in an unknown way")
+    if sum(one.compress_size for one in members) > size:
+        raise damaged(source, "members overlap")
+    expanded = sum(one.file_size for one in members)
+    if expanded > max(MAX_EXPANDED, MAX_RATIO * size):
+        raise damaged(
+            source, f"would take {expanded // MEGABYTE:,} MB, the file has {size:,} bytes"
+        )
+
+
+def read_arrays(
+    path: Path | str,
+    columns: Mapping[str, Column] = NONE,
+    others: Column | None = ANY,
+    known: Mapping[str, Column] = NONE,
+) -> dict[str, np.ndarray]:
+    """Read an .npz file, without pickle.
+
+    Args:
+        path: the file.
+        columns: arrays that must be there, by name.
+        others: what further arrays must be; None: they are not read.
+        known: what some further arrays must be, if they are there.
+
+    Returns:
+        arrays by name.
+
+    Raises:
+        InputError: it cannot be read, or is damaged; the line names the file and the array.
+    """
+    with open_zip(path) as archive:
+        names = [name[:-4] for name in archive.namelist() if name.endswith(".npy")]
+        if missing := [name for name in columns if name not in names]:
+            raise damaged(path, f"{missing[0]} is missing")
+        expected = {name: {**known, **columns}.get(name, others) for name in names}
+        for name, column in expected.items():  # all headers before any values
+            if column is not None:
+                _check_header(archive, name, column, path)
+        return {
+            name: _read_values(archive, name, column.finite, path)
+            for name, column in expected.items()
+            if column is not None
+        }
+
+
+def _check_header(archive: zipfile.ZipFile, name: str, column: Column, path: Path | str) -> None:
+    """Refuse an array of another kind, or whose size is not what its header announces."""
+    with archive.open(f"{name}.npy") as member:
+        try:
+            version = np.lib.format.read_magic(member)
+            read = {
+                (1, 0): np.lib.format.read_array_header_1_0,
+                (2, 0): np.lib.format.read_array_header_2_0,
+            }[version]
+            shape, _, dtype = read(member, MAX_HEADER)
+        except (KeyError, *DAMAGES) as error:
+            raise damaged(path, f"{name} is not an array of numbers") from error
+        bytes_left = archive.getinfo(f"{name}.npy").file_size - member.tell()
+    if dtype.kind not in ANY.kinds or dtype.itemsize == 0 or min(shape, default=0) < 0:
+        raise damaged(path, f"{name} is not an array of numbers")
+    if math.prod(shape) * dtype.itemsize != bytes_left:
+        raise damaged(path, f"{name} has another size than its header says")
+    if dtype.kind not in column.kinds:
+        raise damaged(path, f"{name} holds {dtype}, not numbers of kind {column.kinds}")
+    if column.ndim is not None and len(shape) != column.ndim:
+        raise damaged(path, f"{name} has {len(shape)} axes, not {column.ndim}")
+
+
+def _read_values(archive: zipfile.ZipFile, name: str, finite: bool, path: Path | str) -> np.ndarray:
+    with archive.open(f"{name}.npy") as member:
+        values: np.ndarray = np.lib.format.read_array(
+            member, allow_pickle=False, max_header_size=MAX_HEADER
+        )
+        member.read(1)  # the end, where the checksum is compared
+    values = values.astype(values.dtype.newbyteorder("="), copy=False)
+    if finite and values.dtype.kind == "f" and not np.isfinite(values).all():
+        raise damaged(path, f"{name} holds numbers that are not finite")
+    return values
+
+
+def write_arrays(
+    path: Path, arrays: Mapping[str, np.ndarray | Rows], compressed: bool = False
+) -> None:
+    """Write named arrays as .npz, atomically; `Rows` become an array of their own.
+
+    Args:
+        path: the .npz file.
+        arrays: by name.
+        compressed: compress all but fractions: weights are noise, of which compressing saves a
+            fourteenth and takes eight times as long as all else.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+
+    def write(file: BinaryIO) -> None:
+        with zipfile.ZipFile(file, "w") as archive:
+            for name, content in arrays.items():
+                entry = zipfile.ZipInfo(f"{name}.npy")
+                if compressed and (isinstance(content, Rows) or content.dtype.kind != "f"):
+                    entry.compress_type = zipfile.ZIP_DEFLATED
+                with archive.open(entry, "w", force_zip64=True) as member:
+                    _write_member(member, content)
+
+    write_atomically(path, write)
+
+
+def _write_member(member: Any, content: np.ndarray | Rows) -> None:
+    if not isinstance(content, Rows):
+        np.lib.format.write_array(member, np.asarray(content), allow_pickle=False)
+        return
+    header = np.lib.format.header_data_from_array_1_0(content.array[:0])
+    header["shape"] = (len(content.numbers), *content.array.shape[1:])
+    np.lib.format.write_array_header_1_0(member, header)
+    step = max(1, PIECE // max(content.array[:1].nbytes, 1))
+    for start in range(0, len(content.numbers), step):
+        member.write(content.array[content.numbers[start : start + step]].tobytes())
+
+
+def write_state(
+    path: Path, arrays: Mapping[str, np.ndarray | Rows], facts: Mapping[str, Any], member: str
+) -> None:
+    """Write the arrays of a state and JSON-ready facts about it, atomically.
+
+    Args:
+        path: the .npz file.
+        arrays: by name.
+        facts: JSON-ready; ``schema`` is added.
+        member: name under which the facts are stored.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    text = json.dumps({"schema": SCHEMA, **facts})
+    write_arrays(path, {**arrays, member: np.frombuffer(text.encode(), np.uint8)})
+
+
+def read_state(path: Path, member: str, kind: type[T]) -> tuple[dict[str, np.ndarray], T]:
+    """Read what `write_state` wrote: (arrays, facts).
+
+    Args:
+        path: the .npz file.
+        member: name under which the facts are stored.
+        kind: NamedTuple of the facts that are needed.
+
+    Raises:
+        DamagedError: the file is damaged.
+        InputError: the file does not exist, or is of a newer schema.
+    """
+    if not path.exists():
+        raise InputError(f"there is no checkpoint {path}: nothing to resume")
+    arrays = read_arrays(path, {member: Column("u", 1)}, NUMBERS)
+    place = f"{path}, {member}"
+    content = parse_json(arrays.pop(member).tobytes().decode(errors="replace"), place)
+    if structured(content, _Schema, place).schema > SCHEMA:
+        raise InputError(f"{path} was written by a newer qdenv: please upgrade")
+    return arrays, structured(content, kind, place)

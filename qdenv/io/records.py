@@ -1,0 +1,248 @@
+"""JSON of limited size, and records from it: every field present, known and of its own type."""
+
+import dataclasses
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType, NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from qdenv.io.files import MEGABYTE, damaged, read_text
+from qdenv.registry import Registry
+from qdenv.types import InputError
+
+MAX_DEPTH = 40  # nested brackets
+MAX_VALUES = 1_000_000
+MAX_DIGITS = 40  # of a whole number
+MAX_SHOWN = 40  # characters of a wrong value in a message
+INT_LIMIT = 2**63  # what an array can hold
+# Possessive quantifiers: without them the engine stores a state for every escaped character, which
+# took 1.7 GB for a string of 31 MB.
+TOKEN = re.compile(r'[][{},]|"[^"\\]*+(?:\\.[^"\\]*+)*+"?', re.DOTALL)
+TYPE_NAMES = {
+    int: "a whole number",
+    float: "a number",
+    str: "a word",
+    bool: "true or false",
+    NoneType: "null",
+}
+# Fields that hold the settings of a registered choice, wherever a field of this name stands.
+Choices = Mapping[str, Registry]
+NO_CHOICES: Choices = MappingProxyType({})
+T = TypeVar("T")
+
+
+def read_json(path: Path | str, kind: type[T], max_bytes: int = 32 * MEGABYTE) -> T:
+    """Read a JSON file.
+
+    Args:
+        path: the file.
+        kind: type of the content: a NamedTuple, whose unknown fields are ignored, a dataclass or
+            ``dict[str, Any]``.
+        max_bytes: largest file that is read.
+
+    Raises:
+        InputError: it cannot be read, or is damaged; the line names the file and the field.
+    """
+    return structured(parse_json(read_text(path, max_bytes, "JSON"), path), kind, path)
+
+
+def parse_json(text: str, source: Path | str) -> Any:
+    """Parse JSON of limited depth and size; numbers are finite or infinite, never NaN.
+
+    Raises:
+        DamagedError: the text is not JSON, or beyond the limits; the line names `source`.
+    """
+    # Before the parser runs, which allocates for every bracket.
+    depth = values = 0
+    for token in TOKEN.finditer(text):
+        first = text[token.start()]
+        if first == '"':
+            continue
+        values += first in "[{,"
+        depth += (first in "[{") - (first in "]}")
+        if depth > MAX_DEPTH or values > MAX_VALUES:
+            what = f"more than {MAX_VALUES:,} values" if values > MAX_VALUES else "too deep"
+            raise damaged(source, f"not a JSON file of ours: {what}")
+    try:
+        return json.loads(text, parse_int=_int, parse_constant=_constant, object_pairs_hook=_object)
+    except ValueError as error:
+        raise damaged(source, f"not a JSON file: {error}") from error
+
+
+def _int(text: str) -> int:
+    if len(text) > MAX_DIGITS:  # converting digits takes quadratic time
+        raise ValueError(f"a number of {len(text)} digits")
+    return int(text)
+
+
+def _constant(text: str) -> float:
+    if text == "NaN":
+        raise ValueError("NaN is no number")
+    return float(text)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        ((twice, _),) = Counter(name for name, _ in pairs).most_common(1)
+        raise ValueError(f"{twice!r} is there twice")
+    return content
+
+
+def structured(
+    content: Any,
+    kind: type[T],
+    source: Path | str,
+    infinite: bool = False,
+    choices: Choices = NO_CHOICES,
+) -> T:
+    """Turn parsed JSON into a record, strictly: only whole numbers become fractions.
+
+    Dataclasses refuse unknown fields, NamedTuples ignore them.
+
+    Args:
+        content: as parsed.
+        kind: type of the record.
+        source: the file, for the message.
+        infinite: whether fractions may be infinite.
+        choices: fields whose type is that of the choice registered under its ``name``.
+
+    Raises:
+        DamagedError: a field is missing, unknown or of the wrong type; the line names it, like
+            ``domain.rows: must be a whole number, not "many"``.
+    """
+    try:
+        record: T = _Reader(infinite, choices).read(content, kind, "")
+        return record
+    except InputError as error:
+        raise damaged(source, error) from error
+
+
+def unstructured(record: Any, choices: Choices) -> Any:
+    """Turn a dataclass of dataclasses, tuples and plain values into what `structured` reads.
+
+    Raises:
+        InputError: the type of a field in `choices` is not registered.
+    """
+    if not dataclasses.is_dataclass(record):
+        return record
+    content = {}
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        content[field.name] = unstructured(value, choices)
+        if field.name in choices:
+            name = choices[field.name].name_of(value)
+            content[field.name] = {"name": name} | content[field.name]
+    return content
+
+
+class _Reader:
+    """Reads values of a type; `place` is where in the file they stand."""
+
+    def __init__(self, infinite: bool, choices: Choices) -> None:
+        self.infinite, self.choices = infinite, choices
+
+    def read(self, value: Any, kind: Any, place: str) -> Any:
+        origin, parts = get_origin(kind), get_args(kind)
+        if kind is Any:
+            return value
+        if dataclasses.is_dataclass(kind) or hasattr(kind, "_fields"):
+            return self.read_record(value, kind, place)
+        if origin is dict or origin is Mapping:
+            content = _demand(value, dict, place)
+            return {k: self.read(one, parts[1], f"{place}[{k!r}]") for k, one in content.items()}
+        if origin is list or origin is tuple:
+            items = _demand(value, list, place)
+            same = origin is list or parts[-1] is Ellipsis
+            if not same and len(items) != len(parts):
+                raise _wrong(place, f"must be {len(parts)} values, not {len(items)}")
+            kinds = [parts[0]] * len(items) if same else parts
+            pairs = enumerate(zip(items, kinds, strict=True))
+            return origin(self.read(one, part, f"{place}[{i}]") for i, (one, part) in pairs)
+        return self.read_plain(value, _plain_kinds(kind), place)
+
+    def read_record(self, value: Any, kind: Any, place: str) -> Any:
+        content = _demand(value, dict, place)
+        hints, optional = _fields_of(kind)
+        record = {}
+        for name, hint in hints.items():
+            inside = f"{place}.{name}".lstrip(".")
+            if name not in content:
+                if name not in optional:
+                    raise _wrong(inside, "is missing")
+            elif name in self.choices:
+                settings = dict(_demand(content[name], dict, inside))
+                chosen = settings.pop("name", None)
+                if not isinstance(chosen, str):
+                    raise _wrong(inside, "name must be a word")
+                record[name] = self.read(settings, self.choices[name].entry(chosen).config, inside)
+            else:
+                record[name] = self.read(content[name], hint, inside)
+        unknown = sorted(content.keys() - hints)
+        if unknown and dataclasses.is_dataclass(kind):
+            raise _wrong(place, f"has no setting {', '.join(map(repr, unknown))}")
+        try:
+            return kind(**record)
+        except InputError as error:  # a range that the record itself checks
+            raise _wrong(place, error) from error
+
+    def read_plain(self, value: Any, kinds: tuple[type, ...], place: str) -> Any:
+        kind = type(value)
+        if kind is int and (int in kinds or float in kinds) and not -INT_LIMIT <= value < INT_LIMIT:
+            raise _wrong(place, f"must be a number that fits into 64 bits, not {_shown(value)}")
+        if kind is int and int not in kinds and float in kinds:
+            return float(value)
+        if kind is float and float in kinds and not (self.infinite or math.isfinite(value)):
+            raise _wrong(place, f"must be a finite number, not {_shown(value)}")
+        if kind not in kinds:
+            names = " or ".join(name for one, name in TYPE_NAMES.items() if one in kinds)
+            if kinds == (float,) and not self.infinite:
+                names = "a finite number"
+            raise _wrong(place, f"must be {names}, not {_shown(value)}")
+        return value
+
+
+@lru_cache(maxsize=256)
+def _fields_of(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
+    """Return the types of a record's fields, and the names of those that have defaults."""
+    hints = get_type_hints(kind)
+    if not dataclasses.is_dataclass(kind):
+        return hints, frozenset(kind._field_defaults)
+    missing = dataclasses.MISSING
+    fields = [field for field in dataclasses.fields(kind) if field.init]
+    optional = [f.name for f in fields if (f.default, f.default_factory) != (missing, missing)]
+    return {field.name: hints[field.name] for field in fields}, frozenset(optional)
+
+
+def _plain_kinds(kind: Any) -> tuple[type, ...]:
+    """List the types that an int, a union or a Literal allows.
+
+    Of a Literal the type is checked, not the word: it may name what a user has registered.
+    """
+    if get_origin(kind) is Literal:
+        return tuple({type(word) for word in get_args(kind)})
+    if get_origin(kind) in (Union, UnionType):
+        return tuple(one for part in get_args(kind) for one in _plain_kinds(part))
+    return (kind,)
+
+
+def _demand(value: Any, form: type[dict] | type[list], place: str) -> Any:
+    if not isinstance(value, dict if form is dict else (list, tuple)):  # a word is no list
+        raise _wrong(
+            place, f"must be {'an object' if form is dict else 'a list'}, not {_shown(value)}"
+        )
+    return value
+
+
+def _wrong(place: str, reason: object) -> InputError:
+    return InputError(f"{place}: {reason}" if place else str(reason))
+
+
+def _shown(value: Any) -> str:
+    text = json.dumps(value, default=str)
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
