@@ -56,7 +56,7 @@ _HOMES = {
     "plot_run": ("qdenv.plots.run", "plot_run"),
     "report": ("qdenv.api.pages", "report"),
     "read_layout": ("qdenv.io.layouts", "read_layout"),
-    "repair_layout": ("qdenv.repair.recipe", "repair"),
+    "repair_layout": ("qdenv.repair.recipe", "repair_layout"),
     "resume": ("qdenv.training.loop", "resume"),
     "simulate_layout": ("qdenv.study.traffic", "simulate_layout"),
     "train": ("qdenv.api.runs", "train"),

@@ -14,8 +14,8 @@ from qdenv.domains.measures import environment_entropy
 from qdenv.grid import draw, parse
 from qdenv.presets import PRESETS
 from qdenv.repair.audit import audit
-from qdenv.repair.bounds import impossible
-from qdenv.repair.recipe import repair
+from qdenv.repair.recipe import repair_layout
+from qdenv.repair.rules import impossible
 from qdenv.repair.settings import RepairConfig
 from qdenv.study.keeping import keep_from
 from qdenv.training import loop
@@ -86,7 +86,7 @@ def test_a_repair_keeps_every_cell_and_breaks_no_rule(name):
     rules = domain.rules()
     for seed in range(4):
         start = rng.integers(0, len(domain.tiles), domain.shape).astype(np.int8)
-        found = repair(start, rules, seed, RepairConfig("none"))
+        found = repair_layout(start, rules, seed, RepairConfig("none"))
         layout = np.asarray(found.layout)
         assert found.status < 4 and audit(layout, rules) == []
         assert holds(draw(layout, domain.tiles), DRAWINGS[name])
@@ -227,7 +227,7 @@ def test_rules_whose_fixed_tiles_have_no_neighbour_to_need_are_impossible():
     rules = find_domain("manufacturing").resized(3, 3).keeping(("?.?", ".e.", "?.?")).rules()
     assert impossible(rules) == "'e' needs '012', which no cell beside row 1, column 1 may hold"
     alone = RepairConfig("none")
-    assert int(repair(np.zeros((3, 3), np.int8), rules, 0, alone).status) == 4
+    assert int(repair_layout(np.zeros((3, 3), np.int8), rules, 0, alone).status) == 4
 
 
 def test_a_maze_keeps_walls_without_any_rules(tmp_path):

@@ -13,9 +13,9 @@ from qdenv.domains.base import find_domain
 from qdenv.domains.manufacturing import TILES, ManufacturingConfig, rules
 from qdenv.generate.nca import make_automaton, seed_canvas
 from qdenv.presets import find_preset
-from qdenv.repair.anneal.annealer import anneal
+from qdenv.repair.anneal.loop import anneal
 from qdenv.repair.audit import audit
-from qdenv.repair.facts import Facts
+from qdenv.repair.rules import Facts
 from qdenv.score import similarity
 from qdenv.simulate.mapf import goals, tasks
 

@@ -10,10 +10,14 @@ from scipy import ndimage
 
 from qdenv.domains.base import find_domain
 from qdenv.native import kernel
-from qdenv.repair.anneal.annealer import anneal
-from qdenv.repair.anneal.connectivity import RING_PIECES, may_close, tabulate_ring_pieces
-from qdenv.repair.anneal.joining import join_pieces
-from qdenv.repair.anneal.loop import anneal_periods
+from qdenv.repair.anneal.connectivity import (
+    RING_PIECES,
+    join_pieces,
+    may_close,
+    tabulate_ring_pieces,
+)
+from qdenv.repair.anneal.loop import anneal, anneal_periods
+from qdenv.repair.anneal.packing import draw_templates
 from qdenv.repair.anneal.start import (
     compile_board,
     initial_aisles,
@@ -22,9 +26,8 @@ from qdenv.repair.anneal.start import (
     unpad_layout,
 )
 from qdenv.repair.anneal.state import Board, Plan, State, Trait, no_move
-from qdenv.repair.anneal.templates import draw_templates
 from qdenv.repair.audit import audit
-from qdenv.repair.facts import Facts
+from qdenv.repair.rules import Facts
 from qdenv.types import Adjacency, Count, InputError, Rules
 
 CROSS = ndimage.generate_binary_structure(2, 1)

@@ -8,8 +8,7 @@ import pytest
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.repair.audit import audit
-from qdenv.repair.bounds import bound_cost, impossible
-from qdenv.repair.facts import Facts
+from qdenv.repair.rules import Facts, bound_cost, impossible
 from qdenv.types import Adjacency, Count, Rules
 
 TILES = ".@ew"

@@ -6,11 +6,10 @@ from scipy import ndimage
 
 from qdenv.domains.base import find_domain
 from qdenv.repair.anneal import packing
-from qdenv.repair.anneal.packing import pack
-from qdenv.repair.anneal.packing_moves import pack_moves
+from qdenv.repair.anneal.packing import pack, pack_moves
 from qdenv.repair.audit import audit
-from qdenv.repair.facts import Facts
-from qdenv.repair.recipe import repair
+from qdenv.repair.recipe import repair_layout
+from qdenv.repair.rules import Facts
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import RepairStatus, Rules
 
@@ -33,7 +32,7 @@ def test_more_shelves_than_straight_aisles_hold(shape, shelves):
 def test_repairs_use_it_where_annealing_finds_nothing():
     rules = warehouse(18, 12, 98)
     layout = np.random.default_rng(3).integers(0, 3, (18, 12)).astype(np.int8)
-    repaired = repair(layout, rules, 0, RepairConfig("none"))
+    repaired = repair_layout(layout, rules, 0, RepairConfig("none"))
     assert repaired.status == RepairStatus.ANNEALED
     assert audit(np.asarray(repaired.layout), rules) == []
 

@@ -10,9 +10,8 @@ import pytest
 from qdenv.domains.base import find_domain
 from qdenv.repair import pool as pools
 from qdenv.repair.audit import audit
-from qdenv.repair.callback import repair_in_jit
-from qdenv.repair.pool import RepairPool
-from qdenv.repair.recipe import repair
+from qdenv.repair.pool import RepairPool, repair_in_jit
+from qdenv.repair.recipe import repair_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import RepairStatus
 
@@ -33,7 +32,7 @@ def same(one, two) -> bool:
 
 def test_pool_gives_what_single_repairs_give_in_any_order():
     layouts = batch(6)
-    single = [repair(layout, RULES, 3, CONFIG) for layout in layouts]
+    single = [repair_layout(layout, RULES, 3, CONFIG) for layout in layouts]
     with RepairPool(RULES, CONFIG) as pool:
         together = pool.repair(layouts, 3)
     with RepairPool(RULES, RepairConfig("quick", moves_per_cell=60, workers=1)) as pool:
@@ -79,12 +78,12 @@ def test_a_failing_worker_loses_nothing_and_is_not_remembered(monkeypatch):
     def fragile(layout, rules, seed, config):
         if (layout == broken).all():
             raise RuntimeError("solver died")
-        return repair(layout, rules, seed, config)
+        return repair_layout(layout, rules, seed, config)
 
-    monkeypatch.setattr(pools, "repair", fragile)
+    monkeypatch.setattr(pools, "repair_layout", fragile)
     with RepairPool(RULES, CONFIG) as pool:
         records = pool.repair(layouts)
-        monkeypatch.setattr(pools, "repair", repair)
+        monkeypatch.setattr(pools, "repair_layout", repair_layout)
         healed = pool.submit(broken).result()
     assert (records.status == RepairStatus.FAILED).tolist() == [False, False, True, False]
     assert (records.layout[2] == broken).all()
@@ -98,9 +97,9 @@ def gate(monkeypatch):
 
     def slow(layout, rules, seed, config):
         assert opened.wait(20)
-        return repair(layout, rules, seed, config)
+        return repair_layout(layout, rules, seed, config)
 
-    monkeypatch.setattr(pools, "repair", slow)
+    monkeypatch.setattr(pools, "repair_layout", slow)
     yield opened
     opened.set()
 

@@ -9,10 +9,10 @@ from small_yard import yard
 
 from qdenv.domains.base import find_domain
 from qdenv.repair.audit import audit
-from qdenv.repair.facts import Facts
-from qdenv.repair.milp import possible
-from qdenv.repair.milp.possible import find_possible
-from qdenv.repair.recipe import repair
+from qdenv.repair.milp import feasibility
+from qdenv.repair.milp.feasibility import find_possible
+from qdenv.repair.recipe import repair_layout
+from qdenv.repair.rules import Facts
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import Count, RepairStatus, Rules
 
@@ -72,7 +72,7 @@ def test_repairs_reach_the_greatest_number_from_any_layout_and_no_more(shape, mo
         rules = warehouse(*shape, shelves)
         for seed in range(3):
             layout = rng.integers(0, 3, shape).astype(np.int8)
-            repaired = repair(layout, rules, seed, RepairConfig("none"))
+            repaired = repair_layout(layout, rules, seed, RepairConfig("none"))
             if shelves > most:
                 assert repaired.status == RepairStatus.IMPOSSIBLE
                 np.testing.assert_array_equal(repaired.layout, layout)
@@ -84,12 +84,12 @@ def test_repairs_reach_the_greatest_number_from_any_layout_and_no_more(shape, mo
 def test_at_size_s_711_shelves_are_impossible_and_the_answer_is_remembered(monkeypatch):
     facts = Facts(warehouse(33, 36, 711))
     assert find_possible(facts).status == RepairStatus.IMPOSSIBLE
-    monkeypatch.setattr(possible, "_decide", lambda facts: pytest.fail("asked again"))
+    monkeypatch.setattr(feasibility, "_decide", lambda facts: pytest.fail("asked again"))
     assert find_possible(Facts(warehouse(33, 36, 711))).status == RepairStatus.IMPOSSIBLE
 
 
 def test_what_is_not_decided_is_failed(monkeypatch):
-    monkeypatch.setattr(possible, "BRANCHED_CELLS", 0)
+    monkeypatch.setattr(feasibility, "BRANCHED_CELLS", 0)
     assert find_possible(Facts(warehouse(7, 14, 45))).status == RepairStatus.FAILED
 
 
@@ -107,7 +107,7 @@ def test_a_station_that_is_fixed_counts_as_its_own_kind(stations, exists):
     allowed[2, 8] = np.arange(len(rules.tiles)) == rules.tiles.index("1")
     rules = rules._replace(counts=(Count("012", stations, stations), *kinds), allowed=allowed)
     layout = np.random.default_rng(5).integers(0, 5, (4, 9)).astype(np.int8)
-    repaired = repair(layout, rules, 0, RepairConfig("quick"))
+    repaired = repair_layout(layout, rules, 0, RepairConfig("quick"))
     if exists:
         assert audit(np.asarray(repaired.layout), rules) == []
     else:

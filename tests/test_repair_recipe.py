@@ -11,11 +11,10 @@ from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.layouts import read_layout
 from qdenv.repair.audit import audit
-from qdenv.repair.bounds import impossible
-from qdenv.repair.facts import Facts
-from qdenv.repair.milp.cuts import separate
+from qdenv.repair.milp.highs import separate
 from qdenv.repair.milp.program import build, decode, encode
-from qdenv.repair.recipe import repair
+from qdenv.repair.recipe import repair_layout
+from qdenv.repair.rules import Facts, impossible
 from qdenv.repair.settings import EFFORTS, RepairConfig
 from qdenv.types import InputError, RepairStatus, Rules
 
@@ -45,7 +44,7 @@ def test_full_repair_is_optimal_on_every_tried_tiny_layout(changes):
     for _ in range(12):
         layout = rng.integers(0, 3, (3, 3)).astype(np.int8)
         best = ((candidates != layout) * rules.change_cost).sum((1, 2)).min()
-        found = repair(layout, rules, 0, FULL)
+        found = repair_layout(layout, rules, 0, FULL)
         assert found.cost == best
         assert found.lower_bound <= best
         assert audit(found.layout, rules) == []
@@ -71,7 +70,7 @@ def test_program_prices_and_accepts_exactly_what_the_rules_do():
 def test_kinds_counted_apart_are_priced_when_they_must_change():
     """Four stations of one kind, two kinds missing: two of them change their kind."""
     layout = np.array([[1, 4, 1, 0], [0, 0, 0, 0], [1, 4, 1, 0]], np.int8)
-    found = repair(layout, factory(3, 4), 0, FULL)
+    found = repair_layout(layout, factory(3, 4), 0, FULL)
     assert (found.cost, found.status) == (2, RepairStatus.OPTIMAL)
 
 
@@ -103,21 +102,21 @@ def test_engineers_rules_are_kept():
     rules = yard(10, 12, 8, 12, allowed=allowed, aisle=2)
     for seed in range(3):
         layout = np.random.default_rng(seed).integers(0, 3, (10, 12)).astype(np.int8)
-        found = repair(layout, rules, seed, RepairConfig("quick"))
+        found = repair_layout(layout, rules, seed, RepairConfig("quick"))
         assert audit(found.layout, rules) == []
         assert 0 < found.lower_bound <= found.cost
 
 
 def test_rules_without_connectivity_or_adjacency():
     rules = yard(4, 5, 3, 3, connected="", adjacency=())
-    found = repair(np.full((4, 5), 1, np.int8), rules)
+    found = repair_layout(np.full((4, 5), 1, np.int8), rules)
     assert (found.cost, found.status) == (17, RepairStatus.OPTIMAL)
 
 
 def test_a_feasible_layout_stays_as_it_is():
     rules = yard(3, 4, 2, 2)
     layout = np.array([[0, 0, 1, 2], [2, 1, 0, 0], [0, 0, 0, 0]], np.int8)
-    found = repair(layout, rules)
+    found = repair_layout(layout, rules)
     assert (found.layout == layout).all()
     assert (found.cost, found.status) == (0, RepairStatus.OPTIMAL)
 
@@ -125,7 +124,7 @@ def test_a_feasible_layout_stays_as_it_is():
 def test_seeds_and_batches():
     rules = yard(8, 9, 14, 14)
     layout = np.full((8, 9), 2, np.int8)
-    one, again, other = (repair(layout, rules, seed, FULL) for seed in (1, 1, 2))
+    one, again, other = (repair_layout(layout, rules, seed, FULL) for seed in (1, 1, 2))
     assert (one.layout == again.layout).all()
     assert (one.layout != other.layout).any()
     assert one.cost == other.cost
@@ -137,13 +136,13 @@ def test_any_possible_number_of_shelves_is_reached(shelves):
     assert impossible(rules) is None
     for tile in range(3):
         layout = np.where(rules.allowed[..., tile], tile, rules.allowed.argmax(-1)).astype(np.int8)
-        found = repair(layout, rules, 0, RepairConfig("none"))
+        found = repair_layout(layout, rules, 0, RepairConfig("none"))
         assert audit(found.layout, rules) == []
 
 
 def test_impossible_rules_return_at_once():
     layout = np.zeros((3, 3), np.int8)
-    found = repair(layout, yard(3, 3, 9, 9))
+    found = repair_layout(layout, yard(3, 3, 9, 9))
     assert found.status == RepairStatus.IMPOSSIBLE
     assert (found.layout == layout).all() and np.isinf(found.cost)
 
@@ -177,10 +176,10 @@ def test_only_full_asks_the_solver():
 def test_a_repair_says_how_far_it_is_and_what_is_told_changes_nothing():
     layout, told = np.full((8, 9), 2, np.int8), []
     rules = yard(8, 9, 14, 14)
-    found = repair(layout, rules, 0, FULL, lambda doing, done: told.append((doing, done)))
+    found = repair_layout(layout, rules, 0, FULL, lambda doing, done: told.append((doing, done)))
     assert [doing for doing, _ in told if doing == "annealing"]
     assert told[0][1] <= 1 and {"solving windows"} <= {doing for doing, _ in told}
-    assert (found.layout == repair(layout, rules, 0, FULL).layout).all()
+    assert (found.layout == repair_layout(layout, rules, 0, FULL).layout).all()
 
 
 SLANTED_SHELVES = """
@@ -214,7 +213,7 @@ def test_drawn_layouts_are_repaired_to_the_proven_optimum(drawing, domain, shelv
     layout = parse(drawing.split(), kind.tiles)
     numbers = {"shelves": shelves} if "shelves" in kind.counted else {}
     rules = kind.resized(*layout.shape, numbers).rules()
-    found = repair(layout, rules, 0, RepairConfig("full", moves_per_cell=500))
+    found = repair_layout(layout, rules, 0, RepairConfig("full", moves_per_cell=500))
     assert (found.cost, found.lower_bound) == (best, best)
     assert found.status == RepairStatus.OPTIMAL
     assert audit(found.layout, rules) == []
@@ -245,5 +244,5 @@ def repaired_in_full(path: Path, domain: str) -> tuple:
     """Repair a layout file of size S; returns cost, bound, status and broken rules."""
     rules = find_domain(domain).rules()
     layout = read_layout(path, rules.tiles)
-    found = repair(layout, rules, 0, RepairConfig("full", moves_per_cell=500))
+    found = repair_layout(layout, rules, 0, RepairConfig("full", moves_per_cell=500))
     return found.cost, found.lower_bound, found.status, audit(found.layout, rules)

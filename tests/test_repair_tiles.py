@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from experiments.benchmarks.layouts import FLEETS, SIZE, mutated_tiles, random_tiles, rules_at_size
-from qdenv.repair.anneal.annealer import anneal
+from qdenv.repair.anneal.loop import anneal
 from qdenv.repair.audit import audit
-from qdenv.repair.bounds import bound_cost
-from qdenv.repair.facts import Facts
 from qdenv.repair.pool import RepairPool
-from qdenv.repair.recipe import repair
+from qdenv.repair.recipe import repair_layout
+from qdenv.repair.rules import Facts, bound_cost
 from qdenv.types import RepairStatus, Rules
 
 SMALL = (17, 16)
@@ -21,7 +20,7 @@ def repair_twice(layouts: np.ndarray, rules: Rules) -> tuple[np.ndarray, np.ndar
     with RepairPool(rules) as pool:
         together = pool.repair(layouts)
     for index in range(len(layouts) - 1, -1, -2):
-        alone = repair(layouts[index], rules)
+        alone = repair_layout(layouts[index], rules)
         assert (alone.layout == together.layout[index]).all()
         assert alone.cost == together.cost[index]
     assert (together.cost == (together.layout != layouts).sum((1, 2))).all()
@@ -65,7 +64,9 @@ def test_a_mutation_draws_at_most_ten_tiles_anew_and_none_of_the_frame():
 def test_annealing_ends_at_the_bound_with_the_layout_of_a_whole_run(kind):
     rules = rules_at_size(kind, SMALL)
     facts, reached = Facts(rules), 0
-    repaired = np.stack([repair(tiles, rules).layout for tiles in random_tiles(kind, 6, 0, SMALL)])
+    repaired = np.stack(
+        [repair_layout(tiles, rules).layout for tiles in random_tiles(kind, 6, 0, SMALL)]
+    )
     for layout in (*repaired[:2], *mutated_tiles(kind, repaired)):
         bound = bound_cost(layout, facts)
         whole, cost = anneal(layout, facts, 3, 100_000, layout)
@@ -77,7 +78,7 @@ def test_annealing_ends_at_the_bound_with_the_layout_of_a_whole_run(kind):
 
 def test_a_feasible_map_is_proven_in_a_tenth_of_the_time_of_a_random_one():
     rules, (drawn,) = rules_at_size("manufacturing"), random_tiles("manufacturing", 1)
-    first = repair(drawn, rules)
-    again = repair(first.layout, rules)
+    first = repair_layout(drawn, rules)
+    again = repair_layout(first.layout, rules)
     assert again.status == RepairStatus.OPTIMAL and again.cost == 0
     assert again.seconds < first.seconds / 10

@@ -8,10 +8,10 @@ from scipy import ndimage
 from small_yard import yard
 
 from qdenv.domains.base import find_domain
-from qdenv.repair.anneal.annealer import anneal
+from qdenv.repair.anneal.loop import anneal
 from qdenv.repair.audit import audit
-from qdenv.repair.facts import Facts
 from qdenv.repair.milp.windows import CROSS, WindowSearch, hangs_together
+from qdenv.repair.rules import Facts
 from qdenv.repair.settings import WindowLimits
 from qdenv.types import Rules
 

@@ -9,8 +9,8 @@ from robustness import audits, campaign, repairs
 from robustness.attack import Attack, Attempt
 
 from qdenv.domains.base import find_domain
-from qdenv.repair.facts import Facts
-from qdenv.repair.recipe import repair
+from qdenv.repair.recipe import repair_layout
+from qdenv.repair.rules import Facts
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import InputError, RepairStatus
 
@@ -118,7 +118,7 @@ def test_the_exact_program_finds_the_cheapest_layout_and_refutes():
     for shelves, exists in ((5, True), (7, True), (9, False)):
         rules = domain.resized(6, 6, {"shelves": shelves}).rules()
         verdict, cost = repairs.solve_exactly(layout, Facts(rules))
-        best = repair(layout, rules, 0, RepairConfig("full"))
+        best = repair_layout(layout, rules, 0, RepairConfig("full"))
         assert verdict == ("found" if exists else "none")
         assert best.status == (RepairStatus.OPTIMAL if exists else RepairStatus.IMPOSSIBLE)
         assert cost == best.cost
@@ -131,7 +131,7 @@ def test_a_fixed_shelf_that_nothing_serves_is_no_layout_to_the_exact_program():
         allowed[cell] = np.arange(4) == rules.tiles.index(tile)
     rules, layout = rules._replace(allowed=allowed), np.zeros((3, 9), np.int8)
     assert repairs.solve_exactly(layout, Facts(rules))[0] == "none"
-    assert repair(layout, rules).status == RepairStatus.IMPOSSIBLE
+    assert repair_layout(layout, rules).status == RepairStatus.IMPOSSIBLE
 
 
 def test_fleets_are_audited_in_both_backends_and_a_wrong_step_is_found(monkeypatch):

@@ -29,7 +29,7 @@ from experiments.benchmarks.layouts import (
 from qdenv.io.files import write_json
 from qdenv.repair.audit import audit
 from qdenv.repair.pool import RepairPool
-from qdenv.repair.recipe import repair
+from qdenv.repair.recipe import repair_layout
 from qdenv.repair.settings import Polish, RepairConfig
 from qdenv.types import RepairStatus, Rules
 
@@ -119,14 +119,14 @@ def run(
 
 def warm_up() -> None:
     """Compile the kernels, so that no measurement pays for it."""
-    repair(np.zeros((3, 6), np.int8), rules_at_size(DOMAINS[0], (3, 6)))
+    repair_layout(np.zeros((3, 6), np.int8), rules_at_size(DOMAINS[0], (3, 6)))
 
 
 def measure(case: Case, config: RepairConfig, seeds: int) -> dict[str, Any]:
     """Repair one layout from several seeds; every result is audited."""
     shape = case.layout.shape[0], case.layout.shape[1]
     rules = rules_at_size(case.kind, shape)
-    records = [repair(case.layout, rules, seed, config) for seed in range(seeds)]
+    records = [repair_layout(case.layout, rules, seed, config) for seed in range(seeds)]
     row = {
         "layout": case.name,
         "polish": config.polish,
@@ -194,7 +194,7 @@ def compare_tiles(kind: str, shape: tuple[int, int], count: int) -> list[dict[st
 
 def repair_all(layouts: np.ndarray, rules: Rules) -> tuple[dict[str, Any], np.ndarray]:
     """Repair layouts (int8 [B, H, W]) one by one; returns the figures and the repaired layouts."""
-    records = [repair(layout, rules) for layout in layouts]
+    records = [repair_layout(layout, rules) for layout in layouts]
     repaired = np.stack([record.layout for record in records])
     cost, seconds = (
         np.array([getattr(record, name) for record in records], float)
@@ -220,7 +220,7 @@ def count_failures(kind: str, count: int) -> dict[str, Any]:
     config = RepairConfig("none", moves_per_cell=200)
     rules, seconds, failed, broken = rules_at_size(kind), [], 0, 0
     for layout in hard_layouts(kind, count):
-        record = repair(layout, rules, 0, config)
+        record = repair_layout(layout, rules, 0, config)
         failed += int(record.status >= RepairStatus.IMPOSSIBLE)
         broken += bool(audit(np.asarray(record.layout), rules))
         seconds.append(float(record.seconds))

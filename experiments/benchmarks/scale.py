@@ -23,7 +23,7 @@ from qdenv.generate.nca import NcaConfig
 from qdenv.io.files import write_json
 from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.plots.scale import save_scale
-from qdenv.repair.recipe import repair
+from qdenv.repair.recipe import repair_layout
 from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study.elites import find_elite, grow_series
@@ -137,7 +137,7 @@ def measure(automaton: Automaton, shape: tuple[int, int], options: Options) -> d
     tasks = domain.simulator.tasks
     if domain.rules is None or tasks is None:
         raise InputError("no fleet drives in this domain: choose another one")
-    repaired = repair(layout, domain.rules(), 0, automaton.config.repair)
+    repaired = repair_layout(layout, domain.rules(), 0, automaton.config.repair)
     if repaired.status >= RepairStatus.IMPOSSIBLE:
         raise InputError(f"the layout of {shape} could not be repaired")
     row = {

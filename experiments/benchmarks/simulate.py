@@ -20,7 +20,7 @@ from qdenv.domains.base import find_domain
 from qdenv.io.files import write_json
 from qdenv.io.layouts import read_layout
 from qdenv.io.records import read_json
-from qdenv.repair.recipe import RepairConfig, repair
+from qdenv.repair.recipe import RepairConfig, repair_layout
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study.ledger import DRIVERS
 from qdenv.study.runs import Simulated, auditor, run_seeds
@@ -116,7 +116,7 @@ def own_cases(timesteps: int) -> Iterator[Case]:
         if domain.human is not None:
             yield Case(f"{kind}_human", kind, np.asarray(domain.human()), AGENTS, timesteps)
         (drawn,) = grow_random(kind, 1)
-        repaired = repair(drawn, rules_at_size(kind), 0, RepairConfig("quick"))
+        repaired = repair_layout(drawn, rules_at_size(kind), 0, RepairConfig("quick"))
         yield Case(f"{kind}_random", kind, np.asarray(repaired.layout), AGENTS, timesteps)
 
 

@@ -133,8 +133,8 @@ def repair(
     Raises:
         InputError: the domain has no rules, they contradict each other, or nothing was found.
     """
-    from qdenv.repair.bounds import impossible
-    from qdenv.repair.recipe import repair as repair_layout
+    from qdenv.repair.recipe import repair_layout
+    from qdenv.repair.rules import impossible
     from qdenv.repair.settings import RepairConfig
 
     plan = read_plan(layout, domain)

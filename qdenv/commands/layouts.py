@@ -14,7 +14,7 @@ from qdenv.domains.base import Domain
 from qdenv.io.files import tidy
 from qdenv.io.layouts import endings_for, write_layout
 from qdenv.repair.audit import Violation, audit, check_allowed
-from qdenv.repair.bounds import impossible
+from qdenv.repair.rules import impossible
 from qdenv.repair.settings import RepairConfig
 from qdenv.study.changes import describe_changes, list_changes, warn_of_changes
 from qdenv.study.plans import Plan, read_plan
@@ -61,7 +61,7 @@ def repair(
     rows, cols = plan.layout.shape
     print(f"{layout}: {rows} x {cols}, {plan.whose}", flush=True)
     # Only here: the repair imports a compiler and a solver.
-    from qdenv.repair.recipe import repair as repair_layout
+    from qdenv.repair.recipe import repair_layout
 
     with waiting("repairing") as bar:
         result = repair_layout(plan.layout, rules, seed, RepairConfig(polish=polish), bar)

@@ -25,7 +25,7 @@ class waiting:  # noqa: N801 (read as a verb: `with waiting("simulating") as bar
     """A bar on standard error that moves by itself and names what is compiled meanwhile.
 
     A context manager. Any thread may move it; called as ``bar(doing, share)`` it is what
-    `repair.recipe.repair` and the studies take as `progress`.
+    `repair.recipe.repair_layout` and the studies take as `progress`.
     """
 
     def __init__(self, doing: str, total: float = 0, shown: bool | None = None) -> None:

@@ -11,12 +11,13 @@ from collections import OrderedDict
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from typing import Any
 
+import jax
 import numpy as np
 
-from qdenv.repair.recipe import repair
-from qdenv.repair.result import Result
+from qdenv.repair.recipe import repair_layout
+from qdenv.repair.rules import Result
 from qdenv.repair.settings import RepairConfig
-from qdenv.types import Repair, RepairStatus, Rules
+from qdenv.types import Array, Repair, RepairStatus, Rules
 
 LOG = logging.getLogger(__name__)
 WAITING_PER_WORKER = 64  # layouts that may queue before `submit` waits
@@ -81,11 +82,11 @@ class RepairPool:
     def _repair(self, layout: np.ndarray, seed: int) -> Repair:
         """Repair one layout; where memory is short, once more when no other retries."""
         try:
-            return repair(layout, self.rules, seed, self.config)
+            return repair_layout(layout, self.rules, seed, self.config)
         except MemoryError:
             LOG.warning("a repair ran out of memory: it is tried again by itself")
         with self._alone:
-            return repair(layout, self.rules, seed, self.config)
+            return repair_layout(layout, self.rules, seed, self.config)
 
     def repair(self, layouts: np.ndarray, seed: int = 0) -> Repair:
         """Repair a batch (int8 [B, H, W]) and wait for it; every field gets a leading axis B."""
@@ -135,3 +136,32 @@ def _for_free(known: "Future[Repair]") -> "Future[Repair]":
 
     known.add_done_callback(hand_on)
     return mine
+
+
+def repair_in_jit(pool: RepairPool, layouts: Array, seed: Array | int) -> Repair:
+    """Repair a batch from inside jit or scan.
+
+    Args:
+        pool: where to repair.
+        layouts: int8 [B, H, W].
+        seed: int32 or uint32 scalar, the base seed.
+
+    Returns:
+        A `Repair` whose fields have a leading axis B.
+    """
+    batch = layouts.shape[:1]
+
+    def on_host(layouts: Array, seed: Array) -> Repair:
+        # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
+        return pool.repair(np.asarray(layouts), int(np.asarray(seed)))
+
+    shapes: dict[str, Any] = {
+        "layout": jax.ShapeDtypeStruct(layouts.shape, np.int8),
+        "status": jax.ShapeDtypeStruct(batch, np.int32),
+        "cost": jax.ShapeDtypeStruct(batch, np.float32),
+        "lower_bound": jax.ShapeDtypeStruct(batch, np.float32),
+        "seconds": jax.ShapeDtypeStruct(batch, np.float32),
+    }
+    promised = Repair(**shapes)
+    repaired: Repair = jax.pure_callback(on_host, promised, layouts, seed, vmap_method="sequential")
+    return repaired

@@ -13,23 +13,28 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from qdenv.repair.anneal.annealer import FIRM, GENTLE, STRICT, Schedule, anneal
-from qdenv.repair.anneal.templates import draw_templates
+from qdenv.repair.anneal.loop import FIRM, GENTLE, STRICT, Schedule, anneal
+from qdenv.repair.anneal.packing import draw_templates
 from qdenv.repair.audit import audit
-from qdenv.repair.bounds import bound_cost, find_contradiction
-from qdenv.repair.facts import Facts
-from qdenv.repair.kinds import balance
-from qdenv.repair.milp.improve import improve, keep_cheaper
-from qdenv.repair.milp.possible import find_possible
+from qdenv.repair.milp.feasibility import find_possible
+from qdenv.repair.milp.highs import improve, keep_cheaper
 from qdenv.repair.milp.windows import WindowSearch
-from qdenv.repair.result import Report, Result, no_report
+from qdenv.repair.rules import (
+    Facts,
+    Report,
+    Result,
+    balance,
+    bound_cost,
+    find_contradiction,
+    no_report,
+)
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import Repair, RepairStatus, Rules
 
 MAX_TEMPLATES = 4  # regular layouts to start from, those that break the fewest rules
 
 
-def repair(
+def repair_layout(
     layout: np.ndarray,
     rules: Rules,
     seed: int = 0,

@@ -12,8 +12,7 @@ from qdenv.domains.base import Domain, make_domain
 from qdenv.generate.generator import GENERATORS
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import NonNegativeInt, check_range
-from qdenv.repair.bounds import impossible
-from qdenv.repair.result import Report, no_report
+from qdenv.repair.rules import Report, impossible, no_report
 from qdenv.repair.settings import RepairConfig
 from qdenv.settings import EvaluationConfig
 from qdenv.study.keeping import keep_from
@@ -151,10 +150,10 @@ def repair_grown(
     if domain.rules is None:
         return None
     # Only here: imports a compiler and a solver.
-    from qdenv.repair.recipe import repair
+    from qdenv.repair.recipe import repair_layout
 
     rules = domain.rules()
-    result = repair(grown.layout, rules, seed, config, report)
+    result = repair_layout(grown.layout, rules, seed, config, report)
     if result.status >= RepairStatus.IMPOSSIBLE:
         rows, cols = domain.shape
         demanded = "".join(f" with {number} {name}" for name, number in domain.numbers.items())

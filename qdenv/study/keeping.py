@@ -7,7 +7,7 @@ import numpy as np
 from qdenv.domains.base import Domain
 from qdenv.domains.keep import FREE, SAME, check_shape
 from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing, respell
-from qdenv.repair.bounds import impossible
+from qdenv.repair.rules import impossible
 from qdenv.types import InputError
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from qdenv.domains.base import Domain, make_domain
 from qdenv.io.layouts import MAX_SIDE
-from qdenv.repair.bounds import impossible
+from qdenv.repair.rules import impossible
 from qdenv.search.axes import check_measures
 from qdenv.training.config import RunConfig
 from qdenv.training.following import limit_of

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from qdenv.domains.base import find_domain
-from qdenv.repair.recipe import repair
+from qdenv.repair.recipe import repair_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.simulate.mapf.audit import audit, trajectory_of
 from qdenv.simulate.mapf.fleet import FleetConfig
@@ -103,7 +103,7 @@ def _draw_domain(chance: np.random.Generator, name: str) -> Site:
     odds = chance.dirichlet(np.ones(len(domain.generated)))
     drawn = chance.choice(len(domain.generated), domain.generated_shape, p=odds).astype(np.int8)
     layout, seed = np.asarray(domain.frame(drawn)), int(chance.integers(1 << 30))
-    done = repair(layout, rules(), seed, RepairConfig("none"))
+    done = repair_layout(layout, rules(), seed, RepairConfig("none"))
     if int(done.status) >= RepairStatus.IMPOSSIBLE:
         return _draw_domain(chance, name)
     return Site(name, np.asarray(done.layout), _tasks_of(name))

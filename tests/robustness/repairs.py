@@ -8,12 +8,11 @@ import numpy as np
 
 from qdenv.domains.base import find_domain
 from qdenv.repair.audit import audit
-from qdenv.repair.facts import Facts
-from qdenv.repair.milp.cuts import separate
-from qdenv.repair.milp.highs import add_cuts, load, read_bound, read_values
-from qdenv.repair.milp.possible import is_refuted
+from qdenv.repair.milp.feasibility import is_refuted
+from qdenv.repair.milp.highs import add_cuts, load, read_bound, read_values, separate
 from qdenv.repair.milp.program import build, decode
-from qdenv.repair.recipe import repair
+from qdenv.repair.recipe import repair_layout
+from qdenv.repair.rules import Facts
 from qdenv.repair.settings import Polish, RepairConfig
 from qdenv.types import Count, RepairStatus, Rules
 from robustness.attack import Attack, Attempt
@@ -89,7 +88,7 @@ def attempt(chance: np.random.Generator, folder: Path) -> Attempt:
     task = draw_task(chance)
     polish = POLISHES[chance.choice(3, p=[0.5, 0.4, 0.1])]
     config = RepairConfig(polish, moves_per_cell=MOVES if polish == "full" else None)
-    done = repair(task.layout, task.rules, int(chance.integers(1 << 30)), config)
+    done = repair_layout(task.layout, task.rules, int(chance.integers(1 << 30)), config)
     status = RepairStatus(int(done.status))
     facts, faults = Facts(task.rules), []
     if status < RepairStatus.IMPOSSIBLE:

@@ -7,10 +7,20 @@ one another are therefore changed at once.
 import numpy as np
 
 from qdenv.native import formula, inlined, kernel
-from qdenv.repair.anneal.chance import LEVELS, below, bits, word
 from qdenv.repair.anneal.connectivity import SET_BITS
 from qdenv.repair.anneal.energy import lacking
-from qdenv.repair.anneal.state import NO_TILE, Asked, Board, Move, State, Trait
+from qdenv.repair.anneal.state import (
+    LEVELS,
+    NO_TILE,
+    Asked,
+    Board,
+    Move,
+    State,
+    Trait,
+    below,
+    bits,
+    word,
+)
 
 # How moves are drawn, in parts of `LEVELS`; measured on published and random layouts at equal
 # numbers of moves: drawing near changed cells, and partners next door, each save two thirds of

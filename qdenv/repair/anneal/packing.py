@@ -1,11 +1,7 @@
-"""As many obstacles as the rules ask for, whatever layout came in: the last resort near the limit.
+"""Regular layouts that obey the rules by construction: where annealing starts as a last resort.
 
-Where hardly any layout is left the annealer finds none: it never lets the driving area fall apart,
-and the ways to the densest layouts lead through pieces. Straight aisles between two rows of shelves
-hold 704 of them at the paper's size; this finds 708, with aisles that end head to head in a seam.
-
-A seam takes few columns and all others are alike. So a narrow layout is packed first, and one of
-its columns repeated.
+Aisles with two rows of obstacles between them: every obstacle touches an aisle, so any of them may
+be left out, and about two thirds of the cells can be obstacles, which no connected layout exceeds.
 """
 
 from typing import NamedTuple
@@ -13,16 +9,244 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from qdenv.repair.anneal.packing_moves import Ground, pack_moves
+from qdenv.grid import MOVES
+from qdenv.native import formula, inlined, kernel
+from qdenv.repair.anneal.connectivity import RING_PIECES, SIDES
 from qdenv.repair.anneal.start import join_bits
-from qdenv.repair.anneal.templates import draw_templates
+from qdenv.repair.anneal.state import LEVELS, LIMITS, below, bits, word
 from qdenv.repair.audit import audit
-from qdenv.repair.bounds import BESIDE, CROSS
-from qdenv.repair.facts import Facts
-from qdenv.repair.result import Report, no_report
+from qdenv.repair.rules import BESIDE, CROSS, Facts, Report, no_report
 from qdenv.types import Adjacency
 
-MOVES = 40_000
+
+def draw_templates(layout: np.ndarray, facts: Facts) -> list[np.ndarray]:
+    """Draw aisles along rows and along columns, in every phase (each int8 [H, W]).
+
+    Args:
+        layout: int8 [H, W], the input: obstacles stand where it has some, as far as they fit.
+        facts: the constraints.
+
+    Returns:
+        Candidates; fixed cells and odd keep-outs may still break a rule here and there.
+    """
+    height, width = layout.shape
+    aisle, period = facts.rules.aisle, facts.rules.aisle + 2
+    rows, cols = np.indices((height, width))
+    drawn = []
+    for along, across, last in ((rows, cols, width), (cols, rows, height)):
+        # Aisles across both ends link those along the rows, where no fixed border does.
+        spine = (across < aisle) | (across >= last - aisle)
+        for link in (spine, np.zeros_like(spine)):
+            drawn += [
+                _furnish(layout, facts, ((along + phase) % period < aisle) | link)
+                for phase in range(period)
+            ]
+    return drawn
+
+
+def _furnish(layout: np.ndarray, facts: Facts, aisles: np.ndarray) -> np.ndarray:
+    """Drive everywhere, then put the obstacles that the counts ask for beside the aisles."""
+    allowed = facts.rules.allowed
+    # The least demanding driving tile that is allowed, else any allowed tile.
+    candidate = (allowed * (1.0 + facts.driving * 100.0 - facts.demands)).argmax(-1).astype(np.int8)
+    for bound in facts.rules.counts:
+        wanted = facts.holding(bound.tiles) & ~facts.driving
+        may = (allowed & wanted).any(-1) & ~aisles & facts.driving[candidate]
+        missing = bound.low - int(wanted[candidate].sum())
+        for row, col in _alike_first(may, wanted[layout]):
+            if missing <= 0:
+                break
+            own = layout[row, col]
+            kind = own if wanted[own] else int(np.argmax(allowed[row, col] & wanted))
+            candidate[row, col] = kind if allowed[row, col, kind] else candidate[row, col]
+            _serve(candidate, facts, row, col, aisles)
+            missing -= 1
+    return candidate
+
+
+def _alike_first(may: np.ndarray, alike: np.ndarray) -> np.ndarray:
+    """List the cells of `may` (bool [H, W]), those of `alike` first (int64 [cells, 2])."""
+    cells = np.argwhere(may)
+    return cells[np.argsort(~alike[may], kind="stable")]
+
+
+def _serve(candidate: np.ndarray, facts: Facts, row: int, col: int, aisles: np.ndarray) -> None:
+    """Give the tile at a cell the neighbour on an aisle that each of its demands asks for."""
+    height, width = candidate.shape
+    beside = [(row + down, col + right) for down, right in MOVES]
+    beside = [(r, c) for r, c in beside if 0 <= r < height and 0 <= c < width]
+    for needs in facts.needs[candidate[row, col]]:
+        serving = facts.holding(needs)
+        if any(serving[candidate[cell]] for cell in beside):
+            continue
+        for cell in sorted(beside, key=lambda cell: not aisles[cell]):
+            fits = serving & facts.driving & facts.rules.allowed[cell]
+            if fits.any() and facts.driving[candidate[cell]]:
+                candidate[cell] = fits.argmax()
+                break
+
+
+TEMPERATURES = (0.6, 0.08)  # the first and the last, in broken demands
+SWAP = round(0.7 * LEVELS)  # of `LEVELS`: change a second cell near the first one the other way
+REACH = 2  # cells away in each direction
+_WORDS = 2  # random words that one move uses
+_SIDE = 2 * REACH + 1
+
+
+class Ground(NamedTuple):
+    """What is being packed; N cells with a ring around the layout."""
+
+    free: np.ndarray  # int32 [F], the cells that may drive or not
+    flips: np.ndarray  # bool [N], the same
+    inside: np.ndarray  # bool [N], off the ring
+    serves: np.ndarray  # bool [N], whether it may serve the obstacles beside it where it drives
+    drives: np.ndarray  # bool [N], where robots drive now
+    ring: np.ndarray  # uint8 [N], which of the eight neighbours drive
+    steps: np.ndarray  # int64 [8], to these neighbours
+    seen: np.ndarray  # int32 [N], number of the last search that came by
+    front: np.ndarray  # int32 [N], room for a search
+    tolls: np.ndarray  # int64 [4]: obstacles, unserved ones, pieces, searches so far
+
+
+@formula
+def _is_unserved(ground: Ground, cell: int) -> int:
+    """Whether an obstacle stands on a cell and none of its neighbours serves it."""
+    alone = ground.inside[cell] and not ground.drives[cell]
+    for place in (0, 2, 4, 6):
+        side = cell + ground.steps[place]
+        alone = alone and not (ground.drives[side] and ground.serves[side])
+    return int(alone)
+
+
+@inlined
+def _flip(ground: Ground, cell: int) -> None:
+    """Open or close a cell; pieces are `_weigh_pieces`'s."""
+    steps, unserved = ground.steps, -_is_unserved(ground, cell)
+    for place in (0, 2, 4, 6):
+        side = cell + steps[place]
+        if ground.inside[side]:
+            unserved -= _is_unserved(ground, side)
+    ground.drives[cell] = not ground.drives[cell]
+    ground.tolls[0] += -1 if ground.drives[cell] else 1
+    unserved += _is_unserved(ground, cell)
+    for place in (0, 2, 4, 6):
+        side = cell + steps[place]
+        if ground.inside[side]:
+            unserved += _is_unserved(ground, side)
+    ground.tolls[1] += unserved
+    for place in range(8):
+        ground.ring[cell + steps[place]] ^= 1 << (place + 4 & 7)
+
+
+@kernel
+def _count_around(ground: Ground, cell: int) -> int:
+    """Count the pieces beside a cell, were it closed."""
+    sides = ground.ring[cell] & SIDES
+    if sides == 0 or RING_PIECES[ground.ring[cell]] == 1:
+        return int(sides != 0)
+    pieces, first = 0, ground.tolls[3] + 1
+    for place in (0, 2, 4, 6):
+        root = cell + ground.steps[place]
+        if not sides >> place & 1 or ground.seen[root] >= first:
+            continue
+        pieces += 1
+        ground.tolls[3] += 1
+        ground.seen[root], ground.front[0], size = first, root, 1
+        while size:
+            size -= 1
+            here = ground.front[size]
+            for towards in (0, 2, 4, 6):
+                there = here + ground.steps[towards]
+                if ground.drives[there] and there != cell and ground.seen[there] < first:
+                    ground.seen[there], ground.front[size] = first, there
+                    size += 1
+    return pieces
+
+
+@inlined
+def _weigh_pieces(ground: Ground, cell: int) -> None:
+    """Bring the number of pieces up to date after a cell has opened or closed."""
+    change = _count_around(ground, cell) - 1
+    ground.tolls[2] += -change if ground.drives[cell] else change
+
+
+@formula
+def _break_count(ground: Ground, low: int, high: int) -> int:
+    """Count the obstacles that are missing, are too many, or are unserved."""
+    obstacles, unserved = ground.tolls[0], ground.tolls[1]
+    return max(low - obstacles, 0) + max(obstacles - high, 0) + unserved
+
+
+@formula
+def _draw_partner(ground: Ground, cell: int, source: np.uint64) -> int:
+    """Draw a cell near another, which may be off the ground."""
+    step = below(source, 10, 10, _SIDE * _SIDE)
+    return cell + (step // _SIDE - REACH) * ground.steps[4] + step % _SIDE - REACH
+
+
+@inlined
+def _try_flips(ground: Ground, cell: int, other: int, limit: float, low: int, high: int) -> None:
+    """Change a cell, and another unless that is the same, if the energy stays within a limit."""
+    pieces = ground.tolls[2]
+    _flip(ground, cell)
+    if other != cell:
+        _flip(ground, other)
+    # The dearest test comes last; pieces are weighed after one change, then after both.
+    accept = _break_count(ground, low, high) <= limit - max(pieces - 1, 0)
+    if accept:
+        if other != cell:
+            _flip(ground, other)
+        _weigh_pieces(ground, cell)
+        if other != cell:
+            _flip(ground, other)
+            _weigh_pieces(ground, other)
+        accept = _break_count(ground, low, high) + ground.tolls[2] <= limit
+    if not accept:
+        _flip(ground, cell)
+        if other != cell:
+            _flip(ground, other)
+        ground.tolls[2] = pieces
+
+
+@kernel
+def pack_moves(
+    ground: Ground, low: int, high: int, seed: np.uint64, first: int, last: int, moves: int
+) -> bool:
+    """Make the moves `first` to `last` - 1; where a run is cut makes no difference.
+
+    Args:
+        ground: where to start; ends where the last move led.
+        low: obstacles, at least.
+        high: obstacles, at most.
+        seed: of all draws.
+        first: number of the first move.
+        last: number of the one after the last.
+        moves: of the whole run, during which the temperature falls geometrically.
+
+    Returns:
+        Whether nothing is broken; the run ends there.
+    """
+    hot, cold = TEMPERATURES
+    for index in range(first, last):
+        if _break_count(ground, low, high) == 0 and ground.tolls[2] <= 1:
+            return True
+        source = word(seed, _WORDS * index)
+        cell = ground.free[below(source, 32, 32, ground.free.size)]
+        other = cell
+        if bits(source, 0, 10) < SWAP:
+            other = _draw_partner(ground, cell, source)
+            if not 0 <= other < ground.flips.size or not ground.flips[other]:
+                continue
+            if ground.drives[other] == ground.drives[cell]:
+                continue
+        temperature = hot * (cold / hot) ** (index / moves)
+        limit = temperature * LIMITS[bits(word(seed, _WORDS * index + 1), 36, 10)]
+        limit += _break_count(ground, low, high) + ground.tolls[2]
+        _try_flips(ground, cell, other, limit, low, high)
+    return _break_count(ground, low, high) == 0 and ground.tolls[2] <= 1
+
+
+MOVES_PER_CELL = 40_000
 MAX_CELLS = 2500  # that may change: a search for pieces takes longer the more there are
 NARROW = 10
 CHUNK = 2_000_000  # moves between two reports, about a second
@@ -72,12 +296,15 @@ def _draw_starts(facts: Facts) -> list[np.ndarray]:
 def _pack_whole(facts: Facts, service: Adjacency, report: Report) -> np.ndarray | None:
     """Pack all cells at once."""
     start = _draw_starts(facts)[0]
-    ground, moves = _lay_out(facts.driving[start], facts, service), MOVES * facts.free_cells
+    ground, moves = (
+        _lay_out(facts.driving[start], facts, service),
+        MOVES_PER_CELL * facts.free_cells,
+    )
     low, high = facts.count_bounds[0]
     for first in range(0, moves, CHUNK):
         last = min(first + CHUNK, moves)
         if pack_moves(ground, low, high, np.uint64(0), first, last, moves):
-            layout = _furnish(ground, facts, service)
+            layout = _choose_tiles(ground, facts, service)
             return None if audit(layout, facts.rules) else layout
         report("packing", last / moves)
     return None
@@ -153,7 +380,7 @@ def _lay_out(driving: np.ndarray, facts: Facts, service: Adjacency) -> Ground:
     )
 
 
-def _furnish(ground: Ground, facts: Facts, service: Adjacency) -> np.ndarray:
+def _choose_tiles(ground: Ground, facts: Facts, service: Adjacency) -> np.ndarray:
     """Give every cell a tile: beside obstacles those that serve, else the least demanding."""
     allowed, shape = facts.rules.allowed, facts.free.shape
     drives = ground.drives.reshape(shape[0] + 2, -1)[1:-1, 1:-1]

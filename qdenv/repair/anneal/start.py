@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from qdenv.repair.anneal.joining import join_pieces
+from qdenv.repair.anneal.connectivity import join_pieces
 from qdenv.repair.anneal.state import (
     DRAWS,
     MAX_KINDS,
@@ -14,7 +14,7 @@ from qdenv.repair.anneal.state import (
     State,
     Trait,
 )
-from qdenv.repair.facts import Facts
+from qdenv.repair.rules import Facts
 from qdenv.types import InputError
 
 # A partner that leaves its input tile shifts a corridor. Measured: where a number of tiles is exact
