@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+import platformdirs
 from numba.extending import register_jitable
 
-KEPT_FOLDERS = 128  # a dozen per state of the sources: other branches, other installations
+MAX_FOLDERS = 128  # a dozen per state of the sources: other branches, other installations
 
 PACKAGE = Path(__file__).parent
 
@@ -94,7 +95,7 @@ def cache_folder(module: str) -> Path | None:
     for path in sorted(sources_of(module)):
         digest.update(str(path.relative_to(PACKAGE)).encode())
         digest.update(path.read_bytes())
-    home = Path(numba.config.CACHE_DIR or _user_cache()) / "qdenv"
+    home = Path(numba.config.CACHE_DIR or platformdirs.user_cache_path()) / "qdenv"
     folder = home / digest.hexdigest()[:16]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -145,20 +146,11 @@ def _imports(path: Path) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _user_cache() -> Path:
-    """Find where programs of this user keep what they can make again."""
-    if sys.platform == "darwin":
-        return Path.home() / "Library/Caches"
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData/Local")
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-
-
 def _forget_old(home: Path) -> None:
     """Remove all folders but the last used ones; other processes may be doing the same."""
     with contextlib.suppress(OSError):
         by_age = sorted(home.iterdir(), key=lambda folder: folder.stat().st_mtime)
-        for folder in by_age[:-KEPT_FOLDERS]:
+        for folder in by_age[:-MAX_FOLDERS]:
             shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -84,10 +84,10 @@ def test_without_a_place_to_write_it_works_without_a_cache(package: Path, tmp_pa
 
 
 def test_only_the_last_used_folders_are_kept(tmp_path: Path):
-    for age in range(native.KEPT_FOLDERS + 3):
+    for age in range(native.MAX_FOLDERS + 3):
         folder = tmp_path / f"{age}"
         folder.mkdir()
         os.utime(folder, (10**9 - age, 10**9 - age))
     native._forget_old(tmp_path)
     kept = {int(folder.name) for folder in tmp_path.iterdir()}
-    assert kept == set(range(native.KEPT_FOLDERS))
+    assert kept == set(range(native.MAX_FOLDERS))

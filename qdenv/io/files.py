@@ -1,4 +1,4 @@
-"""Writing files so that a crash, a full disk or a kill never leaves half of one."""
+"""Files: written whole or not at all, read up to a limited size."""
 
 import codecs
 import contextlib
@@ -21,10 +21,12 @@ from qdenv.types import DamagedError, InputError
 # Prefix of the names under which `write_atomically` writes. It is ours alone: `sweep` deletes by
 # it, and a user's hidden files must never match.
 TEMPORARY_PREFIX = ".qdenv-tmp-"
-DIGITS = 6  # significant ones of a number in a file: single precision holds no more
+MEGABYTE = 2**20
+MAX_TEXT = 64 * MEGABYTE  # bytes of a text file
+UTF_16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
-def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) -> None:
+def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) -> None:
     """Write under a temporary name beside `path`, sync, rename: the old file lives until then.
 
     Args:
@@ -34,11 +36,19 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
     Raises:
         InputError: the place cannot be written to (read-only, full, not a folder).
     """
+    if isinstance(content, bytes):
+        data = content
+        write_atomically(path, lambda file: file.write(data))
+        return
     temporary = None
     path = Path(os.path.realpath(path))  # what a link stands for is written, the link stays
     try:
         if path.exists() and not path.is_file() and not path.is_dir():
-            _write_through(path, content)
+            # A device or a pipe, like /dev/stdout, must not become a file.
+            buffer = io.BytesIO()
+            content(buffer)
+            with path.open("wb") as device:
+                device.write(buffer.getvalue())
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         mode = _mode_of(path)
@@ -47,10 +57,7 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
         )
         unfinished.add(temporary)
         with os.fdopen(handle, "wb") as file:
-            if isinstance(content, bytes):
-                file.write(content)
-            else:
-                content(file)
+            content(file)
             file.flush()
             os.fsync(file.fileno())
         os.chmod(temporary, mode)
@@ -60,7 +67,7 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
             f"{path}: cannot be written ({error.strerror or error}): free some space or choose "
             "another place; what was written before is intact"
         ) from error
-    finally:  # whatever went wrong, nothing half written stays
+    finally:  # after any error, nothing half written stays
         if temporary is not None:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
@@ -86,17 +93,6 @@ def sweep(folder: Path) -> None:
     for path in folder.glob(f"{TEMPORARY_PREFIX}*"):
         with contextlib.suppress(OSError):
             path.unlink()
-
-
-def _write_through(path: Path, content: bytes | Callable[[BinaryIO], None]) -> None:
-    """Write to a device or a pipe, like /dev/stdout, which must not become a file."""
-    buffer = io.BytesIO()
-    if isinstance(content, bytes):
-        buffer.write(content)
-    else:
-        content(buffer)
-    with path.open("wb") as device:
-        device.write(buffer.getvalue())
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -127,7 +123,7 @@ os.umask(_UMASK)
 
 
 def tidy(value: Any) -> Any:
-    """Turn values into JSON's: numpy's to Python's, six digits, null for what is no number."""
+    """Turn values into JSON's: numpy's to Python's, six digits, null for NaN and infinity."""
     if isinstance(value, Mapping):
         return {str(name): tidy(one) for name, one in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
@@ -137,60 +133,55 @@ def tidy(value: Any) -> Any:
     if isinstance(value, int | np.integer):
         return int(value)
     if isinstance(value, float | np.floating):
-        return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
+        return float(f"{value:.6g}") if np.isfinite(value) else None  # float32 holds no more
     return value if isinstance(value, str | None) else str(value)
 
 
-MEGABYTE = 2**20
-LARGEST = 64 * MEGABYTE  # of a file of text
-UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-
-
 def damaged(source: Path | str, reason: object) -> DamagedError:
-    """Make the error for a file that holds something else than it should."""
+    """Make the error for a file with wrong content."""
     return DamagedError(f"{source}: cannot be read ({reason})")
 
 
 def unreadable(path: Path | str, error: OSError) -> InputError:
-    """Make the error for a file that the system does not give out."""
+    """Make the error for a file that the system refuses to read."""
     return InputError(f"{path}: cannot be read ({error.strerror or error})")
 
 
-def read_bytes(path: Path | str, most: int = LARGEST) -> bytes:
+def read_bytes(path: Path | str, max_bytes: int = MAX_TEXT) -> bytes:
     """Read a whole file, or what a pipe gives.
 
     Args:
         path: the file.
-        most: bytes; no more are ever read.
+        max_bytes: largest size; no more is ever read.
 
     Raises:
         InputError: it cannot be read, or is bigger.
     """
     try:
         with open(path, "rb") as file:
-            content = file.read(most + 1)
+            content = file.read(max_bytes + 1)
     except OSError as error:
         raise unreadable(path, error) from error
     except ValueError as error:  # a name that no file can have
         raise InputError(f"{path}: cannot be read ({error})") from error
-    if len(content) > most:
-        raise damaged(path, f"bigger than {most // MEGABYTE} MB")
+    if len(content) > max_bytes:
+        raise damaged(path, f"bigger than {max_bytes // MEGABYTE} MB")
     return content
 
 
-def read_text(path: Path | str, most: int = LARGEST, what: str = "text") -> str:
+def read_text(path: Path | str, max_bytes: int = MAX_TEXT, what: str = "text") -> str:
     """Read a text file as UTF-8, or as the UTF-16 of Windows' shell.
 
     Args:
         path: the file, or a pipe.
-        most: bytes of it.
-        what: the file should hold, for the message.
+        max_bytes: largest size.
+        what: kind of file, for the message.
 
     Raises:
         InputError: it cannot be read, is bigger, or is no text.
     """
-    content = read_bytes(path, most)
+    content = read_bytes(path, max_bytes)
     try:
-        return content.decode("utf-16" if content.startswith(UTF_16) else "utf-8-sig")
+        return content.decode("utf-16" if content.startswith(UTF_16_MARKS) else "utf-8-sig")
     except UnicodeDecodeError as error:
         raise damaged(path, f"not a {what} file: {error}") from error

@@ -1,4 +1,9 @@
-"""Drawings in files: rows of symbols as JSON, plain text, a spreadsheet's CSV or MovingAI's map."""
+"""Layout files: rows of symbols as JSON, plain text, a spreadsheet's CSV or MovingAI's map.
+
+JSON has the shape of the layouts published with the paper, an object with a list of equally long
+rows under "layout"; other keys are ignored. Headers that contradict the rows are ignored, too: the
+rows are what is simulated.
+"""
 
 import csv
 import json
@@ -17,7 +22,7 @@ from qdenv.types import Array, DamagedError, InputError, Tile
 ENDINGS = (".json", ".txt", ".csv", ".map")  # of layout files; any other ending is JSON's
 MAX_BYTES = 32 * 2**20
 MAX_SIDE = 1000  # rows or columns; nothing larger was tried
-MOST_LINES = 20 * MAX_SIDE  # blank ones around a drawing with them
+MAX_LINES = 20 * MAX_SIDE  # blank ones around a drawing with them
 DELIMITERS = ";,\t"
 # Swamp is open ground, water is none: nobody gets there from the ground.
 OPEN, BLOCKED = ".GS", "@OTW"
@@ -87,8 +92,8 @@ def trim(text: str) -> list[str]:
 def _lines(path: Path, what: str) -> list[str]:
     """Read the lines of a text file; there may be blank ones, but not without end."""
     text = read_text(path, MAX_BYTES, what)
-    if text.count("\n") + text.count("\r") > MOST_LINES:
-        raise damaged(path, f"more than {MOST_LINES:,} lines, this is no layout file")
+    if text.count("\n") + text.count("\r") > MAX_LINES:
+        raise damaged(path, f"more than {MAX_LINES:,} lines, this is no layout file")
     return trim(text)
 
 

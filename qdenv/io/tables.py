@@ -6,22 +6,22 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from qdenv.io.files import LARGEST, damaged, read_text
+from qdenv.io.files import MAX_TEXT, damaged, read_text
 
-MOST_COLUMNS = 1000
-MOST_ROWS = 2_000_000
-LONGEST_NUMBER = 40  # characters
+MAX_COLUMNS = 1000
+MAX_ROWS = 2_000_000
+MAX_DIGITS = 40  # characters
 TRUTH = {"True": True, "False": False}
-WORDS = {int: "a whole number", float: "a number", bool: "True or False"}
+TYPE_NAMES = {int: "a whole number", float: "a number", bool: "True or False"}
 T = TypeVar("T", bound=tuple)
 
 
-def read_rows(path: Path | str, most: int = LARGEST) -> Iterator[dict[str, str]]:
+def read_rows(path: Path | str, max_bytes: int = MAX_TEXT) -> Iterator[dict[str, str]]:
     """Read a CSV file with a head.
 
     Args:
         path: the file.
-        most: bytes of it.
+        max_bytes: largest size.
 
     Yields:
         the cells of a row by the names of the columns.
@@ -29,24 +29,24 @@ def read_rows(path: Path | str, most: int = LARGEST) -> Iterator[dict[str, str]]
     Raises:
         InputError: it cannot be read, or is damaged; the rows before the damage come first.
     """
-    rows = csv.reader(read_text(path, most, "CSV").splitlines(keepends=True), strict=True)
+    rows = csv.reader(read_text(path, max_bytes, "CSV").splitlines(keepends=True), strict=True)
     number = 0
     try:
         head = next(rows, [])
-        if len(set(head)) < len(head) or not 0 < len(head) <= MOST_COLUMNS:
+        if len(set(head)) < len(head) or not 0 < len(head) <= MAX_COLUMNS:
             raise damaged(path, "no table: columns need names of their own")
         for number, row in enumerate(rows, start=1):
             if len(row) != len(head):
                 raise damaged(path, f"row {number} has {len(row)} cells, the head {len(head)}")
-            if number > MOST_ROWS:
-                raise damaged(path, f"more than {MOST_ROWS:,} rows")
+            if number > MAX_ROWS:
+                raise damaged(path, f"more than {MAX_ROWS:,} rows")
             yield dict(zip(head, row, strict=True))
     except csv.Error as error:
         raise damaged(path, f"not a CSV file after row {number}: {error}") from error
 
 
 def read_table(
-    path: Path | str, kind: type[T], infinite: Collection[str] = (), most: int = LARGEST
+    path: Path | str, kind: type[T], infinite: Collection[str] = (), max_bytes: int = MAX_TEXT
 ) -> Iterator[T]:
     """Read a CSV file with a record per row.
 
@@ -54,7 +54,7 @@ def read_table(
         path: the file.
         kind: NamedTuple of the records; columns of fields that have defaults may be missing.
         infinite: names of the columns that may hold infinite numbers.
-        most: bytes of the file.
+        max_bytes: largest size.
 
     Yields:
         the records.
@@ -65,7 +65,7 @@ def read_table(
     """
     hints = get_type_hints(kind)
     optional: Collection[str] = getattr(kind, "_field_defaults")  # noqa: B009
-    for number, row in enumerate(read_rows(path, most), start=1):
+    for number, row in enumerate(read_rows(path, max_bytes), start=1):
         unlike = [name for name in row if name not in hints]
         unlike += [name for name in hints if name not in row and name not in optional]
         if unlike:
@@ -93,11 +93,11 @@ def parse_cell(text: str, kind: type, infinite: bool = False) -> Any:
     if kind is str:
         return text
     try:
-        if len(text) > LONGEST_NUMBER:
+        if len(text) > MAX_DIGITS:
             raise ValueError
         value = TRUTH[text] if kind is bool else kind(text)
     except (ValueError, KeyError):
-        raise ValueError(f"{text[:LONGEST_NUMBER]!r} is not {WORDS[kind]}") from None
+        raise ValueError(f"{text[:MAX_DIGITS]!r} is not {TYPE_NAMES[kind]}") from None
     if kind is float and not (math.isfinite(value) or (infinite and not math.isnan(value))):
         raise ValueError(f"{text} is no finite number")
     if kind is int and abs(value) >= 2**63:
