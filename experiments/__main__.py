@@ -25,7 +25,7 @@ from qdenv.commands.costs import in_words
 from qdenv.commands.parsing import run_program
 from qdenv.io.files import write_atomically
 from qdenv.plots.figure import save_figure
-from qdenv.training.executors.choosing import Execution, ExecutorName
+from qdenv.run.executors.base import Execution, ExecutorName
 from qdenv.types import InputError
 
 

@@ -13,9 +13,9 @@ from qdenv.grid import draw as drawn_as
 from qdenv.grid import parse
 from qdenv.io.files import write_json
 from qdenv.plots.layouts import draw_frames
+from qdenv.run.directory import RunDirectory
 from qdenv.study import sizes
 from qdenv.study.elites import grow_elite
-from qdenv.training.records import RunDirectory
 
 
 class SavedGrowth(NamedTuple):

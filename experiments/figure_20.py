@@ -9,8 +9,8 @@ from experiments.pieces import Drawn, Experiment, Folders
 from experiments.published import TABLE_4
 from experiments.table_4 import RUNS
 from qdenv.plots.figure import new_figure
+from qdenv.run.log import Metrics
 from qdenv.study.differences import margin, sample_of
-from qdenv.training.metrics import Metrics
 
 METRICS = {"qd_score": "QD-score", "coverage": "coverage"}
 

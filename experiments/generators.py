@@ -5,7 +5,7 @@ from typing import NamedTuple
 from experiments import zoo
 from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
-from qdenv.training.records import RunDirectory
+from qdenv.run.directory import RunDirectory
 from qdenv.zoo.shipped import PREFIX, USUAL, named, names
 
 SECONDS = 1200.0  # CPU seconds of choosing and measuring about ten

@@ -12,14 +12,14 @@ import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
 from qdenv.pipeline import simulate_layouts
+from qdenv.run.archive import Archive
+from qdenv.run.config import follow_size
+from qdenv.run.directory import RunDirectory
 from qdenv.study import sizes
 from qdenv.study.differences import sample_of
 from qdenv.study.elites import grow_elite
 from qdenv.study.ledger import Case, complete
 from qdenv.study.options import parse_seeds
-from qdenv.training.archive import Archive
-from qdenv.training.following import follow_size
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 from qdenv.zoo.shipped import Driven, Grown
 

@@ -4,9 +4,9 @@ import contextlib
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from qdenv.run.executors.base import Execution, connected
 from qdenv.study.elsewhere import handed_to
 from qdenv.study.ledger import SimulateAll, one_by_one
-from qdenv.training.executors.choosing import Execution, connected
 
 
 class Machines(NamedTuple):

@@ -14,9 +14,9 @@ from experiments.pieces import Folders, Piece, Say
 from qdenv.commands.costs import reckon_seconds
 from qdenv.io.files import write_csv
 from qdenv.plots.archive import scatter_objectives
-from qdenv.training.config import RunConfig
-from qdenv.training.metrics import Metrics
-from qdenv.training.records import RunDirectory
+from qdenv.run.config import RunConfig
+from qdenv.run.directory import RunDirectory
+from qdenv.run.log import Metrics
 from qdenv.types import Measure
 
 FILES = ("config.json", "manifest.json", "metrics.csv")

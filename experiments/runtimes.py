@@ -12,11 +12,11 @@ from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, read_rows
 from experiments.published import FLEETS
 from qdenv.io.files import write_csv
 from qdenv.plots.figure import new_figure
+from qdenv.run.config import RunConfig
+from qdenv.run.directory import RunDirectory
 from qdenv.study.differences import Sample, sample_of
 from qdenv.study.elites import Grown, find_elite, grow_elite
 from qdenv.study.sizes import SIZES, finish
-from qdenv.training.config import RunConfig
-from qdenv.training.records import RunDirectory
 
 SEEDS = 3  # repairs of each layout
 

@@ -19,8 +19,8 @@ import numpy as np
 
 import qdenv
 from qdenv.commands.parsing import run_program
-from qdenv.training.config import RunConfig
-from qdenv.training.records import RunDirectory
+from qdenv.run.config import RunConfig
+from qdenv.run.directory import RunDirectory
 
 KERNELS = ((3, 3, 3), (3, 1, 1))
 

@@ -30,9 +30,9 @@ from qdenv.domains.base import DOMAINS
 from qdenv.io.files import write_json
 from qdenv.io.records import read_json
 from qdenv.presets import PRESETS
+from qdenv.run.archive import Archive
+from qdenv.run.directory import RunDirectory
 from qdenv.search.registry import ALGORITHMS
-from qdenv.training.archive import Archive
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, look_up
 from qdenv.zoo.shipped import TABLE, USUAL, Generator, Origin, to_json
 

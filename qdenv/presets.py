@@ -7,14 +7,13 @@ from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.maze import EntropyMazeConfig, MazeConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig, WarehouseConfig
 from qdenv.generate.settings import NcaConfig
+from qdenv.run.config import RunConfig, with_algorithm
 from qdenv.search.dsage.settings import PUBLISHED as DSAGE
 from qdenv.search.dsage.settings import DsageConfig
 from qdenv.search.settings import CmaEsConfig, CmaMaeConfig, MapElitesConfig
 from qdenv.settings import EvaluationConfig
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.training.choosing import with_algorithm
-from qdenv.training.config import RunConfig
 from qdenv.types import look_up
 
 _SMALL_FLEET = FleetConfig(agents=60, timesteps=200)

@@ -10,7 +10,7 @@ import jax
 import pytest
 
 from qdenv.cli import run as qdenv
-from qdenv.training.records import RunDirectory
+from qdenv.run.directory import RunDirectory
 
 TESTS = Path(__file__).parent
 OWN_LAYOUTS = TESTS / "data" / "layouts"

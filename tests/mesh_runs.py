@@ -11,13 +11,13 @@ import toy
 from qdenv.domains.maze import MazeConfig
 from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.generate.settings import NcaConfig
+from qdenv.run import loop
+from qdenv.run.config import RunConfig
 from qdenv.search.export import elites
 from qdenv.search.settings import CmaMaeConfig
 from qdenv.settings import EvaluationConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.training import loop
-from qdenv.training.config import RunConfig
 
 _NCA = NcaConfig(steps=4, kernel_sizes=(3, 1), hidden=4)
 _PLANNER = PibtConfig(backend="xla")  # the quickest to compile

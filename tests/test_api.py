@@ -18,8 +18,8 @@ from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.grid import parse
 from qdenv.io.layouts import read_layout, write_layout
 from qdenv.presets import PRESETS
-from qdenv.training import loop
-from qdenv.training.records import RunDirectory
+from qdenv.run import loop
+from qdenv.run.directory import RunDirectory
 from qdenv.types import InputError
 
 PLAN = parse(

@@ -44,10 +44,8 @@ ALLOWED = {
         "surrogate",
     },
     "zoo": {"types", "io"},
-    "presets": BASE
-    | STAGES
-    | {"domains", "search", "settings", "surrogate", "training.config", "training.choosing"},
-    "training": BASE
+    "presets": BASE | STAGES | {"domains", "search", "settings", "surrogate", "run.config"},
+    "run": BASE
     | STAGES
     | PLUGS
     | {"search", "pipeline", "settings", "domains", "plots.inline"}
@@ -55,16 +53,16 @@ ALLOWED = {
     "study": BASE
     | STAGES
     | PLUGS
-    | {"agent", "domains", "pipeline", "settings", "surrogate", "training"},
+    | {"agent", "domains", "pipeline", "settings", "surrogate", "run"},
     "api": BASE
     | STAGES
     | PLUGS
-    | {"domains", "pages", "plots", "presets", "study", "training"}
+    | {"domains", "pages", "plots", "presets", "study", "run"}
     | {"zoo"},
     "plots": BASE
     | {
-        "training.records",
-        "training.notes",
+        "run.directory",
+        "run.log",
         "study.table",
         "study.jams",
         "study.differences",
@@ -77,7 +75,7 @@ ALLOWED = {
     "pages": BASE
     | STAGES
     | PLUGS
-    | {"agent", "domains", "plots", "search.registry", "study", "training", "zoo"},
+    | {"agent", "domains", "plots", "search.registry", "study", "run", "zoo"},
     "commands": BASE
     | STAGES
     | PLUGS
@@ -91,7 +89,7 @@ ALLOWED = {
         "settings",
         "study",
         "surrogate",
-        "training",
+        "run",
         "zoo",
     },
     "cli": {"commands", "types", "interrupt"},

@@ -11,11 +11,11 @@ from qdenv.commands import arguments, choices, drawings, layouts, sizes
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig
 from qdenv.presets import PRESETS
+from qdenv.run.config import choose_algorithm, choose_domain, choose_planner
 from qdenv.search.map_elites import MapElitesConfig
 from qdenv.search.registry import ALGORITHMS
 from qdenv.simulate.mapf.negotiated.settings import HIGH
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.training import choosing
 from qdenv.types import InputError
 
 QUICK = PRESETS["quick"]
@@ -30,29 +30,29 @@ def test_the_last_value_of_an_option_counts_and_the_rest_stays_in_order():
 
 
 def test_another_domain_keeps_what_the_preset_states_and_both_have():
-    uneven = choosing.choose_domain(QUICK, "warehouse-uneven")
+    uneven = choose_domain(QUICK, "warehouse-uneven")
     domain = uneven.evaluation.domain
     assert isinstance(domain, UnevenWarehouseConfig)
     assert (domain.rows, domain.cols, domain.shelves, domain.left_odds) == (17, 16, 40, 5.0)
     assert (domain.fleet, uneven.archive) == (QUICK.evaluation.domain.fleet, QUICK.archive)
-    factory = choosing.choose_domain(QUICK, "manufacturing")
+    factory = choose_domain(QUICK, "manufacturing")
     own = ManufacturingConfig(rows=17, cols=16, fleet=QUICK.evaluation.domain.fleet)
     assert factory.evaluation.domain == own
     assert factory.archive == ()  # its ranges were those of other measures
 
 
 def test_planners_are_chosen_by_effort_or_name_where_a_fleet_drives():
-    assert choosing.choose_planner(QUICK, None, None) == QUICK
-    high = choosing.choose_planner(QUICK, "high", None)
+    assert choose_planner(QUICK, None, None) == QUICK
+    high = choose_planner(QUICK, "high", None)
     assert high.evaluation.domain.fleet.planner == HIGH
-    pibt = choosing.choose_planner(QUICK, None, "pibt")
+    pibt = choose_planner(QUICK, None, "pibt")
     assert pibt.evaluation.domain.fleet.planner == PibtConfig()
     with pytest.raises(InputError, match="no fleet drives"):
-        choosing.choose_planner(PRESETS["maze-quick"], "low", None)
+        choose_planner(PRESETS["maze-quick"], "low", None)
 
 
 def test_an_algorithm_comes_with_its_own_defaults():
-    assert choosing.choose_algorithm(QUICK, "map-elites").algorithm == MapElitesConfig()
+    assert choose_algorithm(QUICK, "map-elites").algorithm == MapElitesConfig()
 
 
 @pytest.mark.parametrize("name", ALGORITHMS.names())

@@ -4,8 +4,8 @@ import pytest
 
 from qdenv.commands import costs
 from qdenv.presets import PRESETS
-from qdenv.training.choosing import choose_algorithm, choose_planner
-from qdenv.training.metrics import Metrics
+from qdenv.run.config import choose_algorithm, choose_planner
+from qdenv.run.log import Metrics
 
 
 @pytest.fixture(autouse=True)

@@ -44,7 +44,7 @@ def caught(tmp_path, monkeypatch) -> list:
 
     monkeypatch.setattr("qdenv.study.traffic.run_seeds", catch)  # binds the other one's, so first
     monkeypatch.setattr("qdenv.study.runs.run_seeds", catch)
-    monkeypatch.setattr("qdenv.training.loop.train", catch)
+    monkeypatch.setattr("qdenv.run.loop.train", catch)
     return found
 
 

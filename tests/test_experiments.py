@@ -16,8 +16,8 @@ import qdenv
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
 from qdenv.presets import PRESETS
+from qdenv.run.directory import RunDirectory
 from qdenv.study.ledger import Run, read_runs
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
 FOLDER = Path(__file__).parents[1] / "experiments"
@@ -57,10 +57,10 @@ def test_every_script_of_its_own_is_tested_here():
 def test_surrogate_judges_what_a_run_remembers(tmp_path, monkeypatch, capsys):
     import toy
 
+    from qdenv.run.config import with_algorithm
+    from qdenv.run.loop import train
     from qdenv.search.settings import ScreenedConfig
     from qdenv.surrogate.settings import SurrogateConfig
-    from qdenv.training.choosing import with_algorithm
-    from qdenv.training.loop import train
 
     tiny = SurrogateConfig(channels=4, epochs=1, minibatch=8, samples=64)
     search = ScreenedConfig(emitters=2, batch=4, screen=1, refit=1000, surrogate=tiny)

@@ -36,15 +36,15 @@ from qdenv.grid import draw as draw_rows
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
 from qdenv.pipeline import EvaluationConfig, canvas_of
+from qdenv.run.config import RunConfig
+from qdenv.run.directory import RunDirectory
+from qdenv.run.manifest import meaning_of
 from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.simulate.maze.world import longest_path
 from qdenv.study import ledger, sizes
 from qdenv.study.ledger import Case, Run
 from qdenv.study.runs import run_seeds
-from qdenv.training.config import RunConfig
-from qdenv.training.manifest import meaning_of
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
 HALL = SavedLayout("warehouse-even", "human", (9, 12))

@@ -9,7 +9,7 @@ import time
 import pytest
 from conftest import SMALL
 
-from qdenv.training.records import RunDirectory
+from qdenv.run.directory import RunDirectory
 
 # A program that writes a file and then works for ever in compiled code, as a simulation does.
 BUSY = """
@@ -116,7 +116,7 @@ def test_what_is_done_is_saved_first_unless_asked_once_more(tmp_path, seconds, s
 RUN = """
 import sys
 from qdenv import cli, interrupt
-from qdenv.training.published import Publisher
+from qdenv.run.publish import Publisher
 
 interrupt.watch()
 Publisher.has_time = False

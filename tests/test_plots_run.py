@@ -13,10 +13,10 @@ from qdenv.domains.base import find_domain
 from qdenv.plots.archive import draw_archive, scatter_objectives
 from qdenv.plots.run import draw_marks, plot_run
 from qdenv.presets import PRESETS
+from qdenv.run import loop
+from qdenv.run.archive import best_row
+from qdenv.run.directory import RunDirectory
 from qdenv.simulate.maze.world import longest_path
-from qdenv.training import loop
-from qdenv.training.elite import best_row
-from qdenv.training.records import RunDirectory
 from qdenv.types import Measure
 
 GRID = (Measure("x", 0, 4, 4), Measure("y", 0, 3, 3))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from qdenv.training.records import RunDirectory
+from qdenv.run.directory import RunDirectory
 
 TESTS = Path(__file__).parent
 PLUGIN = TESTS / "plugin"

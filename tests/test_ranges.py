@@ -24,11 +24,11 @@ from qdenv.ranges import (
     check_range,
 )
 from qdenv.repair.settings import RepairConfig
+from qdenv.run.config import RunConfig
 from qdenv.search.registry import ALGORITHMS
 from qdenv.settings import EvaluationConfig
 from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.training.config import RunConfig
 from qdenv.types import InputError
 
 WITHIN = [

@@ -32,7 +32,7 @@ def test_runs_that_die_while_they_write_are_resumed_to_the_same_bytes(tmp_path):
 
 
 def test_what_nobody_sweeps_is_found_out(tmp_path, monkeypatch):
-    monkeypatch.setattr("qdenv.training.lock.sweep", lambda folder: None)
+    monkeypatch.setattr("qdenv.run.directory.sweep", lambda folder: None)
     monkeypatch.setattr(kills, "MOST_TROUBLES", 1)
     happened, faults = attempts(tmp_path, range(10, 11))
     assert happened == {"death": 1}

@@ -21,12 +21,12 @@ from qdenv.pipeline import EvaluationConfig, canvas_of, make_pipeline
 from qdenv.repair.audit import audit
 from qdenv.repair.pool import RepairPool
 from qdenv.repair.settings import RepairConfig
+from qdenv.run.config import RunConfig
+from qdenv.run.directory import RunDirectory
+from qdenv.run.manifest import meaning_of
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study import sizes
 from qdenv.study.elites import grow_elite, grow_series, repair_grown
-from qdenv.training.config import RunConfig
-from qdenv.training.manifest import meaning_of
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
 FLEET = FleetConfig(agents=4, timesteps=20)

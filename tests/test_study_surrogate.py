@@ -15,13 +15,13 @@ from scipy import stats
 import qdenv
 from qdenv.cli import run as command
 from qdenv.domains.base import make_domain
+from qdenv.run.directory import RunDirectory
+from qdenv.run.manifest import meaning_of
 from qdenv.study.held_out import FEWEST, Evaluated, judge, read_elites, split
 from qdenv.study.surrogate import facts_of, mean_of, try_surrogate
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.surrogate.surrogate import Aspect, make_surrogate, stages_of
-from qdenv.training.manifest import meaning_of
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
 TINY = SurrogateConfig(channels=4, blocks=0, epochs=60, minibatch=16, rate=3e-3)

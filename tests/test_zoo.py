@@ -17,10 +17,10 @@ from qdenv.generate.generator import GENERATORS
 from qdenv.io.layouts import read_layout
 from qdenv.pipeline import canvas_of
 from qdenv.presets import PRESETS
+from qdenv.run.directory import RunDirectory
 from qdenv.score import entropy
 from qdenv.search.registry import ALGORITHMS
 from qdenv.study.elites import Grown, repair_grown
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 from qdenv.zoo.shipped import Generator, named, names
 

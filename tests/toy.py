@@ -13,8 +13,8 @@ from qdenv.generate.nca import NcaConfig
 from qdenv.grid import of_tiles
 from qdenv.pipeline import EvaluationConfig
 from qdenv.registry import Entry
+from qdenv.run.config import RunConfig
 from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.training.config import RunConfig
 from qdenv.types import Adjacency, Count, Measure, Rules
 
 TILES = ".*#"  # path, flower, hedge

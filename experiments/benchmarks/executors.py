@@ -17,10 +17,10 @@ import tyro
 
 from qdenv.io.files import write_json
 from qdenv.presets import find_preset
-from qdenv.training import loop
-from qdenv.training.executors.choosing import Execution
-from qdenv.training.executors.workers import Batch, Workers
-from qdenv.training.records import RunDirectory
+from qdenv.run import loop
+from qdenv.run.directory import RunDirectory
+from qdenv.run.executors.base import Execution
+from qdenv.run.executors.dask import Batch, Workers
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ import tyro
 from qdenv.io.files import write_json
 from qdenv.pipeline import PipelinedEvaluator
 from qdenv.presets import find_preset
+from qdenv.run.executors.local import Threads
+from qdenv.run.loop import Experiment, make_experiment
+from qdenv.run.problem import seen
 from qdenv.search.growth import growing
-from qdenv.training.executors.threads import Threads
-from qdenv.training.loop import Experiment, make_experiment
-from qdenv.training.problem import seen
 from qdenv.types import InputError
 
 

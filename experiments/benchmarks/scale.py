@@ -24,11 +24,11 @@ from qdenv.io.files import write_json
 from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.plots.scale import save_scale
 from qdenv.repair.recipe import repair_layout
+from qdenv.run.directory import RunDirectory
 from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study.elites import find_elite, grow_series
 from qdenv.study.runs import auditor, run_seeds
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, RepairStatus, TaskRule
 
 SIZES = ("33x36", "51x52", "101x102", "201x202", "401x401")

@@ -20,6 +20,7 @@ from qdenv.generate.settings import DirectConfig
 from qdenv.io.files import write_json
 from qdenv.pipeline import make_pipeline
 from qdenv.presets import find_preset
+from qdenv.run.problem import archive_axes, problem_of
 from qdenv.search.base import Problem
 from qdenv.search.dsage.inner import search_surrogate
 from qdenv.search.dsage.settings import DsageConfig
@@ -27,7 +28,6 @@ from qdenv.search.observed import aspect_of, drawing_of
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.surrogate.surrogate import Aspect, Fitted, Surrogate, make_surrogate, stages_of
-from qdenv.training.problem import archive_axes, problem_of
 from qdenv.types import Score
 
 SIZES = {"small": SurrogateConfig(), "published": PUBLISHED}

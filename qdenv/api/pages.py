@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
 from qdenv.api.plans import Source, read_plan
-from qdenv.training.records import RunDirectory
+from qdenv.run.directory import RunDirectory
 from qdenv.types import InputError
 
 if TYPE_CHECKING:

@@ -13,13 +13,17 @@ import numpy as np
 
 from qdenv.api.results import Facts, Layout
 from qdenv.presets import find_preset
-from qdenv.training.choosing import choose_domain, choose_planner
-from qdenv.training.config import CHOICES, RunConfig
-from qdenv.training.elite import Elite
-from qdenv.training.executors.choosing import Execution
-from qdenv.training.feasible import check_feasible
-from qdenv.training.following import follow_size
-from qdenv.training.records import RunDirectory
+from qdenv.run.archive import Elite
+from qdenv.run.config import (
+    CHOICES,
+    RunConfig,
+    check_feasible,
+    choose_domain,
+    choose_planner,
+    follow_size,
+)
+from qdenv.run.directory import RunDirectory
+from qdenv.run.executors.base import Execution
 from qdenv.types import InputError, RepairStatus
 
 
@@ -46,7 +50,7 @@ def train(
     Raises:
         InputError: a name is unknown, a setting is impossible, or the folder holds a run already.
     """
-    from qdenv.training import loop
+    from qdenv.run import loop
 
     base = find_preset(preset) if isinstance(preset, str) else preset
     config, followed = follow_size(overridden(base, settings), base, settings)

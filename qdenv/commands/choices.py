@@ -15,12 +15,12 @@ from qdenv.commands.planners import stated_planner
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.ranges import PositiveFloat, PositiveInt, Ranged
 from qdenv.registry import Registry
+from qdenv.run.directory import RunDirectory
 from qdenv.simulate.mapf.choosing import OWN
 from qdenv.simulate.mapf.negotiated.settings import HIGH
 from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.study.plans import USUAL, read_plan
 from qdenv.study.usual import TIMESTEPS
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 from qdenv.zoo.shipped import PREFIX
 

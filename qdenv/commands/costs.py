@@ -8,9 +8,8 @@ from pathlib import Path
 from qdenv.io.files import write_json
 from qdenv.io.records import read_json
 from qdenv.presets import find_preset
-from qdenv.training.choosing import planner_of
-from qdenv.training.config import RunConfig
-from qdenv.training.metrics import Metrics
+from qdenv.run.config import RunConfig, planner_of
+from qdenv.run.log import Metrics
 from qdenv.types import InputError
 
 # CPU seconds of one evaluation, measured on two cores of a cloud machine.

@@ -7,7 +7,7 @@ from qdenv.commands.choices import RunFolder
 from qdenv.commands.output import JsonFile, write_facts
 from qdenv.commands.waiting import waiting
 from qdenv.ranges import NonNegativeInt
-from qdenv.training.records import RunDirectory
+from qdenv.run.directory import RunDirectory
 
 PAGES = (".html",)
 

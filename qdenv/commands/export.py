@@ -4,8 +4,8 @@ from pathlib import Path
 
 from qdenv.commands import output
 from qdenv.commands.choices import RunFolder
+from qdenv.run.directory import RunDirectory
 from qdenv.study.exports import TABLES, write_layouts, write_table
-from qdenv.training.records import RunDirectory
 from qdenv.zoo.shipped import file_name
 
 

@@ -4,8 +4,8 @@ import dataclasses
 from pathlib import Path
 
 from qdenv.domains.base import make_domain
+from qdenv.run.config import RunConfig
 from qdenv.study.keeping import keep_from
-from qdenv.training.config import RunConfig
 
 
 def choose_keep(config: RunConfig, path: Path) -> RunConfig:

@@ -9,8 +9,8 @@ import tyro
 
 from qdenv.commands import output, words
 from qdenv.commands.choices import RunFolders
+from qdenv.run.directory import RunDirectory
 from qdenv.study.groups import CURVES, band_of, group_runs
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 from qdenv.zoo.shipped import file_name
 

@@ -6,8 +6,8 @@ from qdenv.commands.costs import describe_cost
 from qdenv.commands.output import JsonFile, write_facts
 from qdenv.domains.base import DOMAINS, Domain, find_domain
 from qdenv.presets import PRESETS
+from qdenv.run.config import RunConfig
 from qdenv.search.registry import ALGORITHMS
-from qdenv.training.config import RunConfig
 
 HEAD = ("preset", "domain", "algorithm", "size", "agents", "steps", "evaluations", "takes")
 

@@ -17,8 +17,8 @@ from qdenv.commands.plot import report
 from qdenv.commands.waiting import waiting
 from qdenv.io.layouts import check_size, endings_for, write_layout
 from qdenv.ranges import PositiveInt, Ranged
-from qdenv.training.executors.choosing import Execution
-from qdenv.training.records import RunDirectory
+from qdenv.run.directory import RunDirectory
+from qdenv.run.executors.base import Execution
 from qdenv.types import InputError, RepairStatus
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def resume(
             f"{run_dir}: {config.evaluations} evaluations are asked for already: ask for more, or "
             "leave --evaluations out"
         )
-    from qdenv.training import loop  # imports both compilers
+    from qdenv.run import loop  # imports both compilers
 
     report(loop.resume(run_dir, progress, evaluations, execution))
 

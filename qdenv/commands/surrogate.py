@@ -13,10 +13,10 @@ from qdenv.commands import output, words
 from qdenv.commands.choices import RunFolder
 from qdenv.commands.waiting import waiting
 from qdenv.io.files import write_csv
+from qdenv.run.directory import RunDirectory
 from qdenv.study.held_out import Evaluated, read_elites
 from qdenv.study.options import find_surrogate, parse_seeds
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.training.records import RunDirectory
 from qdenv.zoo.shipped import file_name
 
 if TYPE_CHECKING:  # imports jax

@@ -17,22 +17,21 @@ from qdenv.commands.keeping import choose_keep
 from qdenv.commands.planners import check_options
 from qdenv.domains.base import DOMAINS
 from qdenv.presets import PRESETS, find_preset
+from qdenv.run.config import (
+    RunConfig,
+    check_feasible,
+    choose_algorithm,
+    choose_domain,
+    choose_planner,
+    follow_size,
+    planner_of,
+)
+from qdenv.run.directory import RunDirectory, find_start
+from qdenv.run.executors.base import Execution, ExecutorName
 from qdenv.search.registry import ALGORITHMS
 from qdenv.search.settings import check_strategy
 from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.simulate.mapf.settings import PLANNERS
-from qdenv.training.choosing import (
-    choose_algorithm,
-    choose_domain,
-    choose_planner,
-    planner_of,
-)
-from qdenv.training.config import RunConfig
-from qdenv.training.executors.choosing import Execution, ExecutorName
-from qdenv.training.feasible import check_feasible
-from qdenv.training.following import follow_size
-from qdenv.training.records import RunDirectory
-from qdenv.training.start import find_start
 from qdenv.types import InputError
 from qdenv.zoo.shipped import PREFIX
 
@@ -96,7 +95,7 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
     print(f"{preset}: {config.evaluations} evaluations into {path}{cost and f', {cost}'}{who}")
     # Only now: what is above answers at once, and these import both compilers.
     from qdenv.commands.runs import report
-    from qdenv.training import loop
+    from qdenv.run import loop
 
     run = loop.train(config, path, setup.progress, execution)
     report(run)

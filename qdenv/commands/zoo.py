@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from qdenv.commands import output, words
-from qdenv.training.records import RunDirectory
+from qdenv.run.directory import RunDirectory
 from qdenv.zoo.shipped import (
     PREFIX,
     Collection,

@@ -23,10 +23,10 @@ from qdenv.pages.page import Page, make_page, missing
 from qdenv.plots.archive import COLOURS as SCALE
 from qdenv.plots.layouts import CHANGED, COLOURS, UNKNOWN
 from qdenv.ranges import NonNegativeInt, check_range
+from qdenv.run.archive import Archive
+from qdenv.run.directory import RunDirectory
 from qdenv.study.frames import make_grower
 from qdenv.study.progress import Progress, silent
-from qdenv.training.archive import Archive
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
 SHADES = 12  # of the colour scale, with straight lines between

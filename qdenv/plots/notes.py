@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from qdenv.plots.figure import new_figure, save_figure
-from qdenv.training.notes import Note
+from qdenv.run.log import Note
 
 UNSAID = ("iteration", "evaluations", "fits")  # what a curve would tell nobody
 LOGARITHMIC = ("loss", "rmse")  # what shrinks by factors

@@ -14,9 +14,9 @@ from qdenv.plots.layouts import draw_layout
 from qdenv.plots.notes import save_notes
 from qdenv.plots.runs import Shown, draw_archives, draw_progress
 from qdenv.plots.widths import PAGE
+from qdenv.run.directory import RunDirectory
+from qdenv.run.log import NOTES, read_notes
 from qdenv.study.groups import group_runs
-from qdenv.training.notes import NOTES, read_notes
-from qdenv.training.records import RunDirectory
 
 MARK = "#e8590c"
 MARKERS = {"start": "o", "goal": "*"}  # any other mark is a square

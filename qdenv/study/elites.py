@@ -14,10 +14,10 @@ from qdenv.lazy import jax, jnp
 from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.repair.rules import Report, impossible, no_report
 from qdenv.repair.settings import RepairConfig
+from qdenv.run.archive import Elite
+from qdenv.run.directory import RunDirectory
 from qdenv.settings import EvaluationConfig
 from qdenv.study.keeping import keep_from
-from qdenv.training.elite import Elite
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, Repair, RepairStatus
 
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from qdenv.domains.base import make_domain
+from qdenv.run.executors.dask import check_versions, versions
 from qdenv.study.ledger import Case, Run, SimulateAll, simulate
-from qdenv.training.executors.task import check_versions, versions
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -23,7 +23,7 @@ def handed_to(client: Client) -> SimulateAll:
     """
 
     def simulate_all(todo: Sequence[tuple[Case, int]]) -> Iterator[Run]:
-        from qdenv.training.executors.workers import Workers
+        from qdenv.run.executors.dask import Workers
 
         workers, wanted = Workers(client, simulate_elsewhere), versions()
         portion = PORTION * len(client.scheduler_info()["workers"])

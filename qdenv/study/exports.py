@@ -9,7 +9,7 @@ from typing import Any
 from qdenv.domains.base import DOMAINS
 from qdenv.io.files import write_atomically, write_csv
 from qdenv.io.layouts import write_layout
-from qdenv.training.archive import Archive
+from qdenv.run.archive import Archive
 from qdenv.types import InputError
 
 TABLES = (".csv", ".parquet")

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qdenv.run.config import RunConfig, config_to_json
+from qdenv.run.directory import RunDirectory
 from qdenv.study.differences import margin, sample_of
-from qdenv.training.config import RunConfig, config_to_json
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 
 CHANCE = ("seed", "evaluations", "checkpoint_every")  # runs that differ in these repeat one another

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.domains.base import make_domain
-from qdenv.training.records import RunDirectory
+from qdenv.run.directory import RunDirectory
 from qdenv.types import InputError
 
 HELD_OUT = 0.2  # share of the elites

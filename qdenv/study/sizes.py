@@ -11,8 +11,8 @@ from qdenv.generate.decode import inside_frame
 from qdenv.io.files import write_csv
 from qdenv.ranges import PositiveInt, check_range
 from qdenv.repair.settings import RepairConfig
+from qdenv.run.directory import RunDirectory
 from qdenv.study.elites import Grown, grow_elite, grow_series, repair_grown
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError, Repair, RepairStatus
 
 # Rows and columns of Figure 18, from S to S_eval.

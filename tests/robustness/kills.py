@@ -17,9 +17,9 @@ from jax.experimental.compilation_cache import compilation_cache
 from qdenv.domains.maze import MazeConfig
 from qdenv.generate.settings import NcaConfig
 from qdenv.presets import find_preset
+from qdenv.run import loop
+from qdenv.run.config import RunConfig
 from qdenv.search.settings import CmaMaeConfig
-from qdenv.training import loop
-from qdenv.training.config import RunConfig
 from qdenv.types import InputError
 from robustness.attack import Attack, Attempt
 from robustness.dying import DeathError, Kind, Trouble

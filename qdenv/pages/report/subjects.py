@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.domains.base import make_domain
+from qdenv.run.archive import Elite
+from qdenv.run.directory import RunDirectory
 from qdenv.study.plans import Plan, read_plan
-from qdenv.training.elite import Elite
-from qdenv.training.records import RunDirectory
 from qdenv.types import InputError
 from qdenv.zoo.shipped import PREFIX, file_name
 

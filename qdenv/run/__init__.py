@@ -1,0 +1,1 @@
+"""The life of one search: its configuration, its loop, its run directory."""

@@ -1,0 +1,113 @@
+"""The manifest of a run: what its archive means, and where and with what it was made."""
+
+import platform
+import subprocess
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from qdenv.domains.base import Domain
+from qdenv.io.files import damaged
+from qdenv.io.records import read_json
+from qdenv.lazy import jax
+from qdenv.search.axes import Axis, axes_of
+from qdenv.types import InputError, Measure
+
+if TYPE_CHECKING:
+    pass
+SCHEMA = 2  # 1: one flat record for the numbers of every domain; still read
+_PACKAGES = ("qdenv", "jax", "jaxlib", "numpy", "flax", "qdax", "evosax", "highspy", "numba")
+
+
+class Meaning(NamedTuple):
+    """What the columns of a run's archive mean."""
+
+    measures: tuple[Measure, ...]  # the axes of the archive
+    tiles: str  # the alphabet of the layouts
+    names: Mapping[str, str]  # how pictures call the tiles, by their symbols
+    objective: str = "objective"  # what is maximised, with its unit
+    # the column that chooses among elites of equal objective; None for none
+    tie_break: str | None = None
+
+
+def meaning_of(domain: Domain, measures: Sequence[Measure]) -> Meaning:
+    """Say what an archive of this domain means, over these axes."""
+    axes, tiles = tuple(measures), domain.tiles
+    return Meaning(axes, tiles, domain.names, domain.objective_name, domain.tie_break)
+
+
+class _Manifest(NamedTuple):
+    """What a manifest must say; it says more, for people."""
+
+    measures: list[Axis]
+    tiles: str
+    tile_names: Mapping[str, str] = {}
+    objective: str = "objective"
+    tie_break: str | None = None
+
+
+class _Written(NamedTuple):
+    """Which qdenv wrote a manifest."""
+
+    schema: int = 0
+
+
+def read_meaning(path: Path) -> Meaning:
+    """Read the meaning of an archive out of a manifest.
+
+    Raises:
+        InputError: it cannot be read, or a part is missing or of another form.
+    """
+    content = read_json(path, _Manifest)
+    axes = axes_of(content.measures, path)
+    if not content.tiles:
+        raise damaged(path, "tiles: there must be one")
+    return Meaning(axes, content.tiles, *content[2:])
+
+
+def check_schema(path: Path) -> None:
+    """Refuse the manifest of a newer qdenv.
+
+    Raises:
+        InputError: it is one, or cannot be read.
+    """
+    if read_json(path, _Written).schema > SCHEMA:
+        raise InputError(f"{path.parent}: written by a newer qdenv, please upgrade")
+
+
+def make_manifest(meaning: Meaning, domain: Domain) -> dict[str, Any]:
+    """List what manifest.json holds of a run in a domain that begins now."""
+    axes = ("name", "low", "high", "cells")
+    return {
+        "schema": SCHEMA,
+        "measures": [{axis: getattr(one, axis) for axis in axes} for one in meaning.measures],
+        "tiles": meaning.tiles,
+        "tile_names": dict(meaning.names),
+        "objective": meaning.objective,
+        "tie_break": meaning.tie_break,
+        "reads": dict(domain.reads()),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"python": platform.python_version()}
+        | {name: _version(name) for name in _PACKAGES},
+        "device": f"{jax.default_backend()}: {jax.devices()[0].device_kind}",
+        "machine": platform.platform(),
+        "git_revision": _git_revision(),
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _git_revision() -> str | None:
+    """Name the revision of the package's own checkout; None where it was installed."""
+    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None

@@ -1,1 +1,0 @@
-"""Training: the loop of a search, its configuration, its run directory."""

@@ -1,0 +1,217 @@
+"""A cluster finds what threads find, whatever happens to its workers."""
+
+import dataclasses
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+from conftest import SMALL
+
+from qdenv.cli import run as qdenv
+from qdenv.domains.base import find_domain
+from qdenv.repair import pool as pools
+from qdenv.run import loop
+from qdenv.run.directory import RunDirectory
+from qdenv.run.executors import base, dask
+from qdenv.run.executors.base import Execution
+from qdenv.run.executors.dask import WrongWorkerError, evaluate_layouts, versions
+from qdenv.study.elsewhere import handed_to
+from qdenv.study.ledger import Case, complete, read_runs
+from qdenv.types import InputError, RepairStatus
+
+distributed = pytest.importorskip("distributed")
+# Dask's own clean-up of sockets and threads at the end of a cluster is not ours to judge.
+pytestmark = pytest.mark.filterwarnings("default")
+
+EVALUATIONS = 24
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The run as threads make it."""
+    path = tmp_path_factory.mktemp("threads") / "run"
+    options = SMALL.replace("--evaluations 6", f"--evaluations {EVALUATIONS}").split()
+    assert qdenv(["train", "quick", "--out", str(path), *options]) == 0
+    return RunDirectory.open(path)
+
+
+@pytest.fixture(scope="module")
+def local():
+    """A cluster of two worker processes."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, memory_limit=0, dashboard_address=None
+    ) as cluster:
+        yield cluster
+
+
+def wait_for_both(client, local) -> None:
+    """Wait for both workers; a nanny gives one up that is killed while it starts."""
+    try:
+        client.wait_for_workers(2, timeout=6)
+    except TimeoutError:
+        local.scale(0)
+        local.scale(2)
+        client.wait_for_workers(2, timeout=60)
+
+
+def assert_alike(run: RunDirectory, whole: RunDirectory) -> None:
+    assert (run.path / "archive.npz").read_bytes() == (whole.path / "archive.npz").read_bytes()
+    timeless = [[row._replace(seconds=0.0) for row in one.read_metrics()] for one in (run, whole)]
+    assert timeless[0] == timeless[1] and len(timeless[0]) == EVALUATIONS // 6
+
+
+def trained(whole, path, local):
+    execution = Execution("dask", scheduler=local.scheduler_address)
+    return loop.train(whole.config, path, progress=False, execution=execution)
+
+
+def test_a_cluster_finds_bit_for_bit_what_threads_find(whole, local, tmp_path):
+    assert_alike(trained(whole, tmp_path / "run", local), whole)
+
+
+def test_short_layouts_share_tasks_and_nothing_else_changes(whole, local, tmp_path, monkeypatch):
+    monkeypatch.setattr(dask, "LONGEST", 1000.0)
+    sizes, sent = [], dask.Workers.begin
+
+    def begin(self, tasks, shares=()):
+        sizes.append(list(shares))
+        return sent(self, tasks, shares)
+
+    monkeypatch.setattr(dask.Workers, "begin", begin)
+    assert_alike(trained(whole, tmp_path / "run", local), whole)
+    assert sizes[0] == [1] * 6  # nobody knows yet how long they take
+    assert sizes[1:] == [[3, 2, 1]] * (EVALUATIONS // 6 - 1)
+
+
+def test_workers_that_are_killed_cost_time_and_no_results(whole, local, tmp_path):
+    killed, over = [], threading.Event()
+
+    def kill_now_and_then():
+        with distributed.Client(local.scheduler_address) as client:
+            while not over.is_set() and len(killed) < 3:
+                time.sleep(0.7)
+                for pid in list(client.run(os.getpid, on_error="ignore").values())[:1]:
+                    os.kill(pid, signal.SIGKILL)
+                    killed.append(pid)
+
+    killer = threading.Thread(target=kill_now_and_then)
+    killer.start()
+    try:
+        run = trained(whole, tmp_path / "run", local)
+    finally:
+        over.set()
+        killer.join()
+    assert killed
+    assert_alike(run, whole)
+
+
+def test_the_layouts_of_a_worker_that_hangs_go_to_another(whole, local, tmp_path, monkeypatch):
+    monkeypatch.setattr(dask, "PATIENCE", 1.0)
+    with distributed.Client(local.scheduler_address) as client:
+        wait_for_both(client, local)
+        pid = next(iter(client.run(os.getpid).values()))
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            run = trained(whole, tmp_path / "run", local)
+        finally:
+            os.kill(pid, signal.SIGKILL)  # its nanny starts a new one
+    assert_alike(run, whole)
+
+
+def test_runs_of_a_study_are_the_same_on_a_cluster(local, tmp_path):
+    domain = find_domain("warehouse-even").resized(9, 12)
+    plan = domain.human()
+    cases = [Case("hall", plan, domain, agents, 40, "low") for agents in (3, 6)]
+    here = complete(tmp_path / "here.csv", cases, range(3))
+    with distributed.Client(local.scheduler_address) as client:
+        options = {"simulate_all": handed_to(client)}
+        there = complete(tmp_path / "there.csv", cases, range(3), **options)
+    assert len({run.throughput for run in here}) > 2
+    assert [run._replace(cpu_seconds=0) for run in here] == [
+        run._replace(cpu_seconds=0) for run in there
+    ]
+    assert [run.key for run in read_runs(tmp_path / "there.csv")] == [run.key for run in here]
+
+
+def test_an_error_that_comes_each_time_is_raised_and_once_is_not(local, tmp_path):
+    def fail_once(mark):
+        if not mark.exists():
+            mark.touch()
+            raise ValueError("bad luck")
+        return "done"
+
+    def fail_always():
+        raise ValueError("for good")
+
+    with distributed.Client(local.scheduler_address) as client:
+        assert dask.Workers(client, fail_once).begin([(tmp_path / "mark",)]).finish() == ["done"]
+        with pytest.raises(ValueError, match="for good"):
+            dask.Workers(client, fail_always).begin([()]).finish()
+
+
+def make_foreign() -> None:
+    """Pretend, on a worker, that other packages are installed there."""
+    dask.versions = lambda: "python 2.7"
+
+
+def test_a_worker_of_other_versions_is_sent_away(whole, local, tmp_path):
+    with distributed.Client(local.scheduler_address) as client:
+        wait_for_both(client, local)
+        client.run(make_foreign, workers=list(client.scheduler_info()["workers"])[:1])
+        assert_alike(trained(whole, tmp_path / "run", local), whole)
+        assert len(client.scheduler_info()["workers"]) == 1
+
+
+def test_where_every_worker_has_other_versions_the_search_is_refused(whole, local, tmp_path):
+    with distributed.Client(local.scheduler_address) as client:
+        client.run(make_foreign)
+        with pytest.raises(InputError, match="every worker has other versions than the search"):
+            trained(whole, tmp_path / "run", local)
+
+
+def test_a_worker_of_another_version_computes_nothing():
+    with pytest.raises(WrongWorkerError, match=versions()):
+        evaluate_layouts("", "another", np.zeros((1, 9, 10), np.int8), 0, np.zeros(2, np.uint32))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"scheduler": "tcp://x:1"}, "--scheduler is for a cluster: add --executor dask"),
+        ({"executor": "dask", "scheduler": "tcp://x:1", "workers": 2}, "leave --scheduler out"),
+        ({"executor": "dask", "workers": 0}, "workers must be at least 1, not 0"),
+    ],
+)
+def test_contradictions_are_refused(given, said):
+    with pytest.raises(InputError, match=said):
+        Execution(**given)
+
+
+def test_an_address_where_nobody_answers_is_refused(whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(base, "ANSWER", 1)
+    execution = Execution("dask", scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(InputError, match="start `dask scheduler`"):
+        loop.train(whole.config, tmp_path / "run", False, execution)
+
+
+def test_a_repair_that_ran_out_of_memory_is_tried_again(whole, monkeypatch):
+    domain = loop.make_experiment(whole.config).pipeline.domain
+    layout, tries, original = whole.best.layout, [], pools.repair
+
+    def short_of_memory(*given):
+        tries.append(1)
+        if len(tries) == 1:
+            raise MemoryError
+        return original(*given)
+
+    monkeypatch.setattr(pools, "repair", short_of_memory)
+    with pools.RepairPool(domain.rules(), whole.config.evaluation.repair) as pool:
+        assert pool.submit(layout).result().status == RepairStatus.OPTIMAL
+    assert len(tries) == 2
+    monkeypatch.setattr(pools, "repair", lambda *given: (_ for _ in ()).throw(MemoryError))
+    settings = dataclasses.replace(whole.config.evaluation.repair, workers=1)
+    with pools.RepairPool(domain.rules(), settings) as pool:
+        assert pool.submit(layout).result().status == RepairStatus.FAILED

@@ -1,0 +1,80 @@
+"""A whole iteration as one program: a warehouse with a fleet, and no host code but the repair."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+import qdenv
+from qdenv.domains.warehouse import WarehouseConfig
+from qdenv.generate.nca import NcaConfig
+from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
+from qdenv.run.executors.local import Threads
+from qdenv.run.problem import seen
+from qdenv.search.cma_mae import CmaMaeConfig
+from qdenv.search.export import elites
+from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.simulate.mapf.negotiated.settings import LOW
+
+ITERATIONS = 3
+
+
+def experiment(backend: str) -> qdenv.RunConfig:
+    fleet = FleetConfig(agents=6, timesteps=30, planner=replace(LOW, backend=backend))
+    evaluation = EvaluationConfig(
+        domain=WarehouseConfig(rows=9, cols=10, shelves=6, fleet=fleet),
+        generator=NcaConfig(steps=6, kernel_sizes=(3, 1), hidden=4),
+        simulations=2,
+    )
+    config = qdenv.RunConfig(
+        evaluation=evaluation,
+        algorithm=CmaMaeConfig(emitters=2, batch=2, sigma0=0.5),
+        archive=((0, 8, 8), (0, 1, 10)),
+    )
+    return qdenv.make_experiment(config)
+
+
+def callbacks(experiment) -> int:
+    """Count the places in an iteration that leave the device."""
+    state = experiment.algorithm.init(experiment.search_key)
+    return str(jax.make_jaxpr(qdenv.make_iteration(experiment))(state, 1)).count("_callback[")
+
+
+@pytest.fixture(scope="module")
+def in_xla():
+    return experiment("xla")
+
+
+def test_an_archive_keeps_the_numbers_of_runs_that_earlier_archives_hold(in_xla):
+    state = in_xla.algorithm.init(in_xla.search_key)
+    held = set(in_xla.algorithm.archive(state).extra_scores) - {"unrepaired", "repaired"}
+    runs = {"throughput", "congested", "end_timestep", "waiting", "path_length"}
+    assert held == {"similarity", "status", *runs}
+
+
+def test_only_the_repair_leaves_the_device(in_xla):
+    assert callbacks(in_xla) == 1
+    assert callbacks(experiment("host")) > 1
+
+
+def test_one_program_in_xla_finds_what_the_pipelined_loop_on_the_host_finds(in_xla):
+    state = in_xla.algorithm.init(in_xla.search_key)
+    iterate = qdenv.make_iteration(in_xla)
+    numbers = np.arange(1, ITERATIONS + 1)
+    run = jax.jit(lambda state: jax.lax.scan(lambda s, i: (iterate(s, i), None), state, numbers)[0])
+    together = elites(in_xla.algorithm.archive(run(state)))
+
+    on_host = experiment("host")
+    evaluator = PipelinedEvaluator(on_host.pipeline, Threads(on_host.pipeline))
+    ask, tell = jax.jit(on_host.algorithm.ask), jax.jit(on_host.algorithm.tell)
+    for number in numbers:
+        solutions, state = ask(state)
+        key = jax.random.fold_in(on_host.evaluation_key, number)
+        evaluation = evaluator(solutions, key)
+        state = tell(state, solutions, evaluation.score, seen(evaluation))
+    apart = elites(on_host.algorithm.archive(state))
+    assert len(apart["index"]) >= 1
+    assert apart.keys() == together.keys()
+    for name, values in apart.items():
+        np.testing.assert_array_equal(together[name], values, err_msg=name)

@@ -1,0 +1,241 @@
+"""The loop: jitted and pipelined agree, nothing is traced twice, a kill loses nothing."""
+
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import toy
+from fleet_runs import StandConfig
+
+from qdenv.domains.base import DOMAINS
+from qdenv.domains.warehouse import WarehouseConfig
+from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
+from qdenv.registry import Entry
+from qdenv.run import loop
+from qdenv.run.directory import RunDirectory
+from qdenv.run.executors.local import Threads
+from qdenv.search.export import elites
+from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.types import InputError, RepairStatus
+
+HERE = Path(__file__).parent
+
+
+class CountedGarden(toy.GardenConfig):
+    """A garden whose simulator counts how often it is traced."""
+
+
+def same(left: dict, right: dict) -> bool:
+    """Compare dictionaries of arrays bit for bit."""
+    return left.keys() == right.keys() and all(
+        left[name].tobytes() == right[name].tobytes() for name in left
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> RunDirectory:
+    path = tmp_path_factory.mktemp("run") / "whole"
+    return loop.train(toy.CONFIG, path, progress=False)
+
+
+def test_jitted_scan_and_pipelined_loop_give_the_same_archive(finished):
+    traces = []
+
+    def counted(config):
+        domain = toy.garden(config)
+        run = domain.simulator.run
+        counting = domain.simulator._replace(run=lambda *given: traces.append(1) or run(*given))
+        return replace(domain, simulator=counting)
+
+    DOMAINS.register("counted garden", Entry(CountedGarden, counted))
+    evaluation = replace(toy.CONFIG.evaluation, domain=CountedGarden())
+    experiment = loop.make_experiment(replace(toy.CONFIG, evaluation=evaluation))
+    state = experiment.algorithm.init(experiment.search_key)
+    iterate = loop.make_iteration(experiment)
+    before = len(traces)
+    whole = jax.jit(
+        lambda state: jax.lax.scan(lambda s, i: (iterate(s, i), None), state, np.arange(1, 7))[0]
+    )
+    state = whole(state)
+    whole(state)
+    assert len(traces) == before + 1
+    assert same(elites(experiment.algorithm.archive(state)), finished.load_archive())
+
+    evaluator = PipelinedEvaluator(experiment.pipeline, Threads(experiment.pipeline))
+    before = len(traces)
+    for number in range(3):
+        solutions, state = experiment.algorithm.ask(state)
+        evaluator(solutions, jax.random.key(number))
+    assert len(traces) == before + 1
+
+
+def test_an_evaluation_does_not_depend_on_its_batch():
+    experiment = loop.make_experiment(toy.CONFIG)
+    parameters = jax.random.normal(jax.random.key(3), (8, experiment.pipeline.solution_size))
+    key = jax.random.key(4)
+    whole = jax.jit(lambda some: evaluate(experiment.pipeline, some, key))(parameters)
+    part = jax.jit(lambda some: evaluate(experiment.pipeline, some, key))(parameters[:3])
+    for left, right in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
+        np.testing.assert_array_equal(np.asarray(left)[:3], right)
+
+
+@pytest.mark.parametrize("lanes", [2, 5, 100])
+def test_lanes_change_nothing(lanes, monkeypatch):
+    layouts = np.random.default_rng(0).integers(0, 3, (4, 5, 6)).astype(np.int8)
+    indices, key = np.arange(4), jax.random.key(5)
+    seen = [make_pipeline(toy.CONFIG.evaluation).simulate(layouts, indices, key).seen]
+    monkeypatch.setattr("qdenv.devices.lanes", lambda *wanted: lanes)
+    seen += [make_pipeline(toy.CONFIG.evaluation).simulate(layouts, indices, key).seen]
+    assert np.asarray(seen[0]).std() > 0
+    np.testing.assert_array_equal(*seen)
+
+
+def test_resumed_run_ends_at_the_same_bits(finished, tmp_path):
+    config = replace(toy.CONFIG, evaluations=24)
+    loop.train(config, tmp_path / "half", progress=False)
+    resumed = loop.resume(tmp_path / "half", False, toy.CONFIG.evaluations)
+    assert same(resumed.load_archive(), finished.load_archive())
+    without_time = [row._replace(seconds=0) for row in resumed.read_metrics()]
+    assert without_time == [row._replace(seconds=0) for row in finished.read_metrics()]
+
+
+# A child process that dies by SIGKILL at the chosen place of its third iteration or checkpoint.
+CHILD = """
+import os, signal, sys
+sys.path.insert(0, {here!r})
+import toy
+from qdenv.io import files
+from qdenv.training import checkpoint, flight, loop
+from qdenv import files
+from qdenv.run import checkpoint, evaluate_async, loop
+
+def die(*args, **kwargs):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+if {where!r} == "iteration":
+    original, calls = evaluate_async.seen, []
+    evaluate_async.seen = lambda e: (calls.append(1), original(e))[1] if len(calls) < 4 else die()
+else:
+    original = checkpoint.save_checkpoint
+    def save(path, state, manifest):
+        if manifest["iteration"] < 4:
+            return original(path, state, manifest)
+        os.replace = die  # the temporary file is written, its renaming never happens
+        original(path, state, manifest)
+    checkpoint.save_checkpoint = save
+loop.train(toy.CONFIG, {path!r}, progress=False)
+"""
+
+
+@pytest.mark.parametrize("where", ["iteration", "checkpoint"])
+def test_killed_run_resumes_to_the_same_bits(where, finished, tmp_path):
+    path = tmp_path / "killed"
+    script = CHILD.format(here=str(HERE), where=where, path=str(path))
+    child = subprocess.run([sys.executable, "-c", script], capture_output=True, env=os.environ)
+    assert child.returncode == -signal.SIGKILL, child.stderr.decode()
+    survived = RunDirectory.open(path)
+    assert 0 < len(survived.read_metrics()) < 6
+    theirs = {path / ".env.template", path / "checkpoints" / ".env.defaults"}
+    for file in theirs:
+        file.write_text("theirs")
+    resumed = loop.resume(path, progress=False)
+    assert same(resumed.load_archive(), finished.load_archive())
+    assert {file for file in path.rglob(".*") if file.name != ".lock"} == theirs
+
+
+def test_metrics_have_the_promised_columns_and_grow(finished):
+    text = (finished.path / "metrics.csv").read_text()
+    header = (
+        "iteration,evaluations,qd_score,coverage,best_objective,seconds,"
+        "failed_repairs,congested_runs"
+    )
+    assert text.splitlines()[0] == header
+    rows = finished.read_metrics()
+    assert [row.evaluations for row in rows] == [8, 16, 24, 32, 40, 48]
+    assert all(a.coverage <= b.coverage and a.seconds < b.seconds for a, b in pairwise(rows))
+    cells = np.prod(finished.archive.shape)
+    assert rows[-1].coverage == len(finished.archive) / cells  # to the last bit
+
+
+def test_archive_keeps_layouts_that_obey_the_rules(finished):
+    archive = finished.load_archive()
+    assert archive["unrepaired"].shape == archive["repaired"].shape == (len(archive["index"]), 5, 6)
+    assert ((archive["repaired"] == 2).sum(axis=(1, 2)) == 3).all()
+    np.testing.assert_allclose(archive["seen"].mean(axis=1), archive["objective"], rtol=1e-6)
+    agree = (archive["unrepaired"] == archive["repaired"]).mean(axis=(1, 2))
+    np.testing.assert_allclose(archive["similarity"], agree, rtol=1e-6)
+
+
+def test_config_returns_from_json(finished):
+    assert RunDirectory.open(finished.path).config == toy.CONFIG
+
+
+def test_failed_evaluations_enter_nothing():
+    # 30 cells cannot hold 40 hedges: every repair says so, and the archive stays empty.
+    config = replace(
+        toy.CONFIG, evaluation=replace(toy.CONFIG.evaluation, domain=toy.GardenConfig(hedges=40))
+    )
+    experiment = loop.make_experiment(config)
+    state = experiment.algorithm.init(experiment.search_key)
+    solutions, state = experiment.algorithm.ask(state)
+    pipeline = experiment.pipeline
+    evaluation = PipelinedEvaluator(pipeline, Threads(pipeline))(solutions, jax.random.key(0))
+    assert (np.asarray(evaluation.status) == RepairStatus.IMPOSSIBLE).all()
+    assert not np.asarray(evaluation.score.success).any()
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(evaluation.score))
+    state = experiment.algorithm.tell(state, solutions, evaluation.score, loop.seen(evaluation))
+    assert len(elites(experiment.algorithm.archive(state))["index"]) == 0
+
+
+def test_metrics_count_failed_repairs(tmp_path, monkeypatch):
+    # Rules that counting finds possible may be impossible all the same; these let it be seen.
+    monkeypatch.setattr(loop, "check_feasible", lambda config: None)
+    evaluation = replace(toy.CONFIG.evaluation, domain=toy.GardenConfig(hedges=40))
+    config = replace(toy.CONFIG, evaluation=evaluation, evaluations=16)
+    rows = loop.train(config, tmp_path / "run", progress=False).read_metrics()
+    assert [(row.failed_repairs, row.congested_runs) for row in rows] == [(8, 0), (8, 0)]
+
+
+def test_metrics_count_congested_runs(tmp_path):
+    fleet = FleetConfig(agents=4, timesteps=20, planner=StandConfig())
+    domain = WarehouseConfig(rows=9, cols=10, shelves=6, fleet=fleet)
+    evaluation = replace(toy.CONFIG.evaluation, domain=domain)
+    archive = ((0, 6, 6), (0, 1, 10))
+    config = replace(toy.CONFIG, evaluation=evaluation, evaluations=8, archive=archive)
+    (row,) = loop.train(config, tmp_path / "run", progress=False).read_metrics()
+    assert (row.failed_repairs, row.congested_runs) == (0, 8 * 3)  # nobody ever moves
+
+
+def test_a_run_is_never_overwritten_and_a_newer_one_not_opened(finished, tmp_path):
+    with pytest.raises(InputError, match="holds a run already"):
+        loop.train(toy.CONFIG, finished.path, progress=False)
+    with pytest.raises(InputError, match="no run here"):
+        RunDirectory.open(tmp_path)
+    (tmp_path / "config.json").write_text("{}")
+    (tmp_path / "manifest.json").write_text('{"schema": 99}')
+    with pytest.raises(InputError, match="newer"):
+        RunDirectory.open(tmp_path)
+
+
+def test_a_full_disk_keeps_what_was_written(finished, tmp_path, monkeypatch):
+    config = replace(toy.CONFIG, evaluations=16)
+    run = loop.train(config, tmp_path / "run", progress=False)
+    before = {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
+
+    def full(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InputError, match="No space left on device"):
+        loop.resume(run.path, progress=False, evaluations=48)
+    monkeypatch.undo()
+    assert before == {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
+    resumed = loop.resume(run.path, progress=False, evaluations=48)
+    assert same(resumed.load_archive(), finished.load_archive())
