@@ -11,8 +11,8 @@ from experiments.layouts import SavedLayout
 from experiments.pieces import Folders, Piece, Say
 from experiments.traffic import RATES
 from qdenv.io.files import write_json
-from qdenv.study.differences import Sample, margin
 from qdenv.study.ledger import Case
+from qdenv.study.stats import Sample, margin
 
 BIN = 50  # timesteps that are counted together
 CHUNK = 10  # runs from one saving to the next
@@ -146,7 +146,7 @@ def add(some: Course, more: Course) -> Course:
 
 def simulate(case: Case, seeds: range) -> Course:
     """Simulate some runs on one core and add up what they did."""
-    from qdenv.study.runs import run_seeds  # imports the simulator
+    from qdenv.study.engine import run_seeds  # imports the simulator
 
     done = run_seeds(case.tiles, case.domain.simulator.tasks, case.fleet, list(seeds), threads=1)
     finished = np.stack([run.finished for run in done.runs]).astype(int)

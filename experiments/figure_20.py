@@ -10,7 +10,7 @@ from experiments.published import TABLE_4
 from experiments.table_4 import RUNS
 from qdenv.plots.figure import new_figure
 from qdenv.run.log import Metrics
-from qdenv.study.differences import margin, sample_of
+from qdenv.study.stats import margin, sample_of
 
 METRICS = {"qd_score": "QD-score", "coverage": "coverage"}
 

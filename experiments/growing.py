@@ -16,10 +16,10 @@ from qdenv.run.archive import Archive
 from qdenv.run.config import follow_size
 from qdenv.run.directory import RunDirectory
 from qdenv.study import sizes
-from qdenv.study.differences import sample_of
 from qdenv.study.elites import grow_elite
 from qdenv.study.ledger import Case, complete
 from qdenv.study.options import parse_seeds
+from qdenv.study.stats import sample_of
 from qdenv.types import InputError
 from qdenv.zoo.shipped import Driven, Grown
 

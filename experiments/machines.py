@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from qdenv.run.executors.base import Execution, connected
-from qdenv.study.elsewhere import handed_to
-from qdenv.study.ledger import SimulateAll, one_by_one
+from qdenv.study.ledger import SimulateAll, handed_to, one_by_one
 
 
 class Machines(NamedTuple):

@@ -16,7 +16,7 @@ from qdenv.io.files import write_csv
 from qdenv.score import wilson_interval
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.simulate.maze.world import WALL
-from qdenv.study.differences import sample_of
+from qdenv.study.stats import sample_of
 
 GROWN = -1  # in place of a seed: the maze that the others take after
 TELL = 10  # mazes from one word on how far it is to the next

@@ -9,7 +9,7 @@ import numpy as np
 from experiments.layouts import SavedLayout
 from experiments.pieces import Folders, Piece, Say
 from experiments.traffic import SavedTraffic, rate
-from qdenv.study.outcomes import Outcome
+from qdenv.study.ledger import Outcome
 
 STEP = 1.05  # agents from one number to the next where the peak is located
 COARSE = 4  # such steps at once on the way up: 22 %

@@ -14,9 +14,9 @@ from qdenv.io.files import write_csv
 from qdenv.plots.figure import new_figure
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
-from qdenv.study.differences import Sample, sample_of
 from qdenv.study.elites import Grown, find_elite, grow_elite
 from qdenv.study.sizes import SIZES, finish
+from qdenv.study.stats import Sample, sample_of
 
 SEEDS = 3  # repairs of each layout
 

@@ -28,7 +28,7 @@ import qdenv
 from qdenv.commands.parsing import run_program
 from qdenv.io.files import write_csv
 from qdenv.search.growth import growing
-from qdenv.study.held_out import judge, split
+from qdenv.study.surrogate import judge, split
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.surrogate.surrogate import Aspect, make_surrogate

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 from experiments.layouts import SavedLayout
 from experiments.pieces import Folders, Piece, Say
-from qdenv.study.ledger import Case, Run, complete, read_runs
-from qdenv.study.outcomes import Outcome, outcomes_of
+from qdenv.study.ledger import Case, Outcome, Run, complete, outcomes_of, read_runs
 
 # CPU seconds of one agent's timestep where no run of the planner is known.
 RATES = {"low": 1.3e-6, "high": 2.5e-6, "plain": 6e-6, "published": 5e-6}

@@ -43,7 +43,7 @@ def caught(tmp_path, monkeypatch) -> list:
         raise CaughtError
 
     monkeypatch.setattr("qdenv.study.traffic.run_seeds", catch)  # binds the other one's, so first
-    monkeypatch.setattr("qdenv.study.runs.run_seeds", catch)
+    monkeypatch.setattr("qdenv.study.engine.run_seeds", catch)
     monkeypatch.setattr("qdenv.run.loop.train", catch)
     return found
 

@@ -214,7 +214,7 @@ def test_a_mistake_is_one_line_before_anything_is_simulated(
     def never(*given, **more):
         raise AssertionError("something was simulated")
 
-    monkeypatch.setattr("qdenv.study.runs._program", never)
+    monkeypatch.setattr("qdenv.study.engine._program", never)
     assert run(arguments) == 2
     answer = capsys.readouterr()
     assert answer.out == "" and answer.err.count("\n") == 1 and said in answer.err

@@ -19,7 +19,7 @@ from qdenv.repair.rules import impossible
 from qdenv.repair.settings import RepairConfig
 from qdenv.run import loop
 from qdenv.run.config import config_from_json, config_to_json
-from qdenv.study.keeping import keep_from
+from qdenv.study.plans import keep_from
 from qdenv.types import InputError
 
 WAREHOUSE = find_domain("warehouse-even").resized(9, 12, {"shelves": 8})

@@ -43,8 +43,8 @@ from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.simulate.maze.world import longest_path
 from qdenv.study import ledger, sizes
+from qdenv.study.engine import run_seeds
 from qdenv.study.ledger import Case, Run
-from qdenv.study.runs import run_seeds
 from qdenv.types import InputError
 
 HALL = SavedLayout("warehouse-even", "human", (9, 12))

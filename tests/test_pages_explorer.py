@@ -15,8 +15,7 @@ from qdenv.io.arrays import write_arrays
 from qdenv.pages.explorer import make_explorer
 from qdenv.pages.explorer_layouts import pack_bits
 from qdenv.run.directory import RunDirectory
-from qdenv.study.elites import grow_series
-from qdenv.study.frames import make_grower, spread
+from qdenv.study.elites import grow_series, make_grower, spread
 from qdenv.study.plans import read_plan
 from qdenv.types import InputError
 

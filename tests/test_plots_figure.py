@@ -23,8 +23,8 @@ from qdenv.plots.runs import draw_archives, draw_progress
 from qdenv.plots.studies import draw_comparison, draw_peaks, draw_success, draw_throughput
 from qdenv.plots.traffic import LINE, Scene, draw_panel, draw_traffic
 from qdenv.plots.widths import COLUMN, PAGE, parse_width
+from qdenv.study.congestion import Maps, Spot
 from qdenv.study.groups import CURVES, Group
-from qdenv.study.jams import Maps, Spot
 from qdenv.study.table import Peak, Row
 from qdenv.types import InputError, Measure
 

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.image import imread
 
 from qdenv.plots.traffic import Scene, draw_traffic, save_traffic
-from qdenv.study.jams import Maps, Spot
+from qdenv.study.congestion import Maps, Spot
 
 
 @pytest.fixture

@@ -18,8 +18,7 @@ from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import base, dask
 from qdenv.run.executors.base import Execution
 from qdenv.run.executors.dask import WrongWorkerError, evaluate_layouts, versions
-from qdenv.study.elsewhere import handed_to
-from qdenv.study.ledger import Case, complete, read_runs
+from qdenv.study.ledger import Case, complete, handed_to, read_runs
 from qdenv.types import InputError, RepairStatus
 
 distributed = pytest.importorskip("distributed")

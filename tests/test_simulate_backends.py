@@ -17,7 +17,7 @@ from qdenv.simulate.mapf.pibt import numba as pibt_on_host
 from qdenv.simulate.mapf.pibt import xla as pibt_in_xla
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.planner import NOBODY
-from qdenv.study.runs import _program
+from qdenv.study.engine import _program
 from qdenv.types import InputError
 
 # The settings of each planner with the backends "host" and "xla".

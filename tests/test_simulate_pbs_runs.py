@@ -17,7 +17,7 @@ from qdenv.simulate.mapf.host.fields import Fields, empty_fields
 from qdenv.simulate.mapf.pbs import drive as pbs_drive
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.pbs.workspace import UNSOLVED, Workspace, make_workspace
-from qdenv.study.runs import auditor, run_seeds
+from qdenv.study.engine import auditor, run_seeds
 from qdenv.types import TaskRule, Traffic
 
 RULES = ("published", "plain")

@@ -12,7 +12,7 @@ from qdenv.io.layouts import write_layout
 from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.study.runs import Simulated, run_seeds
+from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.sweep import Trial, climb, compare, name_layouts
 from qdenv.study.table import Row, find_capacity, find_peak, write_rows
 from qdenv.types import InputError, Traffic
@@ -77,7 +77,7 @@ def test_a_climb_stops_at_the_first_drop(layouts, monkeypatch):
         ]
         return Simulated(tuple(seeds), runs, [], 0.0, 0.0)
 
-    monkeypatch.setattr("qdenv.study.runs.run_seeds", runs_of)
+    monkeypatch.setattr("qdenv.study.engine.run_seeds", runs_of)
     told = []
     counts = [30, 10, 20, 40, 50, 5000]
     way = climb("a", layouts["human"], Trial(TASKS, CONFIG, counts, (0, 1)), told.append)

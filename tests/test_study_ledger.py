@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
+from experiments.correlation import agree, correlate
 from qdenv.domains.base import find_domain
 from qdenv.io.files import write_csv
 from qdenv.study import ledger
-from qdenv.study.agreement import agree, correlate
-from qdenv.study.ledger import Case, Run, complete, read_runs, seconds_for
-from qdenv.study.outcomes import outcomes_of
+from qdenv.study.ledger import Case, Run, complete, outcomes_of, read_runs, seconds_for
 from qdenv.types import InputError
 
 WAREHOUSE = find_domain("warehouse-even")
@@ -31,7 +30,7 @@ def simulated(monkeypatch) -> list[tuple[str, int]]:
 
 def test_a_run_is_as_the_study_of_one_layout_has_it(tmp_path):
     from qdenv.simulate.mapf.settings import FleetConfig
-    from qdenv.study.runs import run_seeds
+    from qdenv.study.engine import run_seeds
 
     found = complete(tmp_path / "runs.csv", [CASE], (3,))
     (run,) = run_seeds(
@@ -44,14 +43,14 @@ def test_a_run_is_as_the_study_of_one_layout_has_it(tmp_path):
 
 def test_numbers_of_agents_share_a_program_and_move_what_they_move_alone():
     from qdenv.simulate.mapf.settings import FleetConfig
-    from qdenv.study import runs
+    from qdenv.study import engine
 
     ledger.simulate(CASE, 0)
-    compiled = runs._program.cache_info().misses
+    compiled = engine._program.cache_info().misses
     found = ledger.simulate(CASE._replace(agents=7), 3)
-    assert runs._program.cache_info().misses == compiled
+    assert engine._program.cache_info().misses == compiled
     tasks = WAREHOUSE.simulator.tasks
-    (alone,) = runs.run_seeds(
+    (alone,) = engine.run_seeds(
         HALL, tasks, FleetConfig(7, 20, planner=ledger.DRIVERS["low"]), [3]
     ).runs
     assert found.throughput == pytest.approx(float(alone.throughput), rel=1e-5)
@@ -159,7 +158,7 @@ def test_agreement_of_a_hand_made_table():
 
 
 def test_the_interval_of_a_correlation_holds_the_truth_about_95_times_in_100(monkeypatch):
-    monkeypatch.setattr("qdenv.study.agreement.RESAMPLES", 300)
+    monkeypatch.setattr("experiments.correlation.RESAMPLES", 300)
     rng, truth, inside = np.random.default_rng(1), 0.8, 0
     # Spearman's correlation of normal pairs whose Pearson correlation is r: 6 asin(r / 2) / pi.
     r = 2 * np.sin(np.pi * truth / 6)

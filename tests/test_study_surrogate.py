@@ -17,8 +17,16 @@ from qdenv.cli import run as command
 from qdenv.domains.base import make_domain
 from qdenv.run.directory import RunDirectory
 from qdenv.run.manifest import meaning_of
-from qdenv.study.held_out import FEWEST, Evaluated, judge, read_elites, split
-from qdenv.study.surrogate import facts_of, mean_of, try_surrogate
+from qdenv.study.surrogate import (
+    FEWEST,
+    Evaluated,
+    facts_of,
+    judge,
+    mean_of,
+    read_elites,
+    split,
+    try_surrogate,
+)
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.surrogate.surrogate import Aspect, make_surrogate, stages_of

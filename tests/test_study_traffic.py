@@ -9,7 +9,8 @@ from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study import traffic
-from qdenv.study.jams import (
+from qdenv.study.capacity import Point, judge, point_of
+from qdenv.study.congestion import (
     Maps,
     average,
     cells_with_half,
@@ -17,9 +18,8 @@ from qdenv.study.jams import (
     throughput_over_time,
     worst_cells,
 )
-from qdenv.study.runs import run_seeds
+from qdenv.study.engine import run_seeds
 from qdenv.study.traffic import Wanted, examine, simulate_layout
-from qdenv.study.verdict import Point, judge, point_of
 from qdenv.types import InputError, Traffic
 
 WAREHOUSE, MAKING = find_domain("warehouse-even"), find_domain("manufacturing")
@@ -202,11 +202,11 @@ def test_a_report_counts_what_the_runs_did():
 def test_compiling_is_not_counted_as_simulating(monkeypatch):
     """The first run of a process compiles for 17 s where its machine code is not kept."""
     order = []
-    from qdenv.study import runs
+    from qdenv.study import engine
 
-    drive = runs._Program.drive
+    drive = engine._Program.drive
     monkeypatch.setattr(
-        runs._Program, "drive", lambda self, *run: (order.append(run[1:]), drive(self, *run))[1]
+        engine._Program, "drive", lambda self, *run: (order.append(run[1:]), drive(self, *run))[1]
     )
     config = FleetConfig(7, 31, planner=PibtConfig())
     first = run_seeds(LANE, TASKS, config, (3, 4), threads=1)
@@ -217,7 +217,7 @@ def test_compiling_is_not_counted_as_simulating(monkeypatch):
 
 
 def test_one_long_run_tells_how_far_it_is(monkeypatch):
-    monkeypatch.setattr("qdenv.study.runs.LOOK", 0.005)
+    monkeypatch.setattr("qdenv.study.engine.LOOK", 0.005)
     told = []
     config = FleetConfig(6, 40_000, planner=PibtConfig())
     run_seeds(LANE, TASKS, config, (0,), progress=lambda *state: told.append(state))

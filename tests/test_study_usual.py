@@ -10,7 +10,7 @@ import qdenv
 from qdenv.cli import run
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
-from qdenv.study.usual import usual_fleet
+from qdenv.study.options import usual_fleet
 
 EVEN, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
 LARGE, SMALL = np.zeros((101, 102), np.int8), np.zeros((33, 36), np.int8)

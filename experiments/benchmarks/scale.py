@@ -28,7 +28,7 @@ from qdenv.run.directory import RunDirectory
 from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study.elites import find_elite, grow_series
-from qdenv.study.runs import auditor, run_seeds
+from qdenv.study.engine import auditor, run_seeds
 from qdenv.types import InputError, RepairStatus, TaskRule
 
 SIZES = ("33x36", "51x52", "101x102", "201x202", "401x401")

@@ -22,8 +22,8 @@ from qdenv.io.layouts import read_layout
 from qdenv.io.records import read_json
 from qdenv.repair.recipe import RepairConfig, repair_layout
 from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.study.engine import Simulated, auditor, run_seeds
 from qdenv.study.ledger import DRIVERS
-from qdenv.study.runs import Simulated, auditor, run_seeds
 from qdenv.types import InputError, TaskRule
 
 DOMAINS = {

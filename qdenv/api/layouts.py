@@ -86,8 +86,7 @@ def compare(
         InputError: no layout is given, they are of several domains, or a fleet cannot work there.
     """
     from qdenv.study import sweep
-    from qdenv.study.options import make_fleet, parse_seeds
-    from qdenv.study.usual import usual_fleet
+    from qdenv.study.options import make_fleet, parse_seeds, usual_fleet
 
     plans = [read_plan(layout, domain) for layout in layouts]
     kinds = {plan.domain.name: plan.domain for plan in plans}

@@ -118,8 +118,7 @@ def replay(
     """
     from qdenv.pages.replay import about_episode, about_fleet, make_replay
     from qdenv.study.motion import MAZES, record_fleet, trace_agent
-    from qdenv.study.options import make_fleet
-    from qdenv.study.usual import usual_fleet
+    from qdenv.study.options import make_fleet, usual_fleet
 
     plan = read_plan(layout, domain)
     if plan.domain.name in MAZES:

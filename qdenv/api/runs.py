@@ -182,8 +182,8 @@ def surrogate(
     Raises:
         InputError: there are too few elites, or a setting means nothing.
     """
-    from qdenv.study.held_out import read_elites
     from qdenv.study.options import find_surrogate, parse_seeds
+    from qdenv.study.surrogate import read_elites
 
     config, chosen = find_surrogate(size, settings), parse_seeds(seeds)
     elites = read_elites(run if isinstance(run, RunDirectory) else RunDirectory.open(run))

@@ -19,8 +19,8 @@ from qdenv.run.directory import RunDirectory
 from qdenv.simulate.mapf.choosing import OWN
 from qdenv.simulate.mapf.negotiated.settings import HIGH
 from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
+from qdenv.study.options import TIMESTEPS
 from qdenv.study.plans import USUAL, read_plan
-from qdenv.study.usual import TIMESTEPS
 from qdenv.types import InputError
 from qdenv.zoo.shipped import PREFIX
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from qdenv.domains.base import make_domain
 from qdenv.run.config import RunConfig
-from qdenv.study.keeping import keep_from
+from qdenv.study.plans import keep_from
 
 
 def choose_keep(config: RunConfig, path: Path) -> RunConfig:

@@ -19,9 +19,8 @@ from qdenv.simulate.mapf.choosing import OWN, record_planner
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.study import motion as studies
 from qdenv.study.motion import MAZES, Motion
-from qdenv.study.options import fleet_tasks
+from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import Plan, read_plan
-from qdenv.study.usual import usual_fleet
 from qdenv.types import InputError
 
 if TYPE_CHECKING:

@@ -147,7 +147,7 @@ def generate(
 
 def _say_size(trained: Domain, grown: Domain, stated: Sequence[str]) -> None:
     """Say which numbers a size brought along, and whether what the run kept does not fit it."""
-    from qdenv.study.usual import describe_growth  # imports the domains
+    from qdenv.study.options import describe_growth  # imports the domains
 
     if known := describe_growth(trained, grown.shape, stated):
         print(known)

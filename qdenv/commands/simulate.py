@@ -14,9 +14,8 @@ from qdenv.commands.waiting import waiting
 from qdenv.grid import of_tiles
 from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.study import sweep as studies
-from qdenv.study.options import fleet_tasks, parse_seeds
+from qdenv.study.options import fleet_tasks, parse_seeds, usual_fleet
 from qdenv.study.plans import Plan, read_plan
-from qdenv.study.usual import usual_fleet
 
 if TYPE_CHECKING:  # imports the simulator
     from qdenv.study.traffic import Study

@@ -13,8 +13,8 @@ from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.io.layouts import check_size, endings_for, write_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.run.directory import RunDirectory
+from qdenv.study.options import describe_growth
 from qdenv.study.plans import USUAL, read_plan
-from qdenv.study.usual import describe_growth
 from qdenv.types import InputError
 
 Seed = Annotated[int, tyro.conf.arg(aliases=("--repair-seed",))]

@@ -14,8 +14,8 @@ from qdenv.commands.choices import RunFolder
 from qdenv.commands.waiting import waiting
 from qdenv.io.files import write_csv
 from qdenv.run.directory import RunDirectory
-from qdenv.study.held_out import Evaluated, read_elites
 from qdenv.study.options import find_surrogate, parse_seeds
+from qdenv.study.surrogate import Evaluated, read_elites
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.zoo.shipped import file_name
 

@@ -10,11 +10,10 @@ import numpy as np
 from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions
 from qdenv.study import sweep as studies
-from qdenv.study.jams import FADING
-from qdenv.study.options import parse_counts, parse_seeds, scale_counts
+from qdenv.study.congestion import FADING
+from qdenv.study.options import AGENTS, parse_counts, parse_seeds, scale_counts, usual_fleet
 from qdenv.study.plans import Plan, read_plan
 from qdenv.study.table import Peak, Row, write_rows
-from qdenv.study.usual import AGENTS, usual_fleet
 from qdenv.types import InputError
 
 MOST_WARNINGS = 3

@@ -9,7 +9,7 @@ from qdenv.commands.choices import FleetOptions, LayoutFile, LayoutFiles, Option
 from qdenv.commands.tables import prepare, table_printer, write
 from qdenv.commands.waiting import waiting
 from qdenv.study import sweep as studies
-from qdenv.study.differences import Difference
+from qdenv.study.stats import Difference
 from qdenv.study.table import Peak, differences, find_capacity, find_peak
 
 # Numbers of agents where nobody says, on layouts for which 200 are usual.

@@ -25,8 +25,8 @@ from qdenv.plots.layouts import CHANGED, COLOURS, UNKNOWN
 from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.run.archive import Archive
 from qdenv.run.directory import RunDirectory
-from qdenv.study.frames import make_grower
-from qdenv.study.progress import Progress, silent
+from qdenv.study.elites import make_grower
+from qdenv.study.engine import Progress, silent
 from qdenv.types import InputError
 
 SHADES = 12  # of the colour scale, with straight lines between

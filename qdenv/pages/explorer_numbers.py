@@ -10,7 +10,7 @@ import numpy as np
 from qdenv.domains.base import Domain
 from qdenv.run.archive import Archive
 from qdenv.score import wilson_interval
-from qdenv.study.differences import Sample, margin
+from qdenv.study.stats import Sample, margin
 
 NUMBER, SHARE, WHOLE = "number", "share", "whole"
 # Columns of an archive: what they are called, and how they are written.

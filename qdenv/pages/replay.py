@@ -16,7 +16,7 @@ import numpy as np
 from qdenv.pages.page import Page, make_page
 from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.study.jams import throughput_over_time
+from qdenv.study.congestion import throughput_over_time
 from qdenv.study.motion import Motion
 from qdenv.study.plans import Plan
 from qdenv.types import InputError, TaskRule, Traffic

@@ -23,7 +23,7 @@ from qdenv.plots.figure import (
     styled,
 )
 from qdenv.plots.widths import PAGE
-from qdenv.study.differences import Difference, Sample, margin
+from qdenv.study.stats import Difference, Sample, margin
 from qdenv.study.table import Peak, Row, differences
 
 THROUGHPUT = "throughput [tasks / timestep]"

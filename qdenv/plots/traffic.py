@@ -17,7 +17,7 @@ from matplotlib.ticker import PercentFormatter
 from qdenv.grid import of_tiles
 from qdenv.plots.figure import PALETTE, WARNING, paper_figure, save_figure, styled
 from qdenv.plots.widths import SCREEN
-from qdenv.study.jams import Maps, Spot, throughput_over_time, worst_cells
+from qdenv.study.congestion import Maps, Spot, throughput_over_time, worst_cells
 
 if TYPE_CHECKING:  # the latter imports the simulator
     from qdenv.study.plans import Plan

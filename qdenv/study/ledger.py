@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from qdenv.domains.base import Domain
+from qdenv.domains.base import Domain, make_domain
 from qdenv.io.files import write_csv
 from qdenv.io.tables import read_table
+from qdenv.run.executors.dask import check_versions, versions
+from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
+from qdenv.study.stats import sample_of
 from qdenv.study.sweep import check_fleet, room_for
 from qdenv.types import look_up
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 # Who drives, by a word: our planner at two efforts, the paper's by two rules.
 DRIVERS: Mapping[str, Any] = {
@@ -156,7 +162,7 @@ def _written(path: Path) -> list[Run]:
 
 def simulate(case: Case, seed: int) -> Run:
     """Simulate one run on one core; the program has been loaded before its clock starts."""
-    from qdenv.study.runs import run_seeds  # imports the simulator
+    from qdenv.study.engine import run_seeds  # imports the simulator
 
     # Runs with other numbers of agents share the program; it is no larger than can be counted.
     most = max(case.agents, min(case.tiles.size, MOST_STEPS // case.timesteps))
@@ -188,3 +194,90 @@ def seconds_for(cases: Sequence[Case], runs: Sequence[Run]) -> float:
 
     rates = {planner: rate(planner) for planner in {case.planner for case in cases}}
     return sum(rates[case.planner] * case.agents * case.timesteps for case in cases)
+
+
+class Outcome(NamedTuple):
+    """The runs of one case."""
+
+    layout: str  # its name
+    domain: str  # whose tasks
+    agents: int  # how many
+    timesteps: int  # horizon T
+    planner: str  # who drove
+    stop: bool  # runs ended where they congested
+    runs: int  # how many
+    successes: int  # how many never congested
+    low: float  # lower end of the 95 % Wilson interval of the success rate
+    high: float  # upper end
+    throughput: float  # mean over the successful runs, as published tables have it; NaN for none
+    error: float  # its standard error; NaN with fewer than two
+    mean_of_all: float  # mean over all runs
+    error_of_all: float  # its standard error
+    jam_median: float  # timestep at which runs congested; NaN where none did, or none stopped there
+    jam_least: float  # of the first
+    jam_most: float  # of the last
+    cpu_seconds: float  # of a run, on average
+
+
+def outcomes_of(runs: Iterable[Run]) -> list[Outcome]:
+    """Make a row of each case that has runs, in the order of their first runs.
+
+    A run that is given twice counts once.
+    """
+    cases: dict[Key, dict[int, Run]] = {}
+    for run in runs:
+        cases.setdefault(run._replace(seed=0).key, {})[run.seed] = run
+    return [_condense(list(seeds.values())) for seeds in cases.values()]
+
+
+def _condense(runs: Sequence[Run]) -> Outcome:
+    one, every = runs[0], np.array([run.throughput for run in runs])
+    good = every[[not run.congested for run in runs]]
+    ends = [float(run.end_timestep) for run in runs if run.congested and run.stop]
+    jams = np.array(ends or [np.nan])
+    success, whole = sample_of(good if len(good) else np.array([np.nan])), sample_of(every)
+    return Outcome(
+        *(one.layout, one.domain, one.agents, one.timesteps, one.planner, one.stop),
+        *(len(runs), len(good), *wilson_interval(len(good), len(runs))),
+        *(success.mean, success.error, whole.mean, whole.error),
+        *(float(np.median(jams)), float(jams.min()), float(jams.max())),
+        cpu_seconds=float(np.mean([run.cpu_seconds for run in runs])),
+    )
+
+
+PORTION = 4  # runs of each worker from one answer to the next
+
+
+def handed_to(client: Client) -> SimulateAll:
+    """Let the workers of a cluster simulate what `ledger.complete` asks for.
+
+    Args:
+        client: of a cluster with a worker at least.
+    """
+
+    def simulate_all(todo: Sequence[tuple[Case, int]]) -> Iterator[Run]:
+        from qdenv.run.executors.dask import Workers
+
+        workers, wanted = Workers(client, simulate_elsewhere), versions()
+        portion = PORTION * len(client.scheduler_info()["workers"])
+        # Functions do not travel, settings do.
+        tasks = [(case._replace(domain=case.domain.config), seed, wanted) for case, seed in todo]
+        for first in range(0, len(tasks), portion):
+            yield from workers.begin(tasks[first : first + portion]).finish()
+
+    return simulate_all
+
+
+def simulate_elsewhere(case: Any, seed: int, wanted: str) -> Run:
+    """Simulate one run on a worker of a cluster.
+
+    Args:
+        case: a `Case` that holds the settings of its domain in place of the domain.
+        seed: of the run.
+        wanted: `versions` of who asks.
+
+    Raises:
+        WrongWorkerError: this worker has other versions.
+    """
+    check_versions(wanted)
+    return simulate(case._replace(domain=make_domain(case.domain)), seed)

@@ -8,9 +8,9 @@ import numpy as np
 
 from qdenv.ranges import Seed, check_range
 from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.engine import Progress, silent
 from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
-from qdenv.study.progress import Progress, silent
 from qdenv.types import InputError, Traffic
 
 MAZES = ("maze-walls", "maze-entropy")
@@ -72,7 +72,7 @@ def record_fleet(
     """
     check_run(config.agents, config.timesteps, seed)
     tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, config.agents)
-    from qdenv.study.runs import run_seeds  # imports the simulator
+    from qdenv.study.engine import run_seeds  # imports the simulator
 
     def read(seed: int, run: Traffic, recording: Any) -> Motion:
         end = int(run.end_timestep)

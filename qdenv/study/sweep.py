@@ -11,8 +11,8 @@ import numpy as np
 
 from qdenv.grid import of_tiles
 from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.engine import SIMULATING, Progress, silent
 from qdenv.study.options import fleet_tasks
-from qdenv.study.progress import SIMULATING, Progress, silent
 from qdenv.study.table import Row, find_peak, summarise
 from qdenv.types import InputError, TaskRule
 
@@ -85,7 +85,7 @@ def compare(
     Raises:
         InputError: as in `sweep`, for any of the layouts, before the first run.
     """
-    from qdenv.study.runs import run_seeds  # imports the simulator
+    from qdenv.study.engine import run_seeds  # imports the simulator
 
     for name, layout in layouts.items():
         check_fleet(name, layout, trial.tasks, max(trial.counts))
@@ -168,7 +168,7 @@ def climb(
     Raises:
         InputError: agents cannot work on the layout, or not even the first number fits.
     """
-    from qdenv.study.runs import run_seeds  # imports the simulator
+    from qdenv.study.engine import run_seeds  # imports the simulator
 
     tasks, fitting = trial.tasks, check_climb(name, layout, trial)
     rows: list[Row] = []

@@ -9,8 +9,8 @@ import numpy as np
 
 from qdenv.io.files import write_csv
 from qdenv.score import wilson_interval
-from qdenv.study.differences import Difference, Sample, difference, sample_of
-from qdenv.study.jams import fading
+from qdenv.study.congestion import fading
+from qdenv.study.stats import Difference, Sample, difference, sample_of
 from qdenv.types import Traffic
 
 WORTH = 0.5  # share of what an average agent brings; one that brings less is hardly worth it

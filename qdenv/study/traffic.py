@@ -14,13 +14,11 @@ from qdenv.grid import of_tiles
 from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.simulate.mapf.metrics import Recording
 from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
-from qdenv.study.jams import Maps, average, cells_with_half, map_run, worst_cells
-from qdenv.study.options import Driving, fleet_tasks, make_fleet, parse_seeds
-from qdenv.study.progress import Progress, silent
-from qdenv.study.runs import Simulated, auditor, run_seeds
+from qdenv.study.capacity import PROBES, Point, Verdict, judge, more_than, point_of
+from qdenv.study.congestion import Maps, average, cells_with_half, map_run, worst_cells
+from qdenv.study.engine import Progress, Simulated, auditor, run_seeds, silent
+from qdenv.study.options import Driving, fleet_tasks, make_fleet, parse_seeds, usual_fleet
 from qdenv.study.table import Row, summarise
-from qdenv.study.usual import usual_fleet
-from qdenv.study.verdict import PROBES, Point, Verdict, judge, more_than, point_of
 from qdenv.types import InputError, TaskRule, Traffic
 
 MOST_RECORDED = 50_000_000  # agent-steps recorded at a time: 650 MB, and copies of them

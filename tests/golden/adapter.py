@@ -15,7 +15,7 @@ from qdenv.cli import run as run_command
 from qdenv.run import loop
 from qdenv.run.config import config_to_json
 from qdenv.simulate.mapf.choosing import find_planner
-from qdenv.study.runs import run_seeds
+from qdenv.study.engine import run_seeds
 
 
 def domain_of(name: str, rows: int, cols: int, **numbers: int) -> qdenv.Domain:

@@ -22,7 +22,7 @@ from qdenv.simulate.mapf.metrics import Recording
 from qdenv.simulate.mapf.negotiated.settings import HIGH, LOW
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.study.runs import run_seeds
+from qdenv.study.engine import run_seeds
 from qdenv.types import InputError, RepairStatus, TaskRule, Traffic
 from robustness.attack import Attack, Attempt
 

@@ -11,12 +11,11 @@ import numpy as np
 from qdenv.grid import of_tiles
 from qdenv.pages.report.subjects import Rival, Subject, find_rival
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.study.options import fleet_tasks
-from qdenv.study.progress import Progress, silent
+from qdenv.study.engine import Progress, silent
+from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.sweep import Trial, about, compare
 from qdenv.study.table import Row, find_peak
 from qdenv.study.traffic import Study, examine
-from qdenv.study.usual import usual_fleet
 
 SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)  # of the number of agents that is asked about
 

@@ -23,7 +23,7 @@ from qdenv.plots.run import draw_marks
 from qdenv.run.archive import mark_cells
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.simulate.maze.world import WALL
-from qdenv.study.progress import Progress, silent
+from qdenv.study.engine import Progress, silent
 from qdenv.study.sweep import about
 
 EPISODES, SEED = 100, 0  # those of `qdenv evaluate-agent`

@@ -11,7 +11,7 @@ from qdenv.pages.report.subjects import Rival, Subject
 from qdenv.plots.layouts import draw_plan
 from qdenv.plots.studies import draw_success, draw_throughput
 from qdenv.plots.traffic import Scene, draw_panel, scene_of
-from qdenv.study.jams import cells_with_half, worst_cells
+from qdenv.study.congestion import cells_with_half, worst_cells
 from qdenv.study.traffic import Study
 
 WIDTH = 6.8  # inches of a figure on its own

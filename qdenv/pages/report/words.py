@@ -9,8 +9,8 @@ import numpy as np
 from qdenv.pages.report.fleet import Found
 from qdenv.pages.report.subjects import Rival, Subject
 from qdenv.simulate.mapf.choosing import describe_planner
-from qdenv.study.differences import Difference, Sample, difference, margin
-from qdenv.study.jams import FADING
+from qdenv.study.congestion import FADING
+from qdenv.study.stats import Difference, Sample, difference, margin
 from qdenv.study.table import Row, find_capacity, find_peak
 from qdenv.study.traffic import Study
 

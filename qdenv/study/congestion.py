@@ -9,7 +9,7 @@ import numpy as np
 
 from qdenv.types import Traffic
 
-if TYPE_CHECKING:  # imports the simulator
+if TYPE_CHECKING:
     from qdenv.simulate.mapf.metrics import Recording
 
 FADING = 0.05  # throughput that falls by more than this is no chance, nor for long

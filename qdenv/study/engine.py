@@ -1,4 +1,4 @@
-"""Runs of one layout over seeds: compiled once, on all cores, each one read as it ends."""
+"""How studies tell how far they are."""
 
 import functools
 import time
@@ -16,8 +16,18 @@ from qdenv.simulate.mapf.audit import audit, trajectory_of
 from qdenv.simulate.mapf.host.run import steps_under_way
 from qdenv.simulate.mapf.metrics import Recording, summarise
 from qdenv.study.options import fleet_tasks
-from qdenv.study.progress import COMPILING, SIMULATING, Progress, silent
 from qdenv.types import TaskRule, Traffic
+
+COMPILING = "compiling the simulator"
+SIMULATING = "simulating"
+
+# (what is done, which share of it; below 0 where nobody knows, a word on how things stand)
+Progress: TypeAlias = Callable[[str, float, str], None]
+
+
+def silent(doing: str, share: float, note: str) -> None:
+    """Tell nobody of any progress."""
+
 
 LOOK = 0.2  # seconds between two looks at how far the runs are
 # (seed, what was counted, every step) -> what is kept of it

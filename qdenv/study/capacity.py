@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.study.jams import FADING, fading
+from qdenv.study.congestion import FADING, fading
 from qdenv.study.table import WORTH, value_of_an_agent
 from qdenv.types import Traffic
 
