@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import functools
 import io
 import tempfile
 from pathlib import Path
@@ -69,12 +68,6 @@ def search(preset: str, overrides: dict[str, Any]) -> tuple[dict[str, np.ndarray
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         run = qdenv.train(preset, Path(folder) / "run", progress=False, **overrides)
         return dict(run.load_archive()), run.read_metrics()[-1]._asdict()
-
-
-@functools.cache
-def algorithm(name: str, **settings: Any) -> Any:
-    """Make the settings of an algorithm by its name."""
-    return dataclasses.replace(qdenv.ALGORITHMS.config(name), **settings)
 
 
 @contextlib.contextmanager
