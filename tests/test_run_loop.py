@@ -112,8 +112,6 @@ import os, signal, sys
 sys.path.insert(0, {here!r})
 import toy
 from qdenv.io import files
-from qdenv.training import checkpoint, flight, loop
-from qdenv import files
 from qdenv.run import checkpoint, evaluate_async, loop
 
 def die(*args, **kwargs):
