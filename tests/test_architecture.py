@@ -12,7 +12,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "qdenv"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"types", "ranges", "grid", "io", "lazy", "interrupt"}
+BASE = {"types", "ranges", "grid", "io", "lazy", "interrupt", "progress"}
 STAGES = {"generate", "repair", "simulate", "score"}
 PLUGS = {"registry", "devices"}
 ALLOWED = {
@@ -24,6 +24,7 @@ ALLOWED = {
     "interrupt": set(),
     "io": {"types", "interrupt", "registry", "grid"},
     "devices": {"types", "lazy"},
+    "progress": set(),
     "registry": {"types"},
     "generate": {"types", "ranges", "grid", "lazy", "registry"},
     "repair": {"types", "ranges", "grid", "lazy", "native"},

@@ -13,7 +13,7 @@ import importlib
 import sys
 
 from qdenv.commands.parsing import run_program
-from qdenv.commands.waiting import waiting
+from qdenv.progress import Bar
 
 BENCHMARKS = (
     *("pipeline", "simulate", "repair", "search", "maze", "scale", "surrogate"),
@@ -31,7 +31,7 @@ def main() -> int:
         return 2
     name = sys.argv[1]
     benchmark = importlib.import_module(f"experiments.benchmarks.{name}").run
-    with waiting(f"measuring: {name}"):
+    with Bar(f"measuring: {name}"):
         return run_program(benchmark, f"python -m experiments.benchmarks {name}", sys.argv[2:])
 
 

@@ -12,10 +12,10 @@ from annotated_types import Interval
 
 from qdenv.commands.choices import LayoutFile
 from qdenv.commands.output import JsonFile, place, write_facts
-from qdenv.commands.waiting import waiting
 from qdenv.commands.words import Picture, place_picture
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
+from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged, Seed
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
@@ -109,7 +109,7 @@ def evaluate_agent(
 
     maze, weights, seed = plan.layout, load_weights(episodes.agent), episodes.seed
     steps = episodes.timesteps or default_horizon(maze)
-    with waiting(f"solving {layout} {episodes.runs} times"):
+    with Bar(f"solving {layout} {episodes.runs} times"):
         result = measure_success(
             weights, maze, seed, episodes.runs, steps, episodes.reference_batching
         )
@@ -137,7 +137,7 @@ def compare(
     """Solve random mazes like this one (int8 [H, W])."""
     from qdenv.agent.baseline import compare_with_random
 
-    with waiting("drawing random mazes") as bar:
+    with Bar("drawing random mazes") as bar:
         return compare_with_random(
             weights, maze, mazes, episodes.runs, episodes.seed, steps, progress=bar
         )

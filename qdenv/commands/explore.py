@@ -5,7 +5,7 @@ from pathlib import Path
 from qdenv.commands import output
 from qdenv.commands.choices import RunFolder
 from qdenv.commands.output import JsonFile, write_facts
-from qdenv.commands.waiting import waiting
+from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt
 from qdenv.run.directory import RunDirectory
 
@@ -34,7 +34,7 @@ def explore(
     # Only now: who is refused need not wait for what this imports.
     from qdenv.pages.explorer import make_explorer
 
-    with waiting("growing") as bar:
+    with Bar("growing") as bar:
         page, facts = make_explorer(run, growth, bar)
     page.save(place.path)
     write_facts(json_file, "explore", facts, run=run_dir, growth=growth)

@@ -9,10 +9,10 @@ import tyro
 
 from qdenv.commands import output
 from qdenv.commands.choices import DomainName, LayoutFile, Numbers
-from qdenv.commands.waiting import waiting
 from qdenv.domains.base import Domain
 from qdenv.io.files import tidy
 from qdenv.io.layouts import endings_for, write_layout
+from qdenv.progress import Bar
 from qdenv.repair.audit import Violation, audit, check_allowed
 from qdenv.repair.rules import impossible
 from qdenv.repair.settings import RepairConfig
@@ -63,7 +63,7 @@ def repair(
     # Only here: the repair imports a compiler and a solver.
     from qdenv.repair.recipe import repair_layout
 
-    with waiting("repairing") as bar:
+    with Bar("repairing") as bar:
         result = repair_layout(plan.layout, rules, seed, RepairConfig(polish=polish), bar)
     after = np.asarray(result.layout)
     facts, changes = facts_of(plan, result, rules), list_changes(plan.layout, after, kind)

@@ -12,8 +12,8 @@ from annotated_types import Interval
 from qdenv import interrupt
 from qdenv.agent.settings import TrainConfig
 from qdenv.commands.output import place
-from qdenv.commands.waiting import waiting
 from qdenv.io.records import read_json
+from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt
 from qdenv.types import InputError
 
@@ -46,7 +46,7 @@ def train_agent(
 
     if resume:
         interrupt.advise(f"`qdenv resume {shlex.quote(str(out))}` goes on")
-    with waiting("training the agent", config.updates) as bar:
+    with Bar("training the agent", config.updates) as bar:
         known = [0]
 
         def show(done: int, row: dict[str, Any] | None) -> None:

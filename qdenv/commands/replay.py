@@ -11,9 +11,9 @@ import tyro
 
 from qdenv.commands import output
 from qdenv.commands.choices import LayoutFile, OneRun, RunOptions
-from qdenv.commands.waiting import waiting
 from qdenv.commands.words import Picture, place_picture
 from qdenv.pages.page import demand
+from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
 from qdenv.simulate.mapf.choosing import OWN, record_planner
 from qdenv.simulate.mapf.settings import PLANNERS
@@ -125,7 +125,7 @@ def _show_fleet(
     # Only now: what is above answers at once, and this imports the simulator.
     from qdenv.pages.replay import about_fleet, make_replay
 
-    with waiting("simulating") as bar:
+    with Bar("simulating") as bar:
         motion, traffic = studies.record_fleet(plan, config, seed, bar)
     about = about_fleet(plan, config, seed, motion, traffic)
     _say([*about, plan.whose, *[usual.said] * bool(usual.said)])
@@ -154,7 +154,7 @@ def _show_episode(
     studies.check_run(1, options.timesteps or 1, seed)
     from qdenv.pages.replay import about_episode, make_replay
 
-    with waiting("walking"):
+    with Bar("walking"):
         motion = studies.trace_agent(plan, seed, options.timesteps)
     about = about_episode(motion, seed)
     _say(about)
@@ -179,5 +179,5 @@ def draw(path: Path, plan: Plan, motion: Motion, films: Films) -> None:
     short = path.suffix.lower() == ".gif" and motion.headings is None
     last = first + SHORT if short else motion.steps
     last = last if films.last is None else films.last
-    with waiting(f"drawing {path}") as bar:
+    with Bar(f"drawing {path}") as bar:
         save_film(path, plan.layout, plan.domain.tiles, motion, (first, last), bar)

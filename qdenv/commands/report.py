@@ -14,9 +14,9 @@ from qdenv import devices
 from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions, Options
 from qdenv.commands.costs import in_words
-from qdenv.commands.waiting import waiting
 from qdenv.pages.page import missing
 from qdenv.pages.report.subjects import Subject, read_subjects
+from qdenv.progress import Bar
 from qdenv.study.options import parse_counts, parse_seeds
 from qdenv.study.table import Row
 from qdenv.types import InputError
@@ -79,7 +79,7 @@ def on_fleets(asked: Asked, again: str) -> Report:
     from qdenv.pages.report.fleet import seconds_for, study
 
     first = True
-    with waiting("simulating") as bar:
+    with Bar("simulating") as bar:
 
         def told(row: Row) -> None:
             nonlocal first
@@ -107,5 +107,5 @@ def on_mazes(
         raise InputError(f"--agents {agents}: no fleet drives in mazes: leave --agents out")
     from qdenv.pages.report.mazes import maze_report, solve
 
-    with waiting("solving mazes") as bar:
+    with Bar("solving mazes") as bar:
         return maze_report(solve(subjects, options.timesteps, bar), again)

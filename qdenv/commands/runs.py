@@ -14,8 +14,8 @@ from qdenv.commands.choices import Numbers, RunFolder
 from qdenv.commands.mazes import is_agent_run, resume_agent
 from qdenv.commands.output import JsonFile, place, write_facts
 from qdenv.commands.plot import report
-from qdenv.commands.waiting import waiting
 from qdenv.io.layouts import check_size, endings_for, write_layout
+from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors.base import Execution
@@ -117,7 +117,7 @@ def generate(
 
     trained = make_domain(config.evaluation.domain)
     target = place(out, "layout.json", endings_for(trained.tiles, trained.meanings))
-    with waiting("growing") as bar:
+    with Bar("growing") as bar:
         shape = (growth.rows, growth.cols)
         grown = grow_elite(run, found, shape, growth.steps, numbers.given(), growth.keep)
         if growth.frames is not None:

@@ -10,8 +10,8 @@ import numpy as np
 
 from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions, LayoutFile, Options
-from qdenv.commands.waiting import waiting
 from qdenv.grid import of_tiles
+from qdenv.progress import Bar
 from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.study import sweep as studies
 from qdenv.study.options import fleet_tasks, parse_seeds, usual_fleet
@@ -65,7 +65,7 @@ def simulate(
         facts = facts_of(study, plan.layout) | about
         return facts | ({"tasks_per_hour": facts["mean_of_all"] * per_hour} if per_hour else {})
 
-    with studies.about(str(layout)), waiting("simulating") as bar:
+    with studies.about(str(layout)), Bar("simulating") as bar:
 
         def tell(study: Study) -> None:
             lines = [words.describe_study(str(agents), options, seeds, plan)]

@@ -11,8 +11,8 @@ import tyro
 
 from qdenv.commands import output, words
 from qdenv.commands.choices import RunFolder
-from qdenv.commands.waiting import waiting
 from qdenv.io.files import write_csv
+from qdenv.progress import Bar
 from qdenv.run.directory import RunDirectory
 from qdenv.study.options import find_surrogate, parse_seeds
 from qdenv.study.surrogate import Evaluated, read_elites
@@ -78,7 +78,7 @@ def surrogate(
     from qdenv.study.surrogate import facts_of, try_surrogate
 
     print(describe(name, elites, config, len(chosen)), flush=True)
-    with waiting("learning", total=1) as bar:
+    with Bar("learning", total=1) as bar:
         trials = try_surrogate(elites, config, chosen, bar)
     facts = facts_of(elites, config, trials)
     print("\n".join(list_skills(facts)))

@@ -7,7 +7,7 @@ import numpy as np
 from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions, LayoutFile, LayoutFiles, Options
 from qdenv.commands.tables import prepare, table_printer, write
-from qdenv.commands.waiting import waiting
+from qdenv.progress import Bar
 from qdenv.study import sweep as studies
 from qdenv.study.stats import Difference
 from qdenv.study.table import Peak, differences, find_capacity, find_peak
@@ -41,7 +41,7 @@ def sweep(
     study = prepare(
         [layout], (agents, SWEPT), options, (out, f"{layout.stem}_sweep.csv"), plot, json_file
     )
-    with waiting("simulating") as bar:
+    with Bar("simulating") as bar:
         show = table_printer(study, bar.print)
         rows = studies.compare(study.layouts, study.trial, show, bar)
     rows.sort(key=lambda row: row.agents)
@@ -74,7 +74,7 @@ def compare(
     """
     size = words.inches(width)
     study = prepare(layouts, (agents, COMPARED), options, (out, "compare.csv"), plot, json_file)
-    with waiting("simulating") as bar:
+    with Bar("simulating") as bar:
         show = table_printer(study, bar.print)
         rows = studies.compare(study.layouts, study.trial, show, bar)
     against = differences(rows)
@@ -120,7 +120,7 @@ def scalability(
     study = prepare(layouts, (agents, CLIMBED), options, (out, "scalability.csv"), plot, json_file)
     for name, layout in study.layouts.items():
         studies.check_climb(name, layout, study.trial)
-    with waiting("simulating") as bar:
+    with Bar("simulating") as bar:
         show = table_printer(study, bar.print)
         climbs = [
             studies.climb(name, layout, study.trial, show, bar)

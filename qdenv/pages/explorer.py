@@ -22,11 +22,11 @@ from qdenv.pages.explorer_numbers import columns_of, facts_of_columns, runs_of
 from qdenv.pages.page import Page, make_page, missing
 from qdenv.plots.archive import COLOURS as SCALE
 from qdenv.plots.layouts import CHANGED, COLOURS, UNKNOWN
+from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.run.archive import Archive
 from qdenv.run.directory import RunDirectory
 from qdenv.study.elites import make_grower
-from qdenv.study.engine import Progress, silent
 from qdenv.types import InputError
 
 SHADES = 12  # of the colour scale, with straight lines between

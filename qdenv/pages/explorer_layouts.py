@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.pages.page import pack
+from qdenv.progress import Progress
 from qdenv.run.archive import Archive
 from qdenv.study.elites import Grower, spread
-from qdenv.study.engine import Progress
 
 LAYOUTS = 256  # elites in a chunk of layouts
 GROWN = 16  # elites in a chunk of growth

@@ -5,7 +5,7 @@ import dataclasses
 import shlex
 import time
 from collections.abc import Callable
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from qdenv.interrupt import advise, save_first, undisturbed
 from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
+from qdenv.progress import Bar
 from qdenv.run.config import RunConfig, check_feasible
 from qdenv.run.directory import RunDirectory, find_start, read_start
 from qdenv.run.evaluate_async import Flight, Search, begin_search
@@ -21,7 +22,6 @@ from qdenv.run.executors.base import Execution, opened
 from qdenv.run.log import Log
 from qdenv.run.manifest import meaning_of
 from qdenv.run.problem import archive_axes, problem_of, seen
-from qdenv.run.progress import Progress
 from qdenv.run.publish import Publisher, describe
 from qdenv.run.resume_checks import check_settings, check_total, settings_of
 from qdenv.search.base import Algorithm
@@ -158,6 +158,17 @@ def _restored(
     return done, search
 
 
+def _announced(bar: Bar, what: str, function: Callable) -> Callable:
+    """Have the bar name a function while jax traces it, which is when it is compiled next."""
+
+    @wraps(function)
+    def traced(*arguments: Any) -> Any:
+        bar.wait_for(f"compiling and running the {what}")
+        return function(*arguments)
+
+    return traced
+
+
 def _run(
     experiment: Experiment,
     config: RunConfig,
@@ -171,23 +182,29 @@ def _run(
     advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
     settings = experiment.settings(config)
     with contextlib.ExitStack() as stack:
-        shown = stack.enter_context(Progress(total * batch, progress))
-        algorithm = growing(shown.over_algorithm(experiment.algorithm))
+        bar = stack.enter_context(Bar("", total * batch, progress, unit="eval"))
+        algorithm, pipeline = experiment.algorithm, experiment.pipeline
+        ask, tell = (_announced(bar, "search", one) for one in (algorithm.ask, algorithm.tell))
+        algorithm = growing(algorithm._replace(ask=ask, tell=tell))
         publisher = Publisher(run, experiment.pipeline.domain, experiment.measures, algorithm)
-        pipeline = shown.over_pipeline(experiment.pipeline)
-        execute = stack.enter_context(opened(execution, config, pipeline, shown.advance))
+        pipeline = pipeline._replace(
+            grow=_announced(bar, "generator and repair", pipeline.grow),
+            simulate=_announced(bar, "simulator", pipeline.simulate),
+            score=_announced(bar, "score", pipeline.score),
+        )
+        execute = stack.enter_context(opened(execution, config, pipeline, bar.update))
         evaluator = PipelinedEvaluator(pipeline, execute)
 
         begun, search = _restored(experiment, config, run, algorithm)
         log = Log(run.path, begun)
         if begun >= total:
             publisher.publish(search)  # it may be older, where a run was killed at its very end
-        shown.begin(begun * batch)
+        bar.begin("", total * batch, begun * batch)
         flight = Flight(algorithm, evaluator, experiment.evaluation_key, total, begun, search)
         try:
             while flight.done < total:
                 start = time.perf_counter()
-                with shown.during("the search prepares its next questions"):
+                with bar.waiting_for("the search prepares the next population"):
                     flight.launch()
                 evaluation = flight.wait()
                 with undisturbed:
@@ -196,7 +213,7 @@ def _run(
                     summary, spent = publisher.summary(search), time.perf_counter() - start
                     notes = algorithm.notes(search.state)
                     row = log.add(done, batch, summary, spent, evaluation, notes)
-                    shown.update(batch, describe(row))
+                    bar.note(describe(row))
                     save_first(partial(publisher.save, done, search, settings))
                     if done % config.checkpoint_every == 0 or done == total or publisher.has_time:
                         save_first(None)

@@ -11,23 +11,13 @@ import jax
 import numpy as np
 
 from qdenv import devices
+from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf import chance, fleet
 from qdenv.simulate.mapf.audit import audit, trajectory_of
 from qdenv.simulate.mapf.host.run import steps_under_way
 from qdenv.simulate.mapf.metrics import Recording, summarise
 from qdenv.study.options import fleet_tasks
 from qdenv.types import TaskRule, Traffic
-
-COMPILING = "compiling the simulator"
-SIMULATING = "simulating"
-
-# (what is done, which share of it; below 0 where nobody knows, a word on how things stand)
-Progress: TypeAlias = Callable[[str, float, str], None]
-
-
-def silent(doing: str, share: float, note: str) -> None:
-    """Tell nobody of any progress."""
-
 
 LOOK = 0.2  # seconds between two looks at how far the runs are
 # (seed, what was counted, every step) -> what is kept of it
@@ -75,7 +65,7 @@ def run_seeds(
     begin = time.process_time()
     program = _program(tasks, config, layout.shape, read is not None)
     if not program.ready:
-        progress(COMPILING, -1, "")
+        progress("compiling the simulator", -1, "")
     world = program.make_ready(layout)
     compiled = time.process_time()
 
@@ -113,7 +103,7 @@ def _look_on(futures: Sequence[Future], timesteps: int, progress: Progress) -> N
         # A run that has just ended is for a moment neither under way nor among the ended ones.
         share = max(share, (ended + steps_under_way() / timesteps) / len(futures))
         progress(
-            SIMULATING, min(share, 1.0), f"run {min(ended + 1, len(futures))} of {len(futures)}"
+            "simulating", min(share, 1.0), f"run {min(ended + 1, len(futures))} of {len(futures)}"
         )
 
 

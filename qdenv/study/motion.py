@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qdenv.progress import Progress, silent
 from qdenv.ranges import Seed, check_range
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.study.engine import Progress, silent
 from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
 from qdenv.types import InputError, Traffic

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.domains.base import make_domain
+from qdenv.progress import Progress, silent
 from qdenv.run.directory import RunDirectory
-from qdenv.study.engine import Progress, silent
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.surrogate.surrogate import Aspect, make_surrogate, stages_of

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import of_tiles
+from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.study.engine import SIMULATING, Progress, silent
 from qdenv.study.options import fleet_tasks
 from qdenv.study.table import Row, find_peak, summarise
 from qdenv.types import InputError, TaskRule
@@ -132,7 +132,7 @@ def _part(progress: Progress, state: str, before: float, size: float) -> Progres
     """Report a part of a larger work: which share lies before it, and how large it is."""
 
     def tell(doing: str, share: float, note: str) -> None:
-        progress(SIMULATING, before + size * max(share, 0.0), f"{state}, {note or doing}")
+        progress("simulating", before + size * max(share, 0.0), f"{state}, {note or doing}")
 
     return tell
 

@@ -15,9 +15,9 @@ if __name__ == "__main__":
     interrupt.watch("python tests/robustness")
 
 from qdenv.commands.parsing import run_program
-from qdenv.commands.waiting import waiting
+from qdenv.progress import Bar
 from robustness.campaign import run
 
 if __name__ == "__main__":
-    with waiting("attacking"):
+    with Bar("attacking"):
         sys.exit(run_program(run, "python tests/robustness"))

@@ -10,8 +10,8 @@ import numpy as np
 
 from qdenv.grid import of_tiles
 from qdenv.pages.report.subjects import Rival, Subject, find_rival
+from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.study.engine import Progress, silent
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.sweep import Trial, about, compare
 from qdenv.study.table import Row, find_peak

@@ -20,10 +20,10 @@ from qdenv.pages.report.words import listed
 from qdenv.plots.episodes import draw_arrivals, draw_walks
 from qdenv.plots.layouts import draw_plan
 from qdenv.plots.run import draw_marks
+from qdenv.progress import Progress, silent
 from qdenv.run.archive import mark_cells
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.simulate.maze.world import WALL
-from qdenv.study.engine import Progress, silent
 from qdenv.study.sweep import about
 
 EPISODES, SEED = 100, 0  # those of `qdenv evaluate-agent`
