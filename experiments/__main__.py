@@ -24,9 +24,9 @@ from experiments.pieces import RESULTS, Experiment, Folders
 from qdenv.commands.costs import in_words
 from qdenv.commands.parsing import run_program
 from qdenv.io.files import write_atomically
-from qdenv.plots.figure import save_figure
 from qdenv.run.executors.base import Execution, ExecutorName
 from qdenv.types import InputError
+from qdenv.view.style import save_figure
 
 
 def list_all(folders: Folders) -> None:

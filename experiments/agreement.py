@@ -23,11 +23,11 @@ import tyro
 from scipy.stats import rankdata
 
 import qdenv
+from experiments.agreement_figure import Opinion, save_agreement
 from experiments.correlation import Agreement, agree, correlate
 from qdenv.commands.parsing import run_program
 from qdenv.domains.base import make_domain
 from qdenv.io.files import write_csv
-from qdenv.plots.agreement import Opinion, save_agreement
 from qdenv.study.ledger import Case, Run, complete
 from qdenv.study.options import parse_seeds
 from qdenv.study.plans import read_plan

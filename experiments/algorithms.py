@@ -26,9 +26,9 @@ from experiments.published import TABLE_4
 from qdenv.commands.costs import in_words
 from qdenv.commands.parsing import run_program
 from qdenv.io.files import write_csv
-from qdenv.plots.figure import new_figure, save_figure
 from qdenv.run.config import RunConfig, choose_algorithm
 from qdenv.study.stats import margin, sample_of
+from qdenv.view.style import new_figure, save_figure
 
 ALGORITHMS = ("cma-mae", "cma-me", "map-elites", "cma-es", "random", "dsage")
 COLOURS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#999999", "#CC79A7")  # Okabe and Ito 2008

@@ -7,7 +7,7 @@ from matplotlib.image import AxesImage
 
 from experiments.pieces import Folders
 from experiments.runs import SavedRun, Summary
-from qdenv.plots.archive import draw_heatmap
+from qdenv.view.archive import draw_heatmap
 
 DOMAINS = ("warehouse-even", "warehouse-uneven", "manufacturing", "maze-walls", "maze-entropy")
 # Colours (Okabe and Ito 2008) and styles, which grey prints tell apart, too.

@@ -32,11 +32,11 @@ from experiments.published import TRAFFIC
 from experiments.traffic import moved_in, rate_of
 from qdenv.commands.parsing import run_program
 from qdenv.io.files import write_csv
-from qdenv.plots.figure import new_figure, save_figure
 from qdenv.study.ledger import Case, Outcome, complete, outcomes_of, read_runs
 from qdenv.study.options import parse_counts, parse_seeds
 from qdenv.study.plans import read_plan
 from qdenv.study.sweep import name_layouts
+from qdenv.view.style import new_figure, save_figure
 
 # What files call a layout's maker: the first that fits counts, as a tiled layout's name may say
 # whose layout was tiled.

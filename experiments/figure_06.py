@@ -12,10 +12,10 @@ from qdenv.domains.base import Domain, find_domain
 from qdenv.grid import draw as drawn_as
 from qdenv.grid import parse
 from qdenv.io.files import write_json
-from qdenv.plots.layouts import draw_frames
 from qdenv.run.directory import RunDirectory
 from qdenv.study import sizes
 from qdenv.study.elites import grow_elite
+from qdenv.view.layouts import draw_frames
 
 
 class SavedGrowth(NamedTuple):

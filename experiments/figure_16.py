@@ -3,7 +3,7 @@
 from experiments.archives import draw_archive, note, scale_of
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.runs import SavedRun
-from qdenv.plots.figure import new_figure
+from qdenv.view.style import new_figure
 
 ALPHAS = {0: "-a0", 1: "-a1", 5: ""}
 DOMAINS = ("warehouse-even", "warehouse-uneven")

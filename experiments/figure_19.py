@@ -12,8 +12,8 @@ from experiments.makers import TABLE, own_agents, refusal_of
 from experiments.pieces import Drawn, Experiment, Folders, Piece, table
 from experiments.published import FLEETS, TRAFFIC
 from experiments.traffic import SavedTraffic, moved_in, rate_of
-from qdenv.plots.figure import new_figure
-from qdenv.plots.layouts import draw_layout
+from qdenv.view.layouts import draw_layout
+from qdenv.view.style import new_figure
 
 MAPPED = 5  # runs whose usage is drawn
 MOST = 4.0  # times an even spread, where the colours end

@@ -8,9 +8,9 @@ from experiments.archives import ALGORITHMS, DOMAINS, runs_of, seeds_of
 from experiments.pieces import Drawn, Experiment, Folders
 from experiments.published import TABLE_4
 from experiments.table_4 import RUNS
-from qdenv.plots.figure import new_figure
 from qdenv.run.log import Metrics
 from qdenv.study.stats import margin, sample_of
+from qdenv.view.style import new_figure
 
 METRICS = {"qd_score": "QD-score", "coverage": "coverage"}
 

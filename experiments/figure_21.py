@@ -11,7 +11,7 @@ from experiments.archives import (
 )
 from experiments.pieces import Drawn, Experiment, Folders
 from experiments.table_4 import RUNS
-from qdenv.plots.figure import new_figure
+from qdenv.view.style import new_figure
 
 
 def draw(folders: Folders) -> Drawn:

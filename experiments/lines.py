@@ -8,7 +8,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from qdenv.plots.figure import new_figure
+from qdenv.view.style import new_figure
 
 PANEL = (3.9, 3.1)  # inches
 Values: TypeAlias = Sequence[float] | np.ndarray

@@ -17,11 +17,11 @@ import jax
 import numpy as np
 
 from qdenv.commands.parsing import run_program
-from qdenv.plots.archive import save_heatmap
 from qdenv.search.base import Problem
 from qdenv.search.export import save_csv
 from qdenv.search.registry import ALGORITHMS, make_algorithm
 from qdenv.types import Measure, Score
+from qdenv.view.archive import save_heatmap
 
 LINKS = 12
 MEASURES = (Measure("tip x", -LINKS, LINKS, 60), Measure("tip y", -LINKS, LINKS, 60))

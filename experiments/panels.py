@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from experiments.archives import note
 from experiments.layouts import SavedLayout
 from experiments.pieces import Drawn, Experiment, Folders, table
-from qdenv.plots.figure import new_figure
-from qdenv.plots.layouts import draw_layout
+from qdenv.view.layouts import draw_layout
+from qdenv.view.style import new_figure
 
 COLUMNS = 3  # panels side by side
 

@@ -13,11 +13,11 @@ import qdenv
 from experiments.pieces import Folders, Piece, Say
 from qdenv.commands.costs import reckon_seconds
 from qdenv.io.files import write_csv
-from qdenv.plots.archive import scatter_objectives
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.log import Metrics
 from qdenv.types import Measure
+from qdenv.view.archive import scatter_objectives
 
 FILES = ("config.json", "manifest.json", "metrics.csv")
 SUMMARY = "elites.csv"

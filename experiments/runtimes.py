@@ -11,12 +11,12 @@ from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SECONDS, best_of
 from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, read_rows, table
 from experiments.published import FLEETS
 from qdenv.io.files import write_csv
-from qdenv.plots.figure import new_figure
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.study.elites import Grown, find_elite, grow_elite
 from qdenv.study.sizes import SIZES, finish
 from qdenv.study.stats import Sample, sample_of
+from qdenv.view.style import new_figure
 
 SEEDS = 3  # repairs of each layout
 

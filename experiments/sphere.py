@@ -34,11 +34,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.commands.parsing import run_program
-from qdenv.plots.archive import save_heatmap
 from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.settings import Strategy
 from qdenv.types import Array, Measure, Score
+from qdenv.view.archive import save_heatmap
 
 BOUND = 5.12  # where the measures begin to fold back
 SHIFT = 0.4 * BOUND  # of the optimum

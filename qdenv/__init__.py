@@ -53,7 +53,7 @@ _HOMES = {
     "make_experiment": ("qdenv.run.loop", "make_experiment"),
     "make_iteration": ("qdenv.run.loop", "make_iteration"),
     "make_pipeline": ("qdenv.pipeline", "make_pipeline"),
-    "plot_run": ("qdenv.plots.run", "plot_run"),
+    "plot_run": ("qdenv.view.runs", "plot_run"),
     "report": ("qdenv.api.pages", "report"),
     "read_layout": ("qdenv.io.layouts", "read_layout"),
     "repair_layout": ("qdenv.repair.recipe", "repair_layout"),

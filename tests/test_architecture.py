@@ -49,42 +49,21 @@ ALLOWED = {
     "run": BASE
     | STAGES
     | PLUGS
-    | {"search", "pipeline", "settings", "domains", "plots.inline"}
+    | {"search", "pipeline", "settings", "domains", "view.style"}
     | {"mesh", "zoo"},
     "study": BASE
     | STAGES
     | PLUGS
     | {"agent", "domains", "pipeline", "settings", "surrogate", "run"},
-    "api": BASE
-    | STAGES
-    | PLUGS
-    | {"domains", "pages", "plots", "presets", "study", "run"}
-    | {"zoo"},
-    "plots": BASE
-    | {
-        "run.directory",
-        "run.log",
-        "study.table",
-        "study.congestion",
-        "study.stats",
-        "study.groups",
-        "study.motion",
-        "study.plans",
-        "study.traffic",
-        "domains.base",
-    },
-    "pages": BASE
-    | STAGES
-    | PLUGS
-    | {"agent", "domains", "plots", "search.registry", "study", "run", "zoo"},
+    "api": BASE | STAGES | PLUGS | {"domains", "view", "presets", "study", "run"} | {"zoo"},
+    "view": BASE | STAGES | PLUGS | {"agent", "domains", "search.registry", "study", "run", "zoo"},
     "commands": BASE
     | STAGES
     | PLUGS
     | {
         "agent",
         "domains",
-        "pages",
-        "plots",
+        "view",
         "presets",
         "search",
         "settings",

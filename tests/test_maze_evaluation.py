@@ -21,10 +21,10 @@ from qdenv.agent.evaluate import (
 )
 from qdenv.cli import run
 from qdenv.io.layouts import read_layout
-from qdenv.plots.maze import save_episode, save_mazes
 from qdenv.score import wilson_interval
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.types import InputError
+from qdenv.view.maze import save_episode, save_mazes
 
 
 @pytest.mark.parametrize(

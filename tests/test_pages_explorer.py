@@ -12,12 +12,11 @@ import qdenv
 from qdenv.cli import run as command
 from qdenv.domains.base import make_domain
 from qdenv.io.arrays import write_arrays
-from qdenv.pages.explorer import make_explorer
-from qdenv.pages.explorer_layouts import pack_bits
 from qdenv.run.directory import RunDirectory
 from qdenv.study.elites import grow_series, make_grower, spread
 from qdenv.study.plans import read_plan
 from qdenv.types import InputError
+from qdenv.view.explorer import make_explorer, pack_bits
 
 READY = "body[data-ready]"
 QUICK = ["--agents", "4", "--timesteps", "10", "--seeds", "1", "--planner", "pibt"]

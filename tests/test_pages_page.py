@@ -10,9 +10,9 @@ from browser import opened
 
 from experiments.benchmarks.browser import find_browser
 from experiments.benchmarks.pages import run
-from qdenv.pages import page as pages
-from qdenv.pages.page import make_page, pack
 from qdenv.types import InputError
+from qdenv.view import page as pages
+from qdenv.view.page import make_page, pack
 
 NASTY = '</script><script>document.title="taken"</script>'
 

@@ -12,12 +12,12 @@ import qdenv
 from qdenv.cli import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
-from qdenv.pages.replay import encode, make_replay
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.motion import record_fleet, trace_agent
 from qdenv.study.options import make_fleet
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
+from qdenv.view.replay import encode, make_replay
 
 STEPS, AGENTS = 60, 30
 MAZE = ["XXXXXX", "X    X", "XXXX X", "X    X", "XXXXXX"]

@@ -14,12 +14,12 @@ from qdenv.cli import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.layouts import write_layout
-from qdenv.pages.report.blocks import Drawing, Section, Table, Text, drawing
-from qdenv.pages.report.fleet import around
-from qdenv.pages.report.subjects import find_rival, read_subjects
-from qdenv.pages.report.words import listed, name_seeds
 from qdenv.study.sizes import human_layout
 from qdenv.types import InputError
+from qdenv.view.report.fleet import around
+from qdenv.view.report.sections import Drawing, Section, Table, Text, drawing
+from qdenv.view.report.subjects import find_rival, read_subjects
+from qdenv.view.report.text import listed, name_seeds
 
 QUICK = ["--planner", "pibt", "--timesteps", "120", "--seeds", "4"]
 WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")

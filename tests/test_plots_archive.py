@@ -6,14 +6,14 @@ from matplotlib.figure import Figure
 from PIL import Image
 from scipy import ndimage
 
-from qdenv.plots.archive import (
+from qdenv.types import InputError, Measure
+from qdenv.view.archive import (
     describe_filling,
     draw_heatmap,
     objective_grid,
     save_heatmap,
     scatter_objectives,
 )
-from qdenv.types import InputError, Measure
 
 GRID = (Measure("walls", 0, 4, 4), Measure("path length", 0, 30, 3))
 MAZE = (Measure("walls", 0, 256, 256), Measure("path length", 0, 648, 162))

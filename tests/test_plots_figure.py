@@ -11,22 +11,15 @@ from matplotlib.text import Text
 from small_warehouse import ROWS
 
 from qdenv.cli import run
-from qdenv.plots.figure import (
-    PALETTE,
-    WARNING,
-    name_of,
-    paper_figure,
-    save_figure,
-    styled,
-)
-from qdenv.plots.runs import draw_archives, draw_progress
-from qdenv.plots.studies import draw_comparison, draw_peaks, draw_success, draw_throughput
-from qdenv.plots.traffic import LINE, Scene, draw_panel, draw_traffic
-from qdenv.plots.widths import COLUMN, PAGE, parse_width
 from qdenv.study.congestion import Maps, Spot
 from qdenv.study.groups import CURVES, Group
 from qdenv.study.table import Peak, Row
 from qdenv.types import InputError, Measure
+from qdenv.view.runs import draw_archives, draw_progress
+from qdenv.view.studies import draw_comparison, draw_peaks, draw_success, draw_throughput
+from qdenv.view.style import PALETTE, WARNING, name_of, paper_figure, save_figure, styled
+from qdenv.view.traffic import LINE, Scene, draw_panel, draw_traffic
+from qdenv.view.widths import COLUMN, PAGE, parse_width
 
 RNG = np.random.default_rng(0)
 NAMES = ("warehouse_human", "warehouse_even_nca_a5", "my_plan")
@@ -66,7 +59,7 @@ def every(monkeypatch):
     """Draw each picture at a width."""
     monkeypatch.setattr(Group, "title", property(lambda group: f"{group.label} (seeds 0, 1)"))
     axes = (Measure("connected shelf components", 0, 4, 4), Measure("entropy", 0, 1, 3))
-    from qdenv.plots.runs import Shown
+    from qdenv.view.runs import Shown
 
     shown = [Shown(f"MAP-Elites (seed {seed})", RNG.random(12), axes) for seed in range(4)]
     return {

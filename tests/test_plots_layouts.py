@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from qdenv.grid import parse
-from qdenv.plots.layouts import (
+from qdenv.view.layouts import (
     CHANGED,
     COLOURS,
     draw_layout,

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from qdenv.plots.frames import MARKS, TITLE, WARMTH, floor_colours
-from qdenv.plots.movie import KINDS, save_film
 from qdenv.study.motion import Motion
 from qdenv.types import InputError
+from qdenv.view.film import KINDS, MARKS, TITLE, WARMTH, floor_colours, save_film
 
 TILES = ".@ew"
 LAYOUT = np.zeros((4, 6), np.int8)

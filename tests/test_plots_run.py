@@ -10,14 +10,14 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from qdenv.domains.base import find_domain
-from qdenv.plots.archive import draw_archive, scatter_objectives
-from qdenv.plots.run import draw_marks, plot_run
 from qdenv.presets import PRESETS
 from qdenv.run import loop
 from qdenv.run.archive import best_row
 from qdenv.run.directory import RunDirectory
 from qdenv.simulate.maze.world import longest_path
 from qdenv.types import Measure
+from qdenv.view.archive import draw_archive, scatter_objectives
+from qdenv.view.runs import draw_marks, plot_run
 
 GRID = (Measure("x", 0, 4, 4), Measure("y", 0, 3, 3))
 

@@ -10,11 +10,11 @@ import toy
 from scipy import stats
 
 from qdenv.cli import run as qdenv
-from qdenv.plots.runs import Shown, draw_archives, draw_progress
 from qdenv.run import loop
 from qdenv.run.directory import RunDirectory
 from qdenv.study.groups import band_of, group_runs, tell_apart
 from qdenv.types import InputError, Measure
+from qdenv.view.runs import Shown, draw_archives, draw_progress
 
 GRID = (Measure("x", 0, 4, 4), Measure("y", 0, 3, 3))
 

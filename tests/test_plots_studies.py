@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from qdenv.plots.studies import draw_comparison, draw_peaks, save_comparison, save_peaks
 from qdenv.study.table import Peak, Row
+from qdenv.view.studies import draw_comparison, draw_peaks, save_comparison, save_peaks
 
 NAN = float("nan")
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from qdenv.plots.traffic import Scene, draw_traffic, save_traffic
 from qdenv.study.congestion import Maps, Spot
+from qdenv.view.traffic import Scene, draw_traffic, save_traffic
 
 
 @pytest.fixture

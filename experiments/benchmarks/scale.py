@@ -17,12 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from experiments.benchmarks.scale_figure import save_scale
 from qdenv.domains.base import Domain, find_domain, make_domain
 from qdenv.generate.generator import GENERATORS
 from qdenv.generate.nca import NcaConfig
 from qdenv.io.files import write_json
 from qdenv.pipeline import EvaluationConfig, canvas_of
-from qdenv.plots.scale import save_scale
 from qdenv.repair.recipe import repair_layout
 from qdenv.run.directory import RunDirectory
 from qdenv.simulate.mapf.choosing import find_planner

@@ -188,7 +188,7 @@ def render(layout: Source, path: str | Path | None = None, domain: str | None = 
     plan = read_plan(layout, domain)
     if path is not None:
         # Only here: matplotlib takes half a second to import.
-        from qdenv.plots.layouts import save_layout
+        from qdenv.view.layouts import save_layout
 
         save_layout(path, plan.layout, plan.domain.tiles, plan.domain.names)
     return Layout(plan.layout, plan.domain)

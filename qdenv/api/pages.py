@@ -11,9 +11,9 @@ from qdenv.run.directory import RunDirectory
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
-    from qdenv.pages.page import Page
-    from qdenv.pages.report.subjects import Subject
     from qdenv.study.options import Driving
+    from qdenv.view.page import Page
+    from qdenv.view.report.subjects import Subject
 
 # A run, its folder or its name in the zoo, or a layout as `read_plan` takes it.
 Reported: TypeAlias = "RunDirectory | Source"
@@ -44,7 +44,7 @@ def report(
     Raises:
         InputError: something cannot be read, a fleet cannot work there, or a package is missing.
     """
-    from qdenv.pages.report.subjects import distinct
+    from qdenv.view.report.subjects import distinct
 
     given: Sequence[Any] = (
         layouts_or_run if isinstance(layouts_or_run, list | tuple) else [layouts_or_run]
@@ -54,12 +54,12 @@ def report(
     if subjects[0].plan.domain.simulator.tasks is None:
         if counts:
             raise InputError("no fleet drives in mazes: leave agents out")
-        from qdenv.pages.report.mazes import maze_report, solve
+        from qdenv.view.report.mazes import maze_report, solve
 
         return maze_report(solve(subjects, timesteps)).page
-    from qdenv.pages.report.build import fleet_report
-    from qdenv.pages.report.fleet import ask, study
     from qdenv.study.options import make_fleet, parse_seeds
+    from qdenv.view.report.build import fleet_report
+    from qdenv.view.report.fleet import ask, study
 
     listed = seeds if isinstance(seeds, int | str) else ",".join(map(str, seeds)) + ","
     asked = ask(
@@ -86,7 +86,7 @@ def explore(run: RunDirectory | str | Path, growth: int | None = None) -> Page:
     Raises:
         InputError: there is no elite, there are more than two measures, or a package is missing.
     """
-    from qdenv.pages.explorer import make_explorer
+    from qdenv.view.explorer import make_explorer
 
     opened = run if isinstance(run, RunDirectory) else RunDirectory.open(run)
     return make_explorer(opened, growth)[0]
@@ -116,9 +116,9 @@ def replay(
     Raises:
         InputError: a name is unknown, or the fleet cannot work on this layout.
     """
-    from qdenv.pages.replay import about_episode, about_fleet, make_replay
     from qdenv.study.motion import MAZES, record_fleet, trace_agent
     from qdenv.study.options import make_fleet, usual_fleet
+    from qdenv.view.replay import about_episode, about_fleet, make_replay
 
     plan = read_plan(layout, domain)
     if plan.domain.name in MAZES:
@@ -133,7 +133,7 @@ def replay(
 
 
 def _subject(source: Reported, domain: str | None) -> Subject:
-    from qdenv.pages.report.subjects import Subject, is_run, subject_of_run
+    from qdenv.view.report.subjects import Subject, is_run, subject_of_run
 
     if isinstance(source, RunDirectory):
         return subject_of_run(source)

@@ -47,7 +47,7 @@ class Layout:
     def _repr_html_(self) -> str:
         """Draw it, with the facts below."""
         # Only here: matplotlib takes half a second to import.
-        from qdenv.plots.inline import layout_html
+        from qdenv.view.notebook import layout_html
 
         picture = layout_html(self.layout, self.domain.tiles, self.domain.names)
         return picture + table_html([self.facts])

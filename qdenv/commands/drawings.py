@@ -20,7 +20,7 @@ def render(layout: LayoutFile, domain: DomainName = None, out: Path | None = Non
     plan = read_plan(layout, domain)
     place = output.place(out, f"{layout.stem}.png", output.PICTURES, [layout])
     # Only here: matplotlib takes half a second to import, and who is refused need not wait.
-    from qdenv.plots.layouts import save_layout
+    from qdenv.view.layouts import save_layout
 
     save_layout(place.path, plan.layout, plan.domain.tiles, plan.domain.names)
     rows, cols = plan.layout.shape

@@ -153,7 +153,7 @@ def leave(places: Places, others: Comparison, plan: Plan, own: float) -> dict[st
         own: the agent's success rate on it.
     """
     # Only here: matplotlib takes half a second to import, and who is refused need not wait.
-    from qdenv.plots.maze import save_mazes
+    from qdenv.view.maze import save_mazes
 
     lengths, folder, domain = [maze.shortest for maze in others.mazes], places.folder, plan.domain
     print(
@@ -198,9 +198,9 @@ def draw_episode(path: Path, weights: Weights, maze: np.ndarray, seed: int, step
     import jax
     import jax.numpy as jnp
 
-    from qdenv.plots.maze import save_episode
     from qdenv.simulate.maze.episode import trace_episode
     from qdenv.simulate.maze.tables import prepare
+    from qdenv.view.maze import save_episode
 
     tables = prepare(weights, jnp.asarray(maze))
     episode, poses = trace_episode(weights, tables, jax.random.key(seed), steps)

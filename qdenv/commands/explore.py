@@ -32,7 +32,7 @@ def explore(
     run = RunDirectory.open(run_dir)
     place = output.place(out, "explorer.html", PAGES)
     # Only now: who is refused need not wait for what this imports.
-    from qdenv.pages.explorer import make_explorer
+    from qdenv.view.explorer import make_explorer
 
     with Bar("growing") as bar:
         page, facts = make_explorer(run, growth, bar)

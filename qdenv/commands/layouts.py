@@ -82,7 +82,7 @@ def repair(
     print(place)
     if picture is not None:
         # Only here: matplotlib takes half a second to import, as long as many a repair.
-        from qdenv.plots.layouts import save_difference
+        from qdenv.view.layouts import save_difference
 
         save_difference(picture.path, plan.layout, after, kind.tiles, kind.names)
         print(picture)

@@ -59,7 +59,7 @@ def report(
     rows = run.read_metrics()
     if not rows:
         raise InputError(f"{run}: nothing is done yet; `qdenv resume {run}` begins")
-    from qdenv.plots.run import plot_run
+    from qdenv.view.runs import plot_run
 
     pictures, last = plot_run(run, folder, form, **size), rows[-1]
     print(
@@ -74,7 +74,7 @@ def report_all(
 ) -> None:
     """Draw several runs side by side, and say what they came to and where the pictures are."""
     groups = group_runs(runs)
-    from qdenv.plots.run import plot_runs
+    from qdenv.view.runs import plot_runs
 
     pictures = plot_runs(runs, folder, form, **size)
     for group in groups:

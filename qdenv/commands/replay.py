@@ -12,7 +12,6 @@ import tyro
 from qdenv.commands import output
 from qdenv.commands.choices import LayoutFile, OneRun, RunOptions
 from qdenv.commands.words import Picture, place_picture
-from qdenv.pages.page import demand
 from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
 from qdenv.simulate.mapf.choosing import OWN, record_planner
@@ -22,9 +21,10 @@ from qdenv.study.motion import MAZES, Motion
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
+from qdenv.view.page import demand
 
 if TYPE_CHECKING:
-    from qdenv.pages.page import Page
+    from qdenv.view.page import Page
 
 SHORT = 100  # timesteps of a GIF of robots, unless more are asked for: it grows by megabytes
 
@@ -123,7 +123,7 @@ def _show_fleet(
     config = options.fleet(usual.agents)
     studies.check_run(config.agents, config.timesteps, seed)
     # Only now: what is above answers at once, and this imports the simulator.
-    from qdenv.pages.replay import about_fleet, make_replay
+    from qdenv.view.replay import about_fleet, make_replay
 
     with Bar("simulating") as bar:
         motion, traffic = studies.record_fleet(plan, config, seed, bar)
@@ -152,7 +152,7 @@ def _show_episode(
         raise InputError("in a maze nobody plans: leave --planner, --effort and --no-stop out")
     films.check(options.timesteps)
     studies.check_run(1, options.timesteps or 1, seed)
-    from qdenv.pages.replay import about_episode, make_replay
+    from qdenv.view.replay import about_episode, make_replay
 
     with Bar("walking"):
         motion = studies.trace_agent(plan, seed, options.timesteps)
@@ -172,7 +172,7 @@ def _say(lines: Sequence[str]) -> None:
 
 def draw(path: Path, plan: Plan, motion: Motion, films: Films) -> None:
     """Draw a film of a stretch of the run."""
-    from qdenv.plots.movie import save_film
+    from qdenv.view.film import save_film
 
     films.check(motion.steps)
     first = films.first

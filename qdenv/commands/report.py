@@ -14,16 +14,16 @@ from qdenv import devices
 from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions, Options
 from qdenv.commands.costs import in_words
-from qdenv.pages.page import missing
-from qdenv.pages.report.subjects import Subject, read_subjects
 from qdenv.progress import Bar
 from qdenv.study.options import parse_counts, parse_seeds
 from qdenv.study.table import Row
 from qdenv.types import InputError
+from qdenv.view.page import missing
+from qdenv.view.report.subjects import Subject, read_subjects
 
 if TYPE_CHECKING:
-    from qdenv.pages.report.build import Report
-    from qdenv.pages.report.fleet import Asked
+    from qdenv.view.report.build import Report
+    from qdenv.view.report.fleet import Asked
 
 ENDINGS = (".html",)
 PATIENCE = 20.0  # seconds from which on an estimate is worth a line
@@ -62,7 +62,7 @@ def report(
         done = on_mazes(subjects, agents, options, again)
     else:
         # Only here: who is refused need not wait for what it imports.
-        from qdenv.pages.report.fleet import ask
+        from qdenv.view.report.fleet import ask
 
         asked = ask(subjects, counts, options.timesteps, options.fleet_for, seeds)
         done = on_fleets(asked._replace(per_hour=per_hour), again)
@@ -75,8 +75,8 @@ def report(
 
 def on_fleets(asked: Asked, again: str) -> Report:
     """Simulate, saying how long that will take, and make the page."""
-    from qdenv.pages.report.build import fleet_report
-    from qdenv.pages.report.fleet import seconds_for, study
+    from qdenv.view.report.build import fleet_report
+    from qdenv.view.report.fleet import seconds_for, study
 
     first = True
     with Bar("simulating") as bar:
@@ -105,7 +105,7 @@ def on_mazes(
     """Let the agent solve mazes, and make the page."""
     if agents is not None:
         raise InputError(f"--agents {agents}: no fleet drives in mazes: leave --agents out")
-    from qdenv.pages.report.mazes import maze_report, solve
+    from qdenv.view.report.mazes import maze_report, solve
 
     with Bar("solving mazes") as bar:
         return maze_report(solve(subjects, options.timesteps, bar), again)

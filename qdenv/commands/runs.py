@@ -135,7 +135,7 @@ def generate(
     kept = grown.domain.details | details
     write_layout(target.path, layout, grown.domain.tiles, grown.domain.meanings, **kept)
     picture = target.beside(".png")
-    from qdenv.plots.layouts import save_layout
+    from qdenv.view.layouts import save_layout
 
     save_layout(picture.path, layout, grown.domain.tiles, grown.domain.names)
     rows, cols = layout.shape
@@ -160,8 +160,8 @@ def _say_size(trained: Domain, grown: Domain, stated: Sequence[str]) -> None:
 
 def _draw_frames(run: RunDirectory, grown: Grown, every: int, picture: Path) -> None:
     """Draw how a layout grows, and say where and when."""
-    from qdenv.plots.layouts import save_frames
     from qdenv.study.sizes import grow_frames
+    from qdenv.view.layouts import save_frames
 
     after, drawn = grow_frames(run, grown, every)
     save_frames(picture, drawn, after, grown.domain.tiles)

@@ -138,8 +138,8 @@ def draw(
 ) -> None:
     """Draw the traffic of a study."""
     # Only here: matplotlib takes half a second to import.
-    from qdenv.plots.figure import name_of
-    from qdenv.plots.traffic import save_traffic, scene_of
+    from qdenv.view.style import name_of
+    from qdenv.view.traffic import save_traffic, scene_of
 
     verdict = f": {facts['verdict']}, {facts['verdict_reason']}" if "verdict" in facts else ""
     title = f"{name_of(plan.name)}, {facts['agents']} agents{verdict}"

@@ -162,7 +162,7 @@ def leave(
 ) -> None:
     """Write a layout (int8 [H, W]) and a picture beside it, and say where that is."""
     # Only here: matplotlib takes half a second to import, and who is refused need not wait.
-    from qdenv.plots.layouts import save_layout
+    from qdenv.view.layouts import save_layout
 
     write_layout(place.path, layout, domain.tiles, domain.meanings, **details)
     picture = place.beside(output.PICTURES[0])

@@ -143,7 +143,7 @@ def draw(
     path: Path, elites: Evaluated, trials: list[Trial], facts: dict[str, Any], name: str
 ) -> None:
     """Draw predicted over true values, a panel for each number."""
-    from qdenv.plots.surrogate import save_predictions  # here: imports matplotlib
+    from qdenv.view.archive import save_predictions  # here: imports matplotlib
 
     truth = np.concatenate([elites.numbers[trial.held] for trial in trials])
     predicted = np.concatenate([trial.predicted for trial in trials])

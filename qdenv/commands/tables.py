@@ -118,7 +118,7 @@ def write(
         peaks: to draw how layouts scale; without any, layouts are put side by side.
     """
     # Only here: matplotlib takes half a second to import.
-    from qdenv.plots.studies import save_comparison, save_peaks
+    from qdenv.view.studies import save_comparison, save_peaks
 
     columns = dict(columns or {})
     if study.per_hour:

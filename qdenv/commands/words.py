@@ -8,10 +8,10 @@ import tyro
 
 from qdenv.commands import output
 from qdenv.commands.choices import FleetOptions
-from qdenv.plots.widths import parse_width
 from qdenv.simulate.mapf.choosing import describe_planner, record_planner
 from qdenv.study.plans import Plan
 from qdenv.types import InputError
+from qdenv.view.widths import parse_width
 
 AUTO = Path("auto")  # what `--plot` without a name is turned into
 SECONDS_PER_HOUR = 3600

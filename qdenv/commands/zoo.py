@@ -147,7 +147,7 @@ def describe_size(size: Grown, counted: str) -> list[str]:
 def draw(path: Path, collections: Sequence[Collection], only: Shipped | None) -> None:
     """Draw the layouts of generators at their trained size."""
     # Only here: matplotlib takes half a second to import.
-    from qdenv.plots.sheet import Picture, save_sheet
+    from qdenv.view.layouts import Picture, save_sheet
 
     def picture(collection: Collection, one: Generator) -> Picture:
         run = RunDirectory.open(f"{PREFIX}{collection.domain}/{one.name}")

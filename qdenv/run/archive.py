@@ -52,7 +52,7 @@ class Elite(NamedTuple):
     def _repr_html_(self) -> str:
         """Draw the layout under the numbers, for notebooks."""
         # Only here: matplotlib takes half a second to import.
-        from qdenv.plots.inline import layout_html
+        from qdenv.view.notebook import layout_html
 
         return f"<p>{self!r}</p>{layout_html(self.layout, self.meaning.tiles, self.meaning.names)}"
 
@@ -323,7 +323,7 @@ class Archive:
     def _repr_html_(self) -> str:
         """Draw the heat map under the numbers, for notebooks."""
         # Only here: matplotlib takes half a second to import.
-        from qdenv.plots.inline import archive_html
+        from qdenv.view.notebook import archive_html
 
         index, objective = self.columns["index"], self.columns["objective"]
         picture = archive_html(index, objective, self.meaning.measures, self.meaning.objective)

@@ -1,20 +1,23 @@
 """Pictures of mazes: one episode of the agent as a GIF (Figure 7c), many mazes (Figure 15)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
 from PIL import Image, ImageDraw
 
-from qdenv.plots.figure import new_figure, save_figure
-from qdenv.plots.frames import TRIANGLE
-from qdenv.plots.movie import save_gif
 from qdenv.types import InputError
+from qdenv.view.film import TRIANGLE, save_gif
+from qdenv.view.style import PALETTE, add_legend, new_figure, paper_figure, save_figure, styled
+from qdenv.view.traffic import BESIDE, TITLES, add_bar, draw_map
+from qdenv.view.widths import PAGE
 
 EMPTY, WALL, GOAL, TRAIL, AGENT, START = range(6)
-PALETTE = (
+PIXEL_COLOURS = (
     (20, 20, 20),
     (128, 128, 128),
     (60, 170, 80),
@@ -67,7 +70,7 @@ def _frame(layout: np.ndarray, goal: int, path: np.ndarray, heading: int, cell: 
     colours[path[0]], colours[goal] = START, GOAL
     large = np.kron(colours.reshape(layout.shape), np.ones((cell, cell), np.uint8))
     picture = Image.fromarray(large, "P")
-    picture.putpalette(sum(PALETTE, ()))
+    picture.putpalette(sum(PIXEL_COLOURS, ()))
     row, col = divmod(int(path[-1]), layout.shape[1])
     turn = heading * np.pi / 2
     right, down = TRIANGLE.T
@@ -109,7 +112,7 @@ def save_mazes(path: Path, mazes: Sequence[Maze], titles: Sequence[str]) -> None
     down = -(-len(mazes) // across)
     figure = new_figure(PANEL * across, (PANEL + 0.25) * down)
     panels = figure.subplots(down, across, squeeze=False).ravel()
-    colours = ListedColormap([tuple(level / 255 for level in colour) for colour in PALETTE])
+    colours = ListedColormap([tuple(level / 255 for level in colour) for colour in PIXEL_COLOURS])
     for ax, maze, title in zip(panels, mazes, titles, strict=False):
         kinds = np.where(maze.layout == 1, WALL, EMPTY).reshape(-1)
         kinds[maze.start], kinds[maze.goal] = START, GOAL
@@ -117,10 +120,54 @@ def save_mazes(path: Path, mazes: Sequence[Maze], titles: Sequence[str]) -> None
             kinds.reshape(maze.layout.shape),
             cmap=colours,
             vmin=-0.5,
-            vmax=len(PALETTE) - 0.5,
+            vmax=len(PIXEL_COLOURS) - 0.5,
             interpolation="nearest",
         )
         ax.set_title(title, fontsize=7)
     for ax in panels:
         ax.set_axis_off()
     save_figure(figure, path)
+
+
+FLAT = 0.48  # of the width: the height of the curves
+
+
+@styled
+def draw_walks(free: np.ndarray, usage: np.ndarray, width: float) -> Figure:
+    """Draw where the agent walks.
+
+    Args:
+        free: bool [H, W].
+        usage: float [H, W], share of its actions that it takes on each cell.
+        width: in inches.
+    """
+    rows, cols = free.shape
+    figure = paper_figure(width, (width - BESIDE) * rows / cols + TITLES)
+    axes = figure.subplots()
+    draw_map(axes, free, usage, "usage")
+    add_bar(axes, usage, "share of the actions taken here", percent=True)
+    return figure
+
+
+@styled
+def draw_arrivals(arrivals: Mapping[str, np.ndarray], most: int, width: float = PAGE) -> Figure:
+    """Draw the share of episodes that have reached the goal over the actions taken.
+
+    Args:
+        arrivals: by the maze's name: float [episodes], actions to the goal, NaN for none.
+        most: actions after which an episode fails.
+        width: in inches.
+    """
+    figure = paper_figure(width, FLAT * width)
+    axes = figure.subplots()
+    for place, (name, actions) in enumerate(arrivals.items()):
+        reached = np.sort(actions[np.isfinite(actions)])
+        steps = np.concatenate([[0], reached, [most]])
+        share = np.concatenate([[0], np.arange(1, len(reached) + 1), [len(reached)]]) / len(actions)
+        axes.step(steps, share, where="post", label=name, color=PALETTE[place % len(PALETTE)])
+    axes.set(xlabel="actions", ylabel="episodes at the goal", xlim=(0, most), ylim=(0, 1.02))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.grid()
+    if len(arrivals) > 1:
+        add_legend(figure, *axes.get_legend_handles_labels())
+    return figure

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from qdenv.pages.report.fleet import Found
-from qdenv.pages.report.subjects import Rival, Subject
 from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.study.congestion import FADING
 from qdenv.study.stats import Difference, Sample, difference, margin
 from qdenv.study.table import Row, find_capacity, find_peak
 from qdenv.study.traffic import Study
+from qdenv.view.report.fleet import Found
+from qdenv.view.report.subjects import Rival, Subject
 
 VERDICTS = {
     "flows": "The floor plan takes this many robots with ease",

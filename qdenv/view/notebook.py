@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from qdenv.plots.archive import draw_archive, scatter_objectives
-from qdenv.plots.figure import new_figure
-from qdenv.plots.layouts import draw_layout
 from qdenv.types import Measure
+from qdenv.view.archive import draw_archive, scatter_objectives
+from qdenv.view.layouts import draw_layout
+from qdenv.view.style import new_figure
 
 DPI = 80  # pixels per inch: these are looked at beside text
 

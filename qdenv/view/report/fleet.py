@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import of_tiles
-from qdenv.pages.report.subjects import Rival, Subject, find_rival
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.sweep import Trial, about, compare
 from qdenv.study.table import Row, find_peak
 from qdenv.study.traffic import Study, examine
+from qdenv.view.report.subjects import Rival, Subject, find_rival
 
 SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)  # of the number of agents that is asked about
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from qdenv.pages.page import Page, make_page
-from qdenv.pages.report import sections, words
-from qdenv.pages.report.fleet import Found
-from qdenv.pages.report.search import search_sections
-from qdenv.pages.report.settings import made_line, settings_section
-from qdenv.pages.report.subjects import Subject
 from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.study.traffic import facts_of
+from qdenv.view.page import Page, make_page
+from qdenv.view.report import sections
+from qdenv.view.report import text as words
+from qdenv.view.report.fleet import Found
+from qdenv.view.report.mazes import search_sections
+from qdenv.view.report.subjects import Subject, made_line, settings_section
 
 
 class Report(NamedTuple):

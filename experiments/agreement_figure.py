@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
-from qdenv.plots.figure import new_figure, save_figure
+from qdenv.view.style import new_figure, save_figure
 
 LOOKS = (("#0072B2", "^"), ("#E69F00", "o"), ("#009E73", "s"), ("#CC79A7", "D"))  # Okabe, Ito 2008
 

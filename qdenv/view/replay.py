@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from qdenv.pages.page import Page, make_page
 from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.congestion import throughput_over_time
 from qdenv.study.motion import Motion
 from qdenv.study.plans import Plan
 from qdenv.types import InputError, TaskRule, Traffic
+from qdenv.view.page import Page, make_page
 
 SCRIPTS = ("film", "view", "ground", "marks", "robots", "chart", "panel", "controls", "start")
 WAIT, RIGHT, LEFT, DOWN, UP = range(5)
@@ -41,7 +41,7 @@ def make_replay(
         InputError: jinja2 is not installed, or a planner let a robot jump.
     """
     # Only here: matplotlib takes half a second to import.
-    from qdenv.plots import frames
+    from qdenv.view import film as frames
 
     colours = frames.floor_colours(plan.domain.tiles)
     rows, cols = plan.layout.shape

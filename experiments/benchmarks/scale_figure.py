@@ -6,7 +6,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from qdenv.plots.figure import new_figure, save_figure
+from qdenv.view.style import new_figure, save_figure
 
 # Column of a row, what it is called, its colour (told apart by colour-blind people) and marker.
 STEPS = (

@@ -9,7 +9,7 @@ async function numbers(name, kind) {
 }
 
 /**
- * Undo what `qdenv/pages/replay.py` encoded.
+ * Undo what `qdenv/view/replay.py` encoded.
  * Cells by timestep and robot, row-major: `position` and `goal` [(steps + 1) * agents]; `waited`
  * [steps * agents] is for how many timesteps a robot has waited in a row after each step, 0 where
  * it moved or was served. `finishedBy` and `waitsBy` [steps + 1] are sums since the beginning;

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,8 +11,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from qdenv.plots.figure import new_figure, save_figure
 from qdenv.types import Array
+from qdenv.view.style import new_figure, save_figure
 
 # Told apart by colour-blind eyes too, within each alphabet (tests measure it).
 COLOURS = {
@@ -192,3 +193,43 @@ def _new_figure(shape: tuple[int, ...], panels: int) -> Figure:
         left = (panel * (cols + gap) + gap) / width
         figure.add_axes((left, 0.45 / height, cols / width, rows / height))
     return figure
+
+
+SHEET_PANEL = 2.6  # inches of a layout's width
+ACROSS = 5
+
+
+class Picture(NamedTuple):
+    """One layout of a sheet."""
+
+    layout: Array  # int8 [H, W]
+    tiles: str  # its alphabet
+    names: Mapping[str, str]  # how the legend calls the tiles
+    title: str  # above it
+    note: str  # below it
+
+
+def draw_sheet(pictures: Sequence[Picture]) -> Figure:
+    """Draw layouts side by side, five in a row."""
+    down = -(-len(pictures) // ACROSS)
+    across = min(len(pictures), ACROSS)
+    tallest = max(one.layout.shape[0] / one.layout.shape[1] for one in pictures)
+    figure = new_figure(SHEET_PANEL * across, (SHEET_PANEL * tallest + 0.6) * down)
+    panels = figure.subplots(down, across, squeeze=False).ravel()
+    for axes, one in zip(panels, pictures, strict=False):
+        draw_layout(one.layout, one.tiles, axes, one.names)
+        axes.get_legend().remove()
+        axes.set_title(one.title, fontsize=9)
+        axes.set_xlabel(one.note, fontsize=7)
+    for axes in panels[len(pictures) :]:
+        axes.set_axis_off()
+    return figure
+
+
+def save_sheet(path: str | Path, pictures: Sequence[Picture]) -> None:
+    """Save layouts side by side; the ending of `path` chooses the format.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    save_figure(draw_sheet(pictures), path)

@@ -15,11 +15,11 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import PercentFormatter
 
 from qdenv.grid import of_tiles
-from qdenv.plots.figure import PALETTE, WARNING, paper_figure, save_figure, styled
-from qdenv.plots.widths import SCREEN
 from qdenv.study.congestion import Maps, Spot, throughput_over_time, worst_cells
+from qdenv.view.style import PALETTE, WARNING, paper_figure, save_figure, styled
+from qdenv.view.widths import SCREEN
 
-if TYPE_CHECKING:  # the latter imports the simulator
+if TYPE_CHECKING:
     from qdenv.study.plans import Plan
     from qdenv.study.traffic import Study
 

@@ -75,7 +75,7 @@ def make_page(
         import jinja2
     except ImportError as error:
         raise missing("pages", "jinja2") from error
-    home = resources.files("qdenv.pages")
+    home = resources.files("qdenv.view")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(str(home / "templates")),
         autoescape=True,

@@ -10,7 +10,9 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from qdenv.plots.figure import (
+from qdenv.study.stats import Difference, Sample, margin
+from qdenv.study.table import Peak, Row, differences
+from qdenv.view.style import (
     GREY,
     MARKERS,
     PALETTE,
@@ -22,9 +24,7 @@ from qdenv.plots.figure import (
     save_figure,
     styled,
 )
-from qdenv.plots.widths import PAGE
-from qdenv.study.stats import Difference, Sample, margin
-from qdenv.study.table import Peak, Row, differences
+from qdenv.view.widths import PAGE
 
 THROUGHPUT = "throughput [tasks / timestep]"
 SUCCESS = "never congested"

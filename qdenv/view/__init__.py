@@ -1,0 +1,1 @@
+"""Pictures, films and HTML pages, from saved results only."""
