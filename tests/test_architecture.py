@@ -49,7 +49,7 @@ ALLOWED = {
     "run": BASE
     | STAGES
     | PLUGS
-    | {"search", "pipeline", "settings", "domains", "view.style"}
+    | {"search", "pipeline", "settings", "domains", "view.notebook"}
     | {"mesh", "zoo"},
     "study": BASE
     | STAGES
