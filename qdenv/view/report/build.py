@@ -10,9 +10,10 @@ from qdenv.study.traffic import facts_of
 from qdenv.view.page import Page, make_page
 from qdenv.view.report import sections
 from qdenv.view.report import text as words
+from qdenv.view.report.blocks import made_line, settings_section
 from qdenv.view.report.fleet import Found
-from qdenv.view.report.mazes import search_sections
-from qdenv.view.report.subjects import Subject, made_line, settings_section
+from qdenv.view.report.sections import search_sections
+from qdenv.view.report.subjects import Subject
 
 
 class Report(NamedTuple):

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import of_tiles
-from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.engine import Progress, silent
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.sweep import Trial, about, compare
 from qdenv.study.table import Row, find_peak

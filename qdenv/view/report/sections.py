@@ -1,101 +1,83 @@
-"""What a report is made of: sections of paragraphs, tables and figures, which a template sets."""
+"""The section of a report on the run of which the best layout is reported on."""
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.figure import Figure
 
 from qdenv.study.congestion import cells_with_half, worst_cells
+from qdenv.study.groups import algorithm_name, group_runs
 from qdenv.study.traffic import Study
+from qdenv.view.archive import draw_archive, scatter_objectives
 from qdenv.view.layouts import draw_plan
 from qdenv.view.report import text as words
+from qdenv.view.report.blocks import Drawing, Section, Table, Text, drawing
 from qdenv.view.report.fleet import Found
 from qdenv.view.report.subjects import Rival, Subject
+from qdenv.view.runs import draw_progress
 from qdenv.view.studies import draw_success, draw_throughput
-from qdenv.view.style import FONTS
+from qdenv.view.style import WARNING, paper_figure, styled
 from qdenv.view.traffic import Scene, draw_panel, scene_of
 
-
-class Text(NamedTuple):
-    """A paragraph."""
-
-    words: str  # of it
-    kind: str = "plain"  # "plain", "answer" for what the reader came for, "faint" for a side note
-    block: str = "text"
+HEATMAP, CURVES = 5.2, 6.8  # inches
+TALL = 0.78  # of its width: the height of the heat map
 
 
-class Table(NamedTuple):
-    """A table."""
-
-    head: Sequence[str]  # names of the columns
-    rows: Sequence[Sequence[str]]  # cells as they are read, at least one row
-    name: str  # identifies it in the page
-    block: str = "table"
-
-    @property
-    def numeric(self) -> list[bool]:
-        """Tell for each column whether it holds numbers, which are set right."""
-        columns = zip(*self.rows, strict=True)
-        return [all(re.match(r"[-+]?\d|$", cell) for cell in column) for column in columns]
+def search_sections(subjects: list[Subject]) -> list[Section]:
+    """Show the archive and the progress of each run."""
+    return [_section(one, place) for place, one in enumerate(subjects) if one.run is not None]
 
 
-class Drawing(NamedTuple):
-    """A figure."""
+def _section(subject: Subject, place: int) -> Section:
+    run, elite = subject.run, subject.elite
+    assert run is not None and elite is not None
+    config, meaning, archive = run.config, run.meaning, run.archive
+    name = algorithm_name(config_name(config.algorithm))
+    what = f"It is the best of {len(archive):,} of different kinds that {name} kept."
+    if run.shipped:
+        one = run.shipped.generator
+        what = f"It ships with qdenv ({one.about}), one of {len(archive)} from a search by {name}."
+    blocks: list[Text | Table | Drawing] = [
+        Text(
+            f"{what} Each cell of the map is a kind of layout, by its measures; the colour says "
+            "how good the best of its kind is. The ring is around this layout."
+        )
+    ]
+    if len(meaning.measures) <= 2:
+        heat = paper_figure(HEATMAP, TALL * HEATMAP)
+        columns = archive.columns
+        filled = scatter_objectives(columns["index"], columns["objective"], meaning.measures)
+        styled(draw_archive)(heat, filled, meaning.measures, label=meaning.objective)
+        if run.shipped:
+            heat.axes[0].set_title("")  # what ships is no measure of what was found
+        spot = [*elite.measures.values(), 0.5][:2]
+        heat.axes[0].plot(*spot, "o", markersize=9, mfc="none", mec=WARNING, clip_on=False)
+        blocks.append(drawing(heat, "The archive of the search.", f"archive-{place}"))
+    (group,) = group_runs([run])
+    caption = "How the search went on: sum of all objectives, share of filled cells, the best."
+    figure = draw_progress([group], meaning.objective, CURVES)
+    blocks.append(drawing(figure, caption, f"progress-{place}"))
+    last = run.read_metrics()[-1]
+    measures = ", ".join(f"{name} {value:.4g}" for name, value in elite.measures.items())
+    rows = [
+        ("run", subject.source),
+        ("domain", subject.plan.domain.name),
+        ("algorithm", name),
+        ("seed", str(config.seed)),
+        ("evaluations", f"{last.evaluations:,}"),
+        ("QD-score", f"{last.qd_score:,.1f}"),
+        ("coverage", f"{last.coverage:.1%}"),
+        ("best objective", f"{last.best_objective:.3f}"),
+        ("this layout", f"objective {elite.objective:.3f}, {measures}"),
+    ]
+    blocks.append(Table(("", ""), rows, f"search-{place}"))
+    return Section(f"The search: {subject.name}", blocks)
 
-    svg: str  # drawing, inline
-    caption: str  # below it
-    name: str  # identifies it in the page
-    half: bool = False  # two of its kind stand side by side where there is room
-    block: str = "drawing"
 
+def config_name(algorithm: object) -> str:
+    """Find the registered name of an algorithm's settings."""
+    from qdenv.search.registry import ALGORITHMS  # imports an algorithm when it is asked for one
 
-class Section(NamedTuple):
-    """A part of the report."""
-
-    title: str  # its heading
-    blocks: Sequence[Text | Table | Drawing]  # in order
-
-    @property
-    def lead(self) -> int:
-        """Count the first blocks that stay with the heading on paper: up to a first large one."""
-        count = 0
-        for block in self.blocks:
-            count += 1
-            beside = isinstance(block, Drawing) and block.half
-            if not (isinstance(block, Text) or beside):
-                break
-        return count
-
-
-def drawing(
-    figure: Figure, caption: str, name: str, half: bool = False, crop: bool = False
-) -> Drawing:
-    """Turn a figure into vector graphics for the page.
-
-    Args:
-        figure: what to draw.
-        caption: below it; what it shows to who cannot see it, too.
-        name: identifies it in the page, and all that it refers to inside itself.
-        half: stands beside another one.
-        crop: cut the picture to what is drawn.
-    """
-    content = io.StringIO()
-    with rc_context(FONTS):
-        box = "tight" if crop else None
-        figure.savefig(content, format="svg", bbox_inches=box, metadata={"Date": None})
-    svg = content.getvalue()
-    svg = svg[svg.index("<svg") :]
-    # Every figure of the page has names of its own for what is referred to within it.
-    svg = re.sub(r'\bid="', f'id="{name}-', svg)
-    svg = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", svg)
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    return Drawing(svg, caption, name, half)
+    return ALGORITHMS.name_of(algorithm)
 
 
 WIDTH = 6.8  # inches of a figure on its own

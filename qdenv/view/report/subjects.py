@@ -1,59 +1,20 @@
-"""The end of a report: settings and versions, and the command that makes it again."""
+"""What a report is about: floor plans, given as files or as the best of a run, and their rival."""
 
 from __future__ import annotations
 
-import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from datetime import datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from qdenv import devices
 from qdenv.domains.base import make_domain
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
-from qdenv.view.report.sections import Section, Table, Text
 from qdenv.zoo.shipped import PREFIX, file_name
-
-PACKAGES = ("qdenv", "jax", "numpy", "numba", "highspy", "matplotlib")
-
-
-def made_line() -> str:
-    """Say who made the page, and when."""
-    return f"Made by qdenv {version('qdenv')} on {datetime.now():%d %B %Y}"
-
-
-def settings_section(settings: Mapping[str, str], again: str) -> Section:
-    """List all that decides the numbers.
-
-    Args:
-        settings: in words, by their names.
-        again: the command line that makes the page again; "" where there is none.
-    """
-    rows: Sequence[tuple[str, str]] = [*settings.items(), *versions().items()]
-    blocks: list[Text | Table] = [Table(("setting", "value"), rows, "settings")]
-    if again:
-        blocks.append(Text(f"The same again: {again}", "faint"))
-    return Section("Settings and versions", blocks)
-
-
-def versions() -> dict[str, str]:
-    """List what computed the numbers."""
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    machine = f"{platform.system()} on {platform.machine()}, {devices.threads()} threads"
-    return {**found, "Python": platform.python_version(), "machine": machine}
-
 
 HAND_MADE = "hand-made"
 SHOWN = "At the right is what people draw by hand at this size."
