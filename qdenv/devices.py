@@ -58,4 +58,11 @@ def count() -> int:
 
 def threads() -> int:
     """Count the host threads that feed the device: one per core where the cores are the device."""
-    return (os.cpu_count() or 1) if on_cpu() else 1
+    return count_cores() if on_cpu() else 1
+
+
+def count_cores() -> int:
+    """Count the cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

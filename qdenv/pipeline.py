@@ -7,6 +7,7 @@ numbers for the same key.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -176,9 +177,9 @@ class Outcomes(NamedTuple):
     runs: Any  # of the simulator, with leading axes B, S
 
 
-# Begins to repair and simulate unrepaired layouts int8 [B, H, W] from a key, and gives a function
-# that waits for them. Item ``i`` draws from ``fold_in(key, i)``, whoever does the work.
-Executor = Callable[[np.ndarray, Array], Callable[[], Outcomes]]
+# Begins to repair and simulate unrepaired layouts int8 [B, H, W] from a key, and returns futures of
+# the parts of the population, in order. Item ``i`` draws from ``fold_in(key, i)``, whoever works.
+LayoutEvaluator = Callable[[np.ndarray, Array], Sequence[Future[Outcomes]]]
 
 
 class PipelinedEvaluator:
@@ -187,14 +188,14 @@ class PipelinedEvaluator:
     Several populations may be under way at once.
     """
 
-    def __init__(self, pipeline: Pipeline, execute: Executor) -> None:
+    def __init__(self, pipeline: Pipeline, evaluate_layouts: LayoutEvaluator) -> None:
         """Compile nothing yet.
 
         Args:
             pipeline: the chain.
-            execute: who repairs and simulates, like `training.executors.threads.Threads`.
+            evaluate_layouts: repairs and simulates, like `run.executors.layouts.Threads`.
         """
-        self._execute = execute
+        self._evaluate_layouts = evaluate_layouts
         self._grow = jax.jit(partial(grow_layouts, pipeline.grow))
         self._score = jax.jit(pipeline.score)
 
@@ -206,8 +207,8 @@ class PipelinedEvaluator:
         """Begin to evaluate float32 [B, P]; what it returns waits for the evaluation."""
         with mesh.turn:
             unrepaired = np.asarray(self._grow(parameters))
-        finish = self._execute(unrepaired, key)
-        return lambda: self._score(unrepaired, *finish())
+        parts = self._evaluate_layouts(unrepaired, key)
+        return lambda: self._score(unrepaired, *joined([part.result() for part in parts]))
 
 
 def joined(parts: Sequence[Outcomes]) -> Outcomes:

@@ -27,7 +27,7 @@ ALLOWED = {
     "progress": set(),
     "registry": {"types"},
     "generate": {"types", "ranges", "grid", "lazy", "registry"},
-    "repair": {"types", "ranges", "grid", "lazy", "native"},
+    "repair": {"types", "ranges", "grid", "lazy", "native", "devices"},
     "simulate": {"types", "ranges", "grid", "lazy", "native", "io"} | PLUGS,
     "score": {"types", "grid", "lazy"},
     "agent": BASE | {"simulate.maze", "score", "devices"},

@@ -2,6 +2,7 @@
 
 import pytest
 
+from qdenv import devices
 from qdenv.commands import costs
 from qdenv.presets import PRESETS
 from qdenv.run.config import choose_algorithm, choose_planner
@@ -11,7 +12,7 @@ from qdenv.run.log import Metrics
 @pytest.fixture(autouse=True)
 def home(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(costs.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(devices, "count_cores", lambda: 2)
 
 
 def test_every_preset_says_what_it_takes_on_two_cores():

@@ -13,7 +13,7 @@ import pytest
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.mesh import count_parts
 from qdenv.pipeline import devices_for
-from qdenv.run.executors.local import chunk_size
+from qdenv.run.executors.layouts import chunk_size
 
 HERE = Path(__file__).parent
 EIGHT = "--xla_force_host_platform_device_count=8"

@@ -1,12 +1,11 @@
 """A cluster finds what threads find, whatever happens to its workers."""
 
+import contextlib
 import dataclasses
 import os
 import signal
 import threading
-import time
 
-import numpy as np
 import pytest
 from conftest import SMALL
 
@@ -15,9 +14,9 @@ from qdenv.domains.base import find_domain
 from qdenv.repair import pool as pools
 from qdenv.run import loop
 from qdenv.run.directory import RunDirectory
-from qdenv.run.executors import base, dask
+from qdenv.run.executors import base, dask, layouts
 from qdenv.run.executors.base import Execution
-from qdenv.run.executors.dask import WrongWorkerError, evaluate_layouts, versions
+from qdenv.run.executors.dask import ClusterExecutor, WrongWorkerError, versions
 from qdenv.study.ledger import Case, complete, handed_to, read_runs
 from qdenv.types import InputError, RepairStatus
 
@@ -72,51 +71,77 @@ def test_a_cluster_finds_bit_for_bit_what_threads_find(whole, local, tmp_path):
 
 
 def test_short_layouts_share_tasks_and_nothing_else_changes(whole, local, tmp_path, monkeypatch):
-    monkeypatch.setattr(dask, "LONGEST", 1000.0)
-    sizes, sent = [], dask.Workers.begin
+    monkeypatch.setattr(layouts, "LONGEST", 1000.0)
+    sizes, submit = [], ClusterExecutor.submit
 
-    def begin(self, tasks, shares=()):
-        sizes.append(list(shares))
-        return sent(self, tasks, shares)
+    def record(self, work, *arguments):
+        sizes.append(len(arguments[1]))
+        return submit(self, work, *arguments)
 
-    monkeypatch.setattr(dask.Workers, "begin", begin)
+    monkeypatch.setattr(ClusterExecutor, "submit", record)
     assert_alike(trained(whole, tmp_path / "run", local), whole)
-    assert sizes[0] == [1] * 6  # nobody knows yet how long they take
-    assert sizes[1:] == [[3, 2, 1]] * (EVALUATIONS // 6 - 1)
+    # Of the first population nobody knows yet how long a layout takes.
+    assert sizes == [1] * 6 + [3, 2, 1] * (EVALUATIONS // 6 - 1)
+
+
+@contextlib.contextmanager
+def beside(function):
+    """Call a function with a short pause between, in another thread, until the block ends."""
+    over = threading.Event()
+
+    def repeat():
+        while not over.wait(0.02):
+            function()
+
+    thread = threading.Thread(target=repeat)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def test_workers_that_are_killed_cost_time_and_no_results(whole, local, tmp_path):
-    killed, over = [], threading.Event()
+    killed = []
+    with distributed.Client(local.scheduler_address) as client:
+        wait_for_both(client, local)
 
-    def kill_now_and_then():
-        with distributed.Client(local.scheduler_address) as client:
-            while not over.is_set() and len(killed) < 3:
-                time.sleep(0.7)
-                for pid in list(client.run(os.getpid, on_error="ignore").values())[:1]:
+        def kill_who_works():
+            busy = [worker for worker, tasks in client.processing().items() if tasks]
+            if busy and len(killed) < 3:
+                for pid in client.run(os.getpid, workers=busy[:1], on_error="ignore").values():
                     os.kill(pid, signal.SIGKILL)
                     killed.append(pid)
 
-    killer = threading.Thread(target=kill_now_and_then)
-    killer.start()
-    try:
-        run = trained(whole, tmp_path / "run", local)
-    finally:
-        over.set()
-        killer.join()
+        with beside(kill_who_works):
+            run = trained(whole, tmp_path / "run", local)
     assert killed
     assert_alike(run, whole)
 
 
 def test_the_layouts_of_a_worker_that_hangs_go_to_another(whole, local, tmp_path, monkeypatch):
-    monkeypatch.setattr(dask, "PATIENCE", 1.0)
+    now = [0.0]  # of a clock that moves only when nobody but the worker that hangs has work
+    monkeypatch.setattr(dask, "monotonic", lambda: now[0])
+    monkeypatch.setattr(dask, "TICK", 0.02)
     with distributed.Client(local.scheduler_address) as client:
         wait_for_both(client, local)
-        pid = next(iter(client.run(os.getpid).values()))
+        stopped, pid = next(iter(client.run(os.getpid).items()))
+        moved = []
+
+        def lose_patience():
+            processing = client.processing()
+            if [worker for worker, tasks in processing.items() if tasks] == [stopped]:
+                now[0] += 1000 * dask.PATIENCE
+                moved.append(1)
+
         os.kill(pid, signal.SIGSTOP)
         try:
-            run = trained(whole, tmp_path / "run", local)
+            with beside(lose_patience):
+                run = trained(whole, tmp_path / "run", local)
         finally:
             os.kill(pid, signal.SIGKILL)  # its nanny starts a new one
+    assert moved
     assert_alike(run, whole)
 
 
@@ -146,9 +171,21 @@ def test_an_error_that_comes_each_time_is_raised_and_once_is_not(local, tmp_path
         raise ValueError("for good")
 
     with distributed.Client(local.scheduler_address) as client:
-        assert dask.Workers(client, fail_once).begin([(tmp_path / "mark",)]).finish() == ["done"]
-        with pytest.raises(ValueError, match="for good"):
-            dask.Workers(client, fail_always).begin([()]).finish()
+        with ClusterExecutor(client) as executor:
+            assert executor.submit(fail_once, tmp_path / "mark").result() == "done"
+            with pytest.raises(ValueError, match="for good"):
+                executor.submit(fail_always).result()
+            assert list(executor.map(pow, [2, 3], [5, 2])) == [32, 9]
+        with pytest.raises(RuntimeError, match="has ended"):
+            executor.submit(fail_always)
+
+
+def test_without_its_scheduler_an_executor_fails_instead_of_waiting_for_ever(local):
+    client = distributed.Client(local.scheduler_address)
+    executor = ClusterExecutor(client)
+    client.close()
+    with pytest.raises(Exception, match=r".+"):
+        executor.submit(pow, 2, 5).result(timeout=60)
 
 
 def make_foreign() -> None:
@@ -173,7 +210,7 @@ def test_where_every_worker_has_other_versions_the_search_is_refused(whole, loca
 
 def test_a_worker_of_another_version_computes_nothing():
     with pytest.raises(WrongWorkerError, match=versions()):
-        evaluate_layouts("", "another", np.zeros((1, 9, 10), np.int8), 0, np.zeros(2, np.uint32))
+        dask.perform("another", pow, (2, 5))
 
 
 @pytest.mark.parametrize(
@@ -198,7 +235,7 @@ def test_an_address_where_nobody_answers_is_refused(whole, tmp_path, monkeypatch
 
 def test_a_repair_that_ran_out_of_memory_is_tried_again(whole, monkeypatch):
     domain = loop.make_experiment(whole.config).pipeline.domain
-    layout, tries, original = whole.best.layout, [], pools.repair
+    layout, tries, original = whole.best.layout, [], pools.repair_layout
 
     def short_of_memory(*given):
         tries.append(1)
@@ -206,11 +243,11 @@ def test_a_repair_that_ran_out_of_memory_is_tried_again(whole, monkeypatch):
             raise MemoryError
         return original(*given)
 
-    monkeypatch.setattr(pools, "repair", short_of_memory)
+    monkeypatch.setattr(pools, "repair_layout", short_of_memory)
     with pools.RepairPool(domain.rules(), whole.config.evaluation.repair) as pool:
         assert pool.submit(layout).result().status == RepairStatus.OPTIMAL
     assert len(tries) == 2
-    monkeypatch.setattr(pools, "repair", lambda *given: (_ for _ in ()).throw(MemoryError))
+    monkeypatch.setattr(pools, "repair_layout", lambda *given: (_ for _ in ()).throw(MemoryError))
     settings = dataclasses.replace(whole.config.evaluation.repair, workers=1)
     with pools.RepairPool(domain.rules(), settings) as pool:
         assert pool.submit(layout).result().status == RepairStatus.FAILED

@@ -10,7 +10,7 @@ import qdenv
 from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.generate.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
-from qdenv.run.executors.local import Threads
+from qdenv.run.executors.layouts import Threads
 from qdenv.run.problem import seen
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.export import elites

@@ -20,7 +20,7 @@ from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.registry import Entry
 from qdenv.run import loop
 from qdenv.run.directory import RunDirectory
-from qdenv.run.executors.local import Threads
+from qdenv.run.executors.layouts import Threads
 from qdenv.search.export import elites
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.types import InputError, RepairStatus

@@ -8,6 +8,7 @@ import tempfile
 import threading
 import time
 from collections import deque
+from concurrent.futures import wait
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,7 +21,7 @@ from qdenv.presets import find_preset
 from qdenv.run import loop
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors.base import Execution
-from qdenv.run.executors.dask import Batch, Workers
+from qdenv.run.executors.dask import ClusterExecutor, Task
 
 
 @dataclass(frozen=True)
@@ -146,16 +147,17 @@ def sleep_through(
         ) as cluster,
         Client(cluster) as client,
     ):
-        sleepers = Workers(client, time.sleep)
-        sleepers.begin([(0.01,)] * workers).finish()
-        begun, under_way = time.perf_counter(), deque[Batch]()
+        executor = ClusterExecutor(client)
+        wait([executor.submit(time.sleep, 0.01) for _ in range(workers)])
+        begun, under_way = time.perf_counter(), deque[list[Task]]()
         for population in lengths.tolist():
-            under_way.append(sleepers.begin([(length,) for length in population]))
+            under_way.append([executor.submit(time.sleep, length) for length in population])
             if len(under_way) > ahead:
-                under_way.popleft().finish()
+                wait(under_way.popleft())
         for rest in under_way:
-            rest.finish()
+            wait(rest)
         spent = time.perf_counter() - begun
+        executor.shutdown()
     return {
         "workers": workers,
         "batch": batch,

@@ -16,7 +16,7 @@ import tyro
 from qdenv.io.files import write_json
 from qdenv.pipeline import PipelinedEvaluator
 from qdenv.presets import find_preset
-from qdenv.run.executors.local import Threads
+from qdenv.run.executors.layouts import Threads
 from qdenv.run.loop import Experiment, make_experiment
 from qdenv.run.problem import seen
 from qdenv.search.growth import growing

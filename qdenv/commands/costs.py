@@ -5,6 +5,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from qdenv import devices
 from qdenv.io.files import write_json
 from qdenv.io.records import read_json
 from qdenv.presets import find_preset
@@ -47,7 +48,7 @@ def describe_cost(preset: str, config: RunConfig) -> str:
         return ""
     measured = base and (_read().get(preset) or _read().get(base))
     known = CPU_SECONDS.get(base)
-    seconds = measured or (known / (os.cpu_count() or 1) if known else None)
+    seconds = measured or (known / devices.count_cores() if known else None)
     if seconds is None:
         return ""
     how = "as measured here" if measured else "an estimate"

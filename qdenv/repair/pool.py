@@ -5,7 +5,6 @@ Threads suffice: the annealer and HiGHS both work outside the interpreter lock. 
 
 import hashlib
 import logging
-import os
 import threading
 from collections import OrderedDict
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
@@ -14,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from qdenv import devices
 from qdenv.repair.recipe import repair_layout
 from qdenv.repair.rules import Result
 from qdenv.repair.settings import RepairConfig
@@ -39,7 +39,7 @@ class RepairPool:
             remember: how many repairs to keep.
         """
         self.rules, self.config = rules, config or RepairConfig()
-        self.workers = self.config.workers or count_cores()
+        self.workers = self.config.workers or devices.count_cores()
         self._threads = ThreadPoolExecutor(self.workers, thread_name_prefix="repair")
         self._slots = threading.BoundedSemaphore(WAITING_PER_WORKER * self.workers)
         self._lock, self._alone = threading.Lock(), threading.Lock()
@@ -105,13 +105,6 @@ class RepairPool:
     def __exit__(self, *exception: object) -> None:
         """Close the pool."""
         self.close()
-
-
-def count_cores() -> int:
-    """Count the cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def content_key(layout: np.ndarray, seed: int) -> bytes:

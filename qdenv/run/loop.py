@@ -18,7 +18,7 @@ from qdenv.progress import Bar
 from qdenv.run.config import RunConfig, check_feasible
 from qdenv.run.directory import RunDirectory, find_start, read_start
 from qdenv.run.evaluate_async import Flight, Search, begin_search
-from qdenv.run.executors.base import Execution, opened
+from qdenv.run.executors.base import Execution, open_evaluator
 from qdenv.run.log import Log
 from qdenv.run.manifest import meaning_of
 from qdenv.run.problem import archive_axes, problem_of, seen
@@ -192,8 +192,8 @@ def _run(
             simulate=_announced(bar, "simulator", pipeline.simulate),
             score=_announced(bar, "score", pipeline.score),
         )
-        execute = stack.enter_context(opened(execution, config, pipeline, bar.update))
-        evaluator = PipelinedEvaluator(pipeline, execute)
+        layouts = stack.enter_context(open_evaluator(execution, config, pipeline, bar.update))
+        evaluator = PipelinedEvaluator(pipeline, layouts)
 
         begun, search = _restored(experiment, config, run, algorithm)
         log = Log(run.path, begun)

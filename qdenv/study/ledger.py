@@ -15,7 +15,7 @@ import numpy as np
 from qdenv.domains.base import Domain, make_domain
 from qdenv.io.files import write_csv
 from qdenv.io.tables import read_table
-from qdenv.run.executors.dask import check_versions, versions
+from qdenv.run.executors.dask import ClusterExecutor
 from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
@@ -245,39 +245,25 @@ def _condense(runs: Sequence[Run]) -> Outcome:
     )
 
 
-PORTION = 4  # runs of each worker from one answer to the next
-
-
 def handed_to(client: Client) -> SimulateAll:
-    """Let the workers of a cluster simulate what `ledger.complete` asks for.
+    """Return what simulates cases for `complete` on the workers of a cluster.
 
     Args:
         client: of a cluster with a worker at least.
     """
 
     def simulate_all(todo: Sequence[tuple[Case, int]]) -> Iterator[Run]:
-        from qdenv.run.executors.dask import Workers
-
-        workers, wanted = Workers(client, simulate_elsewhere), versions()
-        portion = PORTION * len(client.scheduler_info()["workers"])
-        # Functions do not travel, settings do.
-        tasks = [(case._replace(domain=case.domain.config), seed, wanted) for case, seed in todo]
-        for first in range(0, len(tasks), portion):
-            yield from workers.begin(tasks[first : first + portion]).finish()
+        executor = ClusterExecutor(client)
+        try:
+            # Functions cannot be sent, settings can.
+            cases = [case._replace(domain=case.domain.config) for case, _ in todo]
+            yield from executor.map(_simulate_elsewhere, cases, [seed for _, seed in todo])
+        finally:
+            executor.shutdown(cancel_futures=True)
 
     return simulate_all
 
 
-def simulate_elsewhere(case: Any, seed: int, wanted: str) -> Run:
-    """Simulate one run on a worker of a cluster.
-
-    Args:
-        case: a `Case` that holds the settings of its domain in place of the domain.
-        seed: of the run.
-        wanted: `versions` of who asks.
-
-    Raises:
-        WrongWorkerError: this worker has other versions.
-    """
-    check_versions(wanted)
+def _simulate_elsewhere(case: Any, seed: int) -> Run:
+    """Simulate a `Case` that has the settings of its domain in place of the domain."""
     return simulate(case._replace(domain=make_domain(case.domain)), seed)

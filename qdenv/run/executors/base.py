@@ -1,4 +1,4 @@
-"""Where the layouts of a search are evaluated: a small record, and how it becomes an executor."""
+"""Where the layouts of a search are repaired and simulated, and how to connect to a cluster."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from qdenv import devices
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from qdenv.pipeline import Executor, Pipeline
+    from qdenv.pipeline import LayoutEvaluator, Pipeline
     from qdenv.run.config import RunConfig
 
 ExecutorName = Literal["threads", "dask"]
 ANSWER = 20  # seconds that a scheduler may take to answer
-ARRIVAL = 120  # seconds that the first worker may take to come
+ARRIVAL = 120  # seconds that the first worker may take to join
 
 
 @dataclass(frozen=True)
@@ -48,29 +49,31 @@ class Execution(Ranged):
 
 
 @contextlib.contextmanager
-def opened(
+def open_evaluator(
     execution: Execution, config: RunConfig, pipeline: Pipeline, progress: Callable[[int], None]
-) -> Iterator[Executor]:
-    """Make the executor and what it needs; both end with the context.
+) -> Iterator[LayoutEvaluator]:
+    """Yield what repairs and simulates the layouts of a run; it ends with the context.
 
     Args:
-        execution: which one.
+        execution: where.
         config: of the run.
         pipeline: its chain.
-        progress: told how many layouts more are done.
+        progress: called with the number of layouts that were completed.
 
     Raises:
-        InputError: nobody answers at the scheduler's address, or no worker comes.
+        InputError: nothing answers at the scheduler's address, or no worker joins.
     """
-    from qdenv.run.executors.local import Threads
+    from qdenv.run.executors.layouts import Cluster, Threads  # imports both compilers
 
     if execution.executor == "threads":
         yield Threads(pipeline, progress=progress)
         return
-    from qdenv.run.executors.dask import Cluster
-
     with connected(execution) as client:
-        yield Cluster(client, config, pipeline, progress)
+        cluster = Cluster(client, config, progress)
+        try:
+            yield cluster
+        finally:
+            cluster.executor.shutdown(cancel_futures=True)
 
 
 @contextlib.contextmanager
@@ -78,20 +81,18 @@ def connected(execution: Execution) -> Iterator[Client]:
     """Connect to a cluster that has a worker; one on this machine ends with the context.
 
     Raises:
-        InputError: nobody answers at the scheduler's address, or no worker comes.
+        InputError: nothing answers at the scheduler's address, or no worker joins.
     """
     import dask
     from distributed import Client, LocalCluster
 
-    from qdenv.repair.pool import count_cores
-
     with contextlib.ExitStack() as stack:
-        # Workers look a hundred times a second what they are doing, for a dashboard nobody sees.
+        # Workers would sample a hundred times a second what they do, for a dashboard nobody sees.
         stack.enter_context(dask.config.set({"distributed.worker.profile.enabled": False}))
         place = execution.scheduler
         if place is None:
             local = LocalCluster(
-                n_workers=execution.workers or count_cores(),
+                n_workers=execution.workers or devices.count_cores(),
                 threads_per_worker=1,
                 memory_limit=0,  # a worker is not ended for what a layout needs
                 dashboard_address=None,

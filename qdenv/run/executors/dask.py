@@ -1,373 +1,266 @@
-"""What a worker of a cluster does: repair and simulate layouts, as the search itself would."""
+"""A Dask cluster as a `concurrent.futures.Executor` (https://distributed.dask.org).
+
+Workers that are killed, that hang or that have other versions cost time, never a result: a task's
+result depends on the task alone, so any copy of it will do. Dask's own `Client.get_executor` gives
+up on a task whose worker hangs, and would accept results of other versions.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import json
-import logging
-import math
 import platform
+import queue
 import statistics
-import time
+import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from concurrent import futures
+from concurrent.futures import Executor, Future, InvalidStateError
 from functools import lru_cache
 from importlib import metadata
+from logging import getLogger
 from pathlib import Path
+from time import monotonic, perf_counter
 from typing import TYPE_CHECKING, Any
 
-import jax
-import numpy as np
-
-from qdenv.pipeline import Outcomes, Pipeline, joined
-from qdenv.run.config import RunConfig, config_to_json
-from qdenv.types import Array, InputError
+from qdenv.types import InputError
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    import distributed
 
+LOG = getLogger(__name__)
 # Packages whose version decides a result.
 PACKAGES = ("jax", "jaxlib", "numpy", "numba", "highspy", "flax")
+# A task's own errors repeat; one that a full disk or a broken network caused passes within three.
+MAX_ERRORS = 3
+# Clusters kill workers for reasons of their own, so only many deaths are blamed on the task.
+MAX_DEATHS = 10
+# Seconds without any answer, or SLOW times what a task takes, until copies are sent to others.
+PATIENCE = 30.0
+SLOW = 5.0
+REMEMBERED = 100  # tasks whose duration says what one takes
+TICK = 0.5  # seconds between two looks for overdue tasks
 
 
 class WrongWorkerError(RuntimeError):
-    """A worker has other versions than the search: nothing it finds may enter the archive."""
+    """A worker has other versions than this process: none of its results may be used."""
 
 
 @lru_cache(maxsize=1)
 def versions() -> str:
-    """Name what decides a result: versions of packages, and this one's very code and agent."""
+    """Return what decides a result: versions of packages, a hash of this one's code and agent."""
     code = hashlib.blake2b(digest_size=8)
     home = Path(__file__).parents[2]
     files = (path for path in home.rglob("*") if path.suffix in (".py", ".npz"))  # and the agent
     for path in sorted(files):
         code.update(path.relative_to(home).as_posix().encode() + path.read_bytes())
-    known = [f"{name} {metadata.version(name)}" for name in PACKAGES]
+    packages = [f"{name} {metadata.version(name)}" for name in PACKAGES]
     python = ".".join(platform.python_version_tuple()[:2])
-    return ", ".join([f"python {python}", *known, f"qdenv {code.hexdigest()}"])
+    return ", ".join([f"python {python}", *packages, f"qdenv {code.hexdigest()}"])
 
 
-def check_versions(wanted: str) -> None:
-    """Refuse work for a search of other versions, which is a `WrongWorkerError`."""
-    if versions() != wanted:
-        raise WrongWorkerError(versions())
-
-
-def timed(work: Callable[..., Any], *given: Any) -> tuple[float, Any]:
-    """Do something and say how many seconds it took."""
-    begun = time.perf_counter()
-    answer = work(*given)
-    return time.perf_counter() - begun, answer
-
-
-@lru_cache(maxsize=2)
-def _chain(settings: str) -> Any:
-    """Build a run's chain once per worker: (pipeline, compiled simulator)."""
-    import jax
-
-    from qdenv.pipeline import make_pipeline
-    from qdenv.run.config import config_from_json
-
-    config = config_from_json(json.loads(settings), Path("the search"))
-    pipeline = make_pipeline(config.evaluation, repair_seed=config.seed)
-    return pipeline, jax.jit(pipeline.simulate)
-
-
-Answer = tuple[np.ndarray, int, list[np.ndarray]]
-
-
-def evaluate_layouts(
-    settings: str, wanted: str, layouts: np.ndarray, first: int, key: np.ndarray
-) -> list[Answer]:
-    """Repair and simulate layouts, one by one.
-
-    Args:
-        settings: a whole `RunConfig` as JSON.
-        wanted: `versions` of the search.
-        layouts: int8 [n, H, W], unrepaired.
-        first: index of the first of them in its population.
-        key: uint32, the data of the population's key.
-
-    Returns:
-        for each the repaired layout int8 [H, W], its status, and the leaves of its runs, each with
-        a leading axis 1.
+def perform(required: str, work: Callable[..., Any], arguments: tuple) -> tuple[float, Any]:
+    """Perform a task on a worker and return its duration in seconds and its result.
 
     Raises:
-        WrongWorkerError: this worker has other versions.
+        WrongWorkerError: this worker's `versions` are not those required.
     """
-    check_versions(wanted)
-    return [_evaluate(settings, one, first + place, key) for place, one in enumerate(layouts)]
+    if versions() != required:
+        raise WrongWorkerError(versions())
+    start = perf_counter()
+    result = work(*arguments)
+    return perf_counter() - start, result
 
 
-def _evaluate(settings: str, layout: np.ndarray, index: int, key: np.ndarray) -> Answer:
-    import jax
+class Task(Future):
+    """The future of a task's result, with what the executor knows of the task."""
 
-    from qdenv.pipeline import unrepaired_as_is
-
-    pipeline, simulate = _chain(settings)
-    if pipeline.pool is None:
-        repair = unrepaired_as_is(layout)
-    else:
-        repair = pipeline.pool.submit(layout, pipeline.repair_seed).result()
-    repaired, whole = np.asarray(repair.layout), jax.random.wrap_key_data(jax.numpy.asarray(key))
-    runs = simulate(repaired[None], np.array([index], np.int32), whole)
-    return repaired, int(repair.status), [np.asarray(leaf) for leaf in jax.tree.leaves(runs)]
+    def __init__(self, work: Callable[..., Any], arguments: tuple) -> None:
+        """Describe a task of which no copy was sent yet."""
+        super().__init__()
+        self.work, self.arguments = work, arguments
+        self.copies: list[distributed.Future] = []  # that are in the cluster
+        self.errors = self.deaths = 0  # of its copies, and of workers that had one
+        self.seconds = 0.0  # that it took on the worker
 
 
-LOG = logging.getLogger(__name__)
-TRIES = 3  # of a task that raises an error
-DEATHS = 10  # times that a task may end its workers before it is to blame
-PATIENCE = 30.0  # seconds without any answer, or SLOW times what one takes, until others are asked
-SLOW = 5.0
-REMEMBERED = 100  # answers whose time says what one takes
+class ClusterExecutor(Executor):
+    """Perform tasks on the workers of a cluster.
 
-
-class Workers:
-    """Workers that all do one kind of task, whose answer depends on nothing but the task."""
+    One thread of this process owns all tasks. It sends them, collects results, sends again what
+    failed or is overdue. It learns of a change (a new task, a copy that returned) by the task in
+    its queue.
+    """
 
     def __init__(
-        self,
-        client: Client,
-        work: Callable[..., Any],
-        progress: Callable[[int], None] = lambda size: None,
+        self, client: distributed.Client, on_done: Callable[[Task], None] = lambda task: None
     ) -> None:
         """Send nothing yet.
 
         Args:
             client: of the cluster.
-            work: what is done with each task.
-            progress: told how much more is done.
+            on_done: called, in a thread of the executor, before a result is set.
         """
-        self._client, self._work, self._progress = client, work, progress
+        self._client, self._on_done = client, on_done
+        self._events: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
+        self._pending: dict[Task, None] = {}  # in the order in which they were submitted
         self._seconds: deque[float] = deque([0.0], REMEMBERED)
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._supervise, daemon=True)
+        self._thread.start()
 
-    def begin(self, tasks: Sequence[tuple], sizes: Sequence[int] = ()) -> Batch:
-        """Send all tasks; several batches may be out at once.
+    def submit(self, work: Callable[..., Any], /, *arguments: Any, **options: Any) -> Task:
+        """Send a task: a function of the package, or what cloudpickle can send."""
+        if options:
+            raise TypeError("keyword arguments are not sent: bind them by functools.partial")
+        if self._error is not None:
+            raise RuntimeError("the executor has ended") from self._error
+        task = Task(work, arguments)
+        self._pending[task] = None
+        self._events.put(task)
+        return task
 
-        Args:
-            tasks: a tuple of arguments each.
-            sizes: how much progress each of them is; 1 unless given.
-        """
-        return Batch(self, tasks, sizes or [1] * len(tasks))
-
-    def submit(self, tasks: Sequence[tuple], among: Sequence[str] = ()) -> list[Future]:
-        """Send tasks to whoever is free, if possible among these workers."""
-        chosen = {"workers": list(among), "allow_other_workers": True} if among else {}
-        columns = [self._work] * len(tasks), *zip(*tasks, strict=True)
-        sent: list[Future] = self._client.map(timed, *columns, pure=False, **chosen)
-        return sent
-
-    def answers(self, futures: Mapping[int, Future], sizes: Sequence[int]) -> dict[int, Any]:
-        """Fetch answers that are there, by the numbers of their tasks, in one go.
-
-        Where something went wrong in the meantime there is none.
-
-        Args:
-            futures: by number.
-            sizes: of all tasks.
-        """
-        said = self._client.gather(dict(futures), errors="skip")
-        whole = {number: answer for number, answer in said.items() if answer is not None}
-        self._seconds.extend(took / sizes[number] for number, (took, _) in whole.items())
-        return {number: answer for number, (_, answer) in whole.items()}
-
-    def advance(self, size: int) -> None:
-        """Note that a task is done, which is so much progress."""
-        self._progress(size)
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the executor; the client stays open."""
+        if wait and not cancel_futures:
+            futures.wait(list(self._pending))
+        self._events.put(None)
+        if wait:
+            self._thread.join()
 
     @property
-    def count(self) -> int:
-        """How many workers there are; 1 while all are being replaced."""
+    def workers(self) -> int:
+        """The number of workers; 1 while all are being replaced."""
         return max(len(self._client.nthreads()), 1)
 
-    @property
-    def usual(self) -> float:
-        """Seconds that tasks of size 1 took lately, the median; 0 before the first."""
-        return statistics.median(self._seconds)
+    def _supervise(self) -> None:
+        """Manage all tasks until the executor ends, in a thread of its own."""
+        heard = monotonic()  # when something changed last
+        try:
+            while (changed := self._changes()) is not None:
+                usual = statistics.median(self._seconds)
+                if changed:
+                    self._collect(changed)
+                    heard = monotonic()
+                elif self._pending and monotonic() - heard >= max(PATIENCE, SLOW * usual):
+                    self._send_copies()
+                    heard = monotonic()
+        except BaseException as error:  # the scheduler is gone, say: no result will come
+            self._error = error
+            for task in list(self._pending):
+                self._settle(task, error=error)
+        self._error = self._error or RuntimeError("it was shut down")
+        with contextlib.suppress(Exception):  # the client may be closed
+            self._client.cancel([one for task in list(self._pending) for one in task.copies])
+        for task in list(self._pending):
+            task.cancel()
 
-    def patience(self, size: int) -> float:
-        """Seconds without an answer to tasks of a size after which others are asked, too."""
-        return max(PATIENCE, SLOW * self.usual * size)
+    def _changes(self) -> list[Task] | None:
+        """Wait a moment for tasks that changed; None means that the executor ends."""
+        events: list[Task | None] = []
+        with contextlib.suppress(queue.Empty):
+            events.append(self._events.get(timeout=TICK))
+            while True:
+                events.append(self._events.get_nowait())
+        return None if None in events else [one for one in dict.fromkeys(events) if one]
 
-    def without(self, futures: Sequence[Future]) -> list[str]:
-        """List the workers that have nothing to do with these tasks."""
-        keys = {future.key for future in futures}
-        held = self._client.processing()
-        return [address for address, mine in held.items() if not keys & {*mine}]
+    def _collect(self, changed: Sequence[Task]) -> None:
+        """Take all results that are there, and send again what failed."""
+        changed = [task for task in changed if task in self._pending]
+        finished = {
+            number: copy
+            for number, task in enumerate(changed)
+            for copy in task.copies
+            if copy.status == "finished"
+        }
+        # One request for all; a result that was lost with its worker meanwhile is left out.
+        answers = self._client.gather(finished, errors="skip") if finished else {}
+        for number, answer in answers.items():
+            if answer is not None:
+                task = changed[number]
+                task.seconds, result = answer
+                self._seconds.append(task.seconds)
+                self._settle(task, result)
+        for task in changed:
+            for copy in [one for one in task.copies if one.done() and not task.done()]:
+                task.copies.remove(copy)
+                self._examine(task, copy)
+        self._send([task for task in changed if not task.done() and not task.copies])
 
-    def dismiss(self) -> int:
-        """Send away the workers of other versions; say how many there were."""
-        said = self._client.run(versions, on_error="return")
-        wrong = {address: one for address, one in said.items() if one != versions()}
-        for address, one in wrong.items():
-            LOG.warning("worker %s is sent away: it has %s, not %s", address, one, versions())
+    def _settle(self, task: Task, result: Any = None, error: BaseException | None = None) -> None:
+        """End a task by its result or an error, and cancel its other copies."""
+        del self._pending[task]
+        copies, task.copies = task.copies, []
+        if error is None and len(copies) > 1:
+            self._client.cancel(copies, force=True)
+        with contextlib.suppress(InvalidStateError):  # the caller has cancelled it
+            if error is None:
+                self._on_done(task)
+                task.set_result(result)
+            else:
+                task.set_exception(error)
+
+    def _examine(self, task: Task, copy: distributed.Future) -> None:
+        """Decide whether a failed copy is worth another try, or ends the task."""
+        from distributed import KilledWorker
+
+        error = copy.exception() if copy.status == "error" else None
+        if error is None:  # lost with its worker
+            return
+        if isinstance(error, KilledWorker):
+            task.deaths += 1
+            if task.deaths >= MAX_DEATHS:
+                text = f"workers keep dying ({error}): give them more memory"
+                self._settle(task, error=InputError(text))
+            return
+        # Other versions may also lack the function, or fail to read what was sent.
+        if isinstance(error, WrongWorkerError | ImportError | AttributeError):
+            try:
+                if self._dismiss():
+                    return
+            except InputError as refusal:
+                self._settle(task, error=refusal)
+                return
+        task.errors += 1
+        if task.errors >= MAX_ERRORS:
+            self._settle(task, error=error)
+
+    def _send(self, tasks: Sequence[Task], workers: Sequence[str] = ()) -> None:
+        """Send a copy of each task to any worker, or if possible to one of these."""
+        tasks = [task for task in tasks if not task.cancelled()]
+        if not tasks:
+            return
+        options = {"workers": list(workers), "allow_other_workers": True} if workers else {}
+        columns = [task.work for task in tasks], [task.arguments for task in tasks]
+        required = [versions()] * len(tasks)
+        copies = self._client.map(perform, required, *columns, pure=False, **options)
+        for task, copy in zip(tasks, copies, strict=True):
+            task.copies.append(copy)
+            copy.add_done_callback(lambda _, task=task: self._events.put(task))
+
+    def _send_copies(self) -> None:
+        """Send another copy of each pending task: its worker may hang. The first result counts."""
+        LOG.warning("%d tasks are overdue and sent to others, too", len(self._pending))
+        keys = {copy.key for task in list(self._pending) for copy in task.copies}
+        processing = self._client.processing()
+        free = [worker for worker, has in processing.items() if not keys & {*has}]
+        self._send(list(self._pending), free)
+
+    def _dismiss(self) -> int:
+        """Retire the workers of other versions; return their number.
+
+        Raises InputError if no other worker is left.
+        """
+        answers = self._client.run(versions, on_error="return")
+        wrong = {worker: one for worker, one in answers.items() if one != versions()}
+        for worker, one in wrong.items():
+            LOG.warning("worker %s is sent away: it has %s, not %s", worker, one, versions())
         if wrong:
             self._client.retire_workers(list(wrong))
-        if wrong and len(wrong) == len(said):
+        if wrong and len(wrong) == len(answers):
             raise InputError(
                 "every worker has other versions than the search: install the same qdenv and "
                 f"packages there ({versions()})"
             )
         return len(wrong)
-
-    def forget(self, futures: list[Future]) -> None:
-        """Take back what nobody waits for any more."""
-        if futures:
-            self._client.cancel(futures, force=True)
-
-
-class Batch:
-    """Tasks under way, by their numbers."""
-
-    def __init__(self, workers: Workers, tasks: Sequence[tuple], sizes: Sequence[int]) -> None:
-        """Send all tasks, each of a size."""
-        self._workers, self._tasks, self._sizes = workers, tasks, sizes
-        self._sent: dict[int, list[Future]] = {number: [] for number in range(len(tasks))}
-        self._answers: dict[int, Any] = {}
-        self._errors = dict.fromkeys(self._sent, 0)
-        self._deaths = dict.fromkeys(self._sent, 0)
-        self._told: set[int] = set()  # tasks whose progress is noted
-        self._heard = 0.0  # when somebody answered last
-        self._send(list(self._sent))
-
-    def finish(self) -> list[Any]:
-        """Wait for all answers and give them in order.
-
-        Raises:
-            InputError: no worker has the versions of the search, or a task keeps killing workers.
-            Exception: whatever a task raises each time it is tried.
-        """
-        import distributed
-
-        self._heard = time.monotonic()  # until now nobody listened
-        largest = max(self._sizes, default=1)
-        while self._sent:
-            futures = [future for sent in self._sent.values() for future in sent]
-            # The first answer to a task that is out twice will do.
-            until = "ALL_COMPLETED" if len(futures) == len(self._sent) else "FIRST_COMPLETED"
-            left = self._heard + self._workers.patience(largest) - time.monotonic()
-            try:
-                distributed.wait(futures, max(left, 0.01), until)
-            except TimeoutError:
-                if time.monotonic() >= self._heard + self._workers.patience(largest):
-                    self._ask_others()
-            self._collect()
-        return [self._answers[number] for number in sorted(self._answers)]
-
-    def _send(self, numbers: Sequence[int], among: Sequence[str] = ()) -> None:
-        tasks = [self._tasks[number] for number in numbers]
-        for number, future in zip(numbers, self._workers.submit(tasks, among), strict=True):
-            future.add_done_callback(lambda _, number=number: self._hear(number))
-            self._sent[number].append(future)
-
-    def _hear(self, number: int) -> None:
-        """Note that a task came back; in a thread of the cluster's client."""
-        self._heard = time.monotonic()
-        if number not in self._told:
-            self._told.add(number)
-            self._workers.advance(self._sizes[number])
-
-    def _ask_others(self) -> None:
-        """Send what is still out once more: its worker may hang. The first answer counts."""
-        out = [future for sent in self._sent.values() for future in sent if not future.done()]
-        late = [number for number, sent in self._sent.items() if not any(f.done() for f in sent)]
-        LOG.warning("%d tasks are overdue and sent to others, too", len(late))
-        self._send(late, self._workers.without(out))
-        self._heard = time.monotonic()
-
-    def _collect(self) -> None:
-        """Take all answers that are there, and send again what failed."""
-        there = {
-            number: future
-            for number, sent in self._sent.items()
-            for future in sent
-            if future.status == "finished"
-        }
-        answers = self._workers.answers(there, self._sizes) if there else {}
-        self._answers |= answers
-        self._workers.forget([future for number in answers for future in self._sent.pop(number)])
-        for number, sent in self._sent.items():
-            for future in [one for one in sent if one.done() and one.status != "finished"]:
-                sent.remove(future)
-                self._excuse(number, future)
-        self._send([number for number, sent in self._sent.items() if not sent])
-
-    def _excuse(self, number: int, future: Future) -> None:
-        """Decide whether what went wrong is worth another try."""
-        from distributed import KilledWorker
-
-        error = future.exception() if future.status == "error" else None
-        if error is None:  # lost with its worker
-            return
-        if isinstance(error, KilledWorker):
-            self._deaths[number] += 1
-            if self._deaths[number] >= DEATHS:
-                raise InputError(f"workers keep dying ({error}): give them more memory")
-            return
-        foreign = isinstance(error, WrongWorkerError | ImportError | AttributeError)
-        if foreign and self._workers.dismiss():
-            return
-        self._errors[number] += 1
-        if self._errors[number] >= TRIES:
-            raise error
-
-
-LONGEST = 1.0  # seconds of a task of several layouts: the scheduler spends milliseconds on each
-
-
-class Cluster:
-    """Repair and simulate the layouts of a search on the workers of a cluster."""
-
-    def __init__(
-        self,
-        client: Client,
-        config: RunConfig,
-        pipeline: Pipeline,
-        progress: Callable[[int], None] = lambda layouts: None,
-    ) -> None:
-        """Send nothing yet.
-
-        Args:
-            client: of the cluster.
-            config: of the run.
-            pipeline: its chain, to know the form of what comes back.
-            progress: told how many layouts more are done.
-        """
-        self._workers = Workers(client, evaluate_layouts, progress)
-        evaluation = config.evaluation
-        alone = replace(evaluation, repair=replace(evaluation.repair, workers=1))
-        self._settings = json.dumps(config_to_json(replace(config, evaluation=alone)))
-        layouts = jax.ShapeDtypeStruct((1, *pipeline.domain.shape), np.int8)
-        index, key = jax.ShapeDtypeStruct((1,), np.int32), jax.random.key(0)
-        self._runs = jax.tree.structure(jax.eval_shape(pipeline.simulate, layouts, index, key))
-
-    def __call__(self, unrepaired: np.ndarray, key: Array) -> Callable[[], Outcomes]:
-        """Begin to repair and simulate int8 [B, H, W]; what it returns waits for them."""
-        drawn = np.asarray(jax.random.key_data(key))
-        known = self._settings, versions()
-        firsts = self._divide(len(unrepaired))
-        parts = np.split(unrepaired, firsts[1:])
-        tasks = [(*known, *task, drawn) for task in zip(parts, firsts, strict=True)]
-        batch = self._workers.begin(tasks, [len(part) for part in parts])
-        return lambda: joined(
-            [self._outcome(*answer) for answers in batch.finish() for answer in answers]
-        )
-
-    def _divide(self, layouts: int) -> list[int]:
-        """Divide a population into tasks, ever smaller ones, so that all workers end together.
-
-        Guided self-scheduling (Polychronopoulos and Kuck 1987): each is what is left, divided by
-        the workers, but no longer than `LONGEST`.
-        """
-        usual = self._workers.usual  # 0 if how long a layout takes is not known yet
-        most = max(round(LONGEST / usual), 1) if usual else 1
-        firsts = [0]
-        while (left := layouts - firsts[-1]) > 1:
-            firsts.append(firsts[-1] + min(math.ceil(left / max(self._workers.count, 2)), most))
-        return firsts
-
-    def _outcome(self, layout: np.ndarray, status: int, leaves: list[np.ndarray]) -> Outcomes:
-        """Give one answer of a worker the form of a population of one."""
-        runs = jax.tree.unflatten(self._runs, leaves)
-        return Outcomes(layout[None], np.array([status], np.int32), runs)
