@@ -21,7 +21,7 @@ from qdenv.study.ledger import Case, complete
 from qdenv.study.options import parse_seeds
 from qdenv.study.stats import sample_of
 from qdenv.types import InputError
-from qdenv.zoo.shipped import Driven, Grown
+from qdenv.zoo import Driven, Grown
 
 Cell: TypeAlias = tuple[int, ...]
 Shape: TypeAlias = tuple[int, int]

@@ -13,8 +13,7 @@ import numpy as np
 from experiments.generators import GROWERS, SavedZoo, open_generator
 from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
-from qdenv.agent.baseline import BAND, draw_mazes
-from qdenv.agent.evaluate import without_ring
+from qdenv.agent.evaluate import BAND, draw_mazes, without_ring
 from qdenv.domains.base import Domain, find_domain
 from qdenv.grid import draw, of_tiles, parse
 from qdenv.io.layouts import write_layout

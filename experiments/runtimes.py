@@ -102,7 +102,7 @@ def measure(
     """
     import jax
 
-    from qdenv.generate.generator import GENERATORS
+    from qdenv.generate import GENERATORS
     from qdenv.pipeline import canvas_of
 
     generator = GENERATORS.make(config.evaluation.generator, canvas_of(grown.domain))

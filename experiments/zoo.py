@@ -34,7 +34,7 @@ from qdenv.run.archive import Archive
 from qdenv.run.directory import RunDirectory
 from qdenv.search.registry import ALGORITHMS
 from qdenv.types import InputError, look_up
-from qdenv.zoo.shipped import TABLE, USUAL, Generator, Origin, to_json
+from qdenv.zoo import TABLE, USUAL, Generator, Origin, to_json
 
 ZOO = Path(__file__).parents[1] / "qdenv" / "zoo"
 FILES = ("config.json", "manifest.json", "metrics.csv")

@@ -17,7 +17,7 @@ import numpy as np
 
 from qdenv import devices, mesh
 from qdenv.domains.base import Domain, Simulator, make_domain
-from qdenv.generate.generator import GENERATORS, Canvas
+from qdenv.generate import GENERATORS, Canvas
 from qdenv.repair.pool import RepairPool, repair_in_jit
 from qdenv.score import similarity
 from qdenv.settings import EvaluationConfig

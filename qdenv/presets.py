@@ -6,7 +6,7 @@ from typing import Any
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.maze import EntropyMazeConfig, MazeConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig, WarehouseConfig
-from qdenv.generate.settings import NcaConfig
+from qdenv.generate import NcaConfig
 from qdenv.run.config import RunConfig, with_algorithm
 from qdenv.search.dsage.settings import PUBLISHED as DSAGE
 from qdenv.search.dsage.settings import DsageConfig

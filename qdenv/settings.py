@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from qdenv.domains.base import DOMAINS
-from qdenv.generate.generator import GENERATORS
+from qdenv.generate import GENERATORS
 from qdenv.ranges import FiniteFloat, PositiveInt, Ranged
 from qdenv.repair.settings import RepairConfig
 

@@ -10,7 +10,7 @@ import toy
 
 from qdenv.domains.maze import MazeConfig
 from qdenv.domains.warehouse import WarehouseConfig
-from qdenv.generate.settings import NcaConfig
+from qdenv.generate import NcaConfig
 from qdenv.run import loop
 from qdenv.run.config import RunConfig
 from qdenv.search.export import elites

@@ -6,7 +6,7 @@ import subprocess
 import pytest
 
 from qdenv.cli import run
-from qdenv.zoo.shipped import names
+from qdenv.zoo import names
 
 # What a shell does when somebody presses the tab key after these words.
 ASK = """

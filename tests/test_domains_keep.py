@@ -9,8 +9,7 @@ import pytest
 
 from qdenv import cli
 from qdenv.commands.keeping import choose_keep
-from qdenv.domains.base import find_domain, make_domain
-from qdenv.domains.measures import environment_entropy
+from qdenv.domains.base import environment_entropy, find_domain, make_domain
 from qdenv.grid import draw, parse
 from qdenv.presets import PRESETS
 from qdenv.repair.audit import audit

@@ -11,7 +11,7 @@ import pytest
 from qdenv import grid
 from qdenv.domains.base import find_domain
 from qdenv.domains.manufacturing import TILES, ManufacturingConfig, rules
-from qdenv.generate.nca import make_automaton, seed_canvas
+from qdenv.nca import make_automaton, seed_canvas
 from qdenv.presets import find_preset
 from qdenv.repair.anneal.loop import anneal
 from qdenv.repair.audit import audit

@@ -30,11 +30,11 @@ from experiments.traffic import SavedTraffic
 from qdenv.agent.evaluate import Success
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.domains.warehouse import WarehouseConfig
-from qdenv.generate.generator import GENERATORS
-from qdenv.generate.nca import NcaConfig
+from qdenv.generate import GENERATORS
 from qdenv.grid import draw as draw_rows
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
+from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory

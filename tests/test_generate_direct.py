@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from qdenv.domains.base import find_domain
-from qdenv.generate.generator import GENERATORS, Canvas
-from qdenv.generate.settings import DirectConfig
+from qdenv.generate import GENERATORS, Canvas, DirectConfig
 from qdenv.pipeline import canvas_of
 
 DOMAINS = ("warehouse-even", "warehouse-uneven", "manufacturing", "maze-walls", "maze-entropy")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from qdenv.domains.base import find_domain
-from qdenv.generate.decode import choose_tiles, inside_frame
-from qdenv.generate.nca import grow_population, make_automaton, seed_canvas
+from qdenv.generate import choose_tiles, inside_frame
 from qdenv.grid import draw
+from qdenv.nca import grow_population, make_automaton, seed_canvas
 from qdenv.types import InputError
 
 

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qdenv.agent.files import save_weights
+from qdenv.agent.train import save_weights
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.domains.maze import MazeConfig
-from qdenv.generate.nca import NcaConfig
 from qdenv.grid import parse
+from qdenv.nca import NcaConfig
 from qdenv.pipeline import (
     EvaluationConfig,
     evaluate,

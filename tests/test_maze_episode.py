@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from qdenv.agent.convert import from_torch
-from qdenv.agent.files import save_weights
+from qdenv.agent.train import save_weights
 from qdenv.grid import parse
 from qdenv.simulate.maze import episode as maze
-from qdenv.simulate.maze import policy, tables
+from qdenv.simulate.maze import policy
 from qdenv.simulate.maze.published import FIRST_HEADINGS, reference_episodes
 from qdenv.types import InputError
 
 DATA = Path(__file__).parent / "data" / "maze"
 HORIZON = 60
-prepare = jax.jit(tables.prepare)
+prepare = jax.jit(policy.prepare)
 run = jax.jit(maze.run_episode, static_argnums=(3, 4))
 run_many = jax.jit(jax.vmap(maze.run_episode, (None, None, 0, None, None)), static_argnums=(3, 4))
 trace = jax.jit(maze.trace_episode, static_argnums=3)

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from qdenv.agent.baseline import compare_with_random, draw_mazes, maze_success, random_mazes
 from qdenv.agent.convert import pad_units
 from qdenv.agent.evaluate import (
+    compare_with_random,
     default_horizon,
+    draw_mazes,
     evaluate_agent,
+    maze_success,
+    random_mazes,
     run_batch,
     success_rates,
     without_ring,

@@ -12,9 +12,15 @@ import numpy as np
 import optax
 import pytest
 
-from qdenv.agent import curriculum, levels, ppo, rollout
-from qdenv.agent.files import load_state, mean_weights, save_state, save_weights
-from qdenv.agent.train import choose, train_agent
+from qdenv.agent import levels, ppo
+from qdenv.agent.train import (
+    choose,
+    load_state,
+    mean_weights,
+    save_state,
+    save_weights,
+    train_agent,
+)
 from qdenv.agent.update import TrainConfig, start, update
 from qdenv.simulate.maze.policy import Memory, draw_weights, load_weights
 from qdenv.simulate.maze.world import GOAL, WALL
@@ -26,12 +32,12 @@ CONFIG = TrainConfig(
     steps=3 * 128, units=4, bank=16, fresh=4, exam=2, levels=SMALL,
     ppo=ppo.PPOConfig(lanes=8, timesteps=16, minibatches=2),
 )  # fmt: skip
-REWARDS = rollout.Rewards(CONFIG.reward.novelty, CONFIG.reward.progress, CONFIG.reward.haste)
+REWARDS = ppo.Rewards(CONFIG.reward.novelty, CONFIG.reward.progress, CONFIG.reward.haste)
 
 
 @pytest.fixture(scope="module")
 def buffer():
-    return curriculum.new_buffer(jax.random.key(0), 16, SMALL)
+    return levels.new_buffer(jax.random.key(0), 16, SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +50,7 @@ def recorded():
         return jax.tree.map(lambda x: x[env], state.buffer.level), env, env
 
     _, steps, last = jax.jit(
-        lambda: rollout.collect(
-            jax.random.key(3), state.weights, state.envs, next_level, 48, REWARDS
-        )
+        lambda: ppo.collect(jax.random.key(3), state.weights, state.envs, next_level, 48, REWARDS)
     )()
     return state, steps, last
 
@@ -104,7 +108,7 @@ def test_haste_takes_from_the_reward_of_the_goal(recorded):
     env = jax.tree.map(lambda x: x[0], state.envs)._replace(elapsed=jnp.int32(9))
     env = env._replace(level=env.level._replace(horizon=jnp.int32(20)))
     found = [
-        float(rollout._reward(env, env.pose, jnp.bool_(True), rollout.Rewards(0.0, 0.0, haste)))
+        float(ppo._reward(env, env.pose, jnp.bool_(True), ppo.Rewards(0.0, 0.0, haste)))
         for haste in (0.0, 0.5, 0.9)
     ]
     np.testing.assert_allclose(found, [1, 0.75, 0.55], atol=1e-6)
@@ -113,16 +117,16 @@ def test_haste_takes_from_the_reward_of_the_goal(recorded):
 def test_the_buffer_keeps_the_worthy_and_replaces_the_oldest(buffer):
     buffer = jax.tree.map(lambda x: x[:8], buffer)
     fresh = jax.tree.map(lambda x: x[:3], buffer.level)
-    plr, dr = curriculum.METHODS["plr"], curriculum.METHODS["dr"]
+    plr, dr = levels.METHODS["plr"], levels.METHODS["dr"]
     buffer = buffer._replace(score=jnp.arange(8.0))
-    new = curriculum.insert(buffer, fresh, jnp.array([0.5, 9.0, -1.0]), jnp.int32(4), plr)
+    new = levels.insert(buffer, fresh, jnp.array([0.5, 9.0, -1.0]), jnp.int32(4), plr)
     np.testing.assert_array_equal(np.sort(new.score), [1, 2, 3, 4, 5, 6, 7, 9])
     assert int((new.last_seen == 4).sum()) == 1
-    new = curriculum.insert(buffer, fresh, jnp.zeros(3), jnp.int32(4), dr)
+    new = levels.insert(buffer, fresh, jnp.zeros(3), jnp.int32(4), dr)
     np.testing.assert_array_equal(np.sort(new.serial), np.arange(3, 11))
-    probabilities = curriculum.replay_probabilities(buffer, jnp.int32(0), plr, staleness=0.5)
+    probabilities = levels.replay_probabilities(buffer, jnp.int32(0), plr, staleness=0.5)
     np.testing.assert_allclose(probabilities, 0.5 * np.arange(8) / 28 + 0.5 / 8, atol=1e-6)
-    np.testing.assert_allclose(curriculum.replay_probabilities(buffer, jnp.int32(0), dr), 1 / 8)
+    np.testing.assert_allclose(levels.replay_probabilities(buffer, jnp.int32(0), dr), 1 / 8)
 
 
 def test_scores_are_mean_positive_advantages_of_levels_still_there(buffer):
@@ -130,7 +134,7 @@ def test_scores_are_mean_positive_advantages_of_levels_still_there(buffer):
     slot = jnp.array([[0, 1], [0, 1], [2, 3]])
     serial = jnp.array([[0, 1], [0, 99], [2, 98]])
     advantage = jnp.array([[3.0, 4.0], [-1.0, 50.0], [-2.0, 60.0]])
-    buffer = curriculum.update_scores(buffer, jnp.int32(5), slot, serial, advantage)
+    buffer = levels.update_scores(buffer, jnp.int32(5), slot, serial, advantage)
     np.testing.assert_allclose(buffer.score, [1.5, 4.0, 0.0, 7.0])
     np.testing.assert_array_equal(buffer.last_seen, [5, 5, 5, 0])
 
@@ -259,7 +263,7 @@ def test_a_checkpoint_holds_the_anchor_the_run_began_with(tmp_path):
     assert (state.weights.actor != first.actor).any()
 
 
-@pytest.mark.parametrize("method", curriculum.METHODS)
+@pytest.mark.parametrize("method", levels.METHODS)
 def test_a_run_may_change_its_method(method):
     state = jax.eval_shape(lambda: start(CONFIG))
     later, _ = jax.eval_shape(lambda state: update(state, replace(CONFIG, method=method)), state)

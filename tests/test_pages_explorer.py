@@ -340,7 +340,7 @@ def test_a_generator_that_tells_only_how_it_ends_grows_frame_by_frame_too(small_
     domain, solutions = make_domain(config.domain), small_run.load_archive()["solution"][:2]
     steps, grow = make_grower(config, domain)
     whole = grow(solutions)
-    from qdenv.generate.generator import GENERATORS
+    from qdenv.generate import GENERATORS
 
     made = GENERATORS.make
     monkeypatch.setattr(

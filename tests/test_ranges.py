@@ -11,7 +11,7 @@ from annotated_types import Interval
 
 from qdenv.agent.settings import LevelConfig, PPOConfig, RewardConfig, TrainConfig
 from qdenv.domains.base import DOMAINS
-from qdenv.generate.generator import GENERATORS
+from qdenv.generate import GENERATORS
 from qdenv.ranges import (
     FiniteFloat,
     NonNegativeInt,

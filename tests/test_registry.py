@@ -6,7 +6,7 @@ import pytest
 
 from qdenv import devices
 from qdenv.domains.base import DOMAINS, find_domain
-from qdenv.generate.generator import GENERATORS
+from qdenv.generate import GENERATORS
 from qdenv.registry import Entry, Registry
 from qdenv.search.registry import ALGORITHMS
 from qdenv.simulate.mapf.settings import PLANNERS

@@ -8,7 +8,7 @@ import pytest
 
 import qdenv
 from qdenv.domains.warehouse import WarehouseConfig
-from qdenv.generate.nca import NcaConfig
+from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
 from qdenv.run.executors.layouts import Threads
 from qdenv.run.problem import seen

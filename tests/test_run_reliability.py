@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import toy
 
-from qdenv.agent.files import save_weights
+from qdenv.agent.train import save_weights
 from qdenv.cli import run as command
 from qdenv.domains.maze import MazeConfig, agent_weights, checksum_of_agent
 from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import toy
 
-from qdenv.generate.nca import NcaConfig
+from qdenv.nca import NcaConfig
 from qdenv.registry import Entry
 from qdenv.run import loop
 from qdenv.run.directory import RunDirectory, find_start

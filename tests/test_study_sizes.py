@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from qdenv import cli, grid
-from qdenv.domains.base import find_domain, make_domain
+from qdenv.domains.base import KnownSize, find_domain, make_domain
 from qdenv.domains.manufacturing import ManufacturingConfig
-from qdenv.domains.settings import KnownSize
 from qdenv.domains.warehouse import WarehouseConfig
-from qdenv.generate.generator import GENERATORS
-from qdenv.generate.nca import NcaConfig
+from qdenv.generate import GENERATORS
 from qdenv.io.layouts import read_layout, write_layout
+from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, canvas_of, make_pipeline
 from qdenv.repair.audit import audit
 from qdenv.repair.pool import RepairPool

@@ -13,7 +13,7 @@ from matplotlib.image import imread
 import qdenv
 from qdenv.cli import run
 from qdenv.domains.base import make_domain
-from qdenv.generate.generator import GENERATORS
+from qdenv.generate import GENERATORS
 from qdenv.io.layouts import read_layout
 from qdenv.pipeline import canvas_of
 from qdenv.presets import PRESETS
@@ -22,7 +22,7 @@ from qdenv.score import entropy
 from qdenv.search.registry import ALGORITHMS
 from qdenv.study.elites import Grown, repair_grown
 from qdenv.types import InputError
-from qdenv.zoo.shipped import Generator, named, names
+from qdenv.zoo import Generator, named, names
 
 ZOO = Path(qdenv.__file__).parent / "zoo"
 MOST_BYTES = 6_000_000

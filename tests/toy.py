@@ -7,10 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.domains.base import DOMAINS, Domain, Simulator
-from qdenv.domains.settings import DomainConfig
-from qdenv.generate.nca import NcaConfig
+from qdenv.domains.base import DOMAINS, Domain, DomainConfig, Simulator
 from qdenv.grid import of_tiles
+from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig
 from qdenv.registry import Entry
 from qdenv.run.config import RunConfig

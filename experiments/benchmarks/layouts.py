@@ -8,10 +8,9 @@ import jax
 import numpy as np
 
 from qdenv.domains.base import find_domain
-from qdenv.generate.decode import inside_frame
-from qdenv.generate.generator import GENERATORS
-from qdenv.generate.nca import NcaConfig
+from qdenv.generate import GENERATORS, inside_frame
 from qdenv.io.layouts import read_layout
+from qdenv.nca import NcaConfig
 from qdenv.pipeline import canvas_of
 from qdenv.types import InputError, Rules
 

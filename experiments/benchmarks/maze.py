@@ -17,9 +17,15 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from qdenv.agent.baseline import random_layout, random_mazes
 from qdenv.agent.convert import pad_units
-from qdenv.agent.evaluate import default_horizon, run_alone, run_batch, success_rates
+from qdenv.agent.evaluate import (
+    default_horizon,
+    random_layout,
+    random_mazes,
+    run_alone,
+    run_batch,
+    success_rates,
+)
 from qdenv.io.files import write_json
 from qdenv.simulate.maze.policy import Weights, draw_weights, load_weights, units_of
 from qdenv.simulate.maze.world import longest_path

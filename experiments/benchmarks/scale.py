@@ -19,9 +19,9 @@ import tyro
 
 from experiments.benchmarks.scale_figure import save_scale
 from qdenv.domains.base import Domain, find_domain, make_domain
-from qdenv.generate.generator import GENERATORS
-from qdenv.generate.nca import NcaConfig
+from qdenv.generate import GENERATORS
 from qdenv.io.files import write_json
+from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.repair.recipe import repair_layout
 from qdenv.run.directory import RunDirectory

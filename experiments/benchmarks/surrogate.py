@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from qdenv.generate.settings import DirectConfig
+from qdenv.generate import DirectConfig
 from qdenv.io.files import write_json
 from qdenv.pipeline import make_pipeline
 from qdenv.presets import find_preset

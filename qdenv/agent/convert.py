@@ -1,10 +1,15 @@
 """Read the published PyTorch checkpoint into our weights, without PyTorch and without trust.
 
 A .tar of `torch.save` is a zip: ``<name>/data.pkl`` describes tensors whose raw numbers lie in
-``<name>/data/<key>``. The description is a pickle, which `pickled` reads as data.
+``<name>/data/<key>``. The description is a pickle, a program that could call anything: here it can
+build dictionaries, lists and tuples of plain values and float32 arrays, and nothing else.
 """
 
+import io
+import math
+import pickle
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.agent.files import save_weights
-from qdenv.agent.pickled import Machine
+from qdenv.agent.train import save_weights
 from qdenv.io.arrays import open_zip
 from qdenv.simulate.maze.policy import (
     FILTERS,
@@ -24,7 +28,10 @@ from qdenv.simulate.maze.policy import (
 )
 from qdenv.types import Array, InputError
 
-LARGEST = 64 * 2**20  # bytes of one member; the published checkpoint has 2 MB in all
+MAX_MEMBER = 64 * 2**20  # bytes of one member; the published checkpoint has 2 MB in all
+MAX_DESCRIPTION = 2**16  # bytes; the published checkpoint has a tenth of that
+MAX_AXES = 8
+_STORAGE = object()  # stands for torch.FloatStorage
 DESCRIPTION = "data.pkl"
 TENSORS = {
     "kernel": "image_conv.0.weight",
@@ -43,6 +50,73 @@ TENSORS = {
     "value_bias": "critic.1.bias",
 }
 GATE_BIASES = ("rnn.rnn.bias_ih_l0", "rnn.rnn.bias_hh_l0")
+
+
+class _Names(dict):
+    """A dictionary of the description."""
+
+    def __setitem__(self, name: Any, value: Any) -> None:
+        # The hash of nested tuples takes exponential time, or more stack than there is.
+        if type(name) not in (str, int):
+            raise InputError("refused: a name in the checkpoint is neither text nor a number")
+        super().__setitem__(name, value)
+
+
+class _Unpickler(pickle._Unpickler):  # type: ignore[name-defined]
+    """Reads a description; in Python, because the compiled class trusts indices of its memo."""
+
+    def __init__(self, description: bytes, load: Callable[[str, int], np.ndarray]) -> None:
+        super().__init__(io.BytesIO(description))
+        self._load = load  # (key, count) -> float32 [count], a storage
+
+    def find_class(self, module: str, name: str) -> Any:
+        known = {
+            "collections.OrderedDict": lambda: _Names(),  # a function: the class would take values
+            "torch.FloatStorage": _STORAGE,
+            "torch._utils._rebuild_tensor_v2": _cut,
+        }
+        if f"{module}.{name}" not in known:
+            raise InputError(f"refused: the checkpoint asks for {module}.{name}")
+        return known[f"{module}.{name}"]
+
+    def persistent_load(self, pid: Any) -> np.ndarray:
+        plain = type(pid) is tuple and [type(one) for one in pid] == [str, object, str, str, int]
+        if not plain or pid[0] != "storage" or pid[1] is not _STORAGE or pid[4] < 0:
+            raise InputError("refused: the checkpoint holds something other than float32 tensors")
+        return self._load(pid[2], pid[4])
+
+    def load_names(self) -> None:
+        self.append(_Names())
+
+    def load_build(self) -> None:
+        """Ignore attributes of a dictionary: they could shadow its methods."""
+        self.stack.pop()
+        if type(self.stack[-1]) is not _Names:
+            raise InputError("refused: the checkpoint sets attributes")
+
+    dispatch = pickle._Unpickler.dispatch | {  # type: ignore[attr-defined]
+        pickle.EMPTY_DICT[0]: load_names,
+        pickle.BUILD[0]: load_build,
+    }
+
+
+def _cut(storage: Any, offset: Any, size: Any, stride: Any, *flags: Any) -> np.ndarray:
+    """View part of a storage (float32 [n]) as a tensor; an element outside is an InputError."""
+    if not isinstance(storage, np.ndarray) or type(size) is not tuple or type(stride) is not tuple:
+        raise InputError("refused: the checkpoint builds a tensor from something else")
+    numbers = (offset, *size, *stride)
+    if len(size) != len(stride) or len(size) > MAX_AXES:
+        raise InputError("the checkpoint holds a tensor of impossible shape")
+    if any(type(one) is not int or not 0 <= one < 2**40 for one in numbers):
+        raise InputError("the checkpoint holds a tensor of impossible shape")
+    steps = [step if count > 1 else 0 for count, step in zip(size, stride, strict=True)]
+    last = offset + sum((count - 1) * step for count, step in zip(size, steps, strict=True))
+    if math.prod(size) > storage.size or (math.prod(size) and last >= storage.size):
+        raise InputError("the checkpoint holds a tensor larger than its storage")
+    if not math.prod(size):
+        return np.zeros(tuple(min(one, 1) for one in size), np.float32)
+    steps = [step * storage.itemsize for step in steps]
+    return np.lib.stride_tricks.as_strided(storage[offset:], size, steps)
 
 
 def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
@@ -91,12 +165,20 @@ def _described(archive: zipfile.ZipFile) -> Any:
             )
         return storages[key].view("<f4")
 
-    return Machine(load).run(_member(archive, f"{roots[0]}{DESCRIPTION}"))
+    description = _member(archive, f"{roots[0]}{DESCRIPTION}")
+    if len(description) > MAX_DESCRIPTION:
+        raise InputError("refused: the description is far too long")
+    try:
+        return _Unpickler(description, load).load()
+    except InputError:
+        raise
+    except Exception as error:  # whatever a damaged program does to the machine
+        raise InputError(f"the description is damaged: {error}") from error
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:
-    if archive.getinfo(name).file_size > LARGEST:
-        raise InputError(f"checkpoint member {name} is larger than {LARGEST} bytes")
+    if archive.getinfo(name).file_size > MAX_MEMBER:
+        raise InputError(f"checkpoint member {name} is larger than {MAX_MEMBER} bytes")
     return archive.read(name)
 
 

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from qdenv.agent.curriculum import (
+from qdenv.agent.levels import (
     METHODS,
+    Level,
     LevelBuffer,
     Method,
     insert,
@@ -16,9 +17,18 @@ from qdenv.agent.curriculum import (
     replay_probabilities,
     update_scores,
 )
-from qdenv.agent.levels import Level
-from qdenv.agent.ppo import Batch, LearningLog, advantages, learn, unroll
-from qdenv.agent.rollout import EnvState, Rewards, Transition, collect, reset_env
+from qdenv.agent.ppo import (
+    Batch,
+    EnvState,
+    LearningLog,
+    Rewards,
+    Transition,
+    advantages,
+    collect,
+    learn,
+    reset_env,
+    unroll,
+)
 from qdenv.agent.settings import TrainConfig
 from qdenv.simulate.maze.policy import (
     Memory,

@@ -22,7 +22,7 @@ from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.study.options import TIMESTEPS
 from qdenv.study.plans import USUAL, read_plan
 from qdenv.types import InputError
-from qdenv.zoo.shipped import PREFIX
+from qdenv.zoo import PREFIX
 
 LONGEST_NAME = 255  # bytes of a file's name
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import tyro
 
 from qdenv.presets import PRESETS
-from qdenv.zoo.shipped import PREFIX, names
+from qdenv.zoo import PREFIX, names
 
 SPEC = re.compile(r"^(COMPLETION_SPEC = )(\{.*\})$", re.MULTILINE)
 WORDS = 'set(spec.get("subcommands", {}).keys())'  # which words a colon does not part

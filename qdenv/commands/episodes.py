@@ -21,7 +21,7 @@ from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
-    from qdenv.agent.baseline import Comparison
+    from qdenv.agent.evaluate import Comparison
     from qdenv.simulate.maze.policy import Weights
 
 MOST_RUNS = 1_000_000
@@ -135,7 +135,7 @@ def compare(
     weights: Weights, maze: np.ndarray, mazes: int, episodes: Episodes, steps: int
 ) -> Comparison:
     """Solve random mazes like this one (int8 [H, W])."""
-    from qdenv.agent.baseline import compare_with_random
+    from qdenv.agent.evaluate import compare_with_random
 
     with Bar("drawing random mazes") as bar:
         return compare_with_random(
@@ -199,7 +199,7 @@ def draw_episode(path: Path, weights: Weights, maze: np.ndarray, seed: int, step
     import jax.numpy as jnp
 
     from qdenv.simulate.maze.episode import trace_episode
-    from qdenv.simulate.maze.tables import prepare
+    from qdenv.simulate.maze.policy import prepare
     from qdenv.view.maze import save_episode
 
     tables = prepare(weights, jnp.asarray(maze))

@@ -6,7 +6,7 @@ from qdenv.commands import output
 from qdenv.commands.choices import RunFolder
 from qdenv.run.directory import RunDirectory
 from qdenv.study.exports import TABLES, write_layouts, write_table
-from qdenv.zoo.shipped import file_name
+from qdenv.zoo import file_name
 
 
 def export(

@@ -12,7 +12,7 @@ from qdenv.commands.choices import RunFolders
 from qdenv.run.directory import RunDirectory
 from qdenv.study.groups import CURVES, band_of, group_runs
 from qdenv.types import InputError
-from qdenv.zoo.shipped import file_name
+from qdenv.zoo import file_name
 
 Form: TypeAlias = Literal["png", "svg", "pdf"]
 NO_SIZE: Mapping[str, float] = MappingProxyType({})

@@ -17,7 +17,7 @@ from qdenv.run.directory import RunDirectory
 from qdenv.study.options import find_surrogate, parse_seeds
 from qdenv.study.surrogate import Evaluated, read_elites
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.zoo.shipped import file_name
+from qdenv.zoo import file_name
 
 if TYPE_CHECKING:  # imports jax
     from qdenv.study.surrogate import Trial

@@ -33,7 +33,7 @@ from qdenv.search.settings import check_strategy
 from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.types import InputError
-from qdenv.zoo.shipped import PREFIX
+from qdenv.zoo import PREFIX
 
 FIRST = "quick"  # the preset where none is named
 

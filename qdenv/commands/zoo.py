@@ -10,7 +10,7 @@ import tyro
 
 from qdenv.commands import output, words
 from qdenv.run.directory import RunDirectory
-from qdenv.zoo.shipped import (
+from qdenv.zoo import (
     PREFIX,
     Collection,
     Driven,

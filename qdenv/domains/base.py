@@ -1,25 +1,90 @@
-"""The `Domain` record: everything that differs between warehouse, manufacturing and maze.
-
-A domain is chosen by the type of its settings, a `DomainConfig` with the domain's own numbers;
-`make_domain(settings)` binds them into a `Domain` of one size. A domain is a value: data and plain
-functions, no subclass.
-"""
+"""What the domains measure alike."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+import tyro
 
+from qdenv import score
 from qdenv.domains.keep import keep_in_frame, keep_in_rules, kept_tiles
-from qdenv.domains.measures import weigh_alike
-from qdenv.domains.settings import KnownSize
-from qdenv.lazy import jax
+from qdenv.generate import inside_frame
+from qdenv.lazy import jax, jnp
+from qdenv.ranges import Ranged
 from qdenv.registry import Registry
 from qdenv.types import Array, InputError, Measure, Rules, TaskRule, Tile
+
+
+def environment_entropy(kinds: int, margin: tuple[int, int] = (0, 0)) -> Measure:
+    """Make the axis of the environment entropy of the generated area (section 4 of the paper).
+
+    Args:
+        kinds: kinds of tile the generator can draw.
+        margin: rows and columns of the frame on each side.
+    """
+
+    def value(layout: jax.Array, runs: Any) -> jax.Array:
+        del runs
+        area = inside_frame(layout, margin)
+        # A tile that no generator draws is there only where somebody keeps it: it counts as the
+        # first, since a pattern of it has no number.
+        return score.entropy(jnp.where(area < kinds, area, 0), kinds)
+
+    return Measure("environment entropy", 0, 1, 100, value)
+
+
+def weigh_alike(layout: Array) -> jax.Array:
+    """Weigh every cell 1 in the similarity (int8 [H, W] -> float32 [H, W])."""
+    return jnp.ones(layout.shape, jnp.float32)
+
+
+class KnownSize(NamedTuple):
+    """The numbers of a domain at one size, where they do not follow from those of another."""
+
+    steps: int  # steps of growth of an automaton that was trained at another size, C
+    timesteps: int  # how long a simulation lasts whose numbers are reported, T
+    agents: int = 1  # how many robots drive, N_a; 1 where no fleet does
+    numbers: Mapping[str, int] = {}  # exact numbers of tiles, by the settings' names
+    about: str = "the paper's evaluation size"  # what kind of size it is, as commands say it
+
+
+@dataclass(frozen=True)
+class DomainConfig(Ranged):
+    """What the settings of every domain hold; a domain's own derive from this."""
+
+    rows: int = 33  # rows of the whole layout, frame included
+    cols: int = 36  # columns of the whole layout, frame included
+    # No option of its own: a drawing comes in a file.
+    # rows of a drawing of the whole layout: a tile where a cell must hold it, ``?`` where anything
+    # may be; empty where nothing is kept
+    keep: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = field(
+        default=(), kw_only=True
+    )
+
+    def for_area(self, ratio: float, given: Collection[str]) -> Self:
+        """Let further numbers follow the area of the layout; numbers of tiles did already.
+
+        Args:
+            ratio: how much larger the generated area is than the one these numbers were for.
+            given: names of the settings that stay as they are.
+        """
+        del ratio, given
+        return self
+
+    def for_known(self, size: KnownSize, given: Collection[str]) -> Self:
+        """Take further numbers of a size that is known, in place of those that `for_area` gives.
+
+        Args:
+            size: what is known of the size of these settings.
+            given: names of the settings that stay as they are.
+        """
+        del size, given
+        return self
+
 
 # An entry's maker is called as make(settings) and returns a `Domain`.
 DOMAINS = Registry(

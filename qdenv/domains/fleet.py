@@ -6,8 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
-from qdenv.domains.base import Simulator
-from qdenv.domains.settings import DomainConfig, KnownSize
+from qdenv.domains.base import DomainConfig, KnownSize, Simulator
 from qdenv.lazy import jax
 from qdenv.score import mean_throughput
 from qdenv.simulate.mapf.settings import FleetConfig

@@ -8,10 +8,8 @@ import numpy as np
 
 from qdenv import score
 from qdenv.domains import designs
-from qdenv.domains.base import Domain
+from qdenv.domains.base import Domain, KnownSize, environment_entropy
 from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
-from qdenv.domains.measures import environment_entropy
-from qdenv.domains.settings import KnownSize
 from qdenv.grid import of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry

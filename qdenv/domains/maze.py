@@ -6,23 +6,18 @@ import hashlib
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
 from qdenv import devices, score
-from qdenv.domains.base import Domain, Simulator
-from qdenv.domains.measures import environment_entropy
-from qdenv.domains.settings import DomainConfig, KnownSize
-from qdenv.generate.decode import inside_frame
+from qdenv.domains.base import Domain, DomainConfig, KnownSize, Simulator, environment_entropy
+from qdenv.generate import inside_frame
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveInt
 from qdenv.registry import Entry
-from qdenv.simulate.maze import world
+from qdenv.simulate.maze import episode, policy, world
 from qdenv.types import Array, Measure, Tile
-
-if TYPE_CHECKING:
-    from qdenv.simulate.maze import episode, policy
 
 MARGIN = (1, 1)
 MEANINGS = {
@@ -70,9 +65,7 @@ def frame(area: Array) -> jax.Array:
 @lru_cache(maxsize=8)
 def agent_weights(agent: str) -> policy.Weights:
     """Read an agent's file once (the shipped one for "")."""
-    from qdenv.simulate.maze.policy import load_weights
-
-    return load_weights(agent)
+    return policy.load_weights(agent)
 
 
 def checksum_of_agent(agent: str) -> str:
@@ -90,13 +83,9 @@ def maze_simulator(config: MazeConfig) -> Simulator:
         return jax.tree.map(jnp.asarray, agent_weights(config.agent))
 
     def prepare(layout: Array) -> Any:
-        from qdenv.simulate.maze import tables  # what is compiled is imported when it is run
-
-        return tables.prepare(weights(), layout)
+        return policy.prepare(weights(), layout)
 
     def run(prepared: Any, key: jax.Array) -> episode.Episode:
-        from qdenv.simulate.maze import episode
-
         loop = episode.until_done if devices.on_cpu() else episode.all_timesteps
         return episode.run_episode(weights(), prepared, key, config.timesteps, loop)
 

@@ -14,11 +14,9 @@ import numpy as np
 
 from qdenv import score
 from qdenv.domains import designs
-from qdenv.domains.base import Domain
+from qdenv.domains.base import Domain, KnownSize, environment_entropy
 from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
-from qdenv.domains.measures import environment_entropy
-from qdenv.domains.settings import KnownSize
-from qdenv.generate.decode import inside_frame, put_in_frame
+from qdenv.generate import inside_frame, put_in_frame
 from qdenv.grid import parse
 from qdenv.lazy import jax
 from qdenv.ranges import PositiveFloat

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 from qdenv.domains.base import DOMAINS, Domain, make_domain
-from qdenv.generate.generator import GENERATORS
+from qdenv.generate import GENERATORS
 from qdenv.io.files import damaged
 from qdenv.io.layouts import MAX_SIDE
 from qdenv.io.records import structured, unstructured

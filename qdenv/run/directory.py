@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from qdenv.domains.base import make_domain
-from qdenv.generate.generator import GENERATORS
+from qdenv.generate import GENERATORS
 from qdenv.io.arrays import Column, read_arrays, write_arrays
 from qdenv.io.files import sweep, write_csv, write_json
 from qdenv.io.records import read_json
@@ -40,7 +40,7 @@ from qdenv.run.config import RunConfig, config_from_json, config_to_json
 from qdenv.run.log import Metrics, read_metrics
 from qdenv.run.manifest import Meaning, check_schema, make_manifest, read_meaning
 from qdenv.types import InputError, Measure
-from qdenv.zoo.shipped import Shipped, find
+from qdenv.zoo import Shipped, find
 
 if TYPE_CHECKING:
     from qdenv.run.checkpoint import Manifest

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
-from qdenv.generate.generator import GENERATORS, Generator
+from qdenv.generate import GENERATORS, Generator
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.repair.rules import Report, impossible, no_report

@@ -119,8 +119,7 @@ def trace_agent(plan: Plan, seed: int = 0, timesteps: int | None = None) -> Moti
 
     from qdenv.agent.evaluate import default_horizon
     from qdenv.simulate.maze.episode import trace_episode
-    from qdenv.simulate.maze.policy import load_weights
-    from qdenv.simulate.maze.tables import prepare
+    from qdenv.simulate.maze.policy import load_weights, prepare
 
     steps = timesteps or default_horizon(plan.layout)
     weights = load_weights()

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 
-from qdenv.domains.base import Domain
-from qdenv.domains.settings import KnownSize
+from qdenv.domains.base import Domain, KnownSize
 from qdenv.ranges import LARGEST_SEED
 from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.simulate.mapf.goals import check_playable

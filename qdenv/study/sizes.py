@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain
-from qdenv.generate.decode import inside_frame
+from qdenv.generate import inside_frame
 from qdenv.io.files import write_csv
 from qdenv.ranges import PositiveInt, check_range
 from qdenv.repair.settings import RepairConfig

@@ -15,7 +15,7 @@ import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
 from qdenv.domains.maze import MazeConfig
-from qdenv.generate.settings import NcaConfig
+from qdenv.generate import NcaConfig
 from qdenv.presets import find_preset
 from qdenv.run import loop
 from qdenv.run.config import RunConfig

@@ -10,8 +10,7 @@ from functools import partial
 from typing import NamedTuple
 
 from qdenv.lazy import jax, jnp
-from qdenv.simulate.maze.policy import Memory, Weights, act, blank_memory, recur
-from qdenv.simulate.maze.tables import Tables
+from qdenv.simulate.maze.policy import Memory, Tables, Weights, act, blank_memory, recur
 from qdenv.simulate.maze.world import FORWARD, TURN_LEFT, Pose
 
 FEWEST = 12  # episodes below which dropping some saves nothing

@@ -14,7 +14,7 @@ from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
-from qdenv.zoo.shipped import PREFIX, file_name
+from qdenv.zoo import PREFIX, file_name
 
 HAND_MADE = "hand-made"
 SHOWN = "At the right is what people draw by hand at this size."

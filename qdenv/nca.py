@@ -16,9 +16,7 @@ import numpy as np
 from flax import linen as nn
 from jax.flatten_util import ravel_pytree
 
-from qdenv.generate.decode import choose_tiles
-from qdenv.generate.generator import Canvas, Generator
-from qdenv.generate.settings import NcaConfig, check_kernels
+from qdenv.generate import Canvas, Generator, NcaConfig, check_kernels, choose_tiles
 from qdenv.grid import parse
 from qdenv.types import Array, InputError
 

@@ -1,0 +1,123 @@
+"""The face of a generator: one flat parameter vector in, a drawing of tiles out.
+
+A generator is chosen by the type of its settings: `GENERATORS.make(settings, canvas)`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.lazy import jax, jnp
+from qdenv.ranges import PositiveInt, Ranged
+from qdenv.registry import Entry, Registry
+from qdenv.types import Array, InputError
+
+
+class Canvas(NamedTuple):
+    """What a generator draws on."""
+
+    rows: int  # rows h of the generated area
+    cols: int  # columns w of the generated area
+    tiles: str  # symbols that may be drawn; the first one is the empty tile
+    seed_block: tuple[str, ...]  # rows of the fixed block in the middle of the empty canvas
+
+
+class Generator(NamedTuple):
+    """A way to draw, addressed by one flat parameter vector."""
+
+    size: int  # number of parameters P
+    steps: int  # steps of growth at the size it was configured for; 0 where nothing grows
+    # (solutions float32 [B, P], steps) -> tiles int8 [B, h, w]; traceable. Generators that do not
+    # grow ignore the number of steps.
+    grow: Callable[[jax.Array, jax.Array | int], jax.Array]
+    choices: int = 0  # where each parameter names a tile, how many there are; 0 for real numbers
+    # (solutions float32 [B, P], steps) -> tiles int8 [B, steps + 1, h, w], the canvas from the
+    # start to the layout that `grow` draws; the number of steps is static. None where a generator
+    # tells only how it ends.
+    frames: Callable[[jax.Array, int], jax.Array] | None = None
+
+
+# An entry's maker is called as make(settings, canvas) and returns a `Generator`.
+GENERATORS = Registry(
+    "generator",
+    "qdenv.generators",
+    {
+        "nca": "qdenv.generate:NCA_GENERATOR",
+        "direct": "qdenv.generate:DIRECT_GENERATOR",
+    },
+)
+
+
+def check_kernels(sizes: Sequence[int]) -> None:
+    """Refuse kernels that are even or not positive: without a centre cell the drawing would drift.
+
+    Raises:
+        InputError: one is, or there is none.
+    """
+    if not sizes or any(size < 1 or size % 2 == 0 for size in sizes):
+        raise InputError(f"kernel sizes {tuple(sizes)} must be positive odd numbers")
+
+
+@dataclass(frozen=True)
+class NcaConfig(Ranged):
+    """The numbers of a neural cellular automaton."""
+
+    steps: PositiveInt = 50  # how often the drawing grows, the NCA steps C
+    kernel_sizes: tuple[int, ...] = (3, 3, 3)  # widths of the kernels of its convolutions, in cells
+    hidden: PositiveInt = 32  # channels of its hidden layers
+
+    def __post_init__(self) -> None:
+        """Refuse what draws nothing."""
+        super().__post_init__()
+        check_kernels(self.kernel_sizes)
+
+
+@dataclass(frozen=True)
+class DirectConfig:
+    """The numbers of the generator that draws nothing: a solution is the tiles themselves."""
+
+
+DIRECT_GENERATOR = Entry(DirectConfig, "qdenv.generate:direct")
+NCA_GENERATOR = Entry(NcaConfig, "qdenv.nca:nca")
+
+
+def choose_tiles(cells: Array) -> jax.Array:
+    """Choose each cell's strongest channel (float32 [..., H, W, K] -> int8 [..., H, W])."""
+    return jnp.argmax(cells, axis=-1).astype(jnp.int8)
+
+
+def put_in_frame(tiles: Array, picture: np.ndarray, margin: tuple[int, int]) -> jax.Array:
+    """Put generated tiles into the middle of a fixed frame.
+
+    Args:
+        tiles: int8 [H - 2 dr, W - 2 dc].
+        picture: int8 [H, W], the frame; its inside is overwritten.
+        margin: (dr, dc), what the frame adds to each side.
+
+    Returns:
+        int8 [H, W].
+    """
+    return jax.lax.dynamic_update_slice(jnp.asarray(picture), tiles.astype(jnp.int8), margin)
+
+
+def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:
+    """Cut the generated area out of a framed layout, the inverse of `put_in_frame`."""
+    rows, cols = layout.shape
+    return layout[margin[0] : rows - margin[0], margin[1] : cols - margin[1]]
+
+
+def direct(config: DirectConfig, canvas: Canvas) -> Generator:
+    """Make the generator whose parameters are the numbers of the tiles, row by row."""
+    del config
+    shape, choices = (canvas.rows, canvas.cols), len(canvas.tiles)
+
+    def read(solutions: jax.Array, steps: jax.Array | int) -> jax.Array:
+        del steps
+        tiles = jnp.clip(jnp.round(solutions), 0, choices - 1).astype(jnp.int8)
+        return tiles.reshape(-1, *shape)
+
+    return Generator(canvas.rows * canvas.cols, 0, read, choices)

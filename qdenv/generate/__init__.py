@@ -1,1 +1,0 @@
-"""The generators: a neural cellular automaton that draws tiles, or the tiles themselves."""
