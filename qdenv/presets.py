@@ -8,9 +8,8 @@ from qdenv.domains.maze import EntropyMazeConfig, MazeConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig, WarehouseConfig
 from qdenv.generate import NcaConfig
 from qdenv.run.config import RunConfig, with_algorithm
-from qdenv.search.dsage.settings import PUBLISHED as DSAGE
-from qdenv.search.dsage.settings import DsageConfig
-from qdenv.search.settings import CmaEsConfig, CmaMaeConfig, MapElitesConfig
+from qdenv.search.settings import DSAGE_PUBLISHED as DSAGE
+from qdenv.search.settings import CmaEsConfig, CmaMaeConfig, DsageConfig, MapElitesConfig
 from qdenv.settings import EvaluationConfig
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.surrogate.settings import SurrogateConfig

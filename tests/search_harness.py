@@ -9,9 +9,8 @@ import numpy as np
 
 from qdenv.search.base import Algorithm, Drawing, Problem
 from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.search.dsage.settings import DsageConfig
 from qdenv.search.registry import ALGORITHMS, make_algorithm
-from qdenv.search.settings import ScreenedConfig
+from qdenv.search.settings import DsageConfig, ScreenedConfig
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import Measure, Score
 

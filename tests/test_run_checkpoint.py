@@ -12,9 +12,9 @@ from qdenv.io.arrays import PIECE
 from qdenv.run.checkpoint import load_checkpoint, save_checkpoint
 from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.search.growth import growing
 from qdenv.search.map_elites import MapElitesConfig
 from qdenv.search.registry import make_algorithm
+from qdenv.search.store import growing
 from qdenv.types import InputError, Measure
 
 SEARCHES = {

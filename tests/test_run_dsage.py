@@ -9,8 +9,7 @@ import toy
 from qdenv.run.config import choose_algorithm, with_algorithm
 from qdenv.run.log import NOTES, notes_until, read_notes
 from qdenv.run.loop import resume, train
-from qdenv.search.dsage.settings import DsageConfig
-from qdenv.search.settings import CmaEsConfig, ScreenedConfig
+from qdenv.search.settings import CmaEsConfig, DsageConfig, ScreenedConfig
 from qdenv.study.elites import grow_elite
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import InputError

@@ -110,8 +110,8 @@ def test_the_elite_carries_its_own_extras_and_both_objectives_go_their_ways():
     for _ in range(3):
         state = iterate(search, state)
     state = on_host(state)
-    archive, learning = state.result, state.learning
-    stored = state.store.solutions
+    learning, archive, store = state.archives
+    stored = store.solutions
     filled = archive.objectives > -np.inf
     solutions = stored[archive.genotypes[filled]]
     expected = score_of(solutions).result_objective

@@ -9,7 +9,6 @@ from qdax.utils.metrics import default_qd_metrics
 
 from qdenv.search.archive import GridArchive
 from qdenv.search.axes import cell_index
-from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import InputError, Measure
 
 GRID = (Measure("x", -1, 1, 4), Measure("y", 0, 3, 3))
@@ -86,7 +85,7 @@ def test_threshold_after_k_solutions_in_one_cell(count, expected):
     # t' = 0.5^k 0 + mean (1 - 0.5^k), the mean of 1..10 (5 alone) being 5.5
     objective = np.linspace(1, 10, count) if count > 1 else np.array([5.0])
     for order in (objective, objective[::-1]):
-        archive = ThresholdArchive.empty(np.zeros(1, np.float32), GRID, None, 0.5, 0.0)
+        archive = GridArchive.empty(np.zeros(1, np.float32), GRID, None, 0.5, 0.0)
         archive, _ = add(archive, order, np.zeros((count, 2)))
         np.testing.assert_allclose(archive.thresholds.max(), expected, rtol=1e-6)
 
@@ -96,7 +95,7 @@ def test_threshold_after_k_solutions_in_one_cell(count, expected):
 def test_thresholds_stay_numbers_next_to_the_largest_number(rate, sign):
     largest = float(np.finfo(np.float32).max)
     objective = sign * np.array([3e38, 3.1e38, 3.2e38, *[largest] * 6], np.float32)
-    archive = ThresholdArchive.empty(np.zeros(1, np.float32), GRID, None, rate, -largest)
+    archive = GridArchive.empty(np.zeros(1, np.float32), GRID, None, rate, -largest)
     archive, _ = add(archive, objective, np.zeros((9, 2)))
     # float64 has room for what overflows; -largest is no improvement and does not count.
     accepted = objective[objective > -largest].astype(float)
@@ -110,7 +109,7 @@ def test_thresholds_stay_numbers_next_to_the_largest_number(rate, sign):
 
 
 def test_a_soft_archive_keeps_what_beats_the_threshold_and_the_result_archive_the_best():
-    soft = ThresholdArchive.empty(np.zeros(1, np.float32), GRID, None, 0.1, 0.0)
+    soft = GridArchive.empty(np.zeros(1, np.float32), GRID, None, 0.1, 0.0)
     hard = GridArchive.empty(np.zeros(1, np.float32), GRID)
     for objective in (10.0, 2.0, 0.5):
         soft, insertion = add(soft, [objective], [[0.0, 0.0]])
@@ -140,9 +139,7 @@ def test_ties_go_to_the_first_and_extras_follow_their_elite():
 def test_one_batch_into_a_soft_archive_by_hand(wrap):
     # Two cells. In the first, 4 and 2 beat the threshold 1 and raise it with a = 0.5 to
     # 0.25 * 1 + 0.75 * 3 = 2.5; 1 does not beat it. In the second, -5 fails.
-    archive = ThresholdArchive.empty(
-        np.zeros(1, np.float32), (Measure("x", 0, 2, 2),), None, 0.5, 1.0
-    )
+    archive = GridArchive.empty(np.zeros(1, np.float32), (Measure("x", 0, 2, 2),), None, 0.5, 1.0)
     batch = (
         np.arange(4, dtype=np.float32)[:, None],
         np.array([2, 4, 1, -5], np.float32),
@@ -159,8 +156,7 @@ def test_one_batch_into_a_soft_archive_by_hand(wrap):
 
 @pytest.mark.parametrize("soft", [False, True])
 def test_rows_that_failed_or_are_not_finite_enter_nothing(soft):
-    make = ThresholdArchive if soft else GridArchive
-    archive = make.empty(np.zeros(1, np.float32), GRID, None, *((0.5, 0.0) if soft else ()))
+    archive = GridArchive.empty(np.zeros(1, np.float32), GRID, None, *((0.5, 0.0) if soft else ()))
     objective = np.array([np.nan, np.inf, -np.inf, 5.0, 5.0, 5.0, 1.0], np.float32)
     measures = np.zeros((7, 2), np.float32)
     measures[3, 0], measures[4, 1] = np.nan, np.inf
@@ -232,4 +228,4 @@ def test_centroids_lie_in_their_own_cells_row_major():
 )
 def test_bad_settings_give_one_clear_line(measures, rates, message):
     with pytest.raises(InputError, match=message):
-        ThresholdArchive.empty(np.zeros(1), measures, None, *rates)
+        GridArchive.empty(np.zeros(1), measures, None, *rates)

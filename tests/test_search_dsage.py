@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from search_harness import QUICK, Compiled
 
-from qdenv.search import growth
+from qdenv.search import store as stores
 from qdenv.search.base import Drawing, Problem
-from qdenv.search.dsage.dsage import dsage
-from qdenv.search.dsage.settings import DsageConfig
+from qdenv.search.dsage import dsage
+from qdenv.search.settings import DsageConfig
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import InputError, Measure, Score
 
@@ -159,7 +159,7 @@ def test_what_failed_rows_hold_teaches_nothing():
     for _ in range(4):
         one, other = iterate(search, one, spoilt(np.nan)), iterate(search, other, spoilt(1e30))
     # Which row was last written for which cell may differ where no elite lies.
-    assert_same(one._replace(store=0), other._replace(store=0))
+    assert_same(one._replace(archives=0), other._replace(archives=0))
     assert_same(search.algorithm.archive(one), search.algorithm.archive(other))
     assert int(one.ring.known) == 4 * (~failed).sum() and int(one.fitted.fits) > 0
     told = np.asarray(one.ring.samples.numbers)[: int(one.ring.known), 1]
@@ -185,10 +185,10 @@ def test_when_all_evaluations_fail_it_goes_on_with_random_tiles():
 
 
 def test_a_store_that_grows_changes_nothing(monkeypatch):
-    monkeypatch.setattr(growth, "FIRST_ROWS", 18)
+    monkeypatch.setattr(stores, "FIRST_ROWS", 18)
     # Compiled as the other: bits depend on how much is optimised.
     monkeypatch.setattr(jax, "jit", functools.partial(jax.jit, compiler_options=QUICK))
-    plain, grown = toy(), growth.growing(toy().algorithm)
+    plain, grown = toy(), stores.growing(toy().algorithm)
     one, other = plain.init(jax.random.key(0)), grown.init(jax.random.key(0))
     sizes = []
     for _ in range(5):
@@ -198,10 +198,12 @@ def test_a_store_that_grows_changes_nothing(monkeypatch):
         solutions = np.asarray(solutions)
         told = solutions, score_of(solutions), {"runs": solutions[:, :2]}
         one, other = plain.tell(one, *told), grown.tell(other, *told)
-        sizes.append(len(other.store.used))
+        sizes.append(len(other.archives.store.used))
         assert_same(plain.algorithm.archive(one), grown.archive(other))
-        assert_same(one._replace(store=0, result=0), other._replace(store=0, result=0))
-    assert sizes[0] < sizes[-1] < len(one.store.used)  # it did grow, and holds less than it might
+        assert_same(one._replace(archives=0), other._replace(archives=0))
+    assert (
+        sizes[0] < sizes[-1] < len(one.archives.store.used)
+    )  # it did grow, and holds less than it might
 
 
 # Everything small, or the wrong way round: (settings, tiles, cells of the measures, stages).
@@ -241,7 +243,7 @@ def test_searches_of_odd_sizes_end_and_stay_finite(name):
         extras["usage"][number % config.batch] = np.nan  # this map is no reason to learn nothing
         success = np.arange(config.batch) != number % 4
         state = search.tell(state, solutions, Score(objective, objective, axes, success), extras)
-        for leaf in jax.tree.leaves(state._replace(result=0)):
+        for leaf in jax.tree.leaves(state._replace(archives=0)):
             assert np.isfinite(leaf).all()
     assert int(state.fitted.fits) >= 1 and int(state.ring.known) == 1
     assert search.algorithm.archive(state).filled.any()

@@ -11,15 +11,16 @@ from search_harness import QUICK
 
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Problem
-from qdenv.search.dsage.downsample import (
+from qdenv.search.settings import DsageConfig
+from qdenv.search.surrogate_search import (
     block_of_cells,
     blocks_along,
     choose_waiting,
     draw_per_block,
+    mutate_tiles,
+    random_tiles,
+    search_surrogate,
 )
-from qdenv.search.dsage.inner import search_surrogate
-from qdenv.search.dsage.settings import DsageConfig
-from qdenv.search.dsage.tiles import mutate_tiles, random_tiles
 from qdenv.types import InputError, Measure, Score
 
 

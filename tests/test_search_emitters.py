@@ -43,7 +43,9 @@ def test_failed_rows_that_were_no_parents_anyway_do_not_move_the_search():
     ranks = score.objective.reshape(5, 10).argsort(axis=1).argsort(axis=1)
     success = (ranks >= 4).reshape(-1)  # the worst four of each emitter fail
     means = [
-        np.asarray(search.tell(state, solutions, which, extras_of(solutions)).emitters.strategy[0])
+        np.asarray(
+            search.tell(state, solutions, which, extras_of(solutions)).emitters.strategy.mean
+        )
         for which in (score, score._replace(success=success))
     ]
     np.testing.assert_array_equal(*means)
@@ -57,7 +59,7 @@ def test_one_emitter_of_batch_one_restarts_from_x0_while_there_is_no_elite():
         np.testing.assert_array_equal(state.emitters.strategy.mean[0], np.zeros(DIM))
     assert state.emitters.restarts.tolist() == [4]
     state = iterate(search, state)
-    assert int(state.result.filled.sum()) == 1
+    assert int(state.archives.result.filled.sum()) == 1
 
 
 def test_restart_rules():
@@ -76,9 +78,10 @@ def test_restarts_stand_on_an_elite_with_a_fresh_distribution():
     for _ in range(3):
         state = iterate(search, state)
     state = on_host(state)
-    rows = state.learning.genotypes[state.learning.fitnesses[:, 0] > -np.inf]
-    elites = state.store.solutions[rows]
+    learning = state.archives.learning
+    rows = learning.genotypes[learning.fitnesses[:, 0] > -np.inf]
+    elites = state.archives.store.solutions[rows]
     for mean in state.emitters.strategy.mean:
         assert (elites == mean).all(axis=1).any()
-    np.testing.assert_allclose(state.emitters.strategy.sigma, 0.2)
-    assert not state.emitters.strategy.path.any()
+    np.testing.assert_allclose(state.emitters.strategy.std, 0.2)
+    assert not state.emitters.strategy.p_std.any()

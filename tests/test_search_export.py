@@ -8,7 +8,6 @@ from matplotlib import pyplot
 
 from qdenv.search.archive import GridArchive
 from qdenv.search.export import elites, load_npz, save_csv, save_npz, to_pandas
-from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import InputError, Measure
 
 pandas = pytest.importorskip("pandas")
@@ -42,7 +41,7 @@ def test_the_table_has_pyribs_columns_and_one_row_per_elite():
     assert frame["objective"].tolist() == [3, 1, 2] == frame["threshold"].tolist()
     assert frame["solution_1"].tolist() == [2, 4, 6]
     assert frame["runs_1"].tolist() == [1, 3, 5]
-    soft = to_pandas(example(ThresholdArchive, learning_rate=0.5, threshold_min=0.0))
+    soft = to_pandas(example(GridArchive, learning_rate=0.5, threshold_min=0.0))
     assert soft["threshold"].tolist() == [1.5, 0.5, 1]
     assert list(to_pandas(example(), ["objective"]).columns) == ["objective"]
     with pytest.raises(InputError, match="tiles"):
@@ -112,7 +111,7 @@ def test_columns_of_a_run_and_of_a_soft_archive():
     columns = ["index", "solution", "objective", "measures"]
     assert list(rows) == [*columns, "runs", "similarity", "tiles"]
     assert rows["index"].tolist() == [0, 5, 10]
-    soft = elites(example(ThresholdArchive, learning_rate=0.5, threshold_min=0.0))
+    soft = elites(example(GridArchive, learning_rate=0.5, threshold_min=0.0))
     assert soft["threshold"].tolist() == [1.5, 0.5, 1]
 
 

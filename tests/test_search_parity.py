@@ -8,12 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from qdenv.search.archive import GridArchive
 from qdenv.search.emitters import RANKERS, SELECTIONS, EmittersState, make_emitters, restart_rule
-from qdenv.search.strategies.full import full, refresh_gap
-from qdenv.search.strategies.isotropic import IsotropicState, isotropic
-from qdenv.search.strategies.limited_memory import limited_memory
-from qdenv.search.strategies.separable import separable
-from qdenv.search.threshold_archive import ThresholdArchive
+from qdenv.search.strategies import make_strategy
+from qdenv.search.strategies.base import State
+from qdenv.search.strategies.cma_es import refresh_gap
 from qdenv.types import Measure
 
 RECORDED = Path(__file__).parent / "data" / "search"
@@ -36,7 +35,7 @@ def test_archive_adds_as_pyribs_over_60_cases_of_12_batches():
     recorded = load("archive")
     insert = jax.jit(lambda archive, *batch: archive.insert(*batch))
     for case, (learning_rate, threshold_min) in enumerate(recorded["rates"]):
-        archive = ThresholdArchive.empty(
+        archive = GridArchive.empty(
             np.zeros(1), MEASURES, learning_rate=learning_rate, threshold_min=threshold_min
         )
         rows = recorded["status"].shape[-1]
@@ -58,39 +57,36 @@ def test_archive_adds_as_pyribs_over_60_cases_of_12_batches():
             np.testing.assert_allclose(np.where(filled, got, 0), expected, **EXACT)
 
 
-@pytest.mark.parametrize("name", ["full", "separable", "limited_memory"])
+RECORDS = {"full": "full", "separable": "sep", "limited_memory": "lm_ma"}
+
+
+@pytest.mark.parametrize("name", RECORDS)
 def test_strategy_follows_pyribs_for_60_iterations(name, monkeypatch):
     recorded = load(name)
-    make = {"full": full, "separable": separable, "limited_memory": limited_memory}[name]
-    strategy = make(12, 8, 0.5)
+    strategy, params = make_strategy(RECORDS[name], 12, 8, 0.5)
     # The key that asks is the noise itself.
     monkeypatch.setattr(jax.random, "normal", lambda key, *_: key)
-    refresh, ask, tell = map(jax.jit, (strategy.refresh, strategy.ask, strategy.tell))
-
-    def with_axis(function, state):  # one emitter, seen as a team of one
-        batched = function(jax.tree.map(lambda leaf: leaf[None], state))
-        return jax.tree.map(lambda leaf: leaf[0], batched)
-
-    state = strategy.init(jnp.linspace(-1, 1, 12), jax.random.key(0))
+    state = strategy.init(jax.random.key(0), jnp.linspace(-1, 1, 12), params)
     for step, solutions in enumerate(recorded["solutions"]):
-        state = with_axis(refresh, state)
-        own, state = ask(state, recorded["noise"][step].astype(float))
+        own, state = strategy.ask(recorded["noise"][step].astype(float), state, params)
         if name != "full":  # eigenvectors may differ in sign, and the solutions with them
             np.testing.assert_allclose(own, solutions, rtol=1e-12, atol=1e-11)
         else:
             assert int(state.refreshed) == recorded["refreshed"][step]
-        state = tell(state, solutions, recorded["order"][step], recorded["parents"][step], 8)
-        for mine, theirs in (("mean", "mean"), ("sigma", "sigma"), ("path", "ps")):
+        parents = params.replace(num_elites=recorded["parents"][step])
+        ranks = np.argsort(recorded["order"][step]).astype(float)
+        state, _ = strategy.tell(None, solutions, ranks, state, parents)
+        for mine, theirs in (("mean", "mean"), ("std", "sigma"), ("p_std", "ps")):
             # The step size of LM-MA-ES grows by powers of ten under random ranks.
             np.testing.assert_allclose(
                 getattr(state, mine), recorded[theirs][step], rtol=1e-12, atol=1e-12
             )
         if name != "limited_memory":
-            np.testing.assert_allclose(state.cov_path, recorded["pc"][step], **EXACT)
+            np.testing.assert_allclose(state.p_c, recorded["pc"][step], **EXACT)
         if name == "separable":
-            np.testing.assert_allclose(state.variances, recorded["cov"][step], **EXACT)
+            np.testing.assert_allclose(state.C, recorded["cov"][step], **EXACT)
         if name == "full" and step % 6 == 0:
-            np.testing.assert_allclose(state.covariance, recorded["cov"][step // 6], **EXACT)
+            np.testing.assert_allclose(state.C, recorded["cov"][step // 6], **EXACT)
 
 
 @pytest.mark.parametrize(
@@ -106,10 +102,9 @@ def test_emitters_rank_select_and_restart_as_pyribs(name, ranker, selection, res
     steps, count, dim = recorded["mean"].shape
     batch = recorded["solutions"].shape[1] // count
     emitters = make_emitters(
-        isotropic(dim, batch, 0.5),
+        *make_strategy("iso", dim, batch, 0.5),
         jnp.zeros(dim),
         count,
-        batch,
         RANKERS[ranker],
         SELECTIONS[selection],
         restart_rule(restart),
@@ -123,13 +118,11 @@ def test_emitters_rank_select_and_restart_as_pyribs(name, ranker, selection, res
         args = (solutions, insertion, objective, usable, archive)
         return archive, emitters.tell(state, key, *args)
 
-    archive = ThresholdArchive.empty(np.zeros(dim), MEASURES, None, 0.1, 0.0)
+    archive = GridArchive.empty(np.zeros(dim), MEASURES, None, 0.1, 0.0)
     restarts, iterations = jnp.zeros(count, jnp.int32), jnp.int32(0)
     for index in range(steps - 1):
-        strategy = IsotropicState(
-            *(jnp.asarray(recorded[field][index]) for field in ("mean", "sigma", "path"))
-        )
-        state = EmittersState(strategy, iterations, restarts)
+        fields = (jnp.asarray(recorded[field][index]) for field in ("mean", "sigma", "path"))
+        state = EmittersState(State(None, None, None, *fields), None, iterations, restarts)
         rows = (recorded[field][index] for field in ("solutions", "objective", "measures"))
         archive, state = step(archive, state, *rows)
         restarts, iterations = state.restarts, state.iterations
@@ -137,28 +130,27 @@ def test_emitters_rank_select_and_restart_as_pyribs(name, ranker, selection, res
         before = recorded["restarts"][index - 1] if index else 0
         kept = recorded["restarts"][index] == before
         # A restarted emitter stands at a random elite; all others where pyribs has them.
-        for got, field in zip(state.strategy, ("mean", "sigma", "path"), strict=True):
+        got = state.strategy.mean, state.strategy.std, state.strategy.p_std
+        for values, field in zip(got, ("mean", "sigma", "path"), strict=True):
             np.testing.assert_allclose(
-                np.asarray(got)[kept], recorded[field][index + 1][kept], **EXACT
+                np.asarray(values)[kept], recorded[field][index + 1][kept], **EXACT
             )
     assert restarts.sum() > 0
 
 
 def test_isotropic_is_full_until_the_first_refresh_and_not_after():
-    def run(make, count):
-        strategy = make(30, 8, 0.3)
-        state = jax.vmap(strategy.init)(jnp.ones((1, 30)), jax.random.split(jax.random.key(1), 1))
+    def run(name, count):
+        strategy, params = make_strategy(name, 30, 8, 0.3)
+        state = strategy.init(jax.random.key(1), jnp.ones(30), params)
 
         def step(state, key):
-            state = strategy.refresh(state)
-            solutions, state = jax.vmap(strategy.ask)(state, key[None])
-            order = jnp.argsort(jnp.square(solutions * jnp.arange(1, 31)[None, None]).sum(-1))
-            number = jnp.full(1, 4), jnp.full(1, 8)
-            return jax.vmap(strategy.tell)(state, solutions, order, *number), state.mean
+            solutions, state = strategy.ask(key, state, params)
+            fitness = jnp.square(solutions * jnp.arange(1, 31)[None]).sum(-1)
+            return strategy.tell(None, solutions, fitness, state, params)[0], state.mean
 
         return jax.lax.scan(step, state, jax.random.split(jax.random.key(2), count))[1]
 
     exact = int(refresh_gap(30, 8)) // 8
-    iso, whole = (jax.jit(functools.partial(run, make, exact + 12))() for make in (isotropic, full))
+    iso, whole = (jax.jit(functools.partial(run, name, exact + 12))() for name in ("iso", "full"))
     np.testing.assert_allclose(iso[: exact + 1], whole[: exact + 1], **EXACT)
     assert np.abs(iso[-1] - whole[-1]).max() > 1e-3

@@ -11,13 +11,13 @@ from search_harness import DIM, GRID, compiled, iterate
 
 from qdenv.registry import Entry, Registry
 from qdenv.search import registry
-from qdenv.search.archive import GridArchive
+from qdenv.search.archive import GridArchive, Insertion
 from qdenv.search.base import Algorithm, Problem
 from qdenv.search.cma_mae import cma_mae
-from qdenv.search.insertion import Insertion
 from qdenv.search.registry import ALGORITHMS, make_algorithm
 from qdenv.search.settings import UNSOUND, CmaMaeConfig, CmaMeConfig, Strategy
-from qdenv.search.strategies.registry import STRATEGIES
+from qdenv.search.strategies import STRATEGIES
+from qdenv.search.strategies.cma_es import Isotropic
 from qdenv.types import InputError
 
 BUILTIN = "qdenv.search.settings:CMA_MAE"
@@ -71,10 +71,15 @@ def test_the_command_line_knows_every_strategy_and_none_that_is_unsound():
 
 
 def test_a_users_strategy_plugs_in_by_name(monkeypatch):
-    monkeypatch.setitem(STRATEGIES, "mine", lambda dim, batch, s: STRATEGIES["iso"](dim, batch, 1))
+    class Mine(Isotropic):
+        def _ask(self, key, state, params):
+            solutions, state = super()._ask(key, state, params)
+            return solutions + 7, state
+
+    monkeypatch.setitem(STRATEGIES, "mine", Mine)
     algorithm = make_algorithm(CmaMaeConfig(strategy="mine"), Problem(DIM, GRID))
     solutions, _ = algorithm.ask(algorithm.init(jax.random.key(0)))
-    assert 0.9 < float(solutions.std()) < 1.1
+    assert 6.9 < float(solutions.mean()) < 7.1
 
 
 @pytest.mark.parametrize(

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from search_harness import CONFIGS, EXTRAS, GRID, PROBLEM, extras_of, score_of
 
-from qdenv.search import growth
+from qdenv.search import store as stores
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Problem
+from qdenv.search.base import Problem, StoredArchive
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.export import collector, elites
 from qdenv.search.map_elites import MapElitesConfig
 from qdenv.search.registry import make_algorithm
-from qdenv.search.store import ROW, Store, StoredElites
-from qdenv.search.threshold_archive import ThresholdArchive
+from qdenv.search.store import ROW, Store
 
 BATCH = 7
 SEARCHES = {name: CONFIGS[name] for name in ("cma-mae", "cma-me", "random")} | {
@@ -33,9 +32,9 @@ def search(algorithm, iterations):
 
 def test_archives_of_rows_hold_what_archives_of_solutions_hold():
     soft = {"learning_rate": 0.1, "threshold_min": 0.0}
-    dense = [ThresholdArchive.empty(np.zeros(3, np.float32), GRID, None, **soft)]
+    dense = [GridArchive.empty(np.zeros(3, np.float32), GRID, None, **soft)]
     dense += [GridArchive.empty(np.zeros(3, np.float32), GRID)]
-    rows = [ThresholdArchive.empty(ROW, GRID, None, **soft), GridArchive.empty(ROW, GRID)]
+    rows = [GridArchive.empty(ROW, GRID, None, **soft), GridArchive.empty(ROW, GRID)]
     store = Store.empty(jnp.zeros(3), BATCH, *rows)
     assert len(store.used) == 1 + BATCH + 2 * 8 * 9
     add = jax.jit(lambda archive, *batch: archive.insert(*batch)[0])
@@ -50,9 +49,11 @@ def test_archives_of_rows_hold_what_archives_of_solutions_hold():
         dense = [add(archive, solutions, objective, measures) for archive, objective in given]
         given = list(zip(rows, both, strict=True))
         rows = [add(archive, free, objective, measures) for archive, objective in given]
-        store = store.keep(free, solutions, rows[0].cells_of(measures), *rows)
+        store = store.write(free, solutions, rows[0].cells_of(measures), *rows)
     for one, other in zip(dense, rows, strict=True):
-        np.testing.assert_array_equal(one.genotypes, StoredElites(other, store).dense().genotypes)
+        np.testing.assert_array_equal(
+            one.genotypes, StoredArchive(None, other, store).dense().genotypes
+        )
     # Every solution is there once, and nothing else is.
     distinct = {row.tobytes() for archive in dense for row in np.asarray(archive.genotypes)}
     assert int(store.used.sum()) == len(distinct)  # zeros, the row of empty cells, among them
@@ -60,16 +61,18 @@ def test_archives_of_rows_hold_what_archives_of_solutions_hold():
 
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
-    monkeypatch.setattr(growth, "FIRST_ROWS", 1)
+    monkeypatch.setattr(stores, "FIRST_ROWS", 1)
     algorithm = make_algorithm(SEARCHES[name], PROBLEM)
-    found_by = growth.growing(algorithm)
+    found_by = stores.growing(algorithm)
     ask, tell = jax.jit(algorithm.ask), jax.jit(algorithm.tell)
     small, full = search(found_by, 5), search(algorithm._replace(ask=ask, tell=tell), 5)
-    rows, most = len(small.store.used), len(full.store.used)
-    used = int(small.store.used.sum())
+    store, most = small.archives.store, len(full.archives.store.used)
+    rows, used = len(store.used), int(store.used.sum())
     assert used <= rows < min(most, 2 * (used + algorithm.batch_size))
     for one, other in zip(
-        jax.tree.leaves(small._replace(store=small.store.resized(most))),
+        jax.tree.leaves(
+            small._replace(archives=small.archives._replace(store=store.resized(most)))
+        ),
         jax.tree.leaves(full),
         strict=True,
     ):
@@ -81,8 +84,8 @@ def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
 
 
 def test_a_store_grows_to_its_full_size_and_no_further(monkeypatch):
-    monkeypatch.setattr(growth, "FIRST_ROWS", 1)
-    algorithm = growth.growing(make_algorithm(CmaMaeConfig(), PROBLEM))
+    monkeypatch.setattr(stores, "FIRST_ROWS", 1)
+    algorithm = stores.growing(make_algorithm(CmaMaeConfig(), PROBLEM))
     state, sizes = algorithm.init(jax.random.key(0)), set()
     rng = np.random.default_rng(1)
     for number in range(12):
@@ -93,7 +96,7 @@ def test_a_store_grows_to_its_full_size_and_no_further(monkeypatch):
         rising = np.full(50, number, np.float32) + rng.uniform(size=50).astype(np.float32)
         score = score._replace(objective=rising, result_objective=-rising, measures=places)
         state = algorithm.tell(state, solutions, score, extras_of(np.array(solutions)))
-        sizes.add(len(state.store.used))
+        sizes.add(len(state.archives.store.used))
     assert sizes == {51, 102, 195}  # 195 = 1 + 50 + 2 * 72
 
 
@@ -102,7 +105,7 @@ def test_nothing_ever_holds_a_solution_for_every_cell():
     algorithm = make_algorithm(CmaMaeConfig(), Problem(size, GRID, EXTRAS))
     dense = 4 * size * 8 * 9
     key = jax.random.key(0)
-    running = growth.growing(algorithm)
+    running = stores.growing(algorithm)
     state = jax.eval_shape(algorithm.init, key)
 
     def workspace(function, *given):

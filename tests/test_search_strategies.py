@@ -1,4 +1,4 @@
-"""Evolution strategies: refreshing under vmap, learning from ranks, plain calls and jit alike."""
+"""Evolution strategies: evosax algorithms, also for evosax' users; the arithmetic by hand."""
 
 import functools
 
@@ -6,68 +6,113 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from evosax.algorithms.distribution_based.base import DistributionBasedAlgorithm
 from search_harness import QUICK
 
-from qdenv.search.strategies.evosax import EVOSAX_NAMES
-from qdenv.search.strategies.full import full, refresh_gap
-from qdenv.search.strategies.rates import full_rates, rates_table
-from qdenv.search.strategies.registry import STRATEGIES
+from qdenv.search.emitters import make_member
+from qdenv.search.strategies import STRATEGIES, make_strategy
+from qdenv.search.strategies.base import Strategy, full_rates, rates_table
+from qdenv.search.strategies.cma_es import Full, refresh_gap
+
+OURS = [name for name, kind in STRATEGIES.items() if issubclass(kind, Strategy)]
 
 
 def test_only_emitters_that_are_due_renew_their_eigensystem_also_under_vmap():
-    strategy = full(6, 4, 0.3)
+    strategy = Full(4, jnp.zeros(6))
+    params = strategy.default_params
     factors = np.random.default_rng(0).normal(size=(2, 3, 6, 6)).astype(np.float32)
     covariance = factors @ factors.swapaxes(-1, -2)
-    keys = jax.random.split(jax.random.key(0), (2, 3))
-    fresh = jax.vmap(jax.vmap(strategy.init))(jnp.zeros((2, 3, 6)), keys)
     evaluations = jnp.array([[0, 1000, 0], [0, 0, 0]], jnp.int32)
-    states = fresh._replace(covariance=covariance, evaluations=evaluations)
-    together = jax.jit(jax.vmap(strategy.refresh))(states)
-    alone = jax.jit(strategy.refresh)
-    apart = [alone(jax.tree.map(lambda leaf, row=row: leaf[row], states)) for row in range(2)]
+
+    def refreshed(covariance, evaluations):
+        state = strategy.init(jax.random.key(0), jnp.zeros(6), params)
+        state = state.replace(C=covariance, evaluations=evaluations)
+        return strategy.ask(jax.random.key(1), state, params)[1]
+
+    together = jax.jit(jax.vmap(jax.vmap(refreshed)))(covariance, evaluations)
+    alone = jax.jit(jax.vmap(refreshed))
+    apart = [alone(covariance[row], evaluations[row]) for row in range(2)]
     for renewed in (together, jax.tree.map(lambda *rows: jnp.stack(rows), *apart)):
         np.testing.assert_array_equal(renewed.refreshed, evaluations)
-        scaled = renewed.basis * renewed.eigenvalues[..., None, :]
-        rebuilt = np.asarray(scaled @ renewed.basis.swapaxes(-1, -2))
+        scaled = renewed.B * renewed.eigenvalues[..., None, :]
+        rebuilt = np.asarray(scaled @ renewed.B.swapaxes(-1, -2))
         expected = np.where(evaluations[..., None, None] > 0, covariance, np.eye(6))
         np.testing.assert_allclose(rebuilt, expected, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", EVOSAX_NAMES)  # our own follow pyribs step by step
-def test_every_strategy_learns_from_the_order_it_is_given(name):
+def test_the_eigensystem_is_left_alone_under_a_vmap_over_emitters_until_it_is_due():
+    # A select would compute it at every ask: the branch must have survived the vmap.
+    strategy = Full(4, jnp.zeros(6))
+    params = strategy.default_params
+    states = jax.vmap(strategy.init, (0, 0, None))(
+        jax.random.split(jax.random.key(0), 3), jnp.zeros((3, 6)), params
+    )
+    ask = jax.vmap(strategy.ask, (0, 0, None))
+    text = str(jax.make_jaxpr(ask)(jax.random.split(jax.random.key(1), 3), states, params))
+    assert "eigh" in text and "eigh" in text.partition("cond[")[2] and "select_and" not in text
+    assert "eigh" not in text.partition("cond[")[0]
+
+
+@pytest.mark.parametrize("name", STRATEGIES)  # ours follow pyribs step by step, too
+def test_every_strategy_learns_from_the_ranks_it_is_given(name):
     # Ranked by the distance to a far point, the mean comes nearer; told the reverse, it flees.
     dim, batch = 20, 10
     target = jnp.full(dim, 2.0)
-    strategy = STRATEGIES[name](dim, batch, 0.3)
+    member = make_member(*make_strategy(name, dim, batch, 0.3))
 
     @functools.partial(jax.jit, compiler_options=QUICK)
     def distance(sign):
-        start = jnp.zeros((1, dim)), jax.random.split(jax.random.key(0), 1)
+        def step(carry, key):
+            solutions, state, tell_key = member.ask(carry[0], key)
+            order = jnp.argsort(sign * jnp.square(solutions - target[None]).sum(-1))
+            told = solutions, order, jnp.ones(batch, bool), batch // 2
+            return (member.tell(state, tell_key, *told), tell_key), None
 
-        def step(state, key):
-            state = strategy.refresh(state)
-            solutions, state = jax.vmap(strategy.ask)(state, key[None])
-            order = jnp.argsort(sign * jnp.square(solutions - target[None, None]).sum(-1), axis=-1)
-            told = solutions, order, jnp.full(1, batch // 2), jnp.full(1, batch)
-            return jax.vmap(strategy.tell)(state, *told), None
-
-        state = jax.vmap(strategy.init)(*start)
-        state, _ = jax.lax.scan(step, state, jax.random.split(jax.random.key(1), 25))
-        means, _ = jax.vmap(strategy.ask)(state, jax.random.split(jax.random.key(2), 1))
-        return jnp.linalg.norm(means.mean(axis=1) - target[None])
+        start = member.init(jnp.zeros(dim), jax.random.key(0))
+        (state, _), _ = jax.lax.scan(step, start, jax.random.split(jax.random.key(1), 25))
+        means = member.ask(state, jax.random.key(2))[0]
+        return jnp.linalg.norm(means.mean(axis=0) - target)
 
     away = float(jnp.linalg.norm(target))
     assert float(distance(1.0)) < 0.85 * away
     assert float(distance(-1.0)) > 1.1 * away
 
 
+@pytest.mark.parametrize("name", OURS)
+def test_evosax_users_run_our_strategies_as_evosax_algorithms(name):
+    # Their loop, on the sphere, with fitness in place of ranks and a tree in place of an array.
+    solution = {"a": jnp.zeros((2, 3)), "b": jnp.zeros(6)}
+    strategy = STRATEGIES[name](population_size=12, solution=solution)
+    assert isinstance(strategy, DistributionBasedAlgorithm)
+    params = strategy.default_params
+    start = jax.tree.map(lambda leaf: leaf + 3, solution)
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def run(key):
+        def step(state, key):
+            population, state = strategy.ask(key, state, params)
+            parts = [jnp.square(leaf).reshape(12, -1).sum(-1) for leaf in population.values()]
+            fitness = sum(parts).at[3].set(jnp.nan)  # failed, however good
+            state, metrics = strategy.tell(key, population, fitness, state, params)
+            return state, metrics["best_fitness"]
+
+        keys = jax.random.split(key, 80)
+        return jax.lax.scan(step, strategy.init(key, start, params), keys)
+
+    state, best = run(jax.random.key(0))
+    assert int(state.generation_counter) == 80 and jnp.isfinite(state.mean).all()
+    assert float(best[-1]) == float(state.best_fitness) < 0.1 * float(best[0])
+    assert (np.diff(best) <= 0).all() and strategy.get_mean(state)["a"].shape == (2, 3)
+
+
 @pytest.mark.parametrize("wrap", [jax.jit, lambda function: function], ids=["jit", "plain"])
 def test_one_isotropic_step_is_the_arithmetic_of_the_tutorial(wrap):
     # P = 4, b = 4, two parents, sigma 0.5; all by hand from Hansen's table 1 and (38) to (44).
-    strategy = STRATEGIES["iso"](4, 4, 0.5)
+    strategy, params = make_strategy("iso", 4, 4, 0.5)
     solutions = np.array([[1, 0, 0, 0], [0, 2, 0, 0], [9, 9, 9, 9], [-9, 9, 9, 9]], np.float32)
-    state = strategy.init(jnp.zeros(4), jax.random.key(0))
-    state = wrap(strategy.tell)(state, solutions, jnp.array([1, 0, 3, 2]), 2, 4)
+    state = strategy.init(jax.random.key(0), jnp.zeros(4), params)
+    ranks = jnp.array([1.0, 0.0, jnp.nan, 2.0])
+    state, _ = wrap(strategy.tell)(None, solutions, ranks, state, params)
     raw = np.log(2.5) - np.log([1, 2])
     first, second = raw / raw.sum()
     mu_eff = 1 / (first**2 + second**2)
@@ -77,8 +122,8 @@ def test_one_isotropic_step_is_the_arithmetic_of_the_tutorial(wrap):
     damping = 1 + rate  # sqrt((mu_eff - 1) / 5) is below 1
     sigma = 0.5 * np.exp(min(1, rate / damping * (np.square(path).sum() / 4 - 1) / 2))
     np.testing.assert_allclose(state.mean, mean, rtol=1e-6)
-    np.testing.assert_allclose(state.path, path, rtol=1e-6)
-    np.testing.assert_allclose(state.sigma, sigma, rtol=1e-6)
+    np.testing.assert_allclose(state.p_std, path, rtol=1e-6)
+    np.testing.assert_allclose(state.std, sigma, rtol=1e-6)
 
 
 def test_the_table_of_rates_has_the_textbook_numbers_and_an_idle_first_row():

@@ -9,11 +9,17 @@ import optax
 import pytest
 from search_harness import QUICK
 
-from qdenv.surrogate.report import errors
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import STAGES, Aspect, make_surrogate, stages_of
-from qdenv.surrogate.training import learn, make_learner
+from qdenv.surrogate.surrogate import (
+    STAGES,
+    Aspect,
+    errors,
+    learn,
+    make_learner,
+    make_surrogate,
+    stages_of,
+)
 from qdenv.types import InputError
 
 KINDS = 3

@@ -7,10 +7,8 @@ import pytest
 from scipy.special import log_softmax, softmax
 from scipy.stats import entropy
 
-from qdenv.surrogate.losses import map_loss, score_loss, usage_loss
-from qdenv.surrogate.report import errors
 from qdenv.surrogate.samples import Ring, Samples
-from qdenv.surrogate.surrogate import _scale
+from qdenv.surrogate.surrogate import _scale, errors, map_loss, score_loss, usage_loss
 
 usage_loss, scale = jax.jit(usage_loss, static_argnums=2), jax.jit(_scale)
 

@@ -22,9 +22,9 @@ from qdenv.pipeline import make_pipeline
 from qdenv.presets import find_preset
 from qdenv.run.problem import archive_axes, problem_of
 from qdenv.search.base import Problem
-from qdenv.search.dsage.inner import search_surrogate
-from qdenv.search.dsage.settings import DsageConfig
-from qdenv.search.observed import aspect_of, drawing_of
+from qdenv.search.settings import DsageConfig
+from qdenv.search.surrogate_samples import aspect_of, drawing_of
+from qdenv.search.surrogate_search import search_surrogate
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.surrogate.surrogate import Aspect, Fitted, Surrogate, make_surrogate, stages_of

@@ -1,12 +1,13 @@
-"""The grid archive of MAP-Elites: a qdax repertoire with direct indexing.
+"""The grid archive of MAP-Elites and CMA-MAE: a qdax repertoire with direct indexing.
 
 Mouret and Clune 2015, "Illuminating search spaces by mapping elites",
-https://arxiv.org/abs/1504.04909.
+https://arxiv.org/abs/1504.04909; Fontaine and Nikolaidis 2023, "Covariance matrix adaptation
+MAP-annealing", https://arxiv.org/abs/2205.10752.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import chex
 import flax.struct
@@ -15,8 +16,15 @@ import jax.numpy as jnp
 from qdax.core.containers.mapelites_repertoire import MapElitesRepertoire
 
 from qdenv.search.axes import cell_index, check_measures, grid_centroids
-from qdenv.search.insertion import Insertion, first_of_best, put
+from qdenv.search.settings import check_rates
 from qdenv.types import Array, InputError, Measure
+
+
+class Insertion(NamedTuple):
+    """How an archive received each solution of a batch, compared with the archive before it."""
+
+    status: jax.Array  # int32 [B], 2 found a new cell, 1 improved a filled one, 0 was not accepted
+    value: jax.Array  # float [B], objective minus the cell's threshold; -inf for a failed solution
 
 
 class GridArchive(MapElitesRepertoire):
@@ -25,19 +33,33 @@ class GridArchive(MapElitesRepertoire):
     A qdax `MapElitesRepertoire` (selectors, metrics and the `MAPElites` driver accept it) whose
     cells are found by direct indexing. Cells are numbered row-major, the last measure fastest.
 
+    With `thresholds` it is the soft archive of CMA-MAE: a cell accepts whatever exceeds its
+    threshold, which follows the objectives that it accepted. A winner then replaces the elite of
+    its cell even when its objective is lower: keep an archive without thresholds for results.
+
     Attributes:
         genotypes: solutions, pytree of [C, ...].
         fitnesses: float [C, 1], the objectives; -inf where a cell is empty.
         descriptors: float [C, M], the measures of the elites.
         centroids: float [C, M], the centres of the cells.
-        extra_scores: dict of arrays [C, ...] kept beside each elite.
+        extra_scores: dict of arrays [C, ...] stored beside each elite.
     """
 
     measures: tuple[Measure, ...] = flax.struct.field(pytree_node=False)  # the axes (static)
+    thresholds: jax.Array | None = None  # float [C]; None where the archive is elitist
+    # how far a threshold moves towards what it accepted, in [0, 1] (static)
+    learning_rate: float = flax.struct.field(pytree_node=False, default=1.0)
+    # threshold of an empty cell; -inf gives the archive of CMA-ME (static)
+    threshold_min: float = flax.struct.field(pytree_node=False, default=-math.inf)
 
     @classmethod
     def empty(
-        cls, solution: Any, measures: Sequence[Measure], extras: Mapping[str, Any] | None = None
+        cls,
+        solution: Any,
+        measures: Sequence[Measure],
+        extras: Mapping[str, Any] | None = None,
+        learning_rate: float | None = None,
+        threshold_min: float = -math.inf,
     ) -> Self:
         """Make an archive without elites.
 
@@ -45,18 +67,25 @@ class GridArchive(MapElitesRepertoire):
             solution: one example solution (shapes and dtypes are read, not values).
             measures: the axes.
             extras: one example of what is stored beside each elite.
+            learning_rate: of the thresholds, in [0, 1], 1 where `threshold_min` is -inf; None
+                makes an elitist archive.
+            threshold_min: threshold of an empty cell.
 
         Raises:
-            InputError: the measures are no grid.
+            InputError: the measures make no grid, or the two numbers do not go together.
         """
         axes = check_measures(measures)
         extras = dict(extras or {})
         cells = math.prod(axis.cells for axis in axes)
+        centroids = grid_centroids(axes)
+        thresholds = None
+        if learning_rate is not None:
+            check_rates(learning_rate, threshold_min)
+            thresholds = jnp.full(cells, threshold_min, centroids.dtype)
 
         def blank(leaf: Any) -> jax.Array:
             return jnp.zeros((cells, *jnp.shape(leaf)), jax.dtypes.canonicalize_dtype(leaf.dtype))
 
-        centroids = grid_centroids(axes)
         return cls(
             genotypes=jax.tree.map(blank, solution),
             fitnesses=jnp.full((cells, 1), -jnp.inf, centroids.dtype),
@@ -65,6 +94,9 @@ class GridArchive(MapElitesRepertoire):
             extra_scores=jax.tree.map(blank, extras),
             keys_extra_scores=tuple(sorted(extras)),
             measures=axes,
+            thresholds=thresholds,
+            learning_rate=1.0 if learning_rate is None else float(learning_rate),
+            threshold_min=float(threshold_min),
         )
 
     @classmethod
@@ -79,7 +111,7 @@ class GridArchive(MapElitesRepertoire):
         extra_scores: Mapping[str, Array] | None = None,
         keys_extra_scores: tuple[str, ...] = (),
     ) -> Self:
-        """Make an archive of a first batch, as qdax's `MAPElites` asks for it.
+        """Make an archive of a first batch, which may be empty, as qdax's `MAPElites` expects it.
 
         Bind the grid first: ``functools.partial(GridArchive.init, measures=measures)``. The
         `centroids` follow from the measures and are ignored.
@@ -87,13 +119,19 @@ class GridArchive(MapElitesRepertoire):
         extras = {
             key: value for key, value in (extra_scores or {}).items() if key in keys_extra_scores
         }
-        first_solution, first_extras = jax.tree.map(lambda leaf: leaf[0], (genotypes, extras))
-        archive = cls.empty(first_solution, measures, first_extras)
+        one_solution, one_extras = jax.tree.map(
+            lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), (genotypes, extras)
+        )
+        archive = cls.empty(one_solution, measures, one_extras)
         return archive.add(genotypes, descriptors, fitnesses, extras)
 
     def cells_of(self, measures: Array) -> jax.Array:
         """Find the cells of measures [..., M] -> int32 [...]; outside values go to the rim."""
         return cell_index(measures, self.measures)
+
+    def threshold_of(self, cells: jax.Array) -> jax.Array:
+        """Look up what a solution must exceed to enter each of `cells` (int32 [B] -> [B])."""
+        return self.fitnesses[cells, 0] if self.thresholds is None else self.thresholds[cells]
 
     def insert(
         self,
@@ -128,6 +166,9 @@ class GridArchive(MapElitesRepertoire):
         chex.assert_rank(objective, 1)
         chex.assert_shape(measures, (*objective.shape, len(self.measures)))
         chex.assert_tree_shape_prefix(solutions, objective.shape)
+        missing = [key for key in self.keys_extra_scores if key not in (extras or {})]
+        if missing:
+            raise InputError(f"this archive stores {missing[0]!r} beside each elite: hand it in")
         # A failed row gets the objective that beats no threshold: it needs no case of its own.
         valid = success & jnp.isfinite(objective) & jnp.isfinite(measures).all(axis=-1)
         objective = jnp.where(valid, objective, -jnp.inf)
@@ -141,38 +182,21 @@ class GridArchive(MapElitesRepertoire):
         # Every row was judged against the archive before the batch, so the order of the rows
         # decides nothing but ties; only the winners are written.
         same_cell = cells[:, None] == cells[None, :]
-        winner = first_of_best(objective, accepted, same_cell)
+        winner = _first_of_best(objective, accepted, same_cell)
         target = jnp.where(winner, cells, self.fitnesses.shape[0])  # others: out of bounds
-        kept = self._wanted(extras or {})
-        archive = self._raise_thresholds(
-            target, threshold, objective, same_cell & accepted[None, :]
-        )
+        archive = self
+        if self.thresholds is not None:
+            rivals = same_cell & accepted[None, :]
+            raised = annealed(threshold, objective, rivals, self.learning_rate, self.threshold_min)
+            archive = self.replace(thresholds=_put(self.thresholds, target, raised))
+        stored = {key: (extras or {})[key] for key in self.keys_extra_scores}
         archive = archive.replace(
-            genotypes=put(self.genotypes, target, solutions),
-            fitnesses=put(self.fitnesses, target, objective[:, None]),
-            descriptors=put(self.descriptors, target, measures),
-            extra_scores=put(self.extra_scores, target, kept),
+            genotypes=_put(self.genotypes, target, solutions),
+            fitnesses=_put(self.fitnesses, target, objective[:, None]),
+            descriptors=_put(self.descriptors, target, measures),
+            extra_scores=_put(self.extra_scores, target, stored),
         )
         return archive, Insertion(status, value)
-
-    def _wanted(self, extras: Mapping[str, Array]) -> dict[str, Array]:
-        for key in self.keys_extra_scores:
-            if key not in extras:
-                raise InputError(f"this archive stores {key!r} beside each elite: hand it in")
-        return {key: extras[key] for key in self.keys_extra_scores}
-
-    def threshold_of(self, cells: jax.Array) -> jax.Array:
-        """Look up what a solution must exceed to enter each of `cells` (int32 [B] -> [B])."""
-        return self.fitnesses[cells, 0]
-
-    def _raise_thresholds(
-        self,
-        target: jax.Array,
-        threshold: jax.Array,
-        objective: jax.Array,
-        accepted: jax.Array,
-    ) -> Self:
-        return self  # the threshold of an elitist archive is the objective itself
 
     def add(
         self,
@@ -188,7 +212,7 @@ class GridArchive(MapElitesRepertoire):
 
     @property
     def objectives(self) -> jax.Array:
-        """Give the objective of every cell, float [C]; -inf where empty."""
+        """Return the objective of every cell, float [C]; -inf where empty."""
         return self.fitnesses[:, 0]
 
     @property
@@ -206,12 +230,12 @@ class GridArchive(MapElitesRepertoire):
 
     @property
     def coverage(self) -> jax.Array:
-        """Give the share of filled cells, in [0, 1]."""
+        """Return the share of filled cells, in [0, 1]."""
         return self.filled.mean()
 
     @property
     def best(self) -> jax.Array:
-        """Give the cell of the best elite, int32; the first on a tie, 0 when empty."""
+        """Return the cell of the best elite, int32; the first on a tie, 0 when empty."""
         return jnp.argmax(self.objectives).astype(jnp.int32)
 
     def sample_cells(self, key: jax.Array, count: int) -> jax.Array:
@@ -236,3 +260,58 @@ class GridArchive(MapElitesRepertoire):
         return jax.tree.map(
             lambda stored, other: jnp.where(some, stored[cells], other), self.genotypes, fallback
         )
+
+
+def annealed(
+    threshold: jax.Array,
+    objective: jax.Array,
+    rivals: jax.Array,
+    learning_rate: float,
+    threshold_min: float,
+) -> jax.Array:
+    """Raise thresholds by the batch rule, t' = (1 - a)^k t + mean(f_accepted) (1 - (1 - a)^k).
+
+    k solutions of a batch beat the threshold t of one cell. One solution gives the paper's
+    t' = (1 - a) t + a f; applied k times with the mean of the accepted objectives it sums up to
+    this form, which no order of the batch can change (pyribs'). With threshold_min = -inf
+    (CMA-ME) the threshold is the best accepted objective.
+
+    Args:
+        threshold: float [B], of each row's cell.
+        objective: float [B].
+        rivals: bool [B, B], the accepted rows in each row's cell.
+        learning_rate: a.
+        threshold_min: of an empty cell.
+
+    Returns:
+        float [B], right in the rows of winners.
+    """
+    if threshold_min == -math.inf:
+        return objective
+    # A row that shares a cell with no accepted one divides by one instead of by zero.
+    count = jnp.maximum(rivals.sum(axis=1), 1).astype(objective.dtype)
+    # In parts so small that no sum of them overflows; a power of two rounds nothing.
+    whole = 2.0 ** math.ceil(math.log2(max(objective.size, 1)))
+    total = jnp.where(rivals, objective[None, :] / whole, 0).sum(axis=1)
+    # Rounding alone can lead beyond the largest number, from next to it.
+    largest = float(jnp.finfo(objective.dtype).max)
+    mean = jnp.clip(total / count, -largest / whole, largest / whole) * whole
+    ratio = jnp.asarray(1 - learning_rate, objective.dtype) ** count
+    return jnp.clip(ratio * threshold + mean * (1 - ratio), -largest, largest)
+
+
+def _first_of_best(objective: jax.Array, candidates: jax.Array, same_cell: jax.Array) -> jax.Array:
+    """Mark the best candidate (bool [B]) of each cell (bool [B, B]), the first on a tie."""
+    index = jnp.arange(objective.shape[0])
+    above = objective[None, :] > objective[:, None]
+    tied_before = (objective[None, :] == objective[:, None]) & (index[None, :] < index[:, None])
+    # Pairs of rows instead of a scatter: scatters of equal targets land in no defined order.
+    beaten = (same_cell & candidates[None, :] & (above | tied_before)).any(axis=1)
+    return candidates & ~beaten
+
+
+def _put(stored: Any, target: jax.Array, rows: Any) -> Any:
+    """Write rows [B, ...] to the cells `target` (int32 [B]); cells out of bounds are dropped."""
+    return jax.tree.map(
+        lambda old, new: old.at[target].set(jnp.asarray(new, old.dtype), mode="drop"), stored, rows
+    )

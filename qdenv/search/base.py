@@ -1,14 +1,15 @@
 """The one face of all search algorithms: `init / ask / tell` on a single pytree of state."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.search.archive import GridArchive
+from qdenv.search.archive import GridArchive, Insertion
+from qdenv.search.store import ROW, Store
 from qdenv.types import Array, InputError, Measure, Score
 
 
@@ -33,6 +34,77 @@ class Problem(NamedTuple):
     extras: Mapping[str, Any] | None = None
     # what solutions look like; None where they are nothing but numbers
     drawing: Drawing | None = None
+
+
+class StoredArchive(NamedTuple):
+    """The archives of a search, which refer to rows of one store of solutions."""
+
+    # steers the search, judged by `Score.objective`; None where the search needs no archive
+    learning: GridArchive | None
+    # the best by `Score.result_objective`. A soft learning archive may replace a better elite by a
+    # worse one: results need an archive of their own.
+    result: GridArchive
+    store: Store
+
+    @classmethod
+    def empty(
+        cls,
+        problem: Problem,
+        solution: jax.Array,
+        batch: int,
+        thresholds: tuple[float, float] | None = None,
+    ) -> Self:
+        """Make archives without elites.
+
+        Args:
+            problem: with the axes, and what is stored beside each elite.
+            solution: one example, float [P].
+            batch: solutions of every iteration.
+            thresholds: learning rate and minimum of the learning archive; None makes none.
+
+        Raises:
+            InputError: the measures make no grid, or the two numbers do not go together.
+        """
+        result, learning = GridArchive.empty(ROW, problem.measures, problem.extras), None
+        if thresholds:
+            learning = GridArchive.empty(ROW, problem.measures, None, *thresholds)
+        archives = [archive for archive in (learning, result) if archive is not None]
+        return cls(learning, result, Store.empty(solution, batch, *archives))
+
+    def add(
+        self, solutions: jax.Array, score: Score, extras: Mapping[str, Array]
+    ) -> tuple[Self, Insertion]:
+        """Add a batch, as `received` returns it, to all archives.
+
+        Returns:
+            the archives, and how the learning archive (the result archive where there is none)
+            received each row.
+        """
+        rows = self.store.free_rows(len(solutions))
+        measures, success = score.measures, score.success
+        result, insertion = self.result.insert(
+            rows, score.result_objective, measures, extras, success
+        )
+        cells = result.cells_of(measures)
+        if self.learning is None:
+            store = self.store.write(rows, solutions, cells, result)
+            return type(self)(None, result, store), insertion
+        learning, insertion = self.learning.insert(rows, score.objective, measures, None, success)
+        store = self.store.write(rows, solutions, cells, learning, result)
+        return type(self)(learning, result, store), insertion
+
+    def sample_solutions(self, key: jax.Array, count: int, fallback: jax.Array) -> jax.Array:
+        """Draw solutions of the learning archive, float [count, P]; copies of `fallback` if empty.
+
+        Consumes `key`.
+        """
+        assert self.learning is not None, "this search has no learning archive"
+        rows = self.learning.sample_solutions(key, count, 0)
+        return jnp.where(rows[:, None] > 0, self.store.solutions[rows], fallback[None])
+
+    def dense(self) -> GridArchive:
+        """Return the result archive with a solution in every cell, zeros in the empty ones."""
+        return self.result.replace(genotypes=self.store.solutions[self.result.genotypes])
 
 
 class Algorithm(NamedTuple):

@@ -1,4 +1,4 @@
-"""Emitters: evolution strategies that rank by an archive's verdict and restart from its elites.
+"""Emitters: evolution strategies that an archive ranks, and that restart from its elites.
 
 The emitters of CMA-ME, Fontaine, Togelius, Nikolaidis and Hoover 2020,
 https://arxiv.org/abs/1912.02400, with the choices of pyribs' `EvolutionStrategyEmitter`.
@@ -11,10 +11,9 @@ import chex
 import jax
 import jax.numpy as jnp
 
-from qdenv.search.archive import GridArchive
-from qdenv.search.insertion import Insertion
-from qdenv.search.store import StoredElites
-from qdenv.search.strategies.base import Strategy
+from qdenv.search.archive import GridArchive, Insertion
+from qdenv.search.base import StoredArchive
+from qdenv.search.strategies.base import SMALLEST_STEP
 from qdenv.types import InputError
 
 FLAT = 1e-12  # best and worst ranking values closer than this restart the emitter (pyribs)
@@ -42,7 +41,8 @@ RestartRule = Callable[[jax.Array, jax.Array], jax.Array]
 class EmittersState(NamedTuple):
     """State of E emitters side by side."""
 
-    strategy: Any  # pytree, leading axis E
+    strategy: Any  # evosax states, pytree with a leading axis E
+    keys: Any  # uint32 [E, 2], for the next tell of evosax' own strategies; None for ours
     iterations: jax.Array  # int32
     restarts: jax.Array  # int32 [E]
 
@@ -69,14 +69,14 @@ def rank(keys: tuple[jax.Array, ...], usable: jax.Array) -> jax.Array:
 
 
 def is_flat(keys: tuple[jax.Array, ...], order: jax.Array, successes: jax.Array) -> jax.Array:
-    """Tell whether the best and the worst of at least two usable rows rank the same."""
+    """Return True if the best and the worst of at least two usable rows rank the same."""
     last = order[jnp.maximum(successes - 1, 0)]
     gaps = jnp.stack([(key[order[0]] - key[last]).astype(float) for key in keys])
     return (successes >= 2) & (jnp.sqrt(jnp.square(gaps).sum()) < FLAT)
 
 
 def restart_rule(rule: str | int) -> RestartRule:
-    """Give the restart rule of a setting.
+    """Look up the restart rule of a setting.
 
     Raises:
         InputError: the rule is neither "no_improvement", "basic" nor a positive period.
@@ -92,72 +92,97 @@ def restart_rule(rule: str | int) -> RestartRule:
     )
 
 
-def choose(which: jax.Array, new: Any, old: Any) -> Any:
-    """Take the emitters marked by `which` (bool [E]) from `new`, the others from `old`."""
+class Member(NamedTuple):
+    """One emitter's evolution strategy as functions: an evosax algorithm that is told ranks."""
 
-    def pick(one: jax.Array, other: jax.Array) -> jax.Array:
-        return jnp.where(which.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+    init: Callable[[jax.Array, jax.Array], tuple]  # (mean float [P], key) -> (state, next key)
+    ask: Callable[[Any, jax.Array], tuple]  # (state, key) -> (solutions, state, next key)
+    # (state, key, solutions [b, P], order int32 [b] best first, usable bool [b], parents int32) ->
+    # state
+    tell: Callable[..., Any]
+    is_degenerate: Callable[[Any], jax.Array]  # state -> bool, it must restart
 
-    return jax.tree.map(pick, new, old)
 
+def make_member(strategy: Any, params: Any) -> Member:
+    """Drive an evosax algorithm by ranks.
 
-def restarted(
-    strategy: Strategy, states: Any, which: jax.Array, means: jax.Array, key: jax.Array
-) -> Any:
-    """Start the marked emitters afresh; consumes the key.
-
-    Args:
-        strategy: of all emitters.
-        states: pytree with a leading axis E.
-        which: bool [E], the emitters to restart.
-        means: float [E, P], where each would start.
-        key: of the fresh states.
+    Where its parameters have `num_elites`, as ours do, the emitter decides how many of the best
+    are recombined, and failed rows have a fitness of NaN. Any other algorithm has its own number
+    of parents: it is told only if there is any, and failed rows rank last and stand at the mean,
+    where they pull nowhere.
     """
+    has_parents = hasattr(params, "num_elites")
+    batch = strategy.population_size
 
-    def renew(old: Any) -> Any:
-        fresh = jax.vmap(strategy.init)(means, jax.random.split(key, means.shape[0]))
-        return choose(which, fresh, old)
+    def init(mean: jax.Array, key: jax.Array) -> tuple:
+        state = strategy.init(key, mean, params)
+        if has_parents:
+            return _without_best(state), None
+        state = state.replace(best_solution=mean)  # evosax puts NaN there
+        return jax.tree.map(_strong, state), key
 
-    # Restarts are rare and a fresh full covariance matrix is not free: most iterations skip this.
-    return jax.lax.cond(which.any(), renew, lambda old: old, states)
+    def ask(state: Any, key: jax.Array) -> tuple:
+        if has_parents:
+            solutions, state = strategy.ask(key, _with_best(state), params)
+            return solutions, _without_best(state), None
+        ask_key, tell_key = jax.random.split(key)
+        with jax.numpy_rank_promotion("allow"):  # evosax adds vectors to matrices
+            solutions, state = strategy.ask(ask_key, state, params)
+        return solutions, state, tell_key
 
-
-def make_adaptation(
-    strategy: Strategy, batch: int, ranker: Ranker, selection: Selection
-) -> Callable[..., tuple[Any, jax.Array, jax.Array]]:
-    """Make the function with which one emitter learns from its own b rows.
-
-    Returns:
-        (state, solutions [b, P], insertion, objective [b], usable bool [b]) -> (state, number of
-        accepted rows int32, spent bool). A spent emitter must restart: its rows cannot be told
-        apart or its distribution is degenerate.
-    """
-
-    def adapt(
+    def tell(
         state: Any,
+        key: jax.Array,
         solutions: jax.Array,
-        insertion: Insertion,
-        objective: jax.Array,
+        order: jax.Array,
         usable: jax.Array,
-    ) -> tuple[Any, jax.Array, jax.Array]:
-        keys = ranker(insertion, objective)
-        order = rank(keys, usable)
-        # Failed rows rank last, so the first `successes` places of the order are real.
-        successes = usable.sum(dtype=jnp.int32)
-        accepted = (insertion.status > 0).sum(dtype=jnp.int32)
-        parents = selection(accepted, successes, batch)
-        state = strategy.tell(state, solutions, order, parents, successes)
-        spent = strategy.exhausted(state) | is_flat(keys, order, successes)
-        return state, accepted, spent
+        parents: jax.Array,
+    ) -> Any:
+        # evosax minimises: the best has rank 0.
+        ranks = jnp.zeros(batch, solutions.dtype).at[order].set(jnp.arange(batch))
+        if has_parents:
+            ranks = jnp.where(usable, ranks, jnp.nan)
+            now = params.replace(num_elites=parents)
+            state, _ = strategy.tell(key, solutions, ranks, _with_best(state), now)
+            return _without_best(state)
+        rows = jnp.where(usable[:, None], solutions, state.mean[None])
+        with jax.numpy_rank_promotion("allow"):
+            changed, _ = strategy.tell(key, rows, ranks, state, params)
+        keep = lambda new, old: _strong(jnp.where(parents > 0, new, old))  # noqa: E731
+        return jax.tree.map(keep, changed, state)
 
-    return adapt
+    def is_degenerate(state: Any) -> jax.Array:
+        if hasattr(strategy, "is_degenerate"):
+            return strategy.is_degenerate(state)
+        step = jnp.asarray(state.std).max()
+        healthy = (step >= SMALLEST_STEP) & jnp.isfinite(step)
+        return ~(healthy & jnp.isfinite(state.mean).all())
+
+    return Member(init, ask, tell, is_degenerate)
+
+
+def _without_best(state: Any) -> Any:
+    """Drop what evosax remembers for optimisation alone: ranks of two generations do not compare.
+
+    The archive has the best. Nothing computes these fields, and checkpoints do not hold them.
+    """
+    return state.replace(best_solution=None, best_fitness=None, generation_counter=None)
+
+
+def _with_best(state: Any) -> Any:
+    return state.replace(best_solution=state.mean, best_fitness=jnp.inf, generation_counter=0)
+
+
+def _strong(leaf: Any) -> jax.Array:
+    """Fix the dtype of a leaf: a Python number in a state would be traced twice."""
+    return jnp.asarray(leaf, jnp.asarray(leaf).dtype)
 
 
 def make_emitters(
-    strategy: Strategy,
+    strategy: Any,
+    params: Any,
     x0: jax.Array,
     emitters: int,
-    batch: int,
     ranker: Ranker,
     selection: Selection,
     restart: RestartRule,
@@ -165,21 +190,51 @@ def make_emitters(
     """Join E copies of a strategy, each adapting to its own b rows of every batch.
 
     Each emitter ranks its rows, recombines the best, and restarts from a random elite (from `x0`
-    while the archive is empty) when the rule says so, when its rows cannot be told apart or when
-    its distribution is degenerate.
+    while the archive is empty) when the rule says so, when its rows all rank the same or when its
+    distribution is degenerate.
+
+    Args:
+        strategy: an evosax algorithm over a distribution, with population size b.
+        params: its parameters.
+        x0: where all start, float [P].
+        emitters: E.
+        ranker: what rows are sorted by.
+        selection: how many are recombined.
+        restart: when an emitter restarts.
     """
-    adapt = make_adaptation(strategy, batch, ranker, selection)
+    member, batch = make_member(strategy, params), strategy.population_size
+
+    def fresh(means: jax.Array, key: jax.Array) -> tuple:
+        return jax.vmap(member.init)(means, jax.random.split(key, emitters))
 
     def init(key: jax.Array) -> EmittersState:
-        means = jnp.broadcast_to(x0, (emitters, *x0.shape))
-        states = jax.vmap(strategy.init)(means, jax.random.split(key, emitters))
-        return EmittersState(states, jnp.int32(0), jnp.zeros(emitters, jnp.int32))
+        states, keys = fresh(jnp.broadcast_to(x0, (emitters, *x0.shape)), key)
+        return EmittersState(states, keys, jnp.int32(0), jnp.zeros(emitters, jnp.int32))
 
     def ask(state: EmittersState, key: jax.Array) -> tuple[jax.Array, EmittersState]:
-        states = strategy.refresh(state.strategy)
-        solutions, states = jax.vmap(strategy.ask)(states, jax.random.split(key, emitters))
+        each = jax.random.split(key, emitters)
+        solutions, states, keys = jax.vmap(member.ask)(state.strategy, each)
         chex.assert_shape(solutions, (emitters, batch, x0.shape[0]))
-        return solutions.reshape(emitters * batch, -1), state._replace(strategy=states)
+        solutions = solutions.reshape(emitters * batch, -1)
+        return solutions, state._replace(strategy=states, keys=keys)
+
+    def adapt(
+        state: Any,
+        key: jax.Array,
+        solutions: jax.Array,
+        insertion: Insertion,
+        objective: jax.Array,
+        usable: jax.Array,
+    ) -> tuple[Any, jax.Array, jax.Array]:
+        """Adapt one emitter to its b rows: (state, accepted rows int32, must restart bool)."""
+        keys = ranker(insertion, objective)
+        order = rank(keys, usable)
+        # Failed rows rank last, so the first `successes` places of the order are real.
+        successes = usable.sum(dtype=jnp.int32)
+        accepted = (insertion.status > 0).sum(dtype=jnp.int32)
+        parents = selection(accepted, successes, batch)
+        state = member.tell(state, key, solutions, order, usable, parents)
+        return state, accepted, member.is_degenerate(state) | is_flat(keys, order, successes)
 
     def tell(
         state: EmittersState,
@@ -188,18 +243,72 @@ def make_emitters(
         insertion: Insertion,
         objective: jax.Array,
         usable: jax.Array,
-        archive: GridArchive | StoredElites,
+        archive: GridArchive | StoredArchive,
     ) -> EmittersState:
         chex.assert_shape(solutions, (emitters * batch, x0.shape[0]))
         rows = (solutions, insertion, objective, usable)
-        # Emitters never see each other's rows, so a vmap over them is exact.
         rows = jax.tree.map(lambda leaf: leaf.reshape(emitters, batch, *leaf.shape[1:]), rows)
-        states, accepted, spent = jax.vmap(adapt)(state.strategy, *rows)
+        elite_key, fresh_key = jax.random.split(key)
+        # Emitters never see each other's rows, so a vmap over them is exact.
+        states, accepted, spent = jax.vmap(adapt)(state.strategy, state.keys, *rows)
         iterations = state.iterations + 1
         again = spent | restart(accepted, iterations)
-        elite_key, fresh_key = jax.random.split(key)
         means = archive.sample_solutions(elite_key, emitters, x0)
-        states = restarted(strategy, states, again, means, fresh_key)
-        return EmittersState(states, iterations, state.restarts + again)
+
+        def renew(old: Any) -> Any:
+            def pick(one: jax.Array, other: jax.Array) -> jax.Array:
+                return jnp.where(again.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+
+            return jax.tree.map(pick, fresh(means, fresh_key), old)
+
+        # Restarts are rare and a fresh full covariance matrix is not free: most iterations skip it.
+        states, keys = jax.lax.cond(again.any(), renew, lambda old: old, (states, state.keys))
+        return EmittersState(states, keys, iterations, state.restarts + again)
+
+    return Emitters(init, ask, tell)
+
+
+class GroupsState(NamedTuple):
+    """State of G groups of emitters that take turns."""
+
+    groups: Any  # pytree of a group's state, leading axis G
+    asked: jax.Array  # int32, populations drawn so far
+    told: jax.Array  # int32, populations whose scores have come
+
+
+def make_groups(emitters: Emitters, groups: int) -> Emitters:
+    """Join G groups of the same emitters; population i is of group i mod G.
+
+    A group draws again only after its last population was scored, so each adapts to its own
+    solutions as it would alone, and up to G populations are evaluated at once. All share one
+    archive.
+
+    Args:
+        emitters: of one group.
+        groups: G; 1 gives `emitters` as they are.
+    """
+    if groups == 1:
+        return emitters
+
+    def take(state: GroupsState, index: jax.Array) -> Any:
+        return jax.tree.map(lambda leaf: leaf[index], state.groups)
+
+    def put(state: GroupsState, index: jax.Array, group: Any) -> GroupsState:
+        new = jax.tree.map(lambda leaf, one: leaf.at[index].set(one), state.groups, group)
+        return state._replace(groups=new)
+
+    def init(key: jax.Array) -> GroupsState:
+        states = jax.vmap(emitters.init)(jax.random.split(key, groups))
+        return GroupsState(states, jnp.int32(0), jnp.int32(0))
+
+    def ask(state: GroupsState, key: jax.Array) -> tuple[jax.Array, GroupsState]:
+        index = state.asked % groups
+        solutions, group = emitters.ask(take(state, index), key)
+        return solutions, put(state, index, group)._replace(asked=state.asked + 1)
+
+    def tell(state: GroupsState, *batch: Any) -> GroupsState:
+        index = state.told % groups
+        group = emitters.tell(take(state, index), *batch)
+        return put(state, index, group)._replace(told=state.told + 1)
 
     return Emitters(init, ask, tell)

@@ -14,7 +14,6 @@ from qdenv.io.records import read_json
 from qdenv.search.archive import GridArchive
 from qdenv.search.axes import Axis, axes_of
 from qdenv.search.base import Algorithm
-from qdenv.search.threshold_archive import ThresholdArchive
 from qdenv.types import InputError, Measure
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ def _columns(archive: GridArchive) -> dict[str, jax.Array]:
         "objective": archive.objectives,
         "measures": archive.descriptors,
     }
-    if isinstance(archive, ThresholdArchive):
+    if archive.thresholds is not None:
         columns["threshold"] = archive.thresholds
     taken = {*columns, "index", "threshold"} & archive.extra_scores.keys()
     if taken:

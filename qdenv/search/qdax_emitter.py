@@ -1,7 +1,7 @@
-"""CMA-MAE as a qdax emitter, for users of qdax' `MAPElites` driver.
+"""CMA-MAE as a qdax emitter, which qdax' `MAPElites` loop drives to the archive of our own loop.
 
-qdax (https://github.com/adaptive-intelligent-robotics/QDax) is not type-checked here: what its
-driver hands over is `Any`.
+qdax (https://github.com/adaptive-intelligent-robotics/QDax) ships no types: what its driver passes
+is `Any`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,20 +11,20 @@ import jax
 import jax.numpy as jnp
 from qdax.core.emitters.emitter import Emitter, EmitterState
 
+from qdenv.search.archive import GridArchive
 from qdenv.search.base import plain_key, received, start_solution
-from qdenv.search.cma_mae import CmaMaeConfig, make_team, new_learning_archive
-from qdenv.search.emitters import EmittersState
-from qdenv.search.threshold_archive import ThresholdArchive
-from qdenv.search.turns import TurnsState
+from qdenv.search.cma_mae import emitters_of
+from qdenv.search.emitters import EmittersState, GroupsState
+from qdenv.search.settings import CmaMaeConfig
 from qdenv.types import Array, Measure, Score
 
 
 class CmaMaeEmitterState(EmitterState):
-    """What `CmaMaeEmitter` remembers; the driver's repertoire is the result archive."""
+    """State of `CmaMaeEmitter`; the driver's repertoire is the result archive."""
 
-    key: jax.Array  # uint32 [2], for restarts
-    emitters: EmittersState | TurnsState  # the evolution strategies
-    learning: ThresholdArchive  # the soft archive that ranks solutions
+    key: jax.Array  # uint32 [2]
+    emitters: EmittersState | GroupsState  # the evolution strategies
+    learning: GridArchive  # the soft archive that ranks solutions
 
 
 class CmaMaeEmitter(Emitter):
@@ -33,6 +33,11 @@ class CmaMaeEmitter(Emitter):
     The driver's fitness is the objective of both archives. To steer by another one, let the
     scoring function return it as the extra score ``learning_fitness``, float [B]. Solutions whose
     fitness is not finite count as failed.
+
+    CMA-MAE needs no first population. Begin with an empty one, ``driver.init(jnp.zeros((0, P)),
+    None, key)`` with `GridArchive.init` as the driver's repertoire: then the loop is that of
+    `qdenv.search.cma_mae.cma_mae` for the key that the driver passes on. The emitter draws by that
+    key alone: keys that the driver passes later are not used.
     """
 
     def __init__(
@@ -46,11 +51,11 @@ class CmaMaeEmitter(Emitter):
         self._config = config
         self._measures = measures
         self._start = start_solution(x0, solution_dim)
-        self._team = make_team(config, self._start)
+        self._emitters = emitters_of(config, self._start)
 
     @property
     def batch_size(self) -> int:
-        """Give the number of solutions per iteration."""
+        """Return the number of solutions per iteration."""
         return self._config.emitters * self._config.batch
 
     def init(
@@ -63,22 +68,24 @@ class CmaMaeEmitter(Emitter):
         extra_scores: Mapping[str, Array],
     ) -> CmaMaeEmitterState:
         """Start all strategies at x0; the first population enters the learning archive."""
-        key, team_key = jax.random.split(plain_key(key))
-        learning = new_learning_archive(self._config, self._start, self._measures)
-        objective = _objective(fitnesses, extra_scores)
+        key, emitters_key = jax.random.split(plain_key(key))
+        thresholds = self._config.learning_rate, self._config.threshold_min
+        learning = GridArchive.empty(self._start, self._measures, None, *thresholds)
+        objective = jnp.reshape(extra_scores.get("learning_fitness", fitnesses), -1)
         learning, _ = learning.insert(genotypes, objective, descriptors)
-        return CmaMaeEmitterState(key=key, emitters=self._team.init(team_key), learning=learning)
+        return CmaMaeEmitterState(key, self._emitters.init(emitters_key), learning)
 
     def emit(
         self, repertoire: Any, emitter_state: CmaMaeEmitterState, key: jax.Array
     ) -> tuple[jax.Array, dict[str, Any]]:
-        """Sample a batch, float [B, P]; consumes `key`.
+        """Sample a batch, float [B, P].
 
-        qdax gives an emitter no way to keep what it drew, so the sampled state travels with the
-        batch as extra information and comes back in `state_update`.
+        An emitter of qdax cannot change its state here, so the changed one travels with the batch
+        as extra information and comes back in `state_update`.
         """
-        solutions, emitters = self._team.ask(emitter_state.emitters, key)
-        return solutions, {"emitters": emitters}
+        key, ask_key = jax.random.split(emitter_state.key)
+        solutions, emitters = self._emitters.ask(emitter_state.emitters, ask_key)
+        return solutions, {"emitters": emitters, "key": key}
 
     def state_update(
         self,
@@ -89,18 +96,15 @@ class CmaMaeEmitter(Emitter):
         descriptors: Any = None,
         extra_scores: Any = None,
     ) -> CmaMaeEmitterState:
-        """Judge the batch by the learning archive, adapt and restart."""
-        key, tell_key = jax.random.split(emitter_state.key)
-        objective = _objective(fitnesses, extra_scores)
-        everyone = jnp.ones_like(objective, bool)
-        solutions, score = received(genotypes, Score(objective, objective, descriptors, everyone))
+        """Rank the batch by the learning archive, adapt and restart."""
+        key, tell_key = jax.random.split(extra_scores["key"])
+        fitness = jnp.reshape(fitnesses, -1)
+        objective = jnp.reshape(extra_scores.get("learning_fitness", fitness), -1)
+        success = jnp.ones_like(fitness, bool)
+        solutions, score = received(genotypes, Score(objective, fitness, descriptors, success))
         learning, insertion = emitter_state.learning.insert(
-            solutions, objective, score.measures, success=score.success
+            solutions, score.objective, score.measures, None, score.success
         )
-        told = solutions, insertion, objective, score.success
-        emitters = self._team.tell(extra_scores["emitters"], tell_key, *told, learning)
-        return CmaMaeEmitterState(key=key, emitters=emitters, learning=learning)
-
-
-def _objective(fitnesses: Array, extra_scores: Mapping[str, Array]) -> jax.Array:
-    return jnp.reshape(extra_scores.get("learning_fitness", fitnesses), -1)
+        batch = solutions, insertion, score.objective, score.success
+        emitters = self._emitters.tell(extra_scores["emitters"], tell_key, *batch, learning)
+        return CmaMaeEmitterState(key, emitters, learning)

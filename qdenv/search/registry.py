@@ -20,7 +20,7 @@ ALGORITHMS = Registry(
         "map-elites": "qdenv.search.settings:MAP_ELITES",
         "cma-es": "qdenv.search.settings:CMA_ES",
         "random": "qdenv.search.settings:RANDOM_SEARCH",
-        "dsage": "qdenv.search.dsage.settings:DSAGE",
+        "dsage": "qdenv.search.settings:DSAGE",
     },
 )
 

@@ -10,15 +10,18 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.search.archive import GridArchive
-from qdenv.search.base import Algorithm, Drawing, Problem, plain_key, received
+from qdenv.search.base import Algorithm, Problem, plain_key, received
 from qdenv.search.cma_mae import CmaMaeState, cma_mae
-from qdenv.search.observed import aspect_of, drawing_of, samples_of
 from qdenv.search.settings import ScreenedConfig
-from qdenv.search.threshold_archive import ThresholdArchive
-from qdenv.surrogate.report import Report, blank_report, report_errors
+from qdenv.search.surrogate_samples import aspect_of, drawing_of, samples_of
 from qdenv.surrogate.samples import Ring
-from qdenv.surrogate.surrogate import Fitted, Surrogate, make_surrogate
+from qdenv.surrogate.surrogate import (
+    Fitted,
+    Report,
+    blank_report,
+    make_surrogate,
+    report_errors,
+)
 from qdenv.types import Array, Score
 
 
@@ -27,25 +30,16 @@ class ScreenedState(NamedTuple):
 
     key: jax.Array
     inner: CmaMaeState
-    iteration: jax.Array  # int32, batches told
+    iteration: jax.Array  # int32, batches scored so far
     fitted: Fitted  # the surrogate
     ring: Ring  # true evaluations to learn from
-    report: Report  # how the surrogate does
-
-
-class Screen(NamedTuple):
-    """What screens, fixed while the search runs."""
-
-    config: ScreenedConfig
-    drawing: Drawing
-    surrogate: Surrogate
-    inner: Algorithm
+    report: Report  # losses and errors of the surrogate
 
 
 def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) -> Algorithm:
     """Make CMA-MAE with screening.
 
-    Each place of a batch is drawn `screen` times by its emitter; the surrogate keeps the one that
+    Each place of a batch is drawn `screen` times by its emitter; the surrogate chooses the one that
     it expects to exceed the threshold of its cell by most. It is fitted every `refit` iterations;
     before the first fit nothing is screened.
 
@@ -61,7 +55,6 @@ def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) 
     aspect = aspect_of(problem, drawing)
     surrogate = make_surrogate(config.surrogate, aspect)
     inner = cma_mae(config, problem, x0)
-    screen = Screen(config, drawing, surrogate, inner)
 
     def init(key: jax.Array) -> ScreenedState:
         key, inner_key, net_key = jax.random.split(plain_key(key), 3)
@@ -69,11 +62,46 @@ def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) 
         fitted, report = surrogate.init(net_key), blank_report(aspect)
         return ScreenedState(key, inner.init(inner_key), jnp.int32(0), fitted, ring, report)
 
+    def ask(state: ScreenedState) -> tuple[jax.Array, ScreenedState]:
+        key, fit_key = jax.random.split(state.key)
+        due = (state.iteration % config.refit == 0) & (state.ring.known > 0)
+
+        def learn() -> tuple[Fitted, Report]:
+            fitted, losses = surrogate.fit(state.fitted, state.ring, fit_key)
+            return fitted, state.report._replace(losses=losses)
+
+        fitted, report = jax.lax.cond(due, learn, lambda: (state.fitted, state.report))
+
+        def draw(inner_state: CmaMaeState, _: None) -> tuple[CmaMaeState, jax.Array]:
+            solutions, inner_state = inner.ask(inner_state)
+            return inner_state, solutions
+
+        inner_state, offspring = jax.lax.scan(draw, state.inner, None, config.screen)
+        learning = state.inner.archives.learning
+
+        def improvement(solutions: jax.Array) -> jax.Array:
+            """Predict by how much solutions exceed the threshold of their cell, float [B]."""
+            score = surrogate.predict(fitted, drawing.draw(solutions)).score
+            threshold = learning.threshold_of(learning.cells_of(score.measures))
+            # An empty cell of the elitist archive counts as one of threshold 0.
+            value = score.objective - jnp.where(jnp.isneginf(threshold), 0.0, threshold)
+            return jnp.where(score.success, value, -jnp.inf)
+
+        # Before the first fit all are equal: the first offspring of each place goes on.
+        value = jax.lax.cond(
+            fitted.fits > 0,
+            lambda: jax.lax.map(improvement, offspring),
+            lambda: jnp.zeros(offspring.shape[:2]),
+        )
+        best = jnp.argmax(value, axis=0)
+        chosen = jnp.take_along_axis(offspring, best[None, :, None], axis=0)[0]
+        return chosen, state._replace(key=key, inner=inner_state, fitted=fitted, report=report)
+
     def tell(
         state: ScreenedState, solutions: Array, score: Score, extras: Mapping[str, Array]
     ) -> ScreenedState:
-        told, usable = received(solutions, score)
-        samples, success = samples_of(drawing, told, usable, extras), jnp.asarray(usable.success)
+        drawn, usable = received(solutions, score)
+        samples, success = samples_of(drawing, drawn, usable, extras), jnp.asarray(usable.success)
         prediction = surrogate.predict(state.fitted, samples.drawn)
         return state._replace(
             inner=inner.tell(state.inner, solutions, score, extras),
@@ -82,56 +110,11 @@ def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) 
             report=report_errors(state.report, prediction, samples, success),
         )
 
-    def archive(state: ScreenedState) -> GridArchive:
-        return inner.archive(state.inner)
-
     return Algorithm(
         init,
-        lambda state: _ask(screen, state),
+        ask,
         tell,
-        archive,
+        lambda state: inner.archive(state.inner),
         inner.batch_size,
         lambda state: state.report.columns(problem.measures, state.fitted.fits),
     )
-
-
-def _ask(screen: Screen, state: ScreenedState) -> tuple[jax.Array, ScreenedState]:
-    key, fit_key = jax.random.split(state.key)
-    due = (state.iteration % screen.config.refit == 0) & (state.ring.known > 0)
-
-    def learn() -> tuple[Fitted, Report]:
-        fitted, losses = screen.surrogate.fit(state.fitted, state.ring, fit_key)
-        return fitted, state.report._replace(losses=losses)
-
-    fitted, report = jax.lax.cond(due, learn, lambda: (state.fitted, state.report))
-
-    def draw(inner: CmaMaeState, _: None) -> tuple[CmaMaeState, jax.Array]:
-        solutions, inner = screen.inner.ask(inner)
-        return inner, solutions
-
-    inner, offspring = jax.lax.scan(draw, state.inner, None, screen.config.screen)
-
-    def judge(solutions: jax.Array) -> jax.Array:
-        score = screen.surrogate.predict(fitted, screen.drawing.draw(solutions)).score
-        return improvement(state.inner.learning, score)
-
-    # Before the first fit every guess is as good: the first offspring of each place goes on.
-    value = jax.lax.cond(
-        fitted.fits > 0,
-        lambda: jax.lax.map(judge, offspring),
-        lambda: jnp.zeros(offspring.shape[:2]),
-    )
-    best = jnp.argmax(value, axis=0)
-    chosen = jnp.take_along_axis(offspring, best[None, :, None], axis=0)[0]
-    return chosen, state._replace(key=key, inner=inner, fitted=fitted, report=report)
-
-
-def improvement(archive: ThresholdArchive, score: Score) -> jax.Array:
-    """Predict by how much solutions exceed the threshold of their cell, float [B].
-
-    -inf where a number of the prediction is not finite. A cell that demands nothing counts as one
-    of threshold 0.
-    """
-    threshold = archive.threshold_of(archive.cells_of(score.measures))
-    value = score.objective - jnp.where(jnp.isneginf(threshold), 0.0, threshold)
-    return jnp.where(score.success, value, -jnp.inf)

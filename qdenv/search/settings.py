@@ -2,17 +2,25 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Interval
 
-from qdenv.ranges import NonNegativeFloat, PositiveFloat, PositiveInt, Ranged, Share, check_range
+from qdenv.ranges import (
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Ranged,
+    Share,
+    check_range,
+)
 from qdenv.registry import Entry
-from qdenv.surrogate.settings import SurrogateConfig
+from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.types import InputError
 
-# Names of `strategies.registry.STRATEGIES`, which a user may add to, of `emitters.RANKERS` and of
-# `emitters.SELECTIONS`: said here again so that a command line knows them without jax.
+# Names of `strategies.STRATEGIES`, which a user may add to, of `emitters.RANKERS` and of
+# `emitters.SELECTIONS`, repeated so that a command line has them without importing jax.
 Strategy = Literal[
     "iso", "sep", "full", "lm_ma",
     "CMA_ES", "CR_FM_NES", "DiscoveredES", "Open_ES", "PGPE", "SimpleES", "SNES",
@@ -21,7 +29,7 @@ Ranker = Literal["imp", "2imp", "obj", "2obj"]
 Selection = Literal["mu", "filter"]
 
 # Strategies of evosax that would run and mislead (read and measured with evosax 0.3.2).
-_REMEMBERS = "it compares fitness across generations, ranks carry none"
+_REMEMBERS = "it compares fitness across generations, which ranks do not allow"
 UNSOUND = {
     "ASEBO": "it multiplies matrices of all parameters; use Open_ES",
     "GradientlessDescent": f"{_REMEMBERS}; use iso",
@@ -39,21 +47,13 @@ UNSOUND = {
 
 
 def check_strategy(name: str) -> None:
-    """Refuse strategies of evosax that are known to be unsound; others may be a user's own.
-
-    Raises:
-        InputError: it is one; the line says why, and what to take.
-    """
+    """Raise InputError for a strategy of evosax that is known to be unsound, with the reason."""
     if name in UNSOUND:
         raise InputError(f"the evosax strategy {name} is not offered: {UNSOUND[name]}")
 
 
 def check_rates(learning_rate: float, threshold_min: float) -> None:
-    """Refuse numbers of a soft archive that are out of range or do not go together.
-
-    Raises:
-        InputError: they are.
-    """
+    """Raise InputError for thresholds that are out of range or do not go together."""
     check_range("learning_rate", learning_rate, Share)
     if math.isnan(threshold_min) or threshold_min == math.inf:
         raise InputError(f"threshold_min must be a number or -inf, not {threshold_min}")
@@ -61,7 +61,7 @@ def check_rates(learning_rate: float, threshold_min: float) -> None:
         raise InputError("threshold_min = -inf needs an archive learning rate of 1")
 
 
-Ahead = Annotated[int, Interval(ge=0, le=1000)]  # no cluster needs more
+Ahead = Annotated[int, Interval(ge=0, le=1000)]  # no cluster needs more than the upper limit
 
 
 @dataclass(frozen=True)
@@ -83,12 +83,12 @@ class CmaMaeConfig(Ranged):
     # how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full), its
     # limited-memory form (lm_ma), or one of evosax'
     strategy: Strategy = "iso"
-    # populations asked before the one before them is told, for many workers: the emitters become
-    # ahead + 1 teams that take turns
+    # populations drawn before the scores of the one before them are known, for many workers: the
+    # emitters become ahead + 1 groups that take turns
     ahead: Ahead = 0
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no search."""
+        """Raise InputError for values that do not go together."""
         super().__post_init__()
         check_rates(self.learning_rate, self.threshold_min)
         check_strategy(self.strategy)
@@ -114,10 +114,10 @@ class ScreenedConfig(CmaMaeConfig):
     surrogate: SurrogateConfig = field(default_factory=SurrogateConfig)
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no search."""
+        """Raise InputError for values that do not go together."""
         super().__post_init__()
         if self.ahead:
-            raise InputError("cma-mae-screened asks nothing ahead: leave ahead at 0")
+            raise InputError("cma-mae-screened draws no population ahead: leave ahead at 0")
 
 
 @dataclass(frozen=True)
@@ -133,10 +133,11 @@ class MapElitesConfig(Ranged):
     # published runs drew their parents from the soft archive of CMA-MAE (0.01 and 0).
     learning_rate: Share = 1.0
     threshold_min: float = -math.inf  # threshold of an empty cell of the parents' archive
-    ahead: Ahead = 0  # populations asked before the one before them is told, for many workers
+    # populations drawn before the scores of the one before them are known, for many workers
+    ahead: Ahead = 0
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no search."""
+        """Raise InputError for values that do not go together."""
         super().__post_init__()
         check_rates(self.learning_rate, self.threshold_min)
 
@@ -145,13 +146,9 @@ class MapElitesConfig(Ranged):
 class CmaEsConfig(Ranged):
     """Settings of the single-objective search.
 
-    The default strategy, `iso`, is what CMA-ES is at the size of a layout's generator. To decompose
-    a covariance matrix of n parameters costs n^3, so implementations wait until it has changed
-    enough to be worth it. By pyribs' rule (`refresh_gap`) that is after 10,573 evaluations at the
-    warehouse's 11,011 parameters with one emitter of 50, and after 11,090 evaluations of each with
-    emitters of 10: beyond the paper's budget of 10,000. Until then CMA-ES samples N(m, sigma^2 I)
-    and adapts sigma by its path, which is `iso`, at linear cost. Strategies that adapt more than a
-    step size earlier, `sep` and `lm_ma` among them, found no better layouts on the preset quick.
+    The default strategy, `iso`, is what CMA-ES is at the size of a layout's generator, at linear
+    cost: by pyribs' rule (`refresh_gap`) the covariance matrix is first decomposed after the
+    paper's budget of evaluations.
     """
 
     emitters: PositiveInt = 1  # independent evolution strategies
@@ -164,12 +161,12 @@ class CmaEsConfig(Ranged):
     # limited-memory form (lm_ma), or one of evosax', of which CMA_ES decomposes its full matrix at
     # every step: for some hundreds of parameters at most
     strategy: Strategy = "iso"
-    # populations asked before the one before them is told, for many workers: the emitters become
-    # ahead + 1 teams that take turns
+    # populations drawn before the scores of the one before them are known, for many workers: the
+    # emitters become ahead + 1 groups that take turns
     ahead: Ahead = 0
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no search."""
+        """Raise InputError for values that do not go together."""
         super().__post_init__()
         check_strategy(self.strategy)
 
@@ -180,12 +177,36 @@ class RandomSearchConfig(Ranged):
 
     batch: PositiveInt = 50  # solutions per iteration
     sigma: PositiveFloat = 0.2  # standard deviation of every parameter
-    ahead: Ahead = 0  # populations asked before the one before them is told, for many workers
+    # populations drawn before the scores of the one before them are known, for many workers
+    ahead: Ahead = 0
 
 
+@dataclass(frozen=True)
+class DsageConfig(Ranged):
+    """Settings of DSAGE; the defaults suit a CPU, `DSAGE_PUBLISHED` is the paper's."""
+
+    encoding: ClassVar[str] = "direct"  # the generator that it searches
+
+    batch: PositiveInt = 50  # true evaluations per iteration
+    # random solutions that are evaluated first, rounded up to whole iterations
+    initial: PositiveInt = 100
+    inner_iterations: PositiveInt = 500  # of MAP-Elites on the surrogate, each time it has learnt
+    inner_batch: PositiveInt = 50  # solutions of each of them
+    inner_random: PositiveInt = 2  # the first of them draw random solutions
+    # tiles that a mutation draws anew; 0 draws their number, 2 on average
+    mutations: NonNegativeInt = 0
+    # blocks of the archive along each measure, from each of which one elite of the inner loop is
+    # evaluated truly; half, then a quarter of the cells unless given
+    downsample: tuple[PositiveInt, ...] = ()
+    # its size, and how it learns
+    surrogate: SurrogateConfig = field(default_factory=SurrogateConfig)
+
+
+DSAGE_PUBLISHED = DsageConfig(inner_iterations=10_000, downsample=(50, 25), surrogate=PUBLISHED)
 CMA_MAE = Entry(CmaMaeConfig, "qdenv.search.cma_mae:cma_mae")
 CMA_ME = Entry(CmaMeConfig, "qdenv.search.cma_mae:cma_mae")
 SCREENED = Entry(ScreenedConfig, "qdenv.search.screening:screened")
 MAP_ELITES = Entry(MapElitesConfig, "qdenv.search.map_elites:map_elites")
-CMA_ES = Entry(CmaEsConfig, "qdenv.search.cma_es:cma_es")
-RANDOM_SEARCH = Entry(RandomSearchConfig, "qdenv.search.random_search:random_search")
+CMA_ES = Entry(CmaEsConfig, "qdenv.search.cma_mae:cma_es")
+RANDOM_SEARCH = Entry(RandomSearchConfig, "qdenv.search.map_elites:random_search")
+DSAGE = Entry(DsageConfig, "qdenv.search.dsage:dsage")

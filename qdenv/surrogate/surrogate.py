@@ -1,24 +1,115 @@
-"""The surrogate as a record of functions: init, fit, predict.
+"""What the surrogate's networks make small, as published."""
 
-Three networks in a row, each learnt while those before it stand still (the surrogate of Zhang et
-al. 2023, after Bhatt et al. 2022, https://arxiv.org/abs/2206.04199): the repaired map from the
-drawn one, the tile usage from that, objective and measures from both. What a domain does not have,
-a repair or a usage map, is left out.
-"""
-
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 
-from qdenv.surrogate.losses import map_loss, score_loss, usage_loss
 from qdenv.surrogate.networks import MapPredictor, ScorePredictor
-from qdenv.surrogate.samples import Ring, Samples, spread_of
+from qdenv.surrogate.samples import Ring, Samples, shuffled, spread_of
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.training import Learner, Loss, learn, make_learner
-from qdenv.types import InputError, Score
+from qdenv.types import InputError, Measure, Score
+
+
+def map_loss(logits: jax.Array, tiles: jax.Array) -> jax.Array:
+    """Average the cross entropy of tiles int8 [B, H, W] under logits [B, H, W, K]."""
+    # The gradient of looking a label up is a scatter: XLA takes seconds to compile it, and says so.
+    return optax.softmax_cross_entropy(logits, jax.nn.one_hot(tiles, logits.shape[-1])).mean()
+
+
+def usage_loss(predicted: jax.Array, usage: jax.Array, kind: str) -> jax.Array:
+    """Compare usage maps [B, H, W] with logits ("kl", summed over cells) or numbers ("mse").
+
+    Both are averaged over the batch.
+    """
+    rows = len(usage)
+    flat, usage = predicted.reshape(rows, -1), usage.astype(jnp.float32).reshape(rows, -1)
+    # float16 has rounded the shares: they must sum to 1 again.
+    share = usage / jnp.maximum(usage.sum(axis=-1, keepdims=True), 1e-12)
+    if kind == "kl":
+        return optax.losses.kl_divergence(jax.nn.log_softmax(flat, axis=-1), share).mean()
+    # In units of an even distribution, as the next network sees them.
+    return jnp.square(flat - share * flat.shape[-1]).mean()
+
+
+def score_loss(predicted: jax.Array, target: jax.Array, weights: jax.Array) -> jax.Array:
+    """Average the weighted squared errors of numbers [B, heads] over batch and heads."""
+    return (jnp.square(predicted - target) * weights[None]).mean()
+
+
+class Learner(NamedTuple):
+    """One network that learns."""
+
+    variables: Any  # of its Flax module: ``params`` and ``batch_stats``
+    moments: Any  # Adam's
+
+
+# (variables, samples) -> (loss float32, running statistics after it)
+Loss = Callable[[Any, Samples], tuple[jax.Array, Any]]
+
+
+def make_learner(variables: Any, optimiser: optax.GradientTransformation) -> Learner:
+    """Begin to learn with fresh moments."""
+    # A network without running statistics has none to change, but the same form as the others.
+    return Learner({"batch_stats": {}, **variables}, optimiser.init(variables["params"]))
+
+
+def learn(
+    loss: Loss,
+    learner: Learner,
+    optimiser: optax.GradientTransformation,
+    ring: Ring,
+    minibatch: int,
+    epochs: int | jax.Array,
+    key: jax.Array,
+    first: int | jax.Array = 0,
+) -> tuple[Learner, jax.Array]:
+    """Fit one network to all samples of a ring; traceable, with loops over epochs and steps.
+
+    The last minibatch of an epoch is filled up with the epoch's first samples.
+
+    Args:
+        loss: what is made small.
+        learner: the network; without samples it stays as it is.
+        optimiser: Adam.
+        ring: the samples.
+        minibatch: samples per step.
+        epochs: passes over the samples.
+        key: consumed.
+        first: epoch to begin with: where a fit is cut in pieces makes no difference.
+
+    Returns:
+        the network, and the mean loss of its last epoch.
+    """
+    size, count = ring.samples.numbers.shape[0], ring.known
+    steps = (count + minibatch - 1) // minibatch
+
+    def step(learner: Learner, batch: Samples) -> tuple[Learner, jax.Array]:
+        def of_weights(params: Any) -> tuple[jax.Array, Any]:
+            return loss({**learner.variables, "params": params}, batch)
+
+        params = learner.variables["params"]
+        (value, stats), slope = jax.value_and_grad(of_weights, has_aux=True)(params)
+        change, moments = optimiser.update(slope, learner.moments, params)
+        new = {"params": optax.apply_updates(params, change), "batch_stats": stats}
+        return Learner({**learner.variables, **new}, moments), value
+
+    def epoch(number: jax.Array, now: tuple[Learner, jax.Array]) -> tuple[Learner, jax.Array]:
+        order = shuffled(jax.random.fold_in(key, number), size, count)
+
+        def once(i: jax.Array, now: tuple[Learner, jax.Array]) -> tuple[Learner, jax.Array]:
+            learner, total = now
+            rows = order[(i * minibatch + jnp.arange(minibatch)) % jnp.maximum(count, 1)]
+            learner, value = step(learner, jax.tree.map(lambda leaf: leaf[rows], ring.samples))
+            return learner, total + value
+
+        learner, total = jax.lax.fori_loop(0, steps, once, (now[0], jnp.float32(0)))
+        return learner, total / jnp.maximum(steps, 1)
+
+    return jax.lax.fori_loop(first, epochs, epoch, (learner, jnp.float32(0)))
+
 
 STAGES = ("repair", "usage", "score")
 
@@ -191,3 +282,68 @@ def _scale(ring: Ring) -> tuple[jax.Array, jax.Array]:
     numbers, known = ring.samples.numbers, jnp.arange(len(ring.samples.numbers)) < ring.known
     centre, variance = spread_of(numbers, known)
     return centre, jnp.where(variance > 0, jnp.sqrt(variance), 1.0)
+
+
+class Report(NamedTuple):
+    """What was measured last."""
+
+    # float32 of each network, the mean of its last epoch; NaN before the first fit
+    losses: dict[str, jax.Array]
+    # float32 [heads], root mean squared error on the newest batch, predicted before it was learnt:
+    # objective, result objective, measures
+    rmse: jax.Array
+    r2: jax.Array  # float32 [heads], the share of the batch's variance that is explained
+    tiles: jax.Array  # float32, the share of tiles of repaired maps that were predicted
+
+    def columns(self, measures: Sequence[Measure], fits: jax.Array) -> dict[str, jax.Array]:
+        """Name the numbers; those of errors are NaN before the first fit."""
+        heads = ["objective", "result", *(axis.name.replace(" ", "_") for axis in measures)]
+        errors = {f"rmse_{name}": self.rmse[i] for i, name in enumerate(heads)}
+        errors |= {f"r2_{name}": self.r2[i] for i, name in enumerate(heads)}
+        losses = {f"loss_{name}": value for name, value in self.losses.items()}
+        numbers = losses | errors | {"tiles_right": self.tiles}
+        known = {name: jnp.where(fits > 0, value, jnp.nan) for name, value in numbers.items()}
+        return {"fits": fits} | known
+
+
+def blank_report(aspect: Aspect) -> Report:
+    """Make the report of a surrogate that knows nothing."""
+    heads = jnp.zeros(2 + aspect.measures)
+    losses = {name: jnp.float32(0) for name in stages_of(aspect)}
+    return Report(losses, heads, heads, jnp.float32(0))
+
+
+def report_errors(
+    report: Report, prediction: Prediction, samples: Samples, valid: jax.Array
+) -> Report:
+    """Measure the errors on a batch; one without valid samples changes nothing.
+
+    Args:
+        report: what was measured before.
+        prediction: of the batch.
+        samples: the truth.
+        valid: bool [B], those that count.
+    """
+    score = prediction.score
+    heads = [score.objective[:, None], score.result_objective[:, None], score.measures]
+    rmse, r2 = errors(jnp.concatenate(heads, axis=1), samples.numbers, valid)
+    alike = (prediction.repaired == samples.repaired).mean(axis=(1, 2))
+    tiles = jnp.mean(alike, where=valid)
+    some = valid.any()
+    return report._replace(
+        rmse=jnp.where(some, rmse, report.rmse),
+        r2=jnp.where(some, r2, report.r2),
+        tiles=jnp.where(some, tiles, report.tiles),
+    )
+
+
+def errors(predicted: jax.Array, truth: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Compute RMSE and R^2 of numbers [B, heads] over the valid rows, each float32 [heads].
+
+    R^2 is 1 - (mean squared error) / (variance of the truth); 0 where the truth does not vary.
+    """
+    counts = valid[:, None]
+    squared = jnp.mean(jnp.square(predicted - truth), axis=0, where=counts)
+    variance = spread_of(truth, valid)[1]
+    share = jnp.where(variance > 0, 1 - squared / jnp.where(variance > 0, variance, 1), 0.0)
+    return jnp.sqrt(squared), share

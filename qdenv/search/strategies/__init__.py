@@ -1,14 +1,68 @@
-"""Evolution strategies behind one face.
+"""Evolution strategies: evosax algorithms, ours and evosax' own.
 
-    base              `Strategy`: init, ask, tell; the update rules they share
-    rates             weights and learning rates, as tables over the number of parents
-    full              CMA-ES, Hansen 2016
-    separable         sep-CMA-ES, Ros and Hansen 2008
+    base              what ours share
+    cma_es            CMA-ES with an isotropic, a diagonal (Ros and Hansen 2008), a full matrix
     limited_memory    LM-MA-ES, Loshchilov, Glasmachers and Beyer 2017
-    isotropic         CMA-ES before its first eigendecomposition
-    evosax            strategies of the evosax library
-    registry          strategies by name
 
 Numbers in brackets, like (43), are equations of Hansen's tutorial,
 https://arxiv.org/abs/1604.00772v1. Where pyribs departs from it, ours does as pyribs and says so.
 """
+
+from collections.abc import Callable
+from typing import Any
+
+import evosax.algorithms
+import jax.numpy as jnp
+import optax
+
+from qdenv.search.settings import check_strategy
+from qdenv.search.strategies.cma_es import Full, Isotropic, Separable
+from qdenv.search.strategies.limited_memory import LimitedMemory
+from qdenv.types import InputError, look_up
+
+MIRRORED = ("CR_FM_NES", "Open_ES", "PGPE")  # draw every solution together with its mirror image
+ADAM_RATE = 0.1  # in initial step sizes; with evosax' own optimizers these do not move
+
+# Each is called with (population_size=b, solution=float [P]), like every evosax algorithm over a
+# distribution.
+STRATEGIES: dict[str, Callable[..., Any]] = {
+    "iso": Isotropic,
+    "sep": Separable,
+    "full": Full,
+    "lm_ma": LimitedMemory,
+    "CMA_ES": evosax.algorithms.CMA_ES,
+    "CR_FM_NES": evosax.algorithms.CR_FM_NES,
+    "DiscoveredES": evosax.algorithms.DiscoveredES,
+    "Open_ES": evosax.algorithms.Open_ES,
+    "PGPE": evosax.algorithms.PGPE,
+    "SimpleES": evosax.algorithms.SimpleES,
+    "SNES": evosax.algorithms.SNES,
+}
+
+
+def make_strategy(name: str, dim: int, batch: int, sigma0: float) -> tuple[Any, Any]:
+    """Make a strategy: (evosax algorithm, its parameters).
+
+    Args:
+        name: key of `STRATEGIES`.
+        dim: number of parameters P.
+        batch: solutions b per iteration.
+        sigma0: initial step size.
+
+    Raises:
+        InputError: the name is unknown, or the strategy unsound or unfit for the batch.
+    """
+    check_strategy(name)
+    make = look_up(STRATEGIES, name, "strategy")
+    if name in MIRRORED and batch % 2:
+        raise InputError(f"the strategy {name} needs an even batch, not {batch}")
+    settings: dict[str, Any] = {}
+    if name in ("Open_ES", "PGPE"):
+        settings["optimizer"] = optax.adam(ADAM_RATE * sigma0)
+    if name == "Open_ES":
+        settings["std_schedule"] = optax.constant_schedule(sigma0)
+    strategy = make(population_size=batch, solution=jnp.zeros(dim), **settings)
+    params = strategy.default_params
+    if hasattr(params, "std_init"):
+        params = params.replace(std_init=jnp.full_like(jnp.asarray(params.std_init), sigma0))
+    return strategy, params

@@ -1,36 +1,181 @@
-"""The face of all evolution strategies, and the update rules they share.
+"""What our evolution strategies share: an evosax algorithm that is told the order, not the values.
 
 Numbers in brackets are equations of Hansen 2016, "The CMA evolution strategy: a tutorial",
-https://arxiv.org/abs/1604.00772v1.
+https://arxiv.org/abs/1604.00772v1. evosax (https://github.com/RobertTLange/evosax) ships no types.
 """
 
+import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import chex
 import jax
 import jax.numpy as jnp
-
-from qdenv.search.strategies.rates import Rates
+import numpy as np
+from evosax.algorithms.distribution_based.base import DistributionBasedAlgorithm, metrics_fn
+from evosax.algorithms.distribution_based.base import Params as EvosaxParams
+from evosax.algorithms.distribution_based.base import State as EvosaxState
+from evosax.core.fitness_shaping import identity_fitness_shaping_fn
+from flax import struct
 
 SMALLEST_STEP = 1e-11  # a search distribution narrower than this restarts (pyribs)
 LARGEST_CONDITION = 1e14  # so does one whose covariance has a larger condition number
 
 
-class Strategy(NamedTuple):
-    """An evolution strategy as a record of functions on the state of one emitter."""
+Numbers = TypeVar("Numbers", jax.Array, np.ndarray)
 
-    init: Callable[[jax.Array, jax.Array], Any]  # (mean float [P], key) -> state; consumes the key
-    # (state, key) -> (solutions float [b, P], state); consumes the key
-    ask: Callable[[Any, jax.Array], tuple[jax.Array, Any]]
-    # (state, solutions [b, P], order int32 [b] best first, parents int32, evaluated int32) ->
-    # state. The first `parents` of the order are recombined, 0 to b.
-    tell: Callable[[Any, jax.Array, jax.Array, jax.Array, jax.Array], Any]
-    # state -> bool, the distribution is degenerate and must restart
-    exhausted: Callable[[Any], jax.Array]
-    # applied before each ask to the states of all emitters at once (leading axis E); the place for
-    # work that is rarely due and must not hide inside a vmap
-    refresh: Callable[[Any], Any] = lambda states: states
+
+class Rates(NamedTuple, Generic[Numbers]):
+    """Strategy parameters (table 1 of the tutorial).
+
+    A table has a leading axis: the number of parents, 0..b. Row 0 holds zero rates and puts all
+    weight on the first row, so that an update without parents changes nothing.
+    """
+
+    weights: Numbers  # float [b], w_i by rank, zero beyond the parents
+    mu_eff: Numbers  # effective number of parents
+    path: Numbers  # c_sigma, rate of the step-size path
+    damping: Numbers  # d_sigma
+    cov_path: Numbers  # c_c, rate of the covariance path
+    rank_one: Numbers  # c_1
+    rank_mu: Numbers  # c_mu
+
+
+# (mu_eff, P) -> c_c, c_1, c_mu.
+CovarianceRates = Callable[[float, int], tuple[float, float, float]]
+
+
+def recombination_weights(parents: int, batch: int) -> np.ndarray:
+    """Compute the positive logarithmic weights, float64 [batch], summing to 1 (49, 53).
+
+    As pyribs: log(mu + 1/2) for mu parents in place of log((lambda + 1) / 2), so that any number
+    of parents has positive weights.
+    """
+    ranks = np.arange(1, batch + 1)
+    raw = np.log(parents + 0.5) - np.log(ranks)
+    weights = np.where(ranks <= parents, raw, 0.0)
+    return weights / weights.sum()
+
+
+def full_rates(mu_eff: float, dim: int) -> tuple[float, float, float]:
+    """Compute (c_c, c_1, c_mu) of the full covariance matrix."""
+    cov_path = (4 + mu_eff / dim) / (dim + 4 + 2 * mu_eff / dim)  # (56)
+    rank_one = 2 / ((dim + 1.3) ** 2 + mu_eff)  # (57)
+    rank_mu = min(1 - rank_one, 2 * (mu_eff - 2 + 1 / mu_eff) / ((dim + 2) ** 2 + mu_eff))  # (58)
+    return cov_path, rank_one, rank_mu
+
+
+def separable_rates(mu_eff: float, dim: int) -> tuple[float, float, float]:
+    """Compute (c_c, c_1, c_mu) of a diagonal covariance matrix, as pyribs does.
+
+    They are larger than `full_rates`: a diagonal has fewer numbers to learn (Ros and Hansen 2008,
+    "A simple modification in CMA-ES achieving linear time and space complexity",
+    https://inria.hal.science/inria-00287367).
+    """
+    cov_path = (1 + 1 / dim + mu_eff / dim) / (dim**0.5 + 1 / dim + 2 * mu_eff / dim)
+    rank_one = full_rates(mu_eff, dim)[1] / (dim + 2 * dim**0.5 + mu_eff / dim)
+    rank_mu = min(1 - rank_one, (mu_eff + 1 / mu_eff - 2) / (dim + 4 * dim**0.5 + mu_eff / 2))
+    return cov_path, rank_one, rank_mu
+
+
+def rates_row(
+    parents: int, batch: int, dim: int, covariance_rates: CovarianceRates
+) -> Rates[np.ndarray]:
+    """Compute the parameters for one number of parents (float64)."""
+    if parents == 0:
+        return Rates(np.eye(1, batch)[0], *map(np.asarray, (1.0, 0.0, 1.0, 0.0, 0.0, 0.0)))
+    weights = recombination_weights(parents, batch)
+    mu_eff = 1 / (weights**2).sum()  # (8)
+    path = (mu_eff + 2) / (dim + mu_eff + 5)  # (55)
+    damping = 1 + 2 * max(0.0, math.sqrt((mu_eff - 1) / (dim + 1)) - 1) + path  # (55)
+    numbers = mu_eff, path, damping, *covariance_rates(mu_eff, dim)
+    return Rates(weights, *map(np.asarray, numbers))
+
+
+def rates_table(batch: int, dim: int, covariance_rates: CovarianceRates) -> Rates[np.ndarray]:
+    """Tabulate the parameters for 0..batch parents; every field gets a leading axis [b + 1]."""
+    # The number of parents is known only while tracing: all rows in float64 now, one picked then.
+    rows = [rates_row(parents, batch, dim, covariance_rates) for parents in range(batch + 1)]
+    dtype = jnp.result_type(float)
+    return Rates(*(np.asarray(column).astype(dtype) for column in zip(*rows, strict=True)))
+
+
+def pick(table: Rates[np.ndarray], parents: jax.Array) -> Rates[jax.Array]:
+    """Take one row of a table (parents: int32)."""
+    return jax.tree.map(lambda column: jnp.asarray(column)[parents], table)
+
+
+@struct.dataclass
+class Params(EvosaxParams):
+    """Parameters of a strategy that may differ from call to call."""
+
+    std_init: jax.Array  # float, initial step size
+    # int32, how many of the best solutions are recombined, 0 to b: CMA-ME recombines as many as
+    # an archive accepted
+    num_elites: jax.Array
+
+
+@struct.dataclass
+class State(EvosaxState):
+    """The search distribution N(mean, std^2 I)."""
+
+    std: jax.Array  # float, step size sigma
+    p_std: jax.Array  # float [P], evolution path of the step size
+
+
+class Strategy(DistributionBasedAlgorithm):
+    """Base class of our strategies: evosax algorithms with pyribs' update rules.
+
+    `init`, `ask` and `tell` are evosax'. Like evosax they minimise, and only the order of the
+    fitness counts: ranks do. A fitness of NaN marks a failed evaluation, which is never a parent.
+    `tell` draws nothing: its key may be None.
+    """
+
+    covariance_rates: CovarianceRates = staticmethod(full_rates)
+
+    def __init__(
+        self,
+        population_size: int,
+        solution: Any,
+        fitness_shaping_fn: Callable = identity_fitness_shaping_fn,
+        metrics_fn: Callable = metrics_fn,
+    ) -> None:
+        """Tabulate the rates (the arguments are those of every evosax algorithm)."""
+        super().__init__(population_size, solution, fitness_shaping_fn, metrics_fn)
+        self.elite_ratio = 0.5
+        self.table = rates_table(population_size, self.num_dims, self.covariance_rates)
+
+    @property
+    def _default_params(self) -> Params:
+        return Params(std_init=jnp.asarray(1.0), num_elites=jnp.int32(self.num_elites))
+
+    def _init_fields(self, params: Params) -> dict[str, Any]:
+        """Give the fields of `State` at the start."""
+        zeros = jnp.zeros_like(self.solution_flat)
+        return {
+            "best_solution": zeros,
+            "best_fitness": jnp.inf,
+            "generation_counter": 0,
+            "mean": zeros,
+            "std": jnp.asarray(params.std_init, zeros.dtype),
+            "p_std": zeros,
+        }
+
+    def _draw_noise(self, key: jax.Array, state: State) -> jax.Array:
+        """Draw from N(0, I), float [b, P] (38)."""
+        return jax.random.normal(key, (self.population_size, self.num_dims), state.mean.dtype)
+
+    def _select(
+        self, fitness: jax.Array, params: Params
+    ) -> tuple[jax.Array, jax.Array, jax.Array, Rates[jax.Array]]:
+        """Order a batch: (order int32 [b] best first, parents int32, evaluated int32, rates)."""
+        evaluated = (~jnp.isnan(fitness)).sum(dtype=jnp.int32)
+        parents = jnp.minimum(params.num_elites, evaluated)
+        return jnp.argsort(fitness), parents, evaluated, pick(self.table, parents)  # NaN comes last
+
+    def is_degenerate(self, state: Any) -> jax.Array:
+        """Return True if the distribution is too narrow to search on, or not finite."""
+        return ~((state.std >= SMALLEST_STEP) & jnp.isfinite(state.std))
 
 
 def ranked_parents(
@@ -45,60 +190,22 @@ def ranked_parents(
     return jnp.where(chosen[:, None], solutions[order], filler)
 
 
-def follow_path(
-    path: jax.Array, step: jax.Array, sigma: jax.Array, rates: Rates[jax.Array]
+def update_p_std(
+    p_std: jax.Array, step: jax.Array, std: jax.Array, rates: Rates[jax.Array]
 ) -> jax.Array:
-    """Extend the step-size path p_sigma [P] by the whitened `step` of the mean (43)."""
-    scale = jnp.sqrt(rates.path * (2 - rates.path) * rates.mu_eff) / sigma
-    return (1 - rates.path) * path + scale * step
+    """Extend the step-size path [P] by the whitened `step` of the mean (43)."""
+    scale = jnp.sqrt(rates.path * (2 - rates.path) * rates.mu_eff) / std
+    return (1 - rates.path) * p_std + scale * step
 
 
-def adapt_step_size(sigma: jax.Array, path: jax.Array, rates: Rates[jax.Array]) -> jax.Array:
-    """Lengthen or shorten the step size by the length of the path, cumulative adaptation (44).
+def update_std(std: jax.Array, p_std: jax.Array, rates: Rates[jax.Array]) -> jax.Array:
+    """Lengthen or shorten the step size by the length of its path, cumulative adaptation (44).
 
     As pyribs: the squared length against its expectation P, with the exponent capped at 1, where
     the tutorial compares the length with E||N(0, I)||.
     """
-    excess = jnp.square(path).sum() / path.shape[0] - 1
-    return sigma * jnp.exp(jnp.minimum(1, rates.path / rates.damping * excess / 2))
-
-
-def path_is_short(
-    path: jax.Array, evaluations: jax.Array, batch: int, rates: Rates[jax.Array]
-) -> jax.Array:
-    """Decide h_sigma of the tutorial's (45): False while the path is long.
-
-    A long path says that the step size is far too small; the covariance must not grow meanwhile.
-    As pyribs: squared lengths, and evaluations in place of generations.
-    """
-    dim = path.shape[0]
-    decay = 1 - (1 - rates.path) ** (2 * evaluations / batch)
-    return jnp.square(path).sum() / dim < (2 + 4 / (dim + 1)) * decay
-
-
-def stretch_cov_path(
-    path: jax.Array, step: jax.Array, short: jax.Array, rates: Rates[jax.Array]
-) -> jax.Array:
-    """Extend the covariance path p_c [P] by the `step` of the mean (45), undivided as in pyribs."""
-    scale = jnp.sqrt(rates.cov_path * (2 - rates.cov_path) * rates.mu_eff)
-    return (1 - rates.cov_path) * path + jnp.where(short, scale, 0) * step
-
-
-def rank_one_decay(short: jax.Array, rates: Rates[jax.Array]) -> jax.Array:
-    """Give how much of the covariance the rank-one term replaces, c_1 (1 - delta(h_sigma)) (47).
-
-    While h_sigma stalls the path, the variance that it misses stays in the matrix.
-    """
-    lost = jnp.where(short, 0, rates.cov_path * (2 - rates.cov_path))
-    return rates.rank_one * (1 - lost)
-
-
-def degenerate(sigma: jax.Array, eigenvalues: jax.Array) -> jax.Array:
-    """Tell whether N(., sigma^2 C) is too narrow, too lopsided or no distribution any more."""
-    largest, smallest = eigenvalues.max(), eigenvalues.min()
-    area = sigma * jnp.sqrt(largest)
-    healthy = (largest / smallest <= LARGEST_CONDITION) & (area >= SMALLEST_STEP)
-    return ~(healthy & jnp.isfinite(area))
+    excess = jnp.square(p_std).sum() / p_std.shape[0] - 1
+    return std * jnp.exp(jnp.minimum(1, rates.path / rates.damping * excess / 2))
 
 
 def matmul(left: jax.Array, right: jax.Array) -> jax.Array:

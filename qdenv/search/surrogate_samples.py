@@ -1,4 +1,4 @@
-"""What algorithms with a surrogate observe: the samples that it learns from."""
+"""What searches with a surrogate let it learn from."""
 
 from collections.abc import Mapping
 
@@ -12,10 +12,10 @@ from qdenv.types import Array, InputError, Score
 
 
 def drawing_of(problem: Problem, name: str) -> Drawing:
-    """Give what solutions look like.
+    """Return what the solutions of a problem look like.
 
     Raises:
-        InputError: solutions of this problem are nothing but numbers; the line names the algorithm.
+        InputError: its solutions are nothing but numbers; the message names the algorithm.
     """
     if problem.drawing is None:
         raise InputError(f"{name} learns from drawings: this problem has none")
@@ -23,7 +23,7 @@ def drawing_of(problem: Problem, name: str) -> Drawing:
 
 
 def aspect_of(problem: Problem, drawing: Drawing) -> Aspect:
-    """Say what a surrogate sees of a problem."""
+    """Describe the inputs and outputs of a problem's surrogate."""
     measures = len(problem.measures)
     return Aspect(drawing.shape, drawing.kinds, measures, drawing.repairs, drawing.usage)
 
@@ -31,13 +31,13 @@ def aspect_of(problem: Problem, drawing: Drawing) -> Aspect:
 def samples_of(
     drawing: Drawing, solutions: jax.Array, score: Score, extras: Mapping[str, Array]
 ) -> Samples:
-    """Collect what a surrogate learns of a batch.
+    """Collect the samples of a batch.
 
     Args:
         drawing: what solutions look like.
         solutions: float [B, P].
         score: `Score` with leading axis B.
-        extras: with "repaired" and "usage", where the drawing says so.
+        extras: with "repaired" and "usage", where the drawing has them.
     """
     drawn = drawing.draw(solutions)
     numbers = [score.objective[:, None], score.result_objective[:, None], score.measures]

@@ -1,0 +1,267 @@
+"""CMA-ES with an isotropic, a diagonal and a full covariance matrix, by pyribs' rules.
+
+Numbers in brackets are equations of Hansen 2016, "The CMA evolution strategy: a tutorial",
+https://arxiv.org/abs/1604.00772v1.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from qdenv.search.strategies.base import (
+    LARGEST_CONDITION,
+    SMALLEST_STEP,
+    Params,
+    State,
+    Strategy,
+    full_rates,
+    matmul,
+    ranked_parents,
+    rates_row,
+    separable_rates,
+    update_p_std,
+    update_std,
+)
+
+
+class Isotropic(Strategy):
+    """Sample N(mean, std^2 I) and adapt std by its path, O(b P) per iteration.
+
+    Exactly what pyribs' CMA-ES does until its first eigendecomposition, which comes after
+    `refresh_gap` evaluations of an emitter; at the paper's sizes that is the whole run.
+    """
+
+    def _init(self, key: jax.Array, params: Params) -> State:
+        return State(**self._init_fields(params))
+
+    def _ask(self, key: jax.Array, state: State, params: Params) -> tuple[jax.Array, State]:
+        noise = self._draw_noise(key, state)
+        return state.mean[None] + state.std * noise, state  # (39) and (40), C = I
+
+    def _tell(
+        self,
+        key: jax.Array,
+        population: jax.Array,
+        fitness: jax.Array,
+        state: State,
+        params: Params,
+    ) -> State:
+        order, parents, _, rates = self._select(fitness, params)
+        rows = ranked_parents(population, order, parents, state.mean)
+        mean = (rates.weights[:, None] * rows).sum(axis=0)  # (41) and (42)
+        p_std = update_p_std(state.p_std, mean - state.mean, state.std, rates)
+        return state.replace(mean=mean, std=update_std(state.std, p_std, rates), p_std=p_std)
+
+
+@struct.dataclass
+class CovarianceState(State):
+    """The search distribution N(mean, std^2 C)."""
+
+    evaluations: jax.Array  # int32, successful ones since the last restart
+    p_c: jax.Array  # float [P], evolution path of the covariance
+    C: jax.Array  # covariance: float [P], its diagonal, or [P, P]
+
+
+class _Covariance(Strategy):
+    """Adapt a covariance matrix by rank-one and rank-mu updates.
+
+    As in pyribs the path p_c is not divided by std and the rank-one term carries its rate twice.
+    """
+
+    def _tell(
+        self,
+        key: jax.Array,
+        population: jax.Array,
+        fitness: jax.Array,
+        state: Any,
+        params: Params,
+    ) -> Any:
+        order, parents, evaluated, rates = self._select(fitness, params)
+        evaluations = state.evaluations + evaluated
+        rows = ranked_parents(population, order, parents, state.mean)
+        mean = (rates.weights[:, None] * rows).sum(axis=0)  # (41) and (42)
+        step = mean - state.mean
+        p_std = update_p_std(state.p_std, self._whiten(state, step), state.std, rates)
+        # h_sigma of (45) is False while the path is long: a long path says that the step size is
+        # far too small, and the covariance must not grow meanwhile. As pyribs: squared lengths,
+        # and evaluations in place of generations.
+        decay = 1 - (1 - rates.path) ** (2 * evaluations / self.population_size)
+        short = jnp.square(p_std).sum() / self.num_dims < (2 + 4 / (self.num_dims + 1)) * decay
+        scale = jnp.sqrt(rates.cov_path * (2 - rates.cov_path) * rates.mu_eff)
+        p_c = (1 - rates.cov_path) * state.p_c + jnp.where(short, scale, 0) * step  # (45)
+        # c_1 (1 - delta(h_sigma)): while h_sigma stalls the path, the variance that it misses
+        # stays in the matrix.
+        lost = jnp.where(short, 0, rates.cov_path * (2 - rates.cov_path))
+        covariance = (  # (47), the weights being positive
+            state.C * (1 - rates.rank_one * (1 - lost) - rates.rank_mu)
+            + rates.rank_one**2 * self._rank_one(p_c)
+            + rates.rank_mu / state.std**2 * self._rank_mu(rates.weights, rows - state.mean[None])
+        )
+        std = update_std(state.std, p_std, rates)
+        return state.replace(
+            mean=mean, std=std, p_std=p_std, evaluations=evaluations, p_c=p_c, C=covariance
+        )
+
+    def _whiten(self, state: Any, step: jax.Array) -> jax.Array:
+        """Compute C^(-1/2) step."""
+        raise NotImplementedError
+
+    def _rank_one(self, p_c: jax.Array) -> jax.Array:
+        raise NotImplementedError
+
+    def _rank_mu(self, weights: jax.Array, steps: jax.Array) -> jax.Array:
+        raise NotImplementedError
+
+    def _is_degenerate(self, std: jax.Array, eigenvalues: jax.Array) -> jax.Array:
+        largest, smallest = eigenvalues.max(), eigenvalues.min()
+        area = std * jnp.sqrt(largest)
+        healthy = (largest / smallest <= LARGEST_CONDITION) & (area >= SMALLEST_STEP)
+        return ~(healthy & jnp.isfinite(area))
+
+
+class Separable(_Covariance):
+    """sep-CMA-ES: a diagonal covariance with its own, larger rates, O(b P).
+
+    Ros and Hansen 2008, "A simple modification in CMA-ES achieving linear time and space
+    complexity", https://inria.hal.science/inria-00287367.
+    """
+
+    covariance_rates = staticmethod(separable_rates)
+
+    def _init(self, key: jax.Array, params: Params) -> CovarianceState:
+        fields = self._init_fields(params)
+        zeros = fields["mean"]
+        return CovarianceState(
+            **fields, evaluations=jnp.int32(0), p_c=zeros, C=jnp.ones_like(zeros)
+        )
+
+    def _ask(
+        self, key: jax.Array, state: CovarianceState, params: Params
+    ) -> tuple[jax.Array, CovarianceState]:
+        deviations = state.std * jnp.sqrt(state.C)
+        noise = self._draw_noise(key, state)
+        return state.mean[None] + deviations[None] * noise, state  # (39) and (40)
+
+    def _whiten(self, state: CovarianceState, step: jax.Array) -> jax.Array:
+        return step / jnp.sqrt(state.C)
+
+    def _rank_one(self, p_c: jax.Array) -> jax.Array:
+        return jnp.square(p_c)
+
+    def _rank_mu(self, weights: jax.Array, steps: jax.Array) -> jax.Array:
+        # The diagonal of the matrix is all that is ever computed: O(b P).
+        return (weights[:, None] * jnp.square(steps)).sum(axis=0)
+
+    def is_degenerate(self, state: CovarianceState) -> jax.Array:
+        """Return True if the distribution is too narrow, too lopsided or not finite."""
+        return self._is_degenerate(state.std, state.C)
+
+
+@struct.dataclass
+class FullState(CovarianceState):
+    """State of `Full`: C is a matrix, whose eigensystem is renewed when it is due."""
+
+    B: jax.Array  # float [P, P], eigenvectors of the covariance at the last refresh
+    eigenvalues: jax.Array  # float [P], at the last refresh
+    refreshed: jax.Array  # int32, `evaluations` at the last refresh
+
+
+class Full(_Covariance):
+    """CMA-ES with a full matrix, O(b P^2) per iteration and O(P^3) per eigendecomposition.
+
+    For P up to some hundreds. The decomposition is computed when it is due, under a `jax.vmap`
+    over emitters too; under two of them (over whole searches) at every ask, because a branch under
+    vmap becomes a select.
+    """
+
+    def _init(self, key: jax.Array, params: Params) -> FullState:
+        fields = self._init_fields(params)
+        zeros, never = fields["mean"], jnp.int32(0)
+        identity = jnp.eye(self.num_dims, dtype=zeros.dtype)
+        return FullState(
+            **fields,
+            evaluations=never,
+            p_c=zeros,
+            C=identity,
+            B=identity,
+            eigenvalues=jnp.ones_like(zeros),
+            refreshed=never,
+        )
+
+    def _ask(self, key: jax.Array, state: FullState, params: Params) -> tuple[jax.Array, FullState]:
+        gap = np.float32(refresh_gap(self.num_dims, self.population_size))
+        due = state.evaluations > state.refreshed + gap
+        covariance, basis, eigenvalues = _refresh_if(due, state.C, state.B, state.eigenvalues)
+        transform = basis * jnp.sqrt(eigenvalues)[None]
+        solutions = matmul(self._draw_noise(key, state), transform.T)  # (39)
+        return state.mean[None] + state.std * solutions, state.replace(  # (40)
+            C=covariance,
+            B=basis,
+            eigenvalues=eigenvalues,
+            refreshed=jnp.where(due, state.evaluations, state.refreshed),
+        )
+
+    def _whiten(self, state: FullState, step: jax.Array) -> jax.Array:
+        # By way of the eigenbasis, in which the root is a division.
+        return matmul(state.B, matmul(step, state.B) / jnp.sqrt(state.eigenvalues))
+
+    def _rank_one(self, p_c: jax.Array) -> jax.Array:
+        return jnp.outer(p_c, p_c)
+
+    def _rank_mu(self, weights: jax.Array, steps: jax.Array) -> jax.Array:
+        return matmul((weights[:, None] * steps).T, steps)
+
+    def is_degenerate(self, state: FullState) -> jax.Array:
+        """Return True if the distribution is too narrow, too lopsided or not finite."""
+        return self._is_degenerate(state.std, state.eigenvalues)
+
+
+def refresh_gap(dim: int, batch: int) -> float:
+    """Compute after how many evaluations of an emitter the eigensystem is due (pyribs).
+
+    The matrix hardly changes in fewer; the tutorial counts generations instead
+    (section on numerical effort).
+    """
+    rates = rates_row(max(batch // 2, 1), batch, dim, full_rates)
+    return float(0.5 * batch / (dim * (rates.rank_one + rates.rank_mu)))
+
+
+Eigensystem = tuple[jax.Array, jax.Array, jax.Array]  # covariance, basis, eigenvalues
+
+
+@jax.custom_batching.custom_vmap
+def _refresh_if(
+    due: jax.Array, covariance: jax.Array, basis: jax.Array, eigenvalues: jax.Array
+) -> Eigensystem:
+    """Renew an eigensystem if it is due."""
+    return jax.lax.cond(due, _decompose, lambda *same: same, covariance, basis, eigenvalues)
+
+
+@_refresh_if.def_vmap
+def _refresh_each(size: int, batched: list[bool], *given: jax.Array) -> tuple[Eigensystem, Any]:
+    """Renew those eigensystems of several emitters that are due."""
+    rows = [
+        leaf if own else jnp.broadcast_to(leaf, (size, *leaf.shape))
+        for leaf, own in zip(given, batched, strict=True)
+    ]
+
+    def each(due: jax.Array, *systems: jax.Array) -> Eigensystem:
+        one = lambda row: jax.lax.cond(row[0], _decompose, lambda *same: same, *row[1:])  # noqa: E731
+        return jax.lax.map(one, (due, *systems))
+
+    # Not a vmap of the branch: under it both sides would be computed at every ask.
+    new = jax.lax.cond(rows[0].any(), each, lambda due, *same: same, *rows)
+    return new, (True, True, True)
+
+
+def _decompose(covariance: jax.Array, basis: jax.Array, eigenvalues: jax.Array) -> Eigensystem:
+    """Renew the eigensystem of a covariance matrix."""
+    # Products of rounded numbers are not quite symmetric; pyribs takes the larger of each pair.
+    covariance = jnp.maximum(covariance, covariance.T)
+    eigenvalues, basis = jnp.linalg.eigh(covariance, symmetrize_input=False)
+    # Rounding may leave tiny negative values, of which there is no root.
+    eigenvalues = jnp.maximum(jnp.abs(eigenvalues), jnp.finfo(eigenvalues.dtype).tiny)
+    return covariance, basis, eigenvalues

@@ -1,0 +1,156 @@
+"""The inner loop of DSAGE: MAP-Elites on predictions, and which of its elites are evaluated."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.search.archive import GridArchive
+from qdenv.search.base import Problem
+from qdenv.search.settings import DsageConfig
+from qdenv.types import InputError, Measure, Score
+
+# Tiles that a geometric draw changes at most: more come once in 65,000 mutations (2^-16), and
+# the shapes must be static.
+MOST = 16
+
+
+def search_surrogate(
+    config: DsageConfig,
+    problem: Problem,
+    choices: int,
+    predict: Callable[[jax.Array], Score],
+    key: jax.Array,
+) -> GridArchive:
+    """Fill a fresh archive by predictions: one scan, traceable.
+
+    Args:
+        config: the numbers.
+        problem: what is searched.
+        choices: tiles that each parameter may name.
+        predict: solutions int8 [B, P] -> their predicted `Score`.
+        key: consumed.
+
+    Returns:
+        the archive of solutions int8 [C, P] by predicted objective and measures.
+    """
+    cells, count = problem.solution_dim, config.inner_batch
+    example = jax.ShapeDtypeStruct((cells,), jnp.int8)
+
+    def iterate(archive: GridArchive, iteration: jax.Array) -> tuple[GridArchive, None]:
+        keys = jax.random.split(jax.random.fold_in(key, iteration), 3)
+        fresh = random_tiles(keys[0], count, cells, choices)
+        parents = archive.sample_solutions(keys[1], count, fresh)
+        children = mutate_tiles(keys[2], parents, choices, config.mutations)
+        solutions = jnp.where(iteration < config.inner_random, fresh, children)
+        score = predict(solutions)
+        archive, _ = archive.insert(
+            solutions, score.objective, score.measures, success=score.success
+        )
+        return archive, None
+
+    first = GridArchive.empty(example, problem.measures)
+    return jax.lax.scan(iterate, first, jnp.arange(config.inner_iterations))[0]
+
+
+def random_tiles(key: jax.Array, count: int, cells: int, choices: int) -> jax.Array:
+    """Draw every tile evenly, int8 [count, cells]. Consumes `key`."""
+    return jax.random.randint(key, (count, cells), 0, choices, jnp.int8)
+
+
+def mutate_tiles(key: jax.Array, parents: jax.Array, choices: int, mutations: int) -> jax.Array:
+    """Draw some tiles of each parent again, evenly (which may give the same tile).
+
+    Args:
+        key: consumed.
+        parents: int8 [B, P].
+        choices: number of kinds of tile.
+        mutations: different cells drawn again; 0 draws their number, geometric with mean 2.
+    """
+    many, cells = parents.shape
+    place_key, number_key, tile_key = jax.random.split(key, 3)
+    most = min(mutations or MOST, cells)
+    # The places of the largest of random numbers: different ones, in random order.
+    places = jax.lax.top_k(jax.random.uniform(place_key, parents.shape), most)[1]
+    number = jnp.full(many, most)
+    if not mutations:
+        number = jax.random.geometric(number_key, 0.5, (many,))
+    changed = jnp.arange(most)[None] < number[:, None]
+    tiles = jax.random.randint(tile_key, places.shape, 0, choices, jnp.int8)
+    target = jnp.where(changed, places, cells)  # others: out of bounds
+    return parents.at[jnp.arange(many)[:, None], target].set(tiles, mode="drop")
+
+
+def blocks_along(measures: Sequence[Measure], blocks: Sequence[int]) -> tuple[int, ...]:
+    """Return the number of blocks along each measure: `blocks`, at most one per cell.
+
+    Half of the cells along the first measure and a quarter along the others if `blocks` is empty,
+    as published for the warehouse.
+
+    Raises:
+        InputError: the number of axes is another.
+    """
+    if blocks and len(blocks) != len(measures):
+        raise InputError(f"downsample: give {len(measures)} numbers of blocks, one per measure")
+    published = [axis.cells // (4 if place else 2) for place, axis in enumerate(measures)]
+    return tuple(
+        max(1, min(count, axis.cells))
+        for count, axis in zip(blocks or published, measures, strict=True)
+    )
+
+
+def block_of_cells(measures: Sequence[Measure], blocks: Sequence[int]) -> np.ndarray:
+    """Compute the block of each cell (int32 [C]); blocks are as equal as whole cells allow."""
+    shape = tuple(axis.cells for axis in measures)
+    cells = np.unravel_index(np.arange(math.prod(shape)), shape)
+    along = [
+        index * count // axis.cells
+        for index, axis, count in zip(cells, measures, blocks, strict=True)
+    ]
+    return np.ravel_multi_index(tuple(along), tuple(blocks)).astype(np.int32)
+
+
+def draw_per_block(key: jax.Array, filled: jax.Array, block: np.ndarray) -> jax.Array:
+    """Mark one filled cell of each block that has any (bool [C]). Consumes `key`.
+
+    Args:
+        key: consumed.
+        filled: bool [C].
+        block: int32 [C], from `block_of_cells`.
+    """
+    # A random order in place of random numbers: no two cells of a block are ever equal.
+    rank = jnp.where(filled, jax.random.permutation(key, len(block)), -1)
+    best = jax.ops.segment_max(rank, block, num_segments=int(block.max()) + 1)
+    return filled & (rank == best[block])
+
+
+def choose_waiting(
+    key: jax.Array, predicted: GridArchive, block: np.ndarray, fresh: jax.Array, batch: int
+) -> tuple[jax.Array, jax.Array]:
+    """Choose what is evaluated next: an elite of each block, and others up to whole batches.
+
+    Where the archive has too few elites for that, random solutions fill the last batch.
+
+    Args:
+        key: consumed.
+        predicted: archive of the inner loop; solutions int8 [C, P].
+        block: int32 [C], from `block_of_cells`.
+        fresh: int8 [Q, P], random solutions; Q holds a batch more than there are blocks.
+        batch: true evaluations per iteration.
+
+    Returns:
+        the queue int8 [Q, P], and how many of its first rows wait (int32).
+    """
+    block_key, order_key = jax.random.split(key)
+    drawn, cells = draw_per_block(block_key, predicted.filled, block), len(block)
+    size = len(fresh)
+    order = jax.random.uniform(order_key, drawn.shape)
+    # Elites of blocks come first (1 to 2), then other elites (0 to 1), then empty cells (-1).
+    priority = jnp.where(predicted.filled, order + drawn, -1.0)
+    priority = jnp.pad(priority, (0, max(size - cells, 0)), constant_values=-1.0)
+    value, cell = jax.lax.top_k(priority, size)
+    elites = predicted.genotypes[jnp.minimum(cell, cells - 1)]
+    waiting = jnp.maximum((drawn.sum(dtype=jnp.int32) + batch - 1) // batch, 1) * batch
+    return jnp.where((value >= 0)[:, None], elites, fresh), waiting
