@@ -27,7 +27,7 @@ import tyro
 import qdenv
 from qdenv.commands.parsing import run_program
 from qdenv.io.files import write_csv
-from qdenv.search.store import growing
+from qdenv.search.base import growing
 from qdenv.study.surrogate import judge, split
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig

@@ -10,11 +10,10 @@ from search_harness import DIM, EXTRAS, GRID, extras_of, score_of
 
 from qdenv.io.arrays import PIECE
 from qdenv.run.checkpoint import load_checkpoint, save_checkpoint
-from qdenv.search.base import Problem
+from qdenv.search.base import Problem, growing
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.map_elites import MapElitesConfig
 from qdenv.search.registry import make_algorithm
-from qdenv.search.store import growing
 from qdenv.types import InputError, Measure
 
 SEARCHES = {

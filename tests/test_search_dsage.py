@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from search_harness import QUICK, Compiled
 
-from qdenv.search import store as stores
+from qdenv.search import base
 from qdenv.search.base import Drawing, Problem
 from qdenv.search.dsage import dsage
 from qdenv.search.settings import DsageConfig
@@ -185,10 +185,10 @@ def test_when_all_evaluations_fail_it_goes_on_with_random_tiles():
 
 
 def test_a_store_that_grows_changes_nothing(monkeypatch):
-    monkeypatch.setattr(stores, "FIRST_ROWS", 18)
+    monkeypatch.setattr(base, "FIRST_ROWS", 18)
     # Compiled as the other: bits depend on how much is optimised.
     monkeypatch.setattr(jax, "jit", functools.partial(jax.jit, compiler_options=QUICK))
-    plain, grown = toy(), stores.growing(toy().algorithm)
+    plain, grown = toy(), base.growing(toy().algorithm)
     one, other = plain.init(jax.random.key(0)), grown.init(jax.random.key(0))
     sizes = []
     for _ in range(5):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from search_harness import CONFIGS, EXTRAS, GRID, PROBLEM, extras_of, score_of
 
-from qdenv.search import store as stores
+from qdenv.search import base
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Problem, StoredArchive
 from qdenv.search.cma_mae import CmaMaeConfig
@@ -61,9 +61,9 @@ def test_archives_of_rows_hold_what_archives_of_solutions_hold():
 
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
-    monkeypatch.setattr(stores, "FIRST_ROWS", 1)
+    monkeypatch.setattr(base, "FIRST_ROWS", 1)
     algorithm = make_algorithm(SEARCHES[name], PROBLEM)
-    found_by = stores.growing(algorithm)
+    found_by = base.growing(algorithm)
     ask, tell = jax.jit(algorithm.ask), jax.jit(algorithm.tell)
     small, full = search(found_by, 5), search(algorithm._replace(ask=ask, tell=tell), 5)
     store, most = small.archives.store, len(full.archives.store.used)
@@ -84,8 +84,8 @@ def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
 
 
 def test_a_store_grows_to_its_full_size_and_no_further(monkeypatch):
-    monkeypatch.setattr(stores, "FIRST_ROWS", 1)
-    algorithm = stores.growing(make_algorithm(CmaMaeConfig(), PROBLEM))
+    monkeypatch.setattr(base, "FIRST_ROWS", 1)
+    algorithm = base.growing(make_algorithm(CmaMaeConfig(), PROBLEM))
     state, sizes = algorithm.init(jax.random.key(0)), set()
     rng = np.random.default_rng(1)
     for number in range(12):
@@ -105,7 +105,7 @@ def test_nothing_ever_holds_a_solution_for_every_cell():
     algorithm = make_algorithm(CmaMaeConfig(), Problem(size, GRID, EXTRAS))
     dense = 4 * size * 8 * 9
     key = jax.random.key(0)
-    running = stores.growing(algorithm)
+    running = base.growing(algorithm)
     state = jax.eval_shape(algorithm.init, key)
 
     def workspace(function, *given):

@@ -19,7 +19,7 @@ from qdenv.presets import find_preset
 from qdenv.run.executors.layouts import Threads
 from qdenv.run.loop import Experiment, make_experiment
 from qdenv.run.problem import seen
-from qdenv.search.store import growing
+from qdenv.search.base import growing
 from qdenv.types import InputError
 
 

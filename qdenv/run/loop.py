@@ -24,9 +24,8 @@ from qdenv.run.manifest import meaning_of
 from qdenv.run.problem import archive_axes, problem_of, seen
 from qdenv.run.publish import Publisher, describe
 from qdenv.run.resume_checks import check_settings, check_total, settings_of
-from qdenv.search.base import Algorithm
+from qdenv.search.base import Algorithm, growing, is_whole
 from qdenv.search.registry import make_algorithm
-from qdenv.search.store import growing, is_whole
 from qdenv.types import InputError, Measure
 
 

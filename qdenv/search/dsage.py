@@ -5,11 +5,12 @@ https://arxiv.org/abs/2206.04199, as Zhang et al. 2023 use it for layouts.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from qdenv.search.base import Algorithm, Problem, StoredArchive, plain_key, received
 from qdenv.search.settings import DsageConfig
@@ -25,6 +26,7 @@ from qdenv.surrogate.samples import Ring
 from qdenv.surrogate.surrogate import (
     Fitted,
     Report,
+    Surrogate,
     blank_report,
     make_surrogate,
     report_errors,
@@ -73,6 +75,7 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
     room = max(first, -(-math.prod(blocks) // batch) * batch)  # Q
     aspect = aspect_of(problem, drawing)
     surrogate = make_surrogate(config.surrogate, aspect)
+    refill = _make_refill(config, problem, surrogate, block, room)
 
     def init(key: jax.Array) -> DsageState:
         key, queue_key, net_key = jax.random.split(plain_key(key), 3)
@@ -87,25 +90,11 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
             archives=StoredArchive.empty(problem, blank, batch),
         )
 
-    def refill(state: DsageState, key: jax.Array) -> tuple:
-        """Learn, search the surrogate, and choose the solutions that wait."""
-        fit_key, inner_key, queue_key, fresh_key = jax.random.split(key, 4)
-        fitted, losses = surrogate.fit(state.fitted, state.ring, fit_key)
-
-        def predict(solutions: jax.Array) -> Score:
-            drawn = drawing.draw(solutions.astype(jnp.float32))
-            return surrogate.predict(fitted, drawn).score
-
-        predicted = search_surrogate(config, problem, choices, predict, inner_key)
-        fresh = random_tiles(fresh_key, room, problem.solution_dim, choices)
-        queue, waiting = choose_waiting(queue_key, predicted, block, fresh, batch)
-        return fitted, state.report._replace(losses=losses), queue, waiting
-
     def ask(state: DsageState) -> tuple[jax.Array, DsageState]:
         key, refill_key = jax.random.split(state.key)
         fitted, report, queue, waiting = jax.lax.cond(
             state.waiting == 0,
-            lambda: refill(state, refill_key),
+            lambda: refill(state.fitted, state.ring, state.report, refill_key),
             lambda: (state.fitted, state.report, state.queue, state.waiting),
         )
         rows = jax.lax.dynamic_slice_in_dim(queue, waiting - batch, batch)
@@ -136,3 +125,31 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
         batch_size=batch,
         notes=lambda state: state.report.columns(problem.measures, state.fitted.fits),
     )
+
+
+def _make_refill(
+    config: DsageConfig, problem: Problem, surrogate: Surrogate, block: np.ndarray, room: int
+) -> Callable[..., tuple[Fitted, Report, jax.Array, jax.Array]]:
+    """Make the function that learns, searches the surrogate, and chooses the solutions that wait.
+
+    Returns:
+        (fitted, ring, report, key) -> (fitted, report, queue, waiting).
+    """
+    drawing = drawing_of(problem, "dsage")
+
+    def refill(
+        fitted: Fitted, ring: Ring, report: Report, key: jax.Array
+    ) -> tuple[Fitted, Report, jax.Array, jax.Array]:
+        fit_key, inner_key, queue_key, fresh_key = jax.random.split(key, 4)
+        fitted, losses = surrogate.fit(fitted, ring, fit_key)
+
+        def predict(solutions: jax.Array) -> Score:
+            drawn = drawing.draw(solutions.astype(jnp.float32))
+            return surrogate.predict(fitted, drawn).score
+
+        predicted = search_surrogate(config, problem, drawing.choices, predict, inner_key)
+        fresh = random_tiles(fresh_key, room, problem.solution_dim, drawing.choices)
+        queue, waiting = choose_waiting(queue_key, predicted, block, fresh, config.batch)
+        return fitted, report._replace(losses=losses), queue, waiting
+
+    return refill

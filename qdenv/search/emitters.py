@@ -215,8 +215,7 @@ def make_emitters(
         each = jax.random.split(key, emitters)
         solutions, states, keys = jax.vmap(member.ask)(state.strategy, each)
         chex.assert_shape(solutions, (emitters, batch, x0.shape[0]))
-        solutions = solutions.reshape(emitters * batch, -1)
-        return solutions, state._replace(strategy=states, keys=keys)
+        return solutions.reshape(emitters * batch, -1), state._replace(strategy=states, keys=keys)
 
     def adapt(
         state: Any,
