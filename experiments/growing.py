@@ -12,7 +12,7 @@ import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
 from qdenv.pipeline import simulate_layouts
-from qdenv.run.archive import Archive
+from qdenv.run.archive import SavedArchive
 from qdenv.run.config import follow_size
 from qdenv.run.directory import RunDirectory
 from qdenv.study import sizes
@@ -71,7 +71,7 @@ class Workshop:
         self._walks: dict[Shape, Callable] = {}  # compiled once for each size
 
     @cached_property
-    def archive(self) -> Archive:
+    def archive(self) -> SavedArchive:
         """The runs' archive: the best elite of each cell."""
         first, *others = (one.archive for one in (self.run, *self.further))
         columns = {

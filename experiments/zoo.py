@@ -30,7 +30,7 @@ from qdenv.domains.base import DOMAINS
 from qdenv.io.files import write_json
 from qdenv.io.records import read_json
 from qdenv.presets import PRESETS
-from qdenv.run.archive import Archive
+from qdenv.run.archive import SavedArchive
 from qdenv.run.directory import RunDirectory
 from qdenv.search.registry import ALGORITHMS
 from qdenv.types import InputError, look_up
@@ -40,7 +40,7 @@ ZOO = Path(__file__).parents[1] / "qdenv" / "zoo"
 FILES = ("config.json", "manifest.json", "metrics.csv")
 
 
-def numbers_of(archive: Archive) -> dict[str, np.ndarray]:
+def numbers_of(archive: SavedArchive) -> dict[str, np.ndarray]:
     """List what rules order elites by, float [elites] each."""
     columns = dict(archive.columns)
     measures = columns.pop("measures")
@@ -49,11 +49,11 @@ def numbers_of(archive: Archive) -> dict[str, np.ndarray]:
         for name, values in columns.items()
         if name != "solution" and values.ndim <= 2
     }
-    names = (axis.name for axis in archive.meaning.measures)
+    names = (axis.name for axis in archive.schema.measures)
     return found | dict(zip(names, measures.T.astype(float), strict=True))
 
 
-def sound(archive: Archive) -> np.ndarray:
+def sound(archive: SavedArchive) -> np.ndarray:
     """List the elites (int [n]) that flowed or were solvable in all simulations of the search."""
     columns = archive.columns
     congested = columns.get("congested", np.zeros((len(archive), 1), bool))
@@ -114,7 +114,7 @@ def origin_of(workshop: Workshop, domain: str) -> Origin:
 
 
 def write(
-    folder: Path, run: RunDirectory, archive: Archive, origin: Origin, found: list[Generator]
+    folder: Path, run: RunDirectory, archive: SavedArchive, origin: Origin, found: list[Generator]
 ) -> None:
     """Write a folder of the zoo in place of the one that is there."""
     shutil.rmtree(folder, ignore_errors=True)

@@ -38,7 +38,7 @@ from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
-from qdenv.run.manifest import meaning_of
+from qdenv.run.manifest import archive_schema
 from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.simulate.maze.world import longest_path
@@ -367,7 +367,7 @@ def test_a_runtime_is_that_of_the_repair_that_other_commands_make(folders, tmp_p
     )
     config = RunConfig(evaluation=evaluation, seed=1)
     domain = make_domain(evaluation.domain)
-    run = RunDirectory.create(tmp_path / "run", config, meaning_of(domain, domain.measures))
+    run = RunDirectory.create(tmp_path / "run", config, archive_schema(domain, domain.measures))
     solution = np.random.default_rng(1).normal(
         0, 0.6, GENERATORS.make(evaluation.generator, canvas_of(domain)).size
     )

@@ -114,7 +114,7 @@ def test_a_run_of_an_older_qdenv_whose_manifest_says_less_is_drawn(tmp_path):
     for name in ("objective", "tie_break", "tile_names"):
         del content[name]
     path.write_text(json.dumps(content))
-    assert run.meaning.objective == "objective" and run.meaning.tie_break is None
+    assert run.schema.objective == "objective" and run.schema.tie_break is None
     assert [picture.name for picture in plot_run(run)] == [
         "archive.png", "progress.png", "best_layout.png",
     ]  # fmt: skip

@@ -22,7 +22,7 @@ from qdenv.repair.pool import RepairPool
 from qdenv.repair.settings import RepairConfig
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
-from qdenv.run.manifest import meaning_of
+from qdenv.run.manifest import archive_schema
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study import sizes
 from qdenv.study.elites import grow_elite, grow_series, repair_grown
@@ -42,7 +42,7 @@ def make_run(path: Path, evaluation: EvaluationConfig = SMALL) -> RunDirectory:
     config = RunConfig(evaluation=evaluation, seed=7)
     domain = make_domain(evaluation.domain)
     measures = [measure._replace(cells=5) for measure in domain.measures]
-    run = RunDirectory.create(path, config, meaning_of(domain, measures))
+    run = RunDirectory.create(path, config, archive_schema(domain, measures))
     size = GENERATORS.make(evaluation.generator, canvas_of(domain)).size
     solutions = np.random.default_rng(1).normal(0, 0.6, (3, size)).astype(np.float32)
     objective = np.array([1.0, 3.0, 2.0], np.float32)

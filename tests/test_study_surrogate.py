@@ -16,7 +16,7 @@ import qdenv
 from qdenv.cli import run as command
 from qdenv.domains.base import make_domain
 from qdenv.run.directory import RunDirectory
-from qdenv.run.manifest import meaning_of
+from qdenv.run.manifest import archive_schema
 from qdenv.study.surrogate import (
     FEWEST,
     Evaluated,
@@ -44,7 +44,7 @@ def save_run(path: Path, elites: int) -> RunDirectory:
     domain = make_domain(settings)
     cells = zip(domain.measures, (30, 8), strict=True)
     axes = [axis._replace(cells=count) for axis, count in cells]
-    run = RunDirectory.create(path, config, meaning_of(domain, axes))
+    run = RunDirectory.create(path, config, archive_schema(domain, axes))
     rng = np.random.default_rng(0)
     share = rng.random((elites, 1, 1))
     drawn = np.where(rng.random((elites, *DRAWN)) < share, 1, 0).astype(np.int8)

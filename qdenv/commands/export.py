@@ -4,8 +4,8 @@ from pathlib import Path
 
 from qdenv.commands import output
 from qdenv.commands.choices import RunFolder
+from qdenv.domains.base import DOMAINS
 from qdenv.run.directory import RunDirectory
-from qdenv.study.exports import TABLES, write_layouts, write_table
 from qdenv.zoo import file_name
 
 
@@ -27,10 +27,10 @@ def export(
         solutions: add the parameters of the generators to the table.
     """
     run = RunDirectory.open(run_dir)
-    place = output.place(out, f"{file_name(run_dir)}_elites.csv", TABLES)
-    archive, domain = run.archive, run.config.evaluation.domain
-    write_table(archive, place.path, solutions)
+    place = output.place(out, f"{file_name(run_dir)}_elites.csv", (".csv", ".parquet"))
+    archive = run.archive
+    archive.write_table(place.path, solutions)
     print(f"{place}: {len(archive)} elites")
     if layouts is not None:
-        written = write_layouts(archive, layouts, domain)
-        print(f"{layouts}: {written} layouts")
+        archive.write_layouts(layouts, DOMAINS.name_of(run.config.evaluation.domain))
+        print(f"{layouts}: {len(archive)} layouts")

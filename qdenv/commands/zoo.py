@@ -151,7 +151,7 @@ def draw(path: Path, collections: Sequence[Collection], only: Shipped | None) ->
 
     def picture(collection: Collection, one: Generator) -> Picture:
         run = RunDirectory.open(f"{PREFIX}{collection.domain}/{one.name}")
-        best, meaning = run.best, run.meaning
+        best, meaning = run.best, run.schema
         said = "\n".join(
             f"{size.rows} x {size.cols}: {in_short(size.driven[0])}" for size in one.sizes
         )

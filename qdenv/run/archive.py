@@ -1,7 +1,8 @@
 """The archive that a run saved: its elites by cell, by measures, or all as a table."""
 
+import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,26 +10,26 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain
-from qdenv.grid import parse
 from qdenv.io.arrays import Column, read_arrays
-from qdenv.io.files import damaged
-from qdenv.io.records import read_json
-from qdenv.run.manifest import Meaning
+from qdenv.io.files import damaged, write_atomically, write_csv
+from qdenv.io.layouts import write_layout
+from qdenv.run.manifest import ArchiveSchema
 from qdenv.search.axes import inner_edges
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
     import pandas
     import ribs.archives
-# Those that every archive has.
+
+# Columns of every archive.
 COLUMNS = {
     "index": Column("iu", 1),
     "solution": Column("iuf", 2, finite=True),
     "objective": Column("iuf", 1, finite=True),
     "measures": Column("iuf", 2, finite=True),
 }
-REPAIRED = {"repaired": Column("iu", 3)}  # the layouts, which the archive of a run has beside
-# Those that the archive of a run may have: the layouts before the repair, how each run ended.
+REPAIRED = {"repaired": Column("iu", 3)}  # of the archive of a run: the layouts
+# Those that it may have: the layouts before the repair, and how each simulation ended.
 KNOWN = {"unrepaired": Column("iu", 3), "congested": Column("b", 2), "success": Column("b", 2)}
 Columns = Mapping[str, np.ndarray]
 
@@ -41,10 +42,10 @@ class Elite(NamedTuple):
     cell: tuple[int, ...]  # index along each measure
     measures: Mapping[str, float]  # value of each measure, by its name
     layout: np.ndarray  # int8 [H, W], repaired, as it was simulated
-    meaning: Meaning  # of the archive; `Meaning.tiles` is the alphabet of the layout
+    schema: ArchiveSchema  # of the archive; `ArchiveSchema.tiles` is the alphabet of the layout
 
     def __repr__(self) -> str:
-        """Say where it is in the archive and what it is worth, without its parameters."""
+        """Show its cell and its values, without the parameters."""
         cell = ",".join(map(str, self.cell))
         values = "".join(f", {name} {value:.4g}" for name, value in self.measures.items())
         return f"Elite(cell {cell}, objective {self.objective:.4g}{values})"
@@ -54,7 +55,7 @@ class Elite(NamedTuple):
         # Only here: matplotlib takes half a second to import.
         from qdenv.view.notebook import layout_html
 
-        return f"<p>{self!r}</p>{layout_html(self.layout, self.meaning.tiles, self.meaning.names)}"
+        return f"<p>{self!r}</p>{layout_html(self.layout, self.schema.tiles, self.schema.names)}"
 
 
 def best_row(columns: Columns, tie_break: str | None) -> int:
@@ -72,7 +73,7 @@ def best_row(columns: Columns, tie_break: str | None) -> int:
     return int(best[np.argmax(worth[best])])
 
 
-def read_columns(path: Path, meaning: Meaning) -> dict[str, np.ndarray]:
+def read_columns(path: Path, schema: ArchiveSchema) -> dict[str, np.ndarray]:
     """Read the archive of a run.
 
     Raises:
@@ -80,15 +81,15 @@ def read_columns(path: Path, meaning: Meaning) -> dict[str, np.ndarray]:
             of another length, a cell lies outside, or a tile means nothing.
     """
     columns = read_arrays(path, COLUMNS | REPAIRED, Column(), KNOWN)
-    index, cells = columns["index"], math.prod(one.cells for one in meaning.measures)
+    index, cells = columns["index"], math.prod(one.cells for one in schema.measures)
     alike = all(column.ndim and len(column) == len(index) for column in columns.values())
     inside = ((index >= 0) & (index < cells)).all() and len(np.unique(index)) == len(index)
-    if not (alike and inside and columns["measures"].shape[1] == len(meaning.measures)):
+    if not (alike and inside and columns["measures"].shape[1] == len(schema.measures)):
         raise damaged(path, "not over the measures of this run")
     if len(index) and not all(column.size for column in columns.values()):
         raise damaged(path, "a column holds nothing")
     for name in columns.keys() & {"repaired", "unrepaired"}:
-        layouts, tiles = columns[name], len(meaning.tiles)
+        layouts, tiles = columns[name], len(schema.tiles)
         if layouts.size and not 0 <= layouts.min() <= layouts.max() < tiles:
             raise damaged(path, f"{name} holds tiles that this run does not know")
         if layouts.shape != columns["repaired"].shape:
@@ -113,35 +114,14 @@ def mark_cells(layout: np.ndarray, domain: Domain) -> dict[str, tuple[int, int]]
     }
 
 
-class _BestLayout(NamedTuple):
-    """The content of best_layout.json."""
-
-    layout: list[str]
-    marks: Mapping[str, tuple[int, int]] = {}
-
-
-def read_best_layout(path: Path, tiles: str) -> BestLayout:
-    """Read best_layout.json.
-
-    Raises:
-        InputError: it cannot be read, or is damaged.
-    """
-    content = read_json(path, _BestLayout)
-    try:
-        return BestLayout(parse(content.layout, tiles), dict(content.marks))
-    except InputError as error:
-        raise damaged(path, error) from error
-
-
 @dataclass(frozen=True, repr=False)
-class Archive:
+class SavedArchive:
     """The filled cells of the result archive of a run."""
 
     columns: Columns  # arrays with one row per elite, as in archive.npz
-    meaning: Meaning  # what they mean
-    source: str  # how messages call the run
-    # cells of elites that have names; "best" among them is the best, whatever it is worth to the
-    # search
+    schema: ArchiveSchema  # what the columns mean
+    source: str  # the run, for messages
+    # cells of named elites; one that is named "best" is the best, whatever its objective
     names: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -151,7 +131,7 @@ class Archive:
     @property
     def shape(self) -> tuple[int, ...]:
         """Cells along each measure."""
-        return tuple(measure.cells for measure in self.meaning.measures)
+        return tuple(measure.cells for measure in self.schema.measures)
 
     @property
     def qd_score(self) -> float:
@@ -171,10 +151,7 @@ class Archive:
     @property
     def best(self) -> Elite:
         """The elite of the largest objective, or the one that is named so."""
-        self._demand_elites()
-        if "best" in self.names:
-            return self.elite(self.names["best"])
-        return self._elite(best_row(self.columns, self.meaning.tie_break))
+        return self.elite("best")
 
     def elite(
         self, which: str | Sequence[int] = "best", measures: Sequence[float] | None = None
@@ -183,19 +160,20 @@ class Archive:
 
         Args:
             which: "best" or another name, or a cell: "12,40" or (12, 40).
-            measures: a value for each measure, in place of `which`: the elite of the cell they
-                fall into, or else the nearest one, where every axis is as long as the others.
+            measures: a value for each measure, in place of `which`: the elite of their cell, or
+                else the nearest one, where every axis counts as equally long.
 
         Raises:
-            InputError: there is no elite at all or none in that cell, or the question is none.
+            InputError: there is no elite at all or none in that cell, or the request is malformed.
         """
-        self._demand_elites()
+        if len(self) == 0:
+            raise InputError(f"{self.source}: the archive is empty, no solution succeeded yet")
         if measures is not None:
             return self._elite(self._nearest(measures))
-        if isinstance(which, str) and which == "best":
-            return self.best
         if isinstance(which, str) and which in self.names:
-            return self.elite(self.names[which])
+            which = self.names[which]
+        if isinstance(which, str) and which == "best":
+            return self._elite(best_row(self.columns, self.schema.tie_break))
         try:
             parts = which.split(",") if isinstance(which, str) else which
             cell = tuple(int(part) for part in parts)
@@ -210,17 +188,17 @@ class Archive:
         if len(rows) == 0:
             distance = np.abs(self.cells - np.array(cell)).sum(axis=1)
             hint = ",".join(map(str, self.cells[np.argmin(distance)]))
-            said = ",".join(map(str, cell))
-            raise InputError(f"elite '{said}': this cell is empty, the nearest elite is {hint}")
+            text = ",".join(map(str, cell))
+            raise InputError(f"elite '{text}': this cell is empty, the nearest elite is {hint}")
         return self._elite(int(rows[0]))
 
-    def _nearest(self, wanted: Sequence[float]) -> int:
+    def _nearest(self, values: Sequence[float]) -> int:
         """Find the row of the elite at some measures, or nearest to them."""
-        axes = self.meaning.measures
-        point = np.asarray(wanted, float).reshape(-1)
+        axes = self.schema.measures
+        point = np.asarray(values, float).reshape(-1)
         if point.shape != (len(axes),) or not np.isfinite(point).all():
             names = ", ".join(repr(axis.name) for axis in axes)
-            raise InputError(f"measures {wanted}: give a number for each of {names}")
+            raise InputError(f"measures {values}: give a number for each of {names}")
         along = [
             np.searchsorted(inner_edges(axis, np.dtype(np.float32)), np.float32(value), "right")
             for axis, value in zip(axes, point, strict=True)
@@ -231,12 +209,8 @@ class Archive:
         spans = np.array([axis.high - axis.low for axis in axes])
         return int(np.argmin((((self.columns["measures"] - point) / spans) ** 2).sum(axis=1)))
 
-    def _demand_elites(self) -> None:
-        if len(self) == 0:
-            raise InputError(f"{self.source}: the archive is empty, no solution succeeded yet")
-
     def _elite(self, row: int) -> Elite:
-        names = [measure.name for measure in self.meaning.measures]
+        names = [measure.name for measure in self.schema.measures]
         values = self.columns["measures"][row]
         return Elite(
             self.columns["solution"][row],
@@ -244,25 +218,29 @@ class Archive:
             tuple(int(index) for index in self.cells[row]),
             {name: float(value) for name, value in zip(names, values, strict=True)},
             self.columns["repaired"][row],
-            self.meaning,
+            self.schema,
         )
 
+    def elites(self) -> Iterator[Elite]:
+        """Iterate over all elites, in the order of the columns."""
+        return map(self._elite, range(len(self)))
+
     def table(self, solutions: bool = False) -> dict[str, np.ndarray]:
-        """List the elites as columns of plain numbers and words.
+        """Return the elites as columns of plain numbers and words.
 
         Args:
             solutions: include the parameters, ``solution_0`` and so on.
 
         Returns:
             ``cell`` (like "12,40", as `elite` takes it), ``objective``, each measure by its name,
-            then what was kept beside the elites: one column per number, ``throughput_0`` and so on
-            where there is one per simulation. Layouts have no place in a table.
+            then what is saved beside the elites: one column per number, ``throughput_0`` and so on
+            where there is one per simulation. Layouts are left out.
         """
         columns: dict[str, np.ndarray] = {
             "cell": np.array([",".join(map(str, cell)) for cell in self.cells], dtype=object),
             "objective": self.columns["objective"],
         }
-        for number, measure in enumerate(self.meaning.measures):
+        for number, measure in enumerate(self.schema.measures):
             columns[measure.name] = self.columns["measures"][:, number]
         others = [name for name in self.columns if name not in COLUMNS]
         for name in [*others, *(["solution"] if solutions else [])]:
@@ -285,6 +263,43 @@ class Archive:
             raise InputError("tables need pandas: pip install 'qdenv[data]'") from error
         return pandas.DataFrame(self.table(solutions))
 
+    def write_table(self, path: Path, solutions: bool = False) -> None:
+        """Write `table` as .csv, or .parquet by the path's ending.
+
+        Raises:
+            InputError: pandas or pyarrow is missing for Parquet, or the file cannot be written.
+        """
+        if path.suffix.lower() != ".parquet":
+            table = self.table(solutions)
+            # As numpy's numbers: Python's would show digits that single precision does not hold.
+            columns = [list(column) for column in table.values()]
+            write_csv(path, list(table), zip(*columns, strict=True))
+            return
+        content = io.BytesIO()
+        try:
+            self.to_pandas(solutions).to_parquet(content, index=False)
+        except ImportError as error:
+            raise InputError(
+                f"{path}: Parquet needs pandas and pyarrow: pip install 'qdenv[data]', or write a "
+                ".csv"
+            ) from error
+        write_atomically(path, content.getvalue())
+
+    def write_layouts(self, folder: Path, domain: str) -> None:
+        """Write a layout file for each elite, named by its cell: 12_40.json.
+
+        Args:
+            folder: for the files; made if need be.
+            domain: name of the run's domain, which the files state.
+
+        Raises:
+            InputError: the folder cannot be written to.
+        """
+        for elite in self.elites():
+            details = {"objective": elite.objective, "measures": dict(elite.measures)}
+            path = folder / f"{'_'.join(map(str, elite.cell))}.json"
+            write_layout(path, elite.layout, self.schema.tiles, domain=domain, **details)
+
     def to_ribs(self) -> "ribs.archives.GridArchive":
         """Make the same archive for pyribs, with its own names of fields.
 
@@ -303,7 +318,7 @@ class Archive:
         archive: Any = GridArchive(
             solution_dim=self.columns["solution"].shape[1],
             dims=self.shape,
-            ranges=[(measure.low, measure.high) for measure in self.meaning.measures],
+            ranges=[(measure.low, measure.high) for measure in self.schema.measures],
             extra_fields={
                 name: (values.shape[1:], values.dtype) for name, values in extras.items()
             },
@@ -313,10 +328,10 @@ class Archive:
         return archive
 
     def __repr__(self) -> str:
-        """Say how much was found."""
+        """Show the numbers of the archive."""
         best = f", best {self.best.objective:.4g}" if len(self) else ""
         return (
-            f"Archive({len(self)} elites, coverage {self.coverage:.1%}, "
+            f"SavedArchive({len(self)} elites, coverage {self.coverage:.1%}, "
             f"QD-score {self.qd_score:.4g}{best})"
         )
 
@@ -326,5 +341,5 @@ class Archive:
         from qdenv.view.notebook import archive_html
 
         index, objective = self.columns["index"], self.columns["objective"]
-        picture = archive_html(index, objective, self.meaning.measures, self.meaning.objective)
+        picture = archive_html(index, objective, self.schema.measures, self.schema.objective)
         return f"<p>{self!r}</p>{picture}"

@@ -15,30 +15,30 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from qdenv.domains.base import make_domain
 from qdenv.generate import GENERATORS
+from qdenv.grid import parse
 from qdenv.io.arrays import Column, read_arrays, write_arrays
-from qdenv.io.files import sweep, write_csv, write_json
+from qdenv.io.files import damaged, sweep, write_csv, write_json
 from qdenv.io.records import read_json
 from qdenv.run.archive import (
-    Archive,
     BestLayout,
     Elite,
+    SavedArchive,
     mark_cells,
-    read_best_layout,
     read_columns,
 )
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
 from qdenv.run.log import Metrics, read_metrics
-from qdenv.run.manifest import Meaning, check_schema, make_manifest, read_meaning
+from qdenv.run.manifest import ArchiveSchema, check_schema, make_manifest, read_schema
 from qdenv.types import InputError, Measure
 from qdenv.zoo import Shipped, find
 
@@ -47,6 +47,13 @@ if TYPE_CHECKING:
 
 KEPT_CHECKPOINTS = 2
 START = "start.npz"
+
+
+class _BestLayoutFile(NamedTuple):
+    """What is read of best_layout.json."""
+
+    layout: list[str]
+    marks: Mapping[str, tuple[int, int]] = {}
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -61,14 +68,18 @@ class RunDirectory:
 
     @classmethod
     def create(
-        cls, path: str | Path, config: RunConfig, meaning: Meaning, start: np.ndarray | None = None
+        cls,
+        path: str | Path,
+        config: RunConfig,
+        schema: ArchiveSchema,
+        start: np.ndarray | None = None,
     ) -> RunDirectory:
         """Start a run's folder.
 
         Args:
             path: the folder; made if need be.
             config: the resolved configuration.
-            meaning: of the archive.
+            schema: of the archive.
             start: parameters from which the search begins, float [P]; None for zeros.
 
         Raises:
@@ -77,7 +88,7 @@ class RunDirectory:
         run = cls(Path(path))
         if (run.path / "config.json").exists():
             raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
-        manifest = make_manifest(meaning, make_domain(config.evaluation.domain))
+        manifest = make_manifest(schema, make_domain(config.evaluation.domain))
         write_json(run.path / "manifest.json", manifest)
         run.write_metrics([])
         if start is not None:
@@ -131,25 +142,25 @@ class RunDirectory:
         return config_from_json(read_json(path, dict[str, Any]), path)
 
     @property
-    def meaning(self) -> Meaning:
+    def schema(self) -> ArchiveSchema:
         """What the archive means: its axes, the alphabet of its layouts, its objective."""
-        return read_meaning(self.path / "manifest.json")
+        return read_schema(self.path / "manifest.json")
 
     @property
     def measures(self) -> tuple[Measure, ...]:
         """The axes of the archive."""
-        return self.meaning.measures
+        return self.schema.measures
 
     @property
     def tiles(self) -> str:
         """The alphabet of the layouts."""
-        return self.meaning.tiles
+        return self.schema.tiles
 
     @property
-    def archive(self) -> Archive:
+    def archive(self) -> SavedArchive:
         """The archive as it was saved last, or an `InputError` where none was yet."""
         names = self.shipped.cells if self.shipped else {}
-        return Archive(self.load_archive(), self.meaning, str(self), names)
+        return SavedArchive(self.load_archive(), self.schema, str(self), names)
 
     @property
     def best(self) -> Elite:
@@ -159,7 +170,7 @@ class RunDirectory:
     def elite(
         self, which: str | Sequence[int] = "best", measures: Sequence[float] | None = None
     ) -> Elite:
-        """Find an elite as `Archive.elite` does: "best", "12,40", (12, 40), or by measures."""
+        """Find an elite as `SavedArchive.elite` does: "best", "12,40", (12, 40), or by measures."""
         return self.archive.elite(which, measures)
 
     def __repr__(self) -> str:
@@ -233,7 +244,7 @@ class RunDirectory:
         if not path.exists():
             hint = f"`qdenv resume {self.path}` goes on"
             raise InputError(f"{self.path}: no archive was saved yet; {hint}")
-        return read_columns(path, self.meaning)
+        return read_columns(path, self.schema)
 
     def read_best_layout(self) -> BestLayout | None:
         """Read best_layout.json; None where no layout succeeded yet.
@@ -248,7 +259,11 @@ class RunDirectory:
         path = self.path / "best_layout.json"
         if not path.exists():
             return None
-        return read_best_layout(path, self.tiles)
+        content = read_json(path, _BestLayoutFile)
+        try:
+            return BestLayout(parse(content.layout, self.tiles), dict(content.marks))
+        except InputError as error:
+            raise damaged(path, error) from error
 
     def _checkpoints(self) -> list[Path]:
         """List the checkpoints, the newest last; files of other names are not ours."""

@@ -20,7 +20,7 @@ from qdenv.run.directory import RunDirectory, find_start, read_start
 from qdenv.run.evaluate_async import Flight, Search, begin_search
 from qdenv.run.executors.base import Execution, open_evaluator
 from qdenv.run.log import Log
-from qdenv.run.manifest import meaning_of
+from qdenv.run.manifest import archive_schema
 from qdenv.run.problem import archive_axes, problem_of, seen
 from qdenv.run.publish import Publisher, describe
 from qdenv.run.resume_checks import check_settings, check_total, settings_of
@@ -107,8 +107,8 @@ def train(
     experiment = make_experiment(config, start)
     run = RunDirectory(Path(path))
     with run.locked():
-        meaning = meaning_of(experiment.pipeline.domain, experiment.measures)
-        run = RunDirectory.create(path, config, meaning, start)
+        schema = archive_schema(experiment.pipeline.domain, experiment.measures)
+        run = RunDirectory.create(path, config, schema, start)
         return _run(experiment, config, run, progress, execution)
 
 

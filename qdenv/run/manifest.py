@@ -1,12 +1,13 @@
 """The manifest of a run: what its archive means, and where and with what it was made."""
 
+import contextlib
 import platform
 import subprocess
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from qdenv.domains.base import Domain
 from qdenv.io.files import damaged
@@ -15,13 +16,11 @@ from qdenv.lazy import jax
 from qdenv.search.axes import Axis, axes_of
 from qdenv.types import InputError, Measure
 
-if TYPE_CHECKING:
-    pass
-SCHEMA = 2  # 1: one flat record for the numbers of every domain; still read
-_PACKAGES = ("qdenv", "jax", "jaxlib", "numpy", "flax", "qdax", "evosax", "highspy", "numba")
+SCHEMA = 2  # of run directories; 1 was never released
+PACKAGES = ("qdenv", "jax", "jaxlib", "numpy", "flax", "qdax", "evosax", "highspy", "numba")
 
 
-class Meaning(NamedTuple):
+class ArchiveSchema(NamedTuple):
     """What the columns of a run's archive mean."""
 
     measures: tuple[Measure, ...]  # the axes of the archive
@@ -32,14 +31,14 @@ class Meaning(NamedTuple):
     tie_break: str | None = None
 
 
-def meaning_of(domain: Domain, measures: Sequence[Measure]) -> Meaning:
-    """Say what an archive of this domain means, over these axes."""
+def archive_schema(domain: Domain, measures: Sequence[Measure]) -> ArchiveSchema:
+    """Make the schema of an archive of this domain over these axes."""
     axes, tiles = tuple(measures), domain.tiles
-    return Meaning(axes, tiles, domain.names, domain.objective_name, domain.tie_break)
+    return ArchiveSchema(axes, tiles, domain.names, domain.objective_name, domain.tie_break)
 
 
 class _Manifest(NamedTuple):
-    """What a manifest must say; it says more, for people."""
+    """What is read of a manifest; it holds more, for people."""
 
     measures: list[Axis]
     tiles: str
@@ -49,13 +48,13 @@ class _Manifest(NamedTuple):
 
 
 class _Written(NamedTuple):
-    """Which qdenv wrote a manifest."""
+    """What tells which qdenv wrote a manifest."""
 
     schema: int = 0
 
 
-def read_meaning(path: Path) -> Meaning:
-    """Read the meaning of an archive out of a manifest.
+def read_schema(path: Path) -> ArchiveSchema:
+    """Read the schema of an archive from a manifest.
 
     Raises:
         InputError: it cannot be read, or a part is missing or of another form.
@@ -64,7 +63,7 @@ def read_meaning(path: Path) -> Meaning:
     axes = axes_of(content.measures, path)
     if not content.tiles:
         raise damaged(path, "tiles: there must be one")
-    return Meaning(axes, content.tiles, *content[2:])
+    return ArchiveSchema(axes, content.tiles, *content[2:])
 
 
 def check_schema(path: Path) -> None:
@@ -77,31 +76,32 @@ def check_schema(path: Path) -> None:
         raise InputError(f"{path.parent}: written by a newer qdenv, please upgrade")
 
 
-def make_manifest(meaning: Meaning, domain: Domain) -> dict[str, Any]:
-    """List what manifest.json holds of a run in a domain that begins now."""
+def make_manifest(schema: ArchiveSchema, domain: Domain) -> dict[str, Any]:
+    """Make the content of manifest.json of a run that begins now."""
     axes = ("name", "low", "high", "cells")
     return {
         "schema": SCHEMA,
-        "measures": [{axis: getattr(one, axis) for axis in axes} for one in meaning.measures],
-        "tiles": meaning.tiles,
-        "tile_names": dict(meaning.names),
-        "objective": meaning.objective,
-        "tie_break": meaning.tie_break,
+        "measures": [{axis: getattr(one, axis) for axis in axes} for one in schema.measures],
+        "tiles": schema.tiles,
+        "tile_names": dict(schema.names),
+        "objective": schema.objective,
+        "tie_break": schema.tie_break,
         "reads": dict(domain.reads()),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {"python": platform.python_version()}
-        | {name: _version(name) for name in _PACKAGES},
+        "versions": {"python": platform.python_version()} | package_versions(),
         "device": f"{jax.default_backend()}: {jax.devices()[0].device_kind}",
         "machine": platform.platform(),
         "git_revision": _git_revision(),
     }
 
 
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
+def package_versions(packages: Sequence[str] = PACKAGES) -> dict[str, str]:
+    """Return the versions of packages, "not installed" for those that are not."""
+    found = dict.fromkeys(packages, "not installed")
+    for name in packages:
+        with contextlib.suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def _git_revision() -> str | None:

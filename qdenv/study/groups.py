@@ -63,7 +63,7 @@ def group_runs(runs: Sequence[RunDirectory]) -> list[Group]:
         InputError: a run has no finished iteration, or two are of different objectives, which no
             scale shows side by side.
     """
-    objectives = {run.meaning.objective: run for run in runs}
+    objectives = {run.schema.objective: run for run in runs}
     if len(objectives) > 1:
         one, other, *_ = objectives.values()
         raise InputError(

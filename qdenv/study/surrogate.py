@@ -76,9 +76,9 @@ def read_elites(run: RunDirectory) -> Evaluated:
         drawn=columns.get("unrepaired", columns["repaired"]),
         repaired=columns["repaired"],
         numbers=np.column_stack([columns["objective"], columns["measures"]]).astype(np.float32),
-        names=(objective, *(axis.name for axis in archive.meaning.measures)),
+        names=(objective, *(axis.name for axis in archive.schema.measures)),
         units=units.rstrip("]"),
-        kinds=len(archive.meaning.tiles),
+        kinds=len(archive.schema.tiles),
         repairs=domain.rules is not None,
     )
 

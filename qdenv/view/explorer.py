@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex
 from qdenv.domains.base import Domain, make_domain
 from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, check_range
-from qdenv.run.archive import Archive
+from qdenv.run.archive import SavedArchive
 from qdenv.run.directory import RunDirectory
 from qdenv.score import wilson_interval
 from qdenv.study.elites import Grower, make_grower, spread
@@ -59,14 +59,14 @@ class Runs(NamedTuple):
     factor: float
 
 
-def columns_of(archive: Archive, domain: Domain) -> list[Column]:
+def columns_of(archive: SavedArchive, domain: Domain) -> list[Column]:
     """List what is known of each elite: its measures first, then what the map can show."""
     data, repairs = archive.columns, domain.rules is not None
     found = [
         Column(f"measure{number}", axis.name, NUMBER, data["measures"][:, number])
-        for number, axis in enumerate(archive.meaning.measures)
+        for number, axis in enumerate(archive.schema.measures)
     ]
-    found.append(Column("objective", archive.meaning.objective, NUMBER, data["objective"]))
+    found.append(Column("objective", archive.schema.objective, NUMBER, data["objective"]))
     if (success := success_of(data)) is not None:
         label = "runs without congestion" if "congested" in data else "runs that reach the goal"
         found.append(Column("success", label, SHARE, success.mean(axis=1)))
@@ -113,7 +113,9 @@ def colour_first(columns: list[Column]) -> int:
     return next((number for number, (low, high) in ends.items() if low < high), shown[0])
 
 
-def facts_of_columns(archive: Archive, columns: list[Column], runs: Runs | None) -> dict[str, Any]:
+def facts_of_columns(
+    archive: SavedArchive, columns: list[Column], runs: Runs | None
+) -> dict[str, Any]:
     """Say what the packed numbers are, JSON-ready."""
     success = success_of(archive.columns)
     simulations = 0 if success is None else success.shape[1]
@@ -168,9 +170,9 @@ def pack_bits(tiles: np.ndarray, bits: int) -> np.ndarray:
     return sum(parts, np.zeros((len(tiles), padded.shape[1] // each), np.uint8))
 
 
-def pack_layouts(archive: Archive, bits: int) -> dict[str, str]:
+def pack_layouts(archive: SavedArchive, bits: int) -> dict[str, str]:
     """Pack all layouts, and in which tiles they differ from what was drawn before the repair."""
-    kinds, cells = len(archive.meaning.tiles), archive.columns["repaired"][0].size
+    kinds, cells = len(archive.schema.tiles), archive.columns["repaired"][0].size
     repaired = archive.columns["repaired"].reshape(-1, cells)
     drawn = archive.columns.get("unrepaired", archive.columns["repaired"]).reshape(-1, cells)
     change = (drawn - repaired) % kinds
@@ -183,7 +185,7 @@ def pack_layouts(archive: Archive, bits: int) -> dict[str, str]:
 
 
 def grow_elites(
-    archive: Archive, steps: int, grow: Grower, wanted: int | None, progress: Progress
+    archive: SavedArchive, steps: int, grow: Grower, wanted: int | None, progress: Progress
 ) -> Growth:
     """Grow elites again, evenly spread over the archive, the best first.
 
@@ -215,9 +217,9 @@ def _filled(solutions: np.ndarray) -> np.ndarray:
     return np.pad(solutions, ((0, AT_ONCE - len(solutions)), (0, 0)))
 
 
-def _add(growth: Growth, archive: Archive, batch: list[int], frames: np.ndarray) -> int:
+def _add(growth: Growth, archive: SavedArchive, batch: list[int], frames: np.ndarray) -> int:
     """Add a batch and say how many bytes it takes."""
-    bits, size = bits_of(archive.meaning.tiles), 0
+    bits, size = bits_of(archive.schema.tiles), 0
     for row, layouts in zip(batch, frames, strict=False):
         drawn = archive.columns.get("unrepaired")
         differing = 0 if drawn is None else int((layouts[-1] != drawn[row]).sum())
@@ -247,7 +249,7 @@ SCRIPTS = (
 )
 
 
-def read_archive(run: RunDirectory, growth: int | None = None) -> Archive:
+def read_archive(run: RunDirectory, growth: int | None = None) -> SavedArchive:
     """Read the archive of a run, and refuse what no explorer shows.
 
     Raises:
@@ -315,20 +317,22 @@ def make_explorer(
     }
 
 
-def _head(run: RunDirectory, archive: Archive) -> str:
+def _head(run: RunDirectory, archive: SavedArchive) -> str:
     """Say in a line what the archive is worth."""
     cells = int(np.prod(archive.shape))
     return (
         f"{run}: {len(archive):,} of {cells:,} cells filled ({archive.coverage:.1%}), "
-        f"best {archive.meaning.objective} {archive.best.objective:.4g}, "
+        f"best {archive.schema.objective} {archive.best.objective:.4g}, "
         f"QD-score {archive.qd_score:,.1f}"
     )
 
 
-def _facts(run: RunDirectory, archive: Archive, domain: Domain, grown: Growth) -> dict[str, Any]:
+def _facts(
+    run: RunDirectory, archive: SavedArchive, domain: Domain, grown: Growth
+) -> dict[str, Any]:
     """Say what the page shows, JSON-ready; rows are those of archive.npz."""
     rows, cols = archive.columns["repaired"].shape[1:]
-    tiles = archive.meaning.tiles
+    tiles = archive.schema.tiles
     return {
         "run": str(run),
         "command": f"qdenv generate {shlex.quote(str(run))} --elite ",
@@ -346,7 +350,7 @@ def _facts(run: RunDirectory, archive: Archive, domain: Domain, grown: Growth) -
         "repairs": domain.rules is not None and "unrepaired" in archive.columns,
         "axes": [
             {"name": axis.name, "low": axis.low, "high": axis.high, "cells": axis.cells}
-            for axis in archive.meaning.measures
+            for axis in archive.schema.measures
         ],
         "elites": len(archive),
         "named": _named(run, archive),
@@ -359,7 +363,7 @@ def _facts(run: RunDirectory, archive: Archive, domain: Domain, grown: Growth) -
     }
 
 
-def _named(run: RunDirectory, archive: Archive) -> list[dict[str, Any]]:
+def _named(run: RunDirectory, archive: SavedArchive) -> list[dict[str, Any]]:
     """List the elites that have names, the best or what was asked for first."""
     cells = {"best": archive.best.cell}
     if run.shipped is not None:

@@ -202,7 +202,7 @@ def plot_run(
     if folder is None:
         run.demand_own()
     place = folder or run.path
-    meaning = run.meaning
+    meaning = run.schema
     pictures = [place / f"archive.{form}", place / f"progress.{form}"]
     size: Any = {} if width is None else {"width": width}
     save_heatmap(pictures[0], _objectives(run), meaning.measures, label=meaning.objective, **size)
@@ -249,7 +249,7 @@ def save_progress(path: Path, run: RunDirectory, width: float = PAGE) -> None:
     Raises:
         InputError: no iteration is finished.
     """
-    save_figure(draw_progress(group_runs([run]), run.meaning.objective, width), path)
+    save_figure(draw_progress(group_runs([run]), run.schema.objective, width), path)
 
 
 def plot_runs(
@@ -266,7 +266,7 @@ def plot_runs(
     Raises:
         InputError: see `groups.group_runs`; or an archive has more than two measures.
     """
-    groups, objective = group_runs(runs), runs[0].meaning.objective
+    groups, objective = group_runs(runs), runs[0].schema.objective
     pictures = [folder / f"archives.{form}", folder / f"progress.{form}"]
     shown = [
         Shown(group._replace(runs=(run,)).title, _objectives(run), run.measures)

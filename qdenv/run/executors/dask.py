@@ -18,12 +18,12 @@ from collections.abc import Callable, Sequence
 from concurrent import futures
 from concurrent.futures import Executor, Future, InvalidStateError
 from functools import lru_cache
-from importlib import metadata
 from logging import getLogger
 from pathlib import Path
 from time import monotonic, perf_counter
 from typing import TYPE_CHECKING, Any
 
+from qdenv.run.manifest import package_versions
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def versions() -> str:
     files = (path for path in home.rglob("*") if path.suffix in (".py", ".npz"))  # and the agent
     for path in sorted(files):
         code.update(path.relative_to(home).as_posix().encode() + path.read_bytes())
-    packages = [f"{name} {metadata.version(name)}" for name in PACKAGES]
+    packages = [f"{name} {number}" for name, number in package_versions(PACKAGES).items()]
     python = ".".join(platform.python_version_tuple()[:2])
     return ", ".join([f"python {python}", *packages, f"qdenv {code.hexdigest()}"])
 

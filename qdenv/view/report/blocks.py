@@ -7,13 +7,14 @@ import platform
 import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from typing import NamedTuple
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from qdenv import devices
+from qdenv.run.manifest import package_versions
 from qdenv.view.style import FONTS
 
 
@@ -117,11 +118,5 @@ def settings_section(settings: Mapping[str, str], again: str) -> Section:
 
 def versions() -> dict[str, str]:
     """List what computed the numbers."""
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
     machine = f"{platform.system()} on {platform.machine()}, {devices.threads()} threads"
-    return {**found, "Python": platform.python_version(), "machine": machine}
+    return {**package_versions(PACKAGES), "Python": platform.python_version(), "machine": machine}

@@ -30,7 +30,7 @@ def search_sections(subjects: list[Subject]) -> list[Section]:
 def _section(subject: Subject, place: int) -> Section:
     run, elite = subject.run, subject.elite
     assert run is not None and elite is not None
-    config, meaning, archive = run.config, run.meaning, run.archive
+    config, meaning, archive = run.config, run.schema, run.archive
     name = algorithm_name(config_name(config.algorithm))
     what = f"It is the best of {len(archive):,} of different kinds that {name} kept."
     if run.shipped:
