@@ -13,7 +13,7 @@ import numpy as np
 from qdenv.domains.base import Domain, make_domain
 from qdenv.pipeline import simulate_layouts
 from qdenv.run.archive import SavedArchive
-from qdenv.run.config import follow_size
+from qdenv.run.config import scale
 from qdenv.run.directory import RunDirectory
 from qdenv.study import sizes
 from qdenv.study.elites import grow_elite
@@ -88,7 +88,7 @@ class Workshop:
         evaluation = self.config.evaluation
         domain = replace(evaluation.domain, rows=rows, cols=cols)
         asked = replace(self.config, evaluation=replace(evaluation, domain=domain))
-        return make_domain(follow_size(asked, self.config, ())[0].evaluation.domain)
+        return make_domain(scale(asked, self.config, ())[0].evaluation.domain)
 
     def grow(self, cell: Cell, shape: Shape) -> sizes.Sized | None:
         """Grow an elite and repair its layout as `qdenv generate` does; None where that fails."""

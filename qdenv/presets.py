@@ -7,7 +7,7 @@ from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.maze import EntropyMazeConfig, MazeConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig, WarehouseConfig
 from qdenv.generate import NcaConfig
-from qdenv.run.config import RunConfig, with_algorithm
+from qdenv.run.config import RunConfig, choose_algorithm
 from qdenv.search.settings import DSAGE_PUBLISHED as DSAGE
 from qdenv.search.settings import CmaEsConfig, CmaMaeConfig, DsageConfig, MapElitesConfig
 from qdenv.settings import EvaluationConfig
@@ -100,13 +100,13 @@ _COMPARED: dict[str, dict[str, Any]] = {
     },
 }
 PRESETS |= {
-    f"{base}-{name}": with_algorithm(PRESETS[base], algorithm)
+    f"{base}-{name}": choose_algorithm(PRESETS[base], algorithm)
     for base, algorithms in _COMPARED.items()
     for name, algorithm in algorithms.items()
 }
 PRESETS |= {
-    "dsage-quick": with_algorithm(_QUICK, DsageConfig()),
-    "dsage-laptop": with_algorithm(
+    "dsage-quick": choose_algorithm(_QUICK, DsageConfig()),
+    "dsage-laptop": choose_algorithm(
         PRESETS["warehouse-even"],
         # Networks go on from where they are: few epochs each time are enough.
         DsageConfig(downsample=(50, 25), surrogate=SurrogateConfig(epochs=5)),

@@ -12,13 +12,13 @@ import toy
 from small_warehouse import ROWS, TILES
 
 import qdenv
-from qdenv.api.runs import overridden
 from qdenv.cli import run as command
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.grid import parse
 from qdenv.io.layouts import read_layout, write_layout
 from qdenv.presets import PRESETS
 from qdenv.run import loop
+from qdenv.run.config import override
 from qdenv.run.directory import RunDirectory
 from qdenv.types import InputError
 
@@ -154,7 +154,7 @@ def test_an_environment_is_made_by_a_files_name(path):
 
 def test_settings_are_replaced_by_name_however_deep_they_lie():
     quick = PRESETS["quick"]
-    config = overridden(
+    config = override(
         quick,
         {"evaluations": 7, "agents": 3, "shelves": 30, "hidden": 4, "alpha": 0.5, "sigma0": 0.4},
     )
@@ -162,10 +162,10 @@ def test_settings_are_replaced_by_name_however_deep_they_lie():
     assert (config.evaluations, domain.fleet.agents, domain.shelves) == (7, 3, 30)
     assert (config.evaluation.generator.hidden, config.evaluation.alpha) == (4, 0.5)
     assert config.algorithm == replace(quick.algorithm, sigma0=0.4)
-    other = overridden(quick, {"sigma_iso": 0.4, "algorithm": "map-elites", "planner": "pibt"})
+    other = override(quick, {"sigma_iso": 0.4, "algorithm": "map-elites", "planner": "pibt"})
     assert type(other.algorithm).__name__ == "MapElitesConfig" and other.algorithm.sigma_iso == 0.4
     assert type(other.evaluation.domain.fleet.planner).__name__ == "PibtConfig"
-    factory = overridden(quick, {"domain": "manufacturing"}).evaluation.domain
+    factory = override(quick, {"domain": "manufacturing"}).evaluation.domain
     assert isinstance(factory, ManufacturingConfig) and (factory.rows, factory.cols) == (17, 16)
     for settings, said in (
         ({"agent": 3}, "did you mean agents"),
@@ -173,7 +173,7 @@ def test_settings_are_replaced_by_name_however_deep_they_lie():
         ({"algorithm": "luck"}, "unknown algorithm 'luck'"),
     ):
         with pytest.raises(InputError, match=said):
-            overridden(quick, settings)
+            override(quick, settings)
 
 
 def test_train_takes_a_name_and_overrides(tmp_path):

@@ -10,11 +10,11 @@ from small_warehouse import ROWS as PLAN
 from small_warehouse import TILES
 
 import qdenv
-from qdenv.api.runs import overridden
 from qdenv.cli import run
 from qdenv.grid import parse
 from qdenv.presets import PRESETS
 from qdenv.registry import Entry
+from qdenv.run.config import override
 from qdenv.simulate.mapf.choosing import describe_planner, find_planner, record_planner
 from qdenv.simulate.mapf.negotiated.settings import HIGH, LOW
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
@@ -122,7 +122,7 @@ def test_functions_take_a_planners_name_or_its_settings():
 
 def test_a_configuration_takes_a_planners_name_its_settings_or_an_effort(limited):
     def planner(**settings):
-        return overridden(PRESETS["quick"], settings).evaluation.domain.fleet.planner
+        return override(PRESETS["quick"], settings).evaluation.domain.fleet.planner
 
     assert planner(planner="pbs") == PbsConfig() and planner(planner=SPARSE) == SPARSE
     assert planner(effort="high") == HIGH and planner(planner="negotiated") == LOW

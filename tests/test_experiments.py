@@ -57,14 +57,14 @@ def test_every_script_of_its_own_is_tested_here():
 def test_surrogate_judges_what_a_run_remembers(tmp_path, monkeypatch, capsys):
     import toy
 
-    from qdenv.run.config import with_algorithm
+    from qdenv.run.config import choose_algorithm
     from qdenv.run.loop import train
     from qdenv.search.settings import ScreenedConfig
     from qdenv.surrogate.settings import SurrogateConfig
 
     tiny = SurrogateConfig(channels=4, epochs=1, minibatch=8, samples=64)
     search = ScreenedConfig(emitters=2, batch=4, screen=1, refit=1000, surrogate=tiny)
-    train(with_algorithm(toy.CONFIG, search), tmp_path / "run", progress=False)
+    train(choose_algorithm(toy.CONFIG, search), tmp_path / "run", progress=False)
     script = load("surrogate")
     monkeypatch.setitem(script.SIZES, "small", tiny)
     script.main(tmp_path / "run", counts=(10, 1000), seeds=1, out=tmp_path / "table.csv")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import toy
 
-from qdenv.run.config import choose_algorithm, with_algorithm
+from qdenv.run.config import choose_algorithm
 from qdenv.run.log import NOTES, notes_until, read_notes
 from qdenv.run.loop import resume, train
 from qdenv.search.settings import CmaEsConfig, DsageConfig, ScreenedConfig
@@ -20,8 +20,8 @@ DSAGE = DsageConfig(
 )
 SCREENED = ScreenedConfig(emitters=2, batch=4, sigma0=0.5, screen=3, refit=2, surrogate=TINY)
 SEARCHES = {
-    "dsage": with_algorithm(toy.CONFIG, DSAGE),
-    "cma-mae-screened": with_algorithm(toy.CONFIG, SCREENED),
+    "dsage": choose_algorithm(toy.CONFIG, DSAGE),
+    "cma-mae-screened": choose_algorithm(toy.CONFIG, SCREENED),
 }
 
 
@@ -75,9 +75,9 @@ def test_elites_of_dsage_are_the_tiles_that_were_evaluated(tmp_path):
 def test_the_generator_follows_the_algorithm_and_back():
     tiles = choose_algorithm(toy.CONFIG, "dsage")
     assert type(tiles.evaluation.generator).__name__ == "DirectConfig"
-    back = with_algorithm(tiles, CmaEsConfig())
+    back = choose_algorithm(tiles, CmaEsConfig())
     assert type(back.evaluation.generator).__name__ == "NcaConfig"
-    kept = with_algorithm(toy.CONFIG, CmaEsConfig())
+    kept = choose_algorithm(toy.CONFIG, CmaEsConfig())
     assert kept.evaluation.generator == toy.CONFIG.evaluation.generator
 
 

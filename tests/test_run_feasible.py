@@ -6,7 +6,7 @@ import pytest
 
 from qdenv.domains.maze import MazeConfig
 from qdenv.presets import PRESETS
-from qdenv.run.config import check_feasible, follow_size
+from qdenv.run.config import check, scale
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import InputError
 
@@ -23,8 +23,8 @@ def with_domain(config, **changes):
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_is_feasible_and_follows_its_own_size_unchanged(name):
-    check_feasible(PRESETS[name])
-    assert follow_size(PRESETS[name], PRESETS[name], ()) == (PRESETS[name], "")
+    check(PRESETS[name])
+    assert scale(PRESETS[name], PRESETS[name], ()) == (PRESETS[name], "")
 
 
 @pytest.mark.parametrize(
@@ -40,9 +40,9 @@ def test_every_preset_is_feasible_and_follows_its_own_size_unchanged(name):
 )
 def test_what_no_layout_can_be_is_refused_in_one_line(changes, said):
     with pytest.raises(InputError, match=said) as refusal:
-        check_feasible(with_domain(QUICK, **changes))
+        check(with_domain(QUICK, **changes))
     assert "\n" not in str(refusal.value)
-    check_feasible(with_domain(QUICK, agents=232))
+    check(with_domain(QUICK, agents=232))
 
 
 @pytest.mark.parametrize(
@@ -57,14 +57,14 @@ def test_what_no_layout_can_be_is_refused_in_one_line(changes, said):
 )
 def test_an_archive_that_nothing_can_fill_is_refused(archive, said):
     with pytest.raises(InputError, match=said):
-        check_feasible(replace(QUICK, archive=archive))
-    check_feasible(replace(QUICK, archive=((39, 80, 20), (0, 1, 20))))
+        check(replace(QUICK, archive=archive))
+    check(replace(QUICK, archive=((39, 80, 20), (0, 1, 20))))
 
 
 def test_numbers_agents_steps_and_axes_follow_the_size():
     # Generated areas: 33 x 32 = 1056 cells and 65 x 64 = 4160.
     asked = with_domain(LAPTOP, rows=65, cols=68)
-    followed, said = follow_size(asked, LAPTOP, ())
+    followed, said = scale(asked, LAPTOP, ())
     domain, growth = followed.evaluation.domain, 4160 / 1056
     assert domain.shelves == round(240 * growth) == 945
     assert domain.fleet.agents == round(200 * growth) == 788
@@ -75,28 +75,28 @@ def test_numbers_agents_steps_and_axes_follow_the_size():
     assert said == (
         "945 shelves, 788 agents, 98 steps of growth, connected shelf components from 551.25 to 945"
     )
-    check_feasible(followed)
+    check(followed)
 
 
 def test_what_was_stated_stays():
     asked = with_domain(LAPTOP, rows=20, cols=30, shelves=100, agents=50)
     given = {"rows", "cols", "shelves", "agents", "steps", "archive"}
-    assert follow_size(asked, LAPTOP, given) == (asked, "")
+    assert scale(asked, LAPTOP, given) == (asked, "")
     with pytest.raises(InputError, match=r"runs from 140 to 240, but .* reach 0 to 100"):
-        check_feasible(asked)
-    followed, _ = follow_size(asked, LAPTOP, given - {"archive"})
+        check(asked)
+    followed, _ = scale(asked, LAPTOP, given - {"archive"})
     assert followed.archive[0] == pytest.approx((140 * 100 / 240, 100, 100))
 
 
 def test_shelves_alone_move_their_axis():
-    followed, said = follow_size(with_domain(QUICK, shelves=20), QUICK, {"shelves"})
+    followed, said = scale(with_domain(QUICK, shelves=20), QUICK, {"shelves"})
     assert followed.archive == ((0, 20, 20), (0, 1, 20))
     assert said == "connected shelf components from 0 to 20"
 
 
 def test_a_maze_lasts_longer_where_it_is_larger():
     asked = with_domain(MAZE, rows=34, cols=34)
-    followed, _ = follow_size(asked, MAZE, ())
+    followed, _ = scale(asked, MAZE, ())
     assert isinstance(followed.evaluation.domain, MazeConfig)
     assert followed.evaluation.domain.timesteps == 648 * 4
     assert followed.archive == ((0, 1024, 256), (0, 2592, 162))
@@ -114,14 +114,14 @@ def test_a_maze_lasts_longer_where_it_is_larger():
 def test_a_search_at_the_evaluation_size_has_the_papers_numbers(name, shape, agents, shelves):
     base = PRESETS[name]
     asked = with_domain(base, rows=shape[0], cols=shape[1])
-    followed, said = follow_size(asked, base, ())
+    followed, said = scale(asked, base, ())
     domain = followed.evaluation.domain
     assert followed.evaluation.generator.steps == 200 and "200 steps of growth" in said
     assert getattr(domain, "shelves", None) == shelves
     if agents:
         # A search simulates for 1,000 timesteps; 5,000 are for what is reported.
         assert (domain.fleet.agents, domain.fleet.timesteps) == (agents, 1000)
-        stated = follow_size(with_domain(asked, fleet=FleetConfig(7)), base, {"agents", "steps"})[0]
+        stated = scale(with_domain(asked, fleet=FleetConfig(7)), base, {"agents", "steps"})[0]
         assert stated.evaluation.domain.fleet.agents == 7
         assert stated.evaluation.generator.steps == 50
     else:

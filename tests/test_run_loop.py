@@ -194,7 +194,7 @@ def test_failed_evaluations_enter_nothing():
 
 def test_metrics_count_failed_repairs(tmp_path, monkeypatch):
     # Rules that counting finds possible may be impossible all the same; these let it be seen.
-    monkeypatch.setattr(loop, "check_feasible", lambda config: None)
+    monkeypatch.setattr(loop, "check", lambda config: None)
     evaluation = replace(toy.CONFIG.evaluation, domain=toy.GardenConfig(hedges=40))
     config = replace(toy.CONFIG, evaluation=evaluation, evaluations=16)
     rows = loop.train(config, tmp_path / "run", progress=False).read_metrics()

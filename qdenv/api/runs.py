@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -14,17 +12,10 @@ import numpy as np
 from qdenv.api.results import Facts, Layout
 from qdenv.presets import find_preset
 from qdenv.run.archive import Elite
-from qdenv.run.config import (
-    CHOICES,
-    RunConfig,
-    check_feasible,
-    choose_domain,
-    choose_planner,
-    follow_size,
-)
+from qdenv.run.config import RunConfig, resolve
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors.base import Execution
-from qdenv.types import InputError, RepairStatus
+from qdenv.types import RepairStatus
 
 
 def train(
@@ -53,74 +44,12 @@ def train(
     from qdenv.run import loop
 
     base = find_preset(preset) if isinstance(preset, str) else preset
-    config, followed = follow_size(overridden(base, settings), base, settings)
-    check_feasible(config)
-    if progress and followed:
-        print(followed)
+    config, scaled = resolve(base, settings)
+    if progress and scaled:
+        print(scaled)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     name = preset if isinstance(preset, str) else "run"
     return loop.train(config, path or Path("runs") / f"{name}-{stamp}", progress, execution)
-
-
-def overridden(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
-    """Replace settings of a configuration by name, however deep they lie.
-
-    Args:
-        config: the configuration.
-        settings: values by name; a name of a domain, planner, generator or algorithm stands for
-            its settings, with all its defaults but for what the domain shares with the old one.
-            ``effort`` is that of the negotiated planner.
-
-    Raises:
-        InputError: nothing or more than one thing has this name, or the value is impossible.
-    """
-    # Choices first: which other names there are depends on them.
-    for name in sorted(settings, key=lambda name: name not in (*CHOICES, "effort")):
-        value = settings[name]
-        if name == "domain" and isinstance(value, str):
-            config = choose_domain(config, value)
-            continue
-        if name in ("effort", "planner"):
-            config = choose_planner(config, settings.get("effort"), settings.get("planner"))
-            continue
-        if name in CHOICES and isinstance(value, str):
-            value = CHOICES[name].config(value)
-        homes = _homes(config, name)
-        if not homes:
-            known = sorted(set(_names(config)))
-            near = difflib.get_close_matches(name, known, 3) or known
-            raise InputError(f"there is no setting {name!r}: did you mean {', '.join(near)}?")
-        if len(homes) > 1:
-            records = " or ".join(home[-1] for home in homes)
-            raise InputError(f"several records hold a setting {name!r}: give a whole {records}")
-        config = _replaced(config, homes[0], name, value)
-    return config
-
-
-def _homes(record: Any, name: str) -> list[tuple[str, ...]]:
-    """List the ways, field by field, to the records inside of one that hold a field `name`."""
-    inside = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
-    return [()] * (name in inside) + [
-        (place, *way)
-        for place, inner in inside.items()
-        if dataclasses.is_dataclass(inner)
-        for way in _homes(inner, name)
-    ]
-
-
-def _replaced(record: Any, way: Sequence[str], name: str, value: Any) -> Any:
-    """Replace a field of the record to which a way leads."""
-    if way:
-        name, value = way[0], _replaced(getattr(record, way[0]), way[1:], name, value)
-    return dataclasses.replace(record, **{name: value})
-
-
-def _names(record: Any) -> Iterator[str]:
-    for field in dataclasses.fields(record):
-        yield field.name
-        inner = getattr(record, field.name)
-        if dataclasses.is_dataclass(inner):
-            yield from _names(inner)
 
 
 def generate(

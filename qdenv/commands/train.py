@@ -19,12 +19,12 @@ from qdenv.domains.base import DOMAINS
 from qdenv.presets import PRESETS, find_preset
 from qdenv.run.config import (
     RunConfig,
-    check_feasible,
+    check,
     choose_algorithm,
     choose_domain,
     choose_planner,
-    follow_size,
     planner_of,
+    scale,
 )
 from qdenv.run.directory import RunDirectory, find_start
 from qdenv.run.executors.base import Execution, ExecutorName
@@ -71,8 +71,8 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
         setup: what is searched, and where the run goes.
         given: names of the settings that the command line states; others follow the size.
     """
-    config, followed = follow_size(setup.config, find_preset(preset), given)
-    check_feasible(config)
+    config, scaled = scale(setup.config, find_preset(preset), given)
+    check(config)
     find_start(config)  # it refuses what cannot be one before anything is said
     workers = config.evaluation.repair.workers
     execution = Execution(setup.executor, setup.scheduler, workers)
@@ -88,8 +88,8 @@ def train(preset: str, setup: Setup, given: frozenset[str] = frozenset()) -> Non
         raise InputError(f"{path}: {files[0]} is a file: name a folder")
     if (path / "config.json").exists():
         raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
-    if followed:
-        print(f"for this size: {followed}")
+    if scaled:
+        print(f"for this size: {scaled}")
     cost, planner = describe_cost(preset, config), planner_of(config)
     who = f"; planner: {describe_planner(planner)}" if planner else ""
     print(f"{preset}: {config.evaluations} evaluations into {path}{cost and f', {cost}'}{who}")

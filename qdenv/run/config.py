@@ -1,9 +1,11 @@
-"""The configuration of a run, and its way to JSON and back."""
+"""The configuration of a run: override, choose, scale, check; to JSON and back."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
+import difflib
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -74,19 +76,94 @@ def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
     return structured(content, RunConfig, source, infinite=True, choices=CHOICES)
 
 
+def resolve(preset: RunConfig, overrides: Mapping[str, Any]) -> tuple[RunConfig, str]:
+    """Resolve a configuration: override a preset's settings, scale the others, check the result.
+
+    Args:
+        preset: whose numbers belong to its own size.
+        overrides: settings by name, as `override` takes them.
+
+    Returns:
+        the configuration, and a list of what was scaled ("" for nothing).
+
+    Raises:
+        InputError: a name is unknown, a setting is impossible, or no layout could count.
+    """
+    config, scaled = scale(override(preset, overrides), preset, overrides)
+    check(config)
+    return config, scaled
+
+
+def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
+    """Replace settings of a configuration by name, wherever they are nested.
+
+    Args:
+        config: the configuration.
+        settings: values by name; a name of a domain, planner, generator or algorithm stands for
+            its settings, with all its defaults but for what the domain shares with the old one.
+            ``effort`` is that of the negotiated planner.
+
+    Raises:
+        InputError: nothing or more than one thing has this name, or the value is impossible.
+    """
+    # Choices first: which other names there are depends on them.
+    for name in sorted(settings, key=lambda name: name not in (*CHOICES, "effort")):
+        value = settings[name]
+        if name == "domain" and isinstance(value, str):
+            config = choose_domain(config, value)
+            continue
+        if name in ("effort", "planner"):
+            config = choose_planner(config, settings.get("effort"), settings.get("planner"))
+            continue
+        if name in CHOICES and isinstance(value, str):
+            value = CHOICES[name].config(value)
+        paths = [path for path in _field_paths(config) if path[-1] == name]
+        if not paths:
+            known = sorted({path[-1] for path in _field_paths(config)})
+            near = difflib.get_close_matches(name, known, 3) or known
+            raise InputError(f"there is no setting {name!r}: did you mean {', '.join(near)}?")
+        if len(paths) > 1:
+            records = " or ".join(path[-2] for path in paths)
+            raise InputError(f"several records hold a setting {name!r}: give a whole {records}")
+        config = _replaced(config, paths[0], value)
+    return config
+
+
+def _field_paths(record: Any) -> Iterator[tuple[str, ...]]:
+    """Iterate over the settings in a record and its nested records, by the names on their way."""
+    for field in dataclasses.fields(record):
+        yield (field.name,)
+        inner = getattr(record, field.name)
+        if dataclasses.is_dataclass(inner):
+            yield from ((field.name, *path) for path in _field_paths(inner))
+
+
+def _replaced(record: Any, path: tuple[str, ...], value: Any) -> Any:
+    """Replace a setting of a record or of a nested one."""
+    if len(path) > 1:
+        value = _replaced(getattr(record, path[0]), path[1:], value)
+    return replace(record, **{path[0]: value})
+
+
 def choose_domain(config: RunConfig, name: str) -> RunConfig:
-    """Put another domain into a configuration, at the size and with the numbers it states.
+    """Put another domain into a configuration, with what the old one states beyond its defaults.
 
     Raises:
         InputError: the name is unknown.
     """
-    old = make_domain(config.evaluation.domain)
-    new = make_domain(recast(old.config, DOMAINS.entry(name).config))
+    old, kind = make_domain(config.evaluation.domain), DOMAINS.entry(name).config
+    settings, defaults = old.config, type(old.config)()
+    known = {field.name for field in dataclasses.fields(kind)}
+    stated = {
+        field.name: getattr(settings, field.name)
+        for field in dataclasses.fields(settings)
+        if field.name in known and getattr(settings, field.name) != getattr(defaults, field.name)
+    }
+    new = make_domain(kind(**stated))
     # Ranges of the archive that were stated for other measures mean nothing here.
     alike = [one.name for one in old.measures] == [one.name for one in new.measures]
-    evaluation = dataclasses.replace(config.evaluation, domain=new.config)
-    archive = config.archive if alike else ()
-    return dataclasses.replace(config, evaluation=evaluation, archive=archive)
+    evaluation = replace(config.evaluation, domain=new.config)
+    return replace(config, evaluation=evaluation, archive=config.archive if alike else ())
 
 
 def choose_planner(config: RunConfig, effort: str | None, planner: Any) -> RunConfig:
@@ -106,62 +183,42 @@ def choose_planner(config: RunConfig, effort: str | None, planner: Any) -> RunCo
     if not hasattr(domain, "fleet"):
         raise InputError("no fleet drives in this domain: leave effort and planner out")
     chosen = find_planner(effort, planner or "", usual="low")
-    domain = dataclasses.replace(domain, fleet=dataclasses.replace(domain.fleet, planner=chosen))
-    return dataclasses.replace(
-        config, evaluation=dataclasses.replace(config.evaluation, domain=domain)
-    )
+    domain = replace(domain, fleet=replace(domain.fleet, planner=chosen))
+    return replace(config, evaluation=replace(config.evaluation, domain=domain))
 
 
 def planner_of(config: RunConfig) -> Any:
-    """Find the settings of the planner in a configuration; None where no fleet drives."""
+    """Return the settings of the planner in a configuration; None if no fleet drives."""
     fleet = getattr(config.evaluation.domain, "fleet", None)
     return None if fleet is None else fleet.planner
 
 
-def choose_algorithm(config: RunConfig, name: str) -> RunConfig:
-    """Put another algorithm with all its defaults into a configuration.
+def choose_algorithm(config: RunConfig, algorithm: Any) -> RunConfig:
+    """Put an algorithm into a configuration, with the generator that it searches.
 
-    Nothing is carried over: settings of one name, like learning rates, mean different things.
+    Nothing of the old one is preserved: settings of one name, like learning rates, mean different
+    things. Most algorithms search whatever numbers a generator takes; one whose settings name an
+    ``encoding`` needs the generator of that name, which others cannot use.
+
+    Args:
+        config: the configuration.
+        algorithm: its settings, or its name, which stands for all its defaults.
 
     Raises:
         InputError: the name is unknown.
     """
-    return with_algorithm(config, ALGORITHMS.config(name))
-
-
-def with_algorithm(config: RunConfig, algorithm: Any) -> RunConfig:
-    """Put an algorithm into a configuration, with the generator that it searches.
-
-    Most search whatever numbers a generator takes; one whose settings name an ``encoding`` needs
-    the generator of that name, which others cannot use.
-
-    Args:
-        config: the configuration.
-        algorithm: settings of a registered algorithm.
-    """
-    now = GENERATORS.name_of(config.evaluation.generator)
-    wanted = getattr(algorithm, "encoding", "nca" if now == "direct" else now)
+    if isinstance(algorithm, str):
+        algorithm = ALGORITHMS.config(algorithm)
+    old = GENERATORS.name_of(config.evaluation.generator)
+    new = getattr(algorithm, "encoding", "nca" if old == "direct" else old)
     evaluation = config.evaluation
-    if wanted != now:
-        evaluation = dataclasses.replace(evaluation, generator=GENERATORS.config(wanted))
-    return dataclasses.replace(config, evaluation=evaluation, algorithm=algorithm)
+    if new != old:
+        evaluation = replace(evaluation, generator=GENERATORS.config(new))
+    return replace(config, evaluation=evaluation, algorithm=algorithm)
 
 
-def recast(settings: Any, kind: type) -> Any:
-    """Carry what `settings` states beyond its type's defaults over to settings of another type."""
-    usual, known = type(settings)(), {field.name for field in dataclasses.fields(kind)}
-    stated = {
-        field.name: getattr(settings, field.name)
-        for field in dataclasses.fields(settings)
-        if getattr(settings, field.name) != getattr(usual, field.name)
-    }
-    return kind(**{name: value for name, value in stated.items() if name in known})
-
-
-def follow_size(
-    config: RunConfig, base: RunConfig, given: Collection[str]
-) -> tuple[RunConfig, str]:
-    """Let what nobody stated follow the size of the layout.
+def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[RunConfig, str]:
+    """Scale with the size of the layouts what was not stated.
 
     Numbers of tiles and agents grow with the generated area, steps of growth with the longer side,
     an axis with the number that its measure cannot exceed; at a size that the domain knows the
@@ -170,21 +227,21 @@ def follow_size(
     Args:
         config: the configuration, of whatever size.
         base: the one it was made from, whose numbers belong to its own size.
-        given: names of the settings that were stated and stay as they are.
+        given: names of the settings that were stated and stay.
 
     Returns:
-        the configuration, and what followed, in words ("" where nothing did).
+        the configuration, and a list of what was scaled ("" for nothing).
     """
-    asked = config.evaluation.domain
+    settings = config.evaluation.domain
     old = make_domain(base.evaluation.domain)
-    if type(asked) is not type(old.config):
-        old = make_domain(dataclasses.replace(asked, rows=old.config.rows, cols=old.config.cols))
-    stated = {name: getattr(asked, name) for name in old.counted if name in given}
-    if old.shape == (asked.rows, asked.cols) and stated == {}:
+    if type(settings) is not type(old.config):
+        old = make_domain(replace(settings, rows=old.config.rows, cols=old.config.cols))
+    stated = {name: getattr(settings, name) for name in old.counted if name in given}
+    if old.shape == (settings.rows, settings.cols) and stated == {}:
         return config, ""
-    new = old.resized(asked.rows, asked.cols, stated)
+    new = old.resized(settings.rows, settings.cols, stated)
     ratio = _area(new) / _area(old)
-    settings = dataclasses.replace(asked, **new.numbers)
+    settings = replace(settings, **new.numbers)
     size = old.known_size(*new.shape)
     settings = settings.for_known(size, given) if size else settings.for_area(ratio, given)
     new = make_domain(settings)
@@ -192,7 +249,7 @@ def follow_size(
     longer = max(new.shape[0] / old.shape[0], new.shape[1] / old.shape[1])
     if hasattr(generator, "steps") and "steps" not in given and new.shape != old.shape:
         steps = size.steps if size else max(1, round(generator.steps * longer))
-        generator = dataclasses.replace(generator, steps=steps)
+        generator = replace(generator, steps=steps)
     archive = config.archive
     if "archive" not in given:
         axes = config.archive or [(axis.low, axis.high, axis.cells) for axis in old.measures]
@@ -200,13 +257,13 @@ def follow_size(
             (low * _growth(axis, old, new), high * _growth(axis, old, new), cells)
             for axis, (low, high, cells) in zip(old.measures, axes, strict=True)
         )
-    evaluation = dataclasses.replace(config.evaluation, domain=settings, generator=generator)
-    followed = dataclasses.replace(config, evaluation=evaluation, archive=archive)
-    return followed, _in_words(config, followed, new)
+    evaluation = replace(config.evaluation, domain=settings, generator=generator)
+    scaled = replace(config, evaluation=evaluation, archive=archive)
+    return scaled, _describe_changes(config, scaled, new)
 
 
-def limit_of(measure: Measure, domain: Domain) -> float | None:
-    """Find the number that a measure cannot exceed in layouts of a domain; None for no such."""
+def _limit_of(measure: Measure, domain: Domain) -> float | None:
+    """Return what a measure cannot exceed in layouts of a domain; None if nothing limits it."""
     if not measure.limit:
         return None
     return _area(domain) if measure.limit == "area" else getattr(domain.config, measure.limit)
@@ -218,37 +275,37 @@ def _area(domain: Domain) -> int:
 
 
 def _growth(measure: Measure, old: Domain, new: Domain) -> float:
-    before, after = limit_of(measure, old), limit_of(measure, new)
+    before, after = _limit_of(measure, old), _limit_of(measure, new)
     return after / before if before and after else 1.0
 
 
-def _in_words(before: RunConfig, after: RunConfig, domain: Domain) -> str:
-    """List what is other than before."""
+def _describe_changes(before: RunConfig, after: RunConfig, domain: Domain) -> str:
     old, new = before.evaluation, after.evaluation
-    said = [
+    texts = [
         f"{value} {name}"
         for name, value in domain.numbers.items()
         if getattr(old.domain, name) != value
     ]
     fleets: list[Any] = [getattr(one.domain, "fleet", None) for one in (old, new)]
     if fleets[0] != fleets[1]:
-        said.append(f"{fleets[1].agents} agents")
-    horizons: list[Any] = [getattr(one.domain, "timesteps", None) for one in (old, new)]
-    if horizons[0] != horizons[1]:
-        said.append(f"{horizons[1]} timesteps")
-    steps: list[Any] = [getattr(one.generator, "steps", None) for one in (old, new)]
-    if steps[0] != steps[1]:
-        said.append(f"{steps[1]} steps of growth")
+        texts.append(f"{fleets[1].agents} agents")
+    for one, name, unit in (
+        ("domain", "timesteps", "timesteps"),
+        ("generator", "steps", "steps of growth"),
+    ):
+        values = [getattr(getattr(side, one), name, None) for side in (old, new)]
+        if values[0] != values[1]:
+            texts.append(f"{values[1]} {unit}")
     if before.archive != after.archive:
-        said += [
+        texts += [
             f"{axis.name} from {low:g} to {high:g}"
             for axis, (low, high, _) in zip(domain.measures, after.archive, strict=True)
             if axis.limit
         ]
-    return ", ".join(said)
+    return ", ".join(texts)
 
 
-def check_feasible(config: RunConfig) -> None:
+def check(config: RunConfig) -> None:
     """Refuse a search none of whose layouts could count; takes no compiler.
 
     Raises:
@@ -259,7 +316,7 @@ def check_feasible(config: RunConfig) -> None:
     if not (1 <= settings.rows <= MAX_SIDE and 1 <= settings.cols <= MAX_SIDE):
         size = f"{settings.rows} x {settings.cols}"
         raise InputError(f"a layout of {size}: choose 1 to {MAX_SIDE} rows and columns")
-    if config.seed < 0:  # an older qdenv took them, so a run may have one
+    if config.seed < 0:  # `RunConfig` takes them, as old runs may have one
         raise InputError(f"seed {config.seed}: give 0 or more")
     domain = make_domain(settings)
     for name, number in domain.numbers.items():
@@ -308,7 +365,7 @@ def _check_axes(config: RunConfig, domain: Domain) -> None:
                 f"axis {axis.name!r}: {low:g} to {high:g} in {cells} cells is empty: give LOW < "
                 "HIGH and at least one cell"
             )
-        most = limit_of(axis, domain)
+        most = _limit_of(axis, domain)
         if (most is not None and low >= most) or high <= 0:
             rows, cols = domain.shape
             raise InputError(

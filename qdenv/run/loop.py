@@ -15,7 +15,7 @@ import numpy as np
 from qdenv.interrupt import advise, save_first, undisturbed
 from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.progress import Bar
-from qdenv.run.config import RunConfig, check_feasible
+from qdenv.run.config import RunConfig, check
 from qdenv.run.directory import RunDirectory, find_start, read_start
 from qdenv.run.evaluate_async import Flight, Search, begin_search
 from qdenv.run.executors.base import Execution, open_evaluator
@@ -102,7 +102,7 @@ def train(
         InputError: a setting is impossible, no layout could count, the folder holds a run already
             or is read-only.
     """
-    check_feasible(config)
+    check(config)
     start = find_start(config)
     experiment = make_experiment(config, start)
     run = RunDirectory(Path(path))
