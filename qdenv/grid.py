@@ -1,7 +1,7 @@
 """The grid: moves, neighbours, components, and text to tiles and back.
 
 A position is ``row * width + column``. The four moves are right, left, down, up, in this order
-everywhere; waiting is the fifth.
+everywhere.
 """
 
 from __future__ import annotations
@@ -17,6 +17,14 @@ from qdenv.lazy import jax, jnp
 from qdenv.types import Array, InputError
 
 MOVES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # (row, column) steps: right, left, down, up
+# Where waiting counts as a move it is number 0, for planners try it first.
+WAIT, RIGHT, LEFT, DOWN, UP = range(1 + len(MOVES))
+NUM_MOVES = 1 + len(MOVES)
+
+
+def move_steps(width: int) -> np.ndarray:
+    """List what each move adds to a position on a grid of `width` columns (int [5], wait first)."""
+    return np.array([0, *(row * width + column for row, column in MOVES)])
 
 
 def _library_of(values: Array) -> Any:

@@ -11,7 +11,7 @@ from fleet_runs import AGENTS, PLAIN, SERVICES, SHAPE, programs, random_layout
 from qdenv.domains.base import find_domain
 from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.host import run as host_run
-from qdenv.simulate.mapf.host.fields import empty_fields
+from qdenv.simulate.mapf.host.distances import empty_fields
 from qdenv.simulate.mapf.negotiated.settings import LOW, NegotiatedConfig
 from qdenv.simulate.mapf.pibt import numba as pibt_on_host
 from qdenv.simulate.mapf.pibt import xla as pibt_in_xla
@@ -132,13 +132,13 @@ def test_the_host_pushes_as_xla_does():
         allowed = rng.integers(1, 6, count).astype(np.int32)
         order = rng.permutation(count).astype(np.int32)
         rollout.path[:, 0], rollout.candidates[:] = position, candidates
-        rollout.allowed[:], rollout.standing[position] = allowed, np.arange(count)
+        rollout.num_allowed[:], rollout.occupant[position] = allowed, np.arange(count)
         rollout.order[:] = order
         pibt_on_host.push_along(rollout, 0)
         host = rollout.path[:, 1]
         np.testing.assert_array_equal(in_xla(candidates, position, allowed, order), host)
         assert len(set(host.tolist())) == count
-        assert (rollout.standing == NOBODY).all() and (rollout.claimant == NOBODY).all()
+        assert (rollout.occupant == NOBODY).all() and (rollout.claimant == NOBODY).all()
         moved += int((host != position).sum())
     assert moved > 200 * count / 4
 

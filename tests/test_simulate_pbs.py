@@ -21,16 +21,20 @@ from pbs_oracle import (
     some_choice_works,
 )
 
-from qdenv.simulate.mapf.host.crew import Crew, Numbers, Run, Tally, Tape
-from qdenv.simulate.mapf.host.fields import empty_fields
-from qdenv.simulate.mapf.host.site import Site
-from qdenv.simulate.mapf.pbs.drive import drive
-from qdenv.simulate.mapf.pbs.errands import list_errands
-from qdenv.simulate.mapf.pbs.plans import LAST, LATE
-from qdenv.simulate.mapf.pbs.priorities import PAIRS
+from qdenv.simulate.mapf.host.distances import empty_fields
+from qdenv.simulate.mapf.host.run import run_to_the_end
+from qdenv.simulate.mapf.host.state import (
+    Agents,
+    Counters,
+    GridMap,
+    HostRun,
+    RunSettings,
+    move_steps,
+)
+from qdenv.simulate.mapf.metrics import Block
+from qdenv.simulate.mapf.pbs.planner import collect_goals, pbs, solve
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
-from qdenv.simulate.mapf.pbs.tree import solve
-from qdenv.simulate.mapf.pbs.workspace import NODES, WANTED, Terms, Workspace, make_workspace
+from qdenv.simulate.mapf.pbs.workspace import Workspace, make_workspace
 
 RULES = ("published", "plain")
 SOME, EVERY = some_choice_works, every_choice_works
@@ -76,22 +80,22 @@ def can(works, maze: Maze) -> bool | None:
         return None
 
 
-def run_of(instance: Instance, seed: int = 0) -> Run:
+def run_of(instance: Instance, seed: int = 0) -> HostRun:
     """Make the run of an instance's one window; each agent has two kinds of goal of its own."""
     width, count = instance.free.shape[1] + 2, len(instance.agents)
     rows, columns = np.divmod(np.arange(instance.free.size), width - 2)
     padded = (rows + 1) * width + columns + 1
-    site = Site(
+    grid = GridMap(
         np.pad(instance.free, 1).reshape(-1),
         padded[[goal for agent in instance.agents for goal in agent.goals]],
         np.ones((2 * count, 2 * count), np.float32),
         np.array([stay for agent in instance.agents for stay in agent.services]),
-        np.array([0, 1, -1, width, -width]),
+        move_steps(width),
         width,
         1,
     )
     paths = np.zeros((count, instance.window + 1), np.int64)
-    crew = Crew(
+    agents = Agents(
         padded[[agent.start for agent in instance.agents]],
         np.arange(0, 2 * count, 2),
         np.arange(2 * count).reshape(-1, 2).T.copy(),
@@ -102,26 +106,23 @@ def run_of(instance: Instance, seed: int = 0) -> Run:
         np.zeros(count, np.bool_),
     )
     horizon = instance.horizon
-    tally = Tally(np.zeros(3, np.int64), *np.zeros((2, max(horizon, site.free.size)), np.int32))
-    tape = Tape(
-        np.zeros((horizon, count), np.int32),
-        np.zeros((horizon, count), np.int32),
-        np.zeros((horizon, count), np.bool_),
-        np.zeros((horizon, count), np.int32),
-    )
-    return Run(site, crew, tally, tape, Numbers(seed, horizon, instance.window, horizon, True))
+    size = max(horizon, grid.free.size)
+    counters = Counters(*(np.zeros((), np.int64) for _ in range(3)), *np.zeros((2, size), np.int32))
+    kinds = np.int32, np.int32, np.bool_, np.int32
+    block = Block(*(np.zeros((horizon, count), kind) for kind in kinds))
+    settings = RunSettings(seed, horizon, instance.window, horizon, True)
+    return HostRun(grid, agents, counters, block, settings)
 
 
 def plan(instance: Instance, rule: str, seed: int = 0, node_limit: int = 20_000) -> Answer:
     """Plan one window."""
     run, (height, width) = run_of(instance), instance.free.shape
     count, shape = len(instance.agents), (height + 2, width + 2)
-    terms = Terms(rule == "published", node_limit, instance.horizon)
     fields = empty_fields(shape, 2 * count, 2 * count)
-    work = make_workspace(count, instance.window, run.site, DEPTH, terms)
-    list_errands(run, fields, work.errands)
-    solved = bool(solve(work, fields, run.site, seed))
-    assert not work.tree.number[WANTED], "more depth is wanted"
+    work = make_workspace(run, PbsConfig(rule, node_limit / count), DEPTH)
+    collect_goals(run, fields, work.goals)
+    solved = bool(solve(work, fields, run.grid, seed))
+    assert not work.tree.is_full, "more depth is needed"
     return answer_of(work, solved, width)
 
 
@@ -130,16 +131,16 @@ def answer_of(work: Workspace, solved: bool, width: int) -> Answer:
     found = work.plan
     rows, columns = np.divmod(found.cell, width + 2)
     cells = (rows - 1) * width + columns - 1
-    lasts = found.fact[LAST].tolist()
+    lasts = found.path.end.tolist()
     paths = [tuple(cells[: last + 1, agent].tolist()) for agent, last in enumerate(lasts)]
-    late, nodes = found.fact[LATE].tolist(), int(work.tally[NODES])
+    late, nodes = found.path.delay.tolist(), int(work.num_nodes)
     return Answer(solved, paths, late, precedence(work), nodes)
 
 
 def precedence(work: Workspace) -> list[set[int]]:
     """Close the priorities of the branch in hand transitively."""
-    pairs = work.order.end[:, : work.order.number[PAIRS]].T.tolist()
-    above: list[set[int]] = [set() for _ in work.errands.start]
+    pairs = work.order.end[:, : work.order.count].T.tolist()
+    above: list[set[int]] = [set() for _ in work.goals.start]
     for _ in above:
         for high, low in pairs:
             above[low] |= {high} | above[high]
@@ -263,8 +264,8 @@ def test_two_agents_that_want_to_swap_in_a_corridor_stand_still():
     assert not plain.solved
     for rule in RULES:
         run = run_of(CORRIDOR)
-        assert drive(PbsConfig(rule), run, empty_fields((3, 4), 4, 4))
-        assert run.tape.positions.tolist() == [[5, 6]] * 6
+        run_to_the_end(pbs(PbsConfig(rule)).host, run, (3, 4))
+        assert run.block.positions.tolist() == [[5, 6]] * 6
 
 
 def test_four_agents_on_four_cells_turn_around():

@@ -11,12 +11,12 @@ from fleet_runs import PLAIN, SERVICES, random_layout
 
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import read_layout
-from qdenv.simulate.mapf import chance, fleet
+from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.host import run as host_run
-from qdenv.simulate.mapf.host.fields import Fields, empty_fields
-from qdenv.simulate.mapf.pbs import drive as pbs_drive
+from qdenv.simulate.mapf.host.distances import DistanceFields, empty_fields
+from qdenv.simulate.mapf.pbs import planner as pbs_planner
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
-from qdenv.simulate.mapf.pbs.workspace import UNSOLVED, Workspace, make_workspace
+from qdenv.simulate.mapf.pbs.workspace import Workspace, make_workspace
 from qdenv.study.engine import auditor, run_seeds
 from qdenv.types import TaskRule, Traffic
 
@@ -46,7 +46,7 @@ def kept_workspaces(monkeypatch) -> list[Workspace]:
         works.append(make_workspace(*sizes))
         return works[-1]
 
-    monkeypatch.setattr(pbs_drive, "make_workspace", make)
+    monkeypatch.setattr(pbs_planner, "make_workspace", make)
     return works
 
 
@@ -71,7 +71,7 @@ def test_crowds_break_no_rule_where_windows_stay_unsolved(nodes_per_agent, rule,
         tasks = SERVICES if seed else PLAIN
         (run,) = audited(layout, tasks, config, (seed,), agents)
         assert run.finished.sum() > 0 and run.end_timestep == 63
-    unsolved = sum(work.tally[UNSOLVED] for work in works)
+    unsolved = sum(work.num_unsolved for work in works)
     windows = 3 * 13
     assert unsolved == windows if nodes_per_agent < 1 else 0 < unsolved < windows
 
@@ -82,17 +82,14 @@ def test_a_run_is_the_same_recorded_or_not_inside_a_program_or_outside_alone_or_
     config = fleet.FleetConfig(agents=40, timesteps=63, planner=PbsConfig(rule))
     world = fleet.prepare(layout, SERVICES, config)
     on_host = jax.tree.map(np.asarray, world)
-    keys = jax.random.split(jax.random.key(3), 3)
+    keys = jax.vmap(jax.random.key)(np.arange(3))
     batch = jax.jit(jax.vmap(lambda key: fleet.record(world, key, config, 37)))(keys)
     simulate = jax.jit(lambda key: fleet.simulate(world, key, config, 37))
-    _, active = fleet.enlist(world, config, 37)
-    report = jax.jit(lambda outcome: fleet.report(world, config, outcome, active))
+    outside_run = fleet.compile_runs(on_host, config, keep=True)
     for number, key in enumerate(keys):
         together, tape = jax.tree.map(lambda leaf, at=number: np.asarray(leaf[at]), batch)
         counted = simulate(key)
-        seed = int(chance.seed_of(key))
-        outcome = fleet.drive_on_host(on_host, seed, config, 37, keep=True)
-        outside, outside_tape = report(outcome)
+        outside, outside_tape = outside_run(on_host, number, 37)
         jax.tree.map(np.testing.assert_array_equal, outside, counted)
         jax.tree.map(np.testing.assert_array_equal, outside_tape, tape)
         for one, many in zip(outside, together, strict=True):
@@ -137,13 +134,13 @@ def test_little_room_at_first_changes_nothing(rule, monkeypatch):
     expected = run_seeds(layout, SERVICES, config, (0,)).runs[0]
     works, rooms = kept_workspaces(monkeypatch), []
 
-    def little(shape: tuple[int, int], goals: int, rows: int) -> Fields:
+    def little(shape: tuple[int, int], goals: int, rows: int) -> DistanceFields:
         rooms.append(rows)
         return empty_fields(shape, goals, 2, 3)
 
-    monkeypatch.setattr(pbs_drive, "FIRST_DEPTH", 1)
+    monkeypatch.setattr(pbs_planner, "FIRST_DEPTH", 1)
     monkeypatch.setattr(host_run, "empty_fields", little)
     found = run_seeds(layout, SERVICES, config, (0,)).runs[0]
     jax.tree.map(np.testing.assert_array_equal, found, expected)
-    depths = [len(work.tree.cost) for work in works]
-    assert max(depths) > 1 and depths.count(1) > 1 and rooms and expected.finished.sum() > 0
+    depths = [len(work.tree.node) for work in works]
+    assert max(depths) > 1 and depths[0] == 1 and rooms and expected.finished.sum() > 0

@@ -23,11 +23,11 @@ from mapf_oracle import (
 
 from qdenv.grid import parse
 from qdenv.simulate.mapf.distances import goal_distances
-from qdenv.simulate.mapf.host import site
-from qdenv.simulate.mapf.host.fields import empty_fields
-from qdenv.simulate.mapf.negotiated.numba import reservations, states
+from qdenv.simulate.mapf.host.distances import empty_fields
+from qdenv.simulate.mapf.host.state import GridMap, grid_map
+from qdenv.simulate.mapf.negotiated.numba import reservations
 from qdenv.simulate.mapf.negotiated.numba.backtrack import trace
-from qdenv.simulate.mapf.negotiated.numba.search import find_path
+from qdenv.simulate.mapf.negotiated.numba.search import Agent, find_path, make_arrays
 from qdenv.simulate.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
 from qdenv.simulate.mapf.negotiated.xla import bitplanes
 from qdenv.simulate.mapf.negotiated.xla.observation import Planning, gather
@@ -104,13 +104,13 @@ def search_in_xla(world, state, others, penalty, noise, levels):
     return state.position[0] + steps[0, :, 0] * SHAPE[1] + steps[1, :, 0], cost[0]
 
 
-def site_of_maze(world: World) -> site.Site:
+def grid_of_maze(world: World) -> GridMap:
     """Show the maze to host code."""
-    return site.site_of(jax.tree.map(np.asarray, world))
+    return grid_map(jax.tree.map(np.asarray, world))
 
 
-def reserve_others(others: np.ndarray, place: site.Site) -> reservations.Reservations:
-    """Reserve paths of the padded grid (int [WINDOW + 1, n]) and leave room for one agent more."""
+def reserve_others(others: np.ndarray, place: GridMap) -> reservations.ReservationWords:
+    """Reserve paths of the padded grid (int [WINDOW + 1, n]) with one agent more that has none."""
     count = others.shape[1]
     table = reservations.make_reservations(place, count + 1, WINDOW)
     reservations.clear(table, place)
@@ -121,10 +121,10 @@ def reserve_others(others: np.ndarray, place: site.Site) -> reservations.Reserva
 
 
 def search_on_host(world: World, case: Case, noise: int) -> np.ndarray:
-    place, others = site_of_maze(world), padded(case.others)
+    place, others = grid_of_maze(world), padded(case.others)
     table = reserve_others(others, place)
     start, cells = int(padded(case.start)), padded(case.goals)
-    agent = states.Agent(
+    agent = Agent(
         start,
         (0, 1),
         (int(cells[0]), int(cells[1])),
@@ -133,7 +133,7 @@ def search_on_host(world: World, case: Case, noise: int) -> np.ndarray:
         case.penalty,
         noise,
     )
-    work = states.make_workspace(WINDOW, case.levels, case.penalty)
+    work = make_arrays(WINDOW, case.levels, case.penalty)
     code = find_path(work, table, empty_fields(SHAPE, 2, 2), place, agent)
     assert code >= 0
     trace(work, table, place, agent, code, others.shape[1])
@@ -177,7 +177,7 @@ def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
     paths, mask = jnp.asarray(padded(others)), jnp.ones(10, bool)
     table = bitplanes.add_paths(bitplanes.empty(WINDOW, *SHAPE), paths, mask, SHAPE)
     planes = table.reshape(WINDOW, 5, SHAPE[0], -1)
-    place = site_of_maze(world_of([0]))
+    place = grid_of_maze(world_of([0]))
     host = reserve_others(padded(others), place)
     for cell in np.flatnonzero(FREE):
         position = padded(cell)

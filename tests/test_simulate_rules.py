@@ -11,10 +11,10 @@ import pytest
 import qdenv.simulate
 from qdenv.simulate.mapf.agents import drive, place
 from qdenv.simulate.mapf.audit import Trajectory, check_moves, jammed_windows, replay_tasks
-from qdenv.simulate.mapf.fleet import FleetConfig, numbers_of, prepare
+from qdenv.simulate.mapf.fleet import FleetConfig, prepare, run_settings
 from qdenv.simulate.mapf.goals import tile_goal
-from qdenv.simulate.mapf.host.crew import Tape, drive_window
-from qdenv.simulate.mapf.host.run import empty_run
+from qdenv.simulate.mapf.host.state import drive_window, make_run
+from qdenv.simulate.mapf.metrics import Block
 from qdenv.simulate.mapf.padding import pad, unpad
 from qdenv.simulate.mapf.tasks import serve
 from qdenv.types import TaskRule
@@ -143,20 +143,20 @@ def test_a_stay_at_a_goal_that_no_plan_knew_begins_after_the_next_plan():
 def test_both_backends_let_such_a_stay_wait():
     world = jax.tree.map(np.asarray, prepare(HALL, ROUND, CONFIG))
     cells = pad(WALK, 3, world.margin)
-    tape = Tape(*(np.zeros((10, 1), kind) for kind in (np.int32, np.int32, np.bool_, np.int32)))
-    run = empty_run(world, numbers_of(CONFIG), 1, tape)
-    run.crew.position[:], run.crew.goal[:] = cells[0], [[0], [1]]
+    block = Block(*(np.zeros((10, 1), kind) for kind in (np.int32, np.int32, np.bool_, np.int32)))
+    run = make_run(world, run_settings(CONFIG), 1, block)
+    run.agents.position[:], run.agents.goal[:] = cells[0], [[0], [1]]
     fleet, active = place(world, CONFIG.window, np.ones(1, bool), np.uint32(0)), np.ones(1, bool)
     fleet = fleet._replace(position=jnp.int32(cells[:1]), goal=jnp.int32([[0], [1]]))
     left, ends = [], []
     for window in range(2):
         ahead = cells[5 * window : 5 * window + 6]
-        run.crew.paths[0, :6] = ahead
+        run.agents.paths[0, :6] = ahead
         drive_window(run)
         fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))
         for cell in ahead[1:]:
             fleet, finished = drive(world, fleet, jnp.int32([cell]), active, np.uint32(0))
             left.append(int(fleet.remaining_service[0]))
             ends.append(bool(finished[0]))
-    assert left == tape.remaining_service[:, 0].tolist() == LEFT_TO_SERVE
-    assert ends == tape.finished[:, 0].tolist() == ENDS.tolist()
+    assert left == block.remaining_service[:, 0].tolist() == LEFT_TO_SERVE
+    assert ends == block.finished[:, 0].tolist() == ENDS.tolist()

@@ -50,7 +50,7 @@ def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
         return _fleet().simulate(world, key, config)
 
     def on_host() -> bool:
-        return config.make_planner().drive is not None
+        return config.make_planner().on_host
 
     return Simulator(prepare, run, tasks, on_host=on_host)
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from qdenv import devices
 from qdenv.progress import Progress, silent
-from qdenv.simulate.mapf import chance, fleet
+from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.audit import audit, trajectory_of
 from qdenv.simulate.mapf.host.run import steps_under_way
-from qdenv.simulate.mapf.metrics import Recording, summarise
+from qdenv.simulate.mapf.metrics import Recording
 from qdenv.study.options import fleet_tasks
 from qdenv.types import TaskRule, Traffic
 
@@ -137,45 +137,11 @@ def _program(
     """Compile the preparation and the simulation of layouts of one size."""
     layout = jax.ShapeDtypeStruct(shape, np.int8)
     prepare = jax.jit(lambda layout: fleet.prepare(layout, tasks, config))
-    world, count = jax.eval_shape(prepare, layout), jax.ShapeDtypeStruct((), np.int32)
-    on_host = config.make_planner().drive is not None
-    run = (_on_host if on_host else _on_device)(config, world, count, record)
+    run = fleet.compile_runs(jax.eval_shape(prepare, layout), config, record)
     compiled = prepare.lower(layout).compile()
-    if not on_host:
-        return _Program(compiled, run, on_host)
-    return _Program(lambda layout: jax.tree.map(np.asarray, compiled(layout)), run, on_host)
-
-
-def _on_device(config: fleet.FleetConfig, world: Any, count: Any, record: bool) -> Callable:
-    """Compile whole runs."""
-
-    def simulate(world: Any, key: Any, count: Any) -> tuple:
-        if record:
-            return fleet.record(world, key, config, count)
-        return fleet.simulate(world, key, config, count), None
-
-    program = jax.jit(simulate).lower(world, jax.random.key(0), count).compile()
-    return lambda world, seed, agents: program(world, jax.random.key(seed), np.int32(agents))
-
-
-def _on_host(config: fleet.FleetConfig, world: Any, count: Any, record: bool) -> Callable:
-    """Compile what turns the outcome of a run on the host into records."""
-
-    def report(world: Any, outcome: Any, count: Any) -> tuple:
-        world, active = fleet.enlist(world, config, count)
-        if record:
-            return fleet.report(world, config, outcome, active)
-        return summarise(world, outcome.metrics, active, config.timesteps), None
-
-    like = jax.eval_shape(lambda: fleet.blank_outcome(world, config, record))
-    program = jax.jit(report).lower(world, like, count).compile()
-
-    def run(world: Any, seed: int, agents: int) -> tuple:
-        drawn = int(chance.seed_of(jax.random.key(seed)))
-        outcome = fleet.drive_on_host(world, drawn, config, agents, record)
-        return program(world, outcome, np.int32(agents))
-
-    return run
+    if not config.make_planner().on_host:
+        return _Program(compiled, run, False)
+    return _Program(lambda layout: jax.tree.map(np.asarray, compiled(layout)), run, True)
 
 
 def auditor(layout: np.ndarray, tasks: TaskRule, config: fleet.FleetConfig) -> Reader:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from qdenv.grid import DOWN, LEFT, RIGHT, UP, WAIT
 from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.congestion import throughput_over_time
@@ -22,7 +23,6 @@ from qdenv.types import InputError, TaskRule, Traffic
 from qdenv.view.page import Page, make_page
 
 SCRIPTS = ("film", "view", "ground", "marks", "robots", "chart", "panel", "controls", "start")
-WAIT, RIGHT, LEFT, DOWN, UP = range(5)
 DIGITS = np.array([25, 5, 1], np.uint8)
 
 

@@ -10,12 +10,13 @@ import highspy
 import numpy as np
 from scipy import ndimage
 
+from qdenv.grid import MOVES
 from qdenv.repair.milp.highs import CROSS, Cut, separate
 from qdenv.repair.rules import Facts, Report, excess, no_report
 from qdenv.repair.settings import WindowLimits
 from qdenv.types import Adjacency
 
-SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
+SIDES = (*MOVES[2:], *MOVES[:2])
 AROUND = 2  # cells around a window that its rules look at: neighbours, and what serves these
 
 

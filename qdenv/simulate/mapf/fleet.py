@@ -5,6 +5,7 @@ https://arxiv.org/abs/2005.07371; the rules are in `qdenv.simulate`). Everything
 the layout is traced, so all layouts of one size share one compiled program.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,8 +19,8 @@ from qdenv.simulate.mapf import chance, tasks
 from qdenv.simulate.mapf.agents import Fleet, agent_state, drive, look_ahead, place
 from qdenv.simulate.mapf.distances import goal_distances
 from qdenv.simulate.mapf.goals import service_times
-from qdenv.simulate.mapf.host.crew import Numbers
-from qdenv.simulate.mapf.host.run import drive_into, run_on_host
+from qdenv.simulate.mapf.host.run import simulate_in_callback, simulate_into
+from qdenv.simulate.mapf.host.state import RunSettings
 from qdenv.simulate.mapf.metrics import (
     Block,
     Metrics,
@@ -69,7 +70,7 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     traversable = jnp.asarray(of_tiles(layout, rule.traversable, rule.tiles))
     goals = tasks.goal_table(layout, rule, capacity)
     distance, entry = None, np.dtype(steps_type(layout.size))
-    if planner.drive is None and capacity * layout.size * entry.itemsize <= TABLE_BYTES:
+    if not planner.on_host and capacity * layout.size * entry.itemsize <= TABLE_BYTES:
         used = goals.used & traversable.reshape(-1)[goals.cells]
         distance = goal_distances(traversable, goals.cells, used).reshape(capacity, rows, cols)
         sides, far = (planner.margin, planner.margin), unreachable(layout.size)
@@ -98,7 +99,7 @@ def run_window(
     state = agent_state(world, fleet, active)
     key = chance.key_of(chance.draw(seed, chance.PLANS), time)
     plan = config.make_planner().plan
-    assert plan is not None  # else the planner drives on the host
+    assert plan is not None  # else runs are computed on the host
     paths = plan(world, state, config.horizon, key)
     chex.assert_shape(paths, (config.window + 1, config.agents))
     goals = chance.draw(seed, chance.GOALS)
@@ -138,9 +139,9 @@ def blank_outcome(world: World, config: FleetConfig, keep: bool) -> Outcome:
     return Outcome(empty_metrics(world, windows), nowhere, buffer)
 
 
-def numbers_of(config: FleetConfig, seed: int = 0) -> Numbers:
-    """Say to the host's code what it needs to know of a simulation."""
-    return Numbers(
+def run_settings(config: FleetConfig, seed: int = 0) -> RunSettings:
+    """List what host code needs to know of a simulation."""
+    return RunSettings(
         seed, config.timesteps, config.window, config.horizon, config.stop_when_congested
     )
 
@@ -150,9 +151,10 @@ def _run(
 ) -> Outcome:
     """Simulate until T or congestion, keeping every step if asked."""
     planner = config.make_planner()
-    if planner.drive is not None:
+    if planner.host is not None:
         like = jax.eval_shape(lambda: blank_outcome(world, config, keep))
-        return run_on_host(planner.drive, world, seed, active.sum(), numbers_of(config), like)
+        settings = run_settings(config)
+        return simulate_in_callback(planner.host, world, seed, active.sum(), settings, like)
     metrics, _, buffer = blank_outcome(world, config, keep)
     fleet = place(world, config.window, active, seed)
 
@@ -222,24 +224,46 @@ def report(
     return summarise(world, outcome.metrics, active, config.timesteps), recording
 
 
-def drive_on_host(world: World, seed: int, config: FleetConfig, agents: int, keep: bool) -> Outcome:
-    """Run one simulation in compiled host code, outside of any program of XLA's.
+def compile_runs(
+    world: World, config: FleetConfig, keep: bool
+) -> Callable[[World, int, int], tuple[Traffic, Recording | None]]:
+    """Compile whole runs on layouts of one size, (world, seed, agents) -> traffic and recording.
 
-    What XLA compiles around a callback it forgets with the process; without, there is nothing to
-    compile but what turns the outcome into records.
+    On the host only what turns the outcome into records is a program of XLA's: what XLA compiles
+    around a callback it forgets with the process. The worlds are of numpy arrays there.
 
     Args:
-        world: from `prepare`, of numpy arrays.
-        seed: of all that is drawn, as `chance.seed_of` gives it.
-        config: the numbers, of a planner that drives on the host.
-        agents: how many take part.
-        keep: keep every step.
+        world: from `prepare`, or its shapes.
+        config: the numbers.
+        keep: keep every step; else the recording is None.
     """
-    drive = config.make_planner().drive
-    assert drive is not None
+    host, count = config.make_planner().host, jax.ShapeDtypeStruct((), np.int32)
+
+    def finish(world: World, outcome: Outcome, agents: Array) -> tuple[Traffic, Recording | None]:
+        world, active = enlist(world, config, agents)
+        if keep:
+            return report(world, config, outcome, active)
+        return summarise(world, outcome.metrics, active, config.timesteps), None
+
+    if host is None:
+
+        def whole(world: World, key: jax.Array, agents: Array) -> tuple[Traffic, Recording | None]:
+            able, active = enlist(world, config, agents)
+            outcome = _run(able, chance.seed_of(key), config, active, keep)
+            return finish(world, outcome, agents)
+
+        program = jax.jit(whole).lower(world, jax.random.key(0), count).compile()
+        return lambda world, seed, agents: program(world, jax.random.key(seed), np.int32(agents))
+
     shapes = jax.eval_shape(lambda: blank_outcome(world, config, keep))
-    outcome: Outcome = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
-    fits = agents <= min(int(np.asarray(world.traversable).sum()), config.agents)
-    if fits:  # else nobody drives, and the report calls that congested
-        drive_into(outcome, drive, world, agents, numbers_of(config, seed))
-    return outcome
+    program = jax.jit(finish).lower(world, shapes, count).compile()
+
+    def run(world: World, seed: int, agents: int) -> tuple[Traffic, Recording | None]:
+        outcome = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+        # Too many agents for the layout: nobody drives, and the report calls that congested.
+        if agents <= min(int(np.asarray(world.traversable).sum()), config.agents):
+            settings = run_settings(config, int(chance.seed_of(jax.random.key(seed))))
+            simulate_into(outcome, host, world, agents, settings)
+        return program(world, outcome, np.int32(agents))
+
+    return run

@@ -8,7 +8,7 @@ A planner is chosen by the type of its settings: `PLANNERS.make(settings)` gives
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import flax.struct
 import jax
@@ -66,7 +66,13 @@ class AgentState(NamedTuple):
     row: jax.Array  # int32 [2, A], the rows of `distance` that belong to `goal`
 
 
-Drive: TypeAlias = Callable[[Any, Any], bool]
+class HostPlanner(NamedTuple):
+    """A planner in compiled host code, for whole runs; see `qdenv.simulate.mapf.host.windows`."""
+
+    # (run, size) -> what the planner works on; the size is 1, and doubled when that is too small
+    make_plan: Callable[[Any, int], Any]
+    run_windows: Callable[..., int]  # from `compile_windows`
+    fallback_waits: bool = False  # whether agents without a path stand still instead of PIBT's plan
 
 
 class Planner(NamedTuple):
@@ -79,7 +85,9 @@ class Planner(NamedTuple):
     max_window: int = 1000  # most timesteps it plans ahead
     max_service: int = 1000  # longest service at a goal that it understands
     margin: int = 1  # rows and columns of walls it wants around the grid, at least 1
-    # compiled host code for whole runs, (run, fields) -> whether `fields` had room for the
-    # distances it asked for (`qdenv.simulate.mapf.host`); called again with more room where not.
-    # Used instead of `plan` where a planner has it.
-    drive: Drive | None = None
+    host: HostPlanner | None = None  # used instead of `plan` where there is one
+
+    @property
+    def on_host(self) -> bool:
+        """Whether runs are computed by compiled host code instead of XLA."""
+        return self.host is not None

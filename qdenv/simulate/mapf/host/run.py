@@ -1,4 +1,4 @@
-"""One run as one callback: jax's buffers in, compiled host code, jax's buffers out."""
+"""Whole runs on the host: jax's buffers in, compiled host code, jax's buffers out."""
 
 import contextlib
 from collections.abc import Iterator
@@ -8,101 +8,90 @@ import jax
 import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 
-from qdenv.simulate.mapf.host.crew import CONGESTED, MOVES, TIME, Crew, Numbers, Run, Tally, Tape
-from qdenv.simulate.mapf.host.crew import place as place_crew
-from qdenv.simulate.mapf.host.fields import empty_fields, make_room
-from qdenv.simulate.mapf.host.site import site_of
+from qdenv.simulate.mapf.host.distances import empty_fields, make_room
+from qdenv.simulate.mapf.host.state import HostRun, RunSettings, make_run, place_agents
+from qdenv.simulate.mapf.host.windows import DONE, FIELDS_FULL, make_fallback
 from qdenv.simulate.mapf.metrics import Outcome
-from qdenv.simulate.mapf.planner import Drive, World
+from qdenv.simulate.mapf.planner import HostPlanner, World
 
 SPARE_ROWS = 64  # fields of distances for more goals than two per agent
 
 
-def empty_run(world: World, numbers: Numbers, agents: int, tape: Tape) -> Run:
-    """Begin a run whose agents stand nowhere yet.
-
-    Args:
-        world: of numpy arrays.
-        numbers: of the run.
-        agents: how many take part.
-        tape: where to record.
-    """
-    site = site_of(world)
-    windows = -(-numbers.timesteps // numbers.horizon)
-    crew = Crew(
-        position=np.zeros(agents, np.int64),
-        kind=np.zeros(agents, np.int64),
-        goal=np.zeros((2, agents), np.int64),
-        remaining_service=np.zeros(agents, np.int64),
-        age=np.zeros(agents, np.int64),
-        legs=np.zeros(agents, np.int64),
-        paths=np.zeros((agents, numbers.window + 1), np.int64),
-        stuck=np.zeros(agents, np.bool_),
-    )
-    tally = Tally(
-        total=np.zeros(3, np.int64),
-        finished=np.zeros(windows * numbers.horizon, np.int32),
-        visits=np.zeros(site.free.size, np.int32),
-    )
-    return Run(site, crew, tally, tape, numbers)
-
-
-def drive_to_the_end(drive: Drive, run: Run, shape: tuple[int, int]) -> None:
-    """Drive a run whose agents have been placed, with as much room for distances as it takes."""
-    goals, agents = run.site.goals.size, run.crew.position.size
-    fields = empty_fields(shape, goals, min(goals, 2 * agents + SPARE_ROWS))
-    while not drive(run, fields):
-        fields = make_room(fields, run.crew.goal.reshape(-1))
-
-
-def run_on_host(
-    drive: Drive, world: World, seed: jax.Array, agents: jax.Array, numbers: Numbers, like: Outcome
+def simulate_in_callback(
+    planner: HostPlanner,
+    world: World,
+    seed: jax.Array,
+    agents: jax.Array,
+    settings: RunSettings,
+    like: Outcome,
 ) -> Outcome:
     """Run a simulation in a callback that works on jax's own buffers.
 
     Args:
-        drive: of the planner.
+        planner: plans the paths.
         world: the layout.
         seed: uint32, of all that is drawn.
-        agents: int32, how many take part.
-        numbers: of the run, but for the seed.
+        agents: int32, number of agents.
+        settings: of the run, but for the seed.
         like: the shapes of what is returned.
     """
 
     def on_host(_: Any, *buffers: Any) -> None:
         # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
         outcome, world, seed, agents = jax.tree.map(np.asarray, buffers)
-        drive_into(outcome, drive, world, int(agents), numbers._replace(seed=int(seed)))
+        simulate_into(outcome, planner, world, int(agents), settings._replace(seed=int(seed)))
 
     result: Outcome = buffer_callback(on_host, like, vmap_method="sequential")(world, seed, agents)
     return result
 
 
-def drive_into(outcome: Any, drive: Drive, world: World, agents: int, numbers: Numbers) -> None:
+def simulate_into(
+    outcome: Any, planner: HostPlanner, world: World, agents: int, settings: RunSettings
+) -> None:
     """Run a simulation and write what happens into the numpy arrays of an `Outcome`.
 
     Args:
         outcome: all zeros, of the shapes that `fleet.blank_outcome` gives.
-        drive: of the planner.
+        planner: plans the paths.
         world: of numpy arrays.
-        agents: how many take part.
-        numbers: of the run, its seed among them.
+        agents: number of agents.
+        settings: of the run, its seed among them.
     """
-    run = empty_run(world, numbers, agents, Tape(*outcome.buffer.block))
+    run = make_run(world, settings, agents, outcome.buffer.block)
     if world.valid:
-        place_crew(run)
-        outcome.buffer.start[:agents] = run.crew.position
+        place_agents(run)
+        outcome.buffer.start[:agents] = run.agents.position
         with _under_way(run):
-            rows, cols = world.traversable.shape
-            drive_to_the_end(drive, run, (rows, cols))
-    _report(run, outcome)
+            run_to_the_end(planner, run, world.traversable.shape)
+    metrics, counters = outcome.metrics, run.counters
+    metrics.time[...], metrics.congested_at[...] = counters.time, counters.congested_at
+    metrics.moves[...] = counters.moves
+    metrics.finished[...], metrics.visits[...] = counters.finished, counters.visits
+    outcome.heading[:agents] = run.grid.goals[run.agents.goal[0]]
 
 
-_runs: dict[int, Run] = {}  # those that are being driven now, in any thread
+def run_to_the_end(planner: HostPlanner, run: HostRun, shape: tuple[int, ...]) -> None:
+    """Drive a run whose agents have been placed, on a padded grid [H', W'].
+
+    A window for which a buffer is too small is planned again with a larger one.
+    """
+    goals, agents = run.grid.goals.size, run.agents.position.size
+    fields = empty_fields((shape[0], shape[1]), goals, min(goals, 2 * agents + SPARE_ROWS))
+    fallback, size = make_fallback(run, planner.fallback_waits), 1
+    plan = planner.make_plan(run, size)
+    while (status := planner.run_windows(run, fields, plan, fallback)) != DONE:
+        if status == FIELDS_FULL:
+            fields = make_room(fields, run.agents.goal.reshape(-1))
+        else:
+            size *= 2
+            plan = planner.make_plan(run, size)
+
+
+_runs: dict[int, HostRun] = {}  # those that are being driven now, in any thread
 
 
 @contextlib.contextmanager
-def _under_way(run: Run) -> Iterator[None]:
+def _under_way(run: HostRun) -> Iterator[None]:
     """Let others see how far a run is."""
     _runs[id(run)] = run
     try:
@@ -113,13 +102,4 @@ def _under_way(run: Run) -> Iterator[None]:
 
 def steps_under_way() -> int:
     """Count the timesteps driven so far by all runs of this process that have not ended yet."""
-    return sum(int(run.tally.total[TIME]) for run in list(_runs.values()))
-
-
-def _report(run: Run, outcome: Any) -> None:
-    """Write what happened into the buffers of an outcome."""
-    metrics, total = outcome.metrics, run.tally.total
-    metrics.time[...], metrics.congested_at[...] = total[TIME], total[CONGESTED]
-    metrics.moves[...] = total[MOVES]
-    metrics.finished[...], metrics.visits[...] = run.tally.finished, run.tally.visits
-    outcome.heading[: run.crew.position.size] = run.site.goals[run.crew.goal[0]]
+    return sum(int(run.counters.time) for run in list(_runs.values()))

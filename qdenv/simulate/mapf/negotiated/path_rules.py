@@ -5,8 +5,9 @@ Plain operators for both backends, as in `rules`.
 
 from typing import Generic, NamedTuple
 
+from qdenv.grid import DOWN, LEFT, RIGHT, UP
 from qdenv.native import shared
-from qdenv.simulate.mapf.negotiated.rules import DOWN, LEFT, RIGHT, UP, Value
+from qdenv.simulate.mapf.negotiated.rules import Value
 
 LEGS = 2
 COST_UNIT = 4  # costs are counted in quarters of a timestep

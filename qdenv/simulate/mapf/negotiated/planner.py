@@ -17,14 +17,12 @@ do those in conflict with one that fell back. The last resort is a joint plan wi
 (PIBT, Okumura et al. 2022, https://arxiv.org/abs/1901.11282), so the result never has any.
 """
 
-import functools
-
 import jax
 import jax.numpy as jnp
 
 from qdenv.devices import runs_on_host
 from qdenv.simulate.mapf import chance
-from qdenv.simulate.mapf.negotiated.numba.drive import drive
+from qdenv.simulate.mapf.negotiated.numba.rounds import host_planner
 from qdenv.simulate.mapf.negotiated.records import PlanResult, planned_ahead
 from qdenv.simulate.mapf.negotiated.settings import (
     MARGIN,
@@ -51,7 +49,7 @@ def negotiated(config: NegotiatedConfig) -> Planner:
         rest = jnp.broadcast_to(paths[-1], (window - ahead, paths.shape[1]))
         return jnp.concatenate([paths, rest])
 
-    on_host = functools.partial(drive, config) if runs_on_host(config.backend) else None
+    on_host = host_planner(config) if runs_on_host(config.backend) else None
     return Planner(plan, MAX_WINDOW, MAX_SERVICE, MARGIN, on_host)
 
 

@@ -16,18 +16,17 @@ in MAPF-LNS2 (Li et al. 2022, https://doi.org/10.1609/aaai.v36i9.21266), at a pr
 
 What a path costs and how it is read back is in `path_rules`.
 
-The five moves, in the order of every tuple and plane: wait, right, left, down, up.
+The five moves, in the order of every tuple and plane, are those of `qdenv.grid`: wait, right, left,
+down, up.
 """
 
 from typing import TypeAlias, TypeVar
 
 import jax
 
+from qdenv.grid import DOWN, LEFT, RIGHT, UP
 from qdenv.native import shared
 from qdenv.simulate.mapf.planner import NOBODY
-
-MOVES = 5
-RIGHT, LEFT, DOWN, UP = 1, 2, 3, 4
 
 ROUND_NOISE = 0x5851  # times the round: ties are broken in another way in every round
 SWEEPS = 3  # of the greedy choice; an odd number errs towards choosing too few

@@ -10,103 +10,102 @@ A path ends with the window, or where the last known goal is served: there the a
 in the published planner, but never within the timesteps that are driven.
 """
 
-from typing import NamedTuple
-
-import numpy as np
-
+from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP
 from qdenv.native import formula, kernel
-from qdenv.simulate.mapf.host.fields import Fields
-from qdenv.simulate.mapf.host.site import MOVES, Site
-from qdenv.simulate.mapf.pbs.errands import DONE, Errands, first_leg, to_go
-from qdenv.simulate.mapf.pbs.reservations import HERE, Reservations, bits_at, opposite
+from qdenv.simulate.mapf.host.distances import DistanceFields, distance
+from qdenv.simulate.mapf.host.state import GridMap
+from qdenv.simulate.mapf.pbs.workspace import (
+    DONE,
+    HOLDING,
+    NO_STATE,
+    Goals,
+    JointPlan,
+    PathSearch,
+    ReservationTable,
+)
 
-NO_STATE = -1
 NO_PATH = -1
-CAMPING = DONE + 1  # added to the leg while an agent stays at its start come what may
-LAYERS = 2 * CAMPING
-SEARCH, DELAY = range(2)  # entries of `Search.number`
+MOVE_BITS = 5  # an agent is here, and leaves right, left, down, up: one bit each
+HERE = 1
+LAST_SEARCH = (1 << (31 - MOVE_BITS)) - 1
 
 
-class Search(NamedTuple):
-    """Room for the search of one path of w timesteps, among S states.
-
-    All cells in reach lie in a square around the start, which has P = (2 w + 1)^2 places: so the
-    room stays the same for all agents, and in the cache. A state is a number whose bits are, from
-    the lowest, the place, the timestep and the layer: the leg, and `CAMPING` where it holds.
-    """
-
-    seen: np.ndarray  # int64 [S], the search that last reached a state
-    parent: np.ndarray  # int32 [S], the state before it
-    following: np.ndarray  # int32 [S], the next state of the same bucket
-    bucket: np.ndarray  # int32 [delays, w + 1], the first state of each bucket
-    cells: np.ndarray  # int64 [w + 1], the path found
-    number: np.ndarray  # int64 [2], the number of this search, and the delay of the path found
-    offset: np.ndarray  # int64 [P], what leads from the start to the cell at a place
-    steps: np.ndarray  # int64 [5], what each move adds to a place: wait, right, left, down, up
-    time_bit: int  # the lowest bit of the timestep
-    layer_bit: int  # the lowest bit of the layer
+@kernel
+def forget_reservations(table: ReservationTable) -> None:
+    """Begin with no reservations."""
+    if table.search[()] >= LAST_SEARCH:
+        table.entry[:] = 0
+        table.search[()] = 0
+    table.search[()] += 1
 
 
-def make_search(window: int, width: int) -> Search:
-    """Make room for the search of one path in a padded grid of so many columns."""
-    side = 2 * window + 1
-    row, column = np.divmod(np.arange(side * side), side)
-    time_bit = (side * side).bit_length()
-    layer_bit = time_bit + (window + 1).bit_length()
-    states = LAYERS << layer_bit
-    parent, following = np.empty((2, states), np.int32)
-    # A step can lead away from the goal, which costs two.
-    bucket = np.full((2 * window + 3, window + 1), NO_STATE, np.int32)
-    return Search(
-        np.zeros(states, np.int64),
-        parent,
-        following,
-        bucket,
-        np.zeros(window + 1, np.int64),
-        np.zeros(2, np.int64),
-        (row - window) * width + column - window,
-        np.array([0, 1, -1, side, -side]),
-        time_bit,
-        layer_bit,
-    )
+@kernel
+def reserve_path(table: ReservationTable, plan: JointPlan, agent: int, width: int) -> None:
+    """Reserve the path of an agent."""
+    last, cell = plan.path[agent].end, plan.cell[0, agent]
+    for t in range(last):
+        after = plan.cell[t + 1, agent]
+        step = after - cell
+        leaving = ((step == 1) << RIGHT) | ((step == -1) << LEFT)
+        leaving |= ((step == width) << DOWN) | ((step == -width) << UP)
+        reserve(table, t, cell, HERE | leaving)
+        cell = after
+    reserve(table, last, cell, HERE)
+
+
+@formula
+def reserve(table: ReservationTable, t: int, cell: int, bits: int) -> None:
+    """Reserve a cell at a timestep."""
+    old, number = table.entry[t, cell], table.search[()]
+    fresh = (number << MOVE_BITS) | bits
+    table.entry[t, cell] = old | bits if old >> MOVE_BITS == number else fresh
+
+
+@formula
+def _bits_at(table: ReservationTable, t: int, cell: int) -> int:
+    """Read the bits of a cell at a timestep."""
+    entry = table.entry[t, cell]
+    return entry & ((1 << MOVE_BITS) - 1) if entry >> MOVE_BITS == table.search[()] else 0
 
 
 @kernel
 def find_path(
-    search: Search,
-    table: Reservations,
-    fields: Fields,
-    site: Site,
-    errands: Errands,
+    search: PathSearch,
+    table: ReservationTable,
+    fields: DistanceFields,
+    grid: GridMap,
+    goals: Goals,
     agent: int,
-    terms: tuple[int, bool, int],
+    may_hold: bool,
+    ties: int,
 ) -> int:
     """Find a shortest path into ``search.cells``, and its delay.
 
     Args:
-        search: room.
+        search: its arrays.
         table: what to avoid.
         fields: distances.
-        site: where.
-        errands: what agents have to do.
-        agent: who.
-        terms: the timesteps that are driven; whether the agent may stay at its start, from the
-            beginning on, against all reservations; bits that say which way comes first of equals.
+        grid: the layout.
+        goals: what agents have to do.
+        agent: the agent.
+        may_hold: whether the agent may stay at its start, from the beginning on, against all
+            reservations.
+        ties: three bits that decide which way comes first of equals.
 
     Returns:
         The timestep at which the path ends, the window or sooner, or `NO_PATH`.
     """
-    horizon, may_camp, luck = terms
     window, centre = table.entry.shape[0] - 1, search.offset.size // 2
-    start, begin = errands.start[agent], errands.begin[agent]
-    search.number[SEARCH] += 1
-    search.number[DELAY] = 0
+    start, begin = goals.start[agent], goals.begin[agent]
+    search.search[()] += 1
+    search.delay[()] = 0
     if begin >= window:
         for t in range(window + 1):
             search.cells[t] = start
         return window
     search.bucket[:] = NO_STATE
-    layer = first_leg(errands, agent) + CAMPING * may_camp
+    # What the agent serves now is behind it when it sets out.
+    layer = (1 if begin > 0 else 0) + HOLDING * may_hold
     _open(search, _pack(search, layer, begin, centre), NO_STATE, 0, begin)
     delay, t = 0, begin
     while True:
@@ -119,89 +118,102 @@ def find_path(
             continue
         state = search.bucket[delay, t]
         search.bucket[delay, t] = search.following[state]
+        search.delay[()] = delay
         layer = state >> search.layer_bit
-        if t == window or (layer % CAMPING == DONE and t >= horizon):
+        if t == window or (layer % HOLDING == DONE and t >= search.horizon):
             break
-        t = _expand(search, table, fields, site, errands, agent, (state, delay, t, luck, horizon))
-    search.number[DELAY] = delay
+        t = _expand(search, table, fields, grid, goals, agent, state, ties)
     _read_path(search, state, start)
     return t
 
 
 @formula
-def _pack(search: Search, layer: int, t: int, place: int) -> int:
+def _pack(search: PathSearch, layer: int, t: int, place: int) -> int:
     """Number a state."""
     return (layer << search.layer_bit) | (t << search.time_bit) | place
 
 
 @formula
-def _place_of(search: Search, state: int) -> int:
+def _place_of(search: PathSearch, state: int) -> int:
     """Read the place of a state."""
     return state & ((1 << search.time_bit) - 1)
 
 
 @formula
-def _time_of(search: Search, state: int) -> int:
+def _time_of(search: PathSearch, state: int) -> int:
     """Read the timestep of a state."""
     return (state & ((1 << search.layer_bit) - 1)) >> search.time_bit
 
 
 @formula
-def _open(search: Search, state: int, parent: int, delay: int, t: int) -> None:
+def _open(search: PathSearch, state: int, parent: int, delay: int, t: int) -> None:
     """Put a state into its bucket."""
-    search.seen[state], search.parent[state] = search.number[SEARCH], parent
+    search.seen[state], search.parent[state] = search.search[()], parent
     search.following[state] = search.bucket[delay, t]
     search.bucket[delay, t] = state
 
 
+@formula
+def _steps_left(
+    fields: DistanceFields, grid: GridMap, goals: Goals, agent: int, leg: int, cell: int
+) -> int:
+    """Count the steps from a cell to the last known goal, through those before it."""
+    if leg == DONE:
+        return 0
+    steps = distance(fields, grid, goals.goal[leg, agent], cell)
+    return steps + goals.between[agent] if leg == 0 else steps
+
+
 @kernel
 def _expand(
-    search: Search,
-    table: Reservations,
-    fields: Fields,
-    site: Site,
-    errands: Errands,
+    search: PathSearch,
+    table: ReservationTable,
+    fields: DistanceFields,
+    grid: GridMap,
+    goals: Goals,
     agent: int,
-    here: tuple[int, int, int, int, int],
+    state: int,
+    ties: int,
 ) -> int:
     """Open all states one step on; returns the latest timestep that may have an open state."""
-    state, delay, t, luck, horizon = here
-    window = table.entry.shape[0] - 1
-    layer, place = state >> search.layer_bit, _place_of(search, state)
-    cell = errands.start[agent] + search.offset[place]
-    camps, leg = layer >= CAMPING, layer % CAMPING
-    steps, latest = to_go(fields, site, errands, agent, leg, cell), t
-    for turn in range(MOVES):
+    window, horizon, delay = table.entry.shape[0] - 1, search.horizon, search.delay[()]
+    layer, t, place = state >> search.layer_bit, _time_of(search, state), _place_of(search, state)
+    cell = goals.start[agent] + search.offset[place]
+    holds, leg = layer >= HOLDING, layer % HOLDING
+    steps, latest = _steps_left(fields, grid, goals, agent, leg, cell), t
+    for turn in range(NUM_MOVES):
         # Of equals what is opened last is taken first: to wait, only once all goals are served.
-        way = (turn + 1) % MOVES if leg == DONE else turn
-        move = 0 if way == 0 else 1 + ((luck + ((luck >> 1) & 2 | 1) * way) & 3)
-        to = cell + site.steps[move]
-        stays = camps and move == 0
-        if not site.free[to]:
+        way = (turn + 1) % NUM_MOVES if leg == DONE else turn
+        # Two of the bits choose the first direction, the third whether numbers then rise or fall.
+        move = 0 if way == 0 else 1 + ((ties + ((ties >> 1) & 2 | 1) * way) & 3)
+        to = cell + grid.steps[move]
+        stays = holds and move == 0
+        if not grid.free[to]:
             continue
         if not stays:
-            if bits_at(table, t + 1, to) & HERE:
+            if _bits_at(table, t + 1, to) & HERE:
                 continue
-            if move > 0 and bits_at(table, t, to) >> opposite(move) & 1:
+            # Right and left, down and up are neighbouring numbers, from 1 on: the move against.
+            if move > 0 and _bits_at(table, t, to) >> (1 + ((move - 1) ^ 1)) & 1:
                 continue
         next_t, next_leg, step = t + 1, leg, 1
         if leg == DONE:
             step = 0  # nothing is left to be late for
-            if errands.holds[to]:
+            if goals.holds[to]:
                 next_t = max(t + 1, horizon)
                 if not _is_free(table, to, t + 2, next_t):
                     continue
-        elif to == errands.cell[leg, agent]:
-            until = t + 1 + errands.service_time[leg, agent]
+        elif to == goals.cell[leg, agent]:
+            until = t + 1 + goals.service_time[leg, agent]
             if not stays and not _is_free(table, to, t + 2, min(until, window)):
                 continue
             # A service that the window cuts short does not count as done.
             next_leg = leg if until > window else leg + 1
             next_t = min(until, window)
-        goes_on = leg + 1 if leg < DONE and to == errands.cell[leg, agent] else leg
-        late = delay + step + to_go(fields, site, errands, agent, goes_on, to) - steps
-        reached = _pack(search, next_leg + CAMPING * stays, next_t, place + search.steps[move])
-        if search.seen[reached] != search.number[SEARCH] and 0 <= late < search.bucket.shape[0]:
+        goes_on = leg + 1 if leg < DONE and to == goals.cell[leg, agent] else leg
+        late = delay + step + _steps_left(fields, grid, goals, agent, goes_on, to) - steps
+        reached = _pack(search, next_leg + HOLDING * stays, next_t, place + search.steps[move])
+        if search.seen[reached] != search.search[()] and 0 <= late < search.bucket.shape[0]:
             _open(search, reached, state, late, next_t)
             if late == delay:
                 latest = max(latest, next_t)
@@ -209,17 +221,17 @@ def _expand(
 
 
 @kernel
-def _is_free(table: Reservations, cell: int, first: int, last: int) -> bool:
-    """Tell whether nobody reserved a cell from one timestep to another, both counted."""
+def _is_free(table: ReservationTable, cell: int, first: int, last: int) -> bool:
+    """Return True if a cell is not reserved from one timestep to another, both counted."""
     taken = 0
     for t in range(first, last + 1):
-        taken |= bits_at(table, t, cell) & HERE
+        taken |= _bits_at(table, t, cell) & HERE
     return taken == 0
 
 
 @kernel
-def _read_path(search: Search, state: int, start: int) -> None:
-    """Walk back from the last state; between two states an agent is served where it stands."""
+def _read_path(search: PathSearch, state: int, start: int) -> None:
+    """Walk back from the last state; between two states an agent is served where it is."""
     end = _time_of(search, state)
     while state != NO_STATE:
         before = search.parent[state]

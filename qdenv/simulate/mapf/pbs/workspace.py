@@ -1,126 +1,265 @@
-"""All that a search works on, made once for a run."""
+"""All that priority-based search works on, made once for a run.
+
+Single numbers that kernels change are arrays without a dimension, read and set as ``number[()]``.
+A agents, w timesteps, N cells, D nodes of a branch of the search tree.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.simulate.mapf.host.site import Site
-from qdenv.simulate.mapf.pbs.errands import Errands, make_errands
-from qdenv.simulate.mapf.pbs.path import Search, make_search
-from qdenv.simulate.mapf.pbs.plans import Changes, Plan, make_changes, make_plan
-from qdenv.simulate.mapf.pbs.priorities import Priorities, make_priorities
-from qdenv.simulate.mapf.pbs.reservations import Reservations, make_reservations
+from qdenv.grid import move_steps
+from qdenv.simulate.mapf.host.state import GridMap, HostRun
+from qdenv.simulate.mapf.pbs.settings import PbsConfig
+from qdenv.simulate.mapf.planner import NOBODY
 
-NODES, FAILED, REPLANS, CAMPS, UNSOLVED, WINDOWS = range(6)  # entries of `Workspace.count`
-CONFLICTS, WANTED, DEAD_ENDS = range(3)  # entries of `Tree.number`
+NUM_GOALS = 2  # that are known: the current one and the next
+DONE = NUM_GOALS  # the leg of an agent that has served both; legs 0 and 1 lead to a goal
+HOLDING = DONE + 1  # added to the leg while an agent stays at its start against all reservations
+NO_STATE = -1
+FIRST_DEPTH = 512  # nodes of a branch that there are arrays for at first
+CHANGES_PER_NODE = 16
+CONFLICTS_PER_NODE = 4  # and agent
 
-
-class Tree(NamedTuple):
-    """The branch of the search tree in hand; D nodes deep, K conflicts, A agents."""
-
-    low: np.ndarray  # int32 [D, 2], who is put below whom in each child
-    high: np.ndarray  # int32 [D, 2], and who above
-    cost: np.ndarray  # int64 [D, 2], the delay of all paths of a child
-    # int64 [D, 2, 2], the first of the changes that lead to a child, and one past them
-    change: np.ndarray
-    clash: np.ndarray  # int64 [D, 2, 2], likewise its conflicts
-    base: np.ndarray  # int64 [D, 2], how many changes and conflicts there were before the children
-    turn: np.ndarray  # int64 [D, 2], the children in the order in which they are searched
-    children: np.ndarray  # int64 [D, 2], how many there are, and how many were entered
-    conflict: np.ndarray  # int64 [K], the conflicts of all these nodes
-    # bool [A, A], pairs of agents, the smaller number first, that had no feasible child once
-    dead_end: np.ndarray
-    # int64 [3], how many conflicts are kept, whether room was wanting, and how many dead ends there
-    # are
-    number: np.ndarray
-    best: np.ndarray  # int32 [w + 1, A], the plan whose first conflict was latest
-    score: np.ndarray  # int64 [2], the time of that conflict, and the delay of the plan
+# The numbers of a path: the timestep at which it ends; the first timestep at which nothing binds
+# the agent to its start any more; how much longer than the shortest way the path is.
+PATH = np.dtype([("end", np.int32), ("bound", np.int32), ("delay", np.int32)])
+# A child of a node: who is put above whom, the delay of all paths together, and the range of the
+# changes that lead to it, and of its conflicts (end: one past the last).
+CHILD = np.dtype(
+    [("high", np.int32), ("low", np.int32)]
+    + [(name, np.int64) for name in ("cost", "first_change", "end_change")]
+    + [(name, np.int64) for name in ("first_conflict", "end_conflict")]
+)
+# A node: number of children, and of those entered; changes and conflicts before the children.
+NODE = np.dtype(
+    [(name, np.int64) for name in ("num_children", "num_entered", "num_changes", "num_conflicts")]
+)
 
 
-class Crowd(NamedTuple):
-    """Who matters to whom, and who waits to be planned again; A agents."""
+class Goals(NamedTuple):
+    """What the agents have to do; a leg is the way to one goal, and the service there."""
+
+    start: np.ndarray  # int64 [A], where they are
+    row: np.ndarray  # int64 [A], of the start
+    column: np.ndarray  # int64 [A], of the start
+    begin: np.ndarray  # int64 [A], timesteps of the service in progress; until then the agent stays
+    goal: np.ndarray  # int64 [2, A], slots of the goals
+    cell: np.ndarray  # int64 [2, A], where they are
+    service_time: np.ndarray  # int64 [2, A], timesteps to serve there
+    between: np.ndarray  # int64 [A], steps from the first goal to the second
+    # bool [N], goal cells with a service: an agent that has served both goals may have its next one
+    # there, and be held until the service ends
+    holds: np.ndarray
+
+
+class JointPlan(NamedTuple):
+    """The joint plan in hand."""
+
+    # int32 [w + 1, A], where they are; after a path's end a number of the agent's own below zero,
+    # which is no cell
+    cell: np.ndarray
+    path: np.ndarray  # `PATH` [A]
+    delay: np.ndarray  # int64 [], the sum over all paths
+    # int32 [A], the timesteps of conflicts of one agent with each other one, a bit each
+    hit: np.ndarray
+
+
+class Changes(NamedTuple):
+    """Changes of paths, in the order in which they were made; R of them at most."""
+
+    agent: np.ndarray  # int32 [R]
+    cell: np.ndarray  # int32 [R, 2, w + 1], the column of `JointPlan.cell` before and after
+    path: np.ndarray  # `PATH` [R, 2], before and after
+    count: np.ndarray  # int64 []
+
+
+class PartialOrder(NamedTuple):
+    """Who has precedence over whom: the pairs of the branch in hand, as a graph; D pairs."""
+
+    end: np.ndarray  # int32 [2, D], the agent above and the agent below of each pair
+    following: np.ndarray  # int32 [2, D], the next pair of the same agent in either direction
+    first: np.ndarray  # int32 [2, A], the first pair of each agent in either direction, or `NOBODY`
+    count: np.ndarray  # int64 [], number of pairs
+    mark: np.ndarray  # int64 [2, A], the last walk up, or down, that found an agent
+    walk: np.ndarray  # int64 [], the number of the last walk
+    stack: np.ndarray  # int32 [A], agents whose pairs are still to be looked at
+
+
+class ReservationTable(NamedTuple):
+    """What the agent that is planned must avoid."""
+
+    # int32 [w + 1, N], the bits of a cell and above them the search that they belong to: bits of
+    # other searches do not count
+    entry: np.ndarray
+    search: np.ndarray  # int64 [], the number of this search
+
+
+class PathSearch(NamedTuple):
+    """The arrays of the search of one path, among S states.
+
+    All cells in reach lie in a square around the start, which has P = (2 w + 1)^2 places: so the
+    arrays have the same size for all agents, and stay in the cache. A state is a number whose bits
+    are, from the lowest, the place, the timestep and the layer: the leg, and `HOLDING` added.
+    """
+
+    seen: np.ndarray  # int64 [S], the search that last reached a state
+    parent: np.ndarray  # int32 [S], the state before it
+    following: np.ndarray  # int32 [S], the next state of the same bucket
+    bucket: np.ndarray  # int32 [delays, w + 1], the first state of each bucket
+    cells: np.ndarray  # int64 [w + 1], the path found
+    search: np.ndarray  # int64 [], the number of this search
+    delay: np.ndarray  # int64 [], of the states that are expanded, at last of the path found
+    offset: np.ndarray  # int64 [P], what leads from the start to the cell at a place
+    steps: np.ndarray  # int64 [5], what each move adds to a place: wait, right, left, down, up
+    time_bit: int  # the lowest bit of the timestep
+    layer_bit: int  # the lowest bit of the layer
+    horizon: int  # timesteps that will be driven
+
+
+class ReplanQueue(NamedTuple):
+    """Who matters to whom, and who waits to be planned again."""
 
     near: np.ndarray  # int32 [A, A], the agents that each may meet within a window
-    nears: np.ndarray  # int64 [A], how many they are
+    num_near: np.ndarray  # int64 [A]
     waiting: np.ndarray  # int32 [A], agents to be planned again
     is_waiting: np.ndarray  # bool [A]
 
 
-class Terms(NamedTuple):
-    """The numbers of a search."""
+class SearchTree(NamedTuple):
+    """The branch of the search tree in hand; K conflicts."""
 
-    published: bool  # whether agents without a path stay, and waiting at the start has precedence
-    node_limit: int  # most nodes to expand
-    horizon: int  # timesteps that will be driven
+    node: np.ndarray  # `NODE` [D]
+    child: np.ndarray  # `CHILD` [D, 2]
+    order: np.ndarray  # int64 [D, 2], the children in the order in which they are searched
+    conflict: np.ndarray  # int64 [K], the conflicts of all these nodes
+    num_conflicts: np.ndarray  # int64 []
+    is_full: np.ndarray  # bool [], the arrays of the tree or of the changes were too small
+    # bool [A, A], pairs of agents, the smaller number first, that had no feasible child once
+    dead_end: np.ndarray
+    num_dead_ends: np.ndarray  # int64 []
+    best: np.ndarray  # int32 [w + 1, A], the plan whose first conflict was latest
+    best_time: np.ndarray  # int64 [], the time of that conflict
+    best_delay: np.ndarray  # int64 [], the delay of that plan
 
 
 class Workspace(NamedTuple):
-    """Everything at hand."""
+    """All of it."""
 
-    errands: Errands  # what agents have to do
-    plan: Plan  # the joint plan
-    changes: Changes  # of it
-    order: Priorities  # who is above whom
-    table: Reservations  # what the agent that is being planned must avoid
-    search: Search  # room for its search
-    crowd: Crowd  # who may meet whom
-    tree: Tree  # the branch in hand
-    terms: Terms  # the numbers
-    # int64 [6], over all windows: nodes expanded, children that failed, paths planned, agents that
-    # stayed against reservations, unsolved windows, windows
-    tally: np.ndarray
+    goals: Goals  # what agents have to do
+    plan: JointPlan  # where they go
+    changes: Changes  # of the plan
+    order: PartialOrder  # who is above whom
+    table: ReservationTable  # what the agent that is being planned must avoid
+    search: PathSearch  # the search of its path
+    queue: ReplanQueue  # who waits to be planned again
+    tree: SearchTree  # the branch in hand
+    published: bool  # whether agents without a path stay, and waiting at the start has precedence
+    node_limit: int  # most nodes to expand
+    num_nodes: np.ndarray  # int64 [], expanded in all windows
+    num_unsolved: np.ndarray  # int64 [], windows without a solution
 
 
-def make_workspace(agents: int, window: int, site: Site, depth: int, terms: Terms) -> Workspace:
-    """Make room for searches.
+def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:
+    """Make the workspace of a run.
 
     Args:
-        agents: how many take part.
-        window: timesteps planned ahead.
-        site: the layout.
-        depth: nodes of a branch; changes and conflicts get room in proportion.
-        terms: the numbers.
+        run: gives the layout, the number of agents, window and horizon.
+        config: the rule and the limit.
+        depth: nodes of a branch; changes and conflicts get arrays in proportion.
     """
-    crowd = Crowd(
-        np.empty((agents, agents), np.int32),
-        np.zeros(agents, np.int64),
-        np.zeros(agents, np.int32),
-        np.zeros(agents, np.bool_),
+    agents, window, grid = run.agents.position.size, run.settings.window, run.grid
+    end, following = np.zeros((2, 2, depth + 1), np.int32)
+    first, mark = np.full((2, agents), NOBODY, np.int32), np.zeros((2, agents), np.int64)
+    order = PartialOrder(
+        end, following, first, _number(), mark, _number(), np.zeros(agents, np.int32)
+    )
+    room = CHANGES_PER_NODE * depth + 2 * agents
+    tree = SearchTree(
+        _records(NODE, depth),
+        _records(CHILD, depth, 2),
+        np.empty((depth, 2), np.int64),
+        np.empty((CONFLICTS_PER_NODE * depth + 64) * agents, np.int64),
+        _number(),
+        np.array(False),
+        np.zeros((agents, agents), np.bool_),
+        _number(),
+        np.empty((window + 1, agents), np.int32),
+        _number(),
+        _number(),
     )
     return Workspace(
-        make_errands(agents, site),
-        make_plan(agents, window),
-        make_changes(CHANGES_PER_NODE * depth + 2 * agents, window),
-        make_priorities(agents, depth + 1),
-        make_reservations(window, site.free.size),
-        make_search(window, site.width),
-        crowd,
-        _make_tree(agents, window, depth),
-        terms,
-        np.zeros(6, np.int64),
+        _make_goals(agents, grid),
+        JointPlan(
+            np.zeros((window + 1, agents), np.int32),
+            _records(PATH, agents),
+            _number(),
+            np.zeros(agents, np.int32),
+        ),
+        Changes(
+            np.empty(room, np.int32),
+            np.empty((room, 2, window + 1), np.int32),
+            _records(PATH, room, 2),
+            _number(),
+        ),
+        order,
+        ReservationTable(np.zeros((window + 1, grid.free.size), np.int32), _number()),
+        _make_search(window, grid.width, run.settings.horizon),
+        ReplanQueue(
+            np.empty((agents, agents), np.int32),
+            np.zeros(agents, np.int64),
+            np.zeros(agents, np.int32),
+            np.zeros(agents, np.bool_),
+        ),
+        tree,
+        config.rule == "published",
+        int(config.nodes_per_agent * agents),
+        _number(),
+        _number(),
     )
 
 
-CHANGES_PER_NODE = 16
-CONFLICTS_PER_NODE = 4  # and agent
+def _number() -> np.ndarray:
+    """Make a number that kernels can change."""
+    return np.zeros((), np.int64)
 
 
-def _make_tree(agents: int, window: int, depth: int) -> Tree:
-    low, high = np.empty((2, depth, 2), np.int32)
-    change, clash = np.empty((2, depth, 2, 2), np.int64)
-    cost, base, turn, children = np.empty((4, depth, 2), np.int64)
-    return Tree(
-        low,
-        high,
-        cost,
-        change,
-        clash,
-        base,
-        turn,
-        children,
-        np.empty((CONFLICTS_PER_NODE * depth + 64) * agents, np.int64),
-        np.zeros((agents, agents), np.bool_),
-        np.zeros(3, np.int64),
-        np.empty((window + 1, agents), np.int32),
-        np.zeros(2, np.int64),
+def _records(kind: np.dtype, *shape: int) -> np.ndarray:
+    """Make an array of records."""
+    return np.zeros(shape, kind).view(np.recarray)
+
+
+def _make_goals(agents: int, grid: GridMap) -> Goals:
+    """Make the arrays of what agents have to do."""
+    start, row, column, begin, between = np.zeros((5, agents), np.int64)
+    goal, cell, service_time = np.zeros((3, NUM_GOALS, agents), np.int64)
+    likely = np.diff(grid.odds, axis=1, prepend=np.float32(0)) > 0
+    holds = np.zeros(grid.free.size, np.bool_)
+    holds[grid.goals[likely[grid.service_time > 0].any(axis=0)]] = True
+    return Goals(start, row, column, begin, goal, cell, service_time, between, holds)
+
+
+def _make_search(window: int, width: int, horizon: int) -> PathSearch:
+    """Make the arrays of the search of one path in a padded grid of `width` columns."""
+    side = 2 * window + 1
+    row, column = np.divmod(np.arange(side * side), side)
+    time_bit = (side * side).bit_length()
+    layer_bit = time_bit + (window + 1).bit_length()
+    states = 2 * HOLDING << layer_bit
+    parent, following = np.empty((2, states), np.int32)
+    # A step can lead away from the goal, which costs two.
+    bucket = np.full((2 * window + 3, window + 1), NO_STATE, np.int32)
+    return PathSearch(
+        np.zeros(states, np.int64),
+        parent,
+        following,
+        bucket,
+        np.zeros(window + 1, np.int64),
+        _number(),
+        _number(),
+        (row - window) * width + column - window,
+        move_steps(side),
+        time_bit,
+        layer_bit,
+        horizon,
     )

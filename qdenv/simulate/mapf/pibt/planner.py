@@ -7,18 +7,21 @@ own and the last resort of the negotiated planner. It must not be used to rank l
 the order that careful planning gives.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from qdenv.devices import runs_on_host
+from qdenv.grid import NUM_MOVES, move_steps
+from qdenv.native import shared
 from qdenv.simulate.mapf import chance
+from qdenv.simulate.mapf.host.state import HostRun
+from qdenv.simulate.mapf.host.windows import DONE, Fallback, compile_windows
 from qdenv.simulate.mapf.pibt import rules
-from qdenv.simulate.mapf.pibt.numba import drive
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.pibt.xla import one_step
-from qdenv.simulate.mapf.planner import AgentState, Planner, World
+from qdenv.simulate.mapf.planner import AgentState, HostPlanner, Planner, World
 from qdenv.simulate.mapf.tasks import serve
 
 
@@ -31,9 +34,20 @@ class _Agents(NamedTuple):
     age: jax.Array  # timesteps since the last finished task
 
 
+@shared
+def _plan_window(run: HostRun, fields: Any, plan: None, fallback: Fallback, seed: int) -> int:
+    """Plan a window on the host: all agents follow the rollout."""
+    fallback.is_used[:] = True
+    return DONE
+
+
+run_windows = compile_windows(_plan_window)
+
+
 def pibt(settings: PibtConfig) -> Planner:
     """Make the planner; both backends give the same paths to the bit."""
-    return Planner(rollout, drive=drive if runs_on_host(settings.backend) else None)
+    on_host = HostPlanner(lambda run, size: None, run_windows)
+    return Planner(rollout, host=on_host if runs_on_host(settings.backend) else None)
 
 
 def preferences(
@@ -44,7 +58,7 @@ def preferences(
     fixed: jax.Array,
     bits: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Sort the five ways of every agent: nearer to the goal, then empty before taken, then luck.
+    """Sort the five ways of every agent: nearer to the goal, then empty, then by chance.
 
     Args:
         world: where.
@@ -59,8 +73,8 @@ def preferences(
     """
     width = world.traversable.shape[1]
     size = world.traversable.size
-    way = jnp.arange(rules.WAYS)[None]
-    cells = position[:, None] + jnp.array([[0, 1, -1, width, -width]])
+    way = jnp.arange(NUM_MOVES)[None]
+    cells = position[:, None] + jnp.asarray(move_steps(width))[None]
     standing = jnp.zeros((size,), bool).at[position].set(True)
     taken = standing[cells] & (way > 0)
     to_go = distance.reshape(-1)[rows[:, None] * size + cells].astype(jnp.int32)
@@ -86,19 +100,19 @@ def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> ja
         int32 [window + 1, A], without conflicts.
     """
     size, count = world.traversable.size, state.position.shape[0]
-    resort = chance.draw(chance.seed_of(key), chance.RESORT)
-    luck = chance.draw_many(chance.draw(resort, rules.LUCK), count)
+    ties = chance.draw(chance.seed_of(key), chance.RESORT)
+    rank = chance.draw_many(chance.draw(ties, rules.RANKS), count)
 
     def step(agents: _Agents, t: jax.Array) -> tuple[_Agents, jax.Array]:
         fixed = (agents.remaining_service > 0) | ~state.active
         stage = agents.stage[None]
         slots = jnp.take_along_axis(state.goal, stage, axis=0)[0]
         service_time = jnp.take_along_axis(state.service_time, stage, axis=0)[0]
-        order = jnp.argsort(rules.urgency(fixed, agents.age, luck)).astype(jnp.int32)
-        noise = chance.draw_many(chance.draw(resort, rules.NOISE + t), count)
+        order = jnp.argsort(rules.urgency(fixed, agents.age, rank)).astype(jnp.int32)
+        tie_break = chance.draw_many(chance.draw(ties, rules.TIE_BREAKS + t), count)
         rows = jnp.take_along_axis(state.row, stage, axis=0)[0]
         candidates, allowed = preferences(
-            world, state.distance, rows, agents.position, fixed, noise
+            world, state.distance, rows, agents.position, fixed, tie_break
         )
         position = one_step(candidates, agents.position, allowed, order, size)
         on_goal = (position == world.goals.cells[slots]) & state.active

@@ -14,15 +14,14 @@ from qdenv.simulate.mapf.planner import NOBODY
 
 Number = TypeVar("Number", int, jax.Array)
 
-WAYS = 5  # wait, right, left, down, up
-LUCK, NOISE = 0, 1  # what is drawn for a rollout; the noise of step t is number NOISE + t
-LUCK_BITS, NOISE_BITS = 12, 5
+RANKS, TIE_BREAKS = 0, 1  # what is drawn for a rollout; the ties of step t by TIE_BREAKS + t
+RANK_BITS, TIE_BITS = 12, 5
 OLDEST = (1 << 17) - 1  # agents that have waited longer are equally urgent
 
 
 @shared
 def urgency(fixed: Number, age: Number, bits: Number) -> Number:
-    """Rank agents (the smallest first): those that cannot move, the longest without a task, by lot.
+    """Rank agents (smallest first): those that cannot move, the longest without a task, by chance.
 
     Args:
         fixed: whether the agent can only stay.
@@ -30,21 +29,21 @@ def urgency(fixed: Number, age: Number, bits: Number) -> Number:
         bits: 32 random bits.
     """
     age = age - (age > OLDEST) * (age - OLDEST)
-    return (1 - fixed) * (((OLDEST - age) << LUCK_BITS) + (bits >> (32 - LUCK_BITS)) + 1)
+    return (1 - fixed) * (((OLDEST - age) << RANK_BITS) + (bits >> (32 - RANK_BITS)) + 1)
 
 
 @shared
 def preference(to_go: Number, taken: Number, bits: Number, way: Number) -> Number:
-    """Rank a way (the smallest first): nearer to the goal, then empty before taken, then luck."""
-    noise = (bits >> (NOISE_BITS * way)) & ((1 << NOISE_BITS) - 1)
-    return (((to_go << 1) + taken) << NOISE_BITS) + noise
+    """Rank a way (smallest first): nearer to the goal, then empty before taken, then by chance."""
+    tie_break = (bits >> (TIE_BITS * way)) & ((1 << TIE_BITS) - 1)
+    return (((to_go << 1) + taken) << TIE_BITS) + tie_break
 
 
 @shared
 def is_admissible(
     cell: Number, position: Number, claimant: Number, other_next: Number, pusher_position: Number
 ) -> Number:
-    """Tell whether an agent may take a candidate cell.
+    """Return True if an agent may take a candidate cell.
 
     Args:
         cell: the candidate.
@@ -59,7 +58,7 @@ def is_admissible(
 
 @shared
 def is_pushed(other: Number, agent: Number, other_next: Number) -> Number:
-    """Tell whether `other`, which stands where `agent` goes, inherits its priority.
+    """Return True if `other`, which stands where `agent` goes, inherits its priority.
 
     It does if it is another agent that has not decided yet (NOBODY is where `other_next` it goes).
     """

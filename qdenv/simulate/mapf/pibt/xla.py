@@ -8,7 +8,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulate.mapf.pibt.rules import WAYS, is_admissible, is_pushed
+from qdenv.grid import NUM_MOVES
+from qdenv.simulate.mapf.pibt.rules import is_admissible, is_pushed
 from qdenv.simulate.mapf.planner import NOBODY
 
 
@@ -81,7 +82,7 @@ def visit(crowd: Crowd, chain: Chain) -> Chain:
     skip = taking & (chain.next_cell[agent] != NOBODY)  # it was pushed before its own turn
     tried, pusher = chain.tried[agent], chain.pusher[agent]
     spent = tried >= crowd.allowed[agent]
-    cell = crowd.candidates[agent, jnp.minimum(tried, WAYS - 1)]
+    cell = crowd.candidates[agent, jnp.minimum(tried, NUM_MOVES - 1)]
     other = crowd.standing[cell]
     other_next = chain.next_cell[other]
     here, behind = crowd.position[agent], crowd.position[pusher]

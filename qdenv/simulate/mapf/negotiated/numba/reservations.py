@@ -9,18 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qdenv.grid import NUM_MOVES
 from qdenv.native import formula, kernel
-from qdenv.simulate.mapf.host.site import Site
+from qdenv.simulate.mapf.host.state import GridMap
 from qdenv.simulate.mapf.negotiated import rules
 from qdenv.simulate.mapf.planner import NOBODY
 
 PLANE = 12  # bits of a plane: a window of at most ten steps, and five planes below the sign
 WALL = -1 << 63  # the sign: a wall
 # Where in a word those stand who leave against each move.
-AGAINST = np.array([PLANE * rules.opposite(move) for move in range(rules.MOVES)])
+AGAINST = np.array([PLANE * rules.opposite(move) for move in range(NUM_MOVES)])
 
 
-class Reservations(NamedTuple):
+class ReservationWords(NamedTuple):
     """Who has reserved what; w steps are planned, A agents, N cells."""
 
     word: np.ndarray  # int64 [N], the planes of every cell, and `WALL`
@@ -31,10 +32,10 @@ class Reservations(NamedTuple):
     steps: np.ndarray  # int64 [A], steps of that path that are reserved
 
 
-def make_reservations(site: Site, agents: int, window: int) -> Reservations:
-    """Make room for the reservations of a window."""
-    cells = site.free.size
-    return Reservations(
+def make_reservations(grid: GridMap, agents: int, window: int) -> ReservationWords:
+    """Make the reservations of a window."""
+    cells = grid.free.size
+    return ReservationWords(
         np.zeros(cells, np.int64),
         np.empty((cells, window + 1), np.int32),
         np.zeros((agents, window + 1), np.int64),
@@ -43,15 +44,15 @@ def make_reservations(site: Site, agents: int, window: int) -> Reservations:
 
 
 @kernel
-def clear(reservations: Reservations, site: Site) -> None:
+def clear(reservations: ReservationWords, grid: GridMap) -> None:
     """Begin a window: nothing is reserved."""
-    for cell in range(site.free.size):
-        reservations.word[cell] = 0 if site.free[cell] else WALL
+    for cell in range(grid.free.size):
+        reservations.word[cell] = 0 if grid.free[cell] else WALL
 
 
 @formula
 def is_taken(word: int, t: int, move: int) -> int:
-    """Tell whether arriving in a cell by a move, from t to t + 1, conflicts (0 or 1)."""
+    """Return whether arriving in a cell by a move, from t to t + 1, conflicts (0 or 1)."""
     here = word >> t
     # Who leaves the cell against the move would be swapped with.
     return (here | (here >> AGAINST[move])) & 1
@@ -59,12 +60,12 @@ def is_taken(word: int, t: int, move: int) -> int:
 
 @formula
 def is_reserved(word: int, t: int) -> int:
-    """Tell whether somebody is in a cell at t + 1 (0 or 1)."""
+    """Return whether somebody is in a cell at t + 1 (0 or 1)."""
     return (word >> t) & 1
 
 
 @formula
-def _flip(reservations: Reservations, agent: int, steps: int, width: int) -> None:
+def _flip(reservations: ReservationWords, agent: int, steps: int, width: int) -> None:
     """Set the bits of the first steps of an agent's path, or clear them."""
     path, word = reservations.path, reservations.word
     for t in range(steps):
@@ -76,8 +77,8 @@ def _flip(reservations: Reservations, agent: int, steps: int, width: int) -> Non
 
 
 @kernel
-def reserve(reservations: Reservations, agent: int, steps: int, width: int) -> None:
-    """Reserve the first steps of the path of an agent who holds nothing."""
+def reserve(reservations: ReservationWords, agent: int, steps: int, width: int) -> None:
+    """Reserve the first steps of the path of an agent that holds nothing."""
     reservations.steps[agent] = steps
     _flip(reservations, agent, steps, width)
     for t in range(steps + 1 if steps else 0):
@@ -85,14 +86,14 @@ def reserve(reservations: Reservations, agent: int, steps: int, width: int) -> N
 
 
 @kernel
-def release(reservations: Reservations, agent: int, width: int) -> None:
+def release(reservations: ReservationWords, agent: int, width: int) -> None:
     """Remove what an agent has reserved."""
     _flip(reservations, agent, reservations.steps[agent], width)
     reservations.steps[agent] = 0
 
 
 @formula
-def holder(reservations: Reservations, cell: int, t: int) -> int:
+def holder(reservations: ReservationWords, cell: int, t: int) -> int:
     """Find who is in a cell at t + 1, or `NOBODY`."""
     if is_reserved(reservations.word[cell], t):
         return reservations.owner[cell, t + 1] + 0
@@ -100,7 +101,9 @@ def holder(reservations: Reservations, cell: int, t: int) -> int:
 
 
 @formula
-def swapped_with(reservations: Reservations, before: int, after: int, t: int, width: int) -> int:
+def swapped_with(
+    reservations: ReservationWords, before: int, after: int, t: int, width: int
+) -> int:
     """Find who would be swapped with by a step at t, or `NOBODY`."""
     plane = rules.opposite(rules.move_plane(after - before, width))
     if plane and reservations.word[after] >> (PLANE * plane + t) & 1:

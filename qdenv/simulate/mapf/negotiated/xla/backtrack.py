@@ -5,6 +5,7 @@ from typing import NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 
+from qdenv.grid import NUM_MOVES
 from qdenv.simulate.mapf.negotiated import path_rules, rules
 from qdenv.simulate.mapf.negotiated.path_rules import PathState
 from qdenv.simulate.mapf.negotiated.xla.observation import LocalWindow, conflicting_cells
@@ -78,7 +79,7 @@ def drive_before(local: LocalWindow, state: PathStates, step: History) -> PathSt
     at_cap = state.conflicts == levels - 1
     flipped = path_rules.is_flipped(local.noise)
     conflicts, row, column = state.conflicts, state.row, state.column
-    best_rank = jnp.full_like(state.leg, rules.MOVES)
+    best_rank = jnp.full_like(state.leg, NUM_MOVES)
     for move, words in enumerate(conflicting_cells(step.reserved[:, state.row, agent])):
         i, j = path_rules.row_before(state.row, move), path_rules.column_before(state.column, move)
         inside = jnp.clip(i, 0, side - 1)

@@ -13,6 +13,7 @@ and subtracting words.
 import jax
 import jax.numpy as jnp
 
+from qdenv.grid import NUM_MOVES
 from qdenv.simulate.mapf.negotiated import rules
 
 STRIDE = 11  # columns between the starts of neighbouring words
@@ -35,7 +36,7 @@ def pack(mask: jax.Array) -> jax.Array:
 
 def empty(window: int, rows: int, width: int) -> jax.Array:
     """Make a table without reservations (uint32 [window * 5 * H' * words], flat)."""
-    return jnp.zeros((window * rules.MOVES * rows * words_per_row(width),), jnp.uint32)
+    return jnp.zeros((window * NUM_MOVES * rows * words_per_row(width),), jnp.uint32)
 
 
 def add_paths(
@@ -58,7 +59,7 @@ def add_paths(
 
     def updates(cells: jax.Array, plane: jax.Array, mask: jax.Array) -> tuple[jax.Array, jax.Array]:
         row, column = cells // width, cells % width
-        base = ((time * rules.MOVES + plane) * rows + row) * words
+        base = ((time * NUM_MOVES + plane) * rows + row) * words
         places, values = [], []
         for copy in range(COPIES):
             word = column // STRIDE - copy

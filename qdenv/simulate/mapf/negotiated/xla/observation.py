@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from qdenv.grid import NUM_MOVES
 from qdenv.simulate.mapf.negotiated import path_rules, rules
 from qdenv.simulate.mapf.negotiated.xla import bitplanes
 from qdenv.simulate.mapf.planner import AgentState, World
@@ -82,7 +83,7 @@ def gather(
     # On the first leg the whole second one is still to come, whichever cell the window ends on.
     after_leg = jnp.stack([after, jnp.zeros_like(after)])
     shortest = path_rules.driving_cost(to_go[0, window, window], service_time[0], after)
-    planes = table.reshape(-1, rules.MOVES, *walls.shape)
+    planes = table.reshape(-1, NUM_MOVES, *walls.shape)
     return LocalWindow(
         reserved=bitplanes.around(planes, position, width, window),
         traversable=bitplanes.around(walls, position, width, window),

@@ -1,0 +1,262 @@
+"""Distances on demand: fields of steps to a goal, measured where and when they are needed.
+
+The first request for a goal on a large grid measures the cells that can lie on a way from the
+agent, with some slack, by A* with Manhattan distances (Hart, Nilsson and Raphael 1968,
+https://doi.org/10.1109/TSSC.1968.300136); so does a request for a cell outside. A field that many
+agents need is at last measured as a whole, breadth first. Either way a field holds exact
+distances, so the order of requests never shows in a result.
+
+A field lies in pages of neighbouring cells: it takes memory for what was measured of it only, and
+fields that no agent needs any more make place for others.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP
+from qdenv.native import formula, kernel
+from qdenv.simulate.mapf.host.state import GridMap
+from qdenv.simulate.mapf.planner import NOBODY, steps_type, unreachable
+
+UNKNOWN = -1
+NO_PAGE = 0  # a page that holds nothing but UNKNOWN: tiles of a field without a page share it
+WHOLE_SIDE = 64  # a grid with at most this many rows and columns is one page
+PAGE_SIDE = 16
+SHARE = 8  # a field is expected to need one page in this many
+LOW_SHARE = 4  # buffers grow if no more than one row or page in this many is free
+SLACK = 12  # steps longer than the shortest way that a first search measures as well
+REACHES = 6  # searches of a field after which the next one measures all of it
+COMPLETE = 127  # of `DistanceFields.extent`, which else counts the searches
+INDICES = (1 << 31) - 1  # a masked index is known not to count from the end
+
+
+class DistanceFields(NamedTuple):
+    """DistanceFields of distances; R rows for fields, S pages of cells, G goals, N cells."""
+
+    row: np.ndarray  # int32 [G], the row of each goal's field, or `NOBODY`
+    extent: np.ndarray  # int8 [R], how often a field was measured, see `_measure`
+    page: np.ndarray  # int32 [R, tiles], the page of each tile of the grid
+    steps: np.ndarray  # [S, cells of a page], distances (`planner.steps_type`), or `UNKNOWN`
+    tile: np.ndarray  # int32 [N], the tile of each cell
+    place: np.ndarray  # int32 [N], where in its page each cell lies
+    free_rows: np.ndarray  # int32 [R], a stack
+    free_pages: np.ndarray  # int32 [S], a stack
+    num_free_rows: np.ndarray  # int64 []
+    num_free_pages: np.ndarray  # int64 []
+    is_full: np.ndarray  # bool [], a distance could not be measured for lack of rows or pages
+    queue: np.ndarray  # int64 [2, 4 N], cells that wait in a search
+    # [N], distances found by the search under way; between searches all `UNKNOWN`
+    found: np.ndarray
+    order: np.ndarray  # int32 [N], the cells of `found`, as they were found
+    unreachable: int  # the distance to where no way leads
+
+
+def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) -> DistanceFields:
+    """Make fields, none measured.
+
+    Args:
+        shape: (H', W') of the padded grid.
+        goals: number of goals.
+        rows: number of fields at a time.
+        pages: number of pages at a time; 0 for what such fields are expected to need.
+    """
+    cells = shape[0] * shape[1]
+    side = WHOLE_SIDE if max(shape) <= WHOLE_SIDE else PAGE_SIDE
+    row, column = np.divmod(np.arange(cells, dtype=np.int32), shape[1])
+    tiles_across = -(-shape[1] // side)
+    tiles = -(-shape[0] // side) * tiles_across
+    pages = pages or 1 + max(rows, rows * tiles // SHARE)
+    # Not initialised: a page takes memory once it is used, but for the first, never written again.
+    steps: np.ndarray = np.empty((pages, side * side), steps_type(cells))
+    steps[NO_PAGE] = UNKNOWN
+    return DistanceFields(
+        row=np.full(goals, NOBODY, np.int32),
+        extent=np.zeros(rows, np.int8),
+        page=np.zeros((rows, tiles), np.int32),
+        steps=steps,
+        tile=row // side * tiles_across + column // side,
+        place=row % side * side + column % side,
+        free_rows=np.arange(rows, dtype=np.int32)[::-1].copy(),
+        free_pages=np.arange(pages, dtype=np.int32)[:NO_PAGE:-1].copy(),
+        num_free_rows=np.array(rows, np.int64),
+        num_free_pages=np.array(pages - 1, np.int64),
+        is_full=np.array(False),
+        queue=np.empty((2, 4 * cells), np.int64),
+        found=np.full(cells, UNKNOWN, steps_type(cells)),
+        order=np.empty(cells, np.int32),
+        unreachable=unreachable(cells),
+    )
+
+
+def make_room(fields: DistanceFields, needed: np.ndarray) -> DistanceFields:
+    """Drop the fields of all goals but those needed (int [n]); double what is still scarce."""
+    spared = np.zeros(fields.row.size, bool)
+    spared[needed] = True
+    dropped = np.flatnonzero((fields.row != NOBODY) & ~spared)
+    rows = fields.row[dropped]
+    tables = fields.page[rows]
+    pages = tables[tables != NO_PAGE]
+    _push(fields.free_rows, fields.num_free_rows, rows)
+    _push(fields.free_pages, fields.num_free_pages, pages)
+    fields.page[rows], fields.extent[rows], fields.row[dropped] = NO_PAGE, 0, NOBODY
+    old = fields.extent.size
+    if fields.num_free_rows <= old // LOW_SHARE:
+        fields = fields._replace(
+            extent=np.concatenate([fields.extent, np.zeros(old, np.int8)]),
+            page=np.concatenate([fields.page, np.zeros_like(fields.page)]),
+            free_rows=np.concatenate([fields.free_rows, np.zeros(old, np.int32)]),
+        )
+        _push(fields.free_rows, fields.num_free_rows, np.arange(old, 2 * old))
+    old, cells = fields.steps.shape
+    if fields.num_free_pages <= old // LOW_SHARE:
+        steps = np.empty((2 * old, cells), fields.steps.dtype)
+        steps[:old] = fields.steps
+        stack = np.concatenate([fields.free_pages, np.zeros(old + 1, np.int32)])
+        fields = fields._replace(steps=steps, free_pages=stack)
+        _push(fields.free_pages, fields.num_free_pages, np.arange(old, 2 * old))
+    fields.is_full[()] = False
+    return fields
+
+
+def _push(stack: np.ndarray, count: np.ndarray, numbers: np.ndarray) -> None:
+    """Put free rows or pages onto their stack."""
+    stack[count : count + numbers.size] = numbers
+    count += numbers.size
+
+
+@formula
+def distance(fields: DistanceFields, grid: GridMap, goal: int, cell: int) -> int:
+    """Look up the steps from a free cell to a goal; measure them first where nobody has.
+
+    If the fields are full the answer is `fields.unreachable`, and `fields.is_full` is set.
+    """
+    row = fields.row[goal]
+    if row != NOBODY:
+        page = fields.page[row & INDICES, fields.tile[cell] & INDICES]
+        steps = fields.steps[page & INDICES, fields.place[cell] & INDICES]
+        if steps != UNKNOWN:
+            return steps + 0  # as a number of 64 bits
+    return _measure(fields, grid, goal, cell)
+
+
+@kernel
+def _measure(fields: DistanceFields, grid: GridMap, goal: int, cell: int) -> int:
+    """Measure the field of a goal, at least as far as a cell; returns the cell's distance."""
+    if fields.is_full[()]:
+        return fields.unreachable  # the window will be planned again with larger buffers
+    if fields.row[goal] == NOBODY:
+        if fields.num_free_rows[()] == 0:
+            fields.is_full[()] = True
+            return fields.unreachable
+        fields.num_free_rows[()] -= 1
+        fields.row[goal] = fields.free_rows[fields.num_free_rows[()]]
+    row, begin = fields.row[goal], grid.goals[goal]
+    if fields.extent[row] == COMPLETE or not grid.free[begin]:
+        return fields.unreachable
+    # Small fields are cheap, and goals that many agents head for are soon needed everywhere.
+    before = fields.extent[row]
+    if before == REACHES or fields.page.shape[1] == 1:
+        fields.extent[row] = COMPLETE
+        count = _flood(fields, grid, begin)
+    else:
+        fields.extent[row] = before + 1
+        count = _reach(fields, grid, begin, cell)
+    steps = fields.found[cell] + 0  # as a number of 64 bits
+    if not _store(fields, row, count):
+        fields.extent[row], fields.is_full[()] = before, True
+        return fields.unreachable
+    return steps if steps != UNKNOWN else fields.unreachable
+
+
+@kernel
+def _store(fields: DistanceFields, row: int, count: int) -> bool:
+    """Move what a search found into pages; returns False if there were not enough of them."""
+    fits = True
+    for index in range(count):
+        cell = fields.order[index]
+        fits = fits and _write(fields, row, cell, fields.found[cell])
+        fields.found[cell] = UNKNOWN
+    return fits
+
+
+@formula
+def _write(fields: DistanceFields, row: int, cell: int, steps: int) -> bool:
+    """Write a distance; returns False if it lies on a new page and none is free."""
+    tile = fields.tile[cell]
+    page = fields.page[row, tile]
+    if page == NO_PAGE:
+        if fields.num_free_pages[()] == 0:
+            return False
+        fields.num_free_pages[()] -= 1
+        page = fields.free_pages[fields.num_free_pages[()]]
+        fields.page[row, tile] = page
+        for place in range(fields.steps.shape[1]):
+            fields.steps[page, place] = UNKNOWN
+    fields.steps[page, fields.place[cell]] = steps
+    return True
+
+
+@formula
+def _find(fields: DistanceFields, count: int, cell: int, steps: int) -> int:
+    """Note the distance of a cell; returns the number of cells found."""
+    fields.found[cell] = steps
+    fields.order[count] = cell
+    return count + 1
+
+
+@kernel
+def _flood(fields: DistanceFields, grid: GridMap, begin: int) -> int:
+    """Find the distances of all cells, breadth first; returns their number."""
+    head, count = 0, _find(fields, 0, begin, 0)
+    while head < count:
+        cell = fields.order[head]
+        head += 1
+        for move in range(1, NUM_MOVES):
+            other = cell + grid.steps[move]
+            if grid.free[other] and fields.found[other] == UNKNOWN:
+                count = _find(fields, count, other, fields.found[cell] + 1)
+    return count
+
+
+@kernel
+def _reach(fields: DistanceFields, grid: GridMap, begin: int, target: int) -> int:
+    """Find the distances of the cells on ways to `target` of little more than its distance.
+
+    A step leads nearer to the target or away from it, so the length of a way through a cell stays
+    or grows by two: two stacks serve as the queue.
+    """
+    width = grid.width
+    target_row, target_column = target // width, target % width
+    length = abs(begin // width - target_row) + abs(begin % width - target_column)
+    longest = grid.free.size
+    fields.queue[0, 0] = begin
+    this, sizes_this, sizes_next, count = 0, 1, 0, 0
+    while length <= longest:
+        while sizes_this > 0:
+            sizes_this -= 1
+            cell = fields.queue[this, sizes_this]
+            if fields.found[cell] != UNKNOWN:
+                continue
+            at_row = cell // width
+            at_column = cell - at_row * width
+            left = abs(at_row - target_row) + abs(at_column - target_column)
+            count = _find(fields, count, cell, length - left)
+            if cell == target:
+                longest = length + SLACK
+            for move in range(1, NUM_MOVES):
+                other = cell + grid.steps[move]
+                if not grid.free[other] or fields.found[other] != UNKNOWN:
+                    continue
+                across = abs(at_column + (move == RIGHT) - (move == LEFT) - target_column)
+                nearer = across + abs(at_row + (move == DOWN) - (move == UP) - target_row)
+                if nearer < left:
+                    fields.queue[this, sizes_this] = other
+                    sizes_this += 1
+                else:
+                    fields.queue[1 - this, sizes_next] = other
+                    sizes_next += 1
+        if sizes_next == 0:
+            break
+        this, sizes_this, sizes_next, length = 1 - this, sizes_next, 0, length + 2
+    return count
