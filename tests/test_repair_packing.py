@@ -6,14 +6,12 @@ from scipy import ndimage
 
 from qdenv.domains.base import find_domain
 from qdenv.repair.anneal import packing
-from qdenv.repair.anneal.packing import pack, pack_moves
+from qdenv.repair.anneal.packing import draw_templates, pack, pack_moves, start_packing
 from qdenv.repair.audit import audit
 from qdenv.repair.recipe import repair_layout
 from qdenv.repair.rules import Facts
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import RepairStatus, Rules
-
-CROSS = ndimage.generate_binary_structure(2, 1)
 
 
 def warehouse(rows: int, cols: int, shelves: int) -> Rules:
@@ -40,14 +38,15 @@ def test_repairs_use_it_where_annealing_finds_nothing():
 @pytest.mark.parametrize("moves", [1, 1000, 50_000])
 def test_what_is_counted_along_the_way_is_what_counting_anew_gives(moves):
     facts = Facts(warehouse(12, 14, 85))
-    service = packing._find_service(facts)
-    ground = packing._lay_out(facts.driving[packing._draw_starts(facts)[0]], facts, service)
-    assert not pack_moves(ground, 85, 85, np.uint64(moves), 0, moves, moves)
-    drives = ground.drives.reshape(14, 16)[1:-1, 1:-1]
-    again = packing._lay_out(drives.copy(), facts, service)
-    np.testing.assert_array_equal(ground.tolls[:3], again.tolls[:3])
-    np.testing.assert_array_equal(ground.ring, again.ring)
-    assert drives[facts.must(".ew")].all() and again.tolls[2] == ndimage.label(drives, CROSS)[1]
+    (service,) = (rule for rule in facts.rules.adjacency if "@" in rule.tiles)
+    start = facts.driving[draw_templates(facts.any_layout, facts)[0]]
+    packed = start_packing(start, facts, service)
+    assert not pack_moves(packed, 85, 85, np.uint64(moves), 0, moves, moves)
+    drives = packed.drives.reshape(14, 16)[1:-1, 1:-1]
+    again = start_packing(drives.copy(), facts, service)
+    for field in ("obstacles", "unserved", "pieces", "ring"):
+        np.testing.assert_array_equal(getattr(packed, field), getattr(again, field))
+    assert drives[facts.must(".ew")].all() and again.pieces == ndimage.label(drives)[1]
 
 
 def test_where_a_run_is_cut_makes_no_difference(monkeypatch):

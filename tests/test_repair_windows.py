@@ -10,7 +10,7 @@ from small_yard import yard
 from qdenv.domains.base import find_domain
 from qdenv.repair.anneal.loop import anneal
 from qdenv.repair.audit import audit
-from qdenv.repair.milp.windows import CROSS, WindowSearch, hangs_together
+from qdenv.repair.milp.windows import WindowSearch, stays_connected
 from qdenv.repair.rules import Facts
 from qdenv.repair.settings import WindowLimits
 from qdenv.types import Rules
@@ -78,20 +78,20 @@ def odds(domain) -> np.ndarray:
     return weights / weights.sum()
 
 
-def test_what_hangs_together_in_a_box_hangs_together_in_the_layout():
+def test_what_stays_connected_in_a_box_stays_connected_in_the_layout():
     """Random boxes of random driving areas: never a wrong yes, and a right one now and then."""
     rng, agreed, checked = np.random.default_rng(0), 0, 0
     while checked < 300:
         area = rng.random((9, 11)) < 0.7
-        labels, _ = ndimage.label(area, CROSS)
+        labels, _ = ndimage.label(area)
         area = labels == np.bincount(labels[area]).argmax()
         box = (slice(2, 8), slice(3, 9))
         changed = area.copy()
         changed[3:7, 4:8] = rng.random((4, 4)) < 0.7
         edges = np.zeros((6, 6), bool)
         edges[[0, -1]] = edges[:, [0, -1]] = True
-        whole = ndimage.label(changed, CROSS)[1] <= 1
-        said = hangs_together(area[box], changed[box], edges)
+        whole = ndimage.label(changed)[1] <= 1
+        said = stays_connected(area[box], changed[box], edges)
         assert whole or not said
         agreed += said
         checked += 1

@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qdenv.grid import count_neighbours
 from qdenv.lazy import ndimage
 from qdenv.types import Adjacency, Count, Rules
-
-CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
 
 
 class Violation(NamedTuple):
@@ -89,11 +88,7 @@ def _check_count(layout: np.ndarray, tiles: str, bound: Count) -> list[Violation
 
 def _check_near(layout: np.ndarray, tiles: str, rule: Adjacency) -> list[Violation]:
     """Find tiles without the 4-neighbour they need."""
-    near = ndimage.binary_dilation(_holds(layout, tiles, rule.needs), CROSS)
-    # A tile that is among its own needs must not count itself.
-    if set(rule.tiles) & set(rule.needs):
-        source = _holds(layout, tiles, rule.needs).astype(int)
-        near = ndimage.convolve(source, CROSS.astype(int), mode="constant") - source > 0
+    near = count_neighbours(_holds(layout, tiles, rule.needs)) > 0
     wrong = _holds(layout, tiles, rule.tiles) & ~near
     if not wrong.any():
         return []
@@ -102,7 +97,7 @@ def _check_near(layout: np.ndarray, tiles: str, rule: Adjacency) -> list[Violati
 
 def _check_connected(driving: np.ndarray, symbols: str) -> list[Violation]:
     """Find cells cut off from the largest part of a group that must hang together."""
-    labels, parts = ndimage.label(driving, CROSS)
+    labels, parts = ndimage.label(driving)
     if parts <= 1:
         return []
     largest = 1 + np.argmax(np.bincount(labels.ravel())[1:])

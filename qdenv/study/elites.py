@@ -12,7 +12,7 @@ from qdenv.domains.base import Domain, make_domain
 from qdenv.generate import GENERATORS, Generator
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import NonNegativeInt, check_range
-from qdenv.repair.rules import Report, impossible, no_report
+from qdenv.repair.rules import Progress, impossible, no_progress
 from qdenv.repair.settings import RepairConfig
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
@@ -133,7 +133,7 @@ def grow_elite(
 
 
 def repair_grown(
-    grown: Grown, config: RepairConfig, seed: int = 0, report: Report = no_report
+    grown: Grown, config: RepairConfig, seed: int = 0, progress: Progress = no_progress
 ) -> Repair | None:
     """Repair a grown layout; None where its domain has no rules.
 
@@ -141,7 +141,7 @@ def repair_grown(
         grown: the layout.
         config: limits of the repair.
         seed: other seeds give other, equally good repairs.
-        report: told what is being done, and from 0 to 1 how much of it is.
+        progress: called with what is being done, and from 0 to 1 how much of it is.
 
     Raises:
         InputError: no layout of this size obeys the rules, or none was found.
@@ -153,7 +153,7 @@ def repair_grown(
     from qdenv.repair.recipe import repair_layout
 
     rules = domain.rules()
-    result = repair_layout(grown.layout, rules, seed, config, report)
+    result = repair_layout(grown.layout, rules, seed, config, progress)
     if result.status >= RepairStatus.IMPOSSIBLE:
         rows, cols = domain.shape
         demanded = "".join(f" with {number} {name}" for name, number in domain.numbers.items())

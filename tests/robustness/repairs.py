@@ -9,7 +9,7 @@ import numpy as np
 from qdenv.domains.base import find_domain
 from qdenv.repair.audit import audit
 from qdenv.repair.milp.feasibility import is_refuted
-from qdenv.repair.milp.highs import add_cuts, load, read_bound, read_values, separate
+from qdenv.repair.milp.highs import add_cuts, load, new_solver, round_up, separate
 from qdenv.repair.milp.program import build, decode
 from qdenv.repair.recipe import repair_layout
 from qdenv.repair.rules import Facts
@@ -140,7 +140,7 @@ def contradictions(status: RepairStatus, cost: float, verdict: Verdict, least: f
 def solve_exactly(layout: np.ndarray, facts: Facts) -> tuple[Verdict, float]:
     """Solve the plain program, with cuts where a solution falls apart: its cost, if decided."""
     program = build(layout, facts)
-    solver = load(program, 0)
+    solver = load(new_solver(0), program)
     solver.setOptionValue("mip_max_nodes", NODES)
     for _ in range(SOLVES):
         solver.run()
@@ -149,12 +149,12 @@ def solve_exactly(layout: np.ndarray, facts: Facts) -> tuple[Verdict, float]:
             return "none", np.inf
         if status != highspy.HighsModelStatus.kOptimal:
             return "unknown", 0.0
-        roles = decode(program, read_values(solver), layout.shape)
+        roles = decode(program.cells, np.array(solver.getSolution().col_value))
         driving = facts.driving[[members[0] for members in facts.roles]][roles]
         cuts = separate(driving, facts.must(facts.rules.connected))
         if not cuts:
-            return "found", read_bound(solver, facts)
-        add_cuts(solver, program, facts, cuts)
+            return "found", round_up(solver.getInfo().mip_dual_bound, facts)
+        add_cuts(solver, program.cells, facts, cuts)
     return "unknown", 0.0
 
 

@@ -16,7 +16,6 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from qdenv.native import formula, kernel
 from qdenv.repair.anneal.state import Board, State
 
-SIDES = 0b01010101  # the 4-neighbours among the places of a ring
 MAX_STEPS = 200  # of one walker, before the move is refused
 STRIDE = 8  # steps a walker makes in one go
 
@@ -158,9 +157,6 @@ def _pieces_meet(board: Board, state: State, cell: int, pieces: int) -> bool:
     return False
 
 
-CROSS = ndimage.generate_binary_structure(2, 1)
-
-
 class Reach(NamedTuple):
     """Which piece of the driving area is nearest to each of N cells."""
 
@@ -201,7 +197,7 @@ def join_pieces(
 
 def _reach(driving: np.ndarray, may_open: np.ndarray, stride: int) -> Reach:
     """Reach out from all pieces at once, a cell at a time."""
-    owner, _ = ndimage.label(driving.reshape(-1, stride), CROSS)
+    owner, _ = ndimage.label(driving.reshape(-1, stride))
     owner = owner.ravel()
     distance, came_from = np.zeros(owner.size, np.int32), np.full(owner.size, -1)
     front, level = np.flatnonzero(driving), 0

@@ -1,6 +1,6 @@
-"""The energy of a layout under way: what a move changes in cost and in broken demands.
+"""The energy of a layout being annealed: what a move changes in cost and in broken demands.
 
-Everything is kept up to date by differences; nothing is counted anew. Compiled by numba.
+Everything is kept up to date by differences; nothing is counted again. Compiled by numba.
 """
 
 import numpy as np
@@ -8,21 +8,21 @@ import numpy as np
 from qdenv.native import formula, inlined, kernel
 from qdenv.repair.anneal.state import Aisles, Board, Move, State, Trait
 
-FIELDS = 0x1111111  # the lowest bit of each of a tally's needs
+_FIELDS = 0x1111111  # the lowest bit of each of a tally's needs
 
 
 @formula
-def lacking(traits: np.ndarray, tile: int, tally: int) -> int:
+def unmet_needs(traits: np.ndarray, tile: int, tally: int) -> int:
     """Mark the needs a tile has and a tally of its neighbours does not meet, one bit for each."""
     # A need is met at most four times: three bits tell.
     return traits[tile, Trait.NEEDS] & ~(tally | tally >> 1 | tally >> 2)
 
 
 @formula
-def _count_lacking(traits: np.ndarray, tile: int, tally: int) -> int:
+def _count_unmet(traits: np.ndarray, tile: int, tally: int) -> int:
     """Count the needs of a tile that a tally of its neighbours does not meet."""
     # The product gathers the sum of all fields in the highest of them.
-    return lacking(traits, tile, tally) * FIELDS >> 24 & 7
+    return unmet_needs(traits, tile, tally) * _FIELDS >> 24 & 7
 
 
 @inlined
@@ -30,21 +30,15 @@ def _weigh_needs(board: Board, state: State, cell: int, new: int) -> int:
     """Count the change in broken adjacency demands if a cell took another tile."""
     traits, tally, old = board.traits, state.tally, state.candidate[cell]
     here = tally[cell]
-    broken = _count_lacking(traits, new, here) - _count_lacking(traits, old, here)
+    broken = _count_unmet(traits, new, here) - _count_unmet(traits, old, here)
     change = traits[new, Trait.UNIT] - traits[old, Trait.UNIT]
     if change:
         for place in (0, 2, 4, 6):
             side = cell + board.steps[place]
             tile, before = state.candidate[side], tally[side]
-            broken += _count_lacking(traits, tile, before + change)
-            broken -= _count_lacking(traits, tile, before)
+            broken += _count_unmet(traits, tile, before + change)
+            broken -= _count_unmet(traits, tile, before)
     return broken
-
-
-@formula
-def _excess(bounds: np.ndarray, bound: int, count: int) -> int:
-    """Tell how far a count is outside its bounds."""
-    return max(bounds[bound, 0] - count, 0) + max(count - bounds[bound, 1], 0)
 
 
 @formula
@@ -56,8 +50,9 @@ def _weigh_counts(board: Board, counts: np.ndarray, old: int, new: int) -> int:
         for bound in range(counts.size):
             count = counts[bound]
             step = (after >> bound & 1) - (before >> bound & 1)
-            broken += _excess(board.count_bounds, bound, count + step)
-            broken -= _excess(board.count_bounds, bound, count)
+            low, high = board.count_bounds[bound, 0], board.count_bounds[bound, 1]
+            broken += max(low - count - step, 0) + max(count + step - high, 0)
+            broken -= max(low - count, 0) + max(count - high, 0)
     return broken
 
 
@@ -106,33 +101,32 @@ def unmake(board: Board, state: State, move: Move, changes: int) -> None:
 def list_changed(board: Board, state: State, cell: int) -> None:
     """Keep the lists of changed cells up to date after a cell has changed."""
     changed, place, since = state.changed, state.place, state.since
-    differs = state.candidate[cell] != board.layout[cell]
+    count, differs = state.num_changed[()], state.candidate[cell] != board.layout[cell]
     if differs and place[cell] == 0:
-        changed[0] += 1
-        changed[changed[0]] = cell
-        place[cell] = changed[0]
+        changed[count] = cell
+        place[cell] = count + 1
+        state.num_changed[()] = count + 1
     elif not differs and place[cell] > 0:
         # The last cell of the list takes the place of the one that goes.
-        last = changed[changed[0]]
-        changed[place[cell]], place[last] = last, place[cell]
+        last = changed[count - 1]
+        changed[place[cell] - 1], place[last] = last, place[cell]
         place[cell] = 0
-        changed[0] -= 1
-    if since[0] < since.size - 1:
-        since[0] += 1
-        since[since[0]] = cell
+        state.num_changed[()] = count - 1
+    if state.num_since[()] < since.size:
+        since[state.num_since[()]] = cell
+        state.num_since[()] += 1
 
 
 @kernel
 def remember(state: State) -> None:
     """Keep the candidate as the best layout, at the cost of what has changed since the last one."""
-    since, size = state.since, state.candidate.size
-    if since[0] > size:
-        for cell in range(size):
+    if state.num_since[()] == state.since.size:
+        for cell in range(state.candidate.size):
             state.best[cell] = state.candidate[cell]
     else:
-        for entry in range(1, 1 + since[0]):
-            state.best[since[entry]] = state.candidate[since[entry]]
-    since[0] = 0
+        for entry in range(state.num_since[()]):
+            state.best[state.since[entry]] = state.candidate[state.since[entry]]
+    state.num_since[()] = 0
 
 
 @formula

@@ -1,4 +1,4 @@
-"""The annealer's inner loop, compiled by numba and free of the interpreter lock.
+"""Fast feasible layouts: one run of simulated annealing, its inner loop compiled by numba.
 
 Simulated annealing (Kirkpatrick, Gelatt and Vecchi 1983,
 https://doi.org/10.1126/science.220.4598.671): a layout's energy is the cost of its changed cells
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.native import formula, inlined, kernel
-from qdenv.repair.anneal.connectivity import SIDES, flip_driving, may_close
+from qdenv.repair.anneal.connectivity import flip_driving, may_close
 from qdenv.repair.anneal.energy import list_changed, put, remember, set_aisles, unmake, weigh
 from qdenv.repair.anneal.moves import propose
 from qdenv.repair.anneal.start import (
@@ -22,7 +22,8 @@ from qdenv.repair.anneal.start import (
     unpad_layout,
 )
 from qdenv.repair.anneal.state import (
-    LIMITS,
+    RISE_LIMITS,
+    SIDES,
     WORDS,
     Aisles,
     Board,
@@ -30,16 +31,91 @@ from qdenv.repair.anneal.state import (
     Plan,
     State,
     Trait,
-    bits,
     no_move,
-    word,
+    random_u64,
+    uniform_bits,
 )
-from qdenv.repair.rules import Facts, Report, no_report
+from qdenv.repair.rules import Facts, Progress, no_progress
 
+PERIODS = 1000  # times the schedule moves on in one run
+CHUNK = 2_000_000  # moves between two reports of progress, a fraction of a second
 LATE = 0.85  # share of the moves after which the penalty may be raised beyond its schedule
 PATIENCE = 50  # periods without a feasible layout before it is
 MAX_BOOST = 20.0
 BOOST_STEP = 1.05
+_ACCEPT_BITS = (36, 10)  # of a move's second random word: one of the `RISE_LIMITS`
+
+
+class Schedule(NamedTuple):
+    """How a run cools down and grows strict."""
+
+    temperatures: tuple[float, float]  # the first and the last, in units of the mean cost of a cell
+    # the first and the last cost of a broken demand, in units of the largest cost of a cell
+    penalty_weights: tuple[float, float]
+
+
+# Chosen on published and random layouts of the paper's sizes: a last penalty weight of 1.5 and less
+# left layouts infeasible.
+LOW_PENALTY = Schedule((0.3, 0.1), (0.6, 2.2))
+HIGH_PENALTY = Schedule((0.5, 0.1), (2.0, 8.0))
+# No move may break a rule: from a start that obeys all of them, feasibility cannot be lost.
+NO_VIOLATIONS = Schedule((0.3, 0.1), (20.0, 20.0))
+# Mends the connections of an almost feasible layout; so cold that the rest stays as it is.
+MENDING = Schedule((0.15, 0.1), (2.5, 2.5))
+
+
+def anneal(
+    layout: np.ndarray,
+    facts: Facts,
+    seed: int,
+    moves: int,
+    start: np.ndarray,
+    schedule: Schedule = LOW_PENALTY,
+    progress: Progress = no_progress,
+    bound: float = -np.inf,
+) -> tuple[np.ndarray | None, float]:
+    """Find a cheap layout that obeys every rule.
+
+    Args:
+        layout: int8 [H, W], the input from which changes are counted.
+        facts: the constraints.
+        seed: any integer; the same seed gives the same layout.
+        moves: proposed moves.
+        start: int8 [H, W], where to start; the input itself will do.
+        schedule: how to cool down.
+        progress: called now and then with the share of the moves that is done.
+        bound: no layout costs less: reaching it ends the run, and changes nothing else.
+
+    Returns:
+        The best feasible layout (int8 [H, W]) and its cost, or (None, inf).
+    """
+    board, rng = compile_board(layout, facts), np.random.default_rng(abs(seed))
+    candidate, move = project(board, start, rng), no_move()
+    aisles = initial_aisles(board, candidate, facts.rules.aisle)
+    state = initial_state(board, candidate, aisles)
+    costs, moves = board.change_cost[board.free], moves if board.free.size else 0
+    mean, top = (float(costs.mean()), float(costs.max())) if costs.any() else (1.0, 1.0)
+    (hot, cold), (light, heavy) = schedule
+    period = max(moves // PERIODS, 1)
+    plan = Plan(
+        seed=np.uint64(rng.integers(1 << 63)),
+        moves=moves,
+        period=period,
+        periods=max(-(-moves // period), 1),
+        temperatures=(hot * mean, cold * mean),
+        penalty_weights=(light * top, heavy * top),
+        enough=bound,
+    )
+    # In pieces, so that a long run can show how far it is.
+    chunk = max(CHUNK // plan.period, 1)
+    for first in range(0, plan.periods, chunk):
+        last = min(first + chunk, plan.periods)
+        anneal_periods(board, state, aisles, move, plan, first, last)
+        progress("annealing", last / plan.periods)
+    if not np.isfinite(state.best_cost):
+        return None, float("inf")
+    best = unpad_layout(state.best, int(board.steps[4]))
+    return best, facts.cost(best, layout)
 
 
 @inlined
@@ -81,14 +157,14 @@ def _try_move(
     rise, breaks = weigh(board, state, move, changes)
     if aisles is not None:
         breaks += set_aisles(board, aisles, move.cells, move.new, changes)
-    # The dearest test comes last.
+    # The most expensive test comes last.
     accept = rise + penalty * breaks <= limit and _settle_driving(board, state, move, changes)
     if accept:
         put(board, state, move.cells[changes - 1], move.new[changes - 1])
         for index in range(changes):
             list_changed(board, state, move.cells[index])
-        state.sums[0] += rise
-        state.tolls[0] += breaks
+        state.cost[()] += rise
+        state.violations[()] += breaks
     else:
         unmake(board, state, move, changes)
         if aisles is not None:
@@ -101,20 +177,20 @@ def _raise_penalty(state: State, done: float, period: int) -> float:
     """Raise the penalty when no feasible layout came by for 5 % of the moves.
 
     A demand may be worth more than the schedule pays, as where every shelf has four endpoints of
-    its own. Earlier in the run breaches are welcome: they are the way over the hills.
+    its own. Earlier in the run violations are welcome: they are the way over the hills.
     """
-    if done > LATE and period - state.tolls[1] > PATIENCE:
-        state.sums[2] = min(BOOST_STEP * state.sums[2], MAX_BOOST)
-    return state.sums[2]
+    if done > LATE and period - state.feasible_period[()] > PATIENCE:
+        state.boost[()] = min(BOOST_STEP * state.boost[()], MAX_BOOST)
+    return state.boost[()]
 
 
 @formula
 def _note_feasible(state: State, period: int) -> None:
-    """Keep the candidate if it breaks no rule and nothing cheaper came by."""
-    if state.tolls[0] == 0:
-        state.tolls[1] = period
-        if state.sums[0] < state.sums[1]:
-            state.sums[1] = state.sums[0]
+    """Keep the candidate if it breaks no rule and is cheaper than the best so far."""
+    if state.violations[()] == 0:
+        state.feasible_period[()] = period
+        if state.cost[()] < state.best_cost[()]:
+            state.best_cost[()] = state.cost[()]
             remember(state)
 
 
@@ -134,13 +210,13 @@ def anneal_periods(
 
     The temperature falls geometrically; the penalty weight rises linearly, and faster while no
     feasible layout comes by. `state.best` receives the cheapest layout that broke nothing, and
-    `state.sums[1]` its cost.
+    `state.best_cost` its cost.
 
     Args:
         board: the rules and the input.
         state: where to start; ends where the last move led.
-        aisles: what belongs to `state`, where rules ask for wide aisles.
-        move: room for one move.
+        aisles: of `state`; None where rules allow narrow aisles.
+        move: a buffer for one move.
         plan: how to draw and cool down.
         first: the first period.
         last: the one after the last.
@@ -152,92 +228,13 @@ def anneal_periods(
         penalty = _raise_penalty(state, done, period) * (light + (heavy - light) * done)
         _note_feasible(state, period)
         # Only a cheaper layout would be kept: the moves saved change nothing.
-        if state.sums[1] <= plan.enough:
+        if state.best_cost[()] <= plan.enough:
             return
         for index in range(period * plan.period, min((period + 1) * plan.period, plan.moves)):
             changes = propose(board, state, move, plan.seed, WORDS * index)
             if changes == 0:
                 continue
-            limit = temperature * LIMITS[bits(word(plan.seed, WORDS * index + 1), 36, 10)]
+            source = random_u64(plan.seed, WORDS * index + 1)
+            limit = temperature * RISE_LIMITS[uniform_bits(source, _ACCEPT_BITS)]
             if _try_move(board, state, aisles, move, changes, limit, penalty):
                 _note_feasible(state, period)
-
-
-PERIODS = 1000  # times the schedule moves on in one run
-CHUNK = 2_000_000  # moves between two reports, a fraction of a second
-
-
-class Schedule(NamedTuple):
-    """How a run cools down and grows strict."""
-
-    temperatures: tuple[float, float]  # the first and the last, in units of the mean cost of a cell
-    # the first and the last cost of a broken demand, in units of the largest cost of a cell
-    penalty_weights: tuple[float, float]
-
-
-# Chosen on published and random layouts of the paper's sizes: a last penalty weight of 1.5 and less
-# left layouts infeasible.
-GENTLE = Schedule((0.3, 0.1), (0.6, 2.2))
-FIRM = Schedule((0.5, 0.1), (2.0, 8.0))
-# No move may break a rule: from a start that obeys all of them, feasibility cannot be lost.
-STRICT = Schedule((0.3, 0.1), (20.0, 20.0))
-# Mends the connections of an almost feasible layout and leaves the rest as it is.
-COLD = Schedule((0.15, 0.1), (2.5, 2.5))
-
-
-def anneal(
-    layout: np.ndarray,
-    facts: Facts,
-    seed: int,
-    moves: int,
-    start: np.ndarray,
-    schedule: Schedule = GENTLE,
-    report: Report = no_report,
-    bound: float = -np.inf,
-) -> tuple[np.ndarray | None, float]:
-    """Find a cheap layout that obeys every rule.
-
-    Args:
-        layout: int8 [H, W], the input from which changes are counted.
-        facts: the constraints.
-        seed: any integer; the same seed gives the same layout.
-        moves: proposed moves.
-        start: int8 [H, W], where to start; the input itself will do.
-        schedule: how to cool down.
-        report: told now and then which share of the moves is done.
-        bound: no layout costs less: reaching it ends the run, and changes nothing else.
-
-    Returns:
-        The best feasible layout (int8 [H, W]) and its cost, or (None, inf).
-    """
-    board, rng = compile_board(layout, facts), np.random.default_rng(abs(seed))
-    candidate, move = project(board, start, rng), no_move()
-    aisles = initial_aisles(board, candidate, facts.rules.aisle)
-    state = initial_state(board, candidate, aisles)
-    plan = _make_plan(board, int(rng.integers(1 << 63)), moves, schedule, bound)
-    # In pieces, so that a long run can tell how far it is.
-    chunk = max(CHUNK // plan.period, 1)
-    for first in range(0, plan.periods, chunk):
-        last = min(first + chunk, plan.periods)
-        anneal_periods(board, state, aisles, move, plan, first, last)
-        report("annealing", last / plan.periods)
-    if not np.isfinite(state.sums[1]):
-        return None, float("inf")
-    best = unpad_layout(state.best, int(board.steps[4]))
-    return best, facts.cost(best, layout)
-
-
-def _make_plan(board: Board, seed: int, moves: int, schedule: Schedule, bound: float) -> Plan:
-    """Turn a schedule into numbers for one board."""
-    costs, moves = board.change_cost[board.free], moves if board.free.size else 0
-    mean, top = (float(costs.mean()), float(costs.max())) if costs.any() else (1.0, 1.0)
-    period = max(moves // PERIODS, 1)
-    return Plan(
-        seed=np.uint64(seed),
-        moves=moves,
-        period=period,
-        periods=max(-(-moves // period), 1),
-        temperatures=(schedule.temperatures[0] * mean, schedule.temperatures[1] * mean),
-        penalty_weights=(schedule.penalty_weights[0] * top, schedule.penalty_weights[1] * top),
-        enough=bound,
-    )

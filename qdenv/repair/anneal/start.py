@@ -9,17 +9,13 @@ from qdenv.repair.anneal.state import (
     MAX_NEEDS,
     NO_TILE,
     Aisles,
-    Asked,
     Board,
+    Group,
     State,
     Trait,
 )
 from qdenv.repair.rules import Facts
 from qdenv.types import InputError
-
-# A partner that leaves its input tile shifts a corridor. Measured: where a number of tiles is exact
-# such pairs are worth less than changes of one cell.
-DEAR, DEAR_EXACT = 4, 1
 
 
 def _tabulate_traits(facts: Facts) -> np.ndarray:
@@ -46,20 +42,20 @@ def _tabulate_choices(allowed: np.ndarray, facts: Facts) -> tuple[np.ndarray, np
     likely; another kind of the same role matters to the counts only, and comes a quarter as often.
     """
     kinds = allowed.size
-    choices = np.full((len(Asked), kinds + 1, DRAWS), NO_TILE, np.int8)
-    fits = np.zeros((len(Asked), kinds + 1), np.int8)
-    for asked in Asked:
-        fits[asked, :kinds] = allowed & ((asked == Asked.EITHER) | (facts.driving == asked))
+    choices = np.full((len(Group), kinds + 1, DRAWS), NO_TILE, np.int8)
+    fits = np.zeros((len(Group), kinds + 1), np.int8)
+    for group in Group:
+        fits[group, :kinds] = allowed & ((group == Group.ANY) | (facts.driving == group))
         for old in range(kinds):
             weights = np.zeros(kinds)
             for role, members in enumerate(facts.roles):
-                others = [kind for kind in members if fits[asked, kind] and kind != old]
+                others = [kind for kind in members if fits[group, kind] and kind != old]
                 weights[others] = (0.25 if role == facts.role_of[old] else 1.0) / max(
                     len(others), 1
                 )
             if weights.any():
                 ends = np.cumsum(weights) / weights.sum()
-                choices[asked, old] = np.searchsorted(ends, (np.arange(DRAWS) + 0.5) / DRAWS)
+                choices[group, old] = np.searchsorted(ends, (np.arange(DRAWS) + 0.5) / DRAWS)
     return choices, fits
 
 
@@ -77,25 +73,32 @@ def compile_board(layout: np.ndarray, facts: Facts) -> Board:
         )
     traits = _tabulate_traits(facts)
     allowed = np.pad((rules.allowed * (1 << np.arange(kinds))).sum(-1).astype(np.int64), 1).ravel()
-    masks, palette = np.unique(allowed, return_inverse=True)
+    masks, tile_set = np.unique(allowed, return_inverse=True)
     tables = [_tabulate_choices(mask >> np.arange(kinds) & 1 == 1, facts) for mask in masks]
-    steps = np.array([-stride, 1 - stride, 1, stride + 1, stride, stride - 1, -1, -stride - 1])
+    steps = eight_steps(stride)
     free = np.pad(facts.free, 1).ravel()
     return Board(
         layout=pad_layout(layout, kinds),
         change_cost=np.pad(np.asarray(rules.change_cost, np.float32), 1).ravel(),
         free=np.flatnonzero(free).astype(np.int32),
-        beside=join_bits(free, steps),
+        free_ring=join_bits(free, steps),
         open_tile=_default_open_tiles(allowed, facts),
-        palette=palette.astype(np.int16),
+        tile_set=tile_set.astype(np.int16),
         choices=np.array([choices for choices, _ in tables]),
         fits=np.array([fits for _, fits in tables]),
         traits=traits,
         count_bounds=facts.count_bounds,
         steps=steps,
         connected=bool(rules.connected),
-        dear=DEAR_EXACT if any(low == high for low, high in facts.count_bounds) else DEAR,
+        # A partner that leaves its input tile shifts a corridor. Measured: where a number of tiles
+        # is exact such pairs are worth less than changes of one cell.
+        leave_quarters=1 if any(low == high for low, high in facts.count_bounds) else 4,
     )
+
+
+def eight_steps(stride: int) -> np.ndarray:
+    """List the steps from a cell to its eight places (int64 [8])."""
+    return np.array([-stride, 1 - stride, 1, stride + 1, stride, stride - 1, -1, -stride - 1])
 
 
 def join_bits(marks: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -131,7 +134,7 @@ def project(board: Board, start: np.ndarray, rng: np.random.Generator) -> np.nda
         rng: draws the cell whose piece the others are joined to.
     """
     kinds, drives = len(board.traits) - 1, board.traits[:, Trait.DRIVES]
-    may = board.fits[board.palette, Asked.EITHER]
+    may = board.fits[board.tile_set, Group.ANY]
     candidate, cells = pad_layout(start, kinds), np.arange(board.layout.size)
     wall = candidate == kinds
     # Open a cell with its input tile where that drives: it costs nothing.
@@ -143,7 +146,7 @@ def project(board: Board, start: np.ndarray, rng: np.random.Generator) -> np.nda
     candidate = np.where(kept, candidate, fallback).astype(np.int8)
     if not board.connected or not (opened >= 0).any():
         return candidate
-    may_shut = board.fits[board.palette, Asked.OBSTACLE]
+    may_shut = board.fits[board.tile_set, Group.OBSTACLE]
     shut = np.where(may_shut.any(1), may_shut.argmax(1), NO_TILE)
     # Start at a cell that always drives, else at one that does, else at one that may.
     roots = np.flatnonzero((shut < 0) & ~wall)
@@ -186,19 +189,24 @@ def initial_state(board: Board, candidate: np.ndarray, aisles: Aisles | None) ->
     if aisles is not None:
         broken += ((aisles.driving == 1) & (aisles.cover == 0)).sum()
     differs = candidate != board.layout
-    changed, place = np.zeros(1 + size, np.int32), np.zeros(size, np.int32)
-    changed[: 1 + differs.sum()] = [differs.sum(), *np.flatnonzero(differs)]
+    changed, place = np.zeros(size, np.int32), np.zeros(size, np.int32)
+    changed[: differs.sum()] = np.flatnonzero(differs)
     place[differs] = 1 + np.arange(differs.sum())
     return State(
         candidate=candidate.copy(),
         ring=join_bits(traits[:, Trait.DRIVES] == 1, board.steps),
         tally=tally.astype(np.int32),
         counts=counts.astype(np.int64),
+        cost=np.array((board.change_cost * differs).sum(dtype=np.float64)),
+        violations=np.array(broken, np.int64),
         changed=changed,
+        num_changed=np.array(differs.sum(), np.int64),
         place=place,
         best=candidate.copy(),
-        since=np.zeros(2 + size, np.int32),
+        best_cost=np.array(np.inf),
+        since=np.zeros(size + 1, np.int32),
+        num_since=np.array(0, np.int64),
+        feasible_period=np.array(0, np.int64),
+        boost=np.array(1.0),
         walkers=np.zeros((3, 4), np.int64),
-        sums=np.array([(board.change_cost * differs).sum(dtype=np.float64), np.inf, 1.0]),
-        tolls=np.array([broken, 0], np.int64),
     )

@@ -1,10 +1,10 @@
-"""What the annealer's kernels read and write: records of arrays, explained here and nowhere else.
+"""What the annealer's kernels read and write: records of arrays, and random numbers by number.
 
 Cells live on a grid padded by one ring of walls, so that no neighbour test needs a border case:
 N = (H + 2) (W + 2) cells in rows of `stride` = W + 2. Tiles are the K of the alphabet and the wall,
 which is tile K. The eight neighbours of a cell are its places 0 to 7, clockwise from the top; the
 even ones are its 4-neighbours. Arrays are as narrow as their numbers: those of a layout of the
-paper's size stay in the fastest cache.
+paper's size stay in the fastest cache. Numbers that kernels change are arrays of shape [].
 """
 
 from enum import IntEnum
@@ -18,6 +18,16 @@ MAX_KINDS = 20  # kinds of tile: one bit each in a mask of 32
 MAX_NEEDS = 7  # different needs: four bits each in one 32-bit tally of neighbours
 NO_TILE = -1  # where a table or a draw has no tile to give
 DRAWS = 64  # tiles in a row of `Board.choices`: six random bits draw one
+SIDES = 0b01010101  # the 4-neighbours among the places of a ring
+
+WORDS = 8  # random words that one move may use
+LEVELS = 1024  # probabilities are multiples of 1 / LEVELS: ten random bits decide
+# How far a rise in energy may go at temperature 1, for equally likely draws of exp(-rise): a table
+# spares each move an exponential.
+RISE_LIMITS = -np.log((np.arange(LEVELS) + 0.5) / LEVELS)
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))
+_U27, _U30, _U31 = (np.uint64(bits) for bits in (27, 30, 31))
 
 
 class Trait(IntEnum):
@@ -30,12 +40,12 @@ class Trait(IntEnum):
     BOUNDS = 4  # bit q: the tile counts in bound q
 
 
-class Asked(IntEnum):
+class Group(IntEnum):
     """Which tiles a draw may give: the second axis of `Board.choices` and of `Board.fits`."""
 
     OBSTACLE = 0  # off the driving area
     DRIVING = 1  # on it
-    EITHER = 2
+    ANY = 2
 
 
 class Board(NamedTuple):
@@ -44,51 +54,51 @@ class Board(NamedTuple):
     layout: np.ndarray  # int8 [N], the input layout
     change_cost: np.ndarray  # float32 [N], the cost of a cell that differs from the input
     free: np.ndarray  # int32 [F], the cells that may change
-    beside: np.ndarray  # uint8 [N], bit p: the neighbour at place p may change
+    free_ring: np.ndarray  # uint8 [N], bit p: the neighbour at place p may change
     # int8 [N], the default open tile: the driving tile with the fewest adjacency demands that may
     # stand here, or `NO_TILE`
     open_tile: np.ndarray
-    palette: np.ndarray  # int16 [N], cells that allow the same tiles share a palette
-    # int8 [palettes, 3, K + 1, DRAWS], tiles to draw from, given what is `Asked` and the tile that
-    # stands here; each role as often as another
+    tile_set: np.ndarray  # int16 [N], which of the S sets of tiles a cell allows
+    # int8 [S, 3, K + 1, DRAWS], tiles to draw from, of a `Group` and other than the one that stands
+    # here; each role as often as another
     choices: np.ndarray
-    fits: np.ndarray  # int8 [palettes, 3, K + 1], 1 for tiles that are allowed and as `Asked`
+    fits: np.ndarray  # int8 [S, 3, K + 1], 1 for tiles that are allowed and of the `Group`
     traits: np.ndarray  # int32 [K + 1, 5], facts about tiles; `Trait` names them
     # int64 [Q, 2], lowest and highest number of tiles that count in bound q
     count_bounds: np.ndarray
     steps: np.ndarray  # int64 [8], from a cell to its places
-    connected: bool  # bool, whether the driving area must be one piece
-    dear: int  # int, of four partners in a move that would leave their input tile, how many may
+    connected: bool  # whether the driving area must be one piece
+    # of four partners in a move that would leave their input tile, how many may
+    leave_quarters: int
 
 
 class State(NamedTuple):
-    """One layout under way, with everything its energy needs."""
+    """One layout being annealed, with everything its energy needs."""
 
-    candidate: np.ndarray  # int8 [N], the layout under way
+    candidate: np.ndarray  # int8 [N], the layout
     ring: np.ndarray  # uint8 [N], bit p: the neighbour at place p drives
     # int32 [N], how many of the four neighbours meet each need, four bits per need
     tally: np.ndarray
     counts: np.ndarray  # int64 [Q], how many cells count in each bound
-    changed: np.ndarray  # int32 [1 + N], how many cells differ from the input, then these cells
-    place: np.ndarray  # int32 [N], where in `changed` a cell stands, 0 for nowhere
+    cost: np.ndarray  # float64 [], summed costs of the changed cells
+    violations: np.ndarray  # int64 [], broken demands: of neighbours, counts and aisles
+    changed: np.ndarray  # int32 [N], first the cells that differ from the input
+    num_changed: np.ndarray  # int64 [], how many these are
+    place: np.ndarray  # int32 [N], 1 + where in `changed` a cell stands, 0 for nowhere
     best: np.ndarray  # int8 [N], the cheapest layout so far that broke no rule
-    # int32 [2 + N], how many entries follow, then the cells changed since `best`; N + 1 entries
-    # stand for all cells
-    since: np.ndarray
-    walkers: np.ndarray  # int64 [3, 4], room for the connectivity test: cells, headings, ends
-    # float64 [3], summed costs of the changed cells; the cost of `best`; how far the penalty is
-    # raised beyond its schedule
-    sums: np.ndarray
-    # int64 [2], broken demands (neighbours, counts, aisles); the last period in which a layout came
-    # by that broke none
-    tolls: np.ndarray
+    best_cost: np.ndarray  # float64 [], its cost
+    since: np.ndarray  # int32 [N + 1], first the cells of all changes since `best`
+    num_since: np.ndarray  # int64 [], how many these are; N + 1 stands for all cells
+    feasible_period: np.ndarray  # int64 [], the last period with a layout that broke no rule
+    boost: np.ndarray  # float64 [], how far the penalty is raised beyond its schedule
+    walkers: np.ndarray  # int64 [3, 4], buffer of the connectivity test: cells, headings, ends
 
 
 class Aisles(NamedTuple):
     """Which driving cells lie in a wide aisle, where rules ask for one."""
 
-    side: int  # int, side of the squares that must cover the driving area
-    driving: np.ndarray  # int8 [N], 1 where the layout under way drives
+    side: int  # side of the squares that must cover the driving area
+    driving: np.ndarray  # int8 [N], 1 where the candidate drives
     closed: np.ndarray  # int32 [N], closed cells in the square whose top left corner is here
     cover: np.ndarray  # int32 [N], open squares over the cell
 
@@ -118,19 +128,13 @@ def no_move() -> Move:
     return Move(*np.zeros((3, 5), np.int64))
 
 
-WORDS = 8  # random words that one move may use
-LEVELS = 1024
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_MIX = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))
-_U27, _U30, _U31 = (np.uint64(bits) for bits in (27, 30, 31))
-# How far a rise in energy may go at temperature 1, for equally likely draws of exp(-rise): a table
-# spares each move an exponential.
-LIMITS = -np.log((np.arange(LEVELS) + 0.5) / LEVELS)
-
-
 @formula
-def word(seed: np.uint64, number: int) -> np.uint64:
-    """Draw 64 random bits."""
+def random_u64(seed: np.uint64, number: int) -> np.uint64:
+    """Draw 64 random bits: a hash of the seed and a number.
+
+    SplitMix64 (Steele, Lea and Flood 2014, https://doi.org/10.1145/2660193.2660195): no draw waits
+    for the one before it, and a run cut into pieces draws what it would have drawn in one.
+    """
     x = np.uint64(seed) + np.uint64(number) * _GOLDEN
     x = (x ^ (x >> _U30)) * _MIX[0]
     x = (x ^ (x >> _U27)) * _MIX[1]
@@ -138,12 +142,13 @@ def word(seed: np.uint64, number: int) -> np.uint64:
 
 
 @formula
-def bits(source: np.uint64, first: int, count: int) -> int:
-    """Take `count` of a word's bits, from bit `first` on, as a number."""
+def uniform_bits(source: np.uint64, bits: tuple[int, int]) -> int:
+    """Take some of 64 random bits as a number: (the first of them, how many)."""
+    first, count = bits
     return int(np.int64(source >> np.uint64(first)) & ((1 << count) - 1))
 
 
 @formula
-def below(source: np.uint64, first: int, count: int, bound: int) -> int:
-    """Draw from 0 .. bound - 1 with `count` of a word's bits, by their high end: no division."""
-    return bits(source, first, count) * bound >> count
+def uniform_below(source: np.uint64, bits: tuple[int, int], bound: int) -> int:
+    """Draw from 0 .. bound - 1 with some of 64 random bits, by their high end: no division."""
+    return uniform_bits(source, bits) * bound >> bits[1]

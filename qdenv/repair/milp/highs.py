@@ -1,9 +1,6 @@
-"""Cuts that forbid the disconnections of one solution of the program.
+"""HiGHS on the repair program: load it, bound it, cut off what falls apart, improve a layout.
 
-Connectivity as lazy inequalities over minimal separators (Carvajal et al. 2013,
-https://doi.org/10.1287/opre.2013.1183; Fischetti et al. 2017,
-https://doi.org/10.1007/s12532-016-0111-0): stated up front there would be exponentially many, and
-few of them matter.
+HiGHS: Huangfu and Hall 2018, https://doi.org/10.1007/s12532-017-0130-5, https://highs.dev.
 """
 
 from typing import NamedTuple
@@ -12,14 +9,15 @@ import highspy
 import numpy as np
 from scipy import ndimage
 
-from qdenv.repair.anneal.loop import COLD, anneal
+from qdenv.repair.anneal.loop import MENDING, anneal
 from qdenv.repair.audit import audit
-from qdenv.repair.milp.program import Program, build, decode, encode
-from qdenv.repair.rules import Facts, Result, hand_out
+from qdenv.repair.milp.program import Cells, Program, build, decode, encode
+from qdenv.repair.rules import Facts, Result, assign_kinds
 from qdenv.repair.settings import MilpLimits, RepairConfig
 from qdenv.types import RepairStatus
 
-CROSS = ndimage.generate_binary_structure(2, 1)
+SMALL = 500  # variables of a program that the solver closes in a second whatever its gap
+MENDING_MOVES = 300  # annealing moves per cell that mend a solution's connections
 
 
 class Cut(NamedTuple):
@@ -29,8 +27,106 @@ class Cut(NamedTuple):
     gates: list[int]  # positions of a separator: every path between the ends crosses one of them
 
 
+def new_solver(seed: int) -> highspy.Highs:
+    """Make a silent solver with one thread."""
+    solver = highspy.Highs()
+    options = {"output_flag": False, "threads": 1, "random_seed": seed % (1 << 31)}
+    for name, value in options.items():
+        solver.setOptionValue(name, value)
+    return solver
+
+
+def load(solver: highspy.Highs, program: Program) -> highspy.Highs:
+    """Pass a program to a solver, which is returned, in place of the one it had."""
+    terms = [part.terms() for part in program.rows]
+    ends = np.cumsum(np.concatenate([mask.sum(1) for mask in terms]))
+    model = highspy.HighsLp()
+    model.num_col_, model.num_row_ = program.cost.size, ends.size
+    model.col_cost_, model.offset_ = program.cost, program.constant
+    model.col_lower_, model.col_upper_ = np.zeros(program.cost.size), program.upper
+    model.row_lower_ = np.concatenate([part.low for part in program.rows])
+    model.row_upper_ = np.concatenate([part.high for part in program.rows])
+    model.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
+    model.a_matrix_.start_ = np.append(0, ends).astype(np.int32)
+    pairs = list(zip(program.rows, terms, strict=True))
+    indices = np.concatenate([part.columns[mask] for part, mask in pairs])
+    model.a_matrix_.index_ = indices.astype(np.int32)
+    model.a_matrix_.value_ = np.concatenate([part.values[mask] for part, mask in pairs])
+    integer, real = highspy.HighsVarType.kInteger, highspy.HighsVarType.kContinuous
+    model.integrality_ = [integer if whole else real for whole in program.integer]
+    solver.passModel(model)
+    return solver
+
+
+def solve_relaxation(program: Program) -> highspy.Highs:
+    """Solve the linear relaxation (interior point, no crossover)."""
+    solver = load(new_solver(0), program)
+    for name, value in {"solve_relaxation": True, "solver": "ipm", "run_crossover": "off"}.items():
+        solver.setOptionValue(name, value)
+    solver.run()
+    return solver
+
+
+def bound_relaxation(program: Program, facts: Facts) -> float:
+    """Bound the cost from below by the linear relaxation."""
+    solver = solve_relaxation(program)
+    if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
+        return 0.0
+    return round_up(solver.getInfo().objective_function_value, facts)
+
+
+def round_up(bound: float, facts: Facts) -> float:
+    """Round a bound up to the next possible cost, with care for solver tolerances."""
+    slack = 1e-4 + 1e-6 * abs(bound)
+    return float(np.ceil(bound - slack)) if facts.whole_costs else bound - slack
+
+
+def run_limited(solver: highspy.Highs, budget: int) -> None:
+    """Solve until the solver has offered to be interrupted more than `budget` times.
+
+    It does so at fixed points of its work: counting them ends it reproducibly, which a time limit
+    would not.
+    """
+    offers = 0
+
+    def count(event: highspy.HighsCallbackEvent) -> None:
+        nonlocal offers
+        offers += 1
+        event.interrupt(offers > budget)
+
+    solver.cbMipInterrupt.subscribe(count)
+    solver.run()
+    solver.cbMipInterrupt.unsubscribe(count)
+
+
+def read_layout(
+    solver: highspy.Highs,
+    cells: Cells,
+    layout: np.ndarray,
+    facts: Facts,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Read the layout of a solution (int8 [H, W]); its driving area may fall apart."""
+    values = np.array(solver.getSolution().col_value)
+    return assign_kinds(decode(cells, values), layout, facts, rng)
+
+
+def mend(
+    candidate: np.ndarray, layout: np.ndarray, facts: Facts, rng: np.random.Generator
+) -> np.ndarray:
+    """Mend the connections of a solution by small changes; return it unchanged where none do."""
+    moves, seed = MENDING_MOVES * layout.size, int(rng.integers(1 << 62))
+    best, _ = anneal(layout, facts, seed, moves, candidate, MENDING)
+    return candidate if best is None else best
+
+
 def separate(driving: np.ndarray, always: np.ndarray, most: int = 4) -> list[Cut]:
     """Find cuts for every part of the driving area that is cut off from the main one.
+
+    Connectivity as lazy inequalities over minimal separators (Carvajal et al. 2013,
+    https://doi.org/10.1287/opre.2013.1183; Fischetti et al. 2017,
+    https://doi.org/10.1007/s12532-016-0111-0): stated up front there would be exponentially many,
+    and few of them matter.
 
     Args:
         driving: bool [H, W], the driving area of a solution.
@@ -40,144 +136,50 @@ def separate(driving: np.ndarray, always: np.ndarray, most: int = 4) -> list[Cut
     Returns:
         Cuts through minimal separators; empty when the area is one piece.
     """
-    labels, parts = ndimage.label(driving, CROSS)
+    labels, parts = ndimage.label(driving)
     if parts <= 1:
         return []
-    sizes = np.bincount(labels.ravel())[1:]
     anchored = np.unique(labels[always & driving])
-    main = int(anchored[0]) if anchored.size else 1 + int(np.argmax(sizes))
-    anchor = np.argwhere(labels == main)[0]
+    main = int(anchored[0] if anchored.size else 1 + np.bincount(labels.ravel())[1:].argmax())
+    anchor = tuple(np.argwhere(labels == main)[0])
     # Where the main part always drives, its end needs no variable and the cut is tighter.
-    other = [] if anchored.size else [int(np.ravel_multi_index(tuple(anchor), driving.shape))]
+    other = [] if anchored.size else [int(np.ravel_multi_index(anchor, driving.shape))]
     cuts = []
     for part in range(1, parts + 1):
         if part == main:
             continue
+        # The gates: of the cells around the part only those that face the anchor's side. What lies
+        # in pockets behind them separates nothing.
         inside = labels == part
-        gates = np.flatnonzero(_separator(inside, anchor)).tolist()
-        cells = np.flatnonzero(inside)
+        shell = ndimage.binary_dilation(inside) & ~inside
+        beyond, _ = ndimage.label(~shell & ~inside)
+        facing = shell & ndimage.binary_dilation(beyond == beyond[anchor])
+        gates, cells = np.flatnonzero(facing).tolist(), np.flatnonzero(inside)
         for cell in cells[np.linspace(0, cells.size - 1, min(most, cells.size)).astype(int)]:
             cuts.append(Cut([int(cell), *other], gates))
     return cuts
 
 
-def _separator(inside: np.ndarray, anchor: np.ndarray) -> np.ndarray:
-    """Mark the cells around a part that face the anchor's side (bool [H, W]).
-
-    Of the shell only these: what lies in pockets behind it separates nothing.
-    """
-    shell = ndimage.binary_dilation(inside, CROSS) & ~inside
-    beyond, _ = ndimage.label(~shell & ~inside, CROSS)
-    outside = beyond == beyond[tuple(anchor)]
-    return shell & ndimage.binary_dilation(outside, CROSS)
-
-
-def load(program: Program, seed: int) -> highspy.Highs:
-    """Pass the program to a fresh single-threaded solver."""
-    solver = highspy.Highs()
-    options = {"output_flag": False, "threads": 1, "random_seed": seed % (1 << 31)}
-    for name, value in options.items():
-        solver.setOptionValue(name, value)
-    model = highspy.HighsLp()
-    model.num_col_, model.num_row_ = program.cost.size, program.low.size
-    model.col_cost_, model.offset_ = program.cost, program.constant
-    model.col_lower_, model.col_upper_ = np.zeros(program.cost.size), program.upper
-    model.row_lower_, model.row_upper_ = program.low, program.high
-    model.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
-    model.a_matrix_.start_ = program.rows.indptr.astype(np.int32)
-    model.a_matrix_.index_ = program.rows.indices.astype(np.int32)
-    model.a_matrix_.value_ = program.rows.data
-    integer, real = highspy.HighsVarType.kInteger, highspy.HighsVarType.kContinuous
-    model.integrality_ = [integer if whole else real for whole in program.integer]
-    solver.passModel(model)
-    return solver
-
-
-def bound_relaxation(program: Program, facts: Facts) -> float:
-    """Bound the cost from below by the linear relaxation."""
-    solver = solve_relaxation(program)
-    if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
-        return 0.0
-    return _round_up(solver.getInfo().objective_function_value, facts)
-
-
-def solve_relaxation(program: Program) -> highspy.Highs:
-    """Solve the linear relaxation (interior point, no crossover)."""
-    solver = load(program, 0)
-    for name, value in {"solve_relaxation": True, "solver": "ipm", "run_crossover": "off"}.items():
-        solver.setOptionValue(name, value)
-    solver.run()
-    return solver
-
-
-def read_bound(solver: highspy.Highs, facts: Facts) -> float:
-    """Read the lower bound on the cost that a solve has proven."""
-    return _round_up(solver.getInfo().mip_dual_bound, facts)
-
-
-def read_values(solver: highspy.Highs) -> np.ndarray:
-    """Read the best solution of a solve (float64 [variables])."""
-    return np.array(solver.getSolution().col_value)
-
-
-def _round_up(bound: float, facts: Facts) -> float:
-    """Round a bound up to the next possible cost, with care for solver tolerances."""
-    slack = 1e-4 + 1e-6 * abs(bound)
-    return float(np.ceil(bound - slack)) if facts.whole_costs else bound - slack
-
-
-def solve(
-    solver: highspy.Highs, start: np.ndarray, gap: float, seconds: float, limits: MilpLimits
-) -> RepairStatus:
-    """Run the solver from a start within its limits.
-
-    Args:
-        solver: what `load` made; keeps what it finds.
-        start: float64 [variables], a feasible solution.
-        gap: relative gap at which to stop.
-        seconds: wall-clock safety net.
-        limits: the deterministic limits.
-
-    Returns:
-        `OPTIMAL` (for the program as it stands), or which limit ended the run.
-    """
-    solver.setOptionValue("mip_rel_gap", gap)
-    solver.setOptionValue("mip_max_nodes", limits.node_limit)
-    solver.setOptionValue("time_limit", seconds)
-    solution, asked = highspy.HighsSolution(), [0]
-    solution.col_value = list(start)
-    solver.setSolution(solution)
-
-    def count(event: highspy.HighsCallbackEvent) -> None:
-        # The solver asks at fixed points of its work: counting them stops it reproducibly, which
-        # a time limit would not.
-        asked[0] += 1
-        event.interrupt(asked[0] > limits.interrupt_budget)
-
-    solver.cbMipInterrupt.subscribe(count)
-    solver.run()
-    solver.cbMipInterrupt.unsubscribe(count)
-    status = solver.getModelStatus()
-    if status == highspy.HighsModelStatus.kOptimal:
-        return RepairStatus.OPTIMAL
-    timed_out = status == highspy.HighsModelStatus.kTimeLimit
-    return RepairStatus.TIME_LIMIT if timed_out else RepairStatus.NODE_LIMIT
-
-
-def add_cuts(solver: highspy.Highs, program: Program, facts: Facts, cuts: list[Cut]) -> None:
-    """Add connectivity cuts as rows."""
-    driving = program.variables.group(facts, facts.rules.connected)
+def add_cuts(solver: highspy.Highs, cells: Cells, facts: Facts, cuts: list[Cut]) -> None:
+    """Add connectivity cuts, with positions among `cells`, as rows."""
+    own, drives = cells.express(facts.roles_of(facts.rules.connected))
+    columns, own = (array.reshape(drives.size, -1) for array in (cells.columns, own))
     for cut in cuts:
-        weights = np.zeros(driving.offset.size)
-        weights[cut.ends], weights[cut.gates] = 1.0, -1.0
-        row = driving.combined(weights)
-        high = len(cut.ends) - 1 - row.offset[0]
-        indices = row.matrix.indices.astype(np.int32)
-        solver.addRow(-np.inf, high, indices.size, indices, row.matrix.data)
+        places = [*cut.ends, *cut.gates]
+        signs = np.repeat([1.0, -1.0], [len(cut.ends), len(cut.gates)])
+        values = own[places] * signs[:, None]
+        terms = (columns[places] >= 0) & (values != 0)
+        indices = columns[places][terms].astype(np.int32)
+        high = len(cut.ends) - 1 - drives.ravel()[places] @ signs
+        solver.addRow(-np.inf, high, indices.size, indices, values[terms])
 
 
-SMALL = 500  # variables of a program that the solver closes in a second whatever its gap
-MENDING_MOVES = 300  # annealing moves per cell that mend a solution's connections
+def keep_cheaper(best: Result, candidate: np.ndarray, layout: np.ndarray, facts: Facts) -> Result:
+    """Return the cheaper of two layouts; an audit guards against whatever the solver returned."""
+    if audit(candidate, facts.rules):
+        return best
+    cost = facts.cost(candidate, layout)
+    return best._replace(layout=candidate, cost=cost) if cost < best.cost - 1e-9 else best
 
 
 def improve(
@@ -188,7 +190,7 @@ def improve(
     config: RepairConfig,
     limits: MilpLimits,
 ) -> Result:
-    """Improve a feasible layout with the solver, and bound what is possible.
+    """Improve a feasible layout by branch and cut, and bound what is possible.
 
     Args:
         layout: int8 [H, W], the input.
@@ -205,62 +207,35 @@ def improve(
     best = start._replace(bound=max(start.bound, bound_relaxation(program, facts)))
     if best.proven(config.gap):
         return best._replace(status=RepairStatus.OPTIMAL)
-    if not _worth_branching(program, best, limits):
+    # Branching closes small gaps only, but any gap of a small program.
+    closable = best.bound >= best.cost * (1 - limits.max_gap_to_branch)
+    if program.cost.size > SMALL and not closable:
         return best
-    solver, rng = load(program, seed), np.random.default_rng(seed)
+    solver, rng = load(new_solver(seed), program), np.random.default_rng(seed)
+    always = facts.must(facts.rules.connected)
     for _ in range(limits.rounds):
-        values = encode(program, best.layout, layout, facts)
-        stopped = solve(solver, values, config.gap, config.time_limit, limits)
-        best = best._replace(bound=max(best.bound, read_bound(solver, facts)))
-        candidate = read_layout(program, read_values(solver), layout, facts, rng)
-        cuts = []
-        if facts.rules.connected:
-            cuts = separate(facts.driving[candidate], facts.must(facts.rules.connected))
+        solver.setOptionValue("mip_rel_gap", config.gap)
+        solver.setOptionValue("mip_max_nodes", limits.node_limit)
+        solver.setOptionValue("time_limit", config.time_limit)
+        solution = highspy.HighsSolution()
+        solution.col_value = encode(program, best.layout, layout, facts).tolist()
+        solver.setSolution(solution)
+        run_limited(solver, limits.interrupt_budget)
+        timed_out = solver.getModelStatus() == highspy.HighsModelStatus.kTimeLimit
+        bound = round_up(solver.getInfo().mip_dual_bound, facts)
+        best = best._replace(bound=max(best.bound, bound))
+        candidate = read_layout(solver, program.cells, layout, facts, rng)
+        cuts = separate(facts.driving[candidate], always) if facts.rules.connected else []
         if cuts:
             candidate = mend(candidate, layout, facts, rng)
         best = keep_cheaper(best, candidate, layout, facts)
         if best.proven(config.gap):
             return best._replace(status=RepairStatus.OPTIMAL)
-        # The solver's optimum is one of the program without the connectivity still to be cut in.
-        unproven = RepairStatus.NODE_LIMIT if stopped == RepairStatus.OPTIMAL else stopped
-        best = best._replace(status=unproven)
-        if not cuts or stopped == RepairStatus.TIME_LIMIT:
+        # Even the solver's optimum is one of the program without the connectivity still to be cut
+        # in: it proves nothing.
+        status = RepairStatus.TIME_LIMIT if timed_out else RepairStatus.NODE_LIMIT
+        best = best._replace(status=status)
+        if not cuts or timed_out:
             break
-        add_cuts(solver, program, facts, cuts)
+        add_cuts(solver, program.cells, facts, cuts)
     return best
-
-
-def _worth_branching(program: Program, best: Result, limits: MilpLimits) -> bool:
-    """Whether branching can be expected to close the gap that the relaxation leaves."""
-    if program.variables.total <= SMALL:
-        return True
-    return best.bound >= best.cost * (1 - limits.max_gap_to_branch)
-
-
-def read_layout(
-    program: Program,
-    values: np.ndarray,
-    layout: np.ndarray,
-    facts: Facts,
-    rng: np.random.Generator,
-) -> np.ndarray:
-    """Read the layout of a solution (int8 [H, W]); its driving area may fall apart."""
-    roles = decode(program, values, layout.shape)
-    return hand_out(roles, layout, facts, rng)
-
-
-def mend(
-    candidate: np.ndarray, layout: np.ndarray, facts: Facts, rng: np.random.Generator
-) -> np.ndarray:
-    """Mend the connections of a solution near what it is, or return it as it is."""
-    moves, seed = MENDING_MOVES * layout.size, int(rng.integers(1 << 62))
-    best, _ = anneal(layout, facts, seed, moves, candidate, COLD)
-    return candidate if best is None else best
-
-
-def keep_cheaper(best: Result, candidate: np.ndarray, layout: np.ndarray, facts: Facts) -> Result:
-    """Keep the cheaper of two layouts; an audit guards against whatever the solver returned."""
-    if audit(candidate, facts.rules):
-        return best
-    cost = facts.cost(candidate, layout)
-    return best._replace(layout=candidate, cost=cost) if cost < best.cost - 1e-9 else best

@@ -1,332 +1,301 @@
-"""The variables of the repair program, and columns of expressions in them."""
+"""The repair as an integer program, of a whole layout or of a window in it, all else fixed.
 
+One binary per cell and role (tiles that no rule tells apart share a role: the three kinds of
+station are one). In the program of a whole layout a cell's base role is what is left when no binary
+is set; in a window all roles have binaries, and the cells around it are constants. Which kind a new
+tile of a role becomes is a handful of integers here, and is assigned afterwards
+(`rules.assign_kinds`). Connectivity is not in the program: `highs.separate` cuts off the solutions
+that break it.
+"""
+
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
+from qdenv.grid import MOVES
 from qdenv.repair.rules import Facts
 
-
-class Affine(NamedTuple):
-    """A column of expressions ``matrix @ v + offset`` in the variables v."""
-
-    matrix: sparse.csr_array  # float64 [expressions, variables], sparse
-    offset: np.ndarray  # float64 [expressions]
-
-    def plus(self, other: "Affine") -> "Affine":
-        """Add a column of equal length."""
-        return Affine(sparse.csr_array(self.matrix + other.matrix), self.offset + other.offset)
-
-    def minus(self, other: "Affine") -> "Affine":
-        """Subtract a column of equal length."""
-        return Affine(sparse.csr_array(self.matrix - other.matrix), self.offset - other.offset)
-
-    def combined(self, weights: sparse.sparray | np.ndarray) -> "Affine":
-        """Combine the expressions: ``weights @ self``, weights [rows, cells] or [cells]."""
-        weights = weights if sparse.issparse(weights) else sparse.csr_array(np.atleast_2d(weights))
-        return Affine(sparse.csr_array(weights @ self.matrix), weights @ self.offset)
-
-    def at(self, cells: np.ndarray) -> "Affine":
-        """Select expressions."""
-        return Affine(self.matrix[cells], self.offset[cells])
+Term = tuple[int, float]  # a column and its coefficient
 
 
-class Retype(NamedTuple):
-    """Two integers of a kind that is counted apart from the others of its role."""
+class Cells(NamedTuple):
+    """Which variables say what the cells hold."""
 
-    gained: int  # column of the number of cells that become it
-    lost: int  # column of the number of its input cells that keep the role but not the kind
+    columns: np.ndarray  # int64 [H, W, R], the binary "the cell holds the role", -1 for none
+    # int64 [H, W], the role a cell holds when none of its binaries is set, -1 where one must be set
+    # and outside the grid
+    base: np.ndarray
 
+    def express(self, roles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Express "the cell holds one of `roles`" (bool [R]), which is 0 or 1.
 
-class Variables(NamedTuple):
-    """Where each variable stands."""
-
-    total: int  # how many there are
-    first_role: np.ndarray  # int64 [cells], the role a cell holds when none of its binaries is set
-    # int64 [roles, cells], column of the binary "the cell holds the role", or -1
-    binaries: np.ndarray
-    retypes: dict[int, Retype]  # kind -> its two integers
-    squares: np.ndarray  # int64 [H, W], column of the aisle square that starts here, or -1
-    holds: list[Affine]  # per role, one expression per cell: 1 where the cell holds the role
-
-    def group(self, facts: Facts, tiles: str) -> Affine:
-        """Express which cells hold one of `tiles`, a union of roles."""
-        hold = Affine(self.holds[0].matrix * 0, self.holds[0].offset * 0)
-        for members, of_role in zip(facts.roles, self.holds, strict=True):
-            if facts.rules.tiles[members[0]] in tiles:
-                hold = hold.plus(of_role)
-        return hold
-
-    def unit(self, column: int) -> Affine:
-        """Express one variable."""
-        matrix = sparse.csr_array(([1.0], ([0], [column])), shape=(1, self.total))
-        return Affine(matrix, np.zeros(1))
-
-    def zero(self) -> Affine:
-        """Express the number zero."""
-        return Affine(sparse.csr_array((1, self.total)), np.zeros(1))
+        Returns:
+            The coefficients of the binaries (float64 [H, W, R]) and a constant (float64 [H, W]).
+        """
+        # Where the base role is one of `roles`, each binary of another role takes the 1 away.
+        constant = (roles[self.base] & (self.base >= 0)).astype(float)
+        return roles - constant[..., None], constant
 
 
-def number_variables(facts: Facts) -> Variables:
-    """Number all variables: the cells' binaries, then retypes, then aisle squares."""
-    first_role, binaries = _number_binaries(facts)
-    total = int(binaries.max()) + 1
-    retypes = _number_retypes(facts, total)
-    total += 2 * len(retypes)
-    squares, total = _number_squares(facts, total)
-    holds = [
-        _hold_role(binaries, first_role == role, role, total) for role in range(len(facts.roles))
-    ]
-    return Variables(total, first_role, binaries, retypes, squares, holds)
+class Rows(NamedTuple):
+    """Rows ``low <= sum(values * v[columns]) <= high`` in the variables v."""
+
+    columns: np.ndarray  # int64 [rows, terms], -1 for no term
+    values: np.ndarray  # float64 [rows, terms]
+    low: np.ndarray  # float64 [rows]
+    high: np.ndarray  # float64 [rows]
+
+    def terms(self) -> np.ndarray:
+        """Mark the terms that are there (bool [rows, terms])."""
+        return (self.columns >= 0) & (self.values != 0)
+
+    def select(self, rows: np.ndarray) -> "Rows":
+        """Select rows (bool [rows])."""
+        return Rows(*(field[rows] for field in self))
 
 
-def _number_binaries(facts: Facts) -> tuple[np.ndarray, np.ndarray]:
-    """Choose each cell's first role and number the binaries of the others.
+class Program(NamedTuple):
+    """Minimise ``cost @ v + constant`` within the rows and ``0 <= v <= upper``."""
 
-    The first role is the allowed one with the fewest adjacency demands: its cells need no rows.
-    """
-    allowed = facts.rules.allowed.reshape(-1, len(facts.rules.tiles))
-    may = np.array([allowed[:, members].any(1) for members in facts.roles])
-    order = np.argsort([facts.demands[members[0]] for members in facts.roles], kind="stable")
-    first_role = order[may[order].argmax(0)]
-    wanted = may & (np.arange(len(facts.roles))[:, None] != first_role)
-    # Numbered cell by cell, so that neighbours in the grid are near in the program.
-    number = np.cumsum(wanted.T).reshape(wanted.T.shape).T - 1
-    return first_role, np.where(wanted, number, -1)
+    cells: Cells
+    cost: np.ndarray  # float64 [variables]
+    rows: list[Rows]
+    upper: np.ndarray  # float64 [variables]
+    integer: np.ndarray  # bool [variables]
+    constant: float = 0.0  # cost when all variables are 0
+    # of each kind that is counted apart from others of its role the columns of two integers: how
+    # many cells become it, and how many of its input cells keep the role but not the kind
+    retypes: dict[int, tuple[int, int]] = {}  # noqa: RUF012
+    # int64 [H, W], column of the aisle square with its first corner here, or -1
+    squares: np.ndarray | None = None
 
 
-def _number_retypes(facts: Facts, total: int) -> dict[int, Retype]:
-    """Number two integers for each kind that a bound tells apart from others of its role."""
+def at_least(columns: Sequence[np.ndarray], values: Sequence[np.ndarray], low: np.ndarray) -> Rows:
+    """Make rows ``low <= ...`` of terms side by side ([rows, terms] or [rows] each)."""
+    joined = np.column_stack([*columns])
+    return Rows(joined, np.column_stack([*values]), low, np.full(len(joined), np.inf))
+
+
+def around(array: np.ndarray, outside: float) -> list[np.ndarray]:
+    """List, for each cell of [H, W, ...], its four neighbours; `outside` beyond the grid."""
+    height, width = array.shape[:2]
+    padded = np.full((height + 2, width + 2, *array.shape[2:]), outside, array.dtype)
+    padded[1:-1, 1:-1] = array
+    return [padded[1 + r : 1 + r + height, 1 + c : 1 + c + width] for r, c in MOVES]
+
+
+def demand(cells: Cells, tiles: np.ndarray, needs: np.ndarray) -> Rows:
+    """A cell with one of the roles `tiles` (bool [R]) has a neighbour with one of `needs`."""
+    own, holds = cells.express(tiles)
+    serving, serves = cells.express(needs)
+    columns = np.concatenate([cells.columns, *around(cells.columns, -1)], -1)
+    values = np.concatenate([-own, *around(serving, 0)], -1)
+    low = holds - sum(around(serves, 0))
+    may = (holds > 0) | ((cells.columns >= 0) & (own != 0)).any(-1)
+    return Rows(columns[may], values[may], low[may], np.full(may.sum(), np.inf))
+
+
+def total(
+    cells: Cells,
+    values: np.ndarray,
+    constant: np.ndarray,
+    low: float,
+    high: float,
+    extra: Sequence[Term] = (),
+) -> Rows:
+    """Bound a sum over all cells: of coefficients [H, W, R], constants [H, W] and extra terms."""
+    columns = np.append(cells.columns.ravel(), [column for column, _ in extra]).astype(int)
+    coefficients = np.append(values.ravel(), [value for _, value in extra])
+    limits = (np.array([limit - constant.sum()]) for limit in (low, high))
+    return Rows(columns[None], coefficients[None], *limits)
+
+
+def build(layout: np.ndarray, facts: Facts) -> Program:
+    """Build the program that repairs `layout` (int8 [H, W]), connectivity left out."""
+    cells = _number_binaries(facts)
+    size = int(cells.columns.max()) + 1
     apart = [
         kind
         for members in facts.roles
         if (facts.counting[:, members].any(1) & ~facts.counting[:, members].all(1)).any()
         for kind in members
     ]
-    return {kind: Retype(total + 2 * n, total + 2 * n + 1) for n, kind in enumerate(apart)}
-
-
-def _number_squares(facts: Facts, total: int) -> tuple[np.ndarray, int]:
-    """Number one variable per aisle square; returns the new total as well."""
-    squares, aisle = np.full(facts.free.shape, -1), facts.rules.aisle
+    retypes = {kind: (size + 2 * n, size + 2 * n + 1) for n, kind in enumerate(apart)}
+    size += 2 * len(apart)
+    squares, aisle = np.full(layout.shape, -1), facts.rules.aisle
     if aisle > 1:
         inside = squares[: 1 - aisle, : 1 - aisle]
-        inside[:] = total + np.arange(inside.size).reshape(inside.shape)
-        total += inside.size
-    return squares, total
-
-
-def _hold_role(binaries: np.ndarray, first: np.ndarray, role: int, total: int) -> Affine:
-    """Express which cells hold `role`: its binary, or what no other binary took."""
-    own = np.flatnonzero(binaries[role] >= 0)
-    others, taken = np.nonzero(first & (binaries >= 0))
-    rows = np.concatenate([own, taken])
-    columns = np.concatenate([binaries[role, own], binaries[others, taken]])
-    values = np.repeat([1.0, -1.0], [own.size, taken.size])
-    matrix = sparse.csr_array((values, (rows, columns)), shape=(first.size, total))
-    return Affine(matrix, first.astype(float))
-
-
-class Program(NamedTuple):
-    """Minimise ``cost @ v + constant``, ``0 <= v <= upper``, ``low <= rows @ v <= high``."""
-
-    variables: Variables  # where each variable v stands
-    cost: np.ndarray  # float64 [variables]
-    constant: float  # cost when all variables are 0
-    upper: np.ndarray  # float64 [variables]
-    integer: np.ndarray  # bool [variables]
-    rows: sparse.csr_array  # float64 [rows, variables], sparse
-    low: np.ndarray  # float64 [rows]
-    high: np.ndarray  # float64 [rows]
-
-
-class Block(NamedTuple):
-    """Rows ``low <= expressions <= high``."""
-
-    expressions: Affine
-    low: float
-    high: float
-
-
-def build(layout: np.ndarray, facts: Facts) -> Program:
-    """Build the program that repairs `layout` (int8 [H, W]), connectivity left out."""
-    variables = number_variables(facts)
-    blocks = [
-        _one_role(variables),
-        *_adjacency(facts, variables),
-        *_counts(facts, variables, layout),
-        *_aisles(facts, variables),
+        inside[:] = size + np.arange(inside.size).reshape(inside.shape)
+        size += inside.size
+    demands = [
+        demand(cells, facts.roles_of(rule.tiles), facts.roles_of(rule.needs))
+        for rule in facts.rules.adjacency
     ]
-    cost = _cost(facts, variables, layout)
-    upper, integer = np.ones(variables.total), np.ones(variables.total, bool)
-    upper[[column for pair in variables.retypes.values() for column in pair]] = layout.size
-    # A square is open when its cells are: no need to branch on it.
-    integer[variables.squares[variables.squares >= 0]] = False
-    rows = sparse.csr_array(sparse.vstack([block.expressions.matrix for block in blocks]))
-    low, high = (
-        np.concatenate([side - expressions.offset for expressions, side in pairs])
-        for pairs in (
-            [(block.expressions, block.low) for block in blocks],
-            [(block.expressions, block.high) for block in blocks],
-        )
-    )
+    rows = [
+        _one_role(cells),
+        *demands,
+        *_counts(cells, retypes, facts, layout),
+        *_aisles(cells, squares, facts),
+    ]
     # A row without variables says something only where fixed cells break it.
-    used = (np.diff(rows.indptr) > 0) | (low > 0) | (high < 0)
-    return Program(
-        variables=variables,
-        cost=cost.matrix.toarray()[0],
-        constant=float(cost.offset[0]),
-        upper=upper,
-        integer=integer,
-        rows=rows[used],
-        low=low[used],
-        high=high[used],
-    )
+    rows = [part.select(part.terms().any(1) | (part.low > 0) | (part.high < 0)) for part in rows]
+    upper, integer = np.ones(size), np.ones(size, bool)
+    upper[[column for pair in retypes.values() for column in pair]] = layout.size
+    # A square is open when its cells are: no need to branch on it.
+    integer[squares[squares >= 0]] = False
+    cost, constant = _cost(cells, retypes, facts, layout, size)
+    return Program(cells, cost, rows, upper, integer, constant, retypes, squares)
 
 
-def _one_role(variables: Variables) -> Block:
+def _number_binaries(facts: Facts) -> Cells:
+    """Choose each cell's base role and number the binaries of the others.
+
+    The base role is the allowed one with the fewest adjacency demands: its cells need no rows.
+    """
+    may, demands = facts.may_take, [facts.demands[members[0]] for members in facts.roles]
+    order = np.argsort(demands, kind="stable")
+    base = order[may[..., order].argmax(-1)]
+    binary = may & (np.arange(may.shape[-1]) != base[..., None])
+    # Numbered cell by cell, so that neighbours in the grid are near in the program.
+    number = np.cumsum(binary).reshape(binary.shape) - 1
+    return Cells(np.where(binary, number, -1), base)
+
+
+def _one_role(cells: Cells) -> Rows:
     """At most one binary of a cell is set."""
-    cells = np.flatnonzero((variables.binaries >= 0).sum(0) > 1)
-    first = variables.first_role[cells]
-    left = [hold.at(cells[first == role]) for role, hold in enumerate(variables.holds)]
-    matrix = sparse.csr_array(sparse.vstack([hold.matrix for hold in left]))
-    return Block(Affine(matrix, np.concatenate([hold.offset for hold in left])), 0.0, np.inf)
+    several = (cells.columns >= 0).sum(-1) > 1
+    columns, base = cells.columns[several], cells.base[several]
+    columns = columns[np.argsort(base, kind="stable")]
+    return at_least([columns], [np.full(columns.shape, -1.0)], np.full(len(columns), -1.0))
 
 
-def _neighbours(height: int, width: int) -> sparse.csr_array:
-    """Build the 4-neighbourhood of a grid (float64 [cells, cells])."""
-    down, right = (sparse.eye_array(n, k=1) + sparse.eye_array(n, k=-1) for n in (height, width))
-    along_columns = sparse.kron(down, sparse.eye_array(width))
-    return sparse.csr_array(along_columns + sparse.kron(sparse.eye_array(height), right))
-
-
-def _adjacency(facts: Facts, variables: Variables) -> list[Block]:
-    """A tile is at most as often in a cell as what it needs is around it."""
-    around = _neighbours(*facts.free.shape)
-    blocks = []
-    for rule in facts.rules.adjacency:
-        tiles = variables.group(facts, rule.tiles)
-        may = np.flatnonzero((np.diff(tiles.matrix.indptr) > 0) | (tiles.offset > 0))
-        needs = variables.group(facts, rule.needs).combined(around)
-        blocks.append(Block(needs.minus(tiles).at(may), 0.0, np.inf))
-    return blocks
-
-
-def _retyped_amounts(
-    facts: Facts, variables: Variables, layout: np.ndarray
-) -> tuple[dict[int, Affine], list[Block]]:
-    """Express the amount of each kind counted apart: those kept, less those lost, plus the new."""
-    kept, layout = facts.keeps(layout).ravel(), layout.ravel()
-    amounts: dict[int, Affine] = {}
-    blocks = []
-    for members, hold in zip(facts.roles, variables.holds, strict=True):
-        if members[0] not in variables.retypes:
-            continue
-        difference = hold.combined(np.ones(layout.size))
-        for kind in members:
-            gained, lost = (variables.unit(column) for column in variables.retypes[kind])
-            staying = hold.combined((kept & (layout == kind)).astype(float))
-            amounts[kind] = staying.plus(gained).minus(lost)
-            blocks.append(Block(staying.minus(lost), 0.0, np.inf))
-            blocks += _settled(facts, hold, amounts[kind], kind, members)
-            difference = difference.minus(amounts[kind])
-        blocks.append(Block(difference, 0.0, 0.0))
-    return amounts, blocks
-
-
-def _settled(
-    facts: Facts, hold: Affine, amount: Affine, kind: int, members: list[int]
-) -> list[Block]:
-    """Bound the amount of a kind by the cells that may hold it, or no other kind of its role."""
-    may = facts.rules.allowed[..., members].reshape(-1, len(members))
-    this = may[:, members.index(kind)]
-    only = this & (may.sum(1) == 1)
-    blocks = []
-    if only.any():
-        blocks.append(Block(amount.minus(hold.combined(only.astype(float))), 0.0, np.inf))
-    if (may.any(1) & ~this).any():
-        blocks.append(Block(hold.combined(this.astype(float)).minus(amount), 0.0, np.inf))
-    return blocks
-
-
-def _counts(facts: Facts, variables: Variables, layout: np.ndarray) -> list[Block]:
+def _counts(
+    cells: Cells, retypes: dict[int, tuple[int, int]], facts: Facts, layout: np.ndarray
+) -> list[Rows]:
     """Bound the counts: of whole roles, or of kinds that are counted apart."""
-    amounts, blocks = _retyped_amounts(facts, variables, layout)
+    kept, rows = facts.keeps(layout), []
+    for role, members in enumerate(facts.roles):
+        if members[0] not in retypes:
+            continue
+        own, constant = cells.express(np.arange(len(facts.roles)) == role)
+        may = facts.rules.allowed[..., members]
+        left, left_terms = np.ones(layout.shape), list[Term]()
+
+        def weighed(
+            weights: np.ndarray,
+            *extra: Term,
+            high: float = np.inf,
+            own: np.ndarray = own,
+            constant: np.ndarray = constant,
+        ) -> Rows:
+            """Bound the weighed number of cells with this role, plus extra terms, by 0."""
+            return total(cells, own * weights[..., None], constant * weights, 0.0, high, extra)
+
+        for place, kind in enumerate(members):
+            # The amount of a kind is staying + gained - lost.
+            (gained, lost), staying = retypes[kind], 1.0 * (kept & (layout == kind))
+            rows.append(weighed(staying, (lost, -1.0)))
+            # At least the cells that may hold no other kind of the role, at most those that may
+            # hold this one.
+            this = may[..., place]
+            only = this & (may.sum(-1) == 1)
+            if only.any():
+                rows.append(weighed(staying - only, (gained, 1.0), (lost, -1.0)))
+            if (may.any(-1) & ~this).any():
+                rows.append(weighed(this - staying, (gained, -1.0), (lost, 1.0)))
+            left = left - staying
+            left_terms += [(gained, -1.0), (lost, 1.0)]
+        rows.append(weighed(left, *left_terms, high=0.0))
     for bound, counting in zip(facts.rules.counts, facts.counting, strict=True):
-        amount = variables.zero()
-        for members, hold in zip(facts.roles, variables.holds, strict=True):
-            if counting[members].all():
-                amount = amount.plus(hold.combined(np.ones(layout.size)))
-                continue
-            for kind in members:
-                if counting[kind]:
-                    amount = amount.plus(amounts[kind])
-        blocks.append(Block(amount, bound.low, np.inf if bound.high is None else bound.high))
-    return blocks
+        whole = facts.whole_roles(counting)
+        values, constant = cells.express(whole)
+        extra: list[Term] = []
+        for kind in np.flatnonzero(counting & ~whole[facts.role_of]).tolist():
+            hold, holds = cells.express(np.arange(whole.size) == facts.role_of[kind])
+            staying = kept & (layout == kind)
+            values, constant = values + hold * staying[..., None], constant + holds * staying
+            extra += zip(retypes[kind], (1.0, -1.0), strict=True)
+        high = np.inf if bound.high is None else bound.high
+        rows.append(total(cells, values, constant, bound.low, high, extra))
+    return rows
 
 
-def _aisles(facts: Facts, variables: Variables) -> list[Block]:
+def _aisles(cells: Cells, squares: np.ndarray, facts: Facts) -> list[Rows]:
     """A driving cell needs an aisle square over it; a square needs all its cells to drive."""
-    side, squares = facts.rules.aisle, variables.squares
+    side = facts.rules.aisle
     if side <= 1:
         return []
-    driving = variables.group(facts, facts.rules.connected)
-    cells = np.arange(squares.size).reshape(squares.shape)
-    pairs = np.array(
-        [
-            (squares[row, col], cells[row + down, col + right])
-            for row, col in np.argwhere(squares >= 0)
-            for down in range(side)
-            for right in range(side)
-        ]
-    )
-    ones, shape = np.ones(len(pairs)), (len(pairs), variables.total)
-    square = sparse.csr_array((ones, (np.arange(len(pairs)), pairs[:, 0])), shape=shape)
-    shape = (squares.size, variables.total)
-    over = sparse.csr_array((ones, (pairs[:, 1], pairs[:, 0])), shape=shape)
+    own, drives = cells.express(facts.roles_of(facts.rules.connected))
+    corners, offsets = np.argwhere(squares >= 0), np.argwhere(np.ones((side, side)))
+    rows, cols = (corners[:, None] + offsets).reshape(-1, 2).T
+    square = np.repeat(squares[squares >= 0], side**2)
+    padded = np.pad(squares, ((side - 1, 0), (side - 1, 0)), constant_values=-1)
+    over = np.lib.stride_tricks.sliding_window_view(padded, (side, side))
+    over = over.reshape(squares.size, -1)
+    roles = own.shape[-1]
     return [
-        Block(driving.at(pairs[:, 1]).minus(Affine(square, np.zeros(len(pairs)))), 0.0, np.inf),
-        Block(Affine(over, np.zeros(squares.size)).minus(driving), 0.0, np.inf),
+        at_least(
+            [cells.columns[rows, cols], square],
+            [own[rows, cols], np.full(square.size, -1.0)],
+            -drives[rows, cols],
+        ),
+        at_least(
+            [over, cells.columns.reshape(-1, roles)],
+            [np.ones(over.shape), -own.reshape(-1, roles)],
+            drives.ravel(),
+        ),
     ]
 
 
-def _cost(facts: Facts, variables: Variables, layout: np.ndarray) -> Affine:
+def _cost(
+    cells: Cells,
+    retypes: dict[int, tuple[int, int]],
+    facts: Facts,
+    layout: np.ndarray,
+    size: int,
+) -> tuple[np.ndarray, float]:
     """Price what is not kept; a kind that leaves its cell to another costs its cheapest cell."""
-    kept, layout = facts.keeps(layout).ravel(), layout.ravel()
-    change_cost = np.asarray(facts.rules.change_cost, np.float64).ravel()
-    cost = variables.zero()
-    for members, hold in zip(facts.roles, variables.holds, strict=True):
-        cost = cost.plus(hold.combined(change_cost * ~(kept & np.isin(layout, members))))
-    for kind, (_, lost) in variables.retypes.items():
+    kept, roles = facts.keeps(layout), np.arange(len(facts.roles))
+    change_cost = np.asarray(facts.rules.change_cost, np.float64)
+    stays = kept[..., None] & (facts.role_of[layout][..., None] == roles)
+    price = change_cost[..., None] * ~stays
+    rises = price - np.take_along_axis(price, cells.base[..., None], -1)
+    cost, used = np.zeros(size), cells.columns >= 0
+    cost[cells.columns[used]] = rises[used]
+    for kind, (_, lost) in retypes.items():
         costs = change_cost[kept & (layout == kind)]
-        cheapest = float(costs.min()) if costs.size else 0.0
-        cost = cost.plus(variables.unit(lost).combined(np.array([cheapest])))
-    return cost
+        cost[lost] = costs.min() if costs.size else 0.0
+    # Role by role and cell by cell: the order of a sum decides its last bit.
+    constant = 0.0
+    for role in roles:
+        constant += np.cumsum(price[..., role] * (cells.base == role))[-1]
+    return cost, float(constant)
 
 
 def encode(program: Program, candidate: np.ndarray, layout: np.ndarray, facts: Facts) -> np.ndarray:
     """Express a feasible `candidate` (int8 [H, W]) for the input `layout` as variables' values."""
-    variables, driving = program.variables, facts.driving[candidate]
-    kept, layout, candidate = facts.keeps(layout).ravel(), layout.ravel(), candidate.ravel()
-    values = np.zeros(variables.total)
-    for members, hold in zip(facts.roles, variables.holds, strict=True):
-        plus = sparse.coo_array(hold.matrix)
-        chosen = np.isin(candidate, members)[plus.row] & (plus.data > 0)
-        values[plus.col[chosen]] = 1.0
-    for kind, (gained, lost) in variables.retypes.items():
-        members = facts.roles[facts.role_of[kind]]
-        retyped = np.isin(candidate, members) & (candidate != kind)
+    values, role = np.zeros(program.cost.size), facts.role_of[candidate]
+    column = np.take_along_axis(program.cells.columns, role[..., None], -1)
+    values[column[column >= 0]] = 1.0
+    kept = facts.keeps(layout)
+    for kind, (gained, lost) in program.retypes.items():
+        other = (role == facts.role_of[kind]) & (candidate != kind)
         values[gained] = ((candidate == kind) & ~(kept & (candidate == layout))).sum()
-        values[lost] = (kept & (layout == kind) & retyped).sum()
+        values[lost] = (kept & (layout == kind) & other).sum()
     side = facts.rules.aisle
-    if side > 1:
+    if side > 1 and program.squares is not None:
+        driving = facts.driving[candidate]
         whole = np.lib.stride_tricks.sliding_window_view(driving, (side, side)).all((-1, -2))
-        values[variables.squares[: 1 - side, : 1 - side][whole]] = 1.0
+        values[program.squares[: 1 - side, : 1 - side][whole]] = 1.0
     return values
 
 
-def decode(program: Program, values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def decode(cells: Cells, values: np.ndarray) -> np.ndarray:
     """Read each cell's role from a solution (int64 [H, W])."""
-    holds = [hold.matrix @ values + hold.offset for hold in program.variables.holds]
-    return np.argmax(holds, axis=0).reshape(shape)
+    holds = np.append(values, 0.0)[cells.columns]  # column -1 is the 0 at the end
+    # What the binaries leave over is the base role's, of fixed cells all of it.
+    rows, cols = np.nonzero(cells.base >= 0)
+    holds[rows, cols, cells.base[rows, cols]] = 1.0 - holds[rows, cols].sum(-1)
+    role: np.ndarray = holds.argmax(-1)
+    return role
