@@ -26,7 +26,7 @@ from qdenv.repair.milp.highs import (
 )
 from qdenv.repair.milp.program import Program, Rows, at_least, build
 from qdenv.repair.rules import Facts, Progress, no_progress
-from qdenv.types import RepairStatus
+from qdenv.types import Adjacency, RepairStatus
 
 MAX_CELLS = 20_000  # that may change: beyond, the relaxation alone takes minutes
 BRANCHED_CELLS = 120  # that may change: with more, branching decides little
@@ -132,12 +132,10 @@ def span(program: Program, facts: Facts) -> Program:
     if not connected:
         return program
     (height, width), first = facts.free.shape, program.cost.size
-    cell = np.arange(height * width).reshape(height, width)
+    cell = np.arange(facts.free.size).reshape(facts.free.shape)
     always = facts.must(connected).ravel()
-    # Pairs of neighbours, to the right and below; none within what always drives.
-    one = np.concatenate([cell[:, :-1].ravel(), cell[:-1].ravel()])
-    other = np.concatenate([cell[:, 1:].ravel(), cell[1:].ravel()])
-    pair = ~(always[one] & always[other])
+    one, other = _list_pairs(cell)
+    pair = ~(always[one] & always[other])  # no edges within what always drives
     count = int(pair.sum())
     edge = np.where(pair, first + np.cumsum(pair) - 1, -1)
     right, below = edge[: height * (width - 1)], edge[height * (width - 1) :]
@@ -153,17 +151,16 @@ def span(program: Program, facts: Facts) -> Program:
         return own.reshape(cell.size, -1), constant.ravel()
 
     own, drives = express(connected)
-    minus, plus = np.full(2 * count, -1.0), np.ones(2 * count)
+    minus = np.full(2 * count, -1.0)
     labels, parts = ndimage.label(always.reshape(height, width))
-    loose = ~always
     rows = [
         # An edge of the tree needs both its cells to drive.
         at_least([columns[start], side_edge], [own[start], minus], -drives[start]),
         # The tree has an edge less than the driving area has cells, fixed parts counted as one.
         at_least(
             [edge[pair][None], columns.reshape(1, -1)],
-            [plus[None, :count], -(own * loose[:, None]).reshape(1, -1)],
-            np.array([drives[loose].sum() + parts - 1.0]),
+            [np.ones((1, count)), -(own * ~always[:, None]).reshape(1, -1)],
+            np.array([drives[~always].sum() + parts - 1.0]),
         ),
         *_break_rings(
             columns, own, drives, labels, right.reshape(height, -1), below.reshape(-1, width)
@@ -172,11 +169,7 @@ def span(program: Program, facts: Facts) -> Program:
     # The direction of a side, as seen from its end: no two sides share it and the end.
     towards = np.repeat([0, 1], [right.size, below.size])[pair]
     towards = np.concatenate([towards, towards + 2])
-    services = [
-        rule
-        for rule in facts.rules.adjacency
-        if not set(rule.tiles) & set(connected) and set(rule.needs) <= set(connected)
-    ]
+    services = [rule for rule in facts.rules.adjacency if _is_service(rule, connected)]
     for place, rule in enumerate(services):
         # Every obstacle is served over a side, which is no edge of the tree then.
         used = first + count * (1 + 2 * place) + np.arange(2 * count)
@@ -199,6 +192,17 @@ def span(program: Program, facts: Facts) -> Program:
         integer=np.pad(program.integer, (0, more)),
         rows=[*program.rows, *rows],
     )
+
+
+def _is_service(rule: Adjacency, connected: str) -> bool:
+    """Return True if by this rule driving cells serve obstacles."""
+    return not set(rule.tiles) & set(connected) and set(rule.needs) <= set(connected)
+
+
+def _list_pairs(cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """List the pairs of neighbours among cells [H, W]: all to the right, then all below."""
+    one = np.concatenate([cell[:, :-1].ravel(), cell[:-1].ravel()])
+    return one, np.concatenate([cell[:, 1:].ravel(), cell[1:].ravel()])
 
 
 def _break_rings(
