@@ -27,7 +27,7 @@ from qdenv.commands.costs import in_words
 from qdenv.commands.parsing import run_program
 from qdenv.io.files import write_csv
 from qdenv.run.config import RunConfig, choose_algorithm
-from qdenv.study.stats import margin, sample_of
+from qdenv.stats import margin, sample_of
 from qdenv.view.style import new_figure, save_figure
 
 ALGORITHMS = ("cma-mae", "cma-me", "map-elites", "cma-es", "random", "dsage")

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.study.stats import sample_of
+from qdenv.stats import sample_of
 
 RESAMPLES = 2000  # of the layouts, for an interval
 FEWEST = 3  # layouts that a correlation takes

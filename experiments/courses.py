@@ -11,8 +11,8 @@ from experiments.layouts import SavedLayout
 from experiments.pieces import Folders, Piece, Say
 from experiments.traffic import RATES
 from qdenv.io.files import write_json
+from qdenv.stats import Sample, margin
 from qdenv.study.ledger import Case
-from qdenv.study.stats import Sample, margin
 
 BIN = 50  # timesteps that are counted together
 CHUNK = 10  # runs from one saving to the next

@@ -9,7 +9,7 @@ from experiments.pieces import Drawn, Experiment, Folders
 from experiments.published import TABLE_4
 from experiments.table_4 import RUNS
 from qdenv.run.log import Metrics
-from qdenv.study.stats import margin, sample_of
+from qdenv.stats import margin, sample_of
 from qdenv.view.style import new_figure
 
 METRICS = {"qd_score": "QD-score", "coverage": "coverage"}

@@ -5,7 +5,7 @@ from experiments.lines import LOOKS, draw_line, finish, new_panels
 from experiments.makers import CURVE_RUNS, CURVES, MAKERS, RUNS, SIZES, own_agents, refusal_of
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import FLEETS
-from qdenv.study.stats import Sample, margin
+from qdenv.stats import Sample, margin
 
 HEAD = ("domain", "size", "layout", "runs", "most tasks / timestep", "agents then", "success then")
 NOTES = (

@@ -13,10 +13,9 @@ from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, read_rows
 from experiments.published import MAZES
 from qdenv.agent.evaluate import evaluate_agent, without_ring
 from qdenv.io.files import write_csv
-from qdenv.score import wilson_interval
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.simulate.maze.world import WALL
-from qdenv.study.stats import sample_of
+from qdenv.stats import sample_of, wilson_interval
 
 GROWN = -1  # in place of a seed: the maze that the others take after
 TELL = 10  # mazes from one word on how far it is to the next

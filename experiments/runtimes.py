@@ -13,9 +13,9 @@ from experiments.published import FLEETS
 from qdenv.io.files import write_csv
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
+from qdenv.stats import Sample, sample_of
 from qdenv.study.elites import Grown, find_elite, grow_elite
 from qdenv.study.sizes import SIZES, finish
-from qdenv.study.stats import Sample, sample_of
 from qdenv.view.style import new_figure
 
 SEEDS = 3  # repairs of each layout

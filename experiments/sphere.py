@@ -37,6 +37,7 @@ from qdenv.commands.parsing import run_program
 from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.settings import Strategy
+from qdenv.stats import standard_error
 from qdenv.types import Array, Measure, Score
 from qdenv.view.archive import save_heatmap
 
@@ -106,7 +107,7 @@ def main(
         score, coverage = rows[-1]
         print(f"seed {seed}: {score:6.2f} {coverage:6.2f} %   {spent:.2f} CPU ms per iteration")
     mean = np.mean(rows, axis=0)
-    error = np.std(rows, axis=0, ddof=1) / np.sqrt(seeds) if seeds > 1 else np.full(2, np.nan)
+    error = standard_error(rows)
     print(
         f"{strategy}, {iterations} iterations, {seeds} seeds: normalised QD-score "
         f"{mean[0]:.2f} ± {error[0]:.2f}, coverage {mean[1]:.2f} ± {error[1]:.2f} %"

@@ -5,7 +5,7 @@ import numpy as np
 from experiments.archives import ALGORITHMS, DOMAINS, runs_of, seeds_of
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import TABLE_4
-from qdenv.study.stats import sample_of
+from qdenv.stats import sample_of
 
 HEAD = [
     *("domain", "algorithm", "runs", "evaluations", "QD-score", "coverage"),

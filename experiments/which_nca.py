@@ -21,6 +21,7 @@ import qdenv
 from qdenv.commands.parsing import run_program
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
+from qdenv.stats import standard_error
 
 KERNELS = ((3, 3, 3), (3, 1, 1))
 
@@ -74,7 +75,7 @@ def main(
             )
             finals.append(final(config, path, evaluations))
         mean = np.mean(finals, axis=0)
-        error = np.std(finals, axis=0, ddof=1) / np.sqrt(seeds) if seeds > 1 else mean * np.nan
+        error = standard_error(finals)
         cells = [f"{m:.3f} ({e:.3f})" for m, e in zip(mean, error, strict=True)]
         print(f"{kernels!s:9} {strategy:8}  " + "".join(f"{cell:18}" for cell in cells))
 

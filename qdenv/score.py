@@ -6,7 +6,7 @@ import math
 
 from qdenv.grid import count_components, of_tiles
 from qdenv.lazy import chex, jax, jnp
-from qdenv.types import Array, InputError, Traffic
+from qdenv.types import Array, Traffic
 
 
 def entropy(area: Array, kinds: int) -> jax.Array:
@@ -59,9 +59,6 @@ def similarity(unrepaired: Array, repaired: Array, weight: Array) -> jax.Array:
     return ((unrepaired == repaired) * weight).mean(dtype=jnp.float32)
 
 
-NORMAL_95 = 1.959964  # two-sided 95 % quantile of the normal distribution
-
-
 def mean_throughput(runs: Traffic) -> jax.Array:
     """Average the throughput over *all* runs, congested ones too: the search's objective f_res.
 
@@ -76,20 +73,3 @@ def mean_throughput(runs: Traffic) -> jax.Array:
     """
     chex.assert_rank(runs.throughput, 1)
     return jnp.asarray(runs.throughput).mean()
-
-
-def wilson_interval(successes: int, runs: int) -> tuple[float, float]:
-    """Bound a success rate with 95 % confidence; 0 and 1 get a width too.
-
-    The score interval of Wilson 1927, "Probable inference, the law of succession, and statistical
-    inference", https://doi.org/10.1080/01621459.1927.10502953.
-
-    Raises:
-        InputError: no runs.
-    """
-    if runs < 1:
-        raise InputError("a success rate needs at least one run")
-    rate, shrinkage = successes / runs, NORMAL_95**2 / runs
-    centre = (rate + shrinkage / 2) / (1 + shrinkage)
-    width = math.sqrt(rate * (1 - rate) * shrinkage + shrinkage**2 / 4) / (1 + shrinkage)
-    return max(0.0, centre - width), min(1.0, centre + width)

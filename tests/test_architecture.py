@@ -12,7 +12,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "qdenv"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"types", "ranges", "grid", "io", "lazy", "interrupt", "progress"}
+BASE = {"types", "ranges", "grid", "io", "lazy", "interrupt", "stats", "progress"}
 STAGES = {"generate", "nca", "repair", "simulate", "score"}
 PLUGS = {"registry", "devices"}
 ALLOWED = {
@@ -20,6 +20,7 @@ ALLOWED = {
     "types": {"lazy"},
     "ranges": {"types"},
     "native": set(),
+    "stats": {"types"},
     "grid": {"types", "lazy"},
     "interrupt": set(),
     "io": {"types", "interrupt", "registry", "grid"},

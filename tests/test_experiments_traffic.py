@@ -39,9 +39,9 @@ from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.manifest import archive_schema
-from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.simulate.maze.world import longest_path
+from qdenv.stats import wilson_interval
 from qdenv.study import ledger, sizes
 from qdenv.study.engine import run_seeds
 from qdenv.study.ledger import Case, Run

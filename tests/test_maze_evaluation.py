@@ -24,8 +24,8 @@ from qdenv.agent.evaluate import (
 )
 from qdenv.cli import run
 from qdenv.io.layouts import read_layout
-from qdenv.score import wilson_interval
 from qdenv.simulate.maze.policy import load_weights
+from qdenv.stats import wilson_interval
 from qdenv.types import InputError
 from qdenv.view.maze import save_episode, save_mazes
 

@@ -9,9 +9,9 @@ import pytest
 from qdenv import cli, grid
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
-from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.stats import wilson_interval
 from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.sweep import Trial, climb, compare, name_layouts
 from qdenv.study.table import Row, find_capacity, find_peak, write_rows

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from qdenv.study.stats import Sample, difference, margin, sample_of
+from qdenv.stats import Sample, difference, margin, sample_of
 from qdenv.study.table import Row, differences
 
 NAN = float("nan")

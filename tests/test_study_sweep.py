@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from qdenv.grid import parse
-from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.goals import tile_goal
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.stats import wilson_interval
 from qdenv.study.options import parse_counts
-from qdenv.study.sweep import Trial, sweep
+from qdenv.study.sweep import Trial, compare
 from qdenv.study.table import write_rows
 from qdenv.types import InputError, TaskRule
 
@@ -53,7 +53,7 @@ def test_wilson_interval_agrees_with_published_values():
 def test_a_sweep_makes_a_table(tmp_path: Path):
     layout = parse(["w...e", ".@@..", "e...w"], TILES)
     config = FleetConfig(timesteps=40, planner=PibtConfig())
-    rows = sweep("tiny", layout, Trial(RULE, config, (1, 3, 6), (0, 1, 2)))
+    rows = compare({"tiny": layout}, Trial(RULE, config, (1, 3, 6), (0, 1, 2)))
     assert [row.agents for row in rows] == [1, 3, 6]
     assert all(row.runs == 3 and 0 <= row.success_low <= row.success_rate for row in rows)
     # One agent alone needs at most six steps and at least two from one goal to the next.
@@ -64,4 +64,4 @@ def test_a_sweep_makes_a_table(tmp_path: Path):
     assert written == pytest.approx([row.throughput for row in rows], rel=1e-5)
     assert all(len(row["throughput"]) <= 8 for row in read)  # six digits and no dust
     with pytest.raises(InputError, match="fewer agents"):
-        sweep("tiny", layout, Trial(RULE, config, (14,), (0,)))
+        compare({"tiny": layout}, Trial(RULE, config, (14,), (0,)))

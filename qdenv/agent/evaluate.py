@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.score import wilson_interval
 from qdenv.simulate.maze.episode import (
     Episode,
     all_timesteps,
@@ -17,6 +16,7 @@ from qdenv.simulate.maze.episode import (
 from qdenv.simulate.maze.policy import Weights, prepare
 from qdenv.simulate.maze.published import reference_episodes
 from qdenv.simulate.maze.world import WALL, longest_path
+from qdenv.stats import standard_error, wilson_interval
 from qdenv.types import Array, InputError
 
 
@@ -277,7 +277,7 @@ class Comparison(NamedTuple):
     @property
     def standard_error(self) -> float:
         """Standard error of the mean, over mazes."""
-        return float(np.std(self.rates, ddof=1) / len(self.rates) ** 0.5)
+        return float(standard_error(self.rates))
 
 
 def compare_with_random(

@@ -8,8 +8,8 @@ from qdenv.commands import output, words
 from qdenv.commands.choices import FleetOptions, LayoutFile, LayoutFiles, Options
 from qdenv.commands.tables import prepare, table_printer, write
 from qdenv.progress import Bar
+from qdenv.stats import Difference
 from qdenv.study import sweep as studies
-from qdenv.study.stats import Difference
 from qdenv.study.table import Peak, differences, find_capacity, find_peak
 
 # Numbers of agents where nobody says, on layouts for which 200 are usual.

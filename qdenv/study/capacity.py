@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qdenv.stats import sample_of
 from qdenv.study.congestion import FADING, fading
 from qdenv.study.table import WORTH, value_of_an_agent
 from qdenv.types import Traffic
@@ -40,7 +41,7 @@ class Point(NamedTuple):
     standard_error: float  # of it; NaN for one run
     runs: int  # how many
     congested: int  # how many of them congested
-    fading: float  # by which share of itself throughput falls with time, see `jams.fading`
+    fading: float  # see `congestion.fading`
 
 
 class Verdict(NamedTuple):
@@ -54,12 +55,12 @@ class Verdict(NamedTuple):
 
 def point_of(agents: int, runs: Sequence[Traffic]) -> Point:
     """Condense runs with one number of agents."""
-    every = np.array([run.throughput for run in runs], float)
-    error = every.std(ddof=1) / np.sqrt(len(every)) if len(every) > 1 else np.nan
+    # In double precision, other than in `table.Row`: the numbers of saved reports stay the same.
+    sample = sample_of(np.array([run.throughput for run in runs], float))
     return Point(
         agents=agents,
-        throughput=float(every.mean()),
-        standard_error=float(error),
+        throughput=sample.mean,
+        standard_error=sample.error,
         runs=len(runs),
         congested=sum(bool(run.congested) for run in runs),
         fading=fading(runs),

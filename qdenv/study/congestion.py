@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from qdenv.stats import standard_error
 from qdenv.types import Traffic
 
 if TYPE_CHECKING:
@@ -127,11 +128,7 @@ def throughput_over_time(runs: Sequence[Traffic], windows: int = 40) -> np.ndarr
     steps = finished.shape[1]
     ends = np.unique(np.linspace(0, steps, min(windows, steps) + 1).astype(int))
     parts = np.add.reduceat(finished, ends[:-1], axis=1) / np.diff(ends)
-    count = len(runs)
-    error = (
-        parts.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(parts.shape[1], np.nan)
-    )
-    return np.stack([ends[1:], parts.mean(axis=0), error])
+    return np.stack([ends[1:], parts.mean(axis=0), standard_error(parts)])
 
 
 def fading(runs: Sequence[Traffic]) -> float:

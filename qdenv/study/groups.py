@@ -10,7 +10,7 @@ import numpy as np
 
 from qdenv.run.config import RunConfig, config_to_json
 from qdenv.run.directory import RunDirectory
-from qdenv.study.stats import margin, sample_of
+from qdenv.stats import margin, sample_of
 from qdenv.types import InputError
 
 CHANCE = ("seed", "evaluations", "checkpoint_every")  # runs that differ in these repeat one another

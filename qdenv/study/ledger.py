@@ -16,11 +16,10 @@ from qdenv.domains.base import Domain, make_domain
 from qdenv.io.files import write_csv
 from qdenv.io.tables import read_table
 from qdenv.run.executors.dask import ClusterExecutor
-from qdenv.score import wilson_interval
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
-from qdenv.study.stats import sample_of
+from qdenv.stats import sample_of, wilson_interval
 from qdenv.study.sweep import check_fleet, room_for
 from qdenv.types import look_up
 

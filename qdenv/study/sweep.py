@@ -43,28 +43,6 @@ def about(name: str) -> Iterator[None]:
         raise InputError(f"{name}: {error}") from error
 
 
-def sweep(
-    name: str,
-    layout: np.ndarray,
-    trial: Trial,
-    told: Callable[[Row], None] = lambda row: None,
-    progress: Progress = silent,
-) -> list[Row]:
-    """Simulate a layout with several numbers of agents; compiles once.
-
-    Args:
-        name: of the layout.
-        layout: int8 [H, W].
-        trial: who drives, and how often.
-        told: hears of every finished row.
-        progress: hears how far it is.
-
-    Raises:
-        InputError: agents cannot work on this layout, or do not fit; the line names the layout.
-    """
-    return compare({name: layout}, trial, told, progress)
-
-
 def compare(
     layouts: Mapping[str, np.ndarray],
     trial: Trial,
@@ -83,7 +61,8 @@ def compare(
         a row for each layout and number of agents, layout by layout.
 
     Raises:
-        InputError: as in `sweep`, for any of the layouts, before the first run.
+        InputError: agents cannot work on a layout, or do not fit; the line names the layout. Before
+            the first run.
     """
     from qdenv.study.engine import run_seeds  # imports the simulator
 

@@ -1,4 +1,4 @@
-"""The one row record of every study: one layout at one number of agents, over some seeds."""
+"""The row of every study of traffic: one layout at one number of agents, over some seeds."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv.io.files import write_csv
-from qdenv.score import wilson_interval
+from qdenv.stats import Difference, Sample, difference, sample_of, wilson_interval
 from qdenv.study.congestion import fading
-from qdenv.study.stats import Difference, Sample, difference, sample_of
 from qdenv.types import Traffic
 
 WORTH = 0.5  # share of what an average agent brings; one that brings less is hardly worth it
@@ -34,7 +33,7 @@ class Row(NamedTuple):
     mean_of_all: float  # tasks per timestep, averaged over all runs
     cpu_seconds_per_run: float  # without compilation
     error_of_all: float = float("nan")  # standard error of `mean_of_all`; NaN with one run
-    fading: float = 0.0  # by which share of itself throughput falls with time, see `jams.fading`
+    fading: float = 0.0  # see `congestion.fading`
 
 
 class Peak(NamedTuple):
@@ -138,16 +137,16 @@ def differences(rows: Sequence[Row]) -> list[Difference]:
     """
     first = {row.agents: row for row in rows if row.layout == rows[0].layout}
     itself = Difference(0.0, float("nan"), float("nan"), False)
+
+    def sample(row: Row) -> Sample:
+        return Sample(row.mean_of_all, row.error_of_all, row.runs)
+
     return [
         itself
         if row.layout == rows[0].layout
-        else difference(_sample(row), _sample(first[row.agents]))
+        else difference(sample(row), sample(first[row.agents]))
         for row in rows
     ]
-
-
-def _sample(row: Row) -> Sample:
-    return Sample(row.mean_of_all, row.error_of_all, row.runs)
 
 
 def write_rows(
@@ -165,10 +164,9 @@ def write_rows(
     """
     columns = columns or {}
     lines = [(*row, *rest) for row, *rest in zip(rows, *columns.values(), strict=True)]
-    lines = [tuple(map(_in_digits, line)) for line in lines]
+    # Six digits are more than any of these numbers means.
+    lines = [
+        tuple(float(f"{one:.6g}") if isinstance(one, float) else one for one in line)
+        for line in lines
+    ]
     write_csv(path, (*Row._fields, *columns), lines)
-
-
-def _in_digits(value: Any) -> Any:
-    """Write a number with six digits, more than any of these means."""
-    return float(f"{value:.6g}") if isinstance(value, float) else value

@@ -16,9 +16,8 @@ from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.run.archive import SavedArchive
 from qdenv.run.directory import RunDirectory
-from qdenv.score import wilson_interval
+from qdenv.stats import Sample, margin, wilson_interval
 from qdenv.study.elites import Grower, make_grower, spread
-from qdenv.study.stats import Sample, margin
 from qdenv.types import InputError
 from qdenv.view.archive import COLOURS as SCALE
 from qdenv.view.layouts import CHANGED, COLOURS, UNKNOWN

@@ -10,7 +10,7 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from qdenv.study.stats import Difference, Sample, margin
+from qdenv.stats import Difference, Sample, margin
 from qdenv.study.table import Peak, Row, differences
 from qdenv.view.style import (
     GREY,

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from qdenv.simulate.mapf.choosing import describe_planner
+from qdenv.stats import Difference, Sample, difference, margin
 from qdenv.study.congestion import FADING
-from qdenv.study.stats import Difference, Sample, difference, margin
 from qdenv.study.table import Row, find_capacity, find_peak
 from qdenv.study.traffic import Study
 from qdenv.view.report.fleet import Found

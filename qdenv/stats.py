@@ -1,0 +1,106 @@
+"""Means of independent runs with their errors, shares with their intervals, and differences."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qdenv.types import InputError
+
+QUANTILE = 0.975  # of a two-sided 95 % interval
+NORMAL_95 = 1.959964  # that quantile of the normal distribution
+
+
+class Difference(NamedTuple):
+    """A mean against another one, in per cent of the latter."""
+
+    percent: float  # how much higher it is
+    low: float  # lower end of the 95 % interval; NaN where it has none
+    high: float  # upper end
+    significant: bool  # the interval excludes 0
+
+
+class Sample(NamedTuple):
+    """The mean of independent runs."""
+
+    mean: float  # of them
+    error: float  # standard error of the mean; NaN for one run
+    runs: int  # how many
+
+
+def standard_error(values: ArrayLike) -> np.ndarray:
+    """Return the standard error of the mean over the first axis; NaN for one value."""
+    array = np.asarray(values, float)
+    if len(array) < 2:
+        return np.full(array.shape[1:], np.nan)
+    error: np.ndarray = array.std(axis=0, ddof=1) / np.sqrt(len(array))
+    return error
+
+
+def sample_of(values: np.ndarray) -> Sample:
+    """Return mean and standard error of values [n] of independent runs."""
+    return Sample(float(np.mean(values, dtype=float)), float(standard_error(values)), len(values))
+
+
+def margin(sample: Sample) -> float:
+    """Return half the width of the mean's 95 % interval (Student's t); NaN for one run."""
+    from scipy.special import stdtrit  # late: it takes 0.2 s, and --help does not need it
+
+    return float(stdtrit(sample.runs - 1, QUANTILE)) * sample.error if sample.runs > 1 else np.nan
+
+
+def difference(ours: Sample, theirs: Sample) -> Difference:
+    """Bound the ratio of two means of independent runs.
+
+    The runs of two layouts share seeds, but a seed means other starts and goals on another layout:
+    nothing is paired. The ratio has Fieller's interval (1954, "Some problems in interval
+    estimation") with unequal variances and Welch's degrees of freedom (1947,
+    https://doi.org/10.2307/2332510), so that it excludes 0 % just where Welch's t-test finds the
+    means different.
+
+    Args:
+        ours: the mean that is compared.
+        theirs: the mean that it is compared with.
+
+    Returns:
+        The difference; without an interval if either has fewer than two runs, or if `theirs` is so
+        uncertain that its mean might be 0.
+    """
+    from scipy.special import stdtrit  # late, as in `margin`
+
+    nan = float("nan")
+    if theirs.mean == 0:
+        return Difference(nan, nan, nan, False)
+    percent = 100 * (ours.mean / theirs.mean - 1)
+    parts = np.square([ours.error, theirs.error])
+    if np.isnan(parts).any():
+        return Difference(percent, nan, nan, False)
+    if not parts.any():
+        return Difference(percent, percent, percent, bool(percent))
+    freedom = parts.sum() ** 2 / (parts**2 / [ours.runs - 1, theirs.runs - 1]).sum()
+    spread = stdtrit(freedom, QUANTILE) ** 2 * parts
+    # |ours - ratio * theirs| is within t standard errors: a quadratic in the ratio.
+    a, b = theirs.mean**2 - spread[1], -2 * ours.mean * theirs.mean
+    if a <= 0:
+        return Difference(percent, nan, nan, False)
+    root = np.sqrt(b**2 - 4 * a * (ours.mean**2 - spread[0]))
+    low, high = (float(100 * ((-b + sign * root) / (2 * a) - 1)) for sign in (-1, 1))
+    return Difference(percent, low, high, low > 0 or high < 0)
+
+
+def wilson_interval(successes: int, runs: int) -> tuple[float, float]:
+    """Bound a success rate with 95 % confidence; 0 and 1 get a width too.
+
+    The score interval of Wilson 1927, "Probable inference, the law of succession, and statistical
+    inference", https://doi.org/10.1080/01621459.1927.10502953.
+
+    Raises:
+        InputError: no runs.
+    """
+    if runs < 1:
+        raise InputError("a success rate needs at least one run")
+    rate, shrinkage = successes / runs, NORMAL_95**2 / runs
+    centre = (rate + shrinkage / 2) / (1 + shrinkage)
+    width = math.sqrt(rate * (1 - rate) * shrinkage + shrinkage**2 / 4) / (1 + shrinkage)
+    return max(0.0, centre - width), min(1.0, centre + width)
