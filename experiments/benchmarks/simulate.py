@@ -20,7 +20,8 @@ from qdenv.domains.base import find_domain
 from qdenv.io.files import write_json
 from qdenv.io.layouts import read_layout
 from qdenv.io.records import read_json
-from qdenv.repair.recipe import RepairConfig, repair_layout
+from qdenv.repair.recipe import repair_layout
+from qdenv.repair.settings import RepairConfig
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study.engine import Simulated, auditor, run_seeds
 from qdenv.study.ledger import DRIVERS

@@ -15,7 +15,7 @@ class MilpLimits(NamedTuple):
     """When the solver works on a whole layout, and how long; deterministic."""
 
     node_limit: int  # branch-and-bound nodes of one solve
-    # times the solver may ask whether to go on, which it does once per round of its work
+    # offers to interrupt a solve, one per round of its work, after which it ends
     interrupt_budget: int
     rounds: int  # solves, each with more connectivity cuts
     max_gap_to_branch: float  # relative gap of the relaxation beyond which branching would not pay
@@ -37,7 +37,7 @@ class Effort(NamedTuple):
     moves_per_cell: int  # annealing moves per free cell
     # limits of the solver on windows; None where it solves none
     windows: WindowLimits | None = None
-    # limits of the solver on the whole layout; None where it is not asked
+    # limits of the solver on the whole layout; None where it does not work on it
     milp: MilpLimits | None = None
 
 
@@ -79,14 +79,10 @@ class RepairConfig(Ranged):
     workers: NonNegativeInt | None = None
 
     def __post_init__(self) -> None:
-        """Reject a polish that does not exist; 0 leaves a number out."""
+        """Refuse an unknown polish."""
         super().__post_init__()
         if self.polish not in EFFORTS:
             raise InputError(f"polish {self.polish!r} must be one of {', '.join(EFFORTS)}")
-        # Runs saved by the first version say 0 where nothing was chosen.
-        for name in ("moves_per_cell", "node_limit", "workers"):
-            if getattr(self, name) == 0:
-                object.__setattr__(self, name, None)
 
     @property
     def effort(self) -> Effort:
@@ -99,5 +95,5 @@ class RepairConfig(Ranged):
         return effort
 
     def count_moves(self, cells: int) -> int:
-        """Count the annealing moves for layouts of so many free cells."""
+        """Return the number of annealing moves for a number of free cells."""
         return max(cells * self.effort.moves_per_cell, MIN_MOVES)
