@@ -72,7 +72,7 @@ def test_the_driver_runs_qdax_isoline_emitter_on_our_archive():
 
 @pytest.mark.parametrize("strategy", ["iso", "sep"])
 def test_the_driver_reaches_the_archive_of_our_own_loop_bit_for_bit(strategy):
-    config = CmaMaeConfig(emitters=3, batch=10, sigma0=0.5, strategy=strategy)
+    config = CmaMaeConfig(emitters=3, batch=10, sigma0=0.5, restart=7, strategy=strategy)
     repertoire, state, metrics = drive(CmaMaeEmitter(config, DIM, GRID), 40, first=0)
     check_elites(repertoire)
     assert int(state.emitters.restarts.sum()) > 0
