@@ -38,7 +38,7 @@ def test_a_ring_keeps_the_newest_valid_samples_each_at_its_turn(size, batch):
             oracle.append((told % size, kept))
             told += 1
         ring = adder()(ring, batch_of(names), valid)
-        assert int(ring.told) == told and int(ring.known) == len(oracle)
+        assert int(ring.added) == told and int(ring.known) == len(oracle)
         expected = np.zeros(size, int)
         for place, kept in oracle:
             expected[place] = kept
@@ -57,7 +57,7 @@ def test_what_failed_or_cannot_be_counted_is_no_sample():
     spoilt = batch._replace(numbers=numbers, usage=usage)
     ring = adder()(Ring.empty(3, SHAPE, 3), spoilt, np.arange(6) != 1)
     np.testing.assert_array_equal(ring.samples.numbers[:, 0], [1, 4, 6])
-    assert int(ring.told) == 3
+    assert int(ring.added) == 3
 
 
 @pytest.mark.parametrize("count", [0, 1, 6, 10])

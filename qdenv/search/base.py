@@ -1,4 +1,4 @@
-"""The one face of all search algorithms: `init / ask / tell` on a single pytree of state."""
+"""The interface of all search algorithms: `init / ask / tell` on a single pytree of state."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Self
@@ -22,13 +22,13 @@ class Drawing(NamedTuple):
     shape: tuple[int, int]  # rows H and columns W
     kinds: int  # kinds of tile K
     choices: int = 0  # how many tiles each parameter may name; 0 where parameters are real numbers
-    # what is drawn is changed before it is scored; `tell` is handed "repaired"
+    # what is drawn is changed before it is scored; `tell` receives "repaired"
     repairs: bool = False
-    usage: bool = False  # `tell` is handed "usage", the share of agent-steps on each cell
+    usage: bool = False  # `tell` receives "usage", the share of agent-steps on each cell
 
 
 class Problem(NamedTuple):
-    """What an algorithm knows of what it searches."""
+    """What an algorithm searches."""
 
     solution_dim: int  # P, the parameters of a solution
     measures: Sequence[Measure]  # axes of the archives
@@ -125,13 +125,13 @@ class Algorithm(NamedTuple):
     # state -> numbers by name that a run logs after each iteration; NaN where there is nothing to
     # say yet. The names never change.
     notes: Callable[[Any], Mapping[str, jax.Array]] = lambda state: {}
-    # populations that may be asked before the answers of the one before them are told; they are
-    # told in the order in which they were asked
+    # populations that may be drawn before the scores of the one before them are known; `tell`
+    # receives them in the order in which `ask` drew them
     ahead: int = 0
 
 
 def received(solutions: Array, score: Score) -> tuple[jax.Array, Score]:
-    """Take in what `tell` is handed; only rows an algorithm may learn from stay a success.
+    """Check the arguments of `tell`; only rows an algorithm may learn from stay a success.
 
     Args:
         solutions: float [B, P].
@@ -158,7 +158,7 @@ def received(solutions: Array, score: Score) -> tuple[jax.Array, Score]:
 
 
 def start_solution(x0: Array | None, solution_dim: int) -> jax.Array:
-    """Give the solution the search starts from, float [P]: `x0`, or zeros where it is None.
+    """Return the solution the search starts from, float [P]: `x0`, or zeros where it is None.
 
     Raises:
         InputError: the dimension is not positive, or `x0` has another shape or is not finite.
@@ -174,7 +174,7 @@ def start_solution(x0: Array | None, solution_dim: int) -> jax.Array:
 
 
 def plain_key(key: jax.Array) -> jax.Array:
-    """Give the words of a random key, uint32 [2], so that a state is plain arrays throughout."""
+    """Return the data of a random key, uint32 [2], so that a state is plain arrays throughout."""
     return jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
 
 

@@ -85,8 +85,8 @@ def cma_mae(config: CmaMaeConfig, problem: Problem, x0: Array | None = None) -> 
 
     def ask(state: CmaMaeState) -> tuple[jax.Array, CmaMaeState]:
         key, ask_key = jax.random.split(state.key)
-        solutions, asked = emitters.ask(state.emitters, ask_key)
-        return solutions, state._replace(key=key, emitters=asked)
+        solutions, changed = emitters.ask(state.emitters, ask_key)
+        return solutions, state._replace(key=key, emitters=changed)
 
     def tell(
         state: CmaMaeState, solutions: Array, score: Score, extras: Mapping[str, Array]

@@ -271,8 +271,8 @@ class GroupsState(NamedTuple):
     """State of G groups of emitters that take turns."""
 
     groups: Any  # pytree of a group's state, leading axis G
-    asked: jax.Array  # int32, populations drawn so far
-    told: jax.Array  # int32, populations whose scores have come
+    drawn: jax.Array  # int32, populations drawn so far
+    scored: jax.Array  # int32, populations whose scores have come
 
 
 def make_groups(emitters: Emitters, groups: int) -> Emitters:
@@ -301,13 +301,13 @@ def make_groups(emitters: Emitters, groups: int) -> Emitters:
         return GroupsState(states, jnp.int32(0), jnp.int32(0))
 
     def ask(state: GroupsState, key: jax.Array) -> tuple[jax.Array, GroupsState]:
-        index = state.asked % groups
+        index = state.drawn % groups
         solutions, group = emitters.ask(take(state, index), key)
-        return solutions, put(state, index, group)._replace(asked=state.asked + 1)
+        return solutions, put(state, index, group)._replace(drawn=state.drawn + 1)
 
     def tell(state: GroupsState, *batch: Any) -> GroupsState:
-        index = state.told % groups
+        index = state.scored % groups
         group = emitters.tell(take(state, index), *batch)
-        return put(state, index, group)._replace(told=state.told + 1)
+        return put(state, index, group)._replace(scored=state.scored + 1)
 
     return Emitters(init, ask, tell)

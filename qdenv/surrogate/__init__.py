@@ -1,13 +1,9 @@
-"""The surrogate: a network that predicts what a true evaluation of a layout would say.
+"""The surrogate: a network that predicts the true evaluation of a layout.
 
-    settings       what a user may choose
-    convolution    a convolution whose gradients are fast inside compiled loops
-    networks       maps from maps, numbers from maps
-    losses         what they make small
-    samples        true evaluations, the newest kept
-    training       one network after the other, each by Adam
-    surrogate      `Surrogate`: init, fit, predict
-    report         its losses and errors, as runs log them
+    settings     what a user may choose
+    networks     maps from maps, numbers from maps; a convolution fast in compiled loops
+    samples      true evaluations, the newest in a ring
+    surrogate    `Surrogate`: init, fit, predict; losses, learning, the report of its errors
 
-Nothing here knows what a layout means or who asks.
+Nothing here knows what a layout means.
 """

@@ -1,4 +1,8 @@
-"""A convolution whose gradients are fast inside compiled loops on a CPU, too."""
+"""The surrogate's networks: maps from maps, numbers from maps, on a convolution of their own.
+
+Bhatt, Tjanaka, Fontaine and Nikolaidis 2022, "Deep surrogate assisted generation of environments",
+https://arxiv.org/abs/2206.04199, with the sizes that Zhang et al. 2023 state.
+"""
 
 import functools
 

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 
 
 class Samples(NamedTuple):
-    """What is known of N layouts."""
+    """True evaluations of N layouts."""
 
     drawn: jax.Array  # int8 [N, H, W], before the repair
     repaired: jax.Array  # int8 [N, H, W]
-    # float16 [N, H, W], share of agent-steps on each cell; zeros where nobody says
+    # float16 [N, H, W], share of agent-steps on each cell; zeros where it is not recorded
     usage: jax.Array
     numbers: jax.Array  # float32 [N, heads], objective, result objective, measures
 
@@ -20,7 +20,7 @@ class Ring(NamedTuple):
     """The newest samples."""
 
     samples: Samples  # with leading axis N; those from `known` on are blank while it is not full
-    told: jax.Array  # int32, samples ever added
+    added: jax.Array  # int32, samples ever added
 
     @classmethod
     def empty(cls, size: int, shape: tuple[int, int], heads: int) -> Self:
@@ -36,18 +36,19 @@ class Ring(NamedTuple):
 
     @property
     def known(self) -> jax.Array:
-        """How many samples there are (int32)."""
-        return jnp.minimum(self.told, self.samples.numbers.shape[0])
+        """Return the number of samples (int32)."""
+        return jnp.minimum(self.added, self.samples.numbers.shape[0])
 
     def add(self, batch: Samples, valid: jax.Array) -> Self:
         """Add the samples of a batch [B, ...] that are `valid` (bool [B]), over the oldest.
 
-        Samples whose usage or numbers are not finite are none: no network would recover from them.
+        Samples whose usage or numbers are not finite are left out: no network would recover from
+        them.
         """
         valid &= jnp.isfinite(batch.usage).all(axis=(1, 2))
         valid &= jnp.isfinite(batch.numbers).all(axis=-1)
         size = self.samples.numbers.shape[0]
-        place = (self.told + jnp.cumsum(valid) - 1) % size
+        place = (self.added + jnp.cumsum(valid) - 1) % size
         # Of a batch longer than the ring the last remain.
         newest = valid & (jnp.cumsum(valid[::-1])[::-1] <= size)
         target = jnp.where(newest, place, size)  # others: out of bounds
@@ -56,7 +57,7 @@ class Ring(NamedTuple):
             self.samples,
             batch,
         )
-        return self._replace(samples=samples, told=self.told + valid.sum(dtype=jnp.int32))
+        return self._replace(samples=samples, added=self.added + valid.sum(dtype=jnp.int32))
 
 
 def spread_of(numbers: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,4 +1,10 @@
-"""What the surrogate's networks make small, as published."""
+"""The surrogate as a record of functions: init, fit, predict; its losses, its learning, its report.
+
+Three networks in a row, each learnt while those before it stand still (the surrogate of Zhang et
+al. 2023, after Bhatt et al. 2022, https://arxiv.org/abs/2206.04199): the repaired map from the
+drawn one, the tile usage from that, objective and measures from both. What a domain does not have,
+a repair or a usage map, is left out.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -15,7 +21,7 @@ from qdenv.types import InputError, Measure, Score
 
 def map_loss(logits: jax.Array, tiles: jax.Array) -> jax.Array:
     """Average the cross entropy of tiles int8 [B, H, W] under logits [B, H, W, K]."""
-    # The gradient of looking a label up is a scatter: XLA takes seconds to compile it, and says so.
+    # The gradient of looking a label up is a scatter: XLA takes seconds to compile it, and warns.
     return optax.softmax_cross_entropy(logits, jax.nn.one_hot(tiles, logits.shape[-1])).mean()
 
 
@@ -115,17 +121,17 @@ STAGES = ("repair", "usage", "score")
 
 
 class Aspect(NamedTuple):
-    """What the surrogate sees of layouts."""
+    """The inputs and outputs of a surrogate."""
 
     shape: tuple[int, int]  # rows H and columns W
     kinds: int  # kinds of tile K
     measures: int  # how many measures are predicted
     repairs: bool = True  # layouts are repaired before they are simulated
-    usage: bool = True  # samples say how much each cell is used
+    usage: bool = True  # samples hold how much each cell is used
 
 
 def stages_of(aspect: Aspect) -> list[str]:
-    """List the networks that there are, in the order in which they learn."""
+    """List the networks of a surrogate, in the order in which they learn."""
     present = {"repair": aspect.repairs, "usage": aspect.usage, "score": True}
     return [name for name in STAGES if present[name]]
 
@@ -139,7 +145,7 @@ class Chain(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """What the surrogate has learnt; one pytree."""
+    """A fitted surrogate; one pytree."""
 
     learners: dict[str, Learner]  # its networks, by the names of `STAGES` that there are
     centre: jax.Array  # float32 [heads], what is subtracted from objective and measures
@@ -148,7 +154,7 @@ class Fitted(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """What the surrogate says of layouts."""
+    """Predictions for layouts."""
 
     score: Score  # `Score` with leading axis B; a success where every number is finite
     repaired: jax.Array  # int8 [B, H, W]
@@ -158,12 +164,12 @@ class Prediction(NamedTuple):
 class Surrogate(NamedTuple):
     """A surrogate of true evaluations."""
 
-    init: Callable[[jax.Array], Fitted]  # key -> `Fitted` that knows nothing; consumes the key
+    init: Callable[[jax.Array], Fitted]  # key -> untrained `Fitted`; consumes the key
     # (fitted, ring, key) -> (fitted, mean losses of each network's last epoch by the names of
     # `STAGES`); consumes the key
     fit: Callable[[Fitted, Ring, jax.Array], tuple[Fitted, dict[str, jax.Array]]]
     # (fitted, ring, key, one of `STAGES`, first epoch, the one after the last) -> (fitted, mean
-    # loss): the same in pieces, for one who waits; all with the same key
+    # loss): the same in pieces, to show progress between them; all with the same key
     fit_part: Callable[..., tuple[Fitted, jax.Array]]
     # (fitted, drawn layouts int8 [B, H, W]) -> `Prediction`
     predict: Callable[[Fitted, jax.Array], Prediction]
@@ -285,7 +291,7 @@ def _scale(ring: Ring) -> tuple[jax.Array, jax.Array]:
 
 
 class Report(NamedTuple):
-    """What was measured last."""
+    """Losses and errors, as measured last."""
 
     # float32 of each network, the mean of its last epoch; NaN before the first fit
     losses: dict[str, jax.Array]
@@ -307,7 +313,7 @@ class Report(NamedTuple):
 
 
 def blank_report(aspect: Aspect) -> Report:
-    """Make the report of a surrogate that knows nothing."""
+    """Make the report of an untrained surrogate."""
     heads = jnp.zeros(2 + aspect.measures)
     losses = {name: jnp.float32(0) for name in stages_of(aspect)}
     return Report(losses, heads, heads, jnp.float32(0))
