@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from experiments.benchmarks import browser
+from experiments.benchmarks.pages import find_browser, open_page
 
 
 @contextmanager
@@ -16,8 +16,8 @@ def opened(path: Path, width: int = 1280, height: int = 860) -> Iterator[Any]:
 
     Gives a page of Playwright; skips the test where no browser is.
     """
-    if browser.find_browser() is None:
+    if find_browser() is None:
         pytest.skip("no Chromium on this machine (Debian: apt install chromium)")
-    with browser.opened(path, width, height) as (page, complaints):
+    with open_page(path, width, height) as (page, complaints):
         yield page
     assert not complaints, complaints

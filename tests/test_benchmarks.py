@@ -1,19 +1,68 @@
-"""The benchmark of the surrogate: what it says of a preset, and what it reckons."""
+"""Benchmarks: what they compare with and estimate."""
 
 import json
+import time
 
+import numpy as np
 import pytest
 
-from experiments.benchmarks.surrogate import SIZES, Options, reckon, run, searched
+import qdenv
+from experiments.benchmarks import search
+from experiments.benchmarks.common import best_of, show
+from experiments.benchmarks.simulation import simulate
+from experiments.benchmarks.training import shortest_time
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.types import InputError
 
 
-def test_an_outer_loop_is_reckoned_from_iterations_and_steps():
-    measured = {"wall": 0.5, "cpu": 0.25}
-    result = {"inner_iteration": measured, "step": {"usage": measured, "score": measured}}
-    options = Options(inner_iterations=100, epochs=2, samples=65)  # two steps an epoch
-    assert reckon(options, result) == {"wall": 50 + 4, "cpu": 25 + 2}
+def test_the_fastest_call_counts_and_the_first_stands_apart():
+    seconds = iter([0.04, 0.01, 0.02])
+    timing = best_of(2, lambda: time.sleep(next(seconds)), items=2)
+    assert 5 <= timing["wall_ms"] < 10
+    assert timing["cpu_ms"] <= timing["worst_cpu_ms"]
+
+
+def test_a_table_has_the_numbers_and_texts_of_its_rows(capsys):
+    rows = [{"name": "a", "cost": 1234.567, "each": [1, 2]}, {"name": "b", "cost": None}]
+    assert show("costs", iter(rows)) == rows
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines == [[], ["costs"], ["name", "cost"], ["a", "1235"], ["b", "None"]]
+
+
+def test_fleets_are_compared_with_recorded_runs(tmp_path):
+    layout = qdenv.find_domain("warehouse-even").human()
+    (tmp_path / "layouts").mkdir()
+    qdenv.write_layout(tmp_path / "layouts" / "a.json", layout, ".@ew")
+    record = {"layout": "a.json", "domain": "warehouse_even", "n_agents": 5, "T": 20, "cpu_s": 4.0}
+    records = [record | {"throughput": rate, "congested": False} for rate in (0.1, 0.3)]
+    reference = tmp_path / "runs.json"
+    reference.write_text(json.dumps({"records": [*records, record | {"T": 5000}]}))
+    result = simulate(reference, planners=("low",), seeds=2, audit=True, json=tmp_path / "x.json")
+    assert json.loads((tmp_path / "x.json").read_text()) == result
+    (row,) = result["fleets"]
+    own = [
+        qdenv.simulate_layout(layout, "warehouse-even", 5, 20, f"{seed},", effort="low")
+        for seed in range(2)
+    ]
+    assert row["throughputs"] == [runs["mean_of_all"] for runs in own]
+    assert row["C++"] == pytest.approx(0.2) and row["broken"] == 0
+    assert row["ratio"] == pytest.approx(row["throughput"] / 0.2)
+    assert row["cpu ratio"] == 4.0 / row["cpu_s"]
+    reference.write_text('{"records": [{}]}')
+    with pytest.raises(qdenv.InputError, match="no file of recorded runs"):
+        simulate(reference)
+
+
+def test_the_shortest_time_of_a_cluster_counts_its_waits():
+    lengths = [[1.0, 3.0], [1.0, 1.0]]
+    assert shortest_time(np.array(lengths), workers=2, ahead=0) == 4.0
+    assert shortest_time(np.array(lengths), workers=2, ahead=1) == 3.0
+
+
+def test_an_outer_loop_is_estimated_from_iterations_and_steps():
+    rows = [{"cpu_ms": 250.0, "wall_ms": 500.0}] * 3
+    hours = search.outer_loop_hours(rows, 100, epochs=2, samples=65)  # two steps an epoch
+    assert hours["wall"] * 3600 == pytest.approx(50 + 4)
+    assert hours["cpu"] * 3600 == pytest.approx(25 + 2)
 
 
 @pytest.mark.parametrize(
@@ -23,24 +72,20 @@ def test_an_outer_loop_is_reckoned_from_iterations_and_steps():
         ("maze-walls", (18, 18), 2, False, 256),
     ],
 )
-def test_a_preset_says_what_is_searched(preset, shape, kinds, repairs, size):
-    problem = searched(preset)
+def test_a_preset_decides_what_is_searched(preset, shape, kinds, repairs, size):
+    problem = search.search_problem(preset)
     drawing = problem.drawing
     assert (drawing.shape, drawing.kinds, drawing.repairs) == (shape, kinds, repairs)
     assert problem.solution_dim == size and len(problem.measures) == 2
 
 
-def test_everything_is_measured_and_written(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(SIZES, "small", SurrogateConfig(channels=1, blocks=0))
-    file = tmp_path / "surrogate.json"
-    run(Options(preset="maze-quick", timed=1, repeats=1), file)
-    result = json.loads(file.read_text())
-    assert result["parameters"].keys() == result["step"].keys()
-    spent = [result["inner_iteration"], *result["step"].values(), result["outer_loop"]]
-    assert all(row["wall"] > 0 and row["cpu"] > 0 for row in spent)
-    assert result["peak_bytes"] > 2**20 and "outer loop of 10,000" in capsys.readouterr().out
-
-
-def test_an_unknown_preset_is_refused():
-    with pytest.raises(InputError, match="unknown preset"):
-        searched("no-such-preset")
+def test_every_network_of_a_surrogate_is_timed(tmp_path, monkeypatch):
+    tiny = SurrogateConfig(channels=1, blocks=0)
+    monkeypatch.setitem(search.SURROGATES, "small", tiny)
+    result = search.surrogate(preset="maze-quick", rounds=1, repeats=1, json=tmp_path / "x.json")
+    assert json.loads((tmp_path / "x.json").read_text()) == result
+    loops = [row["loop"] for row in result["timings"]]
+    assert loops == ["inner iteration", "training step, usage", "training step, score"]
+    assert all(row["cpu_ms"] > 0 and row["first_cpu_s"] > 0 for row in result["timings"])
+    with pytest.raises(qdenv.InputError, match="unknown preset"):
+        search.surrogate(preset="no-such-preset")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from browser import opened
 
-from experiments.benchmarks.browser import find_browser
-from experiments.benchmarks.pages import run
+from experiments.benchmarks.pages import find_browser
+from experiments.benchmarks.pages import pages as measure_pages
 from qdenv.types import InputError
 from qdenv.view import page as pages
 from qdenv.view.page import make_page, pack
@@ -60,8 +60,9 @@ def test_the_benchmark_of_pages_reports_size_paint_and_frames(tmp_path):
     if find_browser() is None:
         pytest.skip("no Chromium on this machine (Debian: apt install chromium)")
     page = make_page("page", "A page", facts={"long": "x" * 10_000}).save(tmp_path / "page.html")
-    (row,) = run((page,), seconds=0.3, repeats=1, json_file=tmp_path / "pages.json")
+    result = measure_pages((page,), seconds=0.3, repeats=1, json=tmp_path / "pages.json")
+    (row,) = result["pages"]
     assert row["megabytes"] == page.stat().st_size / 1e6
     assert row["complaints"] == [] and row["loaded_ms"] > 0
     assert 5 < row["frames_per_second"] < 200
-    assert json.loads((tmp_path / "pages.json").read_text()) == [row]
+    assert json.loads((tmp_path / "pages.json").read_text()) == result

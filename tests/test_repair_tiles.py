@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.benchmarks.layouts import FLEETS, SIZE, mutated_tiles, random_tiles, rules_at_size
+from experiments.benchmarks.repair import FLEETS, SIZE, mutated_tiles, random_tiles, rules_at_size
 from qdenv.repair.anneal.loop import anneal
 from qdenv.repair.audit import audit
 from qdenv.repair.pool import RepairPool

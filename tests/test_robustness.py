@@ -1,73 +1,72 @@
-"""The campaign: every attempt can be repeated, every broken promise is told and counted."""
+"""The campaign repeats every attempt and reports every broken promise; its checkers find faults."""
 
 import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
-from robustness import audits, campaign, repairs
-from robustness.attack import Attack, Attempt
+from robustness import campaign, fleets, repairs
+from robustness.campaign import Attack, Attempt
 
-from qdenv.domains.base import find_domain
-from qdenv.repair.recipe import repair_layout
+import qdenv
 from qdenv.repair.rules import Facts
 from qdenv.repair.settings import RepairConfig
-from qdenv.types import InputError, RepairStatus
+from qdenv.types import RepairStatus
 
 
-def planted(chance: np.random.Generator, folder: Path) -> Attempt:
-    """Break a promise where the die shows six, and leave something in the folder."""
+def throw_die(rng: np.random.Generator, folder: Path) -> Attempt:
+    """Break a promise if the die shows six, and leave a file in the folder."""
     assert not list(folder.iterdir())
     folder.joinpath("left").touch()
-    die = int(chance.integers(1, 7))
-    return Attempt(die, ("the die shows six",) if die == 6 else (), {"throws": 1})
+    die = int(rng.integers(1, 7))
+    return Attempt(die, ["the die shows six"] * (die == 6), {"throws": 1})
 
 
-PLANTED = Attack("dice", "no six", "pips", planted)
-HARMLESS = Attack("calm", "nothing happens", "breaths", lambda chance, folder: Attempt(1))
+def tire(rng: np.random.Generator, folder: Path) -> Attempt:
+    if rng.random() < 0.2:
+        raise KeyboardInterrupt
+    return Attempt(1)
 
 
-@pytest.fixture
+DICE = Attack("dice", "no six", "pips", throw_die)
+CALM = Attack("calm", "nothing happens", "breaths", lambda rng, folder: Attempt(1))
+TIRED = CALM._replace(name="tired", attempt=tire)
+
+
+@pytest.fixture(autouse=True)
 def attacks(monkeypatch):
-    monkeypatch.setattr(campaign, "ATTACKS", (PLANTED, HARMLESS))
+    monkeypatch.setattr(campaign, "all_attacks", lambda: [DICE, CALM, TIRED])
 
 
-def first_six(seed: int) -> int:
-    """Number the first attempt of the dice that breaks the promise."""
-    tally = campaign.Tally(PLANTED)
-    while not tally.faults:
-        campaign.attack_once(tally, seed, tally.attempts)
-    return tally.faults[0][0]
+def attack(attack: Attack, seed: int, numbers: range) -> dict:
+    row = campaign.new_row(attack)
+    for number in numbers:
+        campaign.attack_once(attack, row, seed, number)
+    return row
 
 
-def test_the_table_counts_what_was_tried_and_its_file_says_the_same(attacks, tmp_path, capsys):
+def test_the_table_and_the_file_count_the_attempts(tmp_path, capsys):
     counts = tmp_path / "counts.json"
-    result = campaign.run(minutes=0, seed=3, only=("calm",), json_file=counts)
+    result = campaign.run(minutes=0, seed=3, only=("calm",), json=counts)
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "seed 3: calm"
-    assert printed[1].split()[:5] == ["calm", "1", "breaths", "no", "fault"]
+    assert printed[1].split()[:5] == ["calm", "1", "breaths", "no", "faults"]
     assert json.loads(counts.read_text()) == result
     (row,) = result["attacks"]
     assert (row["attempts"], row["breaths"], row["faults"]) == (1, 1, [])
 
 
-def test_an_interrupted_campaign_tells_what_it_has_counted(monkeypatch, tmp_path, capsys):
-    def tire(chance: np.random.Generator, folder: Path) -> Attempt:
-        if chance.random() < 0.2:
-            raise KeyboardInterrupt
-        return Attempt(1)
-
-    monkeypatch.setattr(campaign, "ATTACKS", (HARMLESS._replace(attempt=tire),))
-    counts = tmp_path / "counts.json"
+def test_an_interrupted_campaign_reports_its_counts(tmp_path, capsys):
     with pytest.raises(KeyboardInterrupt):
-        campaign.run(seed=1, json_file=counts)
-    (row,) = json.loads(counts.read_text())["attacks"]
+        campaign.run(seed=1, only=("tired",), json=tmp_path / "counts.json")
+    (row,) = json.loads((tmp_path / "counts.json").read_text())["attacks"]
     assert row["attempts"] == row["breaths"] > 0
     assert f"{row['breaths']} breaths" in capsys.readouterr().out
 
 
-def test_a_broken_promise_ends_with_code_1_and_the_line_that_repeats_it(attacks, capsys):
-    number = first_six(11)
+def test_a_broken_promise_ends_with_code_1_and_the_line_that_repeats_it(capsys):
+    number = attack(DICE, 11, range(100))["faults"][0]["attempt"]
     capsys.readouterr()
     with pytest.raises(SystemExit) as ended:
         campaign.run(minutes=0, seed=11, only=("dice",), first=number)
@@ -78,71 +77,68 @@ def test_a_broken_promise_ends_with_code_1_and_the_line_that_repeats_it(attacks,
     assert "1 faults" in row and "1 throws" in row
 
 
-def test_an_unknown_attack_is_refused_and_all_are_chosen_by_default(attacks):
-    with pytest.raises(InputError, match="no attack 'knives': choose from dice, calm"):
+def test_an_unknown_attack_is_refused():
+    with pytest.raises(qdenv.InputError, match="no attack 'knives': choose from dice, calm"):
         campaign.run(only=("knives",))
-    assert campaign.choose(()) == [PLANTED, HARMLESS]
 
 
 def test_the_same_seed_makes_the_same_attempt_again():
-    def outcome(number: int) -> tuple:
-        tally = campaign.Tally(repairs.REPAIRS)
-        campaign.attack_once(tally, 2, number)
-        return tally.count, tally.faults, dict(tally.notes)
-
-    assert [outcome(number) for number in range(4)] == [outcome(number) for number in range(4)]
+    first, second = (attack(repairs.REPAIRS, 2, range(3)) for _ in range(2))
+    assert first | {"seconds": 0} == second | {"seconds": 0}
     tasks = [repairs.draw_task(np.random.default_rng([2, number])) for number in range(40)]
     assert len({task.layout.tobytes() for task in tasks}) == 40
-    assert {task.name.split()[0] for task in tasks} == set(repairs.KINDS)
+    assert {task.name.split()[0] for task in tasks} == set(repairs.DOMAINS)
 
 
-def test_what_is_wrong_with_a_repair_is_named():
+def test_faults_of_a_repair_are_found():
     task = repairs.draw_task(np.random.default_rng(1))
-    broken = repairs.examine(task, task.layout, cost=3.0, bound=4.0)
-    assert [fault.split()[0] for fault in broken[-2:]] == ["a", "the"]
-    assert any("infeasible" in fault for fault in broken)
-    says = repairs.contradictions
-    assert says(RepairStatus.FAILED, np.inf, "none", np.inf)
-    assert says(RepairStatus.IMPOSSIBLE, np.inf, "found", 3.0)
-    assert says(RepairStatus.OPTIMAL, 4.0, "found", 3.0)
-    assert says(RepairStatus.ANNEALED, 4.0, "none", np.inf)
-    assert says(RepairStatus.ANNEALED, 2.0, "found", 3.0)
-    assert not says(RepairStatus.ANNEALED, 4.0, "found", 3.0)
-    assert not says(RepairStatus.IMPOSSIBLE, np.inf, "none", np.inf)
-    assert not says(RepairStatus.FAILED, np.inf, "unknown", 0.0)
+    *infeasible, cost, bound = repairs.faults_of(task, task.layout, cost=3.0, bound=4.0)
+    assert infeasible and cost.startswith("cost 3.0") and bound.startswith("lower bound")
+    status = RepairStatus
+    for contradiction in (
+        (status.FAILED, np.inf, "none", np.inf),
+        (status.IMPOSSIBLE, np.inf, "found", 3.0),
+        (status.OPTIMAL, 4.0, "found", 3.0),
+        (status.ANNEALED, 4.0, "none", np.inf),
+        (status.ANNEALED, 2.0, "found", 3.0),
+    ):
+        assert repairs.contradictions(*contradiction)
+    assert not repairs.contradictions(status.ANNEALED, 4.0, "found", 3.0)
+    assert not repairs.contradictions(status.IMPOSSIBLE, np.inf, "none", np.inf)
+    assert not repairs.contradictions(status.FAILED, np.inf, "unknown", 0.0)
 
 
-def test_the_exact_program_finds_the_cheapest_layout_and_refutes():
-    domain, rng = find_domain("warehouse-even"), np.random.default_rng(5)
-    layout = np.asarray(repairs._draw_layout(rng, domain.resized(6, 6).rules()))
-    for shelves, exists in ((5, True), (7, True), (9, False)):
-        rules = domain.resized(6, 6, {"shelves": shelves}).rules()
-        verdict, cost = repairs.solve_exactly(layout, Facts(rules))
-        best = repair_layout(layout, rules, 0, RepairConfig("full"))
-        assert verdict == ("found" if exists else "none")
-        assert best.status == (RepairStatus.OPTIMAL if exists else RepairStatus.IMPOSSIBLE)
-        assert cost == best.cost
+@pytest.mark.parametrize(("shelves", "exists"), [(5, True), (9, False)])
+def test_the_exact_program_finds_the_cheapest_layout_or_none(shelves, exists):
+    rules = qdenv.find_domain("warehouse-even").resized(6, 6, {"shelves": shelves}).rules()
+    layout = np.random.default_rng(5).integers(0, 4, (6, 6)).astype(np.int8)
+    verdict, cost = repairs.solve_exactly(layout, Facts(rules))
+    best = qdenv.repair_layout(layout, rules, 0, RepairConfig("full"))
+    assert verdict == ("found" if exists else "none")
+    assert best.status == (RepairStatus.OPTIMAL if exists else RepairStatus.IMPOSSIBLE)
+    assert cost == best.cost
 
 
 def test_a_fixed_shelf_that_nothing_serves_is_no_layout_to_the_exact_program():
-    rules = find_domain("warehouse-even").resized(3, 9, {"shelves": 1}).rules()
+    rules = qdenv.find_domain("warehouse-even").resized(3, 9, {"shelves": 1}).rules()
     allowed = rules.allowed.copy()
     for cell, tile in {(2, 2): "@", (1, 2): ".", (2, 3): "."}.items():
         allowed[cell] = np.arange(4) == rules.tiles.index(tile)
     rules, layout = rules._replace(allowed=allowed), np.zeros((3, 9), np.int8)
     assert repairs.solve_exactly(layout, Facts(rules))[0] == "none"
-    assert repair_layout(layout, rules).status == RepairStatus.IMPOSSIBLE
+    assert qdenv.repair_layout(layout, rules).status == RepairStatus.IMPOSSIBLE
 
 
 def test_fleets_are_audited_in_both_backends_and_a_wrong_step_is_found(monkeypatch):
-    monkeypatch.setattr(audits, "DRIVERS", {"pibt": audits.DRIVERS["pibt"]})
-    monkeypatch.setattr(audits, "TWIN_SHARE", 1.0)
-    monkeypatch.setattr(audits, "NAMES", ("services",))
-    tally = campaign.Tally(audits.AUDITS)
-    for number in range(2):
-        campaign.attack_once(tally, 4, number)
-    assert tally.faults == [] and tally.notes["runs in both backends"] == 2 * audits.RUNS
-    assert tally.count > audits.TIMESTEPS * tally.notes["runs"]
-    monkeypatch.setattr(audits, "audit", lambda *_: ["t=1: two agents on cell 3"])
-    found = audits.attempt(np.random.default_rng([4, 0, *b"audits"]), Path())
-    assert len(found.faults) >= audits.RUNS and "two agents" in found.faults[0]
+    monkeypatch.setattr(fleets, "PLANNERS", {"pibt": fleets.PLANNERS["pibt"]})
+    monkeypatch.setattr(fleets, "XLA_SHARE", 1.0)
+    monkeypatch.setattr(fleets, "RULES", ("services",))
+    row = attack(fleets.AUDITS, 4, range(1))
+    assert row["faults"] == []
+    runs = 2 * fleets.RUNS
+    both = {"runs": runs, "runs in both backends": fleets.RUNS, "pibt": fleets.RUNS}
+    assert row["notes"] == Counter(both)
+    assert row["agent-steps"] >= fleets.TIMESTEPS * runs
+    monkeypatch.setattr(fleets, "audit", lambda *_: ["t=1: two agents on cell 3"])
+    faults = fleets.attempt(np.random.default_rng([4, 0, *b"audits"]), Path()).faults
+    assert len(faults) == runs and "two agents" in faults[0]

@@ -1,1 +1,1 @@
-"""Benchmarks: `python -m experiments.benchmarks NAME --json FILE`."""
+"""Benchmarks, run as `python -m experiments.benchmarks NAME [--json FILE]`."""

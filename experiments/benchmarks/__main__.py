@@ -1,38 +1,37 @@
-"""Run a benchmark: `python -m experiments.benchmarks NAME [--json FILE]`."""
+"""Run a benchmark: `python -m experiments.benchmarks NAME [OPTIONS] [--json FILE]`."""
 
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from qdenv import interrupt
-
-if __name__ == "__main__":
-    interrupt.watch("python -m experiments.benchmarks")
-
 import importlib
 import sys
 
 from qdenv.commands.parsing import run_program
-from qdenv.progress import Bar
 
-BENCHMARKS = (
-    *("pipeline", "simulate", "repair", "search", "maze", "scale", "surrogate"),
-    *("pages", "executors"),
-)
+PROGRAM = "python -m experiments.benchmarks"
+# Name of a benchmark, which is a function of that name -> its module.
+BENCHMARKS = {
+    "pipeline": "training",
+    "simulate": "simulation",
+    "repair": "repair",
+    "search": "search",
+    "maze": "simulation",
+    "scale": "simulation",
+    "surrogate": "search",
+    "pages": "pages",
+    "executors": "training",
+}
 
 
 def main() -> int:
-    """Run the benchmark named on the command line; each has a `run` with its own options."""
-    if len(sys.argv) < 2 or sys.argv[1] not in BENCHMARKS:
-        print(
-            f"qdenv: usage: python -m experiments.benchmarks {{{','.join(BENCHMARKS)}}}",
-            file=sys.stderr,
-        )
+    """Run the benchmark named on the command line and return the exit code."""
+    name = sys.argv[1] if len(sys.argv) > 1 else ""
+    if name not in BENCHMARKS:
+        print(f"qdenv: usage: {PROGRAM} {{{','.join(BENCHMARKS)}}}", file=sys.stderr)
         return 2
-    name = sys.argv[1]
-    benchmark = importlib.import_module(f"experiments.benchmarks.{name}").run
-    with Bar(f"measuring: {name}"):
-        return run_program(benchmark, f"python -m experiments.benchmarks {name}", sys.argv[2:])
+    module = importlib.import_module(f"experiments.benchmarks.{BENCHMARKS[name]}")
+    return run_program(getattr(module, name), f"{PROGRAM} {name}", sys.argv[2:])
 
 
 if __name__ == "__main__":

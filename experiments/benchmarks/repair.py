@@ -1,234 +1,193 @@
-"""Benchmark of the repair: one-tile, grown and hard layouts, whole batches, files of your own."""
+"""Benchmark of the repair, and the layouts that benchmarks and tests repair."""
 
-import resource
-import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any
+from statistics import mean, median
 
+import jax
 import numpy as np
-import tyro
 
-from experiments.benchmarks.layouts import (
-    DOMAINS,
-    EVAL_SIZE,
-    FLEETS,
-    KERNELS,
-    SIZE,
-    Case,
-    grow_large,
-    grow_random,
-    hard_layouts,
-    layouts_at_size,
-    mutated_tiles,
-    random_tiles,
-    read_unrepaired,
-    rules_at_size,
-)
-from qdenv.io.files import write_json
-from qdenv.repair.audit import audit
-from qdenv.repair.pool import RepairPool
-from qdenv.repair.recipe import repair_layout
+import qdenv
+from experiments.benchmarks.common import Row, Stopwatch, save, show
 from qdenv.repair.settings import Polish, RepairConfig
 from qdenv.types import RepairStatus, Rules
 
-SMALL = (17, 16)  # of the preset `quick`
-# Changed tiles of earlier measurements: annealing with 3e6 moves in C++, then HiGHS for 2.5 s.
-BEFORE = {
-    "warehouse_even_nca_a5_unrepaired": 32,
-    "warehouse_uneven_nca_a5_unrepaired": 147,
-    "manufacturing_nca_a5_unrepaired": 147,
-    "warehouse_eval_unrepaired": 1266,
-    "manufacturing_eval_unrepaired": 1716,
-    "warehouse all '.'": 325,
-    "warehouse all 'e'": 241,
-    "warehouse all '@'": 816,
-    "manufacturing all '0'": 417,
-    "manufacturing all 'e'": 262,
-}
+SMALL, SIZE, EVAL_SIZE = (17, 16), (33, 36), (101, 102)  # of the preset `quick`, S, S_eval
+FLEETS = ("warehouse-even", "warehouse-uneven", "manufacturing")
+DOMAINS = ("warehouse-even", "manufacturing")  # whose rules differ
+KERNELS = (3, 3, 3)
 
 
-@dataclass(frozen=True)
-class Options:
-    """What to repair, and how often."""
-
-    # unrepaired layout files to measure as well, of size S or larger
-    layouts: tuple[Path, ...] = ()
-    polish: tuple[Polish, ...] = ("quick", "full")  # levels to measure
-    random: int = 20  # random generators per domain, weights from N(0, 0.2^2)
-    kernel_sizes: tuple[int, ...] = KERNELS  # of the random generators
-    # noise, stripes, pockets and one-tile layouts per domain, annealed and audited
-    hard: int = 1000
-    population: int = 50  # layouts repaired in one call, 0 for none
-    # random tile maps per domain and size, and mutations of them, as a search of tiles asks for; a
-    # tenth of them at S_eval
-    tiles: int = 50
-    # layouts of size S_eval as well: the given ones, else one grown per domain
-    eval_size: bool = True
-    seeds: int = 2  # repairs of each layout
-
-
-def run(
-    options: Annotated[Options, tyro.conf.arg(name="")],
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
-) -> dict[str, Any]:
-    """Repair and audit everything; CPU seconds, Hamming distances, bounds, failures.
+def repair(
+    layouts: tuple[Path, ...] = (),
+    polish: tuple[Polish, ...] = ("quick", "full"),
+    random: int = 20,
+    hard: int = 1000,
+    population: int = 50,
+    tiles: int = 50,
+    eval_size: bool = True,
+    json: Path | None = None,
+) -> Row:
+    """Repair and audit files, layouts of one tile, of random automata and of random tiles.
 
     Args:
-        options: what to repair, and how often.
-        json_file: where to write the result.
+        layouts: unrepaired layout files.
+        polish: levels to measure.
+        random: number of random automata per domain.
+        hard: number of layouts of noise, stripes, pockets and one tile per domain, annealed only.
+        population: number of layouts repaired in one call; 0 for none.
+        tiles: number of random tile maps, and of mutations of them, per domain and size, as a
+            search of tiles repairs; a tenth of them at S_eval.
+        eval_size: also repair layouts of size S_eval.
+        json: file of the result.
     """
-    warm_up()
-    given = [read_unrepaired(path) for path in options.layouts]
-    if not given:
-        print("no --layouts given: hand-made and grown layouts only")
-    small = [case for case in given if case.layout.shape == SIZE]
-    large = [case for case in given if case.layout.shape != SIZE]
-    result: dict[str, Any] = {"layouts": []}
-    for case in (*small, *layouts_at_size(options.random, options.kernel_sizes)):
-        for level in options.polish:
-            result["layouts"].append(measure(case, RepairConfig(level), options.seeds))
-    result["summary"] = [summarise(result["layouts"], level) for level in options.polish]
-    if options.eval_size:
-        cases = large or [grow_large(kind) for kind in DOMAINS]
-        result["eval_size"] = [
-            measure(case, RepairConfig(level), 1) for case in cases for level in options.polish
-        ]
-    elif large:
-        print(f"left out without --eval-size: {', '.join(case.name for case in large)}")
-    if options.population:
-        result["population"] = [measure_population(kind, options.population) for kind in DOMAINS]
-    if options.hard:
-        result["hard"] = [count_failures(kind, options.hard) for kind in DOMAINS]
-    if options.tiles:
-        shapes = (SMALL, SIZE, EVAL_SIZE) if options.eval_size else (SMALL, SIZE)
-        result["tiles"] = [
-            row
-            for shape in shapes
-            for kind in FLEETS
-            for row in compare_tiles(kind, shape, options.tiles)
-        ]
-    result["peak_megabytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
-    if json_file:
-        write_json(json_file, result)
-    for section in ("summary", "population", "tiles", "hard", "peak_megabytes"):
-        print(section, result.get(section))
-    return result
+    sizes = (SMALL, SIZE, EVAL_SIZE) if eval_size else (SMALL, SIZE)
+    qdenv.repair_layout(np.zeros((3, 6), np.int8), rules_at_size(DOMAINS[0], (3, 6)))  # compiles
+
+    def rows() -> Iterator[Row]:
+        plans = map(qdenv.read_plan, layouts)
+        groups = [(plan.name, plan.domain.name, [plan.layout]) for plan in plans]
+        groups += one_tile_layouts()
+        for kind in DOMAINS:
+            groups += [(f"{kind} random", kind, grow_random(kind, random))] * bool(random)
+            groups += [(f"{kind} S_eval", kind, grow_random(kind, 1, shape=EVAL_SIZE))] * eval_size
+        for (name, kind, group), level in product(groups, polish):
+            seeds = 2 if group[0].shape == SIZE else 1
+            yield repair_all(name, kind, group, RepairConfig(level), seeds)[0]
+        for kind in DOMAINS if hard else ():
+            # A seventh of the moves of a search; the solver only starts from feasible layouts.
+            config = RepairConfig("none", moves_per_cell=200)
+            yield repair_all(f"{kind} hard", kind, hard_layouts(kind, hard), config)[0]
+        for shape, kind in product(sizes if tiles else (), FLEETS):
+            count = -(-tiles // 10) if shape == EVAL_SIZE else tiles
+            name, quick = f"{kind} {shape[0]}x{shape[1]}", RepairConfig()
+            group = grow_random(kind, count, shape=shape)
+            yield repair_all(f"{name} automata", kind, group, quick)[0]
+            group = random_tiles(kind, count, shape=shape)
+            row, repaired = repair_all(f"{name} random tiles", kind, group, quick)
+            yield row
+            yield repair_all(f"{name} mutated", kind, mutated_tiles(kind, repaired), quick)[0]
+
+    tables = {"repairs": show("repairs", rows())}
+    if population:
+        batches = (repair_population(kind, population) for kind in DOMAINS)
+        tables["population"] = show("a population in one call", batches)
+    return save(json, **tables)
 
 
-def warm_up() -> None:
-    """Compile the kernels, so that no measurement pays for it."""
-    repair_layout(np.zeros((3, 6), np.int8), rules_at_size(DOMAINS[0], (3, 6)))
-
-
-def measure(case: Case, config: RepairConfig, seeds: int) -> dict[str, Any]:
-    """Repair one layout from several seeds; every result is audited."""
-    shape = case.layout.shape[0], case.layout.shape[1]
-    rules = rules_at_size(case.kind, shape)
-    records = [repair_layout(case.layout, rules, seed, config) for seed in range(seeds)]
+def repair_all(
+    name: str, kind: str, layouts: Sequence[np.ndarray], config: RepairConfig, seeds: int = 1
+) -> tuple[Row, np.ndarray]:
+    """Repair layouts (int8 [B, H, W]) one by one: a row, and what the last seed repaired."""
+    rules = rules_at_size(kind, layouts[0].shape)
+    repairs = [
+        qdenv.repair_layout(layout, rules, seed, config)
+        for seed in range(seeds)
+        for layout in layouts
+    ]
+    repaired = [np.asarray(repair.layout) for repair in repairs]
+    costs = [float(repair.cost) for repair in repairs]
+    seconds = [float(repair.seconds) for repair in repairs]
+    status = [int(repair.status) for repair in repairs]
     row = {
-        "layout": case.name,
+        "layouts": name,
         "polish": config.polish,
-        "hamming": [float(record.cost) for record in records],
-        "lower_bound": max(float(record.lower_bound) for record in records),
-        "status": [RepairStatus(int(record.status)).name for record in records],
-        "cpu_seconds": [round(float(record.seconds), 2) for record in records],
-        "broken": sum(len(audit(np.asarray(record.layout), rules)) for record in records),
-        "before": BEFORE.get(case.name),
+        "repairs": len(repairs),
+        "failed": sum(number >= RepairStatus.IMPOSSIBLE for number in status),
+        "broken": sum(bool(qdenv.audit(layout, rules)) for layout in repaired),
+        "optimal": status.count(RepairStatus.OPTIMAL),
+        "changed": mean(costs),
+        "most_changed": max(costs),
+        "lower_bound": mean(float(repair.lower_bound) for repair in repairs),
+        "cpu_s": median(seconds),
+        "most_cpu_s": max(seconds),
+        "changed_each": costs,
     }
-    print(*row.values(), flush=True)
-    return row
+    return row, np.stack(repaired[-len(layouts) :])
 
 
-def summarise(rows: Sequence[dict[str, Any]], polish: str) -> dict[str, Any]:
-    """Put all layouts of one level into a few numbers."""
-    mine = [row for row in rows if row["polish"] == polish]
-    seconds = np.concatenate([row["cpu_seconds"] for row in mine])
-    known = [row for row in mine if row["before"]]
-    excess = [np.mean(row["hamming"]) / row["before"] - 1 for row in known]
-    return {
-        "polish": polish,
-        "repairs": len(seconds),
-        "broken": sum(row["broken"] for row in mine),
-        "cpu_seconds_median": float(np.median(seconds)),
-        "cpu_seconds_max": float(seconds.max()),
-        "mean_hamming": float(np.mean([row["hamming"] for row in mine])),
-        "mean_excess_over_before": float(np.mean(excess)) if known else None,
-        "proven_optimal": sum(row["status"].count("OPTIMAL") for row in mine),
-    }
-
-
-def measure_population(kind: str, count: int) -> dict[str, Any]:
-    """Repair a randomly grown population in one call."""
+def repair_population(kind: str, count: int) -> Row:
+    """Repair a population of random automata's layouts in one call, on all cores."""
     layouts = grow_random(kind, count, seed=1)
-    with RepairPool(rules_at_size(kind)) as pool:
-        cpu, wall = time.process_time(), time.perf_counter()
-        records = pool.repair(layouts)
-        cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-    return {
-        "domain": kind,
-        "layouts": count,
-        "workers": pool.workers,
-        "cpu_seconds": round(cpu, 2),
-        "wall_seconds": round(wall, 2),
-        "failed": int((records.status >= RepairStatus.IMPOSSIBLE).sum()),
-    }
+    pool = qdenv.make_pipeline(qdenv.EvaluationConfig(qdenv.find_domain(kind).config)).pool
+    with pool, Stopwatch() as watch:
+        repairs = pool.repair(layouts)
+    failed = int((repairs.status >= RepairStatus.IMPOSSIBLE).sum())
+    row = {"domain": kind, "layouts": count, "workers": pool.workers, "failed": failed}
+    return row | watch.per(count)
 
 
-def compare_tiles(kind: str, shape: tuple[int, int], count: int) -> list[dict[str, Any]]:
-    """Repair tile maps as a search of tiles draws them, beside as many grown ones."""
-    if shape == EVAL_SIZE:
-        count = -(-count // 10)
-    rules = rules_at_size(kind, shape)
-    drawn, row = random_tiles(kind, count, shape=shape), {"domain": kind, "shape": shape}
-    grown, _ = repair_all(grow_random(kind, count, shape=shape), rules)
-    first, repaired = repair_all(drawn, rules)
-    again, _ = repair_all(mutated_tiles(kind, repaired), rules)
-    named = {"grown": grown, "random tiles": first, "mutated repaired tiles": again}
-    rows = [{**row, "layouts": name, **numbers} for name, numbers in named.items()]
-    for numbers in rows:
-        print(*numbers.values(), flush=True)
-    return rows
+Group = tuple[str, str, Sequence[np.ndarray]]  # name, domain, layouts int8 [B, H, W]
 
 
-def repair_all(layouts: np.ndarray, rules: Rules) -> tuple[dict[str, Any], np.ndarray]:
-    """Repair layouts (int8 [B, H, W]) one by one; returns the figures and the repaired layouts."""
-    records = [repair_layout(layout, rules) for layout in layouts]
-    repaired = np.stack([record.layout for record in records])
-    cost, seconds = (
-        np.array([getattr(record, name) for record in records], float)
-        for name in ("cost", "seconds")
-    )
-    figures = {
-        "count": len(records),
-        "feasible": sum(not audit(layout, rules) for layout in repaired),
-        "hamming_mean": round(float(cost.mean()), 1),
-        "hamming_max": float(cost.max()),
-        "lower_bound_mean": round(float(np.mean([record.lower_bound for record in records])), 1),
-        "cpu_seconds_mean": round(float(seconds.mean()), 3),
-        "cpu_seconds_max": round(float(seconds.max()), 3),
-    }
-    return figures, repaired
+def rules_at_size(kind: str, shape: tuple[int, ...] = SIZE) -> Rules:
+    """Return the rules of a domain at one size."""
+    return qdenv.find_domain(kind).resized(*shape).rules()
 
 
-def count_failures(kind: str, count: int) -> dict[str, Any]:
-    """Anneal and audit hard layouts, with a seventh of the moves of a search.
+def one_tile_layouts() -> Iterator[Group]:
+    """Yield layouts of size S whose generated area holds a single kind of tile."""
+    for kind, tile in product(DOMAINS, ".@e0"):
+        domain = qdenv.find_domain(kind)
+        if tile in domain.generated:
+            inside = np.full(domain.generated_shape, domain.tiles.index(tile), np.int8)
+            yield f"{kind} all {tile!r}", kind, [np.asarray(domain.frame(inside))]
 
-    Without the solver, which only ever starts from a feasible layout.
-    """
-    config = RepairConfig("none", moves_per_cell=200)
-    rules, seconds, failed, broken = rules_at_size(kind), [], 0, 0
-    for layout in hard_layouts(kind, count):
-        record = repair_layout(layout, rules, 0, config)
-        failed += int(record.status >= RepairStatus.IMPOSSIBLE)
-        broken += bool(audit(np.asarray(record.layout), rules))
-        seconds.append(float(record.seconds))
-    return {
-        "domain": kind,
-        "layouts": count,
-        "failed": failed,
-        "broken": broken,
-        "cpu_seconds_median": round(float(np.median(seconds)), 3),
-        "cpu_seconds_max": round(float(np.max(seconds)), 3),
-    }
+
+def grow_random(
+    kind: str,
+    count: int,
+    kernel_sizes: tuple[int, ...] = KERNELS,
+    seed: int = 0,
+    shape: tuple[int, int] = SIZE,
+) -> np.ndarray:
+    """Grow layouts (int8 [count, H, W]) of automata with N(0, 0.2^2) weights."""
+    domain = qdenv.find_domain(kind).resized(*shape)
+    # Cells grow out of a seed, one per step: a larger canvas needs as many more (section E.3).
+    generator = qdenv.NcaConfig(round(50 * shape[0] / SIZE[0]), kernel_sizes)
+    pipeline = qdenv.make_pipeline(qdenv.EvaluationConfig(domain.config, generator))
+    weights = 0.2 * jax.random.normal(jax.random.key(seed), (count, pipeline.solution_size))
+    return np.asarray(jax.jit(pipeline.grow)(weights))
+
+
+def random_tiles(kind: str, count: int, seed: int = 0, shape: tuple[int, int] = SIZE) -> np.ndarray:
+    """Draw every generated tile uniformly (int8 [count, H, W]), as a search of tiles starts."""
+    domain, rng = qdenv.find_domain(kind).resized(*shape), np.random.default_rng(seed)
+    inside = rng.integers(len(domain.generated), size=(count, *domain.generated_shape))
+    return np.stack([domain.frame(one) for one in inside.astype(np.int8)])
+
+
+def mutated_tiles(kind: str, layouts: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Mutate one to ten tiles of each layout (int8 [count, H, W]), as a search of tiles does."""
+    domain = qdenv.find_domain(kind).resized(*layouts.shape[1:])
+    rng, mutated, (top, left) = np.random.default_rng(seed), layouts.copy(), domain.margin
+    for layout in mutated:
+        inside = layout[top : layout.shape[0] - top, left : layout.shape[1] - left]
+        cells = rng.choice(inside.size, rng.integers(1, 11), replace=False)
+        tiles = rng.integers(len(domain.generated), size=cells.size)
+        inside[np.unravel_index(cells, inside.shape)] = tiles
+    return mutated
+
+
+def hard_layouts(kind: str, count: int, seed: int = 0) -> list[np.ndarray]:
+    """Draw layouts (int8 [H, W]) far from all rules: noise, stripes, pockets, one tile."""
+    domain, rng = qdenv.find_domain(kind), np.random.default_rng(seed)
+    shape, kinds = domain.generated_shape, len(domain.generated)
+    rows, cols = np.indices(shape)
+    layouts = []
+    for index in range(count):
+        first, second = rng.choice(kinds, 2, replace=False)
+        period, slope = rng.integers(2, 7), rng.integers(-2, 3)
+        if index % 4 == 0:  # noise of any mixture
+            inside = rng.choice(kinds, shape, p=rng.dirichlet(np.ones(kinds)))
+        elif index % 4 == 1:  # stripes at any angle
+            along = (rows + slope * cols) if rng.integers(2) else cols
+            inside = np.where(along % period < rng.integers(1, period), first, second)
+        elif index % 4 == 2:  # pockets: every cell of a lattice is walled in
+            inside = np.where((rows % period == 0) | (cols % period == 0), first, second)
+        else:  # one tile with specks of another
+            specks = rng.random(shape) < rng.choice([0.0, 0.001, 0.01, 0.1])
+            inside = np.where(specks, second, first)
+        layouts.append(np.asarray(domain.frame(inside.astype(np.int8))))
+    return layouts

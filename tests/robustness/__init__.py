@@ -1,3 +1,1 @@
-"""The campaign: attacks with fresh seeds on files, runs, fleets and repairs, and their counts."""
-
-from robustness.campaign import run as run
+"""A campaign of attacks with random seeds: `python tests/robustness --minutes 10`."""

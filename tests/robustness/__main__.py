@@ -9,15 +9,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # tests import `robustness` from there, too
 
-from qdenv import interrupt
-
-if __name__ == "__main__":
-    interrupt.watch("python tests/robustness")
-
 from qdenv.commands.parsing import run_program
-from qdenv.progress import Bar
 from robustness.campaign import run
 
 if __name__ == "__main__":
-    with Bar("attacking"):
-        sys.exit(run_program(run, "python tests/robustness"))
+    sys.exit(run_program(run, "python tests/robustness"))

@@ -1,123 +1,116 @@
-"""Attack for some minutes and count: every attempt has a seed that repeats it."""
+"""The campaign: attempts to break promises with random seeds, each of which can be repeated."""
 
+import importlib
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import tyro
 
+from qdenv import InputError
 from qdenv.io.files import write_json
-from qdenv.types import InputError
-from robustness.attack import Attack, Attempt
-from robustness.catalogue import ATTACKS
 
 
-@dataclass
-class Tally:
-    """What all attempts of one attack came to."""
+class Attempt(NamedTuple):
+    """The outcome of one attempt."""
 
-    attack: Attack  # which one
-    attempts: int = 0  # how many were made
-    count: int = 0  # how much they tried, in the attack's unit
-    seconds: float = 0.0  # time they took
-    # (number of the attempt, what it broke)
-    faults: list[tuple[int, str]] = field(default_factory=list)
-    notes: Counter = field(default_factory=Counter)  # other counts
+    count: int  # how much was tried, in the attack's unit
+    faults: Sequence[str] = ()  # a line for each promise that was broken
+    notes: Mapping[str, int] = {}  # other counts by name, summed over attempts
 
-    def add(self, number: int, attempt: Attempt, seconds: float) -> None:
-        """Count one attempt."""
-        self.attempts += 1
-        self.count += attempt.count
-        self.seconds += seconds
-        self.faults += [(number, fault) for fault in attempt.faults]
-        self.notes.update(attempt.notes)
 
-    def facts(self) -> dict[str, Any]:
-        """Give the row of the table, JSON-ready."""
-        return {
-            "attack": self.attack.name,
-            "promise": self.attack.promise,
-            "attempts": self.attempts,
-            self.attack.unit: self.count,
-            "seconds": round(self.seconds, 1),
-            "notes": dict(self.notes),
-            "faults": [{"attempt": number, "fault": fault} for number, fault in self.faults],
-        }
+class Attack(NamedTuple):
+    """A kind of attempt to break a promise."""
 
-    def __str__(self) -> str:
-        """Say the row in one line."""
-        notes = "".join(f", {count:,} {name}" for name, count in sorted(self.notes.items()))
-        faults = f"{len(self.faults)} faults" if self.faults else "no fault"
-        return (
-            f"{self.attack.name:14} {self.count:>12,} {self.attack.unit:12} {faults:>10} "
-            f"in {self.seconds:5.0f} s{notes}"
-        )
+    name: str
+    promise: str
+    unit: str  # of the count, in plural
+    # (random generator, an empty folder) -> outcome. Everything random comes from the generator,
+    # so the seed of an attempt repeats it.
+    attempt: Callable[[np.random.Generator, Path], Attempt]
+
+
+# Module -> names of its attacks.
+MODULES = {
+    "inputs": ("FILES", "COMMANDS"),
+    "interruptions": ("OPERATIONS", "SIGNALS"),
+    "repairs": ("REPAIRS",),
+    "fleets": ("AUDITS",),
+}
+
+
+def all_attacks() -> list[Attack]:
+    """Return the attacks of all modules."""
+    modules = {name: importlib.import_module(f"robustness.{name}") for name in MODULES}
+    return [getattr(modules[module], name) for module in MODULES for name in MODULES[module]]
 
 
 def run(
     minutes: float = 10.0,
-    seed: Annotated[int | None, tyro.conf.arg(metavar="NUMBER")] = None,
+    seed: int | None = None,
     only: tuple[str, ...] = (),
     first: int = 0,
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json")] = None,
+    json: Path | None = None,
 ) -> dict[str, Any]:
-    """Attack with fresh seeds, each attack for an equal share of the time, and print the counts.
+    """Attack with random seeds, each attack for an equal share of the time, and print the counts.
 
-    Ends with exit code 1 if a promise was broken; the line of the fault says how to repeat it.
-    Interrupted, it prints and writes what it has counted.
+    Ends with exit code 1 if a promise was broken; the line of the fault says how to repeat it. An
+    interrupted campaign prints and writes its counts so far.
 
     Args:
-        minutes: how long all attacks last together; each makes one attempt at least.
-        seed: of the whole campaign; a fresh one unless given.
+        minutes: duration of all attacks together; each makes at least one attempt.
+        seed: of the whole campaign; a new one unless given.
         only: the names of some attacks.
         first: number of the first attempt of each.
-        json_file: where to write the counts.
-
-    Raises:
-        InputError: there is no such attack.
+        json: file of the counts.
     """
-    chosen = choose(only)
+    attacks = {attack.name: attack for attack in all_attacks()}
+    for name in only:
+        if name not in attacks:
+            raise InputError(f"there is no attack {name!r}: choose from {', '.join(attacks)}")
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-    print(f"seed {seed}: {', '.join(attack.name for attack in chosen)}", flush=True)
-    tallies = [Tally(attack) for attack in chosen]
+    rows = [new_row(attacks[name]) for name in only or attacks]
+    print(f"seed {seed}: {', '.join(row['attack'] for row in rows)}", flush=True)
     end = time.monotonic() + 60 * minutes
     try:
-        while not all(tally.attempts for tally in tallies) or time.monotonic() < end:
-            tally = min(tallies, key=lambda one: (one.attempts > 0, one.seconds))
-            attack_once(tally, seed, first + tally.attempts)
-    finally:  # what was counted before an interrupt counts
-        result = {"seed": seed, "attacks": [tally.facts() for tally in tallies]}
-        print(*tallies, sep="\n", flush=True)
-        if json_file:
-            write_json(json_file, result)
-    if any(tally.faults for tally in tallies):
+        while not all(row["attempts"] for row in rows) or time.monotonic() < end:
+            row = min(rows, key=lambda row: (row["attempts"] > 0, row["seconds"]))
+            attack_once(attacks[row["attack"]], row, seed, first + row["attempts"])
+    finally:
+        for row in rows:
+            count, unit = row[attacks[row["attack"]].unit], attacks[row["attack"]].unit
+            notes = "".join(f", {count:,} {name}" for name, count in sorted(row["notes"].items()))
+            outcome = f"{len(row['faults']) or 'no'} faults in {row['seconds']:.0f} s"
+            print(f"{row['attack']:11} {count:>9,} {unit:12} {outcome}{notes}", flush=True)
+        result = {"seed": seed, "attacks": rows}
+        if json:
+            write_json(json, result)
+    if any(row["faults"] for row in rows):
         sys.exit(1)
     return result
 
 
-def choose(names: Sequence[str]) -> list[Attack]:
-    """Find attacks by their names, all where there are none."""
-    known = {attack.name: attack for attack in ATTACKS}
-    for name in names:
-        if name not in known:
-            raise InputError(f"there is no attack {name!r}: choose from {', '.join(known)}")
-    return [known[name] for name in names] or list(ATTACKS)
+def new_row(attack: Attack) -> dict[str, Any]:
+    """Return the counts of an attack that was not attempted yet."""
+    counts = {"attempts": 0, attack.unit: 0, "seconds": 0.0, "notes": Counter(), "faults": []}
+    return {"attack": attack.name, "promise": attack.promise, **counts}
 
 
-def attack_once(tally: Tally, seed: int, number: int) -> None:
-    """Make one attempt and say at once what it broke."""
-    name = tally.attack.name
-    chance = np.random.default_rng([seed, number, *name.encode()])
-    begun = time.monotonic()
+def attack_once(attack: Attack, row: dict[str, Any], seed: int, number: int) -> None:
+    """Make one attempt, add it to the counts and print its faults."""
+    rng = np.random.default_rng([seed, number, *attack.name.encode()])
+    begin = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="qdenv-robustness-") as folder:
-        attempt = tally.attack.attempt(chance, Path(folder))
-    tally.add(number, attempt, time.monotonic() - begun)
+        attempt = attack.attempt(rng, Path(folder))
+    row["attempts"] += 1
+    row[attack.unit] += attempt.count
+    row["seconds"] += time.monotonic() - begin
+    row["notes"].update(attempt.notes)
     for fault in attempt.faults:
-        again = f"--only {name} --seed {seed} --first {number} --minutes 0"
+        row["faults"].append({"attempt": number, "fault": fault})
+        again = f"--only {attack.name} --seed {seed} --first {number} --minutes 0"
         print(f"FAULT {fault}\n  again: python tests/robustness {again}", flush=True)

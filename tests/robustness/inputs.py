@@ -1,4 +1,4 @@
-"""Bad inputs, thousands of them: each must end soon, in one line, with exit code 2."""
+"""Attack with bad files and command lines: each must end soon, in one line, with exit code 2."""
 
 import contextlib
 import functools
@@ -12,13 +12,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from qdenv.cli import run as qdenv
 from qdenv.io.layouts import ENDINGS
 from qdenv.simulate.maze.policy import shipped_agent
-from robustness.attack import Attack, Attempt
-from robustness.damage import Chance, damaged, pick, spoilt
-from robustness.hostile import checkpoint
-from robustness.judge import Judge
-from robustness.lines import EXTREMES, LINES, PLACES, SEARCH, TRAINED, TRAINING
+from robustness.campaign import Attack, Attempt
+from robustness.corrupt import Rng, corrupt, damage, hostile_checkpoint, pick
+from robustness.sandbox import Sandbox
 
 INPUTS = 50  # of one attempt
 WAREHOUSE = [
@@ -30,6 +29,54 @@ WAREHOUSE = [
     "...........",
 ]
 MAZE = ["      ", " XXXX ", "    X ", " XX X ", "  X   ", "X   X "]
+SEARCH = (  # a search of seconds, whose run commands read
+    "train maze-quick --evaluations 8 --simulations 1 --timesteps 20 --rows 6 --cols 6 --steps 3 "
+    "--hidden 4 --emitters 1 --batch 4 --archive 0 36 4 0 36 4 --out run"
+)
+AGENT = (  # two updates of an agent's training
+    "train-agent --out run --steps 64 --units 4 --bank 8 --fresh 4 --exam 1 --ppo.lanes 4 "
+    "--ppo.timesteps 8 --ppo.minibatches 1"
+)
+SHORT = "--agents 2 --timesteps 5"
+# Name -> a command line that does next to nothing; capitals stand for a file or folder.
+LINES: Mapping[str, str] = {
+    "check": "check PLAN",
+    "render": "render PLAN",
+    "simulate": f"simulate PLAN {SHORT} --seeds 1 --no-verdict",
+    "replay": f"replay PLAN {SHORT}",
+    "repair": "repair PLAN",
+    "compare": f"compare PLAN {SHORT} --seeds 1",
+    "sweep": f"sweep PLAN {SHORT} --seeds 1",
+    "scalability": f"scalability PLAN {SHORT} --seeds 1",
+    "report": "report MAZE --timesteps 5",
+    "layout human": "layout human",
+    "layout tile": "layout tile PLAN --rows 12 --cols 22",
+    "layout symbols": "layout symbols",
+    "zoo": "zoo",
+    "presets": "presets",
+    "plot": "plot RUN --out pictures",
+    "generate": "generate RUN",
+    "export": "export RUN",
+    "explore": "explore RUN --growth 0",
+    "series": "series RUN --sizes 6x6",
+    "surrogate": "surrogate RUN",
+    "evaluate-agent": "evaluate-agent MAZE --runs 1",
+    "convert-agent": "convert-agent MAZE",
+    "completion": "completion bash",
+    # Refused at the end of all checks, as the folder holds a run already.
+    "train": "train maze-quick --out RUN",
+    "train-agent": "train-agent --out AGENT",
+}
+# With another folder these two would train for hours.
+TRAINING, FOLDERS = ("train", "train-agent"), ("--out", "--run-dir")
+EXTREMES = (
+    *("-1", "0", "1", "0.5", "-0.0", "nan", "inf", "-inf", "1e308", "1e-320", "9" * 30, "9" * 5000),
+    *("2147483648", "9223372036854775808", "18446744073709551616", "-2147483649", "", " ", "a"),
+    *("\x1b[31m", "two\nlines", "\u00e9\u202e", "1:99999999999", "5:1", "1,1,1", "1,", "best"),
+    *("a.png", "a.json", "a.csv", "a.html", ".", "..", "/", "/dev/null", "-", "--", "="),
+    *("plan.json", "run", "nowhere/x.json", "None", "True", "auto", "zoo:moon", "zoo:maze-walls"),
+    *("pbs", "pibt", "low"),
+)
 
 
 class Input(NamedTuple):
@@ -37,20 +84,20 @@ class Input(NamedTuple):
 
     kind: str  # what it attacks
     argv: tuple[str, ...]  # the command line
-    about: str = ""  # what is wrong with it, for the message
+    file: str = ""  # that is corrupt
 
 
 @functools.cache
-def judge() -> Judge:
+def sandbox() -> Sandbox:
     """Start the process that runs the command lines, once."""
-    return Judge()
+    return Sandbox()
 
 
 @functools.cache
-def run_files(made_by: tuple[str, ...] = SEARCH) -> dict[str, bytes]:
-    """Make a run directory, once: its files by name."""
+def run_files(made_by: str = SEARCH) -> dict[str, bytes]:
+    """Make a run directory, once, and return its files by name."""
     with tempfile.TemporaryDirectory(prefix="qdenv-robustness-") as folder:
-        fault = judge().fault_of(made_by, Path(folder), limited=False)
+        fault = sandbox().fault_of(made_by.split(), Path(folder), limited=False)
         assert fault is None, fault
         home = Path(folder) / "run"
         return {
@@ -60,132 +107,128 @@ def run_files(made_by: tuple[str, ...] = SEARCH) -> dict[str, bytes]:
         }
 
 
-def drawing(rows: list[str], ending: str) -> bytes:
-    """Write a layout file."""
+def layout_file(rows: list[str], ending: str) -> bytes:
+    """Return the content of a layout file."""
     if ending == ".json":
         return json.dumps({"n_row": len(rows), "layout": rows, "domain": "warehouse-even"}).encode()
-    cells = {".csv": [",".join(row) for row in rows], ".txt": rows, ".map": rows}[ending]
+    if ending == ".csv":
+        rows = [",".join(row) for row in rows]
     head = [f"type octile\nheight {len(rows)}\nwidth {len(rows[0])}\nmap"] * (ending == ".map")
-    return "\n".join([*head, *cells, ""]).encode()
+    return "\n".join([*head, *rows, ""]).encode()
 
 
-def save(folder: Path, files: Mapping[str, bytes]) -> None:
+def write(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files into a folder."""
     for name, content in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
 
 
-def layout(chance: Chance, folder: Path) -> Input:
-    """Damage a layout file and ask for something of it."""
-    ending = pick(chance, ENDINGS)
+def line(command: str, **files: str) -> tuple[str, ...]:
+    """Return a command line with files in the places of its capitals."""
+    return tuple(files.get(word, word) for word in LINES[command].split())
+
+
+def corrupt_layout(rng: Rng, folder: Path) -> Input:
+    ending = pick(rng, ENDINGS)
     name = f"plan{ending}"
-    save(folder, {name: spoilt(chance, name, drawing(WAREHOUSE, ending))})
-    command = pick(chance, ("check",) * 8 + ("render", "simulate", "repair", "sweep"))
-    return Input("layouts", placed(LINES[command], {"PLAN": name}), name)
+    write(folder, {name: corrupt(rng, name, layout_file(WAREHOUSE, ending))})
+    command = pick(rng, ("check",) * 8 + ("render", "simulate", "repair", "sweep"))
+    return Input("layouts", line(command, PLAN=name), name)
 
 
-def run_directory(chance: Chance, folder: Path) -> Input:
-    """Damage one file of a run and ask for something of the run."""
+def corrupt_run(rng: Rng, folder: Path) -> Input:
+    """Corrupt one file of a run."""
     files = dict(run_files())
-    name = pick(chance, [one for one in files if not one.startswith("checkpoints")])
-    files[name] = spoilt(chance, name, files[name])
-    save(folder / "run", files)
-    command = pick(chance, ("export",) * 4 + ("plot", "plot", "generate", "explore"))
-    return Input("run directories", placed(LINES[command], {"RUN": "run"}), name)
+    name = pick(rng, [file for file in files if not file.startswith("checkpoints")])
+    files[name] = corrupt(rng, name, files[name])
+    write(folder / "run", files)
+    command = pick(rng, ("export",) * 4 + ("plot", "plot", "generate", "explore"))
+    return Input("run directories", line(command, RUN="run"), name)
 
 
-def checkpoints(chance: Chance, folder: Path) -> Input:
-    """Damage all checkpoints of a run, and go on from them."""
+def corrupt_checkpoints(rng: Rng, folder: Path) -> Input:
+    """Corrupt all checkpoints of a run, and resume it."""
     files = dict(run_files())
-    names = [one for one in files if one.startswith("checkpoints")]
-    save(folder / "run", files | {one: spoilt(chance, one, files[one]) for one in names})
+    names = [file for file in files if file.startswith("checkpoints")]
+    write(folder / "run", files | {name: corrupt(rng, name, files[name]) for name in names})
     return Input("checkpoints", ("resume", "run"), "checkpoints")
 
 
-def trained_agent(chance: Chance, folder: Path) -> Input:
-    """Damage the checkpoint of an agent's training, and go on from it."""
-    files, name = run_files(TRAINED), "checkpoint.npz"
-    save(folder / "run", files | {name: spoilt(chance, name, files[name])})
+def corrupt_training(rng: Rng, folder: Path) -> Input:
+    """Corrupt the checkpoint of an agent's training, and resume it."""
+    files, name = run_files(AGENT), "checkpoint.npz"
+    write(folder / "run", files | {name: corrupt(rng, name, files[name])})
     return Input("checkpoints", ("resume", "run"), f"an agent's {name}")
 
 
-def agent(chance: Chance, folder: Path) -> Input:
-    """Damage an agent and let it walk."""
-    whole = shipped_agent().read_bytes()
-    save(folder, {"a.npz": spoilt(chance, "a.npz", whole), "maze.txt": drawing(MAZE, ".txt")})
-    words = placed(LINES["evaluate-agent"], {"MAZE": "maze.txt"})
-    return Input("agents", (*words, "--agent", "a.npz"), "a.npz")
+def corrupt_agent(rng: Rng, folder: Path) -> Input:
+    agent = corrupt(rng, "a.npz", shipped_agent().read_bytes())
+    write(folder, {"a.npz": agent, "maze.txt": layout_file(MAZE, ".txt")})
+    argv = (*line("evaluate-agent", MAZE="maze.txt"), "--agent", "a.npz")
+    return Input("agents", argv, "a.npz")
 
 
-def foreign(chance: Chance, folder: Path) -> Input:
-    """Convert a checkpoint that means harm."""
-    content = checkpoint(chance)
-    content = damaged(chance, content) if chance.random() < 0.3 else content
-    save(folder, {"m.tar": content})
+def hostile_pickle(rng: Rng, folder: Path) -> Input:
+    content = hostile_checkpoint(rng)
+    content = damage(rng, content) if rng.random() < 0.3 else content
+    write(folder, {"m.tar": content})
     return Input("pickles", ("convert-agent", "m.tar"), "m.tar")
+
+
+def bad_file(rng: Rng, folder: Path) -> Input:
+    """Draw a bad file of any kind; those that cost seconds are the fewest."""
+    kinds = (corrupt_layout,) * 8 + (hostile_pickle,) * 8 + (corrupt_run,) * 6
+    kinds += (corrupt_agent,) * 3 + (corrupt_checkpoints, corrupt_training)
+    return pick(rng, kinds)(rng, folder)
 
 
 @functools.cache
 def options_of(command: str) -> tuple[str, ...]:
-    """List the options of a command, as its own help does."""
-    from qdenv.cli import run  # imports the parser
-
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
-        run([*LINES[command][: len(command.split())], "--help"])
-    return tuple(
-        sorted(set(re.findall(r"^\W*(--[a-z][a-z0-9.-]*)", said.getvalue(), re.MULTILINE)))
-    )
+    """Return the options that the help of a command lists."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+        qdenv([*LINES[command].split()[: len(command.split())], "--help"])
+    options = re.findall(r"^\W*(--[a-z][a-z0-9.-]*)", out.getvalue(), re.MULTILINE)
+    return tuple(sorted(set(options)))
 
 
-def placed(words: tuple[str, ...], places: Mapping[str, str]) -> tuple[str, ...]:
-    """Put files in the places of words in capitals."""
-    return tuple(places.get(word, word) for word in words)
-
-
-def command_line(chance: Chance, folder: Path) -> Input:
+def bad_line(rng: Rng, folder: Path) -> Input:
     """Draw options with extreme values for a command that would do next to nothing."""
-    save(folder, {"plan.json": drawing(WAREHOUSE, ".json"), "maze.txt": drawing(MAZE, ".txt")})
-    save(folder / "run", run_files())
-    save(folder / "agent", {"checkpoint.npz": b"", "config.json": b"{}"})
-    command = pick(chance, tuple(LINES))
+    plan, maze = layout_file(WAREHOUSE, ".json"), layout_file(MAZE, ".txt")
+    write(folder, {"plan.json": plan, "maze.txt": maze})
+    write(folder / "run", run_files())
+    write(folder / "agent", {"checkpoint.npz": b"", "config.json": b"{}"})
+    command = pick(rng, tuple(LINES))
     files = {"PLAN": "plan.json", "MAZE": "maze.txt", "RUN": "run", "AGENT": "agent"}
-    known = options_of(command)
+    options = options_of(command)
     if command in TRAINING:
-        known = tuple(option for option in known if option not in PLACES)
-    elif chance.random() < 0.2:
-        files[pick(chance, tuple(files))] = pick(chance, EXTREMES)
-    words = list(placed(LINES[command], files))
-    for _ in range(int(chance.integers(1, 4))):
-        words.append(pick(chance, (*known, "--unknown")))
-        words += [pick(chance, EXTREMES) for _ in range(pick(chance, (0, 1, 1, 1, 1, 2, 6)))]
-    return Input(command, tuple(words))
+        options = tuple(option for option in options if option not in FOLDERS)
+    elif rng.random() < 0.2:
+        files[pick(rng, tuple(files))] = pick(rng, EXTREMES)
+    argv = list(line(command, **files))
+    for _ in range(int(rng.integers(1, 4))):
+        argv.append(pick(rng, (*options, "--unknown")))
+        argv += [pick(rng, EXTREMES) for _ in range(pick(rng, (0, 1, 1, 1, 1, 2, 6)))]
+    return Input(command, tuple(argv))
 
 
 def attempt(
-    draw: Callable[[Chance, Path], Input], chance: Chance, folder: Path, inputs: int = INPUTS
+    draw: Callable[[Rng, Path], Input], rng: Rng, folder: Path, inputs: int = INPUTS
 ) -> Attempt:
     """Try some inputs, each in a folder of its own."""
     kinds, faults = Counter[str](), []
     for number in range(inputs):
         place = folder / str(number)
         place.mkdir()
-        one = draw(chance, place)
-        kinds[one.kind] += 1
-        fault = judge().fault_of(one.argv, place)
-        if fault:
-            shown = shlex.join(word[:60] for word in one.argv)
-            faults.append(f"input {number}, `qdenv {shown}` ({one.about or one.kind}): {fault}")
-    return Attempt(inputs, tuple(faults), dict(kinds))
-
-
-def bad_file(chance: Chance, folder: Path) -> Input:
-    """Draw a bad file of any kind; those that cost seconds are the fewest."""
-    draws = (layout,) * 8 + (foreign,) * 8 + (run_directory,) * 6 + (agent,) * 3
-    return pick(chance, (*draws, checkpoints, trained_agent))(chance, folder)
+        bad = draw(rng, place)
+        kinds[bad.kind] += 1
+        if fault := sandbox().fault_of(bad.argv, place):
+            shown = shlex.join(word[:60] for word in bad.argv)
+            faults.append(f"input {number}, `qdenv {shown}` ({bad.file or bad.kind}): {fault}")
+    return Attempt(inputs, faults, kinds)
 
 
 PROMISE = "one line and exit code 2, within 10 s and 1 GB"
 FILES = Attack("files", PROMISE, "files", functools.partial(attempt, bad_file))
-COMMANDS = Attack("commands", PROMISE, "lines", functools.partial(attempt, command_line))
+COMMANDS = Attack("commands", PROMISE, "lines", functools.partial(attempt, bad_line))

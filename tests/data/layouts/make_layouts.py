@@ -10,7 +10,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from experiments.benchmarks.layouts import KERNELS, grow_random
+from experiments.benchmarks.repair import KERNELS, grow_random
 from qdenv import cli
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
