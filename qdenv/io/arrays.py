@@ -9,6 +9,7 @@ import json
 import math
 import os
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -41,6 +42,7 @@ DAMAGES = (
     OverflowError,
     RuntimeError,
     SyntaxError,
+    tokenize.TokenError,  # of a header that numpy takes for one of Python 2
     ValueError,
 )
 T = TypeVar("T")
