@@ -16,8 +16,11 @@ from qdenv.generate import inside_frame
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveInt
 from qdenv.registry import Entry
-from qdenv.simulate.maze import episode, policy, world
+from qdenv.simulate.maze import policy, world
 from qdenv.types import Array, Measure, Tile
+
+if TYPE_CHECKING:
+    from qdenv.simulate.maze.episode import Episode
 
 MARGIN = (1, 1)
 MEANINGS = {
@@ -77,7 +80,7 @@ def checksum_of_agent(agent: str) -> str:
 
 
 def maze_simulator(config: MazeConfig) -> Simulator:
-    """Make the maze's simulator, whose runs are `episode.Episode`."""
+    """Make the maze's simulator, whose runs are `Episode`."""
 
     def weights() -> policy.Weights:
         return jax.tree.map(jnp.asarray, agent_weights(config.agent))
@@ -85,7 +88,9 @@ def maze_simulator(config: MazeConfig) -> Simulator:
     def prepare(layout: Array) -> Any:
         return policy.prepare(weights(), layout)
 
-    def run(prepared: Any, key: jax.Array) -> episode.Episode:
+    def run(prepared: Any, key: jax.Array) -> Episode:
+        from qdenv.simulate.maze import episode  # late: it imports jax, which takes seconds
+
         loop = episode.until_done if devices.on_cpu() else episode.all_timesteps
         return episode.run_episode(weights(), prepared, key, config.timesteps, loop)
 
@@ -97,13 +102,13 @@ def maze_simulator(config: MazeConfig) -> Simulator:
     )
 
 
-def walls(layout: jax.Array, runs: episode.Episode) -> jax.Array:
+def walls(layout: jax.Array, runs: Episode) -> jax.Array:
     """Count the walls inside the ring (-> float32)."""
     del runs
     return score.count(inside_frame(layout, MARGIN), "X", world.TILES)
 
 
-def path_length(layout: jax.Array, runs: episode.Episode) -> jax.Array:
+def path_length(layout: jax.Array, runs: Episode) -> jax.Array:
     """Average the agent's actions over its episodes (-> float32); failures count in full."""
     del layout
     return runs.length.mean(dtype=jnp.float32)
