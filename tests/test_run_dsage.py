@@ -7,7 +7,7 @@ import pytest
 import toy
 
 from qdenv.run.config import choose_algorithm
-from qdenv.run.log import NOTES, notes_until, read_notes
+from qdenv.run.log import NOTES, read_notes
 from qdenv.run.loop import resume, train
 from qdenv.search.settings import CmaEsConfig, DsageConfig, ScreenedConfig
 from qdenv.study.elites import grow_elite
@@ -56,7 +56,7 @@ def test_damaged_notes_are_one_line_and_stop_no_run(damage, tmp_path, caplog):
     (tmp_path / NOTES).write_bytes(damage)
     with pytest.raises(InputError, match=r"notes\.csv: cannot be read"):
         read_notes(tmp_path / NOTES)
-    assert notes_until(tmp_path / NOTES, 3) == []
+    assert read_notes(tmp_path / NOTES, salvage=True) == []
     assert "the notes so far are lost" in caplog.text
 
 

@@ -11,7 +11,7 @@ from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
 from qdenv.run.executors.layouts import Threads
-from qdenv.run.problem import seen
+from qdenv.run.problem import observed
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.export import elites
 from qdenv.simulate.mapf.fleet import FleetConfig
@@ -72,7 +72,7 @@ def test_one_program_in_xla_finds_what_the_pipelined_loop_on_the_host_finds(in_x
         solutions, state = ask(state)
         key = jax.random.fold_in(on_host.evaluation_key, number)
         evaluation = evaluator(solutions, key)
-        state = tell(state, solutions, evaluation.score, seen(evaluation))
+        state = tell(state, solutions, evaluation.score, observed(evaluation))
     apart = elites(on_host.algorithm.archive(state))
     assert len(apart["index"]) >= 1
     assert apart.keys() == together.keys()

@@ -118,8 +118,11 @@ def die(*args, **kwargs):
     os.kill(os.getpid(), signal.SIGKILL)
 
 if {where!r} == "iteration":
-    original, calls = evaluate_async.seen, []
-    evaluate_async.seen = lambda e: (calls.append(1), original(e))[1] if len(calls) < 4 else die()
+    original, calls = evaluate_async.observed, []
+    def observe(evaluation):
+        calls.append(1)
+        return original(evaluation) if len(calls) < 5 else die()
+    evaluate_async.observed = observe
 else:
     original = checkpoint.save_checkpoint
     def save(path, state, manifest):
@@ -188,7 +191,7 @@ def test_failed_evaluations_enter_nothing():
     assert (np.asarray(evaluation.status) == RepairStatus.IMPOSSIBLE).all()
     assert not np.asarray(evaluation.score.success).any()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(evaluation.score))
-    state = experiment.algorithm.tell(state, solutions, evaluation.score, loop.seen(evaluation))
+    state = experiment.algorithm.tell(state, solutions, evaluation.score, loop.observed(evaluation))
     assert len(elites(experiment.algorithm.archive(state))["index"]) == 0
 
 

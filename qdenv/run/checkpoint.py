@@ -1,4 +1,4 @@
-"""Checkpoints: a pytree of arrays as one .npz with a manifest inside, no pickle.
+"""Checkpoints: a pytree of arrays and a manifest in one .npz; what a resumed run must share.
 
 Only rows that hold anything but zeros are stored, and they are copied piece by piece: no second
 copy of an archive is ever made.
@@ -6,6 +6,8 @@ copy of an archive is ever made.
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,23 +18,25 @@ import numpy as np
 from qdenv.io.arrays import SCHEMA, Rows, read_state, write_state
 from qdenv.io.files import damaged
 from qdenv.lazy import jax, jnp
+from qdenv.run.config import RunConfig, config_to_json
 from qdenv.search.store import stores_in
-from qdenv.types import DamagedError, InputError
+from qdenv.types import DamagedError, InputError, Measure
 
 _MANIFEST = "manifest"
 # A store doubles before a batch might not fit, and at most half of what it refers to is let go.
 MOST_GROWN = 8
+# Settings that decide how long a run takes or how far it goes, but none of its results.
+WITHOUT_EFFECT = ("evaluations", "checkpoint_every", "workers", "backend")
 LOG = logging.getLogger(__name__)
 
 
 class Manifest(NamedTuple):
-    """What a checkpoint says beside its arrays."""
+    """What a checkpoint holds beside its arrays."""
 
     iteration: int  # the last that is in it
     schema: int = SCHEMA  # of the checkpoint
     lengths: tuple[int, ...] = ()  # rows of each leaf
-    # what decides the run's result; empty where an older qdenv did not say it
-    settings: Mapping[str, Any] = {}
+    settings: Mapping[str, Any] = {}  # what decides the run's result
 
 
 def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
@@ -77,22 +81,37 @@ def load_checkpoint(path: Path, initial: Any) -> tuple[Any, Manifest]:
     if manifest.iteration < 0:
         raise damaged(path, f"iteration {manifest.iteration}")
     leaves, structure = jax.tree.flatten(initial)
-    plain = [_as_bits(leaf) for leaf in leaves]
-    lengths = manifest.lengths
-    if len(lengths) != len(leaves):
-        raise another(path)
+    other = InputError(f"{path}: belongs to another configuration")
+    if len(manifest.lengths) != len(leaves):
+        raise other
     growing = {id(leaf) for store in stores_in(initial) for leaf in store}
-    for number, (leaf, like) in enumerate(zip(leaves, plain, strict=True)):
+    for number, (leaf, length) in enumerate(zip(leaves, manifest.lengths, strict=True)):
+        like = _as_bits(leaf)
         # Taken out one by one: what is restored is not held twice for long.
-        held = arrays.pop(f"{number}.changed", None)
-        rows = check_leaf(arrays.pop(f"{number}.rows", None), held, like, path)
-        fits = lengths[number] == (len(like) if like.ndim else 0)
-        if id(leaf) in growing and held is not None:
-            fits = 0 < lengths[number] <= MOST_GROWN * (len(held) + len(like))
+        held, rows = arrays.pop(f"{number}.changed", None), arrays.pop(f"{number}.rows", None)
+        if rows is None or (held is None) != (like.ndim == 0):
+            raise damaged(path, "an array is missing")
+        if rows.dtype != like.dtype or rows.shape[1:] != like.shape[1:] or rows.ndim != like.ndim:
+            raise other
+        bits = rows
+        if held is None:
+            fits = length == 0
+        else:
+            if held.shape != (len(rows),) or held.dtype.kind not in "iu":
+                raise damaged(path, "an array does not say which of its rows are held")
+            fits = length == len(like)
+            if id(leaf) in growing:
+                fits = 0 < length <= MOST_GROWN * (len(held) + len(like))
+            fits = fits and (not held.size or 0 <= held.min() <= held.max() < length)
         if not fits:
-            raise another(path)
-        bits = filled(rows, held, lengths[number], None, path)
-        leaves[number] = _from_bits(bits, leaf)
+            raise other
+        if held is not None:
+            bits = np.zeros((length, *rows.shape[1:]), rows.dtype)
+            bits[held] = rows
+        if _is_key(leaf):
+            leaves[number] = jax.random.wrap_key_data(jnp.asarray(bits))
+        else:
+            leaves[number] = jnp.asarray(bits.view(leaf.dtype))
     return jax.tree.unflatten(structure, leaves), manifest
 
 
@@ -100,20 +119,14 @@ def _is_key(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array) and jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
-def _from_bits(bits: np.ndarray, like: Any) -> jax.Array:
-    if _is_key(like):
-        return jax.random.wrap_key_data(jnp.asarray(bits))
-    return jnp.asarray(bits.view(like.dtype))
-
-
 def _as_bits(leaf: Any) -> np.ndarray:
-    """View floats as integers: minus zero and NaN are no zeros, and they are stored as they are."""
+    """View floats as integers: minus zero and NaN differ from zero, and must be stored."""
     array = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
     return array.view(f"u{array.itemsize}") if array.dtype.kind == "f" else array
 
 
 def load_newest(saved: Sequence[Path], initial: Any) -> tuple[Manifest, Any]:
-    """Load the newest checkpoint that is whole, as `RunDirectory.load_checkpoint` says.
+    """Load the newest undamaged checkpoint, as `RunDirectory.load_checkpoint` describes.
 
     Args:
         saved: checkpoints, the newest last.
@@ -132,57 +145,45 @@ def load_newest(saved: Sequence[Path], initial: Any) -> tuple[Manifest, Any]:
     return Manifest(0), initial
 
 
-def another(source: Path) -> InputError:
-    """Make the error for a checkpoint whose arrays have other forms than this search's."""
-    return InputError(f"{source}: belongs to another configuration")
-
-
-def check_leaf(
-    rows: np.ndarray | None, held: np.ndarray | None, like: np.ndarray, source: Path
-) -> np.ndarray:
-    """Refuse stored rows that are none of an array.
+def result_settings(
+    config: RunConfig, measures: Sequence[Measure], reads: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return what decides the result of a run, by the names of config.json (``algorithm.sigma0``).
 
     Args:
-        rows: as stored; None where they are missing.
-        held: which rows of the array they are; None for an array without axes.
-        like: the array of a search that begins; it may have another length.
-        source: the file.
-
-    Returns:
-        `rows`.
-
-    Raises:
-        DamagedError: something is missing, or the parts contradict each other.
-        InputError: they are of another configuration.
+        config: the resolved configuration.
+        measures: axes of the archive.
+        reads: checksums of what the domain reads beside its settings.
     """
-    if rows is None or (held is None) != (like.ndim == 0):
-        raise damaged(source, "an array is missing")
-    if rows.dtype != like.dtype or rows.shape[1:] != like.shape[1:] or rows.ndim != like.ndim:
-        raise another(source)
-    if held is not None and (held.shape != (len(rows),) or held.dtype.kind not in "iu"):
-        raise damaged(source, "an array does not say which of its rows are held")
-    return rows
+    axes = tuple((float(axis.low), float(axis.high), axis.cells) for axis in measures)
+    found = {f"the {name} of checksum": reads[name] for name in reads}
+
+    def collect(content: dict[str, Any], prefix: str) -> None:
+        for name, value in content.items():
+            if isinstance(value, dict):
+                collect(value, f"{prefix}{name}.")
+            elif name not in WITHOUT_EFFECT:
+                found[f"{prefix}{name}"] = value
+
+    # Through JSON, so that it compares with what a checkpoint holds.
+    collect(json.loads(json.dumps(config_to_json(dataclasses.replace(config, archive=axes)))), "")
+    return found
 
 
-def filled(
-    rows: np.ndarray, held: np.ndarray | None, length: int, base: np.ndarray | None, source: Path
-) -> np.ndarray:
-    """Put checked rows back into an array.
+def check_same_search(now: Mapping[str, Any], then: Mapping[str, Any], path: Path) -> None:
+    """Refuse to resume with other settings than a checkpoint was made with.
 
     Args:
-        rows: [n, ...].
-        held: int [n]; None for an array without axes.
-        length: of the array.
-        base: what stands in the other rows; zeros unless given.
-        source: the file.
+        now: `result_settings` of the run.
+        then: those in the checkpoint; only names in both are compared, as new versions add some.
+        path: the run directory.
 
     Raises:
-        InputError: a row lies outside.
+        InputError: a setting differs; the line names it.
     """
-    if held is None:
-        return rows
-    if held.size and not 0 <= held.min() <= held.max() < length:
-        raise another(source)
-    array = np.zeros((length, *rows.shape[1:]), rows.dtype) if base is None else base.copy()
-    array[held] = rows
-    return array
+    for name, value in now.items():
+        if name in then and then[name] != value:
+            raise InputError(
+                f"{path}: its checkpoint was made with {name} {then[name]}, now it is {value}: "
+                "put that back, or train anew in another folder"
+            )

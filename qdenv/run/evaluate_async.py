@@ -1,4 +1,4 @@
-"""Populations under way: asked in order, evaluated side by side, told in order."""
+"""Asynchronous evaluation: several populations in flight, collected in the order of submission."""
 
 from collections import deque
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 
 from qdenv.pipeline import PipelinedEvaluator
-from qdenv.run.problem import seen
+from qdenv.run.problem import observed
 from qdenv.search.base import Algorithm
 from qdenv.types import Array, Evaluation
 
@@ -16,13 +16,12 @@ class Search(NamedTuple):
     """A search between two iterations; one pytree, which checkpoints hold."""
 
     state: Any  # of the algorithm
-    # float [B, P] each, the populations it was asked for and not told of, the oldest first: as many
-    # as the algorithm may be asked ahead
+    # float [B, P] each, the populations in flight, the oldest first: `Algorithm.ahead` of them
     asked: tuple[Array, ...]
 
 
 def begin_search(algorithm: Algorithm, key: jax.Array) -> Search:
-    """Start a search: nothing is told, and all is asked that may be asked ahead."""
+    """Start a search with as many populations in flight as the algorithm is asked ahead."""
     state, asked = algorithm.init(key), []
     for _ in range(algorithm.ahead):
         solutions, state = algorithm.ask(state)
@@ -30,11 +29,11 @@ def begin_search(algorithm: Algorithm, key: jax.Array) -> Search:
     return Search(state, tuple(asked))
 
 
-class Flight:
-    """The populations of a run that are under way.
+class AsyncEvaluation:
+    """The populations of a run that are in flight.
 
     Population i is asked of the search that was told of all up to i - 1 - ahead, however fast
-    the others were evaluated: what is found does not depend on who works how fast.
+    the others were evaluated: the results do not depend on the speed of workers.
     """
 
     def __init__(
@@ -57,25 +56,16 @@ class Flight:
             done: iterations that `search` was told of.
             search: to go on from.
         """
-        self._algorithm, self._evaluator, self._key = algorithm, evaluator, key
-        self._total, self._done, self._search = total, done, search
+        self.done = done  # iterations that the search was told of
+        self.search = search  # after them
+        self._algorithm, self._evaluator, self._key, self._total = algorithm, evaluator, key, total
         self._asked = deque(search.asked)
         self._evaluations: deque[Callable[[], Evaluation]] = deque()
-        self._state = search.state  # asked once more than `search`, between `launch` and `land`
+        self._state = search.state  # asked once more than `search`, between `submit` and `collect`
         for solutions in self._asked:
             self._begin(solutions)
 
-    @property
-    def done(self) -> int:
-        """Count the iterations the search was told of."""
-        return self._done
-
-    @property
-    def search(self) -> Search:
-        """The search after iteration `done`."""
-        return self._search
-
-    def launch(self) -> None:
+    def submit(self) -> None:
         """Ask for one more population and begin to evaluate it."""
         solutions, self._state = jax.block_until_ready(self._algorithm.ask(self._state))
         self._asked.append(solutions)
@@ -85,17 +75,17 @@ class Flight:
         """Wait for the evaluation of the oldest population."""
         return self._evaluations[0]()
 
-    def land(self, evaluation: Evaluation) -> None:
-        """Tell the search of the oldest population."""
+    def collect(self, evaluation: Evaluation) -> None:
+        """Tell the search of the oldest population, whose evaluation `wait` returned."""
         solutions = self._asked.popleft()
         self._evaluations.popleft()
-        told = solutions, evaluation.score, seen(evaluation)
+        told = solutions, evaluation.score, observed(evaluation)
         self._state = self._algorithm.tell(self._state, *told)
-        self._search = Search(self._state, tuple(self._asked))
-        self._done += 1
+        self.search = Search(self._state, tuple(self._asked))
+        self.done += 1
 
     def _begin(self, solutions: Array) -> None:
-        number = self._done + len(self._evaluations) + 1
+        number = self.done + len(self._evaluations) + 1
         if number <= self._total:
             key = jax.random.fold_in(self._key, number)
             self._evaluations.append(self._evaluator.begin(solutions, key))

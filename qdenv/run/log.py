@@ -1,4 +1,4 @@
-"""metrics.csv: one row per iteration of a run."""
+"""The log of a run, by iteration: metrics.csv, and notes.csv with the algorithm's own numbers."""
 
 import logging
 import math
@@ -14,7 +14,9 @@ from qdenv.types import Evaluation, InputError, RepairStatus
 
 METRICS = "metrics.csv"
 NOTES = "notes.csv"
-INFINITE = ("best_objective",)  # of a search without success
+PLACE = {"iteration", "evaluations"}  # columns of every note
+LOG = logging.getLogger(__name__)
+Note = dict[str, float]  # numbers by name, like a surrogate's losses; NaN where there is none
 
 
 class Metrics(NamedTuple):
@@ -29,20 +31,26 @@ class Metrics(NamedTuple):
     failed_repairs: int = 0  # of this iteration's layouts, those without a feasible repair
     congested_runs: int = 0  # of this iteration's simulations
 
+    def __str__(self) -> str:
+        """Show how the search stands."""
+        best = f"best {self.best_objective:.3f}"
+        return f"QD-score {self.qd_score:.1f}, coverage {self.coverage:.1%}, {best}"
+
 
 def read_metrics(path: Path, salvage: bool = False) -> list[Metrics]:
-    """Read metrics.csv; columns that an older qdenv did not write take their defaults.
+    """Read metrics.csv; missing columns that have defaults take them.
 
     Args:
         path: the file.
-        salvage: keep the rows before the damage and say so, in place of refusing all.
+        salvage: return the rows before the damage and log it, in place of refusing all.
 
     Raises:
         InputError: the file is missing or damaged.
     """
     rows = []
     try:
-        for row in read_table(path, Metrics, INFINITE):
+        # Without a success there is no best objective: it is infinite.
+        for row in read_table(path, Metrics, ("best_objective",)):
             rows.append(row)
     except InputError as error:
         if not salvage:
@@ -51,29 +59,12 @@ def read_metrics(path: Path, salvage: bool = False) -> list[Metrics]:
     return rows
 
 
-PLACE = {"iteration", "evaluations"}  # columns of every note
-LOG = logging.getLogger(__name__)
-Note = dict[str, float]  # numbers by name; NaN where there was nothing to say
+def read_notes(path: Path, salvage: bool = False) -> list[Note]:
+    """Read notes.csv; an algorithm without notes has no such file.
 
-
-def note_of(iteration: int, batch: int, said: Mapping[str, SupportsFloat]) -> Note:
-    """Write an iteration's note, with what to plot it over."""
-    place = {"iteration": float(iteration), "evaluations": float(iteration * batch)}
-    return place | {name: float(value) for name, value in said.items()}
-
-
-def write_notes(path: Path, notes: list[Note]) -> None:
-    """Replace notes.csv; an algorithm that says nothing has no such file."""
-    if not notes or len(notes[0]) <= 2:
-        return
-    rows = [
-        ["" if math.isnan(value) else f"{value:g}" for value in note.values()] for note in notes
-    ]
-    write_csv(path, list(notes[0]), rows)
-
-
-def read_notes(path: Path) -> list[Note]:
-    """Read notes.csv; nothing where there is none.
+    Args:
+        path: the file.
+        salvage: log damage and return no notes, in place of an error.
 
     Raises:
         InputError: the file is damaged.
@@ -81,59 +72,36 @@ def read_notes(path: Path) -> list[Note]:
     if not path.exists():
         return []
     notes = []
-    for number, row in enumerate(read_rows(path), start=1):
-        if not row.keys() >= PLACE:
-            raise damaged(path, f"one of the columns {', '.join(sorted(PLACE))} is missing")
-        try:
-            notes.append({name: _number(text) for name, text in row.items()})
-        except ValueError as error:
-            raise damaged(path, f"row {number}: {error}") from error
+    try:
+        for number, row in enumerate(read_rows(path), start=1):
+            if not row.keys() >= PLACE:
+                raise damaged(path, f"one of the columns {', '.join(sorted(PLACE))} is missing")
+            try:
+                note = {
+                    name: parse_cell(text, float, infinite=True) if text else math.nan
+                    for name, text in row.items()
+                }
+            except ValueError as error:
+                raise damaged(path, f"row {number}: {error}") from error
+            notes.append(note)
+    except InputError as error:
+        if not salvage:
+            raise
+        LOG.warning("%s: the notes so far are lost", error)
+        return []
     return notes
 
 
-def _number(text: str) -> float:
-    return parse_cell(text, float, infinite=True) if text else math.nan
-
-
-def notes_until(path: Path, iteration: int) -> list[Note]:
-    """Read the notes up to an iteration; damaged ones are lost, which is said and stops no run."""
-    try:
-        return [note for note in read_notes(path) if note["iteration"] <= iteration]
-    except InputError as error:
-        LOG.warning("%s: the notes so far are lost", error)
-        return []
-
-
-def metrics_row(
-    iteration: int, batch: int, summary: list[float], seconds: float, evaluation: Evaluation
-) -> Metrics:
-    """Write an iteration's row: what the archive is worth, and what failed on the way there."""
-    qd_score, coverage, best = summary
-    failed = np.asarray(evaluation.status) >= RepairStatus.IMPOSSIBLE
-    # A simulator whose runs cannot congest has no such field.
-    congested = getattr(evaluation.runs, "congested", np.zeros(0, bool))
-    return Metrics(
-        iteration,
-        iteration * batch,
-        qd_score,
-        coverage,
-        best,
-        seconds,
-        failed_repairs=int(failed.sum()),
-        congested_runs=int(np.asarray(congested).sum()),
-    )
-
-
 class Log:
-    """What a run has logged, with a row added after each iteration."""
+    """The log of a run that goes on."""
 
     def __init__(self, path: Path, done: int) -> None:
-        """Read the rows up to iteration `done`; later ones are run again, and written again."""
+        """Read the rows up to iteration `done`; later iterations are repeated."""
         self._path = path
-        self._rows = [
-            row for row in read_metrics(path / METRICS, salvage=True) if row.iteration <= done
-        ]
-        self._notes = notes_until(path / NOTES, done)
+        metrics = read_metrics(path / METRICS, salvage=True)
+        self._rows = [row for row in metrics if row.iteration <= done]
+        notes = read_notes(path / NOTES, salvage=True)
+        self._notes = [note for note in notes if note["iteration"] <= done]
         self._seconds = self._rows[-1].seconds if self._rows else 0.0
 
     def add(
@@ -145,19 +113,30 @@ class Log:
         evaluation: Evaluation,
         notes: Mapping[str, SupportsFloat],
     ) -> Metrics:
-        """Write the row of an iteration.
+        """Write the rows of an iteration.
 
         Args:
-            done: number of the iteration.
+            done: index of the iteration, from 1.
             batch: evaluations of each.
             summary: QD-score, coverage and best objective.
             seconds: that it took.
             evaluation: of its solutions.
-            notes: what the algorithm says of itself.
+            notes: the algorithm's own numbers.
         """
         self._seconds += seconds
-        self._rows.append(metrics_row(done, batch, summary, round(self._seconds, 3), evaluation))
+        failed = np.asarray(evaluation.status) >= RepairStatus.IMPOSSIBLE
+        # A simulator whose runs cannot congest has no such field.
+        congested = np.asarray(getattr(evaluation.runs, "congested", False))
+        counts = int(failed.sum()), int(congested.sum())
+        row = Metrics(done, done * batch, *summary, round(self._seconds, 3), *counts)
+        self._rows.append(row)
         write_csv(self._path / METRICS, Metrics._fields, self._rows)
-        self._notes.append(note_of(done, batch, notes))
-        write_notes(self._path / NOTES, self._notes)
-        return self._rows[-1]
+        place = {"iteration": float(done), "evaluations": float(done * batch)}
+        self._notes.append(place | {name: float(value) for name, value in notes.items()})
+        if notes:
+            table = [
+                ["" if math.isnan(value) else f"{value:g}" for value in note.values()]
+                for note in self._notes
+            ]
+            write_csv(self._path / NOTES, list(self._notes[0]), table)
+        return row

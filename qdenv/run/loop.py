@@ -15,15 +15,15 @@ import numpy as np
 from qdenv.interrupt import advise, save_first, undisturbed
 from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.progress import Bar
+from qdenv.run.checkpoint import check_same_search, result_settings
 from qdenv.run.config import RunConfig, check
 from qdenv.run.directory import RunDirectory, find_start, read_start
-from qdenv.run.evaluate_async import Flight, Search, begin_search
+from qdenv.run.evaluate_async import AsyncEvaluation, Search, begin_search
 from qdenv.run.executors.base import Execution, open_evaluator
 from qdenv.run.log import Log
 from qdenv.run.manifest import archive_schema
-from qdenv.run.problem import archive_axes, problem_of, seen
-from qdenv.run.publish import Publisher, describe
-from qdenv.run.resume_checks import check_settings, check_total, settings_of
+from qdenv.run.problem import archive_axes, observed, problem_of
+from qdenv.run.publish import Publisher
 from qdenv.search.base import Algorithm, growing, is_whole
 from qdenv.search.registry import make_algorithm
 from qdenv.types import InputError, Measure
@@ -40,7 +40,7 @@ class Experiment(NamedTuple):
 
     def settings(self, config: RunConfig) -> dict[str, Any]:
         """List what decides the result, for checkpoints."""
-        return settings_of(config, self.measures, self.pipeline.domain.reads())
+        return result_settings(config, self.measures, self.pipeline.domain.reads())
 
 
 def make_experiment(config: RunConfig, start: np.ndarray | None = None) -> Experiment:
@@ -79,7 +79,7 @@ def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
         solutions, state = experiment.algorithm.ask(state)
         key = jax.random.fold_in(experiment.evaluation_key, iteration)
         evaluation = evaluate(experiment.pipeline, solutions, key)
-        return experiment.algorithm.tell(state, solutions, evaluation.score, seen(evaluation))
+        return experiment.algorithm.tell(state, solutions, evaluation.score, observed(evaluation))
 
     return iterate
 
@@ -141,20 +141,23 @@ def resume(
         return _run(experiment, config, run, progress, execution)
 
 
-def _restored(
+def _restore(
     experiment: Experiment, config: RunConfig, run: RunDirectory, algorithm: Algorithm
 ) -> tuple[int, Search]:
-    """Read how far a run came: (iterations, the search after them)."""
+    """Restore the newest checkpoint: (iterations, the search after them)."""
     manifest, search = run.load_checkpoint(begin_search(algorithm, experiment.search_key))
-    done = manifest.iteration
-    # Checkpoints of an older qdenv say nothing, but the manifest knows the axes.
-    known = {"archive": [list(axis[1:4]) for axis in run.measures]}
-    settings = experiment.settings(config)
-    check_settings(settings, manifest.settings or known, run.path)
+    # A checkpoint without settings is compared by the axes in the run's manifest.
+    axes = {"archive": [list(axis[1:4]) for axis in run.measures]}
+    check_same_search(experiment.settings(config), manifest.settings or axes, run.path)
     if config != run.config:
-        check_total(config.evaluations, done, algorithm.batch_size)
+        done, batch = manifest.iteration, algorithm.batch_size
+        if -(-config.evaluations // batch) < done:
+            raise InputError(
+                f"{done * batch} evaluations are done already: ask for more than that, or leave "
+                "--evaluations out"
+            )
         run.write_config(config)
-    return done, search
+    return manifest.iteration, search
 
 
 def _announced(bar: Bar, what: str, function: Callable) -> Callable:
@@ -194,32 +197,33 @@ def _run(
         layouts = stack.enter_context(open_evaluator(execution, config, pipeline, bar.update))
         evaluator = PipelinedEvaluator(pipeline, layouts)
 
-        begun, search = _restored(experiment, config, run, algorithm)
+        begun, search = _restore(experiment, config, run, algorithm)
         log = Log(run.path, begun)
         if begun >= total:
             publisher.publish(search)  # it may be older, where a run was killed at its very end
         bar.begin("", total * batch, begun * batch)
-        flight = Flight(algorithm, evaluator, experiment.evaluation_key, total, begun, search)
+        key = experiment.evaluation_key
+        in_flight = AsyncEvaluation(algorithm, evaluator, key, total, begun, search)
         try:
-            while flight.done < total:
+            while in_flight.done < total:
                 start = time.perf_counter()
                 with bar.waiting_for("the search prepares the next population"):
-                    flight.launch()
-                evaluation = flight.wait()
+                    in_flight.submit()
+                evaluation = in_flight.wait()
                 with undisturbed:
-                    flight.land(evaluation)
-                    done, search = flight.done, flight.search
+                    in_flight.collect(evaluation)
+                    done, search = in_flight.done, in_flight.search
                     summary, spent = publisher.summary(search), time.perf_counter() - start
                     notes = algorithm.notes(search.state)
                     row = log.add(done, batch, summary, spent, evaluation, notes)
-                    bar.note(describe(row))
+                    bar.note(str(row))
                     save_first(partial(publisher.save, done, search, settings))
                     if done % config.checkpoint_every == 0 or done == total or publisher.has_time:
                         save_first(None)
                         publisher.save(done, search, settings)
         except KeyboardInterrupt:  # in notebooks; programs end otherwise, see `interrupt`
-            done, search = flight.done, flight.search
-            if done > begun and not publisher.is_saved(done) and is_whole(search):
+            done, search = in_flight.done, in_flight.search
+            if done > begun and publisher.saved != done and is_whole(search):
                 publisher.save(done, search, settings)
             raise
     return run

@@ -1,4 +1,4 @@
-"""What a run searches: its axes, what its archive keeps, and what its algorithm is told."""
+"""What a run searches: its axes, what its archive holds, and what its algorithm observes."""
 
 import jax
 import jax.numpy as jnp
@@ -9,23 +9,23 @@ from qdenv.search.axes import check_measures
 from qdenv.search.base import Drawing, Problem
 from qdenv.types import Array, Evaluation, InputError, Measure
 
-# Says no more than `end_timestep` where congestion ends a run; archives without it are resumed.
-UNKEPT = "congested_at"
+# Not archived: where congestion ends a run it equals `end_timestep`.
+TRANSIENT_FIELD = "congested_at"
 
 
 def problem_of(pipeline: Pipeline, measures: tuple[Measure, ...]) -> Problem:
-    """Say what a pipeline gives an algorithm to search, over these axes."""
+    """Make the search problem of a pipeline over these axes."""
     domain = pipeline.domain
     one = jax.ShapeDtypeStruct((1, pipeline.solution_size), np.float32)
     shapes = jax.eval_shape(lambda p, k: evaluate(pipeline, p, k), one, jax.random.key(0))
-    extras = {name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in kept(shapes).items()}
+    extras = {name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in archived(shapes).items()}
     drawing = Drawing(
         lambda solutions: pipeline.grow(jnp.asarray(solutions)),
         domain.shape,
         len(domain.tiles),
         pipeline.choices,
         repairs=domain.rules is not None,
-        usage="usage" in jax.eval_shape(seen, shapes),
+        usage="usage" in jax.eval_shape(observed, shapes),
     )
     return Problem(pipeline.solution_size, measures, extras, drawing)
 
@@ -37,7 +37,7 @@ def archive_axes(
 
     Args:
         own: the domain's.
-        ranges: (low, high, cells) of each; empty for their own.
+        ranges: (low, high, cells) of each; empty for the domain's own.
 
     Raises:
         InputError: a range is empty, or there are more or fewer than measures.
@@ -55,16 +55,16 @@ def archive_axes(
     return measures or own
 
 
-def kept(evaluation: Evaluation) -> dict[str, Array]:
-    """Choose what the archive keeps of an evaluation beside its score.
+def archived(evaluation: Evaluation) -> dict[str, Array]:
+    """Select what the archive holds of an evaluation beside its score.
 
     Both layouts, similarity, repair status, and every per-run number [B, S] of the simulator but
-    `UNKEPT`.
+    `TRANSIENT_FIELD`.
     """
     per_run = {
         name: leaf
         for name, leaf in evaluation.runs._asdict().items()
-        if len(leaf.shape) == 2 and name != UNKEPT
+        if len(leaf.shape) == 2 and name != TRANSIENT_FIELD
     }
     return per_run | {
         "unrepaired": evaluation.unrepaired,
@@ -74,11 +74,11 @@ def kept(evaluation: Evaluation) -> dict[str, Array]:
     }
 
 
-def seen(evaluation: Evaluation) -> dict[str, Array]:
-    """Choose what an algorithm is told of an evaluation: what is kept, and how cells are used.
+def observed(evaluation: Evaluation) -> dict[str, Array]:
+    """Select what an algorithm observes of an evaluation: what is archived, and how cells are used.
 
     ``usage`` is the share of agent-steps on each cell, float32 [B, H, W], averaged over the runs;
     absent where the simulator draws no such map.
     """
     usage = getattr(evaluation.runs, "usage", None)
-    return kept(evaluation) | ({} if usage is None else {"usage": usage.mean(axis=1)})
+    return archived(evaluation) | ({} if usage is None else {"usage": usage.mean(axis=1)})

@@ -1,4 +1,4 @@
-"""What a search shows of itself while it goes on: rows of metrics, its archive, its best layout."""
+"""What a running search writes besides its log: checkpoints, its archive, its best layout."""
 
 import time
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from qdenv.domains.base import Domain
 from qdenv.io.layouts import write_layout
 from qdenv.run.archive import best_row, mark_cells
-from qdenv.run.directory import Metrics, RunDirectory
+from qdenv.run.directory import RunDirectory
 from qdenv.run.evaluate_async import Search
 from qdenv.search.base import Algorithm
 from qdenv.search.export import collector
@@ -28,7 +28,8 @@ class Publisher:
     ) -> None:
         """Compile nothing yet."""
         self._run, self._domain, self._measures = run, domain, measures
-        self._saved, self._spent, self._last = 0, 0.0, 0.0
+        self.saved = 0  # iteration after which this process has saved the search
+        self._spent, self._last = 0.0, 0.0
         self._begun = self._since = time.perf_counter()
         self._collect = collector(algorithm)
         self._summarise = jax.jit(lambda state: _summary(algorithm, state))
@@ -40,14 +41,10 @@ class Publisher:
 
     @property
     def has_time(self) -> bool:
-        """Tell whether saving would stay a small share of the time, or has waited too long."""
+        """Whether saving would stay a small share of the time, or has waited too long."""
         now = time.perf_counter()
         cheap = self._spent + self._last <= SAVING_SHARE * (now - self._begun)
         return cheap or now - self._since > LONGEST
-
-    def is_saved(self, iteration: int) -> bool:
-        """Tell whether this process has saved the search after an iteration."""
-        return self._saved == iteration
 
     def save(self, iteration: int, search: Search, settings: dict[str, Any]) -> None:
         """Write a checkpoint, then the archive and its best layout."""
@@ -56,7 +53,7 @@ class Publisher:
         self.publish(search)
         self._since = time.perf_counter()
         self._last = self._since - begun
-        self._saved, self._spent = iteration, self._spent + self._last
+        self.saved, self._spent = iteration, self._spent + self._last
 
     def publish(self, search: Search) -> None:
         """Write the archive and its best layout."""
@@ -78,13 +75,6 @@ class Publisher:
             details["marks"] = {name: list(cell) for name, cell in cells.items()}
         path = self._run.path / "best_layout.json"
         write_layout(path, layout, self._domain.tiles, **details)
-
-
-def describe(row: Metrics) -> str:
-    """Say in a few words how a search stands."""
-    return (
-        f"QD-score {row.qd_score:.1f}, coverage {row.coverage:.1%}, best {row.best_objective:.3f}"
-    )
 
 
 def _summary(algorithm: Algorithm, state: Any) -> tuple[jax.Array, jax.Array, int, jax.Array]:

@@ -14,7 +14,7 @@ from search_harness import compiled, extras_of, score_of
 
 from qdenv.run import evaluate_async, loop
 from qdenv.run.directory import RunDirectory
-from qdenv.run.evaluate_async import Flight, begin_search
+from qdenv.run.evaluate_async import AsyncEvaluation, begin_search
 from qdenv.search.base import Algorithm
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.settings import CmaEsConfig, MapElitesConfig
@@ -65,14 +65,14 @@ class Shuffled:
 
 @pytest.mark.parametrize("ahead", [0, 1, 3])
 def test_population_i_is_asked_when_all_up_to_i_minus_1_minus_ahead_are_told(ahead, monkeypatch):
-    monkeypatch.setattr(evaluate_async, "seen", lambda evaluation: {})
+    monkeypatch.setattr(evaluate_async, "observed", lambda evaluation: {})
     algorithm, log = scribe(ahead)
     evaluator, total = Shuffled(), 7
     search = begin_search(algorithm, jax.random.key(0))
-    under_way = Flight(algorithm, evaluator, jax.random.key(1), total, 0, search)
+    under_way = AsyncEvaluation(algorithm, evaluator, jax.random.key(1), total, 0, search)
     while under_way.done < total:
-        under_way.launch()
-        under_way.land(under_way.wait())
+        under_way.submit()
+        under_way.collect(under_way.wait())
     asks = [(number, told) for what, number, told in log if what == "ask"]
     assert asks == [(number, max(0, number - ahead)) for number in range(total + ahead)]
     tells = [(number, told) for what, number, told in log if what == "tell"]
