@@ -25,7 +25,7 @@ from qdenv.pipeline import PipelinedEvaluator
 from qdenv.run.executors.base import Execution
 from qdenv.run.executors.dask import ClusterExecutor, Task
 from qdenv.run.executors.layouts import Threads
-from qdenv.run.problem import seen
+from qdenv.run.problem import observed
 from qdenv.search.base import growing
 
 
@@ -51,7 +51,7 @@ def pipeline(
     def step(state: Any, number: int) -> Any:
         solutions, state = algorithm.ask(state)
         evaluation = evaluate(solutions, fold_in(experiment.evaluation_key, number))
-        return algorithm.tell(state, solutions, evaluation.score, seen(evaluation))
+        return algorithm.tell(state, solutions, evaluation.score, observed(evaluation))
 
     first, loop = Stopwatch(), Stopwatch()
     with first:
@@ -92,7 +92,7 @@ def time_stages(experiment: Any, state: Any) -> list[Row]:
     indices = np.arange(len(unrepaired))
     runs = compiled("simulate", chain.simulate, repair.layout, indices, experiment.search_key)
     evaluation = compiled("score", chain.score, unrepaired, repair.layout, repair.status, runs)
-    timed("search", algorithm.tell, state, solutions, evaluation.score, seen(evaluation))
+    timed("search", algorithm.tell, state, solutions, evaluation.score, observed(evaluation))
     total = sum(watch.cpu for watch in watches.values())
     return [
         {"stage": name, "cpu_s": watch.cpu, "percent": 100 * watch.cpu / total}
