@@ -189,7 +189,7 @@ def growing(algorithm: Algorithm) -> Algorithm:
 
     Returns:
         the same search as jitted functions (`archive` is left as it is). `tell` consumes the state
-        that it is given, `ask` leaves it whole and copies nothing of it.
+        that it is given, `ask` leaves it whole and copies no archive and no store.
     """
     full = [
         len(store.used) for store in stores_in(jax.eval_shape(algorithm.init, jax.random.key(0)))
