@@ -14,6 +14,7 @@ from qdenv.agent.train import save_weights
 from qdenv.cli import run as command
 from qdenv.domains.maze import MazeConfig, agent_weights, checksum_of_agent
 from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
+from qdenv.io.files import TEMPORARY_PREFIX
 from qdenv.run import loop
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
@@ -121,7 +122,7 @@ def test_a_second_process_is_refused_and_a_dead_one_leaves_no_lock(run):
 
 def test_what_killed_processes_left_half_written_is_swept_and_nothing_else(whole, run):
     names = {path.relative_to(run.path) for path in run.path.rglob("*")}
-    left = [".archive.npz.abc_1234", ".metrics.csv.00000000", "checkpoints/.000002.npz.zzzzzzzz"]
+    left = [f"{TEMPORARY_PREFIX}abc_1234", f"checkpoints/{TEMPORARY_PREFIX}zzzzzzzz"]
     for name in [*left, ".notes", ".my.archive"]:
         (run.path / name).write_bytes(b"half")
     loop.resume(run.path, progress=False)
