@@ -13,8 +13,8 @@ import toy
 from qdenv.agent.train import save_weights
 from qdenv.cli import run as command
 from qdenv.domains.maze import MazeConfig, agent_weights, checksum_of_agent
-from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
 from qdenv.io.files import TEMPORARY_PREFIX
+from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
 from qdenv.run import loop
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
