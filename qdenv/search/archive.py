@@ -165,10 +165,11 @@ class GridArchive(MapElitesRepertoire):
         measures = jnp.asarray(measures, self.descriptors.dtype)
         chex.assert_rank(objective, 1)
         chex.assert_shape(measures, (*objective.shape, len(self.measures)))
-        chex.assert_tree_shape_prefix(solutions, objective.shape)
         missing = [key for key in self.keys_extra_scores if key not in (extras or {})]
         if missing:
             raise InputError(f"this archive stores {missing[0]!r} beside each elite: hand it in")
+        stored = {key: (extras or {})[key] for key in self.keys_extra_scores}
+        chex.assert_tree_shape_prefix((solutions, stored), objective.shape)
         # A failed row gets the objective that beats no threshold: it needs no case of its own.
         valid = success & jnp.isfinite(objective) & jnp.isfinite(measures).all(axis=-1)
         objective = jnp.where(valid, objective, -jnp.inf)
@@ -189,7 +190,6 @@ class GridArchive(MapElitesRepertoire):
             rivals = same_cell & accepted[None, :]
             raised = annealed(threshold, objective, rivals, self.learning_rate, self.threshold_min)
             archive = self.replace(thresholds=_put(self.thresholds, target, raised))
-        stored = {key: (extras or {})[key] for key in self.keys_extra_scores}
         archive = archive.replace(
             genotypes=_put(self.genotypes, target, solutions),
             fitnesses=_put(self.fitnesses, target, objective[:, None]),

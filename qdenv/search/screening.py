@@ -78,6 +78,7 @@ def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) 
 
         inner_state, offspring = jax.lax.scan(draw, state.inner, None, config.screen)
         learning = state.inner.archives.learning
+        assert learning is not None  # CMA-MAE always has one
 
         def improvement(solutions: jax.Array) -> jax.Array:
             """Predict by how much solutions exceed the threshold of their cell, float [B]."""
