@@ -26,7 +26,7 @@ from qdenv.commands.parsing import run_program
 from qdenv.io.files import write_atomically
 from qdenv.run.executors.base import Execution, ExecutorName
 from qdenv.types import InputError
-from qdenv.view.style import save_figure
+from qdenv.view.style import save_figure, styled
 
 
 def list_all(folders: Folders) -> None:
@@ -69,7 +69,7 @@ def draw(name: str, experiment: Experiment, folders: Folders, out: Path) -> None
     """Draw one experiment and print its table."""
     if not experiment.drawable(folders):
         raise InputError(f"{name}: nothing is saved to draw from; --make {name} makes it")
-    drawn = experiment.draw(folders)
+    drawn = styled(experiment.draw)(folders)
     print(f"{name}: {experiment.shows}")
     print("\n".join(drawn.lines))
     if drawn.lines:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
-from qdenv.view.style import new_figure, save_figure
+from qdenv.view.style import new_figure, save_figure, styled
 
 LOOKS = (("#0072B2", "^"), ("#E69F00", "o"), ("#009E73", "s"), ("#CC79A7", "D"))  # Okabe, Ito 2008
 
@@ -19,6 +19,7 @@ class Opinion(NamedTuple):
     flows: np.ndarray  # bool [layouts], no run of either judge congested
 
 
+@styled
 def save_agreement(
     path: Path,
     theirs: np.ndarray,

@@ -28,7 +28,7 @@ from qdenv.commands.parsing import run_program
 from qdenv.io.files import write_csv
 from qdenv.run.config import RunConfig, choose_algorithm
 from qdenv.stats import margin, sample_of
-from qdenv.view.style import new_figure, save_figure
+from qdenv.view.style import new_figure, save_figure, styled
 
 ALGORITHMS = ("cma-mae", "cma-me", "map-elites", "cma-es", "random", "dsage")
 COLOURS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#999999", "#CC79A7")  # Okabe and Ito 2008
@@ -119,6 +119,7 @@ def print_table(found: dict[str, Runs], domain: str) -> None:
         print(f"{name:11}  {said}{mean:7.2f}  {lowest:6.2f}  {share:5.1%}  {paper}".rstrip())
 
 
+@styled
 def draw(path: Path, found: dict[str, Runs], title: str) -> None:
     """Draw the three metrics over true evaluations: means, and their 95 % intervals shaded."""
     figure = new_figure(10, 3.6, dpi=110)

@@ -36,7 +36,7 @@ from qdenv.study.ledger import Case, Outcome, complete, outcomes_of, read_runs
 from qdenv.study.options import parse_counts, parse_seeds
 from qdenv.study.plans import read_plan
 from qdenv.study.sweep import name_layouts
-from qdenv.view.style import new_figure, save_figure
+from qdenv.view.style import new_figure, save_figure, styled
 
 # What files call a layout's maker: the first that fits counts, as a tiled layout's name may say
 # whose layout was tiled.
@@ -105,6 +105,7 @@ def plot(axes: Axes, rows: Sequence[Outcome]) -> None:
     axes.set_xticks(sorted({row.agents for row in rows}))
 
 
+@styled
 def draw(path: Path, rows: Sequence[Outcome]) -> None:
     """Draw throughput over agents, a panel per layout."""
     panels: dict[tuple[str, str], list[Outcome]] = {}

@@ -27,7 +27,10 @@ from qdenv.io.layouts import read_layout
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.stats import wilson_interval
 from qdenv.types import InputError
-from qdenv.view.maze import save_episode, save_mazes
+from qdenv.view.film import MARKS
+from qdenv.view.layouts import COLOURS
+from qdenv.view.maze import draw_mazes as draw_panels
+from qdenv.view.style import save_figure
 
 
 @pytest.mark.parametrize(
@@ -182,34 +185,19 @@ def test_padded_units_change_no_decision(agent):
     jax.tree.map(np.testing.assert_array_equal, ours, theirs)
 
 
-def test_picture_of_an_episode(tmp_path):
-    layout = np.array([[0, 0, 0], [1, 1, 0]], np.int8)
-    path, cells, turns = tmp_path / "episode.gif", np.array([0, 0, 1, 2]), np.array([3, 0, 0, 1])
-    save_episode(path, layout, 5, cells, turns, cell=20)
-    with Image.open(path) as film:
-        assert (film.n_frames, film.size) == (4, (60, 40))
-        film.seek(3)
-        last = np.asarray(film.convert("RGB"))
-    assert tuple(last[30, 30]) == (128, 128, 128)  # a wall
-    assert tuple(last[38, 50]) == (60, 170, 80)  # the goal
-    assert tuple(last[10, 50]) == (245, 200, 40)  # the agent, in the corner
-    assert tuple(last[16, 50]) == (245, 200, 40)  # pointing down
-    save_episode(path, layout, 5, np.zeros(50, int), np.arange(50) % 4, frames=5)
-    with Image.open(path) as film:
-        assert film.n_frames <= 6
-    with pytest.raises(InputError):
-        save_episode(path, layout, 5, np.zeros(0, int), np.zeros(0, int))
-
-
 def test_picture_of_many_mazes(tmp_path):
     path, mazes = tmp_path / "mazes.png", draw_mazes(3, 8, (6, 6), 9)
-    save_mazes(path, mazes, [str(number) for number in range(8)])
+    save_figure(draw_panels(mazes, [str(number) for number in range(8)]), path)
     with Image.open(path) as picture:
         shown = np.asarray(picture.convert("RGB"))
     # Six panels in the first row, two in the second; one start and one goal in each.
+    levels = {
+        name: tuple(bytes.fromhex(colour[1:]))
+        for name, colour in {**MARKS, "wall": COLOURS["X"]}.items()
+    }
     colours, counts = np.unique(shown.reshape(-1, 3), axis=0, return_counts=True)
     seen = {tuple(colour): count for colour, count in zip(colours.tolist(), counts, strict=True)}
-    tile = seen[60, 90, 160] / 8
-    assert seen[60, 170, 80] / 8 == pytest.approx(tile, rel=0.1)
-    assert seen[128, 128, 128] / 8 == pytest.approx(9 * tile, rel=0.1)
+    tile = seen[levels["start"]] / 8
+    assert seen[levels["reached"]] / 8 == pytest.approx(tile, rel=0.1)
+    assert seen[levels["wall"]] / 8 == pytest.approx(9 * tile, rel=0.1)
     assert (shown[-1, : shown.shape[1] // 2] == 255).all()

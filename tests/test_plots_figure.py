@@ -16,8 +16,8 @@ from qdenv.study.groups import CURVES, Group
 from qdenv.study.table import Peak, Row
 from qdenv.types import InputError, Measure
 from qdenv.view.runs import draw_archives, draw_progress
-from qdenv.view.studies import draw_comparison, draw_peaks, draw_success, draw_throughput
-from qdenv.view.style import PALETTE, WARNING, name_of, paper_figure, save_figure, styled
+from qdenv.view.studies import draw_comparison, draw_over_agents, draw_peaks
+from qdenv.view.style import PALETTE, WARNING, name_of, new_figure, save_figure, styled
 from qdenv.view.traffic import LINE, Scene, draw_panel, draw_traffic
 from qdenv.view.widths import COLUMN, PAGE, parse_width
 
@@ -59,15 +59,15 @@ def every(monkeypatch):
     """Draw each picture at a width."""
     monkeypatch.setattr(Group, "title", property(lambda group: f"{group.label} (seeds 0, 1)"))
     axes = (Measure("connected shelf components", 0, 4, 4), Measure("entropy", 0, 1, 3))
-    from qdenv.view.runs import Shown
+    from qdenv.view.runs import ArchivePanel
 
-    shown = [Shown(f"MAP-Elites (seed {seed})", RNG.random(12), axes) for seed in range(4)]
+    shown = [ArchivePanel(f"MAP-Elites (seed {seed})", RNG.random(12), axes) for seed in range(4)]
     return {
         "comparison": lambda width: draw_comparison(rows(), width),
         "bars": lambda width: draw_comparison(rows((200,)), width),
         "peaks": lambda width: draw_peaks(rows(), peaks(), width),
-        "throughput": lambda width: draw_throughput(rows(), width),
-        "success": lambda width: draw_success(rows(), width),
+        "throughput": lambda width: draw_over_agents(rows(), width=width),
+        "success": lambda width: draw_over_agents(rows(), True, width),
         "progress": lambda width: draw_progress(groups(), "throughput", width),
         "archives": lambda width: draw_archives(shown, "throughput", width),
         "traffic": lambda width: draw_traffic(scene(), width),
@@ -126,7 +126,7 @@ def test_every_picture_with_several_lines_names_them(every):
 
 
 def test_pdf_holds_truetype_and_svg_holds_text(tmp_path):
-    figure = draw_throughput(rows(), COLUMN)
+    figure = draw_over_agents(rows(), width=COLUMN)
     save_figure(figure, tmp_path / "t.pdf")
     save_figure(figure, tmp_path / "t.svg")
     content = (tmp_path / "t.pdf").read_bytes()
@@ -137,12 +137,12 @@ def test_pdf_holds_truetype_and_svg_holds_text(tmp_path):
 
 def test_the_style_is_the_pictures_own(tmp_path):
     before = dict(matplotlib.rcParams)
-    save_figure(draw_success(rows()), tmp_path / "s.png")
+    save_figure(draw_over_agents(rows(), True), tmp_path / "s.png")
     assert dict(matplotlib.rcParams) == before
 
     @styled
     def small():
-        figure = paper_figure(COLUMN, 2)
+        figure = new_figure(COLUMN, 2)
         figure.subplots().plot([0, 1])
         return figure
 

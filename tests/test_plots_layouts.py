@@ -12,11 +12,12 @@ from qdenv.grid import parse
 from qdenv.view.layouts import (
     CHANGED,
     COLOURS,
+    draw_frames,
     draw_layout,
     save_difference,
-    save_frames,
     save_layout,
 )
+from qdenv.view.style import save_figure
 
 DRAWING = [".@ew", "e@..", "...."]
 LAYOUT = parse(DRAWING, ".@ew")
@@ -64,7 +65,7 @@ def test_the_difference_frames_what_changed(tmp_path):
 def test_a_series_has_a_panel_per_number_of_steps_and_at_most_six_in_a_row(tmp_path):
     for number, across, down in ((1, 1, 1), (6, 6, 1), (7, 6, 2)):
         path = tmp_path / f"{number}.png"
-        save_frames(path, [LAYOUT] * number, range(number), ".@ew")
+        save_figure(draw_frames([LAYOUT] * number, range(number), ".@ew"), path)
         height = 2.9 * 3 / 4 + 0.6  # of a panel of 3 rows and 4 columns
         assert imread(path).shape[:2] == (int(150 * height * down), int(150 * 2.9 * across))
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 from qdenv.study.motion import Motion
 from qdenv.types import InputError
-from qdenv.view.film import KINDS, MARKS, TITLE, WARMTH, floor_colours, save_film
+from qdenv.view.film import KINDS, MARKS, MOST, TITLE, WARMTH, floor_colours, save_film
 
 TILES = ".@ew"
 LAYOUT = np.zeros((4, 6), np.int8)
@@ -115,6 +115,26 @@ def test_the_agent_of_a_maze_leaves_its_way_behind(tmp_path):
     np.testing.assert_array_equal(corner(last, 1, 1, cell), levels(MARKS["start"]))
     row = np.asarray(last)[TITLE + cell + cell // 2, cell + cell // 2 : 2 * cell]
     assert (row == levels(MARKS["way"])).all(1).mean() > 0.9
+
+
+def test_a_long_episode_skips_actions_but_not_its_end(tmp_path):
+    layout, steps = np.zeros((3, 3), np.int8), 2 * MOST + 7
+    motion = Motion(
+        positions=np.append(np.zeros(steps, np.int32), 1)[:, None],
+        goals=np.ones((steps + 1, 1), np.int32),
+        finished=(np.arange(steps) == steps - 1)[:, None],
+        congested=(),
+        timesteps=steps,
+        headings=np.zeros(steps + 1, np.int8),
+        shortest=1,
+    )
+    path, cell = tmp_path / "walk.gif", KINDS[".gif"].side // 3
+    save_film(path, layout, " X", motion, (0, steps))
+    with Image.open(path) as film:
+        assert film.n_frames <= MOST + 1
+        film.seek(film.n_frames - 1)
+        last = film.convert("RGB")
+    np.testing.assert_array_equal(middle(last, 0, 1, cell), levels(MARKS["agent"]))
 
 
 def test_a_film_of_no_time_is_refused(tmp_path, motion):

@@ -5,7 +5,8 @@ import pytest
 from matplotlib.image import imread
 
 from qdenv.study.table import Peak, Row
-from qdenv.view.studies import draw_comparison, draw_peaks, save_comparison, save_peaks
+from qdenv.view.studies import draw_comparison, draw_peaks
+from qdenv.view.style import save_figure
 
 NAN = float("nan")
 
@@ -81,8 +82,9 @@ def test_peaks_are_starred_on_their_lines_and_sorted_by_size():
 @pytest.mark.parametrize("ending", ["png", "jpg"])
 def test_pictures_are_written_in_the_format_of_their_ending(tmp_path, ending):
     rows = [row("a", 50, 2.0), row("a", 100, 3.0)]
-    save_comparison(tmp_path / f"c.{ending}", rows)
-    save_peaks(tmp_path / f"p.{ending}", rows, [Peak("a", 9, 12, 100, 2.9, 1.0, True)])
+    save_figure(draw_comparison(rows), tmp_path / f"c.{ending}")
+    peaks = [Peak("a", 9, 12, 100, 2.9, 1.0, True)]
+    save_figure(draw_peaks(rows, peaks), tmp_path / f"p.{ending}")
     assert imread(tmp_path / f"c.{ending}").shape[:2] == (1045, 1584)
     assert imread(tmp_path / f"p.{ending}").shape[:2] == (760, 1584)
     assert len(list(tmp_path.iterdir())) == 2

@@ -5,7 +5,8 @@ import pytest
 from matplotlib.image import imread
 
 from qdenv.study.congestion import Maps, Spot
-from qdenv.view.traffic import Scene, draw_traffic, save_traffic
+from qdenv.view.style import save_figure
+from qdenv.view.traffic import Scene, draw_traffic
 
 
 @pytest.fixture
@@ -75,5 +76,6 @@ def test_any_shape_and_a_fleet_that_never_waits_can_be_drawn(shape, tmp_path):
     still = np.zeros(shape)
     over_time = np.array([[1.0], [0.0], [np.nan]])
     maps = Maps(still, still, still, still, 1.0)
-    save_traffic(tmp_path / "t.png", Scene(still == 0, maps, [], over_time, [], "empty", 1))
+    figure = draw_traffic(Scene(still == 0, maps, [], over_time, [], "empty", 1))
+    save_figure(figure, tmp_path / "t.png")
     assert imread(tmp_path / "t.png").std() > 0

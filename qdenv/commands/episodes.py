@@ -127,7 +127,7 @@ def evaluate_agent(
         json_file, "evaluate-agent", facts, **settings, agent=episodes.agent or "the shipped one"
     )
     if picture:
-        draw_episode(picture.path, weights, maze, seed, steps)
+        draw_episode(picture.path, weights, plan, seed, steps)
         print(picture)
 
 
@@ -153,7 +153,8 @@ def leave(places: Places, others: Comparison, plan: Plan, own: float) -> dict[st
         own: the agent's success rate on it.
     """
     # Only here: matplotlib takes half a second to import, and who is refused need not wait.
-    from qdenv.view.maze import save_mazes
+    from qdenv.view.maze import draw_mazes
+    from qdenv.view.style import save_figure
 
     lengths, folder, domain = [maze.shortest for maze in others.mazes], places.folder, plan.domain
     print(
@@ -179,7 +180,7 @@ def leave(places: Places, others: Comparison, plan: Plan, own: float) -> dict[st
             zip((others.given, *others.mazes), rates, strict=True)
         )
     ]
-    save_mazes(places.picture.path, [others.given, *others.mazes], titles)
+    save_figure(draw_mazes([others.given, *others.mazes], titles), places.picture.path)
     print(places.picture)
     return {
         "mean": others.mean,
@@ -193,17 +194,10 @@ def leave(places: Places, others: Comparison, plan: Plan, own: float) -> dict[st
     }
 
 
-def draw_episode(path: Path, weights: Weights, maze: np.ndarray, seed: int, steps: int) -> None:
+def draw_episode(path: Path, weights: Weights, plan: Plan, seed: int, steps: int) -> None:
     """Draw one episode as an animation."""
-    import jax
-    import jax.numpy as jnp
+    from qdenv.study.motion import trace_agent
+    from qdenv.view.film import save_film
 
-    from qdenv.simulate.maze.episode import trace_episode
-    from qdenv.simulate.maze.policy import prepare
-    from qdenv.view.maze import save_episode
-
-    tables = prepare(weights, jnp.asarray(maze))
-    episode, poses = trace_episode(weights, tables, jax.random.key(seed), steps)
-    shown = slice(0, int(episode.length) + 1)
-    cells, headings = (np.asarray(pose)[shown] for pose in poses)
-    save_episode(path, maze, int(tables.course.goal), cells, headings)
+    motion = trace_agent(plan, seed, steps, weights)
+    save_film(path, plan.layout, plan.domain.tiles, motion, (0, motion.steps))

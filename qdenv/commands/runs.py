@@ -161,8 +161,9 @@ def _say_size(trained: Domain, grown: Domain, stated: Sequence[str]) -> None:
 def _draw_frames(run: RunDirectory, grown: Grown, every: int, picture: Path) -> None:
     """Draw how a layout grows, and say where and when."""
     from qdenv.study.sizes import grow_frames
-    from qdenv.view.layouts import save_frames
+    from qdenv.view.layouts import draw_frames
+    from qdenv.view.style import save_figure
 
     after, drawn = grow_frames(run, grown, every)
-    save_frames(picture, drawn, after, grown.domain.tiles)
+    save_figure(draw_frames(drawn, after, grown.domain.tiles), picture)
     print(f"{picture}: after {', '.join(map(str, after))} steps")

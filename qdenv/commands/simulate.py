@@ -138,9 +138,9 @@ def draw(
 ) -> None:
     """Draw the traffic of a study."""
     # Only here: matplotlib takes half a second to import.
-    from qdenv.view.style import name_of
-    from qdenv.view.traffic import save_traffic, scene_of
+    from qdenv.view.style import name_of, save_figure
+    from qdenv.view.traffic import draw_traffic, scene_of
 
     verdict = f": {facts['verdict']}, {facts['verdict_reason']}" if "verdict" in facts else ""
     title = f"{name_of(plan.name)}, {facts['agents']} agents{verdict}"
-    save_traffic(path, scene_of(plan, study, title, facts["stop"]), **size)
+    save_figure(draw_traffic(scene_of(plan, study, title, facts["stop"]), **size), path)

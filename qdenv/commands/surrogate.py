@@ -143,7 +143,8 @@ def draw(
     path: Path, elites: Evaluated, trials: list[Trial], facts: dict[str, Any], name: str
 ) -> None:
     """Draw predicted over true values, a panel for each number."""
-    from qdenv.view.archive import save_predictions  # here: imports matplotlib
+    from qdenv.view.archive import draw_predictions  # here: imports matplotlib
+    from qdenv.view.style import save_figure
 
     truth = np.concatenate([elites.numbers[trial.held] for trial in trials])
     predicted = np.concatenate([trial.predicted for trial in trials])
@@ -155,4 +156,4 @@ def draw(
     many = f"{len(trials)} splits; in brackets the standard deviation over them"
     splits = many if len(trials) > 1 else "1 split"
     title = f"{name}: {facts['held_out']} of {facts['elites']} elites held out, {splits}"
-    save_predictions(path, panels, title)
+    save_figure(draw_predictions(panels, title), path)

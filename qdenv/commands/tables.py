@@ -118,16 +118,15 @@ def write(
         peaks: to draw how layouts scale; without any, layouts are put side by side.
     """
     # Only here: matplotlib takes half a second to import.
-    from qdenv.view.studies import save_comparison, save_peaks
+    from qdenv.view.studies import draw_comparison, draw_peaks
+    from qdenv.view.style import save_figure
 
     columns = dict(columns or {})
     if study.per_hour:
         columns["tasks_per_hour"] = [row.mean_of_all * study.per_hour for row in rows]
     write_rows(study.table.path, rows, columns)
-    if peaks:
-        save_peaks(study.picture.path, rows, peaks, **size)
-    else:
-        save_comparison(study.picture.path, rows, **size)
+    figure = draw_peaks(rows, peaks, **size) if peaks else draw_comparison(rows, **size)
+    save_figure(figure, study.picture.path)
     falling = [row for row in rows if row.fading > FADING]
     for row in falling[:MOST_WARNINGS]:
         print(

@@ -147,7 +147,8 @@ def describe_size(size: Grown, counted: str) -> list[str]:
 def draw(path: Path, collections: Sequence[Collection], only: Shipped | None) -> None:
     """Draw the layouts of generators at their trained size."""
     # Only here: matplotlib takes half a second to import.
-    from qdenv.view.layouts import Picture, save_sheet
+    from qdenv.view.layouts import Picture, draw_sheet
+    from qdenv.view.style import save_figure
 
     def picture(collection: Collection, one: Generator) -> Picture:
         run = RunDirectory.open(f"{PREFIX}{collection.domain}/{one.name}")
@@ -164,4 +165,4 @@ def draw(path: Path, collections: Sequence[Collection], only: Shipped | None) ->
         for one in collection.generators.values()
         if only is None or one.name == only.name
     ]
-    save_sheet(path, every)
+    save_figure(draw_sheet(every), path)

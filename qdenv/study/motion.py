@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
 from qdenv.types import InputError, Traffic
+
+if TYPE_CHECKING:
+    from qdenv.simulate.maze.policy import Weights
 
 MAZES = ("maze-walls", "maze-entropy")
 MOST_SHOWN = 20_000_000  # agent-steps of a run that a browser still moves through
@@ -102,13 +105,16 @@ def _congested(recording: Any, end: int, horizon: int) -> tuple[tuple[int, int],
     return tuple(stretches)
 
 
-def trace_agent(plan: Plan, seed: int = 0, timesteps: int | None = None) -> Motion:
-    """Let the shipped agent walk through a maze once and keep every pose.
+def trace_agent(
+    plan: Plan, seed: int = 0, timesteps: int | None = None, weights: Weights | None = None
+) -> Motion:
+    """Let an agent walk through a maze once and keep every pose.
 
     Args:
         plan: the maze.
         seed: of the first heading and of all actions.
         timesteps: actions after which the episode fails; as `evaluate-agent` unless given.
+        weights: of the agent; those of the shipped one unless given.
 
     Raises:
         InputError: there is nothing to solve, or the seed is none.
@@ -122,7 +128,7 @@ def trace_agent(plan: Plan, seed: int = 0, timesteps: int | None = None) -> Moti
     from qdenv.simulate.maze.policy import load_weights, prepare
 
     steps = timesteps or default_horizon(plan.layout)
-    weights = load_weights()
+    weights = load_weights() if weights is None else weights
     tables = prepare(weights, jnp.asarray(plan.layout))
     episode, poses = trace_episode(weights, tables, jax.random.key(seed), steps)
     length = int(episode.length)

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
 from qdenv.types import InputError, Measure
-from qdenv.view.style import new_figure, paper_figure, save_figure, styled
+from qdenv.view.style import new_figure, save_figure, styled
 
 COLOURS = "viridis"
 EMPTY = "#f2f2f2"
@@ -94,6 +94,7 @@ def draw_heatmap(
     return image
 
 
+@styled
 def draw_archive(
     figure: Figure,
     objectives: ArrayLike,
@@ -154,8 +155,8 @@ def save_heatmap(
     Raises:
         InputError: the objectives do not fit the grid, or the place cannot be written to.
     """
-    figure = paper_figure(width, TALL * width)
-    styled(draw_archive)(figure, objectives, measures, title, label)
+    figure = new_figure(width, TALL * width)
+    draw_archive(figure, objectives, measures, title, label)
     save_figure(figure, path)
 
 
@@ -172,17 +173,7 @@ POINT_COLOUR = "#0072b2"
 LINE_COLOUR = "#b5432d"
 
 
-def save_predictions(
-    path: str | Path, panels: Mapping[str, tuple[np.ndarray, np.ndarray, str]], title: str
-) -> None:
-    """Save what `draw_predictions` draws; the ending of `path` chooses the format.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
-    save_figure(draw_predictions(panels, title), path)
-
-
+@styled
 def draw_predictions(
     panels: Mapping[str, tuple[np.ndarray, np.ndarray, str]], title: str
 ) -> Figure:

@@ -170,8 +170,10 @@ class Stage:
         for name, cell in (("start", motion.positions[0, 0]), ("reached", motion.goals[0, 0])):
             x, y = int(cell) % self.cols * self.cell, int(cell) // self.cols * self.cell + TITLE
             pen.rectangle((x, y, x + end, y + end), MARKS[name])
-        times = [*range(int(time) + 1), time]
-        way = [tuple((self.corners(motion, at)[0] + middle).tolist()) for at in times]
+        cells = motion.positions[: int(time) + 1, 0]
+        past = np.stack([cells % self.cols, cells // self.cols], 1) * self.cell + [0, TITLE]
+        here = self.corners(motion, time)[0]
+        way = [tuple(at) for at in (np.vstack([past, here]) + middle).tolist()]
         pen.line(way, MARKS["way"], max(2, self.cell // 6), "curve")
         turn = motion.headings[int(time)] * np.pi / 2
         (right, down), (x, y) = TRIANGLE.T * self.cell, way[-1]
@@ -199,6 +201,7 @@ class Kind(NamedTuple):
     rate: float  # pictures a second
 
 
+MOST = 600  # pictures of an episode in a maze, which may take thousands of actions
 KINDS = {".gif": Kind(600, 2, 12.5), ".mp4": Kind(720, 3, 24)}
 
 
@@ -228,6 +231,8 @@ def save_film(
     if not 0 <= first < last:
         raise InputError(f"there is nothing to draw from timestep {first} to {last} of the run")
     times = [first + part / kind.parts for part in range((last - first) * kind.parts + 1)]
+    if motion.headings is not None and len(times) > MOST:
+        times = [*range(first, last, -(-(last - first) // MOST)), last]
 
     def told() -> Iterator[Image.Image]:
         for number, picture in enumerate(draw(layout, tiles, motion, times, kind.side)):
@@ -271,8 +276,7 @@ def save_mp4(path: Path, pictures: Iterable[Image.Image], rate: float) -> None:
     Raises:
         InputError: the place cannot be written to.
     """
-    # Only here: the encoder is an extra.
-    import imageio_ffmpeg
+    import imageio_ffmpeg  # an extra
 
     rest = iter(pictures)
     first = next(rest)
@@ -282,13 +286,14 @@ def save_mp4(path: Path, pictures: Iterable[Image.Image], rate: float) -> None:
         command += ["-pix_fmt", "rgb24", "-s", "{}x{}".format(*first.size), "-r", f"{rate}"]
         command += ["-i", "-", *CODING, str(film)]
         # A group of its own: Ctrl-C is for this program, which ends the encoder by itself.
+        # `imageio_ffmpeg.write_frames` does that by a fork, which threads of JAX do not survive.
         with Popen(command, stdin=PIPE, stderr=PIPE, process_group=0) as encoder:
             assert encoder.stdin is not None and encoder.stderr is not None
-            with contextlib.suppress(BrokenPipeError):  # what it complains about is read below
+            with contextlib.suppress(BrokenPipeError):  # its message is read below
                 for picture in chain([first], rest):
                     encoder.stdin.write(picture.tobytes())
                 encoder.stdin.close()
-            said = encoder.stderr.read().decode(errors="replace")
+            message = encoder.stderr.read().decode(errors="replace")
         if encoder.returncode:
-            raise InputError(f"{path}: the encoder failed ({' '.join(said.split())[:200]})")
+            raise InputError(f"{path}: the encoder failed ({' '.join(message.split())[:200]})")
         write_atomically(Path(path), film.read_bytes())

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from qdenv.types import Array
-from qdenv.view.style import new_figure, save_figure
+from qdenv.view.style import SCREEN_DPI, new_figure, save_figure, styled
 
 # Told apart by colour-blind eyes too, within each alphabet (tests measure it).
 COLOURS = {
@@ -34,11 +34,10 @@ SMALLEST, LARGEST = 4.5, 12.0  # inches of the longer side of one layout
 FINE = 60  # rows or columns beyond which lines would hide the tiles
 LABELS = (1, 2, 5, 10, 20, 50, 100, 200)  # rows from one numbered row to the next
 LETTER = 0.52  # of a letter's height: its width
-PANEL = 2.9  # inches of a panel of a series
-PANELS = 6  # side by side, as in Figure 6
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
+@styled
 def draw_layout(
     layout: Array, tiles: str, ax: Axes | None = None, names: Mapping[str, str] = NO_NAMES
 ) -> Axes:
@@ -57,6 +56,7 @@ def draw_layout(
     ax = _new_figure(layout.shape, 1).axes[0] if ax is None else ax
     colours = ListedColormap([COLOURS.get(tile, UNKNOWN) for tile in tiles])
     ax.imshow(layout, cmap=colours, vmin=-0.5, vmax=len(tiles) - 0.5, interpolation="nearest")
+    ax.spines[:].set_visible(True)
     rows, cols = layout.shape
     if max(rows, cols) <= FINE:
         ax.set_xticks(np.arange(cols + 1) - 0.5, minor=True)
@@ -108,6 +108,7 @@ def save_layout(
     save_figure(draw_plan(layout, tiles, names), path, crop=True)
 
 
+@styled
 def draw_plan(layout: Array, tiles: str, names: Mapping[str, str] = NO_NAMES) -> Figure:
     """Draw a layout as `save_layout` does, to be cropped to what is drawn."""
     figure = _new_figure(np.shape(layout), 1)
@@ -115,6 +116,7 @@ def draw_plan(layout: Array, tiles: str, names: Mapping[str, str] = NO_NAMES) ->
     return figure
 
 
+@styled
 def save_difference(
     path: str | Path, before: Array, after: Array, tiles: str, names: Mapping[str, str] = NO_NAMES
 ) -> None:
@@ -144,17 +146,6 @@ def _number_cells(ax: Axes) -> None:
     ax.tick_params(which="major", labeltop=True, labelleft=True, labelsize=8, labelcolor="#666666")
 
 
-def save_frames(
-    path: str | Path, layouts: Sequence[Array], steps: Sequence[int], tiles: str
-) -> None:
-    """Save what `draw_frames` draws; the ending of `path` chooses the format.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
-    save_figure(draw_frames(layouts, steps, tiles), path)
-
-
 def draw_frames(layouts: Sequence[Array], steps: Sequence[int], tiles: str) -> Figure:
     """Draw how one layout grows, a panel for each number of NCA steps (Figure 6).
 
@@ -163,17 +154,44 @@ def draw_frames(layouts: Sequence[Array], steps: Sequence[int], tiles: str) -> F
         steps: numbers of NCA steps.
         tiles: the alphabet.
     """
-    rows, cols = layouts[0].shape
-    across = min(len(layouts), PANELS)
-    down = -(-len(layouts) // across)
-    figure = new_figure(PANEL * across, (PANEL * rows / cols + 0.6) * down)
+    panels = [
+        Picture(layout, tiles, NO_NAMES, f"{number} steps", "")
+        for layout, number in zip(layouts, steps, strict=True)
+    ]
+    return draw_sheet(panels, 6, 2.9)  # six side by side as in Figure 6
+
+
+class Picture(NamedTuple):
+    """One layout of a sheet."""
+
+    layout: Array  # int8 [H, W]
+    tiles: str  # its alphabet
+    names: Mapping[str, str]  # how the legend calls the tiles
+    title: str  # above it
+    note: str  # below it
+
+
+@styled
+def draw_sheet(pictures: Sequence[Picture], across: int = 5, width: float = 2.6) -> Figure:
+    """Draw layouts side by side.
+
+    Args:
+        pictures: at least one.
+        across: the most in a row.
+        width: of a layout in inches.
+    """
+    across = min(len(pictures), across)
+    down = -(-len(pictures) // across)
+    tallest = max(one.layout.shape[0] / one.layout.shape[1] for one in pictures)
+    figure = new_figure(width * across, (width * tallest + 0.6) * down, dpi=SCREEN_DPI)
     panels = figure.subplots(down, across, squeeze=False).ravel()
-    for ax, layout, number in zip(panels, layouts, steps, strict=False):
-        draw_layout(layout, tiles, ax)
-        ax.get_legend().remove()
-        ax.set_title(f"{number} steps", fontsize=9)
-    for ax in panels[len(layouts) :]:
-        ax.set_axis_off()
+    for axes, one in zip(panels, pictures, strict=False):
+        draw_layout(one.layout, one.tiles, axes, one.names)
+        axes.get_legend().remove()
+        axes.set_title(one.title, fontsize=9)
+        axes.set_xlabel(one.note, fontsize=7)
+    for axes in panels[len(pictures) :]:
+        axes.set_axis_off()
     return figure
 
 
@@ -187,49 +205,9 @@ def _new_figure(shape: tuple[int, ...], panels: int) -> Figure:
     """Make a figure with `panels` axes side by side, sized so that cells are square."""
     rows, cols = (side * _scale(shape, panels) for side in shape)
     gap = 0.45
-    figure = new_figure(panels * (cols + gap), rows + 0.9, arrange=False)
+    figure = new_figure(panels * (cols + gap), rows + 0.9, arrange=False, dpi=SCREEN_DPI)
     width, height = figure.get_size_inches()
     for panel in range(panels):
         left = (panel * (cols + gap) + gap) / width
         figure.add_axes((left, 0.45 / height, cols / width, rows / height))
     return figure
-
-
-SHEET_PANEL = 2.6  # inches of a layout's width
-ACROSS = 5
-
-
-class Picture(NamedTuple):
-    """One layout of a sheet."""
-
-    layout: Array  # int8 [H, W]
-    tiles: str  # its alphabet
-    names: Mapping[str, str]  # how the legend calls the tiles
-    title: str  # above it
-    note: str  # below it
-
-
-def draw_sheet(pictures: Sequence[Picture]) -> Figure:
-    """Draw layouts side by side, five in a row."""
-    down = -(-len(pictures) // ACROSS)
-    across = min(len(pictures), ACROSS)
-    tallest = max(one.layout.shape[0] / one.layout.shape[1] for one in pictures)
-    figure = new_figure(SHEET_PANEL * across, (SHEET_PANEL * tallest + 0.6) * down)
-    panels = figure.subplots(down, across, squeeze=False).ravel()
-    for axes, one in zip(panels, pictures, strict=False):
-        draw_layout(one.layout, one.tiles, axes, one.names)
-        axes.get_legend().remove()
-        axes.set_title(one.title, fontsize=9)
-        axes.set_xlabel(one.note, fontsize=7)
-    for axes in panels[len(pictures) :]:
-        axes.set_axis_off()
-    return figure
-
-
-def save_sheet(path: str | Path, pictures: Sequence[Picture]) -> None:
-    """Save layouts side by side; the ending of `path` chooses the format.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
-    save_figure(draw_sheet(pictures), path)

@@ -1,4 +1,4 @@
-"""What an algorithm says of itself over evaluations: losses and errors of a surrogate."""
+"""Pictures of runs: archives, progress over evaluations, the best layout, a surrogate's errors."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,34 +20,34 @@ from qdenv.view.style import (
     DASHES,
     GREY,
     PALETTE,
+    SCREEN_DPI,
     SMALL,
     add_legend,
     new_figure,
-    paper_figure,
     save_figure,
     styled,
 )
 from qdenv.view.widths import PAGE
 
-UNSAID = ("iteration", "evaluations", "fits")  # what a curve would tell nobody
+SKIPPED = ("iteration", "evaluations", "fits")  # counters, of which a curve shows nothing
 LOGARITHMIC = ("loss", "rmse")  # what shrinks by factors
 LOWEST_R2 = -1.0  # further down it says no more than "bad"
 COLUMNS = 4
 
 
-def save_notes(path: Path, notes: list[Note]) -> None:
+@styled
+def draw_notes(notes: list[Note]) -> Figure:
     """Draw one panel for each kind of number: ``loss_repair`` and ``loss_usage`` are of one kind.
 
     Args:
-        path: picture to write.
         notes: one per iteration, at least one.
     """
     kinds: dict[str, list[str]] = {}
     for name in notes[0]:
-        if name not in UNSAID:
+        if name not in SKIPPED:
             kinds.setdefault(name.partition("_")[0], []).append(name)
     rows = -(-len(kinds) // COLUMNS)
-    figure = new_figure(10, 3.4 * rows, dpi=120)
+    figure = new_figure(10, 3.4 * rows, dpi=SCREEN_DPI)
     panels = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
     evaluations = [note["evaluations"] for note in notes]
     for axes, (kind, names) in zip(panels, kinds.items(), strict=False):
@@ -64,10 +64,9 @@ def save_notes(path: Path, notes: list[Note]) -> None:
             # Below the panel: inside, it would cover the curves.
             place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2}
             axes.legend(fontsize="x-small", frameon=False, **place)
-        axes.spines[["top", "right"]].set_visible(False)
     for axes in panels[len(kinds) :]:
         axes.set_visible(False)
-    save_figure(figure, path)
+    return figure
 
 
 NARROWEST = 1.65  # inches of one archive
@@ -79,7 +78,7 @@ LETTERS_PER_INCH = 12  # of a label
 MEANING = "lines: mean over runs, bands: its 95 % interval"
 
 
-class Shown(NamedTuple):
+class ArchivePanel(NamedTuple):
     """One archive."""
 
     title: str  # whose
@@ -100,7 +99,7 @@ def draw_progress(groups: Sequence[Group], objective: str, width: float = PAGE) 
     """
     shape = (1, 3) if width >= ABREAST else (3, 1)
     tall = TALL if shape[0] == 1 else FLAT
-    figure = paper_figure(width, shape[0] * (tall * width / shape[1] + TITLES))
+    figure = new_figure(width, shape[0] * (tall * width / shape[1] + TITLES))
     panels = figure.subplots(*shape, sharex=True).ravel()
     for axes, (name, title) in zip(panels, CURVES.items(), strict=True):
         for place, group in enumerate(groups):
@@ -137,7 +136,7 @@ def _draw_curve(axes: Axes, group: Group, name: str, place: int) -> None:
 
 
 @styled
-def draw_archives(shown: Sequence[Shown], objective: str, width: float = PAGE) -> Figure:
+def draw_archives(shown: Sequence[ArchivePanel], objective: str, width: float = PAGE) -> Figure:
     """Draw archives side by side, all on one colour scale.
 
     Args:
@@ -147,7 +146,7 @@ def draw_archives(shown: Sequence[Shown], objective: str, width: float = PAGE) -
     """
     across = min(len(shown), max(1, int(width / NARROWEST)))
     down = -(-len(shown) // across)
-    figure = paper_figure(width, down * (TALL * width / across + TITLES) + TITLES)
+    figure = new_figure(width, down * (TALL * width / across + TITLES) + TITLES)
     panels = figure.subplots(down, across, squeeze=False).ravel()
     filled = np.concatenate([one.objectives[np.isfinite(one.objectives)] for one in shown])
     low, high = (filled.min(), filled.max()) if len(filled) else (0.0, 1.0)
@@ -206,11 +205,12 @@ def plot_run(
     pictures = [place / f"archive.{form}", place / f"progress.{form}"]
     size: Any = {} if width is None else {"width": width}
     save_heatmap(pictures[0], _objectives(run), meaning.measures, label=meaning.objective, **size)
-    save_progress(pictures[1], run, **size)
+    progress = draw_progress(group_runs([run]), meaning.objective, **size)
+    save_figure(progress, pictures[1])
     notes = read_notes(run.path / NOTES)
     if notes:
         pictures.append(place / f"notes.{form}")
-        save_notes(pictures[-1], notes)
+        save_figure(draw_notes(notes), pictures[-1])
     best = run.read_best_layout()
     if best is not None:
         pictures.append(place / f"best_layout.{form}")
@@ -243,15 +243,6 @@ def draw_marks(axes: Axes, marks: Mapping[str, tuple[int, int]]) -> None:
         )
 
 
-def save_progress(path: Path, run: RunDirectory, width: float = PAGE) -> None:
-    """Draw QD-score, coverage and best objective over evaluations (Figure 20).
-
-    Raises:
-        InputError: no iteration is finished.
-    """
-    save_figure(draw_progress(group_runs([run]), run.schema.objective, width), path)
-
-
 def plot_runs(
     runs: Sequence[RunDirectory], folder: Path, form: str = "png", width: float = PAGE
 ) -> list[Path]:
@@ -269,7 +260,7 @@ def plot_runs(
     groups, objective = group_runs(runs), runs[0].schema.objective
     pictures = [folder / f"archives.{form}", folder / f"progress.{form}"]
     shown = [
-        Shown(group._replace(runs=(run,)).title, _objectives(run), run.measures)
+        ArchivePanel(group._replace(runs=(run,)).title, _objectives(run), run.measures)
         for group in groups
         for run in group.runs
     ]

@@ -1,12 +1,10 @@
 """Pictures of studies: layouts side by side over numbers of agents, and up to their peaks."""
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
@@ -20,8 +18,7 @@ from qdenv.view.style import (
     WARNING,
     add_legend,
     name_of,
-    paper_figure,
-    save_figure,
+    new_figure,
     styled,
 )
 from qdenv.view.widths import PAGE
@@ -33,18 +30,9 @@ AGAINST = "\nper cent: against the first layout, over all runs, with 95 % interv
 SPREAD = 0.02  # of the axis: how far lines that would hide one another are moved apart
 BAR_COLOUR = "#cfd8e3"
 TALL = 0.66  # of the width: the height of layouts side by side
-FLAT = 0.48  # likewise of one panel alone
+FLAT = 0.48  # of the width: the height of one panel alone
 LOWEST = 4.0  # inches of its height
 ABREAST = 5.0  # inches from which two panels stand side by side
-
-
-def save_comparison(path: str | Path, rows: Sequence[Row], width: float = PAGE) -> None:
-    """Save what `draw_comparison` draws; the ending of `path` chooses the format.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
-    save_figure(draw_comparison(rows, width), path)
 
 
 @styled
@@ -58,28 +46,26 @@ def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
         rows: of all layouts.
         width: in inches.
     """
-    figure = paper_figure(width, max(TALL * width, LOWEST))
+    figure = new_figure(width, max(TALL * width, LOWEST))
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     layouts = _by_layout(rows)
     names = [own[0].layout for own in layouts]
     bars, against = len({row.agents for row in rows}) == 1, differences(rows)
-    for place, own in enumerate(layouts):
-        if bars:
+    if bars:
+        for place, own in enumerate(layouts):
             _draw_bar(above, place, own[0], against[rows.index(own[0])])
-        else:
-            _draw_line(above, own, place)
-        moved = (place - (len(names) - 1) / 2) * SPREAD * max(row.agents for row in rows)
-        places = [place] if bars else [row.agents + moved for row in own]
-        _draw_success(below, places, own, place)
+            _draw_points(below, [place], own, _success_of, place)
+    else:
+        _draw_lines(above, rows, _successful_throughput_of)
+        _draw_lines(below, rows, _success_of, SPREAD)
     if bars:
         below.set_xticks(range(len(names)), map(name_of, names), rotation=20, ha="right")
         above.set_title(f"{rows[0].agents} agents, {rows[0].runs} runs each")
     else:
-        below.set(xlabel="agents", xlim=(0, 1.05 * max(row.agents for row in rows)))
+        below.set_xlabel("agents")
         add_legend(figure, *above.get_legend_handles_labels())
     above.set(ylabel=THROUGHPUT, ylim=(0, None))
-    below.set(ylabel=SUCCESS, ylim=(-0.05, 1.05))
-    below.yaxis.set_major_formatter(PercentFormatter(1.0))
+    _set_rates(below)
     meaning = MEANING.format(runs=rows[0].runs) + (AGAINST if bars and len(names) > 1 else "")
     if width < ABREAST:
         meaning = meaning.replace(" above, ", " above,\n").replace(", over all", ",\nover all")
@@ -93,7 +79,7 @@ def _draw_bar(axes: Axes, place: int, row: Row, against: Difference) -> None:
     """Draw one layout's throughput as a bar with its standard error, and the numbers in it."""
     congested = np.isnan(row.throughput)  # no run to average over
     height, error = np.nan_to_num([row.throughput, row.standard_error])
-    axes.bar([place], [height], 0.6, yerr=error, color=_colour(place))
+    axes.bar([place], [height], 0.6, yerr=error, color=_look(place)["color"])
     text = "every run congested" if congested else f"{row.throughput:.2f}"
     if not congested and not np.isnan(against.low):
         text += f"\n{against.percent:+.1f} %\n({against.low:+.1f} to {against.high:+.1f})"
@@ -101,102 +87,85 @@ def _draw_bar(axes: Axes, place: int, row: Row, against: Difference) -> None:
     axes.annotate(text, (place, height / 2), ha="center", va="center", color=colour, fontsize=SMALL)
 
 
-def _colour(place: int) -> str:
-    return PALETTE[place % len(PALETTE)]
+def _look(place: int) -> dict[str, Any]:
+    return {"color": PALETTE[place % len(PALETTE)], "marker": MARKERS[place % len(MARKERS)]}
 
 
-def _draw_line(axes: Axes, rows: Sequence[Row], place: int) -> None:
-    """Draw one layout's throughput over agents with its standard errors."""
-    error = np.nan_to_num([row.standard_error for row in rows])
-    agents, means = [row.agents for row in rows], [row.throughput for row in rows]
-    _with_bars(axes, agents, means, error, rows[0].layout, place)
+# Values [n] of the rows of a layout, and half the length of their error bars, [n] or [2, n].
+Measured: TypeAlias = Callable[[Sequence[Row]], tuple[Sequence[float], np.ndarray]]
 
 
-def _draw_success(axes: Axes, places: Sequence[float], rows: Sequence[Row], place: int) -> None:
-    """Draw one layout's success rates with their Wilson intervals."""
-    rate = np.array([row.success_rate for row in rows])
-    low = rate - [row.success_low for row in rows]
-    high = np.array([row.success_high for row in rows]) - rate
-    # Rounding may put an end of the interval a hair beyond the rate.
-    interval = np.maximum([low, high], 0)
-    _with_bars(axes, places, rate, interval, rows[0].layout, place)
+def _successful_throughput_of(rows: Sequence[Row]) -> tuple[Sequence[float], np.ndarray]:
+    """Return the throughput of runs that never congested, with standard errors."""
+    errors = np.nan_to_num([row.standard_error for row in rows])
+    return [row.throughput for row in rows], errors
 
 
-def _with_bars(
-    axes: Axes,
-    places: Sequence[float],
-    values: Sequence[float] | np.ndarray,
-    error: np.ndarray,
-    layout: str,
-    place: int,
-) -> ErrorbarContainer:
+def _mean_throughput_of(rows: Sequence[Row]) -> tuple[Sequence[float], np.ndarray]:
+    """Return the throughput of all runs, with 95 % intervals (Student's t)."""
+    halves = [margin(Sample(row.mean_of_all, row.error_of_all, row.runs)) for row in rows]
+    return [row.mean_of_all for row in rows], np.nan_to_num(halves)
+
+
+def _success_of(rows: Sequence[Row]) -> tuple[Sequence[float], np.ndarray]:
+    """Return the share of runs that never congested, with 95 % Wilson intervals."""
+    ends = [
+        (row.success_rate - row.success_low, row.success_high - row.success_rate) for row in rows
+    ]
+    # Rounding may put an end of the interval a hair beyond the rate, which matplotlib refuses.
+    return [row.success_rate for row in rows], np.maximum(np.transpose(ends), 0)
+
+
+def _draw_lines(axes: Axes, rows: Sequence[Row], measured: Measured, spread: float = 0.0) -> None:
+    """Draw a line per layout over agents; `spread` moves lines apart that would hide another."""
+    layouts, most = _by_layout(rows), max(row.agents for row in rows)
+    for place, own in enumerate(layouts):
+        moved = (place - (len(layouts) - 1) / 2) * spread * most
+        _draw_points(axes, [row.agents + moved for row in own], own, measured, place)
+    axes.set_xlim(0, 1.05 * most)
+
+
+def _draw_points(
+    axes: Axes, places: Sequence[float], rows: Sequence[Row], measured: Measured, place: int
+) -> None:
     """Draw points with error bars in the look of the layout at this place."""
-    look: Any = {"color": _colour(place), "marker": MARKERS[place % len(MARKERS)]}
-    return axes.errorbar(places, values, error, label=name_of(layout), elinewidth=0.8, **look)
+    label = name_of(rows[0].layout)
+    axes.errorbar(places, *measured(rows), label=label, elinewidth=0.8, **_look(place))
 
 
 @styled
-def draw_throughput(rows: Sequence[Row], width: float = PAGE) -> Figure:
-    """Draw the mean throughput of all runs over agents, with its 95 % interval (Student's t).
+def draw_over_agents(rows: Sequence[Row], success: bool = False, width: float = PAGE) -> Figure:
+    """Draw throughput or success rates of layouts over agents, with 95 % intervals.
 
     Args:
         rows: of all layouts.
+        success: draw the share of runs that never congested (Wilson), in place of the mean
+            throughput of all runs (Student's t).
         width: in inches.
     """
-    figure, axes = _over_agents(rows, width)
-    for place, own in enumerate(_by_layout(rows)):
-        means = [row.mean_of_all for row in own]
-        halves = [margin(Sample(row.mean_of_all, row.error_of_all, row.runs)) for row in own]
-        agents = [row.agents for row in own]
-        _with_bars(axes, agents, means, np.nan_to_num(halves), own[0].layout, place)
-    axes.set(ylabel=THROUGHPUT, ylim=(0, None))
+    figure = new_figure(width, FLAT * width)
+    axes = figure.subplots()
+    if success:
+        _draw_lines(axes, rows, _success_of, SPREAD)
+        _set_rates(axes)
+    else:
+        _draw_lines(axes, rows, _mean_throughput_of)
+        axes.set(ylabel=THROUGHPUT, ylim=(0, None))
+    axes.set(xlabel="robots")
+    axes.grid()
     if len(axes.containers) > 1:
         add_legend(figure, *axes.get_legend_handles_labels())
     return figure
 
 
-@styled
-def draw_success(rows: Sequence[Row], width: float = PAGE) -> Figure:
-    """Draw the share of runs that never congested over agents, with its 95 % Wilson interval.
-
-    Args:
-        rows: of all layouts.
-        width: in inches.
-    """
-    figure, axes = _over_agents(rows, width)
-    layouts = _by_layout(rows)
-    for place, own in enumerate(layouts):
-        moved = (place - (len(layouts) - 1) / 2) * SPREAD * max(row.agents for row in rows)
-        _draw_success(axes, [row.agents + moved for row in own], own, place)
+def _set_rates(axes: Axes) -> None:
     axes.set(ylabel=SUCCESS, ylim=(-0.05, 1.05))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    if len(layouts) > 1:
-        add_legend(figure, *axes.get_legend_handles_labels())
-    return figure
-
-
-def _over_agents(rows: Sequence[Row], width: float) -> tuple[Figure, Axes]:
-    figure = paper_figure(width, FLAT * width)
-    axes = figure.subplots()
-    axes.set(xlabel="robots", xlim=(0, 1.05 * max(row.agents for row in rows)))
-    axes.grid()
-    return figure, axes
 
 
 def _by_layout(rows: Sequence[Row]) -> list[list[Row]]:
     names = dict.fromkeys(row.layout for row in rows)
     return [[row for row in rows if row.layout == name] for name in names]
-
-
-def save_peaks(
-    path: str | Path, rows: Sequence[Row], peaks: Sequence[Peak], width: float = PAGE
-) -> None:
-    """Save what `draw_peaks` draws; the ending of `path` chooses the format.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
-    save_figure(draw_peaks(rows, peaks, width), path)
 
 
 @styled
@@ -209,14 +178,14 @@ def draw_peaks(rows: Sequence[Row], peaks: Sequence[Peak], width: float = PAGE) 
         width: in inches; on narrow paper one panel stands below the other.
     """
     abreast = width >= ABREAST
-    figure = paper_figure(width, 0.48 * width if abreast else 1.6 * width)
+    figure = new_figure(width, 0.48 * width if abreast else 1.6 * width)
     left, right = figure.subplots(*((1, 2) if abreast else (2, 1)))
     for place, peak in enumerate(peaks):
         own = [row for row in rows if row.layout == peak.layout]
         agents, means = [row.agents for row in own], [row.mean_of_all for row in own]
-        look = {"color": _colour(place), "marker": MARKERS[place % len(MARKERS)]}
+        look = _look(place)
         left.plot(agents, means, label=name_of(peak.layout), **look)
-        left.plot(peak.agents, peak.throughput, "*", markersize=11, color=_colour(place))
+        left.plot(peak.agents, peak.throughput, **look | {"marker": "*", "markersize": 11})
     left.set(xlabel="agents", ylabel=f"mean {THROUGHPUT}", ylim=(0, None), xlim=(0, None))
     left.set_title(f"all of {rows[0].runs} runs each; a star is a peak")
     left.grid()

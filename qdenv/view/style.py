@@ -4,10 +4,9 @@ Letters keep their size at every width, as journals want it; what does not fit s
 one below the other. Legends stand outside of what they explain.
 """
 
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 from cycler import cycler
 from matplotlib import rc_context
@@ -17,8 +16,8 @@ from matplotlib.legend import Legend
 
 from qdenv.io.files import write_atomically
 
-DPI = 150
-FINE_DPI = 220  # of pictures whose size is that on paper
+DPI = 220  # journals ask for 200 at least
+SCREEN_DPI = 150  # of pictures that are larger than paper
 
 # Okabe and Ito 2008, without the yellow that is lost on white: told apart by colour-blind eyes.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000", "#56b4e9", "#e69f00")
@@ -65,12 +64,12 @@ LETTER = 0.56  # of a letter's height: its width
 LONGEST = 28  # letters of a layout's name; those of long paths are cut at the left
 KEY = 3.5  # letters that a legend's key and the gap behind it take
 
-P = ParamSpec("P")
-R = TypeVar("R")
+# Draws in the style of this module and leaves the session's own as it is: `@styled`.
+styled = rc_context(STYLE)
 
 
-class PaperFigure(Figure):
-    """A figure in the style of this module, which its axes are still read from when it is drawn."""
+class StyledFigure(Figure):
+    """A figure in the style of this module: ticks, made only when it is drawn, read it then."""
 
     def draw(self, renderer: Any) -> None:
         """Draw with this style, whatever the style of the session is."""
@@ -78,37 +77,19 @@ class PaperFigure(Figure):
             super().draw(renderer)
 
 
-def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Let a function draw in this style, and leave the session's own as it is."""
-
-    @functools.wraps(draw)
-    def drawn(*given: P.args, **named: P.kwargs) -> R:
-        with rc_context(STYLE):
-            return draw(*given, **named)
-
-    return drawn
-
-
 def new_figure(width: float, height: float, arrange: bool = True, dpi: int = DPI) -> Figure:
-    """Make an empty figure.
+    """Make an empty figure, for functions that are `styled`.
 
     Built without pyplot, which would keep every figure alive and pick a window system.
 
     Args:
-        width: in inches.
+        width: in inches, on paper.
         height: in inches.
         arrange: let matplotlib place the axes so that no labels overlap; else by hand.
         dpi: pixels per inch.
     """
-    figure = Figure(figsize=(width, height), dpi=dpi)
+    figure = StyledFigure(figsize=(width, height), dpi=dpi)
     figure.set_layout_engine("constrained" if arrange else "none")
-    return figure
-
-
-def paper_figure(width: float, height: float) -> PaperFigure:
-    """Make an empty figure of the size that it has on paper, in inches; for `styled` functions."""
-    figure = PaperFigure(figsize=(width, height), dpi=FINE_DPI)
-    figure.set_layout_engine("constrained")
     return figure
 
 
@@ -118,28 +99,17 @@ def name_of(layout: str) -> str:
     return words if len(words) <= LONGEST else f"...{words[-LONGEST:]}"
 
 
-def add_legend(
-    figure: Figure, handles: Sequence[Artist], labels: Sequence[str], place: str = "upper"
-) -> Legend | None:
-    """Put a legend above or below all axes, where it covers nothing; None for no entries.
-
-    Args:
-        figure: one that arranges its axes.
-        handles: what is explained.
-        labels: a word for each.
-        place: "upper" or "lower".
-    """
+def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str]) -> Legend | None:
+    """Put a legend above all axes of a figure, where it covers nothing; None for no entries."""
     if not handles:
         return None
-    entry = (max(map(len, labels)) * LETTER + KEY) * KEYS / 72
-    fitting = max(1, int(figure.get_figwidth() / entry))
-    rows = -(-len(handles) // fitting)
-    where: Any = f"outside {place} center"
+    entry = (max(map(len, labels)) * LETTER + KEY) * KEYS / 72  # inches
+    rows = -(-len(handles) // max(1, int(figure.get_figwidth() / entry)))
     return figure.legend(
         handles,
         labels,
-        loc=where,
-        ncols=-(-len(handles) // rows),
+        loc="outside upper center",  # matplotlib's stubs lack it
+        ncols=-(-len(handles) // rows),  # rows of equal length
         handlelength=2.2,
         columnspacing=1.4,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,7 +15,7 @@ from matplotlib.ticker import PercentFormatter
 
 from qdenv.grid import of_tiles
 from qdenv.study.congestion import Maps, Spot, throughput_over_time, worst_cells
-from qdenv.view.style import PALETTE, WARNING, paper_figure, save_figure, styled
+from qdenv.view.style import PALETTE, WARNING, new_figure, styled
 from qdenv.view.widths import SCREEN
 
 if TYPE_CHECKING:
@@ -73,15 +72,6 @@ def scene_of(plan: Plan, study: Study, title: str, stop: bool = True) -> Scene:
     )
 
 
-def save_traffic(path: str | Path, scene: Scene, width: float = SCREEN) -> None:
-    """Save what `draw_traffic` draws; the ending of `path` chooses the format.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
-    save_figure(draw_traffic(scene, width), path)
-
-
 @styled
 def draw_traffic(scene: Scene, width: float = SCREEN) -> Figure:
     """Draw the floor plan three times and the throughput over time.
@@ -95,7 +85,7 @@ def draw_traffic(scene: Scene, width: float = SCREEN) -> Figure:
     across = 2 if width >= ABREAST else 1
     tall = _tallness(scene)
     height = len(PANELS) // across * ((width / across - BESIDE) * tall + TITLES) + 0.3
-    figure = paper_figure(width, height)
+    figure = new_figure(width, height)
     figure.suptitle("\n".join(wrap(scene.title, int(LETTERS_PER_INCH * width))))
     every = figure.subplots(len(PANELS) // across, across).ravel()
     for axes, draw in zip(every, PANELS.values(), strict=True):
@@ -109,7 +99,7 @@ def draw_panel(scene: Scene, kind: str, width: float) -> Figure:
     """Draw one of the four panels alone: "waiting", "usage", "finished" or "time"."""
     time = kind == "time"
     height = TALL * width if time else (width - BESIDE) * _tallness(scene) + TITLES
-    figure = paper_figure(width, height)
+    figure = new_figure(width, height)
     axes = figure.subplots()
     PANELS[kind](axes, scene)
     axes.set_title("")  # whatever stands around it says so
@@ -123,56 +113,53 @@ def _tallness(scene: Scene) -> float:
 
 def _draw_waiting(axes: Axes, scene: Scene) -> None:
     """Draw the share of time in which one waits on each cell, and number the worst cells."""
-    waiting = scene.maps.waiting
-    title = f"where agents wait: {scene.maps.waiting_share:.1%} of their time"
-    draw_map(axes, scene.free, waiting, "waiting", title)
-    add_bar(axes, waiting, "share of time in which one waits here", percent=True)
+    maps = scene.maps
+    label = "share of time in which one waits here"
+    title = f"where agents wait: {maps.waiting_share:.1%} of their time"
+    draw_map(axes, scene.free, maps.waiting, "waiting", label, title)
     _number_worst(axes, scene)
 
 
 def _draw_usage(axes: Axes, scene: Scene) -> None:
     """Draw the share of time in which an agent is on each cell."""
-    draw_map(axes, scene.free, scene.maps.usage, "usage", "where agents are")
-    add_bar(axes, scene.maps.usage, "share of time in which one is here", percent=True)
+    label = "share of time in which one is here"
+    draw_map(axes, scene.free, scene.maps.usage, "usage", label, "where agents are")
 
 
 def _draw_finished(axes: Axes, scene: Scene) -> None:
     """Draw how many tasks are finished on each cell."""
     finished = scene.maps.finished
     title = f"where tasks are finished: {finished.sum():.2f} a timestep"
-    draw_map(axes, scene.free, finished, "finished", title)
-    add_bar(axes, finished, "tasks per timestep here", percent=False)
+    draw_map(axes, scene.free, finished, "finished", "tasks per timestep here", title)
 
 
-def draw_map(axes: Axes, free: np.ndarray, values: np.ndarray, kind: str, title: str = "") -> None:
-    """Draw one number per cell over the walls; cells without any stay white.
+def draw_map(
+    axes: Axes, free: np.ndarray, values: np.ndarray, kind: str, label: str, title: str = ""
+) -> None:
+    """Draw one number per cell over the walls, with a colour bar; cells without any stay white.
 
     Args:
         axes: where.
         free: bool [H, W].
         values: float [H, W].
-        kind: "usage", "waiting" or "finished".
+        kind: "usage" or "waiting", shares that are written in per cent, or "finished".
+        label: of the colour bar.
         title: above.
     """
     axes.imshow(free, cmap=ListedColormap([WALL, FLOOR]), vmin=0, vmax=1)
     shown = np.ma.masked_where(values <= 0, values)
     # One extreme cell must not wash out all others; the bar's tip says that there is more.
     top = float(np.quantile(values[values > 0], 0.995)) if (values > 0).any() else 1.0
-    axes.imshow(shown, cmap=COLOURS[kind], vmin=0, vmax=top, interpolation="nearest")
+    image = axes.imshow(shown, cmap=COLOURS[kind], vmin=0, vmax=top, interpolation="nearest")
     axes.set_title(title)
     axes.spines[:].set_visible(True)
     axes.set(xlabel="column", ylabel="row")
-
-
-def add_bar(axes: Axes, values: np.ndarray, label: str, percent: bool) -> None:
-    """Add the colour bar of a map."""
-    image = axes.images[-1]
-    extend = "max" if values.max() > image.norm.vmax else "neither"
     assert axes.figure is not None
+    extend = "max" if values.max() > top else "neither"
     bar = axes.figure.colorbar(image, cax=axes.inset_axes(PLACE), extend=extend)
     bar.set_label(label)
     bar.outline.set_linewidth(0.4)
-    if percent:
+    if kind != "finished":
         bar.ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 

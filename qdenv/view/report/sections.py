@@ -14,8 +14,8 @@ from qdenv.view.report.blocks import Drawing, Section, Table, Text, drawing
 from qdenv.view.report.fleet import Found
 from qdenv.view.report.subjects import Rival, Subject
 from qdenv.view.runs import draw_progress
-from qdenv.view.studies import draw_success, draw_throughput
-from qdenv.view.style import WARNING, paper_figure, styled
+from qdenv.view.studies import draw_over_agents
+from qdenv.view.style import WARNING, new_figure
 from qdenv.view.traffic import Scene, draw_panel, scene_of
 
 HEATMAP, CURVES = 5.2, 6.8  # inches
@@ -43,10 +43,10 @@ def _section(subject: Subject, place: int) -> Section:
         )
     ]
     if len(meaning.measures) <= 2:
-        heat = paper_figure(HEATMAP, TALL * HEATMAP)
+        heat = new_figure(HEATMAP, TALL * HEATMAP)
         columns = archive.columns
         filled = scatter_objectives(columns["index"], columns["objective"], meaning.measures)
-        styled(draw_archive)(heat, filled, meaning.measures, label=meaning.objective)
+        draw_archive(heat, filled, meaning.measures, label=meaning.objective)
         if run.shipped:
             heat.axes[0].set_title("")  # what ships is no measure of what was found
         spot = [*elite.measures.values(), 0.5][:2]
@@ -126,7 +126,7 @@ def throughput_section(found: Found) -> Section:
             cells.append(f"{row.mean_of_all * found.asked.per_hour:,.0f}")
         rows.append(cells)
     peaks = [Text(said) for one in found.asked.subjects if (said := words.say_peak(found, one))]
-    figure = drawing(draw_throughput(found.rows, WIDTH), caption, "throughput-figure")
+    figure = drawing(draw_over_agents(found.rows, width=WIDTH), caption, "throughput-figure")
     fading = [Text(said, "faint") for said in words.say_fading(found)]
     table = Table(head, rows, "throughput")
     return Section("Throughput against robots", [figure, *peaks, table, *fading])
@@ -146,7 +146,7 @@ def success_section(found: Found) -> Section:
         )
         for row in found.rows
     ]
-    figure = drawing(draw_success(found.rows, WIDTH), caption, "success-figure")
+    figure = drawing(draw_over_agents(found.rows, True, WIDTH), caption, "success-figure")
     return Section("Success rates", [figure, Table(head, rows, "success")])
 
 
