@@ -4,6 +4,7 @@ import adapter
 from record import sha
 
 PART = (6, 9)
+FLOATS = True  # searches and generators of the zoo
 _SMALL = {"rows": 13, "cols": 12, "steps": 8, "timesteps": 60, "hidden": 8}
 _MAZE = {"timesteps": 40, "simulations": 2, "steps": 8, "rows": 12, "cols": 12}
 _SURROGATE = {"epochs": 2, "channels": 4}

@@ -22,6 +22,7 @@ import pages
 from record import sha
 
 PART = (1, 5)
+FLOATS = True  # searches and generators of the zoo
 PICTURES = (".png", ".svg", ".pdf", ".gif", ".mp4")
 LONG = 3000  # characters of JSON from which on a list or a file is hashed
 # Facts of the machine, the moment and the installation.

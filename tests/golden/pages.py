@@ -12,6 +12,7 @@ import cli_cases
 from record import sha
 
 PART = (12, 13)  # an explorer that grows nothing
+FLOATS = True  # searches and generators of the zoo
 CASES = cli_cases.PAGES
 # Dates, versions and the machine, as pages state them.
 INSTALLATION = {
