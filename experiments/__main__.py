@@ -21,9 +21,9 @@ import tyro
 from experiments.catalogue import find, names
 from experiments.machines import at_work
 from experiments.pieces import RESULTS, Experiment, Folders
-from qdenv.commands.costs import in_words
-from qdenv.commands.parsing import run_program
+from qdenv.cli.parser import run_program
 from qdenv.io.files import write_atomically
+from qdenv.ops.costs import format_duration
 from qdenv.run.executors.base import Execution, ExecutorName
 from qdenv.types import InputError
 from qdenv.view.style import save_figure, styled
@@ -38,7 +38,9 @@ def list_all(folders: Folders) -> None:
         costs: dict[str, list[float]] = {}
         for piece in missing:
             costs.setdefault(piece.kind, []).append(piece.cost(folders))
-        kinds = (f"{kind}: {len(some)} ({in_words(sum(some))})" for kind, some in costs.items())
+        kinds = (
+            f"{kind}: {len(some)} ({format_duration(sum(some))})" for kind, some in costs.items()
+        )
         if missing:
             print(f"{'':13} missing, with the time of one core: {', '.join(kinds)}")
     print("--missing NAME lists the missing pieces of one, --make NAME makes them")
@@ -51,7 +53,7 @@ def list_missing(experiment: Experiment, folders: Folders) -> None:
         print("nothing is missing")
     for piece in missing:
         share = f"{piece.done(folders):.0%} there, " if piece.done(folders) else ""
-        print(f"{piece.name}: {share}about {in_words(piece.cost(folders))} of one core")
+        print(f"{piece.name}: {share}about {format_duration(piece.cost(folders))} of one core")
 
 
 def make(experiment: Experiment, folders: Folders) -> None:
@@ -59,7 +61,7 @@ def make(experiment: Experiment, folders: Folders) -> None:
     while ready := experiment.ready(folders):
         missing = experiment.missing(folders)
         left = sum(piece.cost(folders) for piece in missing)
-        print(f"{len(missing)} pieces, about {in_words(left)} of one core: {ready[0].name}")
+        print(f"{len(missing)} pieces, about {format_duration(left)} of one core: {ready[0].name}")
         ready[0].make(folders, partial(print, flush=True))
         if ready[0].done(folders) < 1:
             raise InputError(f"{ready[0].name}: was made and is still not whole")

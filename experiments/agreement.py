@@ -25,7 +25,7 @@ from scipy.stats import rankdata
 import qdenv
 from experiments.agreement_figure import Opinion, save_agreement
 from experiments.correlation import Agreement, agree, correlate
-from qdenv.commands.parsing import run_program
+from qdenv.cli.parser import run_program
 from qdenv.domains.base import make_domain
 from qdenv.io.files import write_csv
 from qdenv.study.ledger import Case, Run, complete

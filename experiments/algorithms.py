@@ -23,9 +23,9 @@ import numpy as np
 
 import qdenv
 from experiments.published import TABLE_4
-from qdenv.commands.costs import in_words
-from qdenv.commands.parsing import run_program
+from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
+from qdenv.ops.costs import format_duration
 from qdenv.run.config import RunConfig, choose_algorithm
 from qdenv.stats import margin, sample_of
 from qdenv.view.style import new_figure, save_figure, styled
@@ -167,7 +167,7 @@ def main(
         run = run_of(config, out / f"{preset}-{name}-{seed}")
         found[name].append(run)
         left = (time.time() - start) / done * (len(todo) - done)
-        rest = f", about {in_words(left)} left" if done < len(todo) else ""
+        rest = f", about {format_duration(left)} left" if done < len(todo) else ""
         print(f"{done} of {len(todo)}: {run!r}{rest}", flush=True)
     collected = {name: collect(runs) for name, runs in found.items()}
     write_table(out / "algorithms.csv", collected)

@@ -30,7 +30,7 @@ from matplotlib.axes import Axes
 import qdenv
 from experiments.published import TRAFFIC
 from experiments.traffic import moved_in, rate_of
-from qdenv.commands.parsing import run_program
+from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
 from qdenv.study.ledger import Case, Outcome, complete, outcomes_of, read_runs
 from qdenv.study.options import parse_counts, parse_seeds

@@ -16,7 +16,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from qdenv.commands.parsing import run_program
+from qdenv.cli.parser import run_program
 from qdenv.search.base import Problem
 from qdenv.search.export import save_csv
 from qdenv.search.registry import ALGORITHMS, make_algorithm

@@ -11,8 +11,8 @@ import numpy as np
 
 import qdenv
 from experiments.pieces import Folders, Piece, Say
-from qdenv.commands.costs import reckon_seconds
 from qdenv.io.files import write_csv
+from qdenv.ops.costs import estimate_seconds
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.log import Metrics
@@ -98,7 +98,7 @@ class SavedRun(NamedTuple):
             made = rows[-1].evaluations if rows else 0
         if self.done(folders) == 1:
             return 0.0
-        return reckon_seconds(self.preset) * max(self.config.evaluations - made, 0)
+        return estimate_seconds(self.preset) * max(self.config.evaluations - made, 0)
 
     def make(self, folders: Folders, say: Say) -> None:
         """Begin or continue the run, then summarise it."""

@@ -40,7 +40,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.commands.parsing import run_program
+from qdenv.cli.parser import run_program
 from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.settings import Strategy

@@ -25,7 +25,7 @@ import numpy as np
 import tyro
 
 import qdenv
-from qdenv.commands.parsing import run_program
+from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
 from qdenv.search.base import growing
 from qdenv.study.surrogate import judge, split

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import qdenv
-from qdenv.commands.parsing import run_program
+from qdenv.cli.parser import run_program
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.stats import standard_error

@@ -25,7 +25,7 @@ import tyro
 
 from experiments.growing import Cell, Measuring, Workshop
 from experiments.zoo_rules import RULES, Rule
-from qdenv.commands.parsing import run_program
+from qdenv.cli.parser import run_program
 from qdenv.domains.base import DOMAINS
 from qdenv.io.files import write_json
 from qdenv.io.records import read_json

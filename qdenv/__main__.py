@@ -6,7 +6,7 @@ from qdenv.interrupt import watch
 def main() -> None:
     """Run the command line; Ctrl-C is answered before anything else is imported."""
     watch()
-    from qdenv.cli import main as run
+    from qdenv.cli.main import main as run
 
     run()
 

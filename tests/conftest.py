@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from qdenv.cli import run as qdenv
+from qdenv.cli.main import run as qdenv
 from qdenv.run.directory import RunDirectory
 
 TESTS = Path(__file__).parent

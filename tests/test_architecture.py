@@ -57,9 +57,8 @@ ALLOWED = {
     | STAGES
     | PLUGS
     | {"agent", "domains", "pipeline", "settings", "surrogate", "run"},
-    "api": BASE | STAGES | PLUGS | {"domains", "view", "presets", "study", "run"} | {"zoo"},
     "view": BASE | STAGES | PLUGS | {"agent", "domains", "search.registry", "study", "run", "zoo"},
-    "commands": BASE
+    "ops": BASE
     | STAGES
     | PLUGS
     | {
@@ -74,7 +73,9 @@ ALLOWED = {
         "run",
         "zoo",
     },
-    "cli": {"commands", "types", "interrupt"},
+    "cli": BASE
+    | PLUGS
+    | {"domains", "ops", "presets", "run", "search", "simulate", "study", "zoo"},
     "__main__": {"cli", "interrupt"},
     "__init__": set(),  # names the public homes and imports each when it is asked for
 }

@@ -1,13 +1,12 @@
 """What a command line chooses by name: domain, planner, algorithm, and a domain's own numbers."""
 
-import inspect
 import re
 from dataclasses import fields, is_dataclass
 
 import pytest
+from small_warehouse import ROWS
 
-from qdenv.cli import run
-from qdenv.commands import arguments, choices, drawings, layouts, sizes
+from qdenv.cli.main import run
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig
 from qdenv.presets import PRESETS
@@ -19,14 +18,6 @@ from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.types import InputError
 
 QUICK = PRESETS["quick"]
-
-
-def test_the_last_value_of_an_option_counts_and_the_rest_stays_in_order():
-    words = ["a", "--domain", "x", "b", "--domain=y", "--rows", "3"]
-    assert arguments.take(words, "--domain") == ("y", ["a", "b", "--rows", "3"])
-    assert arguments.take(["--rows", "3"], "--domain") == (None, ["--rows", "3"])
-    with pytest.raises(InputError, match="--domain needs a value"):
-        arguments.take(["a", "--domain"], "--domain")
 
 
 def test_another_domain_keeps_what_the_preset_states_and_both_have():
@@ -73,21 +64,23 @@ def test_help_lists_the_settings_of_the_algorithm_that_is_named_and_no_others(na
 
 
 @pytest.mark.parametrize(
-    ("arguments", "names"),
-    [([], ["shelves"]), (["--domain", "manufacturing"], []), (["--domain=maze-walls"], [])],
+    ("words", "names"),
+    [
+        ([], {"shelves"}),
+        (["--domain", "manufacturing"], set()),
+        (["--domain=maze-walls"], set()),
+        (["--domain", "manufacturing", "--domain", "warehouse-even"], {"shelves"}),
+    ],
 )
-@pytest.mark.parametrize("command", [layouts.repair, layouts.check, sizes.series])
-def test_a_command_has_an_option_for_each_number_of_its_domain(command, arguments, names):
-    numbers = inspect.signature(choices.bind(command, arguments)).parameters["numbers"].default
-    assert [field.name for field in fields(numbers)] == names
-    assert numbers.given() == {}
+@pytest.mark.parametrize("command", ["repair", "check", "layout tile"])
+def test_a_command_has_an_option_for_each_number_of_its_domain(command, words, names, capsys):
+    with pytest.raises(SystemExit):
+        run([*command.split(), *words, "--help"])
+    assert ("--shelves" in capsys.readouterr().out) == bool(names)
 
 
-def test_a_stated_zero_is_no_missing_number():
-    repair = choices.bind(layouts.repair, [])
-    kind = type(inspect.signature(repair).parameters["numbers"].default)
-    assert kind(shelves=0).given() == {"shelves": 0}
-
-
-def test_other_commands_stay_as_they_are():
-    assert choices.bind(drawings.render, ["--domain", "moon"]) is drawings.render
+def test_a_stated_zero_is_no_missing_number(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plan.txt").write_text("\n".join(ROWS))
+    assert run(["check", "plan.txt", "--shelves", "0"]) == 1
+    assert "exactly 0" in capsys.readouterr().out

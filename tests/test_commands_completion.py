@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from qdenv.cli import run
+from qdenv.cli.main import run
 from qdenv.zoo import names
 
 # What a shell does when somebody presses the tab key after these words.

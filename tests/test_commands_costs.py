@@ -2,8 +2,7 @@
 
 import pytest
 
-from qdenv import devices
-from qdenv.commands import costs
+from qdenv.ops import costs
 from qdenv.presets import PRESETS
 from qdenv.run.config import choose_algorithm, choose_planner
 from qdenv.run.log import Metrics
@@ -12,7 +11,7 @@ from qdenv.run.log import Metrics
 @pytest.fixture(autouse=True)
 def home(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(devices, "count_cores", lambda: 2)
+    monkeypatch.setattr(costs.os, "cpu_count", lambda: 2)
 
 
 def test_every_preset_says_what_it_takes_on_two_cores():
@@ -58,4 +57,4 @@ def test_a_run_is_remembered_without_its_compilation():
     [(0.2, "1 s"), (89, "89 s"), (160, "3 min"), (5700, "95 min"), (10800, "3 h"), (3e5, "3 days")],
 )
 def test_durations_are_said_in_the_unit_a_person_would_choose(seconds, words):
-    assert costs.in_words(seconds) == words
+    assert costs.format_duration(seconds) == words

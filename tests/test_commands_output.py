@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_warehouse import ROWS
 
-from qdenv.commands.output import PICTURES, Place, place, words_aside, write_facts
+from qdenv.cli.main import run
 from qdenv.io.files import tidy
+from qdenv.ops.output import AUTO, PICTURES, Place, format_table, place
 from qdenv.types import InputError
 
 
@@ -22,7 +24,7 @@ def folder(tmp_path, monkeypatch):
 def test_a_name_nobody_gave_never_replaces_a_file(folder):
     names = []
     for _ in range(3):
-        target = place(None, "plan.json")
+        target = place(AUTO, "plan.json")
         target.path.touch()
         names.append(str(target))
     assert names == ["plan.json", "plan-2.json", "plan-3.json"]
@@ -79,20 +81,24 @@ def test_facts_are_plain_json_with_six_digits_and_no_dust():
     }
 
 
-def test_facts_say_what_they_are_of(folder):
-    write_facts(Path("f.json"), "simulate", {"throughput": 1.25}, layout=Path("p.txt"), agents=3)
+def test_facts_name_the_command_its_settings_and_the_version(folder, capsys):
+    Path("p.txt").write_text("\n".join(ROWS))
+    assert run(["check", "p.txt", "--json", "f.json"]) == 0
     assert json.loads(Path("f.json").read_text()) == {
-        "throughput": 1.25,
-        "command": "simulate",
+        "valid": True,
+        "rules": True,
+        "broken": [],
+        "command": "check",
         "qdenv": metadata.version("qdenv"),
-        "settings": {"layout": "p.txt", "agents": 3},
+        "settings": {"layout": "p.txt", "domain": "warehouse-even", "keep": None, "numbers": {}},
     }
+    # A dash is standard output, where nothing else is written then.
+    capsys.readouterr()
+    assert run(["check", "p.txt", "--json", "-"]) == 0
+    printed = capsys.readouterr()
+    assert "obeys every rule" in printed.err
+    assert json.loads(printed.out)["valid"] is True
 
 
-def test_a_dash_is_standard_output_where_nothing_else_is_written_then(capsys):
-    with words_aside():
-        print("words")
-        write_facts(Path("-"), "check", {"valid": True})
-    said = capsys.readouterr()
-    assert said.err == "words\n"
-    assert json.loads(said.out)["valid"] is True
+def test_columns_of_a_table_are_as_wide_as_their_widest_cell():
+    assert format_table([("a", "bb"), (100, "c"), ("x", "")]) == ["a    bb", "100  c", "x"]

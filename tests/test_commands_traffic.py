@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from matplotlib.image import imread
 
-from qdenv.cli import run
+from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.layouts import write_layout

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from qdenv import cli
-from qdenv.commands.keeping import choose_keep
 from qdenv.domains.base import environment_entropy, find_domain, make_domain
 from qdenv.grid import draw, parse
 from qdenv.presets import PRESETS
@@ -133,7 +132,10 @@ def run_config(name, tmp_path):
     config = dataclasses.replace(preset, evaluation=evaluation, evaluations=12, algorithm=algorithm)
     path = tmp_path / "keep.txt"
     path.write_text("\n".join(DRAWINGS[name]) + "\n")
-    return choose_keep(config, path)
+    kept = keep_from(path, make_domain(evaluation.domain))
+    return dataclasses.replace(
+        config, evaluation=dataclasses.replace(evaluation, domain=kept.config)
+    )
 
 
 @BOTH

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from qdenv.cli import run
+from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import read_layout
 from qdenv.repair.audit import audit

@@ -22,7 +22,7 @@ from qdenv.agent.evaluate import (
     success_rates,
     without_ring,
 )
-from qdenv.cli import run
+from qdenv.cli.main import run
 from qdenv.io.layouts import read_layout
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.stats import wilson_interval

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from small_warehouse import ROWS as PLAN
 
-from qdenv.cli import run
+from qdenv.cli.main import run
 
 # Command line -> what its one line must say.
 MISTAKES = {
@@ -16,11 +16,11 @@ MISTAKES = {
     "--agents 5 simulate plan.txt": "give a command before --agents",
     "simulate plan.txt --agent 5": "did you mean --agents?",
     "simulate plan.txt extra": "unknown argument extra",
-    "simulate plan.txt --agents five": "'five' is no whole number",
+    "simulate plan.txt --agents five": "--agents must be an integer, not 'five'",
     "simulate plan.txt --agents": "--agents needs a value",
-    "repair plan.txt --shelves 1.5": "--shelves '1.5' is no whole number",
-    "simulate plan.txt --seconds-per-step x": "--seconds-per-step 'x' is no number",
-    "train quick --archive a b c": "--archive a b c has not the form",
+    "repair plan.txt --shelves 1.5": "--shelves must be an integer, not '1.5'",
+    "simulate plan.txt --seconds-per-step x": "--seconds-per-step must be a number, not 'x'",
+    "train quick --archive a b c": "--archive does not have the form",
     "train quick --archive 0 9 10000 0 1 10000": "100,000,000 cells: give 1,000,000 at most",
     "simulate plan.txt --effort medium": "choose one of low, high",
     "simulate": "layout file",
@@ -82,7 +82,7 @@ MISTAKES = {
     "surrogate zoo:warehouse-even": "50",
     "explore zoo:warehouse-even/bets": "did you mean best?",
     "explore zoo:warehouse-even --growth -1": "growth must be at least 0, not -1",
-    "explore zoo:warehouse-even --growth all": "--growth 'all' is no whole number",
+    "explore zoo:warehouse-even --growth all": "--growth must be an integer, not 'all'",
     "explore zoo:warehouse-even --out map.png": "ends in .html",
     "explore run": "manifest.json",
     "plot zoo:warehouse-even --out plan.txt": "plan.txt: that is a file: name a folder",
@@ -111,7 +111,7 @@ MISTAKES = {
     "replay plan.txt --agents 5 --last 50": "are for films: add --gif or --mp4",
     "replay plan.txt --agents 5 --timesteps 9 --gif --first 9": "the run ends at timestep 9",
     "replay maze.txt --agents 5": "one agent walks in a maze: leave --agents out",
-    "replay maze.txt --planner pbs": "in a maze nobody plans",
+    "replay maze.txt --planner pbs": "mazes have no planner",
     "replay maze.txt --timesteps 0": "timesteps must be at least 1, not 0",
     "evaluate-agent maze.txt --gif a.mp4": "ends in .gif",
     "sweep plan.txt --agents 50:10": "agents '50:10'",
@@ -138,7 +138,7 @@ MISTAKES = {
     "train-agent --report-every 0": "report-every must be at least 1, not 0",
     "train-agent --levels.textured 1.5": "textured must be at most 1, not 1.5",
     "train-agent --rate nan": "rate must be a finite number, not nan",
-    "train-agent --resume --out agent --steps 50": "more steps are asked for already",
+    "train-agent --resume --out agent --steps 50": "more steps are configured already",
     "evaluate-agent maze.txt --horizon -5": "timesteps must be at least 1, not -5",
     "evaluate-agent plan.txt": "the agent walks in mazes",
     "evaluate-agent maze.txt --random-mazes 1": "--random-mazes 1: give 2 to 10,000",

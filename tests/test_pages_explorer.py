@@ -9,7 +9,7 @@ import pytest
 from browser import opened
 
 import qdenv
-from qdenv.cli import run as command
+from qdenv.cli.main import run as command
 from qdenv.domains.base import make_domain
 from qdenv.io.arrays import write_arrays
 from qdenv.run.directory import RunDirectory

@@ -9,7 +9,7 @@ from browser import opened
 from small_warehouse import ROWS, TILES
 
 import qdenv
-from qdenv.cli import run
+from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -266,7 +266,7 @@ def test_the_command_writes_the_page_films_and_facts(tmp_path, monkeypatch, caps
     said = capsys.readouterr().out.splitlines()
     assert said[-4:] == ["plan_replay.html", "plan_replay.gif", "film.mp4", "facts.json"]
     facts = json.loads((tmp_path / "facts.json").read_text())
-    again = qdenv.simulate("plan.txt", agents=8, timesteps=20, seeds=[4], effort="low")
+    again = qdenv.simulate_layout("plan.txt", agents=8, timesteps=20, seeds=[4], effort="low")
     assert facts["throughput"] == pytest.approx(again["mean_of_all"], rel=1e-5)
     assert (facts["page"], facts["gif"]) == ("plan_replay.html", "plan_replay.gif")
     assert facts["megabytes"] < 0.2 and facts["settings"]["seed"] == 4

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from small_warehouse import ROWS, TILES
 
 import qdenv
-from qdenv.cli import run
+from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.layouts import write_layout
@@ -247,6 +247,4 @@ def test_without_a_page_library_nothing_is_simulated(folder, monkeypatch, capsys
 
     monkeypatch.setattr(util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match="pip install"):
-        from qdenv.commands.report import report
-
-        report((Path(folder / "plan.json"),))
+        qdenv.report([Path(folder / "plan.json")])

@@ -10,7 +10,7 @@ from matplotlib.axis import Axis
 from matplotlib.text import Text
 from small_warehouse import ROWS
 
-from qdenv.cli import run
+from qdenv.cli.main import run
 from qdenv.study.congestion import Maps, Spot
 from qdenv.study.groups import CURVES, Group
 from qdenv.study.table import Peak, Row

@@ -9,7 +9,7 @@ import pytest
 import toy
 from scipy import stats
 
-from qdenv.cli import run as qdenv
+from qdenv.cli.main import run as qdenv
 from qdenv.run import loop
 from qdenv.run.directory import RunDirectory
 from qdenv.study.groups import band_of, group_runs, tell_apart

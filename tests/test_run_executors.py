@@ -9,7 +9,7 @@ import threading
 import pytest
 from conftest import SMALL
 
-from qdenv.cli import run as qdenv
+from qdenv.cli.main import run as qdenv
 from qdenv.domains.base import find_domain
 from qdenv.repair import pool as pools
 from qdenv.run import loop

@@ -11,7 +11,7 @@ import pytest
 import toy
 
 from qdenv.agent.train import save_weights
-from qdenv.cli import run as command
+from qdenv.cli.main import run as command
 from qdenv.domains.maze import MazeConfig, agent_weights, checksum_of_agent
 from qdenv.io.files import TEMPORARY_PREFIX
 from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator

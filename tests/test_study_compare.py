@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from qdenv import cli, grid
+from qdenv import grid
+from qdenv.cli import main as cli
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
 from qdenv.simulate.mapf.fleet import FleetConfig

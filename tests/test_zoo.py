@@ -11,7 +11,7 @@ import pytest
 from matplotlib.image import imread
 
 import qdenv
-from qdenv.cli import run
+from qdenv.cli.main import run
 from qdenv.domains.base import make_domain
 from qdenv.generate import GENERATORS
 from qdenv.io.layouts import read_layout
@@ -136,11 +136,11 @@ def test_commands_and_functions_take_names_of_the_zoo(tmp_path, monkeypatch, cap
     assert run(["generate", EVEN, "--elite", "regular", *small, "--shelves", "20"]) == 0
     one, other = (read_layout(name, ".@ew") for name in ("a.json", "layout.json"))
     np.testing.assert_array_equal(one, other)
-    plan = qdenv.generate(f"{EVEN}/regular", rows=12, cols=16, shelves=20)
+    plan = qdenv.generate_layout(f"{EVEN}/regular", rows=12, cols=16, shelves=20)
     np.testing.assert_array_equal(plan.layout, one)
-    best = qdenv.generate(EVEN, rows=12, cols=16, shelves=20)
+    best = qdenv.generate_layout(EVEN, rows=12, cols=16, shelves=20)
     np.testing.assert_array_equal(
-        best.layout, qdenv.generate(f"{EVEN}/best", rows=12, cols=16, shelves=20).layout
+        best.layout, qdenv.generate_layout(f"{EVEN}/best", rows=12, cols=16, shelves=20).layout
     )
     assert (best.layout != one).any()
     assert run(["series", f"{EVEN}/regular", "--sizes", "9x14", "--out", "s"]) == 0

@@ -7,7 +7,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import importlib
 import sys
 
-from qdenv.commands.parsing import run_program
+from qdenv.cli.parser import run_program
 
 PROGRAM = "python -m experiments.benchmarks"
 # Name of a benchmark, which is a function of that name -> its module.

@@ -89,7 +89,9 @@ def resolve(preset: RunConfig, overrides: Mapping[str, Any]) -> tuple[RunConfig,
     Raises:
         InputError: a name is unknown, a setting is impossible, or no layout could count.
     """
-    config, scaled = scale(override(preset, overrides), preset, overrides)
+    # A planner's settings may be named like others, which are scaled.
+    names = {name.rpartition("__")[2] for name in overrides if "planner__" not in name}
+    config, scaled = scale(override(preset, overrides), preset, names)
     check(config)
     return config, scaled
 
@@ -99,13 +101,15 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
 
     Args:
         config: the configuration.
-        settings: values by name; a name of a domain, planner, generator or algorithm stands for
-            its settings, with all its defaults but for what the domain shares with the old one.
-            ``effort`` is that of the negotiated planner.
+        settings: values by name, or by the fields that lead to one, joined by two underscores
+            (``evaluation__repair__gap``); a name of a domain, planner, generator or algorithm
+            stands for its settings, with all its defaults but for what the domain shares with the
+            old one. ``effort`` is that of the negotiated planner.
 
     Raises:
         InputError: nothing or more than one thing has this name, or the value is impossible.
     """
+    values: dict[tuple[str, ...], Any] = {}
     # Choices first: which other names there are depends on them.
     for name in sorted(settings, key=lambda name: name not in (*CHOICES, "effort")):
         value = settings[name]
@@ -115,18 +119,26 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
         if name in ("effort", "planner"):
             config = choose_planner(config, settings.get("effort"), settings.get("planner"))
             continue
+        if name == "algorithm" and isinstance(value, str):
+            config = choose_algorithm(config, value)
+            continue
         if name in CHOICES and isinstance(value, str):
             value = CHOICES[name].config(value)
         paths = [path for path in _field_paths(config) if path[-1] == name]
+        if "__" in name:
+            paths = [tuple(name.split("__"))]
         if not paths:
             known = sorted({path[-1] for path in _field_paths(config)})
             near = difflib.get_close_matches(name, known, 3) or known
             raise InputError(f"there is no setting {name!r}: did you mean {', '.join(near)}?")
         if len(paths) > 1:
             records = " or ".join(path[-2] for path in paths)
-            raise InputError(f"several records hold a setting {name!r}: give a whole {records}")
-        config = _replaced(config, paths[0], value)
-    return config
+            raise InputError(f"several records have a setting {name!r}: give a whole {records}")
+        if name in CHOICES:
+            config = _replaced(config, {paths[0]: value})
+        else:
+            values[paths[0]] = value
+    return _replaced(config, values)
 
 
 def _field_paths(record: Any) -> Iterator[tuple[str, ...]]:
@@ -138,11 +150,13 @@ def _field_paths(record: Any) -> Iterator[tuple[str, ...]]:
             yield from ((field.name, *path) for path in _field_paths(inner))
 
 
-def _replaced(record: Any, path: tuple[str, ...], value: Any) -> Any:
-    """Replace a setting of a record or of a nested one."""
-    if len(path) > 1:
-        value = _replaced(getattr(record, path[0]), path[1:], value)
-    return replace(record, **{path[0]: value})
+def _replaced(record: Any, values: Mapping[tuple[str, ...], Any]) -> Any:
+    """Replace settings of a record and of nested ones; those of one record are checked together."""
+    own = {path[0]: value for path, value in values.items() if len(path) == 1}
+    for name in {path[0] for path in values if len(path) > 1}:
+        nested = {path[1:]: one for path, one in values.items() if path[0] == name and path[1:]}
+        own[name] = _replaced(own.get(name, getattr(record, name)), nested)
+    return replace(record, **own)
 
 
 def choose_domain(config: RunConfig, name: str) -> RunConfig:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, TypedDict
+from typing import Any, NamedTuple, TypeAlias, TypedDict
 
 import numpy as np
 
@@ -20,6 +20,13 @@ from qdenv.types import InputError, TaskRule, look_up
 SURROGATES = {"small": SurrogateConfig(), "published": PUBLISHED}
 MOST_SEEDS = 100_000
 MOST_COUNTS = 1000  # numbers of agents in one study
+SIMULATING = "simulating"  # what a study reports to do
+# (what is done, its share of 0 to 1 or a negative number where that is unknown, a note)
+Progress: TypeAlias = Callable[[str, float, str], None]
+
+
+def silent(doing: str, share: float, note: str) -> None:
+    """Report no progress."""
 
 
 def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:

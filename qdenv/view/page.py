@@ -10,7 +10,7 @@ import base64
 import gzip
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources, util
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ class Page:
 
     title: str  # of the browser's window
     html: str  # the whole document
+    facts: Mapping[str, Any] = field(default_factory=dict)  # as `--json` writes them
 
     def save(self, path: str | Path) -> Path:
         """Write the page as one file.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import qdenv
-from qdenv.cli import run as run_command
+from qdenv.cli.main import run as run_command
 from qdenv.run import loop
 from qdenv.run.config import config_to_json
 from qdenv.simulate.mapf.choosing import find_planner

@@ -80,7 +80,7 @@ def _run(name: str) -> Path:
 
 def call(argv: list[str], folder: Path) -> dict[str, Any]:
     """Run `qdenv` in a folder; return its exit code and what it printed."""
-    from qdenv.cli import run as qdenv
+    from qdenv.cli.main import run as qdenv
 
     out, err = io.StringIO(), io.StringIO()
     root = str(Path(__file__).parents[2])

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from qdenv.cli import run as qdenv
+from qdenv.cli.main import run as qdenv
 from qdenv.io.layouts import ENDINGS
 from qdenv.simulate.maze.policy import shipped_agent
 from robustness.campaign import Attack, Attempt

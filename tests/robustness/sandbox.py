@@ -45,7 +45,7 @@ class Sandbox:
     """Runs command lines one after the other and names the promise that each broke."""
 
     def __init__(
-        self, program: str = "qdenv.cli:run", longest: float = LONGEST, most: float = MOST
+        self, program: str = "qdenv.cli.main:run", longest: float = LONGEST, most: float = MOST
     ) -> None:
         """Start nothing yet; the limits are CPU seconds and megabytes of one command line."""
         self._program, self._longest, self._most = program, longest, most

@@ -10,8 +10,7 @@ import numpy as np
 
 from qdenv.grid import of_tiles
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.study.engine import Progress, silent
-from qdenv.study.options import fleet_tasks, usual_fleet
+from qdenv.study.options import Progress, fleet_tasks, silent, usual_fleet
 from qdenv.study.sweep import Trial, about, compare
 from qdenv.study.table import Row, find_peak
 from qdenv.study.traffic import Study, examine

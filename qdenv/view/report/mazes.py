@@ -13,7 +13,7 @@ from qdenv.grid import of_tiles
 from qdenv.run.archive import mark_cells
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.simulate.maze.world import WALL
-from qdenv.study.engine import Progress, silent
+from qdenv.study.options import Progress, silent
 from qdenv.study.sweep import about
 from qdenv.view.layouts import draw_plan
 from qdenv.view.maze import draw_arrivals, draw_walks

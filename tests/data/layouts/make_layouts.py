@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 from experiments.benchmarks.repair import KERNELS, grow_random
-from qdenv import cli
+from qdenv.cli import main as cli
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
 

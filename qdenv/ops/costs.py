@@ -1,4 +1,4 @@
-"""What a search costs on this machine: measured here where one ran before, else estimated."""
+"""How long a search takes here: as measured on this machine, else estimated."""
 
 import contextlib
 import os
@@ -13,7 +13,9 @@ from qdenv.run.config import RunConfig, planner_of
 from qdenv.run.log import Metrics
 from qdenv.types import InputError
 
-# CPU seconds of one evaluation, measured on two cores of a cloud machine.
+# CPU seconds of one evaluation, measured on two cores of a cloud machine. Those of DSAGE on the
+# paper's rows are reckoned from `python -m experiments.benchmarks surrogate`, for outer loops of
+# one batch of 50 (mazes: 400 evaluations) that learn from half of the evaluations.
 CPU_SECONDS = {
     "quick": 0.06,
     "laptop": 0.91,
@@ -25,8 +27,6 @@ CPU_SECONDS = {
     "maze-entropy": 0.023,
     "maze-quick": 0.017,
     "dsage-quick": 0.25,
-    # Reckoned: the surrogate's part from `python -m experiments.benchmarks surrogate`, for outer
-    # loops of one batch of 50 (mazes: 400 evaluations) that learn from half of the evaluations.
     "dsage-laptop": 4.8,
     "warehouse-even-dsage": 280.0,
     "warehouse-uneven-dsage": 280.0,
@@ -34,11 +34,16 @@ CPU_SECONDS = {
     "maze-walls-dsage": 60.0,
     "maze-entropy-dsage": 60.0,
 }
-FEWEST_ROWS = 5
+FEWEST_ROWS = 5  # iterations from which on a measurement counts: the first one compiles
 
 
 def describe_cost(preset: str, config: RunConfig) -> str:
-    """Say how long a preset takes here, like "about 8 min"; "" where nothing is known."""
+    """Return how long a configuration takes here, like "about 8 min"; "" where that is unknown.
+
+    Args:
+        preset: name of the preset that it was made from.
+        config: the configuration.
+    """
     base = _base_of(preset)
     usual = find_preset(preset) if base else config
     if hasattr(config.algorithm, "surrogate"):
@@ -47,21 +52,20 @@ def describe_cost(preset: str, config: RunConfig) -> str:
     if planner_of(config) != planner_of(usual):  # which may take ten times as long
         return ""
     measured = base and (_read().get(preset) or _read().get(base))
-    known = CPU_SECONDS.get(base)
-    seconds = measured or (known / devices.count_cores() if known else None)
-    if seconds is None:
+    seconds = measured or CPU_SECONDS.get(base, 0.0) / devices.count_cores()
+    if not seconds:
         return ""
-    how = "as measured here" if measured else "an estimate"
-    return f"about {in_words(seconds * config.evaluations)} ({how})"
+    source = "as measured here" if measured else "an estimate"
+    return f"about {format_duration(seconds * config.evaluations)} ({source})"
 
 
-def reckon_seconds(preset: str) -> float:
-    """Reckon the CPU seconds of one evaluation of a preset, which has a name in `CPU_SECONDS`."""
+def estimate_seconds(preset: str) -> float:
+    """Return the CPU seconds of one evaluation of a preset that `CPU_SECONDS` knows."""
     return CPU_SECONDS[_base_of(preset)]
 
 
 def _base_of(preset: str) -> str:
-    """Find the preset whose evaluations cost as much, by its name; "" where there is none.
+    """Return the preset whose evaluations cost as much, by its name; "" where there is none.
 
     Rows that differ in alpha or in the algorithm alone are called like ``warehouse-even-cma-es``.
     """
@@ -69,8 +73,8 @@ def _base_of(preset: str) -> str:
     return max(bases, key=len, default="")
 
 
-def in_words(seconds: float) -> str:
-    """Say a duration in the unit a person would choose."""
+def format_duration(seconds: float) -> str:
+    """Write a duration in a unit that leaves two or three digits."""
     for unit, length in {"days": 86400, "h": 3600, "min": 60}.items():
         if seconds >= 2.5 * length:
             return f"{seconds / length:.0f} {unit}"
@@ -78,11 +82,11 @@ def in_words(seconds: float) -> str:
 
 
 def remember(preset: str, rows: Sequence[Metrics]) -> None:
-    """Keep what an evaluation of a preset took on this machine, compilation left out.
+    """Save what an evaluation of a preset took on this machine, without compilation.
 
     Args:
         preset: its name.
-        rows: the run's, one per iteration; too few tell nothing.
+        rows: the run's, one per iteration.
     """
     if len(rows) < FEWEST_ROWS:
         return
@@ -100,5 +104,5 @@ def _file() -> Path:
 def _read() -> dict[str, float]:
     try:
         return read_json(_file(), dict[str, float])
-    except InputError:  # nothing is remembered yet, or no more
+    except InputError:  # nothing was measured yet
         return {}

@@ -1,1 +1,0 @@
-"""The functions of a notebook: `qdenv.train`, `qdenv.simulate`, `qdenv.repair`, ..."""

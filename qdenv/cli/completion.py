@@ -1,0 +1,78 @@
+"""The command completion: a script that lets a shell complete commands, options and names."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import tyro
+
+from qdenv.cli.main import COMMANDS, load
+from qdenv.cli.parser import MARKERS, SPEC, command, completion_spec
+from qdenv.cli.rules import Choices, make_rules
+from qdenv.ops.output import say
+from qdenv.presets import PRESETS
+from qdenv.zoo import PREFIX, names
+
+# Two corrections of tyro's script. Which words a colon does not part: ours as well (zoo:NAME).
+WORDS = 'set(spec.get("subcommands", {}).keys())'
+# Bash puts back what stands before the last colon of a word: it is left out of the completions.
+UP_TO_COLON = ('#"$prefix"}', "#*:}")
+RUNS = ("plot", "generate", "series", "export")  # commands that take generators of the zoo
+
+
+def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
+    """Print what lets a shell complete commands, options and names.
+
+    Args:
+        shell: which shell.
+    """
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        tyro.extras.subcommand_cli_from_dict(
+            {name: command(load(name)) for name in COMMANDS},
+            prog="qdenv",
+            args=["--tyro-print-completion", shell],
+            config=MARKERS,
+            registry=make_rules(Choices(), []),
+        )
+    script = text.getvalue()
+    spec = _with_names(completion_spec(script))
+    lines = [f"{SPEC}{spec!r}" if line.startswith(SPEC) else line for line in script.splitlines()]
+    script = "\n".join(lines).replace(WORDS, f'{WORDS} | set(spec.get("words", []))')
+    say(script.replace(*UP_TO_COLON))
+
+
+def _with_names(spec: dict[str, Any]) -> dict[str, Any]:
+    """Add two-word commands, presets and names of the zoo to tyro's description of the program."""
+    commands: dict[str, Any] = {}
+    for name, one in spec["subcommands"].items():
+        for option in one["options"]:
+            _add_choices(option)
+        first, _, second = name.partition(" ")
+        if second:
+            empty = {"description": first, "options": [], "subcommands": {}, "frontier_groups": []}
+            commands.setdefault(first, empty)["subcommands"][second] = one
+        else:
+            commands[name] = one
+    shipped = [f"{domain}/{name}" for domain, known in names().items() for name in known]
+    words = [f"{PREFIX}{name}" for name in shipped]
+    _add_words(commands["train"], list(PRESETS))
+    _add_words(commands["zoo"], [*names(), *shipped])
+    for name in RUNS:
+        _add_words(commands[name], words)
+    return spec | {"subcommands": commands, "words": words}
+
+
+def _add_words(command: dict[str, Any], known: Sequence[str]) -> None:
+    """Complete names where a command takes one; the same options follow each of them."""
+    command["subcommands"] = {name: {**command, "description": "name"} for name in known}
+
+
+def _add_choices(option: dict[str, Any]) -> None:
+    """Complete an option's names where its help begins with them, like {low,high}."""
+    begin, brace, _ = option["description"].partition("}")
+    if brace and begin[:1] == "{" and "," in begin and option["type"] != "choice":
+        option |= {"type": "choice", "choices": begin[1:].split(",")}

@@ -1,0 +1,254 @@
+"""The command line `qdenv`: choose a command, turn mistakes into one line and exit code 2.
+
+The module of a command is imported when it is chosen: help and refusals take less time than
+importing jax.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import errno
+import importlib
+import itertools
+import json
+import logging
+import os
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+# Before numpy is loaded: small eigenproblems on shared cores lose tenfold to BLAS threads.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from qdenv.interrupt import EXIT_CODE, last_words
+
+# Name -> ``module:function``, in the order of help: layouts, studies, searches, mazes.
+COMMANDS = {
+    "render": "qdenv.ops.layouts:render",
+    "check": "qdenv.ops.layouts:check",
+    "simulate": "qdenv.ops.traffic:simulate_layout",
+    "replay": "qdenv.ops.pages:replay",
+    "repair": "qdenv.ops.layouts:repair_layout",
+    "compare": "qdenv.ops.studies:compare",
+    "sweep": "qdenv.ops.studies:sweep",
+    "scalability": "qdenv.ops.studies:scalability",
+    "report": "qdenv.ops.pages:report",
+    "layout human": "qdenv.ops.layouts:human_layout",
+    "layout tile": "qdenv.ops.layouts:tile_layout",
+    "layout symbols": "qdenv.ops.layouts:layout_symbols",
+    "zoo": "qdenv.ops.zoo:zoo",
+    "presets": "qdenv.ops.searches:presets",
+    "train": "qdenv.ops.searches:train",
+    "resume": "qdenv.ops.searches:resume",
+    "plot": "qdenv.ops.runs:plot",
+    "generate": "qdenv.ops.runs:generate_layout",
+    "series": "qdenv.ops.runs:series",
+    "explore": "qdenv.ops.pages:explore",
+    "export": "qdenv.ops.runs:export",
+    "surrogate": "qdenv.ops.surrogates:fit_surrogate",
+    "train-agent": "qdenv.ops.agents:train_agent",
+    "evaluate-agent": "qdenv.ops.agents:evaluate_agent",
+    "convert-agent": "qdenv.ops.agents:convert_agent",
+    "completion": "qdenv.cli.completion:completion",
+}
+PICTURE_OPTIONS = ("--plot", "--gif", "--mp4")  # options whose value may be left out
+
+
+def run(words: list[str]) -> int:
+    """Run one command and return its exit code.
+
+    Args:
+        words: what follows `qdenv` on the command line.
+
+    Raises:
+        SystemExit: help of a command was requested, and printed.
+    """
+    if words[:1] == ["--version"]:
+        print(_version())
+        return 0
+    if words[:1] == ["help"]:
+        words = [*words[1:], "--help"]
+    count = 2 if " ".join(words[:2]) in COMMANDS else 1
+    name, rest = " ".join(words[:count]), words[count:]
+    try:
+        if name in COMMANDS:
+            return _run_command(name, rest)
+        if name in ("", "-h", "--help"):
+            print(_overview())
+            return 0
+        return _refuse(_unknown(name))
+    except KeyboardInterrupt:
+        print(last_words(), file=sys.stderr)
+        return EXIT_CODE
+    except BrokenPipeError:  # the reader has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+def _version() -> str:
+    from importlib import metadata  # takes as long as all the rest of help
+
+    return metadata.version("qdenv")
+
+
+def _refuse(message: object) -> int:
+    print(f"qdenv: {message}", file=sys.stderr)
+    return 2
+
+
+def _unknown(name: str) -> str:
+    if name.startswith("-"):
+        return f"give a command before {name}: `qdenv --help` lists them"
+    if longer := [known for known in COMMANDS if known.startswith(f"{name} ")]:
+        return f"{name} needs another word: `qdenv {'`, `qdenv '.join(longer)}`"
+    close = difflib.get_close_matches(name, COMMANDS, 1)
+    guess = f"did you mean `qdenv {close[0]}`?" if close else "`qdenv --help` lists the commands"
+    return f"unknown command {name!r}: {guess}"
+
+
+def _overview() -> str:
+    """Return the help of the program: every command with the first line of its docstring."""
+    width = min(shutil.get_terminal_size().columns, 100) - 2
+    lines = ["usage: qdenv COMMAND ..., qdenv COMMAND --help, qdenv --version", ""]
+    for name in COMMANDS:
+        text = f"{name:15} {summary_of(name)}"
+        lines += textwrap.wrap(text, width, initial_indent="  ", subsequent_indent=" " * 18)
+    return "\n".join(lines)
+
+
+def summary_of(command: str) -> str:
+    """Return the first line of a command's docstring, read from its source.
+
+    Importing the module would take its seconds.
+    """
+    module, _, name = COMMANDS[command].partition(":")
+    path = Path(__file__).parents[2].joinpath(*module.split(".")).with_suffix(".py")
+    _, _, function = path.read_text().partition(f"\ndef {name}(")
+    return function.partition('"""')[2].partition("\n")[0]
+
+
+def load(name: str) -> Any:
+    """Import the operation of a command."""
+    module, _, function = COMMANDS[name].partition(":")
+    return getattr(importlib.import_module(module), function)
+
+
+def _run_command(name: str, words: list[str]) -> int:
+    from qdenv.types import InputError  # imports numpy: not for help
+
+    try:
+        return _call(name, words)
+    except InputError as error:
+        return _refuse(error)
+    except OSError as error:  # no file can have such a name
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        return _refuse(InputError(f"{str(error.filename)[:99]}...: too long for a file's name"))
+
+
+def _call(name: str, words: list[str]) -> int:
+    """Parse a command line, run the operation and write its facts."""
+    from qdenv.cli.parser import command, parse
+    from qdenv.cli.rules import Choices, make_rules
+    from qdenv.io.files import tidy, write_json
+    from qdenv.ops.output import AUTO, place
+    from qdenv.types import InputError
+
+    operation, program, words = load(name), f"qdenv {name}", _with_names(words)
+    chosen, rest = parse(Choices, words, program, partly=True)
+    stated = parse(command(operation), words, program, make_rules(chosen, rest))
+    arguments, facts_file = stated.arguments, stated.json
+    if "out" in arguments.signature.parameters:  # in Python nothing is written unless named
+        arguments.arguments["out"] = arguments.arguments.get("out") or AUTO
+    to_stdout = facts_file == Path("-")
+    if facts_file is not None and not to_stdout:
+        files = [path for path in _flat(arguments.arguments) if isinstance(path, Path)]
+        if facts_file in files:
+            raise InputError(f"{facts_file}: named twice: give the facts a file of their own")
+        facts_place = place(facts_file, "facts.json", inputs=files)
+    with contextlib.ExitStack() as stack:
+        if to_stdout:  # nothing else is written there
+            stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+        stack.enter_context(_printing())
+        result = operation(*arguments.args, **arguments.kwargs)
+    if facts_file is not None:
+        facts = result if isinstance(result, dict) else getattr(result, "facts", {})
+        about = {"command": name, "qdenv": _version()}
+        content = tidy({**facts, **about})
+        if to_stdout:
+            print(json.dumps(content, indent=1))
+        else:
+            write_json(facts_place.path, content)
+            print(facts_place)
+    return getattr(result, "exit_code", 0)
+
+
+class _Printer(logging.Handler):
+    """Print what operations log, above a progress bar if there is one."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        bars = sys.modules.get("tqdm")
+        (bars.tqdm.write if bars else print)(record.getMessage())
+        sys.stdout.flush()  # a reader behind a pipe waits for it, too
+
+
+@contextlib.contextmanager
+def _printing() -> Iterator[None]:
+    log, printer = logging.getLogger("qdenv"), _Printer()
+    level, log.propagate = log.level, False
+    log.addHandler(printer)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(printer)
+        log.setLevel(level)
+        log.propagate = True
+
+
+def _with_names(words: list[str]) -> list[str]:
+    """Name the picture of ``--plot`` and its like where no name follows: the operation chooses it.
+
+    A layout may follow: `simulate --plot plan.txt`.
+    """
+    from qdenv.ops.output import AUTO, FILMS, PICTURES
+
+    # Some of these are refused, with a reason.
+    endings = (*PICTURES, *FILMS, ".jpg", ".jpeg", ".webp", ".tif", ".bmp")
+    named: list[str] = []
+    for word, following in itertools.pairwise([*words, "-"]):
+        named.append(word)
+        if word in PICTURE_OPTIONS and Path(following).suffix.lower() not in endings:
+            named += [str(AUTO)] * (following != str(AUTO))
+    return named
+
+
+def _flat(value: Any) -> Iterator[Any]:
+    """List the values in nested lists and dictionaries."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for one in value:
+            yield from _flat(one)
+    else:
+        yield value
+
+
+def main() -> None:
+    """Run the command line; programs are kept between calls where they hold no host callback."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "qdenv" / "jax"
+    # Read when jax is imported, which is later. By itself jax keeps what took a second.
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+    try:
+        code = run(sys.argv[1:])
+    except SystemExit as stop:  # help was printed
+        code = stop.code if isinstance(stop.code, int) else 0
+    with contextlib.suppress(BrokenPipeError):
+        sys.stdout.flush()
+    # Everything is written. The rest of the interpreter's end would take time, and crash on Ctrl-C.
+    os._exit(code)

@@ -1,0 +1,196 @@
+"""From a command line to a call: tyro reads the types, a mistake becomes one line."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import dataclasses
+import difflib
+import functools
+import inspect
+import io
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_type_hints, is_typeddict
+
+import tyro
+from tyro import _errors as events
+
+from qdenv import interrupt
+from qdenv.ranges import check_range
+from qdenv.types import InputError
+
+MARKERS = (tyro.conf.AvoidSubcommands,)
+SPEC = "COMPLETION_SPEC = "  # begins the line of tyro's completion script with all options
+JSON = tyro.conf.arg(metavar="FILE", help="file of the facts to write; - is standard output")
+
+
+def parse(
+    target: Any, words: Sequence[str], program: str, rules: Any = None, partly: bool = False
+) -> Any:
+    """Make a value of a type, or call a function, with what a command line states.
+
+    Args:
+        target: the type or the function.
+        words: the command line after the name of the program.
+        program: how it is called, like "qdenv simulate".
+        rules: for types of our own, see `qdenv.cli.rules`.
+        partly: return the words that it does not know as well, in place of refusing them.
+
+    Raises:
+        InputError: the words make no sense.
+        SystemExit: help was requested, and printed.
+    """
+
+    def refuse(event: Any) -> None:
+        if message := _message(event, target, rules):
+            raise InputError(message)
+
+    # The hook is no public interface of tyro yet. Of an event that we do not know, tyro prints a
+    # longer text and leaves with the same exit code.
+    with events.on_parse_error(refuse):
+        return tyro.cli(
+            target,
+            prog=program,
+            description=_description(target),
+            args=list(words),
+            config=MARKERS,
+            registry=rules,
+            add_help=not partly,
+            return_unknown_args=partly,
+        )
+
+
+def _message(event: Any, target: Any, rules: Any) -> str:
+    """Return the line for a mistake; "" for one that is unknown here."""
+    listed = f" (`{event.prog} --help` lists the options)"
+    if isinstance(event, events.UnrecognizedArgs):
+        word = event.tokens[0].partition("=")[0]
+        if not word.startswith("-"):
+            return f"unknown argument {word}{listed}"
+        close = _close_option(word, target, rules)
+        return f"unknown option {word}" + (f": did you mean {close}?" if close else "") + listed
+    if isinstance(event, events.InstantiationFailure):
+        message = event.message.partition("\n")[0]
+        if event.argument is None:  # a record refused its values
+            return message
+        name = _name_of(event.argument)
+        if message.startswith("must be"):
+            return f"{name} {message}{listed}"
+        if "parse" in message or "type matching" in message:  # tyro's own words
+            return f"{name} does not have the form {event.argument.lowered.metavar}{listed}"
+        return message
+    if isinstance(event, events.InvalidChoice):
+        choices = ", ".join(event.choices)
+        return f"{_name_of(event.argument)} {event.value}: choose one of {choices}{listed}"
+    if isinstance(event, events.BadValue):
+        return f"{_name_of(event.argument)} needs a value{listed}"
+    if isinstance(event, events.MissingArgs):
+        arguments = [one.arg for one in event.missing_arguments]
+        names = [_name_of(one) for one in arguments]
+        texts = [one.field.helptext for one in arguments]
+        about = [(text() if callable(text) else text or "").rstrip(".") for text in texts]
+        return f"{names[0]} is missing: {about[0]}{listed}"
+    return ""
+
+
+def _name_of(argument: Any) -> str:
+    lowered = argument.lowered
+    return str(lowered.metavar if argument.is_positional() else lowered.name_or_flags[0])
+
+
+def _close_option(word: str, target: Any, rules: Any) -> str | None:
+    """Return the option that may have been meant; one whose last part is equal comes first."""
+    spec = completion_spec(completion_script(target, "bash", rules))
+    known = [name for option in spec["options"] for name in option["flags"]]
+    alike = [name for name in known if name.rpartition(".")[2] == word.lstrip("-")]
+    return next(iter(alike + difflib.get_close_matches(word, known, 1)), None)
+
+
+def completion_script(target: Any, shell: str, rules: Any = None) -> str:
+    """Return tyro's completion script for a program."""
+    script = io.StringIO()
+    with contextlib.redirect_stdout(script), contextlib.suppress(SystemExit):
+        parse(target, ["--tyro-print-completion", shell], "qdenv", rules)
+    return script.getvalue()
+
+
+def completion_spec(script: str) -> dict[str, Any]:
+    """Return the description of all options in a completion script."""
+    lines = [line for line in script.splitlines() if line.startswith(SPEC)]
+    spec: dict[str, Any] = ast.literal_eval(lines[0].removeprefix(SPEC))
+    return spec
+
+
+def _description(target: Any) -> str:
+    return (inspect.getdoc(target) or "").partition("\n\nArgs:")[0]
+
+
+def command(operation: Callable) -> Any:
+    """Make the type of a command: the arguments of an operation, and ``--json``.
+
+    Args:
+        operation: a function with types; its docstring explains its arguments.
+
+    Returns:
+        a record with the fields `arguments` (as `inspect.BoundArguments`) and `json`.
+    """
+
+    @functools.wraps(operation)
+    def bind(*values: Any, **named: Any) -> inspect.BoundArguments:
+        arguments = inspect.signature(operation).bind(*values, **named)
+        check_ranges(operation, arguments)
+        return arguments
+
+    fields: list[Any] = [
+        ("arguments", Annotated[Any, tyro.conf.arg(name="", constructor=bind)]),
+        ("json", Annotated[Path | None, JSON], None),
+    ]
+    record = dataclasses.make_dataclass("Command", fields)
+    record.__doc__ = _description(operation)
+    return record
+
+
+def check_ranges(function: Callable, arguments: inspect.BoundArguments) -> None:
+    """Check arguments against the ranges in the types of a function.
+
+    Raises:
+        InputError: a value is out of its range.
+    """
+    hints = get_type_hints(function, include_extras=True)
+    for name, value in arguments.arguments.items():
+        (record,) = get_args(hints[name])[:1] or (None,)
+        if is_typeddict(record):  # **options: Unpack[Record]
+            kinds = get_type_hints(record, include_extras=True)
+            for one in value:
+                check_range(one, value[one], kinds[one])
+        else:
+            check_range(name, value, hints[name])
+
+
+def run_program(function: Callable, program: str, words: Sequence[str] | None = None) -> int:
+    """Run a program that is one function, like a benchmark or a study; return its exit code.
+
+    Args:
+        function: its arguments are the options.
+        program: how it is called, like "python -m experiments.benchmarks maze".
+        words: what follows that on the command line; what this process was given unless set.
+    """
+
+    @functools.wraps(function)
+    def bind(*values: Any, **named: Any) -> Callable[[], Any]:
+        check_ranges(function, inspect.signature(function).bind(*values, **named))
+        return functools.partial(function, *values, **named)
+
+    interrupt.watch(program)
+    try:
+        parse(bind, sys.argv[1:] if words is None else words, program)()
+        sys.stdout.flush()
+    except InputError as error:
+        print(f"qdenv: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0

@@ -1,1 +1,0 @@
-"""The commands of `qdenv`, by subject: parse, call, print."""

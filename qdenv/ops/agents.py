@@ -1,0 +1,277 @@
+"""Operations on the agent of mazes: train, evaluate and convert it."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+from annotated_types import Interval
+
+from qdenv import interrupt
+from qdenv.agent.settings import TrainConfig
+from qdenv.io.files import write_csv
+from qdenv.io.layouts import write_layout
+from qdenv.io.records import read_json
+from qdenv.ops.options import Out, Picture, Source, read_plan, stem_of
+from qdenv.ops.output import AUTO, Place, place, say
+from qdenv.ops.results import Facts
+from qdenv.progress import Bar
+from qdenv.ranges import PositiveInt, Ranged, Seed
+from qdenv.study.motion import MAZES
+from qdenv.study.plans import Plan
+from qdenv.types import InputError
+
+if TYPE_CHECKING:  # imports jax
+    from qdenv.agent.evaluate import Comparison
+    from qdenv.simulate.maze.policy import Weights
+
+MOST_RUNS = 1_000_000
+MOST_MAZES = 10_000
+COLUMNS = ("file", "rows", "cols", "walls", "shortest", "runs", "success", "low", "high", "actions")
+
+
+def train_agent(
+    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008 (frozen)
+    path: Annotated[Path, tyro.conf.arg(name="out", aliases=("--run-dir",))] = Path("runs/agent"),
+    resume: bool = False,
+    report_every: PositiveInt = 50,
+    cpu_seconds: Annotated[float, Interval(gt=0)] = float("inf"),
+) -> Path:
+    """Train an agent for mazes: PPO over a curriculum of random mazes.
+
+    Args:
+        config: the run.
+        path: folder of the run: log, checkpoint, agent.npz, and the agents it averages in agents/.
+        resume: go on from the folder's checkpoint; `qdenv resume FOLDER` does the same.
+        report_every: updates between two lines of the log.
+        cpu_seconds: stop after about as many CPU seconds, ready to be resumed.
+
+    Returns:
+        the file of the agent.
+
+    Raises:
+        InputError: there is a run in the folder already, or none to resume.
+    """
+    begun = (path / "checkpoint.npz").exists()
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path}: that is a file: name a folder")
+    if not resume and begun:
+        raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
+    if resume and not begun:
+        raise InputError(f"{path}: no run to resume (checkpoint.npz is missing)")
+    if resume and config.steps < _read_config(path).steps:
+        raise InputError(f"{path}: more steps are configured already: give as many, or more")
+    from qdenv.agent.train import train_agent as train  # imports jax and optax
+
+    go_on = f"`qdenv resume {shlex.quote(str(path))}` goes on"
+    if resume:
+        interrupt.advise(go_on)
+    with Bar("training the agent", config.updates) as bar:
+        known = [0]
+
+        def show(done: int, row: dict[str, Any] | None) -> None:
+            bar.update(done - known[0])
+            known[0] = done
+            if row:  # a checkpoint was written before
+                interrupt.advise(go_on)
+                exams = ", ".join(
+                    f"{row[name]:.0%} (mean {row[f'mean_{name}']:.0%}) of {name[5:]} walls"
+                    for name in row
+                    if name[:5] == "exam_"
+                )
+                say(f"update {done} of {config.updates}: solves {exams}")
+
+        agent: Path = train(config, path, resume, report_every, cpu_seconds, show)
+    say(agent)
+    return agent
+
+
+def is_agent_run(path: Path) -> bool:
+    """Return True if a folder is that of an agent's training, not of a search."""
+    return (path / "checkpoint.npz").exists() and (path / "config.json").exists()
+
+
+def resume_agent(path: Path) -> Path:
+    """Go on with an agent's training as it was configured."""
+    return train_agent(_read_config(path), path, resume=True)
+
+
+def _read_config(path: Path) -> TrainConfig:
+    return read_json(path / "config.json", TrainConfig)
+
+
+@dataclass(frozen=True)
+class EpisodeOptions(Ranged):
+    """The agent, and how often and how long it walks through a maze."""
+
+    agent: str = ""  # an agent.npz; the shipped one unless given
+    runs: Annotated[int, Interval(ge=1, le=MOST_RUNS)] = 100  # independent episodes, in each maze
+    # actions per episode; twice the tiles of the ringed maze unless given
+    timesteps: Annotated[PositiveInt | None, tyro.conf.arg(aliases=("--horizon",))] = None
+    seed: Seed = 0  # of headings, actions and random mazes
+    reference_batching: bool = False  # repeat the published evaluation's two quirks, for comparison
+
+
+class _Places:
+    """Where random mazes go: a table, a picture beside it and a folder of layouts."""
+
+    def __init__(self, out: Any, layout: Any) -> None:
+        """Choose the places before any work is done."""
+        self.table = place(out, f"{stem_of(layout)}_random.csv", (".csv",), [layout])
+        self.picture = self.table.beside(".png")
+        self.folder: Place = self.table.beside("")
+        if self.folder.path.is_file():
+            raise InputError(f"{self.folder.path}: that is a file, and random mazes need a folder")
+
+
+def evaluate_agent(
+    layout: Source,
+    episodes: Annotated[EpisodeOptions, tyro.conf.arg(name="")] = EpisodeOptions(),
+    random_mazes: int = 0,
+    out: Out = None,
+    gif: Picture = None,
+) -> Facts:
+    """Let the agent solve a maze many times: success rate with its 95 % interval.
+
+    Args:
+        layout: layout file of a maze, with or without its ring of walls.
+        episodes: the agent, how often and how long it walks.
+        random_mazes: also solve this many random mazes with as many walls and a path length within
+            0.8 to 1.2 of this one's.
+        out: table of the random mazes (.csv), their layout files in a folder and a picture of them
+            beside it; LAYOUT_random.csv unless given.
+        gif: draw one episode.
+
+    Raises:
+        InputError: it is no maze, or a number is impossible.
+    """
+    if random_mazes and not 2 <= random_mazes <= MOST_MAZES:  # one has no standard error
+        raise InputError(
+            f"--random-mazes {random_mazes}: give 2 to {MOST_MAZES:,}, or leave it out"
+        )
+    if out not in (None, AUTO) and not random_mazes:
+        raise InputError("--out is for the table of random mazes: add --random-mazes 100")
+    plan = read_plan(layout)
+    if plan.domain.name not in MAZES:
+        raise InputError(f"{layout}: a layout of {plan.domain.name}, the agent walks in mazes")
+    if random_mazes and episodes.reference_batching:
+        raise InputError("--reference-batching is for one maze: leave --random-mazes out")
+    picture = gif and place(gif, "episode.gif", (".gif",), [layout])
+    places = _Places(out, layout) if random_mazes and out is not None else None
+    # These import jax: refusals are faster without it.
+    from qdenv.agent.evaluate import compare_with_random, default_horizon
+    from qdenv.agent.evaluate import evaluate_agent as measure_success
+    from qdenv.simulate.maze.policy import load_weights
+
+    maze, weights, seed = plan.layout, load_weights(episodes.agent), episodes.seed
+    steps, runs = episodes.timesteps or default_horizon(maze), episodes.runs
+    name = layout if isinstance(layout, str | Path) else plan.name
+    with Bar(f"solving {name} {runs} times"):
+        result = measure_success(weights, maze, seed, runs, steps, episodes.reference_batching)
+    facts = result._asdict()
+    say(
+        f"success {result.rate:.1%} ({result.low:.1%} to {result.high:.1%}) in {result.runs} runs "
+        f"of at most {steps} timesteps, {result.mean_length:.0f} actions on average, shortest path "
+        f"{result.shortest} moves"
+    )
+    if random_mazes:
+        with Bar("drawing random mazes") as bar:
+            others = compare_with_random(
+                weights, maze, random_mazes, runs, seed, steps, progress=bar
+            )
+        facts["random_mazes"] = _report_random(places, others, plan, result.rate)
+    if picture:
+        _draw_episode(picture.path, weights, maze, seed, steps)
+        say(picture)
+    agent = episodes.agent or "the shipped one"
+    settings = {"layout": name, "timesteps": steps, "seed": seed, "agent": agent}
+    return Facts(facts | {"settings": settings})
+
+
+def _report_random(
+    places: _Places | None, others: Comparison, plan: Plan, own: float
+) -> dict[str, Any]:
+    """Write random mazes, their table and their picture, and return the facts.
+
+    Args:
+        places: where everything goes; None to write nothing.
+        others: the random mazes and the agent's success on each.
+        plan: the maze they are compared with.
+        own: the agent's success rate on it.
+    """
+    lengths, domain = [maze.shortest for maze in others.mazes], plan.domain
+    say(
+        f"{len(lengths)} random mazes: {others.mean:.1%} +- {others.standard_error:.1%}, "
+        f"{others.walls} walls each, shortest paths of {min(lengths)} to {max(lengths)} moves"
+    )
+    facts = {
+        "mean": others.mean,
+        "standard_error": others.standard_error,
+        "mazes": len(lengths),
+        "walls": others.walls,
+        "runs": others.results[0].runs,
+        "rates": others.rates,
+        "shortest": lengths,
+    }
+    if places is None:
+        return facts
+    from qdenv.view.maze import save_mazes  # imports matplotlib
+
+    rows = []
+    for number, (maze, one) in enumerate(zip(others.mazes, others.results, strict=True)):
+        path = places.folder.path / f"random_{number:03}.json"
+        details = {"walls": others.walls, "shortest": maze.shortest, "success": one.rate}
+        write_layout(
+            path, maze.layout, domain.tiles, domain.meanings, domain=domain.name, **details
+        )
+        counts = (*maze.layout.shape, others.walls, maze.shortest, one.runs)
+        rows.append([path, *counts, one.rate, one.low, one.high, one.mean_length])
+    say(f"{places.folder}: {len(rows)} layouts")
+    write_csv(places.table.path, COLUMNS, rows)
+    say(places.table)
+    mazes, rates = (others.given, *others.mazes), (own, *others.rates)
+    titles = [
+        f"{'random' if number else plan.name}: path {maze.shortest}, success {rate:.0%}"
+        for number, (maze, rate) in enumerate(zip(mazes, rates, strict=True))
+    ]
+    save_mazes(places.picture.path, list(mazes), titles)
+    say(places.picture)
+    return facts | {"table": places.table.path}
+
+
+def _draw_episode(path: Path, weights: Weights, maze: np.ndarray, seed: int, steps: int) -> None:
+    """Draw one episode as an animation."""
+    import jax
+    import jax.numpy as jnp
+
+    from qdenv.simulate.maze.episode import trace_episode
+    from qdenv.simulate.maze.policy import prepare
+    from qdenv.view.maze import save_episode
+
+    tables = prepare(weights, jnp.asarray(maze))
+    episode, poses = trace_episode(weights, tables, jax.random.key(seed), steps)
+    shown = slice(0, int(episode.length) + 1)
+    cells, headings = (np.asarray(pose)[shown] for pose in poses)
+    save_episode(path, maze, int(tables.course.goal), cells, headings)
+
+
+def convert_agent(checkpoint: tyro.conf.Positional[Path], out: Out = None) -> Path:
+    """Convert the published agent's checkpoint (model_20000.tar) into an agent of ours.
+
+    Args:
+        checkpoint: your copy of the file; read without PyTorch, nothing in it is executed.
+        out: the agent to write; agent.npz unless given.
+
+    Raises:
+        InputError: it is no such checkpoint.
+    """
+    target = place(out or AUTO, "agent.npz", (".npz",), [checkpoint])
+    from qdenv.agent import convert  # imports jax
+
+    convert.convert_agent(checkpoint, target.path)
+    say(target)
+    return target.path

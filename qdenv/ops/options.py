@@ -1,0 +1,275 @@
+"""The arguments that operations share, each with its type in Python and its form on command lines.
+
+A type is `Annotated` where the command line reads it in a form of its own. What an option stands
+for depends on a choice in the same command line at three places: the settings of the chosen
+planner, of the chosen preset, and the numbers of tiles of the chosen domain. Their types are
+marked here (`PlannerOptions`, `PresetOptions`, `TileNumbers`), `qdenv.cli.rules` resolves them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias, TypedDict
+
+import numpy as np
+import tyro
+from tyro.constructors import PrimitiveConstructorSpec
+
+from qdenv.domains.base import DOMAINS, find_domain
+from qdenv.ops.output import AUTO
+from qdenv.ops.results import Layout
+from qdenv.ranges import PositiveFloat, PositiveInt
+from qdenv.run.directory import RunDirectory
+from qdenv.simulate.mapf.choosing import describe_planner, find_planner, record_planner
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.options import TIMESTEPS, parse_counts, parse_seeds
+from qdenv.study.plans import Plan
+from qdenv.study.plans import read_plan as read_file
+from qdenv.types import InputError
+from qdenv.view.widths import parse_width
+
+SECONDS_PER_HOUR = 3600
+
+
+def option(metavar: str, read: Any = str, nargs: Any = 1) -> Any:
+    """Describe an option that the command line reads in a form of its own.
+
+    Args:
+        metavar: its form in help.
+        read: turns the text into the value; raises InputError.
+        nargs: how many words it may have; with none it is `AUTO`.
+    """
+    return PrimitiveConstructorSpec(
+        nargs=nargs,
+        metavar=metavar,
+        instance_from_str=lambda words: read(*words) if words else AUTO,
+        is_instance=lambda value: True,
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+class PlannerOptions:
+    """Marks the option ``--planner NAME`` with the settings of the planner of that name."""
+
+
+class PresetOptions:
+    """Marks the settings of a search."""
+
+
+class TileNumbers:
+    """Marks the exact numbers of tiles of a domain."""
+
+
+def _positional(metavar: str, kind: Any = Path) -> Any:
+    return tyro.conf.arg(metavar=metavar, constructor=kind)
+
+
+def domain_names() -> str:
+    """Return the names of all domains as help shows them."""
+    return "{" + ",".join(DOMAINS.names()) + "}"
+
+
+# A layout: path of its file, a `Plan`, a `Layout`, or int [H, W] with ``domain=`` beside it.
+Source: TypeAlias = Annotated[
+    str | Path | Plan | Layout | np.ndarray | Sequence[Sequence[int]],
+    tyro.conf.Positional,
+    _positional("LAYOUT"),
+]
+Sources: TypeAlias = Annotated[
+    Sequence[Any], tyro.conf.Positional, _positional("LAYOUT ...", tuple[Path, ...])
+]
+# A run, its folder, or zoo:DOMAIN/NAME.
+Run: TypeAlias = Annotated[RunDirectory | str | Path, tyro.conf.Positional, _positional("RUN")]
+Runs: TypeAlias = Annotated[
+    Sequence[Any], tyro.conf.Positional, _positional("RUN ...", tuple[Path, ...])
+]
+Subjects: TypeAlias = Annotated[
+    Any, tyro.conf.Positional, _positional("RUN|LAYOUT ...", tuple[Path, ...])
+]
+DomainName: TypeAlias = Annotated[str | None, tyro.conf.arg(metavar=domain_names())]
+# 10 for ten runs with the seeds 0 to 9, (3, 5, 9) for these three; on command lines 3,5,9 and 7,
+Seeds: TypeAlias = Annotated[int | Sequence[int], option("N|SEED,...", parse_seeds)]
+# One number of agents or several; on command lines 200 or 50,100 or 50:400:50
+Counts: TypeAlias = Annotated[
+    int | Sequence[int] | None, option("N|N,...|FIRST:LAST:STEP", parse_counts)
+]
+# A file to write; the command line writes one named `AUTO` where none is named
+Out: TypeAlias = Annotated[str | Path | None, option("FILE", Path)]
+# A picture to write; ``--plot`` without a name is `AUTO`
+Picture: TypeAlias = Annotated[str | Path | None, option("[FILE]", Path, nargs=(0, 1))]
+# Of a picture, in inches; on command lines also column or page of a journal
+Width: TypeAlias = Annotated[float | None, option("{column,page,INCHES}", parse_width)]
+# Exact numbers of tiles by name; one, or one for each of several sizes
+Number: TypeAlias = Annotated[int, TileNumbers]
+Numbers: TypeAlias = Annotated[Sequence[int], TileNumbers]
+RepairSeed: TypeAlias = Annotated[int, tyro.conf.arg(aliases=("--repair-seed",))]
+
+
+_UNSET = tyro.conf.arg(help_behavior_hint="(default: None)")
+
+
+class RunOptions(TypedDict, total=False):
+    """One run of a fleet."""
+
+    # whose tasks the agents do; what the layout file says unless given
+    domain: Annotated[DomainName, _UNSET]
+    # how long to simulate; 1000, or what is known of the layout's size, unless given
+    timesteps: Annotated[PositiveInt | None, _UNSET]
+    # of the negotiated planner: low for a quick look, high, for numbers to report, unless given
+    effort: Annotated[str | None, tyro.conf.arg(metavar="{low,high}"), _UNSET]
+    # who plans, with the defaults below: a registered name or settings, like `PbsConfig()`
+    planner: Annotated[Any, tyro.conf.arg(name="", constructor=PlannerOptions)]
+    # end a run at its first congested window, as published; --no-stop goes on (Figure 17)
+    stop: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: True)")]
+
+
+class FleetOptions(RunOptions, total=False):
+    """Runs of a fleet."""
+
+    seeds: Annotated[
+        Seeds,
+        tyro.conf.arg(
+            help="10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one",
+            help_behavior_hint="(default: 10)",
+        ),
+    ]
+    seconds_per_step: Annotated[
+        PositiveFloat | None,
+        tyro.conf.arg(help="of one timestep, to report tasks per hour, too"),
+        _UNSET,
+    ]
+
+
+class SurrogateOptions(TypedDict, total=False):
+    """How large a surrogate is and how it learns."""
+
+    # small suits a CPU, published is the paper's, for a GPU; what follows replaces single numbers
+    # of it
+    size: Annotated[
+        Literal["small", "published"], tyro.conf.arg(help_behavior_hint="(default: small)")
+    ]
+    channels: Annotated[int | None, _UNSET]  # hidden channels of its networks, 16 or 64
+    # residual blocks of the network that predicts repaired layouts, 1 or 2
+    blocks: Annotated[int | None, _UNSET]
+    # how often each network sees all elites it learns from, 20 unless given
+    epochs: Annotated[int | None, _UNSET]
+    minibatch: Annotated[int | None, _UNSET]  # elites per step of learning, 64 unless given
+    rate: Annotated[float | None, _UNSET]  # learning rate of Adam, 0.001 unless given
+
+
+class Fleet:
+    """The options of runs of a fleet, resolved."""
+
+    def __init__(self, options: Mapping[str, Any]) -> None:
+        """Resolve options.
+
+        Args:
+            options: those of `FleetOptions` that are given.
+
+        Raises:
+            InputError: a name is unknown, or a number is impossible.
+        """
+        self.domain: str | None = options.get("domain")
+        self.timesteps: int | None = options.get("timesteps")
+        self.effort: str | None = options.get("effort")
+        # The command line gives a name (or None) and what differs from that planner's defaults.
+        planner: Any = options.get("planner")
+        name, changes = planner if isinstance(planner, tuple) else (planner, {})
+        self.planner = replace(find_planner(self.effort, name or ""), **changes)
+        self.stop: bool = options.get("stop", True)
+        self.seeds = list_seeds(options.get("seeds", 10))
+        self.seconds_per_step: float | None = options.get("seconds_per_step")
+        self.config(1)  # refuses what makes no simulation
+
+    @property
+    def per_hour(self) -> float | None:
+        """Number of timesteps per hour; None where their length is not given."""
+        return self.seconds_per_step and SECONDS_PER_HOUR / self.seconds_per_step
+
+    def config(self, agents: int, timesteps: int | None = None) -> FleetConfig:
+        """Make the settings of a simulation.
+
+        Raises:
+            InputError: a number is impossible.
+        """
+        steps = timesteps or self.timesteps or TIMESTEPS
+        return FleetConfig(agents, steps, planner=self.planner, stop_when_congested=self.stop)
+
+    def settings(self, timesteps: int | None) -> dict[str, Any]:
+        """Return the options for facts."""
+        return {
+            "domain": self.domain,
+            "timesteps": timesteps,
+            "seeds": list(self.seeds),
+            "effort": self.effort,
+            "planner": record_planner(self.planner),
+            "stop": self.stop,
+            "seconds_per_step": self.seconds_per_step,
+        }
+
+    def describe(self, agents: str, timesteps: int, plan: Plan) -> str:
+        """Return in one line what is simulated."""
+        runs = f"{len(self.seeds)} seeds" if len(self.seeds) > 1 else "1 seed"
+        end = "" if self.stop else ", no stop at congestion"
+        return (
+            f"{agents} agents, {timesteps} timesteps{end}, {runs}, {plan.whose}; "
+            f"planner: {describe_planner(self.planner)}"
+        )
+
+
+def list_seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
+    """Return seeds of which one has the number (10 for 0 to 9) or a list.
+
+    Raises:
+        InputError: there is none, one is named twice, or one is out of range.
+    """
+    return parse_seeds(seeds if isinstance(seeds, int) else "".join(f"{one}," for one in seeds))
+
+
+def read_plan(layout: Any, domain: str | None = None) -> Plan:
+    """Read a layout, whatever form it has.
+
+    Args:
+        layout: path of a file, a `Plan`, a `Layout`, or an int array [H, W] of tiles.
+        domain: whose layout; needed for arrays only.
+
+    Raises:
+        InputError: it is no layout, or one of another domain.
+    """
+    if isinstance(layout, str | Path):
+        return read_file(layout, domain)
+    if isinstance(layout, Plan | Layout):
+        if domain not in (None, layout.domain.name):
+            raise InputError(f"this layout is of {layout.domain.name}: leave domain out")
+        name = layout.name if isinstance(layout, Plan) else "layout"
+        return Plan(name, layout.layout, layout.domain, assumed=False)
+    if domain is None:
+        names = ", ".join(repr(name) for name in DOMAINS.names())
+        raise InputError(f"an array does not say whose layout it is: give domain, one of {names}")
+    found, tiles = find_domain(domain), np.asarray(layout)
+    if tiles.ndim != 2 or tiles.dtype.kind not in "iu" or not tiles.size:
+        raise InputError("a layout is an array of integers with rows and columns")
+    if tiles.min() < 0 or tiles.max() >= len(found.tiles):
+        raise InputError(f"tiles of {domain} are 0 to {len(found.tiles) - 1} ({found.tiles!r})")
+    return Plan("layout", tiles.astype(np.int8), found, assumed=False)
+
+
+def open_run(run: Any) -> RunDirectory:
+    """Return a run of which one has the folder, the name in the zoo or the record itself.
+
+    Raises:
+        InputError: there is no run.
+    """
+    return run if isinstance(run, RunDirectory) else RunDirectory.open(run)
+
+
+def stem_of(layout: Any) -> str:
+    """Return the name of a layout for the files made from it."""
+    return Path(layout).stem if isinstance(layout, str | Path) else "layout"
+
+
+def name_of(layout: Any) -> str:
+    """Return the path of a layout's file as it was given, or "layout" for another form."""
+    return str(layout) if isinstance(layout, str | Path) else "layout"

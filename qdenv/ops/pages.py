@@ -1,0 +1,323 @@
+"""Operations that make pages: a run to replay, an archive to explore, a report to send."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Unpack
+
+import tyro
+
+from qdenv import devices
+from qdenv.ops.costs import format_duration
+from qdenv.ops.options import (
+    Counts,
+    Fleet,
+    FleetOptions,
+    Out,
+    Picture,
+    Run,
+    RunOptions,
+    Source,
+    Subjects,
+    open_run,
+    read_plan,
+    stem_of,
+)
+from qdenv.ops.output import place, say
+from qdenv.progress import Bar
+from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
+from qdenv.run.directory import RunDirectory
+from qdenv.simulate.mapf.choosing import OWN, record_planner
+from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.study import motion as studies
+from qdenv.study.motion import MAZES, Motion
+from qdenv.study.options import fleet_tasks, usual_fleet
+from qdenv.study.plans import Plan
+from qdenv.study.table import Row
+from qdenv.types import InputError
+from qdenv.view.page import Page, demand
+from qdenv.view.report.subjects import Subject, distinct, is_run, subject_of_run
+
+if TYPE_CHECKING:  # imports the simulator
+    from qdenv.view.report.build import Report
+    from qdenv.view.report.fleet import Asked
+
+SHORT = 100  # timesteps of a GIF of robots unless more are stated: it grows by megabytes
+LONG = 20.0  # seconds from which on an estimate of the time is logged
+
+
+@dataclasses.dataclass(frozen=True)
+class FilmOptions(Ranged):
+    """Films beside the page, for where no page can be opened."""
+
+    gif: Picture = None  # draw an animated GIF
+    mp4: Picture = None  # draw a film
+    first: NonNegativeInt = 0  # timestep at which films begin
+    # timestep at which they end; unless given the end of the run, in a GIF of robots 100 after the
+    # first
+    last: PositiveInt | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse impossible stretches of time."""
+        super().__post_init__()
+        if self.last is not None and self.last <= self.first:
+            raise InputError(
+                f"--first {self.first} --last {self.last}: give timesteps, the first before the "
+                "last"
+            )
+        if (self.first or self.last is not None) and not (self.gif or self.mp4):
+            raise InputError("--first and --last are for films: add --gif or --mp4")
+
+    def check_end(self, timesteps: int | None) -> None:
+        """Refuse films that begin when the run is over; None where its end is not known yet."""
+        if timesteps is not None and self.first >= timesteps:
+            raise InputError(f"--first {self.first}: the run ends at timestep {timesteps}")
+
+
+def replay(
+    layout: Source,
+    agents: int | None = None,
+    seed: Seed = 0,
+    films: Annotated[FilmOptions, tyro.conf.arg(name="")] = FilmOptions(),
+    out: Out = None,
+    **fleet: Unpack[RunOptions],
+) -> Page:
+    """Replay one run in a browser: robots, goals, jams, tile usage; in a maze, the agent's way.
+
+    Args:
+        layout: layout file.
+        agents: number of agents (robots); 200, or what is known of the layout's size, unless given.
+        seed: of the run.
+        films: beside the page.
+        out: page to write (.html), one file that needs no network; LAYOUT_replay.html unless given.
+        **fleet: see `RunOptions`.
+
+    Returns:
+        the page, which a notebook shows; ``page.save("replay.html")`` writes it.
+
+    Raises:
+        InputError: a name is unknown, the fleet cannot work on this layout, or a package is
+            missing.
+    """
+    stem, target = stem_of(layout), None
+    if out is not None:
+        target = place(out, f"{stem}_replay.html", (".html",), [layout])
+    if films.mp4:
+        demand("films", "imageio-ffmpeg")
+    drawn = [
+        place(path, f"{stem}_replay{ending}", (ending,), [layout])
+        for path, ending in ((films.gif, ".gif"), (films.mp4, ".mp4"))
+        if path
+    ]
+    demand("pages", "jinja2")
+    options = Fleet(fleet)
+    plan = read_plan(layout, options.domain)
+    if plan.domain.name in MAZES:
+        if agents is not None:
+            raise InputError("one agent walks in a maze: leave --agents out")
+        if options.effort or PLANNERS.name_of(options.planner) != OWN or not options.stop:
+            raise InputError("mazes have no planner: leave --planner, --effort and --no-stop out")
+        page, motion, facts = _replay_episode(plan, options.timesteps, seed, films)
+    else:
+        page, motion, facts = _replay_fleet(plan, agents, options, seed, films)
+    if target:
+        page.save(target.path)
+        say(target)
+        facts["page"] = target.path
+    for one in drawn:
+        _draw_film(one.path, plan, motion, films)
+        say(one)
+        facts[one.path.suffix[1:]] = one.path
+    facts["megabytes"] = len(page.html.encode()) / 1e6
+    name = layout if isinstance(layout, str | Path) else plan.name
+    settings = {"layout": name, "domain": plan.domain.name, "seed": seed}
+    facts["settings"] = settings | {"timesteps": motion.timesteps}
+    return dataclasses.replace(page, facts=facts)
+
+
+def _replay_fleet(
+    plan: Plan, agents: int | None, options: Fleet, seed: int, films: FilmOptions
+) -> tuple[Page, Motion, dict[str, Any]]:
+    """Simulate a fleet once and make its page."""
+    usual = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    films.check_end(usual.timesteps)
+    fleet_tasks(plan.layout, plan.domain.simulator.tasks, usual.agents)
+    config = options.config(usual.agents, usual.timesteps)
+    studies.check_run(config.agents, config.timesteps, seed)
+    # This imports the simulator: refusals are faster without it.
+    from qdenv.view.replay import about_fleet, make_replay
+
+    with Bar("simulating") as bar:
+        motion, traffic = studies.record_fleet(plan, config, seed, bar)
+    about = about_fleet(plan, config, seed, motion, traffic)
+    say(*about, plan.whose, *[usual.said] * bool(usual.said))
+    facts = {
+        "agents": config.agents,
+        "planner": record_planner(config.planner),
+        "stop": options.stop,
+        "throughput": float(traffic.throughput),
+        "finished_tasks": int(motion.finished.sum()),
+        "congested_at": int(traffic.congested_at) or None,
+        "end_timestep": motion.steps,
+        "waiting_share": float(motion.waits.mean()) if motion.steps else None,
+    }
+    return make_replay(plan, motion, traffic, about), motion, facts
+
+
+def _replay_episode(
+    plan: Plan, timesteps: int | None, seed: int, films: FilmOptions
+) -> tuple[Page, Motion, dict[str, Any]]:
+    """Let the agent walk through a maze once and make its page."""
+    films.check_end(timesteps)
+    studies.check_run(1, timesteps or 1, seed)
+    from qdenv.view.replay import about_episode, make_replay
+
+    with Bar("walking"):
+        motion = studies.trace_agent(plan, seed, timesteps)
+    about = about_episode(motion, seed)
+    say(*about)
+    facts = {
+        "success": bool(motion.finished.any()),
+        "actions": motion.steps,
+        "shortest": motion.shortest,
+    }
+    return make_replay(plan, motion, None, about), motion, facts
+
+
+def _draw_film(path: Path, plan: Plan, motion: Motion, films: FilmOptions) -> None:
+    """Draw a film of a stretch of the run."""
+    from qdenv.view.film import save_film  # imports matplotlib
+
+    films.check_end(motion.steps)
+    short = path.suffix.lower() == ".gif" and motion.headings is None
+    last = films.last or (films.first + SHORT if short else motion.steps)
+    with Bar(f"drawing {path}") as bar:
+        save_film(path, plan.layout, plan.domain.tiles, motion, (films.first, last), bar)
+
+
+def explore(run: Run, growth: NonNegativeInt | None = None, out: Out = None) -> Page:
+    """Make a page on which a run's archive can be touched: layouts, numbers, growth.
+
+    One file that opens in a browser, from disk, without a network.
+
+    Args:
+        run: folder of the run.
+        growth: how many elites the page shows growing, the best among them; unless given as many
+            as fit into 12 MB.
+        out: page to write; explorer.html unless given.
+
+    Returns:
+        the page, which a notebook shows; ``page.save("explorer.html")`` writes it.
+
+    Raises:
+        InputError: there is no elite, there are more than two measures, or a package is missing.
+    """
+    opened = open_run(run)
+    target = None if out is None else place(out, "explorer.html", (".html",))
+    from qdenv.view.explorer import make_explorer  # imports jax
+
+    with Bar("growing") as bar:
+        page, facts = make_explorer(opened, growth, bar)
+    if target:
+        page.save(target.path)
+        say(
+            f"{target}: {facts['elites']} elites, {facts['growth']} of them grow, "
+            f"{facts['megabytes']:.1f} MB"
+        )
+    settings = {"run": str(run), "growth": growth}
+    return dataclasses.replace(page, facts={**facts, "settings": settings})
+
+
+def report(
+    sources: Subjects,
+    agents: Counts = None,
+    out: Out = None,
+    again: tyro.conf.Suppress[str] = "",
+    **fleet: Unpack[FleetOptions],
+) -> Page:
+    """Make a page to send to somebody: what floor plans move, where robots wait, how sure that is.
+
+    Args:
+        sources: layout files, and runs or zoo:DOMAIN/NAME, whose best layout is reported on.
+        agents: number of agents (robots), 200 or what is known of the layout's size unless given;
+            half as many to half as many again are simulated, too, unless several are given, as
+            50,100 or 50:400:50: then those, and the first layout's peak is looked at closely.
+        out: page to write (.html); report.html unless given.
+        again: the command line that makes the page again, which it shows.
+        **fleet: see `FleetOptions`.
+
+    Returns:
+        the page, which a notebook shows; ``page.save("report.html")`` writes it.
+
+    Raises:
+        InputError: something cannot be read, a fleet cannot work there, or a package is missing.
+    """
+    demand("pages", "jinja2")
+    given = list(sources) if isinstance(sources, list | tuple) else [sources]
+    files = [one for one in given if isinstance(one, str | Path) and Path(one).is_file()]
+    target = None if out is None else place(out, "report.html", (".html",), files)
+    counts = (agents,) if isinstance(agents, int) else tuple(agents or ())
+    options = Fleet(fleet)
+    subjects = distinct([_subject(one, options.domain) for one in given])
+    if subjects[0].plan.domain.simulator.tasks is None:
+        made = _report_mazes(subjects, counts, options, again)
+    else:
+        # This imports the simulator: refusals are faster without it.
+        from qdenv.view.report.fleet import ask
+
+        asked = ask(subjects, counts, options.timesteps, options.config, options.seeds)
+        made = _report_fleets(asked._replace(per_hour=options.per_hour), again)
+    if target:
+        made.page.save(target.path)
+        say(f"{target}: {target.path.stat().st_size / 1e6:.1f} MB")
+    settings = options.settings(options.timesteps) | {"sources": [str(one) for one in given]}
+    return dataclasses.replace(made.page, facts={**made.facts, "settings": settings})
+
+
+def _subject(source: Any, domain: str | None) -> Subject:
+    if isinstance(source, RunDirectory):
+        return subject_of_run(source)
+    if isinstance(source, str | Path) and is_run(source):
+        return subject_of_run(RunDirectory.open(source))
+    plan = read_plan(source, domain)
+    name = str(source) if isinstance(source, str | Path) else plan.name
+    return Subject(plan.name, name, plan)
+
+
+def _report_fleets(asked: Asked, again: str) -> Report:
+    """Simulate, log how long that will take, and make the page."""
+    from qdenv.view.report.build import fleet_report
+    from qdenv.view.report.fleet import seconds_for, study
+
+    first = True
+    with Bar("simulating") as bar:
+
+        def show(row: Row) -> None:
+            nonlocal first
+            rest = seconds_for(asked, row, devices.threads())
+            if first and rest > LONG:
+                say(f"this takes about {format_duration(rest)} in all (an estimate)")
+            first = False
+            rate = f"{row.success_rate:.0%} never congested"
+            say(f"{row.layout}, {row.agents} agents: {row.mean_of_all:.3f}, {rate}")
+
+        found = study(asked, show, bar)
+        bar.begin("drawing the page")
+        made = fleet_report(found, again)
+    for one, result in zip(asked.subjects, found.studies, strict=True):
+        assert result.verdict is not None
+        say(f"{one.name}, {found.agents} agents: {result.verdict.word}, {result.verdict.reason}")
+    return made
+
+
+def _report_mazes(
+    subjects: list[Subject], agents: tuple[int, ...], options: Fleet, again: str
+) -> Report:
+    """Let the agent solve mazes, and make the page."""
+    if agents:
+        raise InputError("no fleet drives in mazes: leave --agents out")
+    from qdenv.view.report.mazes import maze_report, solve
+
+    with Bar("solving mazes") as bar:
+        return maze_report(solve(subjects, options.timesteps, bar), again)

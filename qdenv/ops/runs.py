@@ -1,0 +1,307 @@
+"""Operations on saved runs: pictures, elites at other sizes, tables."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from qdenv.domains.base import DOMAINS, Domain, make_domain
+from qdenv.io.layouts import check_size, endings_for
+from qdenv.ops.layouts import human_layout, save_with_picture
+from qdenv.ops.options import (
+    Number,
+    Numbers,
+    Out,
+    Run,
+    Runs,
+    Width,
+    open_run,
+)
+from qdenv.ops.output import AUTO, PICTURES, Place, place, place_folder, say
+from qdenv.ops.results import Layout
+from qdenv.progress import Bar
+from qdenv.ranges import PositiveInt, Ranged
+from qdenv.run.archive import Elite
+from qdenv.run.directory import RunDirectory
+from qdenv.study.changes import describe_changes, list_changes
+from qdenv.study.groups import CURVES, band_of, group_runs
+from qdenv.study.options import describe_growth
+from qdenv.types import InputError, RepairStatus
+from qdenv.zoo import file_name
+
+if TYPE_CHECKING:  # imports jax
+    pass
+
+
+def plot(
+    runs: Runs,
+    out: Out = None,
+    form: Annotated[Literal["png", "svg", "pdf"], tyro.conf.arg(name="format")] = "png",
+    width: Width = None,
+) -> list[Path]:
+    """Draw a run's archive, progress and best layout again, or several runs side by side.
+
+    Args:
+        runs: folders of runs; of several the archives on one colour scale, and the progress as
+            mean and interval over runs that differ by their seeds alone.
+        out: folder for the pictures; a run's own unless given, for generators of the zoo one
+            named after them, for several runs plots.
+        form: of the pictures.
+        width: column or page of a journal, or inches; what suits a screen unless given.
+
+    Returns:
+        the pictures.
+
+    Raises:
+        InputError: there is no run, or nothing to draw yet.
+    """
+    if not runs:
+        raise InputError("give at least one folder of a run")
+    opened = [open_run(run) for run in runs]
+    several = len(opened) > 1
+    folder = None
+    if several or opened[0].shipped or out not in (None, AUTO):
+        folder = place_folder(out or AUTO, "plots" if several else file_name(Path(str(runs[0]))))
+    if not several or folder is None:
+        return plot_one(opened[0], folder, form, width)
+    groups = group_runs(opened)
+    from qdenv.view.runs import plot_runs  # imports matplotlib
+
+    pictures = plot_runs(opened, folder, form, **_size(width))
+    for group in groups:
+        ends = []
+        for name, word in CURVES.items():
+            end = band_of(group.curves[name][:, -1:])
+            spread = f" +- {end.half[0]:.2g}" if len(group.runs) > 1 else ""
+            ends.append(f"{word} {end.mean[0]:.4g}{spread}")
+        say(f"{group.title}: {', '.join(ends)} after {group.evaluations[-1]} evaluations")
+    if len(groups) < len(opened):
+        say("+-: half the width of the 95 % interval over runs")
+    say(*pictures)
+    return pictures
+
+
+def _size(width: float | None) -> dict[str, Any]:
+    return {} if width is None else {"width": width}
+
+
+def plot_one(
+    run: RunDirectory, folder: Path | None = None, form: str = "png", width: float | None = None
+) -> list[Path]:
+    """Draw a run's pictures, into its own folder unless another is given, and log its figures."""
+    rows = run.read_metrics()
+    if not rows:
+        raise InputError(f"{run}: nothing is done yet; `qdenv resume {run}` begins")
+    from qdenv.view.runs import plot_run  # imports matplotlib
+
+    pictures, last = plot_run(run, folder, form, **_size(width)), rows[-1]
+    say(
+        f"QD-score {last.qd_score:.2f}, coverage {last.coverage:.1%}, best objective "
+        f"{last.best_objective:.3f} after {last.evaluations} evaluations in {last.seconds:.0f} s",
+        *pictures,
+    )
+    return pictures
+
+
+@dataclasses.dataclass(frozen=True)
+class GrowthOptions(Ranged):
+    """How an elite is grown, beyond its size."""
+
+    # in place of an elite's name a value for each measure, like 200 0.8; the nearest elite
+    measures: tuple[float, ...] = ()
+    # steps of growth; unless given what is known of the size, or else scaled with it
+    steps: PositiveInt | None = None
+    # other seeds give other, equally good repairs; the run's own unless given
+    seed: Annotated[int | None, tyro.conf.arg(aliases=("--repair-seed",))] = None
+    # drawing of the layout's shape: ? is free, a tile must be this tile; what the run kept, at its
+    # size, unless given
+    keep: Path | None = None
+    frames: PositiveInt | None = None  # also draw the layout after every so many steps (Figure 6)
+
+
+def generate_layout(
+    run: Run,
+    rows: int | None = None,
+    cols: int | None = None,
+    elite: Annotated[Any, tyro.conf.arg(metavar="NAME|CELL", constructor=str)] = "best",
+    repair: bool = True,
+    growth: Annotated[GrowthOptions, tyro.conf.arg(name="")] = GrowthOptions(),
+    out: Out = None,
+    **numbers: Number,
+) -> Layout:
+    """Grow an elite of a run at any size and repair it.
+
+    Args:
+        run: folder of the run.
+        rows: rows of the layout; the trained size unless given.
+        cols: columns of the layout; the trained size unless given.
+        elite: "best" or another name in the zoo, or the archive cell's indices like 12,40; in
+            Python also (12, 40) or what `run.elite` found.
+        repair: --no-repair keeps what the automaton drew.
+        growth: steps, seed, drawings, frames.
+        out: layout file to write (.json, .txt, .csv), a picture is drawn beside it; layout.json
+            unless given.
+        **numbers: exact numbers of tiles; unless given what is known of the size, or else scaled
+            with the area. In Python also ``steps`` and ``seed``.
+
+    Returns:
+        the layout, with elite, steps and repair among its facts.
+
+    Raises:
+        InputError: there is no such elite, or no layout of this size obeys the rules.
+    """
+    named = {name: numbers.pop(name) for name in ("steps", "seed") if name in numbers}
+    growth = dataclasses.replace(growth, **named)
+    check_size(1 if rows is None else rows, 1 if cols is None else cols)
+    opened = open_run(run)
+    config, found = opened.config, elite
+    if not isinstance(elite, Elite):
+        found = opened.archive.elite(elite, growth.measures or None)
+    # This imports jax: refusals are faster without it.
+    from qdenv.study.elites import grow_elite, repair_grown
+
+    trained, target = make_domain(config.evaluation.domain), None
+    if out is not None:
+        target = place(out, "layout.json", endings_for(trained.tiles, trained.meanings))
+    with Bar("growing") as bar:
+        grown = grow_elite(opened, found, (rows, cols), growth.steps, numbers, growth.keep)
+        if growth.frames is not None:
+            beside = target or Place(Path("layout.json"), False)
+            _draw_frames(opened, grown, growth.frames, beside.beside(".png", "_frames").path)
+        chosen = config.seed if growth.seed is None else growth.seed
+        repaired = repair_grown(grown, config.evaluation.repair, chosen, bar) if repair else None
+    domain, layout = grown.domain, grown.layout
+    say(*_known(trained, domain.shape, [*numbers, *(["steps"] if growth.steps else [])]))
+    if trained.config.keep and not domain.config.keep:
+        say(
+            "WARNING: what the run kept is drawn for {} x {}, so nothing is kept at this size: "
+            "--keep FILE draws what shall be".format(*trained.shape)
+        )
+    details: dict[str, Any] = {"domain": domain.name, "elite": found.cell, "steps": grown.steps}
+    if repaired is not None:
+        layout = np.asarray(repaired.layout)
+        status = RepairStatus(int(repaired.status)).name.lower()
+        details |= {"repair": status, "changed": float(repaired.cost)}
+        say(*describe_changes(list_changes(grown.layout, layout, domain)))
+    facts = {"rows": layout.shape[0], "cols": layout.shape[1], **domain.numbers, **details}
+    settings = {"run": str(run), "elite": found.cell, "seed": chosen}
+    made = Layout(layout, domain, details, facts | {"settings": settings})
+    if target:
+        made.save(target.path)
+        picture = target.beside(PICTURES[0])
+        made.draw(picture.path)
+        say(f"{target}: " + ", ".join(f"{name} {value}" for name, value in facts.items()), picture)
+    return made
+
+
+def _known(domain: Domain, shape: tuple[int, int], stated: Sequence[str]) -> list[str]:
+    """Describe the numbers that a size has by itself, if any."""
+    return [line for line in [describe_growth(domain, shape, stated)] if line]
+
+
+def _draw_frames(run: RunDirectory, grown: Any, every: int, picture: Path) -> None:
+    """Draw how a layout grows, and log when and where."""
+    from qdenv.study.sizes import grow_frames
+    from qdenv.view.layouts import save_frames
+
+    after, drawn = grow_frames(run, grown, every)
+    save_frames(picture, drawn, after, grown.domain.tiles)
+    say(f"{picture}: after {', '.join(map(str, after))} steps")
+
+
+def series(
+    run: Run,
+    elite: str = "best",
+    sizes: tuple[str, ...] = (),
+    steps: tuple[int, ...] = (),
+    seed: Annotated[int | None, tyro.conf.arg(aliases=("--repair-seed",))] = None,
+    human: bool = False,
+    out: Out = None,
+    **numbers: Numbers,
+) -> list[Layout]:
+    """Grow one elite at many sizes: those of Figure 18 unless others are given.
+
+    Args:
+        run: the run directory.
+        elite: "best", or the archive cell's indices like 12,40.
+        sizes: rows and columns of each layout, like 33x36 57x58; seven sizes from 33x36 to
+            101x102 unless given.
+        steps: NCA steps for each size; unless given what is known of it, or else scaled with it.
+        seed: other seeds give other, equally good repairs; the run's own unless given.
+        human: also draw what people design at each size.
+        out: folder for the layouts, their pictures and series.csv; series unless given.
+        **numbers: exact numbers of tiles for each size; unless given what is known of it, or else
+            scaled with the area.
+
+    Raises:
+        InputError: there is no such elite, or no layout of a size obeys the rules.
+    """
+    opened = open_run(run)
+    domain = make_domain(opened.config.evaluation.domain)
+    from qdenv.study import sizes as studies  # imports jax
+
+    shapes = [studies.parse_size(text) for text in sizes] or list(studies.SIZES)
+    for shape in shapes:
+        check_size(*shape)
+    folder = None if out is None else place_folder(out, "series")
+    grown, layouts = [], []
+    for item in studies.grow_sizes(opened, elite, shapes, steps, numbers, seed):
+        rows, cols = item.layout.shape
+        say(*_known(domain, (rows, cols), [*numbers, *(["steps"] if steps else [])]))
+        details = studies.details(item) | {"domain": domain.name}
+        layouts.append(Layout(item.layout, domain, details, details))
+        grown.append(item)
+        if folder:
+            save_with_picture(layouts[-1], place_in(folder, f"nca_{rows}x{cols}.json"))
+        if human:
+            name = folder and folder / f"human_{rows}x{cols}.json"
+            layouts.append(human_layout(rows, cols, domain.name, name))
+    if folder:
+        table = place_in(folder, "series.csv")
+        studies.write_series(table.path, grown)
+        say(table)
+    return layouts
+
+
+def place_in(folder: Path, name: str) -> Place:
+    """Choose the place of a result in a folder that was named."""
+    return Place(folder / name, (folder / name).exists())
+
+
+def export(
+    run: Run, out: Out = None, layouts: Path | None = None, solutions: bool = False
+) -> list[Path]:
+    """Write the elites of a run as a table, and all their layouts.
+
+    The table has a row for each elite: its cell (as --elite takes it), its objective, each measure
+    by its name, and what was counted in its simulations.
+
+    Args:
+        run: the run directory.
+        out: table to write, .csv or .parquet; RUN_elites.csv unless given.
+        layouts: folder to write a layout file for each elite into, named by its cell.
+        solutions: add the parameters of the generators to the table.
+
+    Returns:
+        what was written.
+
+    Raises:
+        InputError: there is no run, a name is impossible, or a package is missing.
+    """
+    opened, written = open_run(run), []
+    archive = opened.archive
+    if out is not None:
+        table = place(out, f"{file_name(Path(str(run)))}_elites.csv", (".csv", ".parquet"))
+        archive.write_table(table.path, solutions)
+        say(f"{table}: {len(archive)} elites")
+        written.append(table.path)
+    if layouts is not None:
+        archive.write_layouts(layouts, DOMAINS.name_of(opened.config.evaluation.domain))
+        say(f"{layouts}: {len(archive)} layouts")
+        written.append(layouts)
+    return written

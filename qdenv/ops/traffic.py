@@ -1,0 +1,163 @@
+"""The operation simulate: one layout, one number of agents; where it jams, whether more fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+
+from qdenv.grid import of_tiles
+from qdenv.ops.options import (
+    Fleet,
+    FleetOptions,
+    Picture,
+    Source,
+    Width,
+    name_of,
+    read_plan,
+    stem_of,
+)
+from qdenv.ops.output import PICTURES, format_table, place, say
+from qdenv.ops.results import Facts
+from qdenv.progress import Bar
+from qdenv.simulate.mapf.choosing import describe_planner
+from qdenv.study import sweep as studies
+from qdenv.study.options import fleet_tasks, usual_fleet
+from qdenv.study.plans import Plan
+from qdenv.types import InputError
+
+if TYPE_CHECKING:  # imports the simulator
+    from qdenv.study.traffic import Study
+
+
+def simulate_layout(
+    layout: Source,
+    agents: int | None = None,
+    audit: bool = True,
+    verdict: bool = True,
+    plot: Picture = None,
+    width: Width = None,
+    **fleet: Unpack[FleetOptions],
+) -> Facts:
+    """Simulate a fleet on a layout: its throughput, where it jams, whether more agents would help.
+
+    Args:
+        layout: layout file.
+        agents: number of agents (robots); 200, or what is known of the layout's size, unless given.
+        audit: check every trajectory against the rules of movement.
+        verdict: simulate a few runs with fewer and with more agents as well, to find whether this
+            number flows, is near capacity, past its peak or congested.
+        plot: picture of where agents wait, drive and finish tasks, and of throughput over time.
+        width: of the picture: column or page of a journal, or inches; 10 inches unless given.
+        **fleet: see `FleetOptions`.
+
+    Returns:
+        ``mean_throughput`` in tasks per timestep, and more: what `--json` writes.
+
+    Raises:
+        InputError: a name is unknown, or the fleet cannot work on this layout.
+    """
+    if width and not plot:
+        raise InputError(f"--width {width:g} is the picture's: add --plot")
+    picture = plot and place(plot, f"{stem_of(layout)}_traffic.png", PICTURES, [layout])
+    options = Fleet(fleet)
+    plan, name = read_plan(layout, options.domain), name_of(layout)
+    usual = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    with studies.about(name):
+        tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, usual.agents)
+        config = options.config(usual.agents, usual.timesteps)
+    # This imports the simulator: refusals are faster without it.
+    from qdenv.study.traffic import Wanted, examine, facts_of
+
+    about: dict[str, Any] = {"domain": plan.domain.name, "agents": usual.agents, "layout": name}
+    about |= {"planner": describe_planner(config.planner), "timesteps": usual.timesteps}
+    about["stop"] = options.stop
+
+    def facts_with(study: Study) -> dict[str, Any]:
+        facts = facts_of(study, plan.layout) | about
+        if options.per_hour:
+            facts["tasks_per_hour"] = facts["mean_of_all"] * options.per_hour
+        return facts
+
+    with studies.about(name), Bar("simulating") as bar:
+
+        def show_numbers(study: Study) -> None:
+            head = options.describe(str(usual.agents), usual.timesteps, plan)
+            say(head, *[usual.said] * bool(usual.said), *_numbers(facts_with(study)))
+
+        wanted = Wanted(audit, maps=audit or picture is not None, verdict=verdict)
+        study = examine(plan.layout, tasks, config, options.seeds, wanted, bar, show_numbers)
+    facts = facts_with(study)
+    if "verdict" in facts:
+        say(f"verdict      {facts['verdict']}: {facts['verdict_reason']}")
+    say(*_jams(facts, plan))
+    if picture:
+        from qdenv.view.style import name_of as title_of  # imports matplotlib
+        from qdenv.view.traffic import save_traffic, scene_of
+
+        judged = f": {facts['verdict']}, {facts['verdict_reason']}" if "verdict" in facts else ""
+        title = f"{title_of(plan.name)}, {facts['agents']} agents{judged}"
+        size = {} if width is None else {"width": width}
+        save_traffic(picture.path, scene_of(plan, study, title, facts["stop"]), **size)
+        say(picture)
+    return Facts(facts | {"settings": options.settings(usual.timesteps)})
+
+
+def _numbers(facts: Mapping[str, Any]) -> list[str]:
+    """Describe the throughput of the runs and their mean, and what the runs took."""
+    lines = []
+    for run in facts["runs"]:
+        jam = f", congested at {run['congested_at']}" if run["congested"] else ""
+        lines.append(f"seed {run['seed']}: {run['throughput']:.3f} tasks per timestep{jam}")
+    error = facts["standard_error"]
+    band = f" +- {error:.3f} (standard error)" if np.isfinite(error) else ""
+    hour = f", {facts['tasks_per_hour']:,.0f} tasks per hour" if "tasks_per_hour" in facts else ""
+    lines.append(f"throughput   {facts['mean_of_all']:.3f}{band} tasks per timestep{hour}")
+    smooth, rate = facts["mean_throughput"], facts["success_rate"]
+    if rate < 1:
+        others = "" if smooth is None else f"; the others move {smooth:.3f}"
+        after = others if facts["stop"] else ", and went on"
+        lines.append(f"congested    {1 - rate:.0%} of the runs{after}")
+    checked = "every trajectory valid, " if facts["valid"] else ""
+    lines.append(
+        f"computed     {checked}{facts['cpu_seconds_per_run']:.2f} CPU s per run, "
+        f"compiled in {facts['compile_seconds']:.1f} s"
+    )
+    return lines + facts["broken"]
+
+
+def _jams(facts: Mapping[str, Any], plan: Plan) -> list[str]:
+    """Describe how much agents wait and travel, and the worst cells."""
+    steps, lines = facts["steps_per_task"], []
+    if steps is not None:
+        lines.append(f"travelled    {steps:.1f} steps per task")
+    if "worst_cells" not in facts:
+        return lines
+    tasks = plan.domain.simulator.tasks
+    assert tasks is not None
+    free = of_tiles(plan.layout, tasks.traversable, tasks.tiles).sum()
+    half = facts["cells_with_half_of_waiting"]
+    where = f", half of it on {half} of {free} free cells" if half else ""
+    lines.append(f"waiting      {facts['waiting_share']:.1%} of the agents' time{where}")
+    if not facts["worst_cells"]:
+        return lines
+    names = [plan.domain.names.get(tile, repr(tile)) for tile in plan.domain.tiles]
+    head = ("rank", "row", "column", "tile", "of all waiting", "an agent waits", "per visit")
+    rows = [
+        (
+            rank,
+            spot["row"],
+            spot["column"],
+            names[spot["tile"]],
+            f"{spot['share']:.2%}",
+            f"{spot['waiting']:.0%} of time",
+            f"{spot['wait_per_visit']:3.1f} steps",
+        )
+        for rank, spot in enumerate(facts["worst_cells"], 1)
+    ]
+    return [
+        *lines,
+        "the cells with the most waiting; rows and columns are counted from 0 at the top left:",
+        *format_table([head, *rows]),
+    ]
