@@ -11,6 +11,7 @@ from experiments.benchmarks import search
 from experiments.benchmarks.common import best_of, show
 from experiments.benchmarks.simulation import simulate
 from experiments.benchmarks.training import shortest_time
+from qdenv.study.traffic import simulate_layout
 from qdenv.surrogate.settings import SurrogateConfig
 
 
@@ -40,7 +41,7 @@ def test_fleets_are_compared_with_recorded_runs(tmp_path):
     assert json.loads((tmp_path / "x.json").read_text()) == result
     (row,) = result["fleets"]
     own = [
-        qdenv.simulate_layout(layout, "warehouse-even", 5, 20, f"{seed},", True, effort="low")
+        simulate_layout(layout, "warehouse-even", 5, 20, f"{seed},", True, effort="low")
         for seed in range(2)
     ]
     assert row["throughputs"] == [runs["mean_of_all"] for runs in own]

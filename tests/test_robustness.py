@@ -10,6 +10,7 @@ from robustness import campaign, fleets, repairs
 from robustness.campaign import Attack, Attempt
 
 import qdenv
+from qdenv.repair.recipe import repair_layout
 from qdenv.repair.rules import Facts
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import RepairStatus
@@ -113,7 +114,7 @@ def test_the_exact_program_finds_the_cheapest_layout_or_none(shelves, exists):
     rules = qdenv.find_domain("warehouse-even").resized(6, 6, {"shelves": shelves}).rules()
     layout = np.random.default_rng(5).integers(0, 4, (6, 6)).astype(np.int8)
     verdict, cost = repairs.solve_exactly(layout, Facts(rules))
-    best = qdenv.repair_layout(layout, rules, 0, RepairConfig("full"))
+    best = repair_layout(layout, rules, 0, RepairConfig("full"))
     assert verdict == ("found" if exists else "none")
     assert best.status == (RepairStatus.OPTIMAL if exists else RepairStatus.IMPOSSIBLE)
     assert cost == best.cost
@@ -126,7 +127,7 @@ def test_a_fixed_shelf_that_nothing_serves_is_no_layout_to_the_exact_program():
         allowed[cell] = np.arange(4) == rules.tiles.index(tile)
     rules, layout = rules._replace(allowed=allowed), np.zeros((3, 9), np.int8)
     assert repairs.solve_exactly(layout, Facts(rules))[0] == "none"
-    assert qdenv.repair_layout(layout, rules).status == RepairStatus.IMPOSSIBLE
+    assert repair_layout(layout, rules).status == RepairStatus.IMPOSSIBLE
 
 
 def test_fleets_are_audited_in_both_backends_and_a_wrong_step_is_found(monkeypatch):

@@ -10,6 +10,7 @@ import numpy as np
 
 import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, save, show
+from qdenv.repair.recipe import repair_layout
 from qdenv.repair.settings import Polish, RepairConfig
 from qdenv.types import RepairStatus, Rules
 
@@ -43,7 +44,7 @@ def repair(
         json: file of the result.
     """
     sizes = (SMALL, SIZE, EVAL_SIZE) if eval_size else (SMALL, SIZE)
-    qdenv.repair_layout(np.zeros((3, 6), np.int8), rules_at_size(DOMAINS[0], (3, 6)))  # compiles
+    repair_layout(np.zeros((3, 6), np.int8), rules_at_size(DOMAINS[0], (3, 6)))  # compiles
 
     def rows() -> Iterator[Row]:
         plans = map(qdenv.read_plan, layouts)
@@ -82,9 +83,7 @@ def repair_all(
     """Repair layouts (int8 [B, H, W]) one by one: a row, and what the last seed repaired."""
     rules = rules_at_size(kind, layouts[0].shape)
     repairs = [
-        qdenv.repair_layout(layout, rules, seed, config)
-        for seed in range(seeds)
-        for layout in layouts
+        repair_layout(layout, rules, seed, config) for seed in range(seeds) for layout in layouts
     ]
     repaired = [np.asarray(repair.layout) for repair in repairs]
     costs = [float(repair.cost) for repair in repairs]

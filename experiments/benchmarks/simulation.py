@@ -26,8 +26,10 @@ from qdenv.agent.evaluate import (
     run_batch,
     success_rates,
 )
+from qdenv.repair.recipe import repair_layout
 from qdenv.simulate.maze.policy import draw_weights, load_weights
 from qdenv.simulate.maze.world import longest_path
+from qdenv.study.traffic import simulate_layout
 from qdenv.view.style import new_figure, save_figure
 
 DOMAINS = {  # by their names in the file of recorded runs
@@ -35,7 +37,7 @@ DOMAINS = {  # by their names in the file of recorded runs
     "warehouse_uneven": "warehouse-uneven",
     "manufacture": "manufacturing",
 }
-PLANNERS: dict[str, Any] = {  # name -> options of `qdenv.simulate_layout`
+PLANNERS: dict[str, Any] = {  # name -> options of `simulate_layout`
     "low": {"effort": "low"},
     "high": {"effort": "high"},
     "published": {"planner": qdenv.PbsConfig(rule="published")},
@@ -88,7 +90,7 @@ def own_cases(timesteps: int) -> Iterator[Case]:
         domain = qdenv.find_domain(kind)
         if domain.human is not None:
             yield f"{kind} human", kind, np.asarray(domain.human()), 200, timesteps, []
-        repair = qdenv.repair_layout(grow_random(kind, 1)[0], rules_at_size(kind))
+        repair = repair_layout(grow_random(kind, 1)[0], rules_at_size(kind))
         yield f"{kind} random", kind, np.asarray(repair.layout), 200, timesteps, []
 
 
@@ -118,9 +120,7 @@ def simulate_case(case: Case, planner: str, seeds: int, audit: bool) -> Row:
     name, kind, tiles, agents, timesteps, recorded = case
     # Given one seed at a time, `simulate_layout` uses one core: CPU seconds are then comparable.
     results = [
-        qdenv.simulate_layout(
-            tiles, kind, agents, timesteps, f"{seed},", audit, **PLANNERS[planner]
-        )
+        simulate_layout(tiles, kind, agents, timesteps, f"{seed},", audit, **PLANNERS[planner])
         for seed in range(seeds)
     ]
     throughputs = [result["runs"][0]["throughput"] for result in results]
@@ -191,9 +191,9 @@ def scale(
         grow = jax.jit(pipeline.grow).lower(parameters).compile()
         with Stopwatch() as growth:
             (layout,) = np.asarray(grow(parameters))
-        repair = qdenv.repair_layout(layout, domain.rules(), 0, config.repair)
+        repair = repair_layout(layout, domain.rules(), 0, config.repair)
         agents = max(round(density * layout.size), 1)
-        simulate = partial(qdenv.simulate_layout, np.asarray(repair.layout), domain.name, agents)
+        simulate = partial(simulate_layout, np.asarray(repair.layout), domain.name, agents)
         first = simulate(WINDOW, "0,", effort=effort, stop=False)["cpu_seconds_per_run"]
         whole = simulate(timesteps, "0,", check=audit, effort=effort, stop=False)
         windows, seconds = timesteps / WINDOW, whole["cpu_seconds_per_run"]

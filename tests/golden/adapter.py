@@ -11,6 +11,7 @@ import numpy as np
 
 import qdenv
 from qdenv.cli.main import run as run_command
+from qdenv.repair.recipe import repair_layout
 from qdenv.run import loop
 from qdenv.run.config import config_to_json
 from qdenv.simulate.mapf.choosing import find_planner
@@ -27,7 +28,7 @@ def repair(layout: np.ndarray, domain: qdenv.Domain, polish: str, seed: int) -> 
     from qdenv.repair.settings import RepairConfig
 
     rules = domain.rules()
-    result = qdenv.repair_layout(layout, rules, seed, RepairConfig(polish=polish))
+    result = repair_layout(layout, rules, seed, RepairConfig(polish=polish))
     return np.asarray(result.layout), int(result.status), result.cost, result.lower_bound
 
 

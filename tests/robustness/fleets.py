@@ -13,6 +13,7 @@ import jax
 import numpy as np
 
 import qdenv
+from qdenv.repair.recipe import repair_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.simulate.mapf.audit import audit, trajectory_of
 from qdenv.simulate.mapf.goals import check_playable
@@ -60,9 +61,7 @@ def draw_layout(rng: np.random.Generator, rule: str) -> np.ndarray:
             odds = rng.dirichlet(np.ones(len(domain.generated)))
             inside = rng.choice(len(domain.generated), domain.generated_shape, p=odds)
             layout, seed = domain.frame(inside.astype(np.int8)), int(rng.integers(1 << 30))
-            repair = qdenv.repair_layout(
-                np.asarray(layout), domain.rules(), seed, RepairConfig("none")
-            )
+            repair = repair_layout(np.asarray(layout), domain.rules(), seed, RepairConfig("none"))
             if int(repair.status) >= RepairStatus.IMPOSSIBLE:
                 continue
             layout = np.asarray(repair.layout)

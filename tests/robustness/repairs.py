@@ -10,6 +10,7 @@ import qdenv
 from qdenv.repair.milp.feasibility import is_refuted
 from qdenv.repair.milp.highs import add_cuts, load, new_solver, round_up, separate
 from qdenv.repair.milp.program import build, decode
+from qdenv.repair.recipe import repair_layout
 from qdenv.repair.rules import Facts
 from qdenv.repair.settings import Polish, RepairConfig
 from qdenv.types import Count, RepairStatus, Rules
@@ -73,7 +74,7 @@ def attempt(rng: np.random.Generator, folder: Path) -> Attempt:
     task = draw_task(rng)
     polish = POLISHES[rng.choice(3, p=[0.5, 0.4, 0.1])]
     config = RepairConfig(polish, moves_per_cell=MOVES if polish == "full" else None)
-    repair = qdenv.repair_layout(task.layout, task.rules, int(rng.integers(1 << 30)), config)
+    repair = repair_layout(task.layout, task.rules, int(rng.integers(1 << 30)), config)
     status, cost, layout = RepairStatus(int(repair.status)), float(repair.cost), repair.layout
     facts, faults = Facts(task.rules), []
     if status < RepairStatus.IMPOSSIBLE:
