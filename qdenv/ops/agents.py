@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import tyro
 from annotated_types import Interval
 
@@ -185,7 +184,7 @@ def evaluate_agent(
             )
         facts["random_mazes"] = _report_random(places, others, plan, result.rate)
     if picture:
-        _draw_episode(picture.path, weights, maze, seed, steps)
+        _draw_episode(picture.path, weights, plan, seed, steps)
         say(picture)
     agent = episodes.agent or "the shipped one"
     settings = {"layout": name, "timesteps": steps, "seed": seed, "agent": agent}
@@ -219,7 +218,8 @@ def _report_random(
     }
     if places is None:
         return facts
-    from qdenv.view.maze import save_mazes  # imports matplotlib
+    from qdenv.view.maze import draw_mazes  # imports matplotlib
+    from qdenv.view.style import save_figure
 
     rows = []
     for number, (maze, one) in enumerate(zip(others.mazes, others.results, strict=True)):
@@ -238,25 +238,18 @@ def _report_random(
         f"{'random' if number else plan.name}: path {maze.shortest}, success {rate:.0%}"
         for number, (maze, rate) in enumerate(zip(mazes, rates, strict=True))
     ]
-    save_mazes(places.picture.path, list(mazes), titles)
+    save_figure(draw_mazes(list(mazes), titles), places.picture.path)
     say(places.picture)
     return facts | {"table": places.table.path}
 
 
-def _draw_episode(path: Path, weights: Weights, maze: np.ndarray, seed: int, steps: int) -> None:
+def _draw_episode(path: Path, weights: Weights, plan: Plan, seed: int, steps: int) -> None:
     """Draw one episode as an animation."""
-    import jax
-    import jax.numpy as jnp
+    from qdenv.study.motion import trace_agent
+    from qdenv.view.film import save_film
 
-    from qdenv.simulate.maze.episode import trace_episode
-    from qdenv.simulate.maze.policy import prepare
-    from qdenv.view.maze import save_episode
-
-    tables = prepare(weights, jnp.asarray(maze))
-    episode, poses = trace_episode(weights, tables, jax.random.key(seed), steps)
-    shown = slice(0, int(episode.length) + 1)
-    cells, headings = (np.asarray(pose)[shown] for pose in poses)
-    save_episode(path, maze, int(tables.course.goal), cells, headings)
+    motion = trace_agent(plan, seed, steps, weights)
+    save_film(path, plan.layout, plan.domain.tiles, motion, (0, motion.steps))
 
 
 def convert_agent(checkpoint: tyro.conf.Positional[Path], out: Out = None) -> Path:

@@ -207,10 +207,11 @@ def _known(domain: Domain, shape: tuple[int, int], stated: Sequence[str]) -> lis
 def _draw_frames(run: RunDirectory, grown: Any, every: int, picture: Path) -> None:
     """Draw how a layout grows, and log when and where."""
     from qdenv.study.sizes import grow_frames
-    from qdenv.view.layouts import save_frames
+    from qdenv.view.layouts import draw_frames
+    from qdenv.view.style import save_figure
 
     after, drawn = grow_frames(run, grown, every)
-    save_frames(picture, drawn, after, grown.domain.tiles)
+    save_figure(draw_frames(drawn, after, grown.domain.tiles), picture)
     say(f"{picture}: after {', '.join(map(str, after))} steps")
 
 

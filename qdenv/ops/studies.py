@@ -286,13 +286,12 @@ def _finish(
     if case.table:
         write_rows(case.table.path, rows, columns)
     if case.picture:
-        from qdenv.view.studies import save_comparison, save_peaks  # imports matplotlib
+        from qdenv.view.studies import draw_comparison, draw_peaks  # imports matplotlib
+        from qdenv.view.style import save_figure
 
         size = {} if width is None else {"width": width}
-        if peaks:
-            save_peaks(case.picture.path, rows, peaks, **size)
-        else:
-            save_comparison(case.picture.path, rows, **size)
+        figure = draw_peaks(rows, peaks, **size) if peaks else draw_comparison(rows, **size)
+        save_figure(figure, case.picture.path)
     for row in [row for row in rows if row.fading > FADING][:MOST_WARNINGS]:
         say(
             f"{row.layout}: with {row.agents} agents a jam builds up, throughput falls by "

@@ -128,7 +128,8 @@ def _draw_predictions(
     path: Path, elites: Evaluated, trials: list[Trial], facts: Mapping[str, Any], name: str
 ) -> None:
     """Draw predicted over true values, a panel for each number."""
-    from qdenv.view.archive import save_predictions  # imports matplotlib
+    from qdenv.view.archive import draw_predictions  # imports matplotlib
+    from qdenv.view.style import save_figure
 
     truth = np.concatenate([elites.numbers[trial.held] for trial in trials])
     predicted = np.concatenate([trial.predicted for trial in trials])
@@ -140,4 +141,4 @@ def _draw_predictions(
     many = f"{len(trials)} splits; in brackets the standard deviation over them"
     splits = many if len(trials) > 1 else "1 split"
     title = f"{name}: {facts['held_out']} of {facts['elites']} elites held out, {splits}"
-    save_predictions(path, panels, title)
+    save_figure(draw_predictions(panels, title), path)

@@ -94,12 +94,13 @@ def simulate_layout(
     say(*_jams(facts, plan))
     if picture:
         from qdenv.view.style import name_of as title_of  # imports matplotlib
-        from qdenv.view.traffic import save_traffic, scene_of
+        from qdenv.view.style import save_figure
+        from qdenv.view.traffic import draw_traffic, scene_of
 
         judged = f": {facts['verdict']}, {facts['verdict_reason']}" if "verdict" in facts else ""
         title = f"{title_of(plan.name)}, {facts['agents']} agents{judged}"
         size = {} if width is None else {"width": width}
-        save_traffic(picture.path, scene_of(plan, study, title, facts["stop"]), **size)
+        save_figure(draw_traffic(scene_of(plan, study, title, facts["stop"]), **size), picture.path)
         say(picture)
     return Facts(facts | {"settings": options.settings(usual.timesteps)})
 

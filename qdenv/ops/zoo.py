@@ -127,7 +127,8 @@ def _describe_size(size: Grown, counted: str) -> list[str]:
 def _draw(path: Path, collections: Sequence[Collection], only: Shipped | None) -> None:
     """Draw the layouts of generators at their trained size."""
     from qdenv.view.layouts import Picture as Panel  # imports matplotlib
-    from qdenv.view.layouts import save_sheet
+    from qdenv.view.layouts import draw_sheet
+    from qdenv.view.style import save_figure
 
     panels = []
     for collection in collections:
@@ -142,4 +143,4 @@ def _draw(path: Path, collections: Sequence[Collection], only: Shipped | None) -
             )
             title = title if len(collections) > 1 else one.name
             panels.append(Panel(best.layout, meaning.tiles, meaning.names, title, text))
-    save_sheet(path, panels)
+    save_figure(draw_sheet(panels), path)
