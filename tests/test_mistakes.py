@@ -54,7 +54,7 @@ MISTAKES = {
     "train quick --strategy=MA_ES": "its rank-mu update ignores the ranking; use full",
     "train quick --algorithm cma-es --strategy Sep_CMA_ES": "its diagonal hardly moves; use sep",
     "train quick --algorithm cma-es --strategy xNES": "element by element; use SNES or full",
-    "train quick --algorithm cma-es --strategy Rm_ES": "ranks carry none; use lm_ma",
+    "train quick --algorithm cma-es --strategy Rm_ES": "ranks do not allow; use lm_ma",
     "train quick --algorithm cma-es --strategy GuidedES": "it needs gradients",
     "repair plan.txt --polish best": "choose one of none, quick, full",
     # Files that are not what they should be.
@@ -121,7 +121,7 @@ MISTAKES = {
     "repair plan.txt --shelves 70": "no repair exists",
     # Searches that cannot succeed.
     "train quick --agents 240": "do not fit",
-    "train quick --shelves 1000": "1000 '@' are asked for",
+    "train quick --shelves 1000": "1000 '@' are required",
     "train quick --evaluations 0": "evaluations must be at least 1",
     "train quick --archive 0 40 20": "has 2, connected shelf components",
     "train quick --archive 40 0 20 0 1 20": "is empty",

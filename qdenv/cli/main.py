@@ -128,7 +128,7 @@ def summary_of(command: str) -> str:
     module, _, name = COMMANDS[command].partition(":")
     path = Path(__file__).parents[2].joinpath(*module.split(".")).with_suffix(".py")
     _, _, function = path.read_text().partition(f"\ndef {name}(")
-    return function.partition('"""')[2].partition("\n")[0]
+    return function.split('"""')[1].partition("\n")[0]
 
 
 def load(name: str) -> Any:

@@ -137,10 +137,10 @@ def _draw(path: Path, collections: Sequence[Collection], only: Shipped | None) -
                 continue
             title = f"{collection.domain}/{one.name}"
             run = RunDirectory.open(f"{PREFIX}{title}")
-            best, meaning = run.best, run.meaning
+            best, schema = run.best, run.schema
             text = "\n".join(
                 f"{size.rows} x {size.cols}: {_figure(size.driven[0])}" for size in one.sizes
             )
             title = title if len(collections) > 1 else one.name
-            panels.append(Panel(best.layout, meaning.tiles, meaning.names, title, text))
+            panels.append(Panel(best.layout, schema.tiles, schema.names, title, text))
     save_figure(draw_sheet(panels), path)
