@@ -244,7 +244,10 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
         "algorithm": _name(ALGORITHMS, "another search algorithm, with its defaults"),
     }
     options = _options(named | {path: kind for path, kind, _ in listed})
-    return _with_help(options, {path: text for path, _, text in listed})
+    spec = _with_help(options, {path: text for path, _, text in listed})
+    # An algorithm comes with the generator that it searches.
+    implied = {} if chosen.algorithm is None else {"generator": config.evaluation.generator}
+    return dataclasses.replace(spec, instantiate=lambda **stated: implied | stated)
 
 
 def _tile_numbers(domain: Domain, kind: Any) -> StructConstructorSpec:

@@ -119,9 +119,6 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
         if name in ("effort", "planner"):
             config = choose_planner(config, settings.get("effort"), settings.get("planner"))
             continue
-        if name == "algorithm" and isinstance(value, str):
-            config = choose_algorithm(config, value)
-            continue
         if name in CHOICES and isinstance(value, str):
             value = CHOICES[name].config(value)
         paths = [path for path in _field_paths(config) if path[-1] == name]
@@ -134,10 +131,10 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
         if len(paths) > 1:
             records = " or ".join(path[-2] for path in paths)
             raise InputError(f"several records have a setting {name!r}: give a whole {records}")
-        if name in CHOICES:
-            config = _replaced(config, {paths[0]: value})
-        else:
+        if "__" in name:  # from a command line: checked together
             values[paths[0]] = value
+        else:
+            config = _replaced(config, {paths[0]: value})
     return _replaced(config, values)
 
 
