@@ -3,6 +3,7 @@
 import ast
 import functools
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -296,3 +297,121 @@ def test_no_pickle_and_no_fork():
             assert name.split(".")[0] != "pickle" or converts, f"{path}:{line}"
             assert name.split(".")[0] != "multiprocessing", f"{path}:{line}"
         assert "os.fork" not in path.read_text(), path
+
+
+# What the package measures today. Each number may only fall: whoever needs more changes it in the
+# commit that says why, whoever needs less lowers it.
+MOST = {
+    "lines": 99_999,
+    "files": 999,
+    "records": 999,
+    "public names": 9_999,
+    "class names used twice": 99,
+    "functions of two lines": 999,
+}
+# Functions of the package that can be reached by plain calls from an entry point.
+MOST_REACHED = {
+    "pipeline:evaluate": 999,
+    "repair.recipe:repair_layout": 999,
+    "run.loop:train": 999,
+}
+
+
+def is_record(node: ast.ClassDef) -> bool:
+    marks = " ".join(map(ast.unparse, [*node.bases, *node.decorator_list]))
+    return any(mark in marks for mark in ("NamedTuple", "PyTreeNode", "dataclass"))
+
+
+def public_names(path: Path) -> Iterator[str]:
+    for node in parsed(path).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names = [node.name]
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [one.id for one in targets if isinstance(one, ast.Name)]
+        else:
+            continue
+        yield from (name for name in names if not name.startswith("_"))
+
+
+def test_the_package_has_not_grown():
+    classes = [node for path in FILES for node in nodes_of(path) if isinstance(node, ast.ClassDef)]
+    names = Counter(node.name for node in classes)
+    measured = {
+        "lines": sum(len(path.read_text().splitlines()) for path in FILES),
+        "files": len(FILES),
+        "records": sum(map(is_record, classes)),
+        "public names": sum(len(list(public_names(path))) for path in FILES),
+        "class names used twice": sum(count > 1 for count in names.values()),
+        "functions of two lines": sum(
+            code_lines(function, path.read_text().splitlines()) <= 3
+            for path in FILES
+            for function in functions_of(path)
+        ),
+    }
+    assert {name: n for name, n in measured.items() if n > MOST[name]} == {}
+
+
+def calls_by_function() -> dict[str, set[str]]:
+    """List for each function at module level which others it names: "module:function"."""
+    modules = {module_of(path): path for path in FILES}
+    functions = {
+        f"{module}:{node.name}": node
+        for module, path in modules.items()
+        for node in parsed(path).body
+        if isinstance(node, ast.FunctionDef)
+    }
+    calls: dict[str, set[str]] = {}
+    for key, function in functions.items():
+        module = key.split(":")[0]
+        known = {name.split(":")[1]: name for name in functions if name.startswith(f"{module}:")}
+        for node in nodes_of(modules[module]):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("qdenv"):
+                home = (node.module or "").removeprefix("qdenv").lstrip(".")
+                for alias in node.names:
+                    whole = f"{home}.{alias.name}".lstrip(".")
+                    known[alias.asname or alias.name] = (
+                        whole if whole in modules else f"{home}:{alias.name}"
+                    )
+        named = set()
+        for node in ast.walk(function):
+            if isinstance(node, ast.Name):
+                named.add(known.get(node.id, ""))
+            elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                named.add(f"{known.get(node.value.id, '')}:{node.attr}")
+        calls[key] = named & functions.keys()
+    return calls
+
+
+def test_no_more_functions_are_reached_from_the_entry_points():
+    calls = calls_by_function()
+    for entry, most in MOST_REACHED.items():
+        reached, waiting = set(), [entry]
+        while waiting:
+            function = waiting.pop()
+            if function not in reached:
+                reached.add(function)
+                waiting += calls[function]
+        assert len(reached) <= most, f"{entry}: {len(reached)} functions"
+
+
+# Phrases that make a reader translate: "Return True if", "number of", "again" are the plain words.
+ODD = re.compile(
+    r"\b(tell whether|tells whether|whoever|nobody|somebody|anew|likewise|so many|what there is|"
+    r"is told|are told|is asked|are asked|is wanted|are wanted)\b",
+    re.IGNORECASE,
+)
+
+
+def test_docstrings_are_plain_english():
+    odd = [
+        f"{path.relative_to(PACKAGE)}:{node.body[0].lineno}: {match[0]}"
+        for path in FILES
+        for node in nodes_of(path)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        for match in ODD.finditer(ast.get_docstring(node) or "")
+    ]
+    assert len(odd) <= MOST_ODD, odd
+
+
+MOST_ODD = 999
