@@ -184,7 +184,7 @@ def _run(
     advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
     settings = experiment.settings(config)
     with contextlib.ExitStack() as stack:
-        bar = stack.enter_context(Bar("", total * batch, progress, unit="eval"))
+        bar = Bar("", total * batch, progress, unit="eval")
         algorithm, pipeline = experiment.algorithm, experiment.pipeline
         ask, tell = (_announced(bar, "search", one) for one in (algorithm.ask, algorithm.tell))
         algorithm = growing(algorithm._replace(ask=ask, tell=tell))
@@ -202,6 +202,7 @@ def _run(
         if begun >= total:
             publisher.publish(search)  # it may be older, where a run was killed at its very end
         bar.begin("", total * batch, begun * batch)
+        stack.enter_context(bar)  # not before: a run that is refused shows its line alone
         key = experiment.evaluation_key
         in_flight = AsyncEvaluation(algorithm, evaluator, key, total, begun, search)
         try:
