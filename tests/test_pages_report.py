@@ -16,10 +16,10 @@ from qdenv.grid import parse
 from qdenv.io.layouts import write_layout
 from qdenv.study.sizes import human_layout
 from qdenv.types import InputError
+from qdenv.view.page import FILTERS
+from qdenv.view.report.build import listed, name_seeds, to_svg
 from qdenv.view.report.fleet import around
-from qdenv.view.report.sections import Drawing, Section, Table, Text, drawing
 from qdenv.view.report.subjects import find_rival, read_subjects
-from qdenv.view.report.text import listed, name_seeds
 
 QUICK = ["--planner", "pibt", "--timesteps", "120", "--seeds", "4"]
 WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
@@ -217,29 +217,20 @@ def test_numbers_of_robots_are_chosen_around_the_one_in_question():
 def test_figures_keep_their_names_apart_and_their_text_as_text():
     figure = Figure()
     figure.add_subplot().set_title("a <title>")
-    one, other = (drawing(figure, "a caption", name).svg for name in ("one", "other"))
+    one, other = (to_svg(figure, name) for name in ("one", "other"))
     assert one.startswith("<svg") and "a &lt;title&gt;" in one
     assert 'id="one-' in one and 'id="' not in one.replace('id="one-', "")
     assert other.count("#other-") == other.count("#") - other.count(": #")
-
-
-def test_headings_on_paper_keep_their_first_large_block():
-    figure, half = Drawing("", "", "a"), Drawing("", "", "b", half=True)
-    table = Table(("a", "b"), [("x", "1.5"), ("y", "")], "t")
-    assert table.numeric == [False, True]
-    for blocks, count in (
-        ([Text("a"), figure, table], 2),
-        ([half, half], 2),
-        ([Text("a"), half, half, table, figure], 4),
-        ([table, figure], 1),
-    ):
-        assert Section("title", blocks).lead == count
 
 
 def test_lists_and_seeds_read_as_people_say_them():
     assert listed(["a"]) == "a" and listed(["a", "b", "c"]) == "a, b and c"
     assert name_seeds((0, 1, 2)) == "seeds 0 to 2" and name_seeds((3,)) == "seed 3"
     assert name_seeds((3, 5)) == "seeds 3 and 5"
+
+
+def test_columns_of_numbers_are_known():
+    assert FILTERS["numeric_columns"]([("x", "1.5"), ("y", "")]) == [False, True]
 
 
 def test_without_a_page_library_nothing_is_simulated(folder, monkeypatch, capsys):

@@ -9,7 +9,8 @@ from __future__ import annotations
 import base64
 import gzip
 import html
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources, util
 from pathlib import Path
@@ -18,10 +19,40 @@ from typing import Any
 import numpy as np
 
 from qdenv.io.files import tidy, write_atomically
+from qdenv.stats import Sample, margin
+from qdenv.study.table import Row
 from qdenv.types import InputError
 
 HEIGHT = 760  # pixels of a page inside of a notebook
 LEVEL = 9  # of gzip: pages are written once and sent around
+
+
+def _listed(values: Sequence[Any]) -> str:
+    words = [str(value) for value in values]
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def _interval(row: Row, digits: int) -> str:
+    """Write the 95 % interval of a row's mean throughput; "" for one run."""
+    half = margin(Sample(row.mean_of_all, row.error_of_all, row.runs))
+    if np.isnan(half):
+        return ""
+    return f"{max(row.mean_of_all - half, 0.0):.{digits}f} to {row.mean_of_all + half:.{digits}f}"
+
+
+# How templates write numbers and lists.
+FILTERS: dict[str, Callable[..., Any]] = {
+    "listed": _listed,  # a, b and c
+    "fixed": lambda value, digits=0: f"{value:,.{digits}f}",
+    "percent": lambda value, digits=0: f"{value:.{digits}%}",
+    "interval": _interval,
+    # of a `Difference`
+    "percent_range": lambda apart: f"{apart.low:+.1f} to {apart.high:+.1f} %",
+    # of a table: whether each holds numbers, which are set right
+    "numeric_columns": lambda rows: [
+        all(re.match(r"[-+]?\d|$", cell) for cell in column) for column in zip(*rows, strict=True)
+    ],
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -74,6 +105,7 @@ def make_page(
     """
     try:
         import jinja2
+        from markupsafe import Markup
     except ImportError as error:
         raise missing("pages", "jinja2") from error
     home = resources.files("qdenv.view")
@@ -84,6 +116,7 @@ def make_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters.update(FILTERS, one_line=lambda text: Markup(" ".join(text.split())))
     whole = environment.get_template(f"{template}.html").render(
         title=title,
         style=(home / "templates" / "page.css").read_text(),

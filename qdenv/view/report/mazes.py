@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,12 +17,15 @@ from qdenv.study.options import Progress, silent
 from qdenv.study.sweep import about
 from qdenv.view.layouts import draw_plan
 from qdenv.view.maze import draw_arrivals, draw_walks
-from qdenv.view.page import make_page
-from qdenv.view.report.blocks import Section, Table, Text, drawing, made_line, settings_section
-from qdenv.view.report.build import Report, whose
-from qdenv.view.report.sections import search_sections
+from qdenv.view.report.build import (
+    Report,
+    domain_of,
+    listed,
+    make_report,
+    searches_of,
+    to_svg,
+)
 from qdenv.view.report.subjects import Subject
-from qdenv.view.report.text import listed
 from qdenv.view.runs import draw_marks
 
 EPISODES, SEED = 100, 0  # those of `qdenv evaluate-agent`
@@ -76,102 +79,62 @@ def maze_report(found: list[Solved], again: str = "") -> Report:
         again: the command line that makes the page again.
     """
     subjects = [one.subject for one in found]
-    title = f"{listed([one.name for one in subjects])}: the agent's success"
+    names = listed([one.name for one in subjects])
+    horizons = listed([f"{one.horizon:,}" for one in found])
     facts = {
         "layouts": {
             one.subject.name: {"source": one.subject.source, **one.success._asdict()}
             for one in found
         }
     }
-    horizons = listed([f"{one.horizon:,}" for one in found])
     settings = {
         **{f"maze {one.name}": one.source for one in subjects},
-        "domain": whose(subjects[0]),
+        "domain": domain_of(subjects[0]),
         "agent": "the one that ships",
         "episodes": str(EPISODES),
         "actions per episode": horizons,
         "seed": str(SEED),
     }
-    parts = [
-        _asked(found),
-        *search_sections(subjects),
-        _mazes(found),
-        _successes(found),
-        *_walks(found),
-        Section("Against other mazes", [Text(OTHERS)]),
-        settings_section(settings, again),
-    ]
-    page = make_page("report", title, facts=facts, sections=parts, made=made_line())
-    return Report(page, facts)
-
-
-OTHERS = (
-    "Nobody designs mazes by hand for this agent. qdenv evaluate-agent MAZE --random-mazes 100 "
-    "compares one with random mazes of as many walls and a path of like length."
-)
-
-
-def _asked(found: list[Solved]) -> Section:
-    names = listed([f"{one.subject.name} ({one.subject.size} cells)" for one in found])
-    question = (
-        f"How hard is the maze {names} for an agent that sees only what is near? It begins at one "
-        "end of the longest of all shortest paths and shall reach the other end; an episode fails "
-        f"after {listed([f'{one.horizon:,}' for one in found])} actions. Each number is of "
-        f"{EPISODES} episodes (seed {SEED})."
-    )
-    answers = [
-        Text(
-            f"{one.subject.name}: the agent reaches the goal in {one.success.rate:.1%} of the "
-            f"episodes (95 % interval {one.success.low:.1%} to {one.success.high:.1%}), after "
-            f"{one.success.mean_length:.0f} actions on average; the shortest path has "
-            f"{one.success.shortest} moves.",
-            "answer",
-        )
-        for one in found
-    ]
-    return Section("What was asked", [Text(question), *answers])
-
-
-def _mazes(found: list[Solved]) -> Section:
-    drawn = []
-    for place, one in enumerate(found):
-        domain, layout = one.subject.plan.domain, one.subject.layout
-        figure = draw_plan(layout, domain.tiles, domain.names)
-        draw_marks(figure.axes[0], mark_cells(layout, domain))
-        caption = f"{one.subject.name}: {one.subject.size} cells, with start and goal"
-        drawn.append(drawing(figure, caption, f"plan-{place}", len(found) > 1, crop=True))
-    return Section("The mazes" if len(found) > 1 else "The maze", drawn)
-
-
-def _successes(found: list[Solved]) -> Section:
-    head = ("maze", "at the goal", "share", "95 % interval (Wilson)", "actions", "shortest path")
-    rows = [
-        (
-            one.subject.name,
-            f"{np.isfinite(one.arrivals).sum()} of {one.success.runs}",
-            f"{one.success.rate:.1%}",
-            f"{one.success.low:.1%} to {one.success.high:.1%}",
-            f"{one.success.mean_length:.1f}",
-            f"{one.success.shortest} moves",
-        )
-        for one in found
-    ]
     arrivals = {one.subject.name: one.arrivals for one in found}
     figure = draw_arrivals(arrivals, max(one.horizon for one in found), CURVES)
-    caption = "Share of the episodes that have reached the goal, over the actions taken."
-    curves = drawing(figure, caption, "arrivals")
-    return Section("Success", [Table(head, rows, "success"), curves])
+    return make_report(
+        "report_maze",
+        f"{names}: the agent's success",
+        facts,
+        settings,
+        again,
+        mazes=[_maze(one, place) for place, one in enumerate(found)],
+        runs=searches_of(subjects),
+        horizons=horizons,
+        episodes=EPISODES,
+        seed=SEED,
+        arrivals=to_svg(figure, "arrivals"),
+        rates=[
+            (
+                one.subject.name,
+                f"{np.isfinite(one.arrivals).sum()} of {one.success.runs}",
+                f"{one.success.rate:.1%}",
+                f"{one.success.low:.1%} to {one.success.high:.1%}",
+                f"{one.success.mean_length:.1f}",
+                f"{one.success.shortest} moves",
+            )
+            for one in found
+        ],
+    )
 
 
-def _walks(found: list[Solved]) -> list[Section]:
-    sections = []
-    for place, one in enumerate(found):
-        domain, layout = one.subject.plan.domain, one.subject.layout
-        free = ~np.asarray(of_tiles(layout, domain.tiles[WALL], domain.tiles))
-        figure = draw_walks(free, one.usage, MAP)
+def _maze(one: Solved, place: int) -> dict[str, Any]:
+    """Collect what the page shows of one maze."""
+    domain, layout = one.subject.plan.domain, one.subject.layout
+    free = ~np.asarray(of_tiles(layout, domain.tiles[WALL], domain.tiles))
+    plan, walks = draw_plan(layout, domain.tiles, domain.names), draw_walks(free, one.usage, MAP)
+    for figure in (plan, walks):
         draw_marks(figure.axes[0], mark_cells(layout, domain))
-        whose_maze = f": {one.subject.name}" if len(found) > 1 else ""
-        caption = f"Share of its actions that the agent takes on each cell{whose_maze}."
-        walks = drawing(figure, caption, f"walks-{place}")
-        sections.append(Section(f"Where the agent walks{whose_maze}", [walks]))
-    return sections
+    return {
+        "name": one.subject.name,
+        "title": f"{one.subject.name} ({one.subject.size} cells)",
+        "size": one.subject.size,
+        "success": one.success,
+        "plan": to_svg(plan, f"plan-{place}", crop=True),
+        "walks": to_svg(walks, f"walks-{place}"),
+    }

@@ -14,6 +14,7 @@ from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
+from qdenv.view.page import FILTERS
 from qdenv.zoo import PREFIX, file_name
 
 HAND_MADE = "hand-made"
@@ -41,9 +42,21 @@ class Subject(NamedTuple):
         return f"{rows} x {cols}"
 
     @property
+    def contents(self) -> str:
+        """Write its size and its numbers of tiles."""
+        return name_contents(self.layout, self.numbers)
+
+    @property
     def numbers(self) -> dict[str, int]:
         """Count the tiles of which the domain demands a number, by the settings' names."""
         return self.plan.domain.fitted(self.layout).numbers
+
+
+def name_contents(layout: np.ndarray, numbers: Mapping[str, int]) -> str:
+    """Write the size of a layout (int8 [H, W]) and its numbers of tiles."""
+    rows, cols = layout.shape
+    named = [f"{number:,} {name}" for name, number in numbers.items()]
+    return f"{rows} x {cols} cells" + (f" with {FILTERS['listed'](named)}" if named else "")
 
 
 class Rival(NamedTuple):
