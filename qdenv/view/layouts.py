@@ -61,7 +61,7 @@ def draw_layout(
     if max(rows, cols) <= FINE:
         ax.set_xticks(np.arange(cols + 1) - 0.5, minor=True)
         ax.set_yticks(np.arange(rows + 1) - 0.5, minor=True)
-        ax.grid(which="minor", color=LINES, linewidth=0.4)
+        ax.grid(which="minor", color=LINES, linewidth=0.4, alpha=1)  # on black shelves, too
     ax.tick_params(which="both", length=0, labelbottom=False, labelleft=False)
     counts = [int((layout == kind).sum()) for kind in range(len(tiles))]
     handles = [
