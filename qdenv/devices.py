@@ -17,7 +17,7 @@ ACCELERATOR_CHUNK = 10  # layouts simulated by one call on an accelerator
 
 
 def on_cpu() -> bool:
-    """Tell whether jax computes on the host's own cores."""
+    """Return True if jax computes on the host's own cores."""
     return jax.default_backend() == "cpu"
 
 

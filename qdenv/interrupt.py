@@ -31,7 +31,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 def watch(program: str = "qdenv") -> None:
     """Answer Ctrl-C and SIGTERM from now on; for programs, not for notebooks.
 
-    Where somebody watches already nothing changes.
+    A second call changes nothing.
 
     Args:
         program: how it was called, to say how to call it again.

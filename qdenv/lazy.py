@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 
 class LazyModule(ModuleType):
-    """A module that is imported when something of it is asked for."""
+    """A module that is imported when an attribute of it is first used."""
 
     def __getattr__(self, name: str) -> Any:
         """Look a name up in the true module."""

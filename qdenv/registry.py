@@ -4,8 +4,8 @@ A choice is a settings record: a frozen dataclass with defaults for all its fiel
 says what is chosen and whose values are its own numbers. A `Registry` pairs each type with a name
 (for command lines and JSON) and with the function that makes the thing.
 
-Three ways in, all equal: the package's own (named as ``module:attribute``, imported when asked
-for), entry points of installed packages, and `Registry.register` in a notebook. An entry point
+Three ways in, all equal: the package's own (named as ``module:attribute``, imported when
+used), entry points of installed packages, and `Registry.register` in a notebook. An entry point
 names an `Entry`::
 
     [project.entry-points."qdenv.planners"]
@@ -95,7 +95,7 @@ class Registry:
         )
 
     def has_loaded(self, kind: type) -> bool:
-        """Tell whether the settings of a choice that was asked for before are of this type."""
+        """Return True if the settings of a choice that was used before are of this type."""
         return any(entry.config is kind for entry in self._entries.values())
 
     def make(self, config: Any, *details: Any) -> Any:
@@ -107,7 +107,7 @@ class Registry:
         return self._maker(config)(config, *details)
 
     def takes(self, config: Any, count: int) -> bool:
-        """Tell whether the maker of what `config` chooses can be called with `count` arguments.
+        """Return True if the maker of what `config` chooses can be called with `count` arguments.
 
         Raises:
             InputError: the type of `config` is not registered.

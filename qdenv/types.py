@@ -64,7 +64,7 @@ def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
     """Look `name` up in a registry.
 
     Raises:
-        InputError: nothing has this name; the line lists what there is.
+        InputError: nothing has this name; the line lists the choices.
     """
     if name not in table:
         raise InputError(f"unknown {what} {name!r}: {choices(name, table)}")
@@ -72,7 +72,7 @@ def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
 
 
 def choices(name: str, known: Iterable[str]) -> str:
-    """Say what there is to choose from, the likeliest first where `name` looks like a slip."""
+    """List the choices, the likeliest first if `name` looks like a typing error."""
     known = list(known)
     close = difflib.get_close_matches(name, known, 1)
     guess = f"did you mean {close[0]}? " if close else ""

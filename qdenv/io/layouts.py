@@ -30,7 +30,7 @@ MOVING_AI = str.maketrans({**dict.fromkeys(OPEN, "."), **dict.fromkeys(BLOCKED, 
 
 
 class Drawing(NamedTuple):
-    """What a file draws; nobody has looked at the symbols yet."""
+    """The content of a layout file; its symbols are not checked yet."""
 
     rows: list[str]  # the drawing
     domain: str | None = None  # whose drawing the file says it is; None where it says nothing

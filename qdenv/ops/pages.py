@@ -236,7 +236,7 @@ def report(
     again: tyro.conf.Suppress[str] = "",
     **fleet: Unpack[FleetOptions],
 ) -> Page:
-    """Make a page to send to somebody: what floor plans move, where robots wait, how sure that is.
+    """Make a page to send or print: what floor plans move, where robots wait, how sure that is.
 
     Args:
         sources: layout files, and runs or zoo:DOMAIN/NAME, whose best layout is reported on.

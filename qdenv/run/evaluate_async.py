@@ -21,7 +21,7 @@ class Search(NamedTuple):
 
 
 def begin_search(algorithm: Algorithm, key: jax.Array) -> Search:
-    """Start a search with as many populations in flight as the algorithm is asked ahead."""
+    """Start a search with as many populations in flight as `algorithm.ahead` states."""
     state, asked = algorithm.init(key), []
     for _ in range(algorithm.ahead):
         solutions, state = algorithm.ask(state)
@@ -32,8 +32,8 @@ def begin_search(algorithm: Algorithm, key: jax.Array) -> Search:
 class AsyncEvaluation:
     """The populations of a run that are in flight.
 
-    Population i is asked of the search that was told of all up to i - 1 - ahead, however fast
-    the others were evaluated: the results do not depend on the speed of workers.
+    Population i comes from the search that has seen the results of all up to i - 1 - ahead, however
+    fast the others were evaluated: the results do not depend on the speed of workers.
     """
 
     def __init__(
@@ -45,14 +45,14 @@ class AsyncEvaluation:
         done: int,
         search: Search,
     ) -> None:
-        """Begin to evaluate what was asked for before.
+        """Submit the populations that the search already holds.
 
         Args:
             algorithm: as `search.growth.growing` gives it.
             evaluator: of populations.
             key: iteration ``i`` is evaluated with ``fold_in(key, i)``, so a resumed run draws the
                 same.
-            total: iterations of the run; later populations are asked for but not evaluated.
+            total: iterations of the run; later populations are drawn but not evaluated.
             done: iterations that `search` was told of.
             search: to go on from.
         """

@@ -93,7 +93,7 @@ def restart_rule(rule: str | int) -> RestartRule:
 
 
 class Member(NamedTuple):
-    """One emitter's evolution strategy as functions: an evosax algorithm that is told ranks."""
+    """One emitter's evolution strategy as functions: an evosax algorithm that is fed ranks."""
 
     init: Callable[[jax.Array, jax.Array], tuple]  # (mean float [P], key) -> (state, next key)
     ask: Callable[[Any, jax.Array], tuple]  # (state, key) -> (solutions, state, next key)
@@ -108,7 +108,7 @@ def make_member(strategy: Any, params: Any) -> Member:
 
     Where its parameters have `num_elites`, as ours do, the emitter decides how many of the best
     are recombined, and failed rows have a fitness of NaN. Any other algorithm has its own number
-    of parents: it is told only if there is any, and failed rows rank last and stand at the mean,
+    of parents: it is fed only if there are any, and failed rows rank last and stand at the mean,
     where they pull nowhere.
     """
     has_parents = hasattr(params, "num_elites")

@@ -1,4 +1,4 @@
-"""What our evolution strategies share: an evosax algorithm that is told the order, not the values.
+"""What our evolution strategies share: an evosax algorithm that is fed the order, not the values.
 
 Numbers in brackets are equations of Hansen 2016, "The CMA evolution strategy: a tutorial",
 https://arxiv.org/abs/1604.00772v1. evosax (https://github.com/RobertTLange/evosax) ships no types.
