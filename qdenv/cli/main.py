@@ -14,6 +14,7 @@ import itertools
 import json
 import logging
 import os
+import shlex
 import shutil
 import sys
 import textwrap
@@ -158,12 +159,15 @@ def _call(name: str, words: list[str]) -> int:
     from qdenv.ops.output import AUTO, place
     from qdenv.types import InputError
 
-    operation, program, words = load(name), f"qdenv {name}", _with_names(words)
+    operation, program, typed = load(name), f"qdenv {name}", words
+    words = _with_names(words)
     chosen, rest = parse(Choices, words, program, partly=True)
     stated = parse(command(operation), words, program, make_rules(chosen, rest))
     arguments, facts_file = stated.arguments, stated.json
     if "out" in arguments.signature.parameters:  # in Python nothing is written unless named
         arguments.arguments["out"] = arguments.arguments.get("out") or AUTO
+    if "again" in arguments.signature.parameters:
+        arguments.arguments["again"] = shlex.join([*program.split(), *typed])
     to_stdout = facts_file == Path("-")
     if facts_file is not None and not to_stdout:
         files = [path for path in _flat(arguments.arguments) if isinstance(path, Path)]
