@@ -15,11 +15,10 @@ from qdenv.grid import parse
 from qdenv.presets import PRESETS
 from qdenv.registry import Entry
 from qdenv.run.config import override
-from qdenv.simulate.mapf.choosing import describe_planner, find_planner, record_planner
 from qdenv.simulate.mapf.negotiated.settings import HIGH, LOW
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulate.mapf.settings import PLANNERS, describe_planner, find_planner, record_planner
 from qdenv.types import InputError
 
 STUDIES = ["simulate", "sweep", "compare", "scalability"]

@@ -29,8 +29,13 @@ from qdenv.simulate.mapf.negotiated.numba import reservations
 from qdenv.simulate.mapf.negotiated.numba.backtrack import trace
 from qdenv.simulate.mapf.negotiated.numba.search import Agent, find_path, make_arrays
 from qdenv.simulate.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
-from qdenv.simulate.mapf.negotiated.xla import bitplanes
 from qdenv.simulate.mapf.negotiated.xla.observation import Planning, gather
+from qdenv.simulate.mapf.negotiated.xla.reservations import (
+    add_paths,
+    around,
+    empty,
+    pack,
+)
 from qdenv.simulate.mapf.negotiated.xla.rounds import choose
 from qdenv.simulate.mapf.negotiated.xla.search import find_paths
 from qdenv.simulate.mapf.planner import UNREACHABLE, AgentState, World
@@ -97,9 +102,9 @@ def state_of(case: Case, distance: jax.Array) -> AgentState:
 @partial(jax.jit, static_argnums=5)
 def search_in_xla(world, state, others, penalty, noise, levels):
     mask = jnp.ones(others.shape[1], bool)
-    table = bitplanes.add_paths(bitplanes.empty(WINDOW, *SHAPE), others, mask, SHAPE)
+    table = add_paths(empty(WINDOW, *SHAPE), others, mask, SHAPE)
     who = Planning(jnp.array([0]), penalty[None], noise[None])
-    local = gather(world, state, table, bitplanes.pack(world.traversable), who)
+    local = gather(world, state, table, pack(world.traversable), who)
     steps, cost = find_paths(local, levels)
     return state.position[0] + steps[0, :, 0] * SHAPE[1] + steps[1, :, 0], cost[0]
 
@@ -175,13 +180,13 @@ def test_in_xla_a_long_way_beyond_the_goal_costs_more_and_changes_no_path():
 def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
     others = random_walks(np.random.default_rng(3), 10)
     paths, mask = jnp.asarray(padded(others)), jnp.ones(10, bool)
-    table = bitplanes.add_paths(bitplanes.empty(WINDOW, *SHAPE), paths, mask, SHAPE)
+    table = add_paths(empty(WINDOW, *SHAPE), paths, mask, SHAPE)
     planes = table.reshape(WINDOW, 5, SHAPE[0], -1)
     place = grid_of_maze(world_of([0]))
     host = reserve_others(padded(others), place)
     for cell in np.flatnonzero(FREE):
         position = padded(cell)
-        seen = bitplanes.around(planes, jnp.asarray(position)[None], SHAPE[1], WINDOW)
+        seen = around(planes, jnp.asarray(position)[None], SHAPE[1], WINDOW)
         centre = (np.asarray(seen)[:, :, WINDOW, 0] >> WINDOW) & 1
         bits = np.arange(WINDOW)[:, None] + reservations.PLANE * np.arange(5)
         on_host = (host.word[int(position)] >> bits) & 1
@@ -192,7 +197,7 @@ def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
         expected = np.stack([(others[1:] == cell).any(1), *(left.any(1) for left in leaving)], 1)
         np.testing.assert_array_equal(centre, expected)
         np.testing.assert_array_equal(on_host, expected)
-    assert not bitplanes.add_paths(table, paths, mask, SHAPE, sign=-1).any()
+    assert not add_paths(table, paths, mask, SHAPE, sign=-1).any()
     for agent in range(10):
         reservations.release(host, agent, place.width)
     np.testing.assert_array_equal(host.word, np.where(place.free, 0, reservations.WALL))

@@ -15,7 +15,7 @@ from qdenv.simulate.mapf.fleet import FleetConfig, prepare, run_settings
 from qdenv.simulate.mapf.goals import tile_goal
 from qdenv.simulate.mapf.host.state import drive_window, make_run
 from qdenv.simulate.mapf.metrics import Block
-from qdenv.simulate.mapf.padding import pad, unpad
+from qdenv.simulate.mapf.planner import pad, unpad
 from qdenv.simulate.mapf.tasks import serve
 from qdenv.types import TaskRule
 

@@ -5,9 +5,8 @@ import pytest
 
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
-from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulate.mapf.settings import FleetConfig, find_planner
 from qdenv.study import traffic
 from qdenv.study.capacity import Point, judge, point_of
 from qdenv.study.congestion import (

@@ -48,8 +48,7 @@ from qdenv.run.config import choose_algorithm, choose_domain, choose_planner, pl
 from qdenv.run.directory import RunDirectory
 from qdenv.search.registry import ALGORITHMS
 from qdenv.search.settings import check_strategy
-from qdenv.simulate.mapf.choosing import find_planner
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulate.mapf.settings import PLANNERS, find_planner
 from qdenv.study.plans import USUAL, read_plan
 from qdenv.types import InputError, choices
 from qdenv.zoo import PREFIX

@@ -22,8 +22,7 @@ from qdenv.ops.output import AUTO
 from qdenv.ops.results import Layout
 from qdenv.ranges import PositiveFloat, PositiveInt
 from qdenv.run.directory import RunDirectory
-from qdenv.simulate.mapf.choosing import describe_planner, find_planner, record_planner
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulate.mapf.settings import FleetConfig, describe_planner, find_planner, record_planner
 from qdenv.study.options import TIMESTEPS, parse_counts, parse_seeds
 from qdenv.study.plans import Plan
 from qdenv.study.plans import read_plan as read_file

@@ -28,8 +28,7 @@ from qdenv.ops.output import place, say
 from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
 from qdenv.run.directory import RunDirectory
-from qdenv.simulate.mapf.choosing import OWN, record_planner
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulate.mapf.settings import OWN, PLANNERS, record_planner
 from qdenv.study import motion as studies
 from qdenv.study.motion import MAZES, Motion
 from qdenv.study.options import fleet_tasks, usual_fleet

@@ -22,7 +22,7 @@ from qdenv.run.config import RunConfig, planner_of, resolve
 from qdenv.run.directory import RunDirectory, find_start
 from qdenv.run.executors.base import Execution
 from qdenv.search.registry import ALGORITHMS
-from qdenv.simulate.mapf.choosing import describe_planner
+from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.study.plans import keep_from
 from qdenv.types import InputError
 from qdenv.zoo import PREFIX

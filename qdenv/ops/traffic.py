@@ -21,7 +21,7 @@ from qdenv.ops.options import (
 from qdenv.ops.output import PICTURES, format_table, place, say
 from qdenv.ops.results import Facts
 from qdenv.progress import Bar
-from qdenv.simulate.mapf.choosing import describe_planner
+from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.study import sweep as studies
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import Plan

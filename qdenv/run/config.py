@@ -21,8 +21,7 @@ from qdenv.repair.rules import impossible
 from qdenv.search.axes import check_measures
 from qdenv.search.registry import ALGORITHMS
 from qdenv.settings import EvaluationConfig
-from qdenv.simulate.mapf.choosing import find_planner
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulate.mapf.settings import PLANNERS, find_planner
 from qdenv.types import InputError, Measure, Rules
 
 # Settings whose type is a choice, wherever a field of this name stands.

@@ -11,9 +11,8 @@ import numpy as np
 
 from qdenv.domains.base import Domain, KnownSize
 from qdenv.ranges import LARGEST_SEED
-from qdenv.simulate.mapf.choosing import find_planner
 from qdenv.simulate.mapf.goals import check_playable
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulate.mapf.settings import FleetConfig, find_planner
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.types import InputError, TaskRule, look_up
 

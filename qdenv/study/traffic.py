@@ -12,9 +12,8 @@ from qdenv import devices
 from qdenv.domains.base import find_domain
 from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
-from qdenv.simulate.mapf.choosing import describe_planner
 from qdenv.simulate.mapf.metrics import Recording
-from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
+from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig, describe_planner
 from qdenv.study.capacity import PROBES, Point, Verdict, judge, more_than, point_of
 from qdenv.study.congestion import Maps, average, cells_with_half, map_run, worst_cells
 from qdenv.study.engine import Simulated, auditor, run_seeds

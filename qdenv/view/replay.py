@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from qdenv.grid import DOWN, LEFT, RIGHT, UP, WAIT
-from qdenv.simulate.mapf.choosing import describe_planner
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
 from qdenv.study.congestion import throughput_over_time
 from qdenv.study.motion import Motion
 from qdenv.study.plans import Plan

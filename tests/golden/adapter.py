@@ -14,7 +14,7 @@ from qdenv.cli.main import run as run_command
 from qdenv.repair.recipe import repair_layout
 from qdenv.run import loop
 from qdenv.run.config import config_to_json
-from qdenv.simulate.mapf.choosing import find_planner
+from qdenv.simulate.mapf.settings import find_planner
 from qdenv.study.engine import run_seeds
 
 

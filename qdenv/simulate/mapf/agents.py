@@ -7,8 +7,7 @@ import jax.numpy as jnp
 
 from qdenv.simulate.mapf import chance, tasks
 from qdenv.simulate.mapf.distances import Fields, measure_fields, no_fields, rows_of
-from qdenv.simulate.mapf.padding import pad, unpad_grid
-from qdenv.simulate.mapf.planner import AgentState, World
+from qdenv.simulate.mapf.planner import AgentState, World, pad, unpad_grid
 
 
 class Fleet(NamedTuple):

@@ -33,8 +33,7 @@ from qdenv.simulate.mapf.metrics import (
     recording_of,
     summarise,
 )
-from qdenv.simulate.mapf.padding import pad
-from qdenv.simulate.mapf.planner import World, steps_type, unreachable
+from qdenv.simulate.mapf.planner import World, pad, steps_type, unreachable
 from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.types import Array, InputError, TaskRule, Traffic
 

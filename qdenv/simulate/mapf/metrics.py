@@ -5,8 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulate.mapf.padding import unpad, unpad_grid
-from qdenv.simulate.mapf.planner import World
+from qdenv.simulate.mapf.planner import World, unpad, unpad_grid
 from qdenv.types import Traffic
 
 

@@ -1,20 +1,26 @@
-"""The face of a planner: what it is told, what it answers, what it can do.
+"""The interface of a planner: its input, its result and its limits; the padded grid it plans on.
 
 A planner gives every agent a path of `window` steps, of which the next `horizon` are driven before
 it is asked again (RHCR, Li et al. 2021, https://arxiv.org/abs/2005.07371). Those must obey the
 movement rules (`qdenv.simulate`); the rest is a plan the planner gets back.
 
+A layout of `cols` columns, surrounded by `margin` walls on each side, makes the padded grid. Both
+number their cells ``row * width + column``, each with its own width.
+
 A planner is chosen by the type of its settings: `PLANNERS.make(settings)` gives a `Planner`.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import flax.struct
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from qdenv.native import shared
 from qdenv.simulate.mapf.tasks import GoalTable
+from qdenv.types import Array
 
 NOBODY = -1  # stands where an agent's number could stand
 UNREACHABLE = 32_000  # steps to where no way leads, on grids of at most so many cells
@@ -91,3 +97,26 @@ class Planner(NamedTuple):
     def on_host(self) -> bool:
         """Whether runs are computed by compiled host code instead of XLA."""
         return self.host is not None
+
+
+Cells = TypeVar("Cells", int, jax.Array, np.ndarray)
+
+
+@shared
+def pad(positions: Cells, cols: int, margin: int) -> Cells:
+    """Translate positions of the layout into positions of the padded grid (any shape)."""
+    row, column = positions // cols, positions % cols
+    return (row + margin) * (cols + 2 * margin) + column + margin
+
+
+@shared
+def unpad(positions: Cells, cols: int, margin: int) -> Cells:
+    """Translate positions of the padded grid into positions of the layout (any shape)."""
+    row, column = positions // (cols + 2 * margin), positions % (cols + 2 * margin)
+    return (row - margin) * cols + column - margin
+
+
+def unpad_grid(grid: Array, margin: int) -> jax.Array:
+    """Cut the walls off a padded grid ([H', W'] -> [H, W])."""
+    rows, cols = grid.shape
+    return jnp.asarray(grid)[margin : rows - margin, margin : cols - margin]

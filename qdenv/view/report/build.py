@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from qdenv import devices
 from qdenv.run.manifest import package_versions
-from qdenv.simulate.mapf.choosing import describe_planner
+from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.stats import Difference, Sample, difference
 from qdenv.study.congestion import FADING, cells_with_half, worst_cells
 from qdenv.study.groups import algorithm_name, group_runs

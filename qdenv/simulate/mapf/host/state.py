@@ -11,8 +11,7 @@ from qdenv.grid import move_steps
 from qdenv.native import formula, kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.metrics import Block
-from qdenv.simulate.mapf.padding import unpad
-from qdenv.simulate.mapf.planner import World
+from qdenv.simulate.mapf.planner import World, unpad
 from qdenv.simulate.mapf.tasks import KNOWN, serve
 
 AGENT_BITS = 24

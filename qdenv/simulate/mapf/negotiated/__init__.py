@@ -6,11 +6,12 @@ How to read it:
 2. `rules` and `path_rules` hold every rule of the search, once. What they are to compute, the best
    path of one agent past the reservations of the others, is specified by the uniform-cost search
    over all states in the tests (`tests/mapf_oracle.py`).
-3. `numba` computes it for one agent at a time and is the easier half to read: `observation` (what
-   an agent sees), `search` (what it can reach, and the cheapest end), `backtrack` (the way there),
-   `reservations` (who holds which cells), `rounds` (who plans when, and who wins).
-4. `xla` does the same for several agents side by side, file by file, without a branch or a host
-   callback; `bitplanes` is its memory layout.
+3. `numba` computes it for one agent at a time and is the easier half to read: `reservations`
+   (who holds which cells), `search` (what an agent can reach, and the cheapest end), `backtrack`
+   (the way there), `rounds` (who plans when, and who wins).
+4. `xla` does the same for several agents side by side, without a branch or a host callback:
+   `reservations` (and how they are packed in bits), `observation` (what an agent sees), `search`
+   (what it can reach, the cheapest end and the way there), `rounds`.
 
 The backends hold memory layout and control flow only, and give the same paths to the bit.
 """

@@ -5,6 +5,8 @@ Plain operators for both backends, as in `rules`.
 
 from typing import Generic, NamedTuple
 
+import numpy as np
+
 from qdenv.grid import DOWN, LEFT, RIGHT, UP
 from qdenv.native import shared
 from qdenv.simulate.mapf.negotiated.rules import Value
@@ -161,3 +163,8 @@ def is_predecessor(same: Value, fewer: Value, conflicting: Value, cap: Value) ->
         cap: this is the last conflict level.
     """
     return (same & ((conflicting == 0) | cap)) | (fewer & conflicting)
+
+
+def penalty_costs(penalties: tuple[float, ...]) -> np.ndarray:
+    """Convert penalties from timesteps to units of costs (int32 [attempts])."""
+    return np.array([round(COST_UNIT * penalty) for penalty in penalties], np.int32)

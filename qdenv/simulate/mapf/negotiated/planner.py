@@ -23,14 +23,13 @@ import jax.numpy as jnp
 from qdenv.devices import runs_on_host
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.negotiated.numba.rounds import host_planner
-from qdenv.simulate.mapf.negotiated.records import PlanResult, planned_ahead
 from qdenv.simulate.mapf.negotiated.settings import (
     MARGIN,
     MAX_SERVICE,
     MAX_WINDOW,
     NegotiatedConfig,
 )
-from qdenv.simulate.mapf.negotiated.xla.rounds import negotiate, path_conflicts
+from qdenv.simulate.mapf.negotiated.xla.rounds import PlanResult, negotiate, path_conflicts
 from qdenv.simulate.mapf.pibt import planner as pibt
 from qdenv.simulate.mapf.planner import AgentState, Planner, World
 
@@ -40,7 +39,7 @@ def negotiated(config: NegotiatedConfig) -> Planner:
 
     def plan(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:
         window, seed = state.previous.shape[0] - 1, chance.seed_of(key)
-        ahead = planned_ahead(config, window, horizon)
+        ahead = config.planned_ahead(window, horizon)
         near = state._replace(previous=state.previous[: ahead + 1])
         # Sets of cells broadcast over agents on purpose, also where a caller forbids it at large.
         with jax.numpy_rank_promotion("allow"):

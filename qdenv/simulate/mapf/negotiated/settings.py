@@ -1,8 +1,9 @@
 """The negotiated planner's numbers: its settings, the two efforts in use, its limits."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from annotated_types import Interval
 
 from qdenv.devices import Backend, check_backend
@@ -53,6 +54,21 @@ class NegotiatedConfig(Ranged):
         if self.last_resort not in ("pibt", "wait"):
             raise InputError(f"unknown last resort {self.last_resort!r}: choose one of pibt, wait")
         check_backend(self.backend)
+
+    def planned_ahead(self, window: int, horizon: int) -> int:
+        """Return the number of timesteps planned without conflict."""
+        return max(horizon, min(self.lookahead, window))
+
+    def num_lanes(self, agents: int) -> int:
+        """Return the number of agents that plan in one round."""
+        return min(self.lanes, agents)
+
+    def max_rounds(self, agents: Any) -> Any:
+        """Return the most rounds (float32) of a number of agents, padding not counted.
+
+        Padding agents must not change the number of rounds, and so no result.
+        """
+        return np.float32(self.rounds) * -(-agents // self.lanes)
 
 
 # Low for the inside of a search: half of high's time for 2 to 3 % less throughput. More lanes than

@@ -9,7 +9,7 @@ from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields
 from qdenv.simulate.mapf.host.state import Agents, HostRun, agent_of, ranked, sift, sort
 from qdenv.simulate.mapf.host.windows import DONE, FIELDS_FULL, Fallback, compile_windows
-from qdenv.simulate.mapf.negotiated import rules
+from qdenv.simulate.mapf.negotiated import path_rules, rules
 from qdenv.simulate.mapf.negotiated.numba.backtrack import trace
 from qdenv.simulate.mapf.negotiated.numba.reservations import (
     ReservationWords,
@@ -26,12 +26,6 @@ from qdenv.simulate.mapf.negotiated.numba.search import (
     capped_penalty,
     find_path,
     make_arrays,
-)
-from qdenv.simulate.mapf.negotiated.records import (
-    count_rounds,
-    lanes_of,
-    penalty_costs,
-    planned_ahead,
 )
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 from qdenv.simulate.mapf.planner import NOBODY, HostPlanner
@@ -69,8 +63,11 @@ def host_planner(config: NegotiatedConfig) -> HostPlanner:
     def make_plan(run: HostRun, size: int) -> HostNegotiation:
         del size  # no buffer can be too small
         agents, horizon = run.agents.position.size, run.settings.horizon
-        window = planned_ahead(config, run.settings.window, horizon)
-        penalties, lanes = penalty_costs(config).astype(np.int64), lanes_of(config, agents)
+        window = config.planned_ahead(run.settings.window, horizon)
+        penalties, lanes = (
+            path_rules.penalty_costs(config.penalties).astype(np.int64),
+            config.num_lanes(agents),
+        )
         order, turn, noise, attempts, heap = np.empty((5, agents), np.int64)
         queue = Queue(
             heap,
@@ -86,7 +83,7 @@ def host_planner(config: NegotiatedConfig) -> HostPlanner:
         )
         return HostNegotiation(
             penalties,
-            int(count_rounds(config, agents)),
+            int(config.max_rounds(agents)),
             window - horizon if config.remember else 0,
             make_reservations(run.grid, agents, window),
             queue,
@@ -118,7 +115,7 @@ run_windows = compile_windows(_plan_window)
 
 @kernel
 def _draw_order(queue: Queue, agents: Agents, seed: int) -> None:
-    """Draw the agents' order and the bits that settle ties, as `records.draw_priorities`."""
+    """Draw the agents' order and the bits that settle ties, as `xla.rounds.draw_priorities`."""
     order, ties = chance.mix(seed, chance.ORDER), chance.mix(seed, chance.TIES)
     for agent in range(queue.turn.size):
         serving = agents.remaining_service[agent] > 0

@@ -7,14 +7,16 @@ import jax.numpy as jnp
 
 from qdenv.grid import NUM_MOVES
 from qdenv.simulate.mapf.negotiated import path_rules, rules
-from qdenv.simulate.mapf.negotiated.xla import bitplanes
+from qdenv.simulate.mapf.negotiated.xla.reservations import (
+    around,
+)
 from qdenv.simulate.mapf.planner import AgentState, World
 
 
 class LocalWindow(NamedTuple):
     """What K agents see around them: squares of side E = 2 * window + 1, at most 21."""
 
-    reserved: jax.Array  # uint32 [window, 5, E, K], reserved cells and moves (`bitplanes`)
+    reserved: jax.Array  # uint32 [window, 5, E, K], reserved cells and moves (`xla.reservations`)
     traversable: jax.Array  # uint32 [E, K], cells without walls
     goal: jax.Array  # uint32 [2, E, K], the current and the next goal, where they end a leg
     goal_row: jax.Array  # int32 [2, K], their rows in sight (0 where out of sight)
@@ -58,7 +60,7 @@ def gather(
     Args:
         world: the layout.
         state: all agents; the length of its previous paths is the window.
-        table: uint32, flat, the packed reservations (`bitplanes.empty`).
+        table: uint32, flat, the packed reservations (`empty`).
         walls: uint32 [H', words], the packed traversable cells.
         who: the agents that look.
     """
@@ -85,8 +87,8 @@ def gather(
     shortest = path_rules.driving_cost(to_go[0, window, window], service_time[0], after)
     planes = table.reshape(-1, NUM_MOVES, *walls.shape)
     return LocalWindow(
-        reserved=bitplanes.around(planes, position, width, window),
-        traversable=bitplanes.around(walls, position, width, window),
+        reserved=around(planes, position, width, window),
+        traversable=around(walls, position, width, window),
         goal=goal.astype(jnp.uint32),
         goal_row=row,
         goal_column=column,

@@ -8,28 +8,48 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.negotiated import path_rules, rules
-from qdenv.simulate.mapf.negotiated.records import (
-    PlanResult,
-    count_rounds,
-    draw_priorities,
-    lanes_of,
-    penalty_costs,
-)
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
-from qdenv.simulate.mapf.negotiated.xla import bitplanes
 from qdenv.simulate.mapf.negotiated.xla.observation import Planning, gather
 from qdenv.simulate.mapf.negotiated.xla.reservations import (
     Accepted,
     Reservations,
     evict,
     no_reservations,
+    pack,
     release,
     remember,
     reserve,
 )
 from qdenv.simulate.mapf.negotiated.xla.search import find_paths
 from qdenv.simulate.mapf.planner import AgentState, World
+
+
+class PlanResult(NamedTuple):
+    """What a negotiation ends with."""
+
+    paths: jax.Array  # int32 [window + 1, A]. Those that are reserved never conflict.
+    is_reserved: jax.Array  # bool [A], whose path is reserved; all padding agents count as such
+
+
+class Priorities(NamedTuple):
+    """What chance decides."""
+
+    order: jax.Array  # int32 [A], who comes first among agents with equally many attempts
+    noise: jax.Array  # int32 [A], 24 bits that settle ties between paths
+
+
+def draw_priorities(state: AgentState, seed: jax.Array) -> Priorities:
+    """Draw the agents' order and the bits that settle ties."""
+    count = state.position.shape[0]
+    order_bits, tie_bits = (
+        chance.draw_many(chance.draw(seed, purpose), count)
+        for purpose in (chance.ORDER, chance.TIES)
+    )
+    turn = jnp.argsort(rules.luck(order_bits, state.remaining_service > 0))
+    order = jnp.zeros((count,), jnp.int32).at[turn].set(jnp.arange(count, dtype=jnp.int32))
+    return Priorities(order, rules.noise_of(tie_bits).astype(jnp.int32))
 
 
 class Negotiation(NamedTuple):
@@ -54,11 +74,11 @@ def negotiate(
     """
     shape = (world.traversable.shape[0], world.traversable.shape[1])
     window, count = state.previous.shape[0] - 1, state.position.shape[0]
-    lanes = lanes_of(config, count)
+    lanes = config.num_lanes(count)
     priorities = draw_priorities(state, seed)
-    walls = bitplanes.pack(world.traversable)
-    penalties = jnp.asarray(penalty_costs(config))
-    limit = jnp.asarray(count_rounds(config, state.active.sum())).astype(jnp.int32)
+    walls = pack(world.traversable)
+    penalties = jnp.asarray(path_rules.penalty_costs(config.penalties))
+    limit = jnp.asarray(config.max_rounds(state.active.sum())).astype(jnp.int32)
 
     def find(negotiation: Negotiation, agent: jax.Array) -> tuple[jax.Array, jax.Array]:
         attempt = rules.penalty_index(negotiation.attempts[agent], penalties.size)
