@@ -7,6 +7,7 @@ import numba
 import numpy as np
 import pytest
 
+from qdenv.grid import NUM_MOVES
 from qdenv.simulate.mapf.negotiated import path_rules, rules
 
 CASES = 40
@@ -14,7 +15,7 @@ SIDE, LEVELS = 21, 3
 # What each rule is given: sets, masks, truths, numbers from a range, or a constant.
 SET, MASK, TRUTH = "set", "mask", "truth"
 CELL, TIME, CODE = range(60 * 60), range(31), range(1 << path_rules.CODE_BITS)
-MOVES = (SET,) * rules.MOVES
+MOVES = (SET,) * NUM_MOVES
 GIVEN = {
     rules.move_plane: (range(-60, 61), 57),
     rules.opposite: (range(5),),
