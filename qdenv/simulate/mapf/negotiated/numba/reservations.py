@@ -1,7 +1,7 @@
 """The reservations of a window on the host: who holds which cells and moves.
 
 One word per cell holds all its reservations in the window: plane p at timestep t is bit
-``PLANE * p + t``, with the planes of `xla.reservations`. So a search reads one word per step. Reserved
+``PLANE * p + t``, with the planes of `xla`. So a search reads one word per step. Reserved
 paths never conflict, hence every bit has one owner and is set and cleared by flipping it.
 """
 
