@@ -18,6 +18,8 @@ SMALL, SIZE, EVAL_SIZE = (17, 16), (33, 36), (101, 102)  # of the preset `quick`
 FLEETS = ("warehouse-even", "warehouse-uneven", "manufacturing")
 DOMAINS = ("warehouse-even", "manufacturing")  # whose rules differ
 KERNELS = (3, 3, 3)
+Layouts = Sequence[np.ndarray] | np.ndarray  # int8 [B, H, W]
+Group = tuple[str, str, Layouts]  # name and domain of layouts
 
 
 def repair(
@@ -48,7 +50,7 @@ def repair(
 
     def rows() -> Iterator[Row]:
         plans = map(qdenv.read_plan, layouts)
-        groups = [(plan.name, plan.domain.name, [plan.layout]) for plan in plans]
+        groups: list[Group] = [(plan.name, plan.domain.name, [plan.layout]) for plan in plans]
         groups += one_tile_layouts()
         for kind in DOMAINS:
             groups += [(f"{kind} random", kind, grow_random(kind, random))] * bool(random)
@@ -63,10 +65,10 @@ def repair(
         for shape, kind in product(sizes if tiles else (), FLEETS):
             count = -(-tiles // 10) if shape == EVAL_SIZE else tiles
             name, quick = f"{kind} {shape[0]}x{shape[1]}", RepairConfig()
-            group = grow_random(kind, count, shape=shape)
-            yield repair_all(f"{name} automata", kind, group, quick)[0]
-            group = random_tiles(kind, count, shape=shape)
-            row, repaired = repair_all(f"{name} random tiles", kind, group, quick)
+            drawn = grow_random(kind, count, shape=shape)
+            yield repair_all(f"{name} automata", kind, drawn, quick)[0]
+            drawn = random_tiles(kind, count, shape=shape)
+            row, repaired = repair_all(f"{name} random tiles", kind, drawn, quick)
             yield row
             yield repair_all(f"{name} mutated", kind, mutated_tiles(kind, repaired), quick)[0]
 
@@ -78,7 +80,7 @@ def repair(
 
 
 def repair_all(
-    name: str, kind: str, layouts: Sequence[np.ndarray], config: RepairConfig, seeds: int = 1
+    name: str, kind: str, layouts: Layouts, config: RepairConfig, seeds: int = 1
 ) -> tuple[Row, np.ndarray]:
     """Repair layouts (int8 [B, H, W]) one by one: a row, and what the last seed repaired."""
     rules = rules_at_size(kind, layouts[0].shape)
@@ -115,9 +117,6 @@ def repair_population(kind: str, count: int) -> Row:
     failed = int((repairs.status >= RepairStatus.IMPOSSIBLE).sum())
     row = {"domain": kind, "layouts": count, "workers": pool.workers, "failed": failed}
     return row | watch.per(count)
-
-
-Group = tuple[str, str, Sequence[np.ndarray]]  # name, domain, layouts int8 [B, H, W]
 
 
 def rules_at_size(kind: str, shape: tuple[int, ...] = SIZE) -> Rules:

@@ -180,18 +180,19 @@ def surrogate(
     problem = search_problem(preset)
     drawing = drawing_of(problem, "dsage")
     aspect = aspect_of(problem, drawing)
-    buffer = {"samples": MINIBATCH * rounds, "epochs": 1, "minibatch": MINIBATCH}
-    model = make_surrogate(replace(SURROGATES[size], **buffer), aspect)
+    count = MINIBATCH * rounds
+    config = replace(SURROGATES[size], samples=count, epochs=1, minibatch=MINIBATCH)
+    model = make_surrogate(config, aspect)
     fitted = jax.jit(model.init)(jax.random.key(0))
-    ring = random_samples(MINIBATCH * rounds, aspect, model.heads)
+    ring = random_samples(count, aspect, model.heads)
 
     @jax.jit
     def iterate(fitted: Any) -> Any:
         def predict(solutions: jax.Array) -> Any:
             return model.predict(fitted, drawing.draw(solutions.astype(jnp.float32))).score
 
-        config = DsageConfig(inner_iterations=rounds)
-        return search_surrogate(config, problem, drawing.choices, predict, jax.random.key(1))
+        inner = DsageConfig(inner_iterations=rounds)
+        return search_surrogate(inner, problem, drawing.choices, predict, jax.random.key(1))
 
     @partial(jax.jit, static_argnums=0)
     def train(name: str, fitted: Any, ring: Any) -> Any:

@@ -287,14 +287,14 @@ def maze(
     episodes, horizon, big_horizon = 50, 648, default_horizon(big)
 
     def in_line(weights: Any, batch: jax.Array, key: jax.Array) -> Any:
-        def evaluate(item: Any) -> Any:
-            return run_alone(weights, *item, episodes, horizon)
+        def evaluate(item: tuple[jax.Array, jax.Array]) -> Any:
+            return run_alone(weights, item[0], item[1], episodes, horizon)
 
         return jax.lax.map(evaluate, (batch, jax.random.split(key, mazes)))
 
-    together = jax.jit(lambda *inputs: run_batch(*inputs, episodes, horizon))
+    together = jax.jit(partial(run_batch, episodes=episodes, horizon=horizon))
     one_by_one = jax.jit(in_line)
-    alone = jax.jit(lambda *inputs: run_alone(*inputs, 100, big_horizon))
+    alone = jax.jit(partial(run_alone, episodes=100, horizon=big_horizon))
     paths = jax.jit(jax.vmap(longest_path))
 
     def rows() -> Iterator[Row]:

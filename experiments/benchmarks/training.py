@@ -139,8 +139,9 @@ def compare_executors(config: Any, workers: int, kills: int) -> Iterator[Row]:
 
     def row(name: str, run: Any, killed: int = 0) -> Row:
         metrics = run.read_metrics()
-        half, last = metrics[len(metrics) // 2], metrics[-1]  # all is compiled in the first half
-        rate = (last.evaluations - half.evaluations) / (last.seconds - half.seconds)
+        half, last = metrics[(len(metrics) - 1) // 2], metrics[-1]  # the first half compiles
+        seconds = last.seconds - half.seconds or float("nan")  # of a search of one iteration
+        rate = (last.evaluations - half.evaluations) / seconds
         same = contents(run) == contents(threads)
         return {"executor": name, "per_second": rate, "killed": killed, "same_archive": same}
 

@@ -18,7 +18,7 @@ from qdenv.io.files import write_json
 class Attempt(NamedTuple):
     """The outcome of one attempt."""
 
-    count: int  # how much was tried, in the attack's unit
+    trials: int  # in the attack's unit
     faults: Sequence[str] = ()  # a line for each promise that was broken
     notes: Mapping[str, int] = {}  # other counts by name, summed over attempts
 
@@ -28,7 +28,7 @@ class Attack(NamedTuple):
 
     name: str
     promise: str
-    unit: str  # of the count, in plural
+    unit: str  # of its trials, in plural
     # (random generator, an empty folder) -> outcome. Everything random comes from the generator,
     # so the seed of an attempt repeats it.
     attempt: Callable[[np.random.Generator, Path], Attempt]
@@ -107,7 +107,7 @@ def attack_once(attack: Attack, row: dict[str, Any], seed: int, number: int) -> 
     with tempfile.TemporaryDirectory(prefix="qdenv-robustness-") as folder:
         attempt = attack.attempt(rng, Path(folder))
     row["attempts"] += 1
-    row[attack.unit] += attempt.count
+    row[attack.unit] += attempt.trials
     row["seconds"] += time.monotonic() - begin
     row["notes"].update(attempt.notes)
     for fault in attempt.faults:

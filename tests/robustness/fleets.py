@@ -67,8 +67,8 @@ def draw_layout(rng: np.random.Generator, rule: str) -> np.ndarray:
             layout = np.asarray(repair.layout)
         else:
             walls = rng.uniform(0, 0.35)
-            odds = [0.8 - walls, walls, 0.12, 0.08]
-            layout = rng.choice(4, SHAPE, p=odds).astype(np.int8)
+            drawn = rng.choice(4, SHAPE, p=[0.8 - walls, walls, 0.12, 0.08])
+            layout = drawn.astype(np.int8)
         try:
             check_playable(layout, tasks_of(rule), 1)
         except qdenv.InputError:

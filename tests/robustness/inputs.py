@@ -178,9 +178,10 @@ def hostile_pickle(rng: Rng, folder: Path) -> Input:
 
 def bad_file(rng: Rng, folder: Path) -> Input:
     """Draw a bad file of any kind; those that cost seconds are the fewest."""
-    kinds = (corrupt_layout,) * 8 + (hostile_pickle,) * 8 + (corrupt_run,) * 6
-    kinds += (corrupt_agent,) * 3 + (corrupt_checkpoints, corrupt_training)
-    return pick(rng, kinds)(rng, folder)
+    kinds = [corrupt_layout] * 8 + [hostile_pickle] * 8 + [corrupt_run] * 6
+    kinds += [corrupt_agent] * 3 + [corrupt_checkpoints, corrupt_training]
+    draw: Callable[[Rng, Path], Input] = pick(rng, kinds)
+    return draw(rng, folder)
 
 
 @functools.cache

@@ -56,7 +56,7 @@ def draw_rules(rng: np.random.Generator, rules: Rules, obstacles: str) -> Rules:
     places = int(rules.allowed[..., tiles].any(-1).sum())
     low, high = ((0.05, 0.5), (0.5, 0.75), (0.05, 1.1))[rng.choice(3, p=[0.35, 0.5, 0.15])]
     number = round(rng.uniform(low, high) * places)
-    counts = (Count(obstacles, number, None if rng.random() < 0.2 else number),)
+    counts: tuple[Count, ...] = (Count(obstacles, number, None if rng.random() < 0.2 else number),)
     if len(obstacles) > 1 and rng.random() < 0.5:
         counts += tuple(Count(tile, int(rng.integers(0, 4))) for tile in obstacles)
     allowed = rules.allowed.copy()
