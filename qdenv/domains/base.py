@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import tyro
 
 from qdenv import score
-from qdenv.domains.keep import keep_in_frame, keep_in_rules, kept_tiles
+from qdenv.domains.keep import kept_tiles
 from qdenv.generate import inside_frame
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Ranged
 from qdenv.registry import Registry
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import Array, InputError, Measure, Rules, TaskRule, Tile
 
 
@@ -30,8 +31,8 @@ def environment_entropy(kinds: int, margin: tuple[int, int] = (0, 0)) -> Measure
     def value(layout: jax.Array, runs: Any) -> jax.Array:
         del runs
         area = inside_frame(layout, margin)
-        # A tile that no generator draws is there only where somebody keeps it: it counts as the
-        # first, since a pattern of it has no number.
+        # A tile that no generator draws occurs only in locked cells. It counts as the first tile,
+        # because the patterns are numbered over the generated kinds alone.
         return score.entropy(jnp.where(area < kinds, area, 0), kinds)
 
     return Measure("environment entropy", 0, 1, 100, value)
@@ -43,7 +44,7 @@ def weigh_alike(layout: Array) -> jax.Array:
 
 
 class KnownSize(NamedTuple):
-    """The numbers of a domain at one size, where they do not follow from those of another."""
+    """The numbers of a domain at a size where they do not scale with the area."""
 
     steps: int  # steps of growth of an automaton that was trained at another size, C
     timesteps: int  # how long a simulation lasts whose numbers are reported, T
@@ -65,24 +66,24 @@ class DomainConfig(Ranged):
         default=(), kw_only=True
     )
 
-    def for_area(self, ratio: float, given: Collection[str]) -> Self:
-        """Let further numbers follow the area of the layout; numbers of tiles did already.
+    # Not a field here: domains with a fleet declare one of this name.
+    fleet: ClassVar[FleetConfig | None] = None
+
+    @property
+    def horizon(self) -> int | None:
+        """Timesteps of one simulation; None if the settings do not limit it."""
+        return self.fleet.timesteps if self.fleet else None
+
+    def scaled(self, ratio: float, size: KnownSize | None, given: Collection[str]) -> Self:
+        """Scale the numbers that are no numbers of tiles, such as agents or timesteps.
 
         Args:
-            ratio: how much larger the generated area is than the one these numbers were for.
-            given: names of the settings that stay as they are.
+            ratio: generated area of these settings over that of the settings they were made from.
+            size: the known numbers of this size, which replace the scaled ones; None if there are
+                none.
+            given: names of settings that must not change.
         """
-        del ratio, given
-        return self
-
-    def for_known(self, size: KnownSize, given: Collection[str]) -> Self:
-        """Take further numbers of a size that is known, in place of those that `for_area` gives.
-
-        Args:
-            size: what is known of the size of these settings.
-            given: names of the settings that stay as they are.
-        """
-        del size, given
+        del ratio, size, given
         return self
 
 
@@ -191,16 +192,16 @@ class Domain:
         return {name: getattr(self.config, name) for name in self.counted}
 
     def resized(self, rows: int, cols: int, numbers: Mapping[str, int] | None = None) -> Domain:
-        """Make the same domain at another size; what was to be kept is, where the size stays.
+        """Make the same domain at another size; cells stay locked only if the size is the same.
 
         Args:
             rows: rows of the framed layout.
             cols: columns of the framed layout.
-            numbers: exact numbers of tiles; those left out are what is known of the size, or else
-                follow the generated area.
+            numbers: exact numbers of tiles; the others are the known ones of the size, or scale
+                with the generated area.
 
         Raises:
-            InputError: this size has no generated area that numbers could follow.
+            InputError: this domain's own size has no generated area to scale from.
         """
         stays = {} if (rows, cols) == self.shape else {"keep": ()}
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
@@ -214,7 +215,7 @@ class Domain:
         return empty.with_numbers(scaled | dict(size.numbers if size else {}) | dict(numbers or {}))
 
     def known_size(self, rows: int, cols: int) -> KnownSize | None:
-        """Find what is known of another size; None where its numbers follow from this one's."""
+        """Return the known numbers of another size; None if they scale from those of this one."""
         return None if (rows, cols) == self.shape else self.known.get((rows, cols))
 
     def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> Domain:
@@ -269,12 +270,20 @@ def make_domain(config: Any) -> Domain:
     domain: Domain = DOMAINS.make(config)
     if not config.keep:
         return domain
-    kept, rules = kept_tiles(config.keep, domain.tiles, domain.shape), domain.rules
-    return replace(
-        domain,
-        frame=keep_in_frame(domain.frame, kept),
-        rules=None if rules is None else lambda: keep_in_rules(rules(), kept),
-    )
+    locked, make_rules = kept_tiles(config.keep, domain.tiles, domain.shape), domain.rules
+
+    def frame(area: Array) -> jax.Array:
+        return jnp.where(locked >= 0, locked, domain.frame(area))
+
+    if make_rules is None:
+        return replace(domain, frame=frame)
+
+    def rules() -> Rules:
+        base = make_rules()
+        only = np.eye(len(base.tiles), dtype=bool)[locked]
+        return base._replace(allowed=np.where((locked >= 0)[..., None], only, base.allowed))
+
+    return replace(domain, frame=frame, rules=rules)
 
 
 def find_domain(name: str) -> Domain:

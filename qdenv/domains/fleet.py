@@ -1,4 +1,4 @@
-"""What the domains with fleets of robots share: their numbers, and how tasks are simulated."""
+"""Base of the domains with a fleet of robots: settings, simulator and objective."""
 
 from __future__ import annotations
 
@@ -17,21 +17,17 @@ THROUGHPUT = "throughput [tasks per timestep]"
 
 @dataclass(frozen=True)
 class FleetDomainConfig(DomainConfig):
-    """What the settings of a domain with a fleet hold."""
+    """Settings of a domain with a fleet."""
 
-    fleet: FleetConfig = field(default_factory=FleetConfig)  # agents, horizon and planner
+    # agents, horizon and planner
+    fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
 
-    def for_area(self, ratio: float, given: Collection[str]) -> Self:
-        """Let the number of agents follow the area."""
-        return self._with_agents(max(1, round(self.fleet.agents * ratio)), given)
-
-    def for_known(self, size: KnownSize, given: Collection[str]) -> Self:
-        """Take the number of agents; a search does without the long runs of reported numbers."""
-        return self._with_agents(size.agents, given)
-
-    def _with_agents(self, agents: int, given: Collection[str]) -> Self:
+    def scaled(self, ratio: float, size: KnownSize | None, given: Collection[str]) -> Self:
+        """Scale the number of agents, or take the known one."""
         if "agents" in given:
             return self
+        # The timesteps of a known size are those of reported numbers: a search uses shorter runs.
+        agents = size.agents if size else max(1, round(self.fleet.agents * ratio))
         return replace(self, fleet=replace(self.fleet, agents=agents))
 
 
@@ -39,27 +35,25 @@ def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
     """Make the simulator of lifelong multi-agent path finding, whose runs are `Traffic`.
 
     Args:
-        tasks: what the agents do.
-        config: how many they are, for how long, and who plans their paths.
+        tasks: the agents' tasks.
+        config: number of agents, timesteps and planner.
     """
 
+    # The simulation is imported when it first runs: it loads both compilers.
     def prepare(layout: Array) -> Any:
-        return _fleet().prepare(layout, tasks, config)
+        from qdenv.simulate.mapf import fleet
+
+        return fleet.prepare(layout, tasks, config)
 
     def run(world: Any, key: jax.Array) -> Traffic:
-        return _fleet().simulate(world, key, config)
+        from qdenv.simulate.mapf import fleet
+
+        return fleet.simulate(world, key, config)
 
     def on_host() -> bool:
         return config.make_planner().on_host
 
     return Simulator(prepare, run, tasks, on_host=on_host)
-
-
-def _fleet() -> Any:
-    """Import the simulation, and both compilers with it, when somebody simulates."""
-    from qdenv.simulate.mapf import fleet
-
-    return fleet
 
 
 def throughput(layout: Any, runs: Traffic) -> jax.Array:

@@ -43,16 +43,17 @@ class MazeConfig(DomainConfig):
     timesteps: PositiveInt = 648  # actions after which an episode fails, T
     agent: str = ""  # an .npz agent; the shipped one unless given
 
-    def for_area(self, ratio: float, given: Collection[str]) -> Self:
-        """Let the length of an episode follow the area."""
-        return self._with_timesteps(max(1, round(self.timesteps * ratio)), given)
+    @property
+    def horizon(self) -> int:
+        """Actions after which an episode fails."""
+        return self.timesteps
 
-    def for_known(self, size: KnownSize, given: Collection[str]) -> Self:
-        """Take the length of an episode."""
-        return self._with_timesteps(size.timesteps, given)
-
-    def _with_timesteps(self, timesteps: int, given: Collection[str]) -> Self:
-        return self if "timesteps" in given else replace(self, timesteps=timesteps)
+    def scaled(self, ratio: float, size: KnownSize | None, given: Collection[str]) -> Self:
+        """Scale the length of an episode, or take the known one."""
+        if "timesteps" in given:
+            return self
+        timesteps = size.timesteps if size else max(1, round(self.timesteps * ratio))
+        return replace(self, timesteps=timesteps)
 
 
 @dataclass(frozen=True)

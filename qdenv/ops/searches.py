@@ -71,13 +71,12 @@ def presets() -> Facts:
 def _facts_of(name: str, config: RunConfig) -> dict[str, Any]:
     """Return the numbers of a preset that a person chooses by."""
     domain = config.evaluation.domain
-    fleet = getattr(domain, "fleet", domain)
     return {
         "preset": name,
         "domain": DOMAINS.name_of(domain),
         "size": f"{domain.rows} x {domain.cols}",
-        "agents": getattr(fleet, "agents", 1),
-        "steps": fleet.timesteps,
+        "agents": domain.fleet.agents if domain.fleet else 1,
+        "steps": domain.horizon,
         "evaluations": config.evaluations,
         "takes": describe_cost(name, config) or "not known",
         "alpha": config.evaluation.alpha,

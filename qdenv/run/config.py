@@ -190,7 +190,7 @@ def choose_planner(config: RunConfig, effort: str | None, planner: Any) -> RunCo
     if effort is None and planner is None:
         return config
     domain = config.evaluation.domain
-    if not hasattr(domain, "fleet"):
+    if domain.fleet is None:
         raise InputError("no fleet drives in this domain: leave effort and planner out")
     chosen = find_planner(effort, planner or "", usual="low")
     domain = replace(domain, fleet=replace(domain.fleet, planner=chosen))
@@ -199,7 +199,7 @@ def choose_planner(config: RunConfig, effort: str | None, planner: Any) -> RunCo
 
 def planner_of(config: RunConfig) -> Any:
     """Return the settings of the planner in a configuration; None if no fleet drives."""
-    fleet = getattr(config.evaluation.domain, "fleet", None)
+    fleet = config.evaluation.domain.fleet
     return None if fleet is None else fleet.planner
 
 
@@ -253,7 +253,7 @@ def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[R
     ratio = _area(new) / _area(old)
     settings = replace(settings, **new.numbers)
     size = old.known_size(*new.shape)
-    settings = settings.for_known(size, given) if size else settings.for_area(ratio, given)
+    settings = settings.scaled(ratio, size, given)
     new = make_domain(settings)
     generator = config.evaluation.generator
     longer = max(new.shape[0] / old.shape[0], new.shape[1] / old.shape[1])
@@ -296,16 +296,12 @@ def _describe_changes(before: RunConfig, after: RunConfig, domain: Domain) -> st
         for name, value in domain.numbers.items()
         if getattr(old.domain, name) != value
     ]
-    fleets: list[Any] = [getattr(one.domain, "fleet", None) for one in (old, new)]
-    if fleets[0] != fleets[1]:
-        texts.append(f"{fleets[1].agents} agents")
-    for one, name, unit in (
-        ("domain", "timesteps", "timesteps"),
-        ("generator", "steps", "steps of growth"),
-    ):
-        values = [getattr(getattr(side, one), name, None) for side in (old, new)]
-        if values[0] != values[1]:
-            texts.append(f"{values[1]} {unit}")
+    if old.domain.fleet != new.domain.fleet:
+        texts.append(f"{new.domain.fleet.agents} agents")
+    if old.domain.horizon != new.domain.horizon:
+        texts.append(f"{new.domain.horizon} timesteps")
+    if old.generator != new.generator:  # only its steps scale
+        texts.append(f"{new.generator.steps} steps of growth")
     if before.archive != after.archive:
         texts += [
             f"{axis.name} from {low:g} to {high:g}"
@@ -345,7 +341,7 @@ def _check_rules(domain: Domain, rules: Rules) -> None:
     reason = impossible(rules)
     if reason:
         raise InputError(f"no layout of {rows} x {cols} obeys the rules: {reason}")
-    tasks, fleet = domain.simulator.tasks, getattr(domain.config, "fleet", None)
+    tasks, fleet = domain.simulator.tasks, domain.config.fleet
     if tasks is None or fleet is None:
         return
     blocked = sum(
