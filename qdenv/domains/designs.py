@@ -7,12 +7,12 @@ import numpy as np
 
 from qdenv.types import InputError
 
-SHELVES = 10  # shelves of one block
-BAND = 4  # rows from one line of blocks to the next
-STATION_BLOCK = 6  # columns of a block of two stations and its share of the lanes
+_SHELVES = 10  # shelves of one block
+_BAND = 4  # rows from one line of blocks to the next
+_STATION_BLOCK = 6  # columns of a block of two stations and its share of the lanes
 STATION_SHARE = 93 / (33 * 36)  # stations per cell of the published design of size S
-STAND_ALONE_FROM = 50  # rows and columns from which stations stand alone
-SPACING = (3, 2)  # rows and columns from one stand-alone station to the next
+_STAND_ALONE_FROM = 50  # rows and columns from which stations stand alone
+_SPACING = (3, 2)  # rows and columns from one stand-alone station to the next
 
 
 def shelf_blocks(rows: int, cols: int) -> list[str]:
@@ -31,14 +31,14 @@ def shelf_blocks(rows: int, cols: int) -> list[str]:
     Raises:
         InputError: no line of blocks fits.
     """
-    lines = (rows - 1) // BAND
+    lines = (rows - 1) // _BAND
     if lines < 1 or cols < 1:
         raise InputError(
             f"an area of {rows} x {cols} holds no block of shelves: ask for 5 rows or more"
         )
     picture = np.full((rows, cols), ".")
-    blocks = np.arange(cols) % (SHELVES + 1) < SHELVES
-    for top in range(1, BAND * lines, BAND):
+    blocks = np.arange(cols) % (_SHELVES + 1) < _SHELVES
+    for top in range(1, _BAND * lines, _BAND):
         picture[top : top + 3, blocks] = [["e"], ["@"], ["e"]]
     return ["".join(row) for row in picture]
 
@@ -60,7 +60,7 @@ def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
     Raises:
         InputError: too few stations fit to have one of each kind.
     """
-    draw = station_blocks if min(rows, cols) < STAND_ALONE_FROM else stand_alone_stations
+    draw = station_blocks if min(rows, cols) < _STAND_ALONE_FROM else _stand_alone_stations
     picture = draw(rows, cols)
     places = picture == "s"
     numbers = apportion(int(places.sum()), ratio)
@@ -85,29 +85,29 @@ def station_blocks(rows: int, cols: int) -> np.ndarray:
     block = np.array([list("..ee.."), list(".esse."), list("..ee..")])
     corners = [
         (top, left)
-        for top in range(1, rows - 3, BAND)
-        for left in range(0, cols - STATION_BLOCK + 1, STATION_BLOCK)
+        for top in range(1, rows - 3, _BAND)
+        for left in range(0, cols - _STATION_BLOCK + 1, _STATION_BLOCK)
     ]
     wanted = min(round(rows * cols * STATION_SHARE), 2 * len(corners))
     for top, left in corners[: wanted // 2]:
-        picture[top : top + 3, left : left + STATION_BLOCK] = block
+        picture[top : top + 3, left : left + _STATION_BLOCK] = block
     if wanted % 2:
         top, left = corners[wanted // 2]
         picture[top : top + 3, left + 1 : left + 4] = [list(".e."), list("ese"), list(".e.")]
     return picture
 
 
-def stand_alone_stations(rows: int, cols: int) -> np.ndarray:
+def _stand_alone_stations(rows: int, cols: int) -> np.ndarray:
     """Draw single stations with endpoints above and below and a lane on each side (Figure 14b).
 
     Returns:
         symbols [rows, cols] out of ``.es``, where ``s`` is a station.
     """
     picture = np.full((rows, cols), ".")
-    columns = slice(1, cols - 1, SPACING[1])
+    columns = slice(1, cols - 1, _SPACING[1])
     for row, symbol in ((0, "e"), (1, "s"), (2, "e")):
-        picture[row :: SPACING[0], columns] = symbol
-    if rows % SPACING[0] == 1:
+        picture[row :: _SPACING[0], columns] = symbol
+    if rows % _SPACING[0] == 1:
         picture[-1] = "."  # endpoints whose station would lie outside
     return picture
 

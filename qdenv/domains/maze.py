@@ -31,7 +31,7 @@ MEANINGS = {
 SIZES = {(66, 66): KnownSize(steps=200, timesteps=8712)}
 # On an accelerator all episodes of a population run side by side to the horizon; on a CPU one
 # layout's at a time, because then the layout's episodes may stop with the last of them.
-ACCELERATOR_LANES = 7500
+_ACCELERATOR_LANES = 7500
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def maze_simulator(config: MazeConfig) -> Simulator:
     return Simulator(
         prepare=prepare,
         run=run,
-        accelerator_lanes=ACCELERATOR_LANES,
+        accelerator_lanes=_ACCELERATOR_LANES,
         layout_at_once=True,
     )
 

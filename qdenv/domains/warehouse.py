@@ -43,11 +43,11 @@ MEANINGS = {
     "w": Tile("workstation", "robots deliver here; by itself in the outer columns only"),
 }
 MARGIN = (0, 2)
-STATION_SPACING = 3  # a workstation in rows 1, 4, 7, ..., never in the last row
+_STATION_SPACING = 3  # a workstation in rows 1, 4, 7, ..., never in the last row
 # S_eval of the paper (Table 1, and the numbers of agents that its throughputs were taken with).
 _S_EVAL = KnownSize(steps=200, timesteps=5000, agents=1400, numbers={"shelves": 2500})
-EVEN_SIZES = {(101, 102): _S_EVAL}
-UNEVEN_SIZES = {(101, 102): _S_EVAL._replace(agents=1000)}
+_EVEN_SIZES = {(101, 102): _S_EVAL}
+_UNEVEN_SIZES = {(101, 102): _S_EVAL._replace(agents=1000)}
 
 
 def border(rows: int, cols: int) -> np.ndarray:
@@ -61,7 +61,7 @@ def border(rows: int, cols: int) -> np.ndarray:
             f"a warehouse of {rows} x {cols} is too small: it needs at least 3 rows and 5 columns"
         )
     picture = np.zeros((rows, cols), np.int8)
-    picture[1 : rows - 1 : STATION_SPACING, [0, -1]] = TILES.index("w")
+    picture[1 : rows - 1 : _STATION_SPACING, [0, -1]] = TILES.index("w")
     return picture
 
 
@@ -122,7 +122,7 @@ def components(layout: jax.Array, runs: Traffic) -> jax.Array:
 
 
 def warehouse(
-    config: WarehouseConfig, known: Mapping[tuple[int, int], KnownSize] = EVEN_SIZES
+    config: WarehouseConfig, known: Mapping[tuple[int, int], KnownSize] = _EVEN_SIZES
 ) -> Domain:
     """Make a warehouse of one size.
 
@@ -154,4 +154,4 @@ def warehouse(
 
 
 EVEN = Entry(WarehouseConfig, warehouse)
-UNEVEN = Entry(UnevenWarehouseConfig, partial(warehouse, known=UNEVEN_SIZES))
+UNEVEN = Entry(UnevenWarehouseConfig, partial(warehouse, known=_UNEVEN_SIZES))

@@ -66,7 +66,7 @@ class Memory(NamedTuple):
 
 
 def units_of(weights: Weights) -> int:
-    """Tell the number of LSTM units L."""
+    """Return the number of LSTM units L."""
     return weights.gates_back.shape[0]
 
 

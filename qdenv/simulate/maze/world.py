@@ -85,7 +85,7 @@ def longest_path(layout: Array) -> Course:
 
 
 def is_solvable(layout: Array) -> jax.Array:
-    """Tell whether two empty tiles touch (int8 [H, W] -> bool)."""
+    """Return True if two empty tiles touch (int8 [H, W] -> bool)."""
     free = layout == EMPTY
     return (free[1:] & free[:-1]).any() | (free[:, 1:] & free[:, :-1]).any()
 
