@@ -100,10 +100,10 @@ def state_of(case: Case, distance: jax.Array) -> AgentState:
 
 
 @partial(jax.jit, static_argnums=5)
-def search_in_xla(world, state, others, penalty, noise, levels):
+def search_in_xla(world, state, others, penalty, tie_break, levels):
     mask = jnp.ones(others.shape[1], bool)
     table = add_paths(empty(WINDOW, *SHAPE), others, mask, SHAPE)
-    who = Planning(jnp.array([0]), penalty[None], noise[None])
+    who = Planning(jnp.array([0]), penalty[None], tie_break[None])
     local = gather(world, state, table, pack(world.traversable), who)
     steps, cost = find_paths(local, levels)
     return state.position[0] + steps[0, :, 0] * SHAPE[1] + steps[1, :, 0], cost[0]
@@ -125,7 +125,7 @@ def reserve_others(others: np.ndarray, place: GridMap) -> reservations.Reservati
     return table
 
 
-def search_on_host(world: World, case: Case, noise: int) -> np.ndarray:
+def search_on_host(world: World, case: Case, tie_break: int) -> np.ndarray:
     place, others = grid_of_maze(world), padded(case.others)
     table = reserve_others(others, place)
     start, cells = int(padded(case.start)), padded(case.goals)
@@ -136,7 +136,7 @@ def search_on_host(world: World, case: Case, noise: int) -> np.ndarray:
         case.services,
         case.serving,
         case.penalty,
-        noise,
+        tie_break,
     )
     work = make_arrays(WINDOW, case.levels, case.penalty)
     code = find_path(work, table, empty_fields(SHAPE, 2, 2), place, agent)
@@ -149,13 +149,13 @@ def search_on_host(world: World, case: Case, noise: int) -> np.ndarray:
 def test_one_agent_agrees_with_uniform_cost_search_in_both_backends(services: tuple[int, int]):
     rng = np.random.default_rng(sum(services))
     for number in range(25):
-        case, noise = random_case(rng, number, services), number * 977
+        case, tie_break = random_case(rng, number, services), number * 977
         world, best = world_of(case.goals), cheapest(case)
-        others, numbers = jnp.asarray(padded(case.others)), (case.penalty, noise)
+        others, numbers = jnp.asarray(padded(case.others)), (case.penalty, tie_break)
         xla, cost = search_in_xla(
             world, state_of(case, world.distance), others, *map(jnp.int32, numbers), case.levels
         )
-        host = search_on_host(world, case, noise)
+        host = search_on_host(world, case, tie_break)
         assert int(cost) == best
         assert cost_of(case, unpadded(np.asarray(xla))) == best
         assert cost_of(case, unpadded(host)) == best
@@ -165,9 +165,9 @@ def test_one_agent_agrees_with_uniform_cost_search_in_both_backends(services: tu
 def test_in_xla_a_long_way_beyond_the_goal_costs_more_and_changes_no_path():
     rng, far = np.random.default_rng(8), 900_000
     for number in range(6):
-        case, noise = random_case(rng, number, (2, 0)), number * 977
+        case, tie_break = random_case(rng, number, (2, 0)), number * 977
         world, others = world_of(case.goals), jnp.asarray(padded(case.others))
-        numbers = jnp.int32(case.penalty), jnp.int32(noise)
+        numbers = jnp.int32(case.penalty), jnp.int32(tie_break)
         later = world.distance.astype(jnp.int32).at[1].add(far)
         near, shift = (
             search_in_xla(world, state_of(case, distance), others, *numbers, case.levels)

@@ -32,11 +32,11 @@ def draw_starts(world: World, active: jax.Array, seed: jax.Array) -> jax.Array:
     free = unpad_grid(world.traversable, world.margin)
     cols = free.shape[1]
     bits = chance.draw_many(seed, free.size)
-    luck = jnp.where(free.reshape(-1), (bits >> 1).astype(jnp.int32), -1)
-    luck, cells = jax.lax.top_k(luck, active.shape[0])
+    rank = jnp.where(free.reshape(-1), (bits >> 1).astype(jnp.int32), -1)
+    rank, cells = jax.lax.top_k(rank, active.shape[0])
     cells = pad(cells, cols, world.margin)
     # Where the free cells do not suffice walls are drawn, too, and the run is not valid.
-    return jnp.where(active & (luck >= 0), cells, 0).astype(jnp.int32)
+    return jnp.where(active & (rank >= 0), cells, 0).astype(jnp.int32)
 
 
 def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Fleet:

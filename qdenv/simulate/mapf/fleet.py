@@ -179,7 +179,9 @@ def _run(
     return Outcome(last.metrics, world.goals.cells[last.fleet.goal[0]], last.buffer)
 
 
-def enlist(world: World, config: FleetConfig, agents: Array | None) -> tuple[World, jax.Array]:
+def select_active_agents(
+    world: World, config: FleetConfig, agents: Array | None
+) -> tuple[World, jax.Array]:
     """Choose who takes part (bool [A]); without room for them the world is not valid."""
     chex.assert_rank(world.traversable, 2)
     asked = jnp.asarray(config.agents if agents is None else agents)
@@ -202,7 +204,7 @@ def simulate(
     Returns:
         `Traffic`. A layout with too few free cells or without goals counts as congested at once.
     """
-    world, active = enlist(world, config, agents)
+    world, active = select_active_agents(world, config, agents)
     outcome = _run(world, chance.seed_of(key), config, active, keep=False)
     return summarise(world, outcome.metrics, active, config.timesteps)
 
@@ -211,7 +213,7 @@ def record(
     world: World, key: jax.Array, config: FleetConfig, agents: Array | None = None
 ) -> tuple[Traffic, Recording]:
     """Run the same simulation as `simulate` and keep every step of it."""
-    world, active = enlist(world, config, agents)
+    world, active = select_active_agents(world, config, agents)
     return report(world, config, _run(world, chance.seed_of(key), config, active, True), active)
 
 
@@ -239,7 +241,7 @@ def compile_runs(
     host, count = config.make_planner().host, jax.ShapeDtypeStruct((), np.int32)
 
     def finish(world: World, outcome: Outcome, agents: Array) -> tuple[Traffic, Recording | None]:
-        world, active = enlist(world, config, agents)
+        world, active = select_active_agents(world, config, agents)
         if keep:
             return report(world, config, outcome, active)
         return summarise(world, outcome.metrics, active, config.timesteps), None
@@ -247,7 +249,7 @@ def compile_runs(
     if host is None:
 
         def whole(world: World, key: jax.Array, agents: Array) -> tuple[Traffic, Recording | None]:
-            able, active = enlist(world, config, agents)
+            able, active = select_active_agents(world, config, agents)
             outcome = _run(able, chance.seed_of(key), config, active, keep)
             return finish(world, outcome, agents)
 

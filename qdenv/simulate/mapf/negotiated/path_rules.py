@@ -5,8 +5,6 @@ Plain operators for both backends, as in `rules`.
 
 from typing import Generic, NamedTuple
 
-import numpy as np
-
 from qdenv.grid import DOWN, LEFT, RIGHT, UP
 from qdenv.native import shared
 from qdenv.simulate.mapf.negotiated.rules import Value
@@ -99,15 +97,15 @@ def end_key(cost: Value, code: Value, tie_breaker: Value) -> Value:
 
 
 @shared
-def tie_breaker(noise: Value) -> Value:
+def tie_breaker(tie_break: Value) -> Value:
     """Take the random bits that settle ties between ends."""
-    return noise & CODES
+    return tie_break & CODES
 
 
 @shared
-def is_flipped(noise: Value) -> Value:
+def is_flipped(tie_break: Value) -> Value:
     """Take the random bit that says whether to look up and down before looking right and left."""
-    return (noise >> CODE_BITS) & 1
+    return (tie_break >> CODE_BITS) & 1
 
 
 # Reading a path backwards.
@@ -163,8 +161,3 @@ def is_predecessor(same: Value, fewer: Value, conflicting: Value, cap: Value) ->
         cap: this is the last conflict level.
     """
     return (same & ((conflicting == 0) | cap)) | (fewer & conflicting)
-
-
-def penalty_costs(penalties: tuple[float, ...]) -> np.ndarray:
-    """Convert penalties from timesteps to units of costs (int32 [attempts])."""
-    return np.array([round(COST_UNIT * penalty) for penalty in penalties], np.int32)

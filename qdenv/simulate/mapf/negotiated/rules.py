@@ -28,7 +28,7 @@ from qdenv.grid import DOWN, LEFT, RIGHT, UP
 from qdenv.native import shared
 from qdenv.simulate.mapf.planner import NOBODY
 
-ROUND_NOISE = 0x5851  # times the round: ties are broken in another way in every round
+ROUND_TIE_BREAK = 0x5851  # times the round: ties are broken in another way in every round
 SWEEPS = 3  # of the greedy choice; an odd number errs towards choosing too few
 
 Value = TypeVar("Value", int, jax.Array)
@@ -190,7 +190,7 @@ def ends_leg(leg: int, service_time: Value) -> Value:
 
 
 @shared
-def luck(bits: Value, serving: Value) -> Value:
+def random_rank(bits: Value, serving: Value) -> Value:
     """Draw an agent's place in the order (smallest first) from 32 random bits.
 
     Agents that serve cannot give way: the others had better know of them first.
@@ -199,15 +199,15 @@ def luck(bits: Value, serving: Value) -> Value:
 
 
 @shared
-def noise_of(bits: Value) -> Value:
+def tie_break_of(bits: Value) -> Value:
     """Take an agent's random bits of a window."""
     return bits >> 8
 
 
 @shared
-def noise_of_round(noise: Value, turn: Value) -> Value:
+def tie_break_of_round(tie_break: Value, turn: Value) -> Value:
     """Change an agent's random bits from round to round."""
-    return noise ^ (turn * ROUND_NOISE)
+    return tie_break ^ (turn * ROUND_TIE_BREAK)
 
 
 @shared

@@ -59,6 +59,10 @@ class NegotiatedConfig(Ranged):
         """Return the number of timesteps planned without conflict."""
         return max(horizon, min(self.lookahead, window))
 
+    def penalty_costs(self, unit: int) -> np.ndarray:
+        """Return the penalties as costs (int32 [attempts]), of which `unit` are one timestep."""
+        return np.array([round(unit * penalty) for penalty in self.penalties], np.int32)
+
     def num_lanes(self, agents: int) -> int:
         """Return the number of agents that plan in one round."""
         return min(self.lanes, agents)

@@ -65,7 +65,7 @@ def _predecessor(
             conflicts, is_reserved(word, t), rules.has_served(fewer, elapsed - 1)
         )
         return PathState(leg, conflicts - conflict, row, column, elapsed - 1)
-    return _drive_before(work, state, word, t, path_rules.is_flipped(agent.noise))
+    return _drive_before(work, state, word, t, path_rules.is_flipped(agent.tie_break))
 
 
 @formula

@@ -38,7 +38,7 @@ class Queue(NamedTuple):
     size: np.ndarray  # int64 [], how many wait
     order: np.ndarray  # int64 [A], the rank of each agent, drawn at random
     turn: np.ndarray  # int64 [A], the agent of each rank
-    noise: np.ndarray  # int64 [A], bits that settle ties
+    tie_break: np.ndarray  # int64 [A], bits that settle ties
     attempts: np.ndarray  # int64 [A], how often each agent has planned in this window
     planning: np.ndarray  # int64 [lanes], the agents that plan in this round
     is_found: np.ndarray  # bool [lanes], whether each found a path
@@ -65,16 +65,16 @@ def host_planner(config: NegotiatedConfig) -> HostPlanner:
         agents, horizon = run.agents.position.size, run.settings.horizon
         window = config.planned_ahead(run.settings.window, horizon)
         penalties, lanes = (
-            path_rules.penalty_costs(config.penalties).astype(np.int64),
+            config.penalty_costs(path_rules.COST_UNIT).astype(np.int64),
             config.num_lanes(agents),
         )
-        order, turn, noise, attempts, heap = np.empty((5, agents), np.int64)
+        order, turn, tie_break, attempts, heap = np.empty((5, agents), np.int64)
         queue = Queue(
             heap,
             np.zeros((), np.int64),
             order,
             turn,
-            noise,
+            tie_break,
             attempts,
             np.empty(lanes, np.int64),
             np.empty(lanes, np.bool_),
@@ -119,8 +119,8 @@ def _draw_order(queue: Queue, agents: Agents, seed: int) -> None:
     order, ties = chance.mix(seed, chance.ORDER), chance.mix(seed, chance.TIES)
     for agent in range(queue.turn.size):
         serving = agents.remaining_service[agent] > 0
-        queue.heap[agent] = ranked(rules.luck(chance.mix(order, agent), serving), agent)
-        queue.noise[agent] = rules.noise_of(chance.mix(ties, agent))
+        queue.heap[agent] = ranked(rules.random_rank(chance.mix(order, agent), serving), agent)
+        queue.tie_break[agent] = rules.tie_break_of(chance.mix(ties, agent))
     sort(queue.heap)
     for rank in range(queue.turn.size):
         queue.turn[rank] = agent_of(queue.heap[rank])
@@ -185,7 +185,7 @@ def _plan(
         (grid.service_time[kind], grid.service_time[(kind + 1) % kinds]),
         agents.remaining_service[number],
         capped_penalty(plan.penalties[attempt], plan.work.side // 2),
-        rules.noise_of_round(queue.noise[number], turn),
+        rules.tie_break_of_round(queue.tie_break[number], turn),
     )
     code = find_path(plan.work, plan.reservations, fields, grid, agent)
     queue.is_found[lane] = code >= 0

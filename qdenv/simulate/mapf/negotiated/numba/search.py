@@ -43,7 +43,7 @@ class Agent(NamedTuple):
     service_time: tuple[int, int]  # timesteps to serve at each
     remaining_service: int  # timesteps still to serve where the agent is; 0 while driving
     penalty: int  # cost of a conflict
-    noise: int  # random bits that settle ties
+    tie_break: int  # random bits that settle ties
 
 
 class SearchArrays(NamedTuple):
@@ -179,7 +179,7 @@ def find_path(
         work.first[cost] = work.later[index]
         state = work.state[index]
         if (state >> TIME_BIT) & TIMES == work.mark.shape[0] - 1:
-            best = min(best, _end_code(work, state) ^ path_rules.tie_breaker(agent.noise))
+            best = min(best, _end_code(work, state) ^ path_rules.tie_breaker(agent.tie_break))
             dearest = cost
         elif state >> ELAPSED_BIT:
             _serve_on(work, reservations, fields, grid, agent, state, least)
@@ -189,7 +189,7 @@ def find_path(
     for other in range(work.top[()] + 1):
         work.first[other] = NO_STATE
     found = best < path_rules.INFEASIBLE
-    return best ^ path_rules.tie_breaker(agent.noise) if found else -1
+    return best ^ path_rules.tie_breaker(agent.tie_break) if found else -1
 
 
 @formula

@@ -31,7 +31,7 @@ class LocalWindow(NamedTuple):
     # int32 [K], timesteps still to serve where the agent is; 0 while driving
     remaining_service: jax.Array
     penalty: jax.Array  # int32 [K], cost of a conflict
-    noise: jax.Array  # int32 [K], random bits that settle ties
+    tie_break: jax.Array  # int32 [K], random bits that settle ties
 
     @property
     def side(self) -> int:
@@ -49,7 +49,7 @@ class Planning(NamedTuple):
 
     agent: jax.Array  # int32 [K]
     penalty: jax.Array  # int32 [K], cost of a conflict
-    noise: jax.Array  # int32 [K], random bits that settle ties
+    tie_break: jax.Array  # int32 [K], random bits that settle ties
 
 
 def gather(
@@ -100,7 +100,7 @@ def gather(
         service_time=service_time,
         remaining_service=state.remaining_service[who.agent],
         penalty=who.penalty,
-        noise=who.noise,
+        tie_break=who.tie_break,
     )
 
 

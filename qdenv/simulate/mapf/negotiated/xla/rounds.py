@@ -37,7 +37,7 @@ class Priorities(NamedTuple):
     """What chance decides."""
 
     order: jax.Array  # int32 [A], who comes first among agents with equally many attempts
-    noise: jax.Array  # int32 [A], 24 bits that settle ties between paths
+    tie_break: jax.Array  # int32 [A], 24 bits that settle ties between paths
 
 
 def draw_priorities(state: AgentState, seed: jax.Array) -> Priorities:
@@ -47,9 +47,9 @@ def draw_priorities(state: AgentState, seed: jax.Array) -> Priorities:
         chance.draw_many(chance.draw(seed, purpose), count)
         for purpose in (chance.ORDER, chance.TIES)
     )
-    turn = jnp.argsort(rules.luck(order_bits, state.remaining_service > 0))
+    turn = jnp.argsort(rules.random_rank(order_bits, state.remaining_service > 0))
     order = jnp.zeros((count,), jnp.int32).at[turn].set(jnp.arange(count, dtype=jnp.int32))
-    return Priorities(order, rules.noise_of(tie_bits).astype(jnp.int32))
+    return Priorities(order, rules.tie_break_of(tie_bits).astype(jnp.int32))
 
 
 class Negotiation(NamedTuple):
@@ -77,13 +77,13 @@ def negotiate(
     lanes = config.num_lanes(count)
     priorities = draw_priorities(state, seed)
     walls = pack(world.traversable)
-    penalties = jnp.asarray(path_rules.penalty_costs(config.penalties))
+    penalties = jnp.asarray(config.penalty_costs(path_rules.COST_UNIT))
     limit = jnp.asarray(config.max_rounds(state.active.sum())).astype(jnp.int32)
 
     def find(negotiation: Negotiation, agent: jax.Array) -> tuple[jax.Array, jax.Array]:
         attempt = rules.penalty_index(negotiation.attempts[agent], penalties.size)
-        noise = rules.noise_of_round(priorities.noise[agent], negotiation.turn)
-        who = Planning(agent, penalties[attempt], noise)
+        tie_break = rules.tie_break_of_round(priorities.tie_break[agent], negotiation.turn)
+        who = Planning(agent, penalties[attempt], tie_break)
         local = gather(world, state, negotiation.reservations.table, walls, who)
         steps, cost = find_paths(local, config.conflict_levels)
         paths = state.position[agent] + steps[0] * shape[1] + steps[1]

@@ -88,7 +88,7 @@ def drive_before(local: LocalWindow, state: PathStates, step: History) -> PathSt
     side, levels = local.side, step.expandable.shape[0]
     fewer = jnp.maximum(state.conflicts - 1, 0)
     at_cap = state.conflicts == levels - 1
-    flipped = path_rules.is_flipped(local.noise)
+    flipped = path_rules.is_flipped(local.tie_break)
     conflicts, row, column = state.conflicts, state.row, state.column
     best_rank = jnp.full_like(state.leg, NUM_MOVES)
     for move, words in enumerate(conflicting_cells(step.reserved[:, state.row, agent])):
@@ -206,7 +206,7 @@ def cheapest_end(
     levels, side = cells.shape[0], local.side
     row, column = jnp.arange(side)[:, None, None], jnp.arange(side)[:, None]
     elapsed = jnp.arange(path_rules.SERVED_BITS)[:, None]
-    tie = path_rules.tie_breaker(local.noise)
+    tie = path_rules.tie_breaker(local.tie_break)
     best = jnp.full(tie.shape, path_rules.INFEASIBLE, jnp.int32)
     for leg in range(2):
         after = (1 - leg) * local.cost_after_goal - local.shortest
