@@ -1,4 +1,4 @@
-"""How studies tell how far they are."""
+"""Simulations of one layout over seeds, in threads: what every study of traffic runs on."""
 
 import functools
 import time
@@ -19,8 +19,8 @@ from qdenv.simulate.mapf.metrics import Recording
 from qdenv.study.options import fleet_tasks
 from qdenv.types import TaskRule, Traffic
 
-LOOK = 0.2  # seconds between two looks at how far the runs are
-# (seed, what was counted, every step) -> what is kept of it
+_POLL_SECONDS = 0.2  # between two reports of the progress
+# (seed, metrics, recording of every step) -> anything, see `run_seeds`
 Reader: TypeAlias = Callable[[int, Traffic, Recording], Any]
 
 
@@ -29,9 +29,9 @@ class Simulated(NamedTuple):
 
     seeds: tuple[int, ...]  # one per run
     runs: list[Traffic]  # `Traffic` of numpy values
-    readings: list[Any]  # what a reader made of each run; empty without one
+    readings: list[Any]  # what the reader returned for each run; empty without a reader
     cpu_seconds: float  # of simulating all runs, without compiling and reading
-    compile_seconds: float  # CPU seconds of compiling; 0 where the program was at hand
+    compile_seconds: float  # CPU seconds of compiling; about 0 for a cached program
 
 
 def run_seeds(
@@ -49,16 +49,16 @@ def run_seeds(
     Args:
         layout: int8 [H, W].
         tasks: what the agents do.
-        config: numbers of the simulation; every layout of one size shares its program.
-        seeds: each decides starts, goals and ties of its run.
-        agents: how many take part, at most ``config.agents``; None for all. Compiles nothing new.
-        read: is handed every run with its recording, which is dropped then: all of them together
-            may not fit the memory. Without it nothing is recorded.
-        threads: runs at a time; None for as many as there are cores.
-        progress: told how far the runs are.
+        config: settings of the simulation; layouts of one size share a compiled program.
+        seeds: one per run, of starts, goals and ties.
+        agents: number of agents, at most ``config.agents``; None for all. Compiles nothing new.
+        read: called with every run and its recording, which is dropped afterwards: all recordings
+            together may not fit into memory. Without it nothing is recorded.
+        threads: runs at a time; None for the number of cores.
+        progress: called with the share of the work that is done.
 
     Raises:
-        InputError: no fleet drives in this domain, or not on this layout.
+        InputError: the domain has no fleet, or the layout does not suit it.
     """
     count = config.agents if agents is None else agents
     tasks = fleet_tasks(layout, tasks, count)
@@ -79,7 +79,7 @@ def run_seeds(
     pool = ThreadPoolExecutor(threads or devices.threads())
     try:
         futures = [pool.submit(one, seed) for seed in seeds]
-        _look_on(futures, config.timesteps, progress)
+        _report_progress(futures, config.timesteps, progress)
         results = [future.result() for future in futures]
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
@@ -87,20 +87,22 @@ def run_seeds(
         seeds=tuple(seeds),
         runs=[traffic for traffic, _, _ in results],
         readings=[reading for _, reading, _ in results if read],
+        # The process's time, for what the drivers do in threads of their own counts, too.
         cpu_seconds=time.process_time() - compiled - sum(spent for _, _, spent in results),
         compile_seconds=compiled - begin,
     )
 
 
-def _look_on(futures: Sequence[Future], timesteps: int, progress: Progress) -> None:
-    """Tell of the progress until all runs have ended, or one has failed."""
+def _report_progress(futures: Sequence[Future], timesteps: int, progress: Progress) -> None:
+    """Report the progress until all runs have ended, or one has failed."""
     share, left = 0.0, set(futures)
     while left:
-        done, left = wait(left, timeout=LOOK)
+        done, left = wait(left, timeout=_POLL_SECONDS)
         for future in done:
             future.result()
         ended = len(futures) - len(left)
-        # A run that has just ended is for a moment neither under way nor among the ended ones.
+        # A run that has just ended is for a moment counted neither as running nor as ended, and
+        # progress must not go back.
         share = max(share, (ended + steps_under_way() / timesteps) / len(futures))
         progress(
             "simulating", min(share, 1.0), f"run {min(ended + 1, len(futures))} of {len(futures)}"
@@ -114,10 +116,10 @@ class _Program:
     prepare: Callable  # layout -> world
     run: Callable  # (world, seed, number of agents) -> traffic and recording
     on_host: bool  # runs are driven by compiled code of the host
-    ready: bool = False  # that code has been loaded, or compiled
+    ready: bool = False  # that code has been loaded or compiled
 
     def make_ready(self, layout: np.ndarray) -> Any:
-        """Prepare a layout; the first one drives nobody around, which loads all that is needed."""
+        """Prepare a layout; the first time also run no agents, which loads the host's code."""
         world = self.prepare(layout)
         if self.on_host and not self.ready:
             self.drive(world, 0, 0)
@@ -145,10 +147,10 @@ def _program(
 
 
 def auditor(layout: np.ndarray, tasks: TaskRule, config: fleet.FleetConfig) -> Reader:
-    """Make a reader that lists what a run did against the rules, with its seed."""
+    """Make a reader that lists a run's violations of the rules, with its seed."""
 
     def read(seed: int, run: Traffic, recording: Recording) -> list[str]:
-        found = audit(layout, tasks, trajectory_of(recording), run, config.horizon)
-        return [f"seed {seed}: {one}" for one in found]
+        violations = audit(layout, tasks, trajectory_of(recording), run, config.horizon)
+        return [f"seed {seed}: {one}" for one in violations]
 
     return read

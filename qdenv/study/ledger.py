@@ -20,7 +20,7 @@ from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
 from qdenv.stats import sample_of, wilson_interval
-from qdenv.study.sweep import check_fleet, room_for
+from qdenv.study.sweep import check_fleet, choose_capacity
 from qdenv.types import look_up
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def simulate(case: Case, seed: int) -> Run:
 
     # Runs with other numbers of agents share the program; it is no larger than can be counted.
     most = max(case.agents, min(case.tiles.size, MOST_STEPS // case.timesteps))
-    config = replace(case.fleet, agents=min(room_for(case.agents), most))
+    config = replace(case.fleet, agents=min(choose_capacity(case.agents), most))
     tasks = case.domain.simulator.tasks
     done = run_seeds(case.tiles, tasks, config, [seed], case.agents, threads=1)
     (run,) = done.runs

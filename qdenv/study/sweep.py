@@ -16,16 +16,18 @@ from qdenv.study.options import fleet_tasks
 from qdenv.study.table import Row, find_peak, summarise
 from qdenv.types import InputError, TaskRule
 
-FEWEST = 64  # agents that a compiled program has room for at least
+# Agents of the smallest compiled program: below this a smaller one saves less than it costs to
+# compile.
+_MIN_CAPACITY = 64
 
 
 class Trial(NamedTuple):
-    """What layouts are put to: who drives on them, and how often."""
+    """The simulations that each layout of a study goes through."""
 
-    tasks: TaskRule | None  # what the agents do; None where no fleet drives
-    config: FleetConfig  # the numbers of a simulation; its own number of agents does not matter
+    tasks: TaskRule | None  # what the agents do; None if the domain has no fleet
+    config: FleetConfig  # settings of a simulation; its own number of agents is ignored
     counts: Sequence[int]  # numbers of agents
-    seeds: Sequence[int]  # of the runs with each number
+    seeds: Sequence[int]  # of the runs with each number of agents
 
 
 def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:
@@ -36,7 +38,7 @@ def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:
 
 @contextmanager
 def about(name: str) -> Iterator[None]:
-    """Let a mistake's line begin with the layout it is about."""
+    """Prefix the message of an `InputError` with the name of the layout."""
     try:
         yield
     except InputError as error:
@@ -46,26 +48,24 @@ def about(name: str) -> Iterator[None]:
 def compare(
     layouts: Mapping[str, np.ndarray],
     trial: Trial,
-    told: Callable[[Row], None] = lambda row: None,
+    on_row: Callable[[Row], None] = lambda row: None,
     progress: Progress = silent,
 ) -> list[Row]:
     """Simulate layouts with the same numbers of agents and the same seeds.
 
     Args:
         layouts: int8 [H, W] each, by name; sizes may differ.
-        trial: who drives, and how often.
-        told: hears of every finished row.
-        progress: hears how far it is.
+        trial: the simulations.
+        on_row: called with each row when it is finished.
+        progress: called with the share of the work that is done.
 
     Returns:
         a row for each layout and number of agents, layout by layout.
 
     Raises:
-        InputError: agents cannot work on a layout, or do not fit; the line names the layout. Before
-            the first run.
+        InputError: agents cannot work on a layout, or do not fit; the message names the layout.
+            Raised before the first run.
     """
-    from qdenv.study.engine import run_seeds  # imports the simulator
-
     for name, layout in layouts.items():
         check_fleet(name, layout, trial.tasks, max(trial.counts))
     config = replace(trial.config, agents=max(trial.counts))
@@ -74,29 +74,37 @@ def compare(
     for name, layout in layouts.items():
         for agents in trial.counts:
             before = sum(row.agents for row in rows)
-            tell = _part(progress, f"{name}, {agents} agents", before / total, agents / total)
-            done = run_seeds(layout, trial.tasks, config, trial.seeds, agents, progress=tell)
-            stop = config.stop_when_congested
-            rows.append(summarise(name, layout, agents, done.runs, done.cpu_seconds, stop))
-            told(rows[-1])
+            part = _part(progress, f"{name}, {agents} agents", before / total, agents / total)
+            rows.append(_simulate(name, layout, agents, trial._replace(config=config), part))
+            on_row(rows[-1])
     return rows
 
 
+def _simulate(name: str, layout: np.ndarray, agents: int, trial: Trial, progress: Progress) -> Row:
+    """Run the seeds with one number of agents; ``trial.config.agents`` sizes the program."""
+    from qdenv.study.engine import run_seeds  # imports the simulator
+
+    tasks, config, _, seeds = trial
+    done = run_seeds(layout, tasks, config, seeds, agents, progress=progress)
+    stop = config.stop_when_congested
+    return summarise(name, layout, agents, done.runs, done.cpu_seconds, stop)
+
+
 def check_fleet(name: str, layout: np.ndarray, tasks: TaskRule | None, agents: int) -> None:
-    """Refuse what could not be simulated, before anything is.
+    """Refuse what cannot be simulated.
 
     Raises:
-        InputError: see `traffic.fleet_tasks`; the line names the layout.
+        InputError: see `options.fleet_tasks`; the message names the layout.
     """
     with about(name):
         fleet_tasks(layout, tasks, agents)
 
 
 def check_climb(name: str, layout: np.ndarray, trial: Trial) -> list[int]:
-    """Choose the numbers of agents that fit a layout, few to many.
+    """Return the numbers of agents that fit on a layout, in ascending order.
 
     Raises:
-        InputError: agents cannot work on the layout, or not even the first number fits.
+        InputError: agents cannot work on the layout, or not even the smallest number fits.
     """
     tasks, counts = trial.tasks, trial.counts
     free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
@@ -108,27 +116,27 @@ def check_climb(name: str, layout: np.ndarray, trial: Trial) -> list[int]:
 
 
 def _part(progress: Progress, state: str, before: float, size: float) -> Progress:
-    """Report a part of a larger work: which share lies before it, and how large it is."""
+    """Report a part of a larger task: which share lies before it, and how large it is."""
 
-    def tell(doing: str, share: float, note: str) -> None:
+    def report(doing: str, share: float, note: str) -> None:
         progress("simulating", before + size * max(share, 0.0), f"{state}, {note or doing}")
 
-    return tell
+    return report
 
 
-def room_for(agents: int) -> int:
-    """Choose how many agents a program has room for that shall drive so many.
+def choose_capacity(agents: int) -> int:
+    """Choose the capacity, in agents, of the program that simulates this number of agents.
 
-    Rooms double from one to the next: few programs to compile, none much too large.
+    Capacities double: few programs are compiled, and none is much too large.
     """
-    return max(FEWEST, 1 << (agents - 1).bit_length())
+    return max(_MIN_CAPACITY, 1 << (agents - 1).bit_length())
 
 
 def climb(
     name: str,
     layout: np.ndarray,
     trial: Trial,
-    told: Callable[[Row], None] = lambda row: None,
+    on_row: Callable[[Row], None] = lambda row: None,
     progress: Progress = silent,
 ) -> list[Row]:
     """Add agents until the mean throughput over all runs drops (section E.3).
@@ -136,31 +144,27 @@ def climb(
     Args:
         name: of the layout.
         layout: int8 [H, W].
-        trial: who drives, and how often; its numbers of agents are tried from few to many, those
-            that do not fit are left out.
-        told: hears of every finished row.
-        progress: hears what is simulated; nobody knows how much will be.
+        trial: the simulations; its numbers of agents are tried in ascending order, those that do
+            not fit are left out.
+        on_row: called with each row when it is finished.
+        progress: called with what is simulated; the share is -1, as the end is unknown.
 
     Returns:
         a row for each number of agents tried; `table.find_peak` reads them.
 
     Raises:
-        InputError: agents cannot work on the layout, or not even the first number fits.
+        InputError: agents cannot work on the layout, or not even the smallest number fits.
     """
-    from qdenv.study.engine import run_seeds  # imports the simulator
-
-    tasks, fitting = trial.tasks, check_climb(name, layout, trial)
+    fitting = check_climb(name, layout, trial)
     rows: list[Row] = []
     for count in fitting:
-        config = replace(trial.config, agents=min(room_for(count), fitting[-1]))
+        config = replace(trial.config, agents=min(choose_capacity(count), fitting[-1]))
 
-        def tell(doing: str, share: float, note: str, count: int = count) -> None:
+        def report(doing: str, share: float, note: str, count: int = count) -> None:
             progress(f"adding agents to {name}", -1, f"{count} agents, {note or doing}")
 
-        done = run_seeds(layout, tasks, config, trial.seeds, count, progress=tell)
-        stop = config.stop_when_congested
-        rows.append(summarise(name, layout, count, done.runs, done.cpu_seconds, stop))
-        told(rows[-1])
+        rows.append(_simulate(name, layout, count, trial._replace(config=config), report))
+        on_row(rows[-1])
         if find_peak(rows).dropped:
             break
     return rows
