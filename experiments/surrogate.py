@@ -28,7 +28,7 @@ import qdenv
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
 from qdenv.search.base import growing
-from qdenv.study.surrogate import judge, split
+from qdenv.study.surrogate import score_predictions, split_elites
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.surrogate.surrogate import Aspect, make_surrogate
@@ -66,7 +66,7 @@ def try_once(
     config: SurrogateConfig, aspect: Aspect, samples: Samples, counts: list[int], seed: int
 ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray, float]]:
     """Learn from some of the samples and predict those held out; yields one result per count."""
-    known, held = split(len(samples.numbers), seed)
+    known, held = split_elites(len(samples.numbers), seed)
     known = np.random.default_rng(seed).permutation(known)
     surrogate = make_surrogate(config, aspect)
     fit, predict = jax.jit(surrogate.fit), jax.jit(surrogate.predict)
@@ -114,7 +114,7 @@ def main(
                 SIZES[size], aspect, samples, list(counts), seed
             ):
                 for place, name in enumerate(names):
-                    skill = judge(predicted[:, place], truth[:, place])
+                    skill = score_predictions(predicted[:, place], truth[:, place])
                     figures = [f"{value:.4g}" for value in (*skill, spent)]
                     rows.append((size, known, held, seed, name, *figures))
                 print(*(" ".join(map(str, row)) for row in rows[-len(names) :]), sep="\n")

@@ -20,11 +20,11 @@ from qdenv.run.manifest import archive_schema
 from qdenv.study.surrogate import (
     FEWEST,
     Evaluated,
-    facts_of,
-    judge,
-    mean_of,
+    average_splits,
     read_elites,
-    split,
+    score_predictions,
+    scores_to_dict,
+    split_elites,
     try_surrogate,
 )
 from qdenv.surrogate.samples import Ring, Samples
@@ -82,7 +82,7 @@ def test_figures_agree_with_the_textbook():
     for size, noise in ((5, 0.1), (40, 1.0), (400, 5.0)):
         truth = rng.normal(3.0, 2.0, size).round(1)  # with ties
         predicted = (truth + rng.normal(0.5, noise, size)).round(1)
-        found = judge(predicted, truth)
+        found = score_predictions(predicted, truth)
         residual, total = ((truth - predicted) ** 2).sum(), ((truth - truth.mean()) ** 2).sum()
         assert found.r2 == pytest.approx(1 - residual / total)
         assert found.rmse == pytest.approx(np.sqrt(residual / size))
@@ -95,26 +95,34 @@ def test_figures_agree_with_the_textbook():
 
 def test_figures_at_their_ends():
     truth = np.array([1.0, 2.0, 4.0, 9.0])
-    assert judge(truth, truth) == (1.0, 0.0, 1.0)
-    mean = judge(np.full(4, truth.mean()), truth)
+    assert score_predictions(truth, truth) == (1.0, 0.0, 1.0)
+    mean = score_predictions(np.full(4, truth.mean()), truth)
     assert mean.r2 == pytest.approx(0) and np.isnan(mean.rank)
     # The held-out variance decides, and not that of anything else: a shifted scale is punished.
-    assert judge(truth + 10, truth).r2 < -9 and judge(truth + 10, truth).rank == 1.0
-    still = judge(truth, np.ones(4))
+    assert (
+        score_predictions(truth + 10, truth).r2 < -9
+        and score_predictions(truth + 10, truth).rank == 1.0
+    )
+    still = score_predictions(truth, np.ones(4))
     assert np.isnan(still.r2) and np.isnan(still.rank) and still.rmse > 0
 
 
 def test_a_split_holds_a_fifth_out_and_no_elite_twice():
     for count in (50, 97, 604):
-        known, held = split(count, 3)
+        known, held = split_elites(count, 3)
         assert len(held) == round(count / 5)
         assert sorted([*known, *held]) == list(range(count))
-        assert (split(count, 3)[1] == held).all() and set(split(count, 4)[1]) != set(held)
+        assert (split_elites(count, 3)[1] == held).all() and set(split_elites(count, 4)[1]) != set(
+            held
+        )
 
 
 def test_a_spread_is_over_the_splits_that_have_a_number():
-    assert mean_of([1.0, 3.0, float("nan")]) == (2.0, pytest.approx(np.sqrt(2)))
-    assert np.isnan(mean_of([5.0]).spread) and np.isnan(mean_of([float("nan")]).mean)
+    values = [1.0, 3.0, float("nan")]
+    both = average_splits(values)
+    assert both == {"mean": 2.0, "spread": pytest.approx(np.sqrt(2)), "splits": values}
+    assert np.isnan(average_splits([5.0])["spread"])
+    assert np.isnan(average_splits([float("nan")])["mean"])
 
 
 def test_a_surrogate_counts_the_flowers_of_gardens_it_has_not_seen(elites, trials):
@@ -125,7 +133,7 @@ def test_a_surrogate_counts_the_flowers_of_gardens_it_has_not_seen(elites, trial
         assert min(skill.rank for skill in trial.skills[:2]) > 0.9
         # Paths become hedges in every repair, which one layer of the network can tell.
         assert trial.tiles > 0.98 > (elites.drawn == elites.repaired).mean()
-    assert facts_of(elites, TINY, trials)["skills"]["paths"]["r2"]["splits"] == [
+    assert scores_to_dict(elites, TINY, trials)["skills"]["paths"]["r2"]["splits"] == [
         trial.skills[1].r2 for trial in trials
     ]
 
@@ -206,7 +214,7 @@ def test_the_command_writes_what_it_says(run, tmp_path, monkeypatch, capsys):
                 np.array([float(row[column]) for row in mine])
                 for column in (name, f"predicted {name}")
             )
-            assert judge(predicted, truth).r2 == pytest.approx(r2, abs=1e-4)
+            assert score_predictions(predicted, truth).r2 == pytest.approx(r2, abs=1e-4)
         assert f"{figures['r2']['mean']:.2f}" in said
     archive = run.archive
     assert archive.elite(rows[0]["cell"]).objective == pytest.approx(float(rows[0]["objective"]))

@@ -25,7 +25,7 @@ from qdenv.study.options import find_surrogate
 from qdenv.zoo import file_name
 
 if TYPE_CHECKING:  # imports jax
-    from qdenv.study.surrogate import Evaluated, Trial
+    from qdenv.study.surrogate import Evaluated, Split
 
 
 def fit_surrogate(
@@ -61,7 +61,7 @@ def fit_surrogate(
     opened = open_run(run)
     _ = opened.archive  # refuses a folder without one
     # This imports jax: refusals are faster without it.
-    from qdenv.study.surrogate import facts_of, read_elites, try_surrogate
+    from qdenv.study.surrogate import read_elites, scores_to_dict, try_surrogate
 
     elites = read_elites(opened)
     _, rows, cols = elites.drawn.shape
@@ -73,7 +73,7 @@ def fit_surrogate(
     )
     with Bar("learning", total=1) as bar:
         trials = try_surrogate(elites, config, chosen, bar)
-    facts = facts_of(elites, config, trials)
+    facts = scores_to_dict(elites, config, trials)
     say(*_describe_skills(facts))
     if table:
         _write_predictions(table.path, elites, trials)
@@ -111,7 +111,7 @@ def _figure(figure: Mapping[str, Any], form: str = ".2f") -> str:
     return f"{mean:{form}}" + ("" if np.isnan(spread) else f" ({spread:{form}})")
 
 
-def _write_predictions(path: Path, elites: Evaluated, trials: list[Trial]) -> None:
+def _write_predictions(path: Path, elites: Evaluated, trials: list[Split]) -> None:
     """Write every held-out elite of every split, its true numbers and the predicted ones."""
     names = elites.names
     head = ["seed", "cell", *(f"{word}{name}" for name in names for word in ("", "predicted "))]
@@ -125,7 +125,7 @@ def _write_predictions(path: Path, elites: Evaluated, trials: list[Trial]) -> No
 
 
 def _draw_predictions(
-    path: Path, elites: Evaluated, trials: list[Trial], facts: Mapping[str, Any], name: str
+    path: Path, elites: Evaluated, trials: list[Split], facts: Mapping[str, Any], name: str
 ) -> None:
     """Draw predicted over true values, a panel for each number."""
     from qdenv.view.archive import draw_predictions  # imports matplotlib

@@ -1,4 +1,4 @@
-"""What is predicted of elites that were held out: how a run's archive is split, and the figures."""
+"""Cross-validation of a surrogate on a run's archive: random splits and their scores."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,20 +20,21 @@ from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.surrogate.surrogate import Aspect, make_surrogate, stages_of
 from qdenv.types import InputError
 
-HELD_OUT = 0.2  # share of the elites
-FEWEST = 50  # elites; ten held out tell little, fewer tell nothing
+_HELD_OUT = 0.2  # share of the elites
+FEWEST = 50  # elites: scores of fewer than ten held-out elites are mostly noise
+_CHUNK = 64  # layouts predicted at a time
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """The elites of a run with what a true evaluation said of them."""
+    """The elites of a run with the results of their true evaluations."""
 
-    cells: np.ndarray  # int [N, M], where each stands in the archive
+    cells: np.ndarray  # int [N, M], of the archive
     drawn: np.ndarray  # int8 [N, H, W], before the repair
     repaired: np.ndarray  # int8 [N, H, W]
     numbers: np.ndarray  # float32 [N, 1 + M], objective and measures
     names: tuple[str, ...]  # of the numbers
-    units: str  # of the objective; empty where it has none
+    units: str  # of the objective; may be empty
     kinds: int  # kinds of tile
     repairs: bool  # the domain repairs its layouts
 
@@ -43,13 +44,13 @@ class Evaluated:
 
 
 class Skill(NamedTuple):
-    """How well one number of held-out elites is predicted."""
+    """The quality of the predictions of one number."""
 
     # share of the variance of the held-out elites that is explained: 1 is perfect, 0 no better than
-    # their mean, below 0 worse; NaN where they do not vary
+    # their mean, below 0 worse; NaN if they do not vary
     r2: float
     rmse: float  # root mean squared error, in the number's own units
-    rank: float  # Spearman's rank correlation; NaN where either side does not vary
+    rank: float  # Spearman's rank correlation; NaN if either side does not vary
 
 
 def read_elites(run: RunDirectory) -> Evaluated:
@@ -83,20 +84,20 @@ def read_elites(run: RunDirectory) -> Evaluated:
     )
 
 
-def split(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split `count` elites at random; the same seed splits alike.
+def split_elites(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Split `count` elites at random.
 
     Returns:
-        the elites to learn from and those held out, a fifth (int [.] each, in order).
+        indices of the elites to learn from and of those held out, a fifth (int [.], ascending).
     """
     order = np.random.default_rng(seed).permutation(count)
-    held = round(HELD_OUT * count)
+    held = round(_HELD_OUT * count)
     return np.sort(order[held:]), np.sort(order[:held])
 
 
-def judge(predicted: np.ndarray, truth: np.ndarray) -> Skill:
-    """Compare predictions with the truth, float [n] each, against the truth's own variance."""
-    from scipy import stats  # here: takes half a second, and who is refused need not wait
+def score_predictions(predicted: np.ndarray, truth: np.ndarray) -> Skill:
+    """Score predictions of one number (float [n] each)."""
+    from scipy import stats  # takes half a second: refusals are faster without it
 
     predicted, truth = predicted.astype(float), truth.astype(float)
     squared = np.square(predicted - truth).mean()
@@ -107,31 +108,14 @@ def judge(predicted: np.ndarray, truth: np.ndarray) -> Skill:
     return Skill(float(r2), float(np.sqrt(squared)), float(rank))
 
 
-CHUNK = 64  # layouts predicted at a time
-LEARNING = "learning"
-
-# (elites to learn from, those held out, seed, told which share is done) -> (numbers, repaired
-# layouts) predicted of those held out
-Predictor: TypeAlias = Callable[
-    [np.ndarray, np.ndarray, int, Callable[[float], None]], tuple[np.ndarray, np.ndarray]
-]
-
-
-class Trial(NamedTuple):
-    """One split: what was predicted of the elites that were held out."""
+class Split(NamedTuple):
+    """The predictions of the held-out elites of one split."""
 
     seed: int  # of the split and of the networks
-    held: np.ndarray  # int [n], which elites were held out
+    held: np.ndarray  # int [n], indices of the held-out elites
     predicted: np.ndarray  # float32 [n, numbers]
     skills: tuple[Skill, ...]  # of each number
     tiles: float  # share of the tiles of repaired layouts that were predicted; NaN without a repair
-
-
-class Mean(NamedTuple):
-    """A number over all splits."""
-
-    mean: float  # over the splits in which it is known; NaN where there is none
-    spread: float  # its standard deviation from split to split; NaN with fewer than two
 
 
 def try_surrogate(
@@ -139,114 +123,110 @@ def try_surrogate(
     config: SurrogateConfig,
     seeds: Sequence[int],
     progress: Progress = silent,
-) -> list[Trial]:
+) -> list[Split]:
     """Learn from four fifths of the elites and predict the others, once per seed.
 
-    The networks are those of `make_surrogate` but for the tile usage, which no archive keeps:
-    the repaired layout from the drawn one, then objective and measures from that.
+    The networks are those of `make_surrogate` without the tile usage, which archives do not hold:
+    they predict the repaired layout from the drawn one, then objective and measures from that.
 
     Args:
         elites: of a run.
-        config: the surrogate's size, and how it learns.
-        seeds: each decides its split and its networks' first weights.
-        progress: told which share is done.
-    """
-    predict = make_predictor(elites, config)
-    trials = []
-    for number, seed in enumerate(seeds):
-        note = f"split {number + 1} of {len(seeds)}"
-
-        def tell(share: float, done: int = number, note: str = note) -> None:
-            progress(LEARNING, (done + share) / len(seeds), note)
-
-        known, held = split(len(elites), seed)
-        predicted, repaired = predict(known, held, seed, tell)
-        truth = elites.numbers[held]
-        skills = tuple(judge(*pair) for pair in zip(predicted.T, truth.T, strict=True))
-        alike = float((repaired == elites.repaired[held]).mean())
-        trials.append(Trial(seed, held, predicted, skills, alike if elites.repairs else np.nan))
-    return trials
-
-
-def make_predictor(elites: Evaluated, config: SurrogateConfig) -> Predictor:
-    """Make a function that learns from some elites and predicts others.
-
-    It compiles once for all archives of one size.
+        config: the surrogate's size and training.
+        seeds: one per split, of the split and of the networks' initial weights.
+        progress: called with the share of the work that is done.
     """
     shape = elites.drawn.shape[1], elites.drawn.shape[2]
     measures = elites.numbers.shape[1] - 1
     aspect = Aspect(shape, elites.kinds, measures, elites.repairs, usage=False)
-    init, fit_part, predict = _programs(config, aspect)
+    init, fit_part, predict = _compile(config, aspect)
     parts = [(name, epoch) for name in stages_of(aspect) for epoch in range(config.epochs)]
-
-    def learn_and_predict(
-        known: np.ndarray, held: np.ndarray, seed: int, tell: Callable[[float], None]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    splits = []
+    for number, seed in enumerate(seeds):
+        known, held = split_elites(len(elites), seed)
         first, second = jax.random.split(jax.random.key(seed))
         fitted, ring = init(first), _ring(elites, known)
         for done, (name, epoch) in enumerate(parts):
-            tell(done / len(parts))
+            share = (number + done / len(parts)) / len(seeds)
+            progress("learning", share, f"split {number + 1} of {len(seeds)}")
             fitted, loss = fit_part(fitted, ring, second, name, epoch, epoch + 1)
-            loss.block_until_ready()  # else nothing would tell how far it is
-        # Whole chunks, so that one program predicts all of them.
-        rows = np.resize(held, -(-len(held) // CHUNK) * CHUNK).reshape(-1, CHUNK)
-        said: list[Any] = [predict(fitted, jnp.asarray(elites.drawn[chunk])) for chunk in rows]
-        objective = np.concatenate([one.score.result_objective for one in said])
-        measures = np.concatenate([one.score.measures for one in said])
-        repaired = np.concatenate([one.repaired for one in said])
-        return np.column_stack([objective, measures])[: len(held)], repaired[: len(held)]
+            # jax runs asynchronously: without this all parts would be reported at once.
+            loss.block_until_ready()
+        predicted, repaired = _predict(predict, fitted, elites.drawn, held)
+        truth = elites.numbers[held]
+        skills = tuple(map(score_predictions, predicted.T, truth.T))
+        alike = float((repaired == elites.repaired[held]).mean())
+        splits.append(Split(seed, held, predicted, skills, alike if elites.repairs else np.nan))
+    return splits
 
-    return learn_and_predict
+
+def _predict(
+    predict: Callable, fitted: Any, drawn: np.ndarray, held: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Predict the numbers (float32 [n, 1 + M]) and the repaired layouts of held-out elites."""
+    # Whole chunks, so that one compiled program predicts all of them.
+    rows = np.resize(held, -(-len(held) // _CHUNK) * _CHUNK).reshape(-1, _CHUNK)
+    reports: list[Any] = [predict(fitted, jnp.asarray(drawn[chunk])) for chunk in rows]
+    objective = np.concatenate([one.score.result_objective for one in reports])
+    measures = np.concatenate([one.score.measures for one in reports])
+    repaired = np.concatenate([one.repaired for one in reports])
+    return np.column_stack([objective, measures])[: len(held)], repaired[: len(held)]
 
 
 @functools.lru_cache(maxsize=4)
-def _programs(config: SurrogateConfig, aspect: Aspect) -> tuple[Callable, Callable, Callable]:
-    """Make the surrogate's init, fit_part and predict, compiled when they are first called."""
+def _compile(config: SurrogateConfig, aspect: Aspect) -> tuple[Callable, Callable, Callable]:
+    """Return the surrogate's init, fit_part and predict, compiled at their first calls."""
     surrogate = make_surrogate(config, aspect)
     part = jax.jit(surrogate.fit_part, static_argnames="name")
     return jax.jit(surrogate.init), part, jax.jit(surrogate.predict)
 
 
 def _ring(elites: Evaluated, known: np.ndarray) -> Ring:
-    """Put elites where a surrogate learns from."""
+    """Fill a sample buffer with elites."""
     numbers = elites.numbers[known]
     samples = Samples(
         drawn=jnp.asarray(elites.drawn[known]),
         repaired=jnp.asarray(elites.repaired[known]),
         usage=jnp.zeros(elites.drawn[known].shape, jnp.float16),
-        # An archive keeps the result objective alone: it stands for the search's own, too.
+        # Archives hold only the result objective, which stands in for the search's own.
         numbers=jnp.asarray(np.column_stack([numbers[:, 0], numbers])),
     )
     return Ring(samples, jnp.int32(len(known)))
 
 
-def mean_of(values: Sequence[float]) -> Mean:
-    """Average a number over splits, those without it left out."""
+def average_splits(values: Sequence[float]) -> dict[str, Any]:
+    """Average a score over the splits in which it is finite.
+
+    Returns:
+        mean, spread (the standard deviation; NaN with fewer than two), splits (the values).
+    """
     known = np.array([value for value in values if np.isfinite(value)])
     spread = float(known.std(ddof=1)) if len(known) > 1 else float("nan")
-    return Mean(float(known.mean()) if len(known) else float("nan"), spread)
+    mean = float(known.mean()) if len(known) else float("nan")
+    return {"mean": mean, "spread": spread, "splits": values}
 
 
-def facts_of(elites: Evaluated, config: SurrogateConfig, trials: Sequence[Trial]) -> dict[str, Any]:
-    """List what was found out: each figure of each number, its mean and its spread over splits."""
-    held = len(trials[0].held)
+def scores_to_dict(
+    elites: Evaluated, config: SurrogateConfig, splits: Sequence[Split]
+) -> dict[str, Any]:
+    """Report each score of each number, averaged over the splits, in JSON-ready values."""
+    held = len(splits[0].held)
     skills = {}
     for number, name in enumerate(elites.names):
-        mine = [trial.skills[number] for trial in trials]
-        figures = {one: [getattr(skill, one) for skill in mine] for one in Skill._fields}
+        columns = zip(*(split.skills[number] for split in splits), strict=True)
         skills[name] = {
-            one: mean_of(values)._asdict() | {"splits": values} for one, values in figures.items()
+            score: average_splits(list(values))
+            for score, values in zip(Skill._fields, columns, strict=True)
         }
     facts = {
         "elites": len(elites),
         "learnt_from": len(elites) - held,
         "held_out": held,
-        "seeds": [trial.seed for trial in trials],
+        "seeds": [split.seed for split in splits],
         "surrogate": dataclasses.asdict(config),
         "skills": skills,
     }
     if elites.repairs:
-        tiles = [trial.tiles for trial in trials]
-        facts["repaired_tiles_predicted"] = mean_of(tiles)._asdict() | {"splits": tiles}
+        tiles = [split.tiles for split in splits]
+        facts["repaired_tiles_predicted"] = average_splits(tiles)
         facts["repaired_tiles_as_drawn"] = float((elites.drawn == elites.repaired).mean())
     return facts
