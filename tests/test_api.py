@@ -25,7 +25,7 @@ PLAN = parse(
     ROWS,
     TILES,
 )
-FLEET = {"agents": 4, "timesteps": 40, "seeds": 2, "planner": "pibt", "verdict": False}
+FLEET = {"agents": 4, "timesteps": 40, "seeds": 2, "planner": "pibt"}
 
 PIBT = {"timesteps": 40, "planner": "pibt"}  # which compiles fast
 
@@ -54,6 +54,7 @@ def test_every_public_name_is_there_and_has_a_docstring():
 def test_a_file_an_array_and_a_plan_give_the_same_numbers(path):
     by_name = qdenv.simulate_layout(str(path), **FLEET)
     assert by_name["domain"] == "warehouse-uneven" and by_name["mean_throughput"] > 0.2
+    assert by_name["valid"] is None and "verdict" not in by_name  # neither audited nor judged
     assert qdenv.simulate_layout(path, **FLEET)["runs"] == by_name["runs"]
     assert (
         qdenv.simulate_layout(PLAN, domain="warehouse-uneven", **FLEET)["runs"] == by_name["runs"]
@@ -156,6 +157,7 @@ def test_train_takes_a_name_and_overrides(tmp_path):
         timesteps=20, steps=6, hidden=4, emitters=2, batch=3, evaluations=6, seed=1, simulations=1,
     )  # fmt: skip
     assert run.config.evaluation.domain.fleet.agents == 6 and len(run.read_metrics()) == 1
+    assert not list(run.path.glob("*.png"))
     grown = qdenv.generate_layout(run, rows=14, cols=15)
     assert grown.layout.shape == (14, 15) and qdenv.check(grown) == []
     raw = qdenv.generate_layout(str(run.path), elite=run.best, repair=False)

@@ -12,6 +12,7 @@ from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import read_layout, write_layout
 from qdenv.ops.layouts import symbols_of
+from qdenv.repair import recipe
 
 README = Path(__file__).parents[1] / "README.md"
 TILES = ".@ew"
@@ -115,6 +116,18 @@ def test_a_plan_that_breaks_rules_is_mended_around_what_is_kept(folder):
     after = (folder / "mended.txt").read_text().splitlines()
     assert after[0] == PLAN[0] and after[7] == PLAN[7] and "".join(after).count("@") == 9
     assert run(["check", "mended.txt", "--keep", "walls.txt", "--shelves", "9"]) == 0
+
+
+def test_a_failed_repair_writes_its_facts_and_no_layout(folder, capsys, monkeypatch):
+    real = recipe.repair_layout
+    monkeypatch.setattr(recipe, "repair_layout", lambda *how: real(*how)._replace(layout=how[0]))
+    command = ["repair", "plan.txt", "--polish", "none", "--json"]
+    assert "no feasible layout" in refusal([*command, "facts.json"], capsys)
+    facts = json.loads((folder / "facts.json").read_text())
+    assert facts["valid"] is False and facts["changes"] == [] and facts["command"] == "repair"
+    assert run([*command, "-"]) == 2
+    assert json.loads(capsys.readouterr().out)["settings"]["polish"] == "none"
+    assert not (folder / "plan_repaired.json").exists()
 
 
 def test_results_have_a_name_of_their_own_and_replace_nothing_by_themselves(folder, capsys):

@@ -18,7 +18,7 @@ import shlex
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -155,8 +155,8 @@ def _call(name: str, words: list[str]) -> int:
     """Parse a command line, run the operation and write its facts."""
     from qdenv.cli.parser import command, parse
     from qdenv.cli.rules import Choices, make_rules
-    from qdenv.io.files import tidy, write_json
     from qdenv.ops.output import AUTO, place
+    from qdenv.ops.results import UnsolvedError
     from qdenv.types import InputError
 
     operation, program, typed = load(name), f"qdenv {name}", words
@@ -168,27 +168,42 @@ def _call(name: str, words: list[str]) -> int:
         arguments.arguments["out"] = arguments.arguments.get("out") or AUTO
     if "again" in arguments.signature.parameters:
         arguments.arguments["again"] = shlex.join([*program.split(), *typed])
+    if isinstance(layouts := arguments.arguments.get("layouts"), tuple):  # named twice, it is one
+        arguments.arguments["layouts"] = tuple(dict.fromkeys(layouts))
     to_stdout = facts_file == Path("-")
     if facts_file is not None and not to_stdout:
         files = [path for path in _flat(arguments.arguments) if isinstance(path, Path)]
         if facts_file in files:
             raise InputError(f"{facts_file}: named twice: give the facts a file of their own")
-        facts_place = place(facts_file, "facts.json", inputs=files)
-    with contextlib.ExitStack() as stack:
-        if to_stdout:  # nothing else is written there
-            stack.enter_context(contextlib.redirect_stdout(sys.stderr))
-        stack.enter_context(_printing())
-        result = operation(*arguments.args, **arguments.kwargs)
-    if facts_file is not None:
-        facts = result if isinstance(result, dict) else getattr(result, "facts", {})
-        about = {"command": name, "qdenv": _version()}
-        content = tidy({**facts, **about})
-        if to_stdout:
-            print(json.dumps(content, indent=1))
-        else:
-            write_json(facts_place.path, content)
-            print(facts_place)
+        place(facts_file, "facts.json", inputs=files)  # refuses what cannot be written
+    try:
+        with contextlib.ExitStack() as stack:
+            if to_stdout:  # nothing else is written there
+                stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+            stack.enter_context(_printing())
+            result = operation(*arguments.args, **arguments.kwargs)
+    except UnsolvedError as error:
+        _write_facts(facts_file, name, error.facts)
+        raise
+    facts = result if isinstance(result, dict) else getattr(result, "facts", {})
+    _write_facts(facts_file, name, facts)
     return getattr(result, "exit_code", 0)
+
+
+def _write_facts(path: Path | None, command: str, facts: Mapping[str, Any]) -> None:
+    """Write what ``--json`` requests, if it does; - is standard output."""
+    from qdenv.io.files import tidy, write_json
+    from qdenv.ops.output import Place
+
+    if path is None:
+        return
+    content = tidy({**facts, "command": command, "qdenv": _version()})
+    if path == Path("-"):
+        print(json.dumps(content, indent=1))
+        return
+    written = Place(path, path.exists())
+    write_json(path, content)
+    print(written)
 
 
 class _Printer(logging.Handler):

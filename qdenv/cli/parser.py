@@ -19,6 +19,7 @@ import tyro
 from tyro import _errors as events
 
 from qdenv import interrupt
+from qdenv.ops.options import CommandDefault
 from qdenv.ranges import check_range
 from qdenv.types import InputError
 
@@ -137,13 +138,21 @@ def command(operation: Callable) -> Any:
     Returns:
         a record with the fields `arguments` (as `inspect.BoundArguments`) and `json`.
     """
+    signature, hints = inspect.signature(operation), get_type_hints(operation, include_extras=True)
 
     @functools.wraps(operation)
     def bind(*values: Any, **named: Any) -> inspect.BoundArguments:
-        arguments = inspect.signature(operation).bind(*values, **named)
+        arguments = signature.bind(*values, **named)
         check_ranges(operation, arguments)
         return arguments
 
+    parameters = dict(signature.parameters)
+    for name in parameters:
+        for mark in getattr(hints.get(name), "__metadata__", ()):
+            if isinstance(mark, CommandDefault):
+                parameters[name] = parameters[name].replace(default=mark.value)
+    stated: Any = bind
+    stated.__signature__ = signature.replace(parameters=[*parameters.values()])
     fields: list[Any] = [
         ("arguments", Annotated[Any, tyro.conf.arg(name="", constructor=bind)]),
         ("json", Annotated[Path | None, JSON], None),

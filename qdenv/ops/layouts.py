@@ -24,7 +24,7 @@ from qdenv.ops.options import (
     stem_of,
 )
 from qdenv.ops.output import PICTURES, Place, format_table, place, say
-from qdenv.ops.results import Broken, Layout
+from qdenv.ops.results import Broken, Layout, UnsolvedError
 from qdenv.progress import Bar
 from qdenv.repair.audit import audit, check_allowed
 from qdenv.repair.rules import impossible
@@ -161,7 +161,7 @@ def repair_layout(
 
     with Bar("repairing") as bar:
         result = repair(plan.layout, rules, seed, RepairConfig(polish=polish), bar)
-    repaired, changes = np.asarray(result.layout), []
+    repaired = np.asarray(result.layout)
     changes = list_changes(plan.layout, repaired, kind)
     weights = plan.domain.similarity_weights(plan.layout)
     facts = {
@@ -175,13 +175,13 @@ def repair_layout(
         "valid": not audit(repaired, rules),
     }
     say(*(f"{name:13} {value}" for name, value in tidy(facts).items()))
-    if not facts["valid"]:
-        less = ", or keep fewer cells" if kind.config.keep else ""
-        raise InputError(f"{name}: no feasible layout was found: try another seed{less}")
-    say(*describe_changes(changes), *warn_of_changes(changes))
     settings = {"layout": name, "domain": kind.name, "keep": keep, "seed": seed, "polish": polish}
     settings["numbers"] = numbers
     facts |= {"changes": [change._asdict() for change in changes], "settings": settings}
+    if not facts["valid"]:
+        less = ", or keep fewer cells" if kind.config.keep else ""
+        raise UnsolvedError(f"{name}: no feasible layout was found: try another seed{less}", facts)
+    say(*describe_changes(changes), *warn_of_changes(changes))
     made = Layout(repaired, kind, {"repaired_from": Path(name).name}, facts)
     if target:
         made.save(target.path)

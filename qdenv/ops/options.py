@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, TypedDict
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypedDict
 
 import numpy as np
 import tyro
@@ -47,6 +47,12 @@ def option(metavar: str, read: Any = str, nargs: Any = 1) -> Any:
         is_instance=lambda value: True,
         str_from_instance=lambda value: [str(value)],
     )
+
+
+class CommandDefault(NamedTuple):
+    """Marks an argument whose default on the command line is another one than in Python."""
+
+    value: Any
 
 
 class PlannerOptions:
@@ -104,6 +110,8 @@ Width: TypeAlias = Annotated[float | None, option("{column,page,INCHES}", parse_
 Number: TypeAlias = Annotated[int, TileNumbers]
 Numbers: TypeAlias = Annotated[Sequence[int], TileNumbers]
 RepairSeed: TypeAlias = Annotated[int, tyro.conf.arg(aliases=("--repair-seed",))]
+# Default: True on the command line, False in Python
+OnCommandLine: TypeAlias = Annotated[bool, CommandDefault(True)]
 
 
 _UNSET = tyro.conf.arg(help_behavior_hint="(default: None)")

@@ -12,6 +12,7 @@ import numpy as np
 
 from qdenv.domains.base import Domain
 from qdenv.io.layouts import write_layout
+from qdenv.types import InputError
 
 DIGITS = 4  # significant ones of a number in a notebook
 
@@ -82,6 +83,15 @@ class Table(list):
 
     def _repr_html_(self) -> str:
         return table_html([row._asdict() for row in self])
+
+
+class UnsolvedError(InputError):
+    """A task without a solution, and the facts that `--json` writes of it."""
+
+    def __init__(self, message: str, facts: Mapping[str, Any]) -> None:
+        """Fail with one line."""
+        super().__init__(message)
+        self.facts = facts
 
 
 class Broken(NamedTuple):

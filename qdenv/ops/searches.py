@@ -13,7 +13,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
 from qdenv.ops.agents import is_agent_run, resume_agent
 from qdenv.ops.costs import describe_cost, remember
-from qdenv.ops.options import PresetOptions, Run, option
+from qdenv.ops.options import OnCommandLine, PresetOptions, Run, option
 from qdenv.ops.output import format_table, say
 from qdenv.ops.results import Facts
 from qdenv.ops.runs import plot_one
@@ -91,6 +91,7 @@ def train(
     progress: bool = True,
     execution: Annotated[Execution, tyro.conf.arg(name="")] = Execution(),  # noqa: B008 (frozen)
     keep: Path | None = None,
+    pictures: tyro.conf.Suppress[OnCommandLine] = False,
     **settings: Annotated[Any, PresetOptions],
 ) -> RunDirectory:
     """Search generators of floor plans: a preset, any setting of which can be overridden.
@@ -101,6 +102,7 @@ def train(
         progress: show a progress bar.
         execution: where layouts are repaired and simulated; the result is the same everywhere.
         keep: drawing of the layouts' shape: ? is free, a tile must be this tile in all of them.
+        pictures: draw the run when it ends, as the command does.
         **settings: in place of the preset's, by the names of `qdenv train --help` with
             underscores: evaluations=300, seed=3, alpha=1.0, agents=40, shelves=60. Domains,
             planners, generators and algorithms may be named, or given as settings:
@@ -108,7 +110,7 @@ def train(
             numbers of tiles, agents, steps and axes.
 
     Returns:
-        the run, with its pictures drawn.
+        the run.
 
     Raises:
         InputError: a name is unknown, a setting is impossible, or the folder holds a run already.
@@ -137,7 +139,8 @@ def train(
     from qdenv.run import loop
 
     run = loop.train(config, path, progress, execution)
-    plot_one(run)
+    if pictures:
+        plot_one(run)
     if (config.evaluation, config.algorithm) == (base.evaluation, base.algorithm):
         remember(name, run.read_metrics())
     return run
@@ -160,6 +163,7 @@ def resume(
     progress: bool = True,
     evaluations: int | None = None,
     execution: Annotated[Execution, tyro.conf.arg(name="")] = Execution(),  # noqa: B008 (frozen)
+    pictures: tyro.conf.Suppress[OnCommandLine] = False,
 ) -> RunDirectory | Path:
     """Continue a run where it stopped, of a search or of an agent's training.
 
@@ -168,9 +172,10 @@ def resume(
         progress: show a progress bar.
         evaluations: a new total, to go on beyond the configured one.
         execution: where layouts are repaired and simulated; the result is the same everywhere.
+        pictures: draw the run when it ends, as the command does.
 
     Returns:
-        the run with its pictures drawn, or the trained agent's file.
+        the run, or the trained agent's file.
 
     Raises:
         InputError: there is no run, it was written by a newer version or with other settings, or
@@ -190,5 +195,6 @@ def resume(
     from qdenv.run import loop  # imports both compilers
 
     done = loop.resume(path, progress, evaluations, execution)
-    plot_one(done)
+    if pictures:
+        plot_one(done)
     return done

@@ -11,6 +11,7 @@ from qdenv.grid import of_tiles
 from qdenv.ops.options import (
     Fleet,
     FleetOptions,
+    OnCommandLine,
     Picture,
     Source,
     Width,
@@ -34,8 +35,8 @@ if TYPE_CHECKING:  # imports the simulator
 def simulate_layout(
     layout: Source,
     agents: int | None = None,
-    audit: bool = True,
-    verdict: bool = True,
+    audit: OnCommandLine = False,
+    verdict: OnCommandLine = False,
     plot: Picture = None,
     width: Width = None,
     **fleet: Unpack[FleetOptions],
