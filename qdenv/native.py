@@ -16,7 +16,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numba
 import platformdirs
@@ -25,6 +25,10 @@ from numba.extending import register_jitable
 MAX_FOLDERS = 128  # a dozen per state of the sources: other branches, other installations
 
 PACKAGE = Path(__file__).parent
+
+# An array of shape [] in a record, which kernels update as ``x[()]``: a number, though numpy's
+# annotations call that an array.
+Scalar: TypeAlias = Any
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

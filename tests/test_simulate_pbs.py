@@ -139,7 +139,7 @@ def answer_of(work: Workspace, solved: bool, width: int) -> Answer:
 
 def precedence(work: Workspace) -> list[set[int]]:
     """Close the priorities of the branch in hand transitively."""
-    pairs = work.order.end[:, : work.order.count].T.tolist()
+    pairs = work.order.end[:, : work.order.num_pairs].T.tolist()
     above: list[set[int]] = [set() for _ in work.goals.start]
     for _ in above:
         for high, low in pairs:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import ndimage
 
 from qdenv.grid import MOVES, count_neighbours
-from qdenv.native import formula, inlined, kernel
+from qdenv.native import Scalar, formula, inlined, kernel
 from qdenv.repair.anneal.connectivity import RING_PIECES
 from qdenv.repair.anneal.start import eight_steps, join_bits
 from qdenv.repair.anneal.state import (
@@ -118,10 +118,10 @@ class Packing(NamedTuple):
     drives: np.ndarray  # bool [N], where robots drive now
     ring: np.ndarray  # uint8 [N], which of the eight neighbours drive
     steps: np.ndarray  # int64 [8], to these neighbours
-    obstacles: np.ndarray  # int64 [], the cells where none drives
-    unserved: np.ndarray  # int64 [], obstacles that nothing serves
-    pieces: np.ndarray  # int64 [], unconnected parts of the driving area
-    searches: np.ndarray  # int64 [], for parts, so far
+    obstacles: Scalar  # int64 [], the cells where none drives
+    unserved: Scalar  # int64 [], obstacles that nothing serves
+    pieces: Scalar  # int64 [], unconnected parts of the driving area
+    searches: Scalar  # int64 [], for parts, so far
     visited: np.ndarray  # int32 [N], number of the last search that came by
     front: np.ndarray  # int32 [N], buffer of a search
 
@@ -317,8 +317,10 @@ def _pack_narrow(
         change_cost=np.delete(rules.change_cost, np.s_[first:last], axis),
     )
     narrow = _pack_whole(Facts(narrow_rules), service, progress)
-    for line in range(first - NARROW, first) if narrow is not None else ():
-        times = np.ones(narrow.shape[axis], int)
+    if narrow is None:
+        return None
+    for line in range(first - NARROW, first):
+        times = np.ones(narrow.shape[axis], np.int64)
         times[line] += last - first
         layout = np.repeat(narrow, times, axis)
         if not audit(layout, rules):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import formula
+from qdenv.native import Scalar, formula
 
 MAX_KINDS = 20  # kinds of tile: one bit each in a mask of 32
 MAX_NEEDS = 7  # different needs: four bits each in one 32-bit tally of neighbours
@@ -80,17 +80,17 @@ class State(NamedTuple):
     # int32 [N], how many of the four neighbours meet each need, four bits per need
     tally: np.ndarray
     counts: np.ndarray  # int64 [Q], how many cells count in each bound
-    cost: np.ndarray  # float64 [], summed costs of the changed cells
-    violations: np.ndarray  # int64 [], broken demands: of neighbours, counts and aisles
+    cost: Scalar  # float64 [], summed costs of the changed cells
+    violations: Scalar  # int64 [], broken demands: of neighbours, counts and aisles
     changed: np.ndarray  # int32 [N], first the cells that differ from the input
-    num_changed: np.ndarray  # int64 [], how many these are
+    num_changed: Scalar  # int64 [], how many these are
     place: np.ndarray  # int32 [N], 1 + where in `changed` a cell stands, 0 for nowhere
     best: np.ndarray  # int8 [N], the cheapest layout so far that broke no rule
-    best_cost: np.ndarray  # float64 [], its cost
+    best_cost: Scalar  # float64 [], its cost
     since: np.ndarray  # int32 [N + 1], first the cells of all changes since `best`
-    num_since: np.ndarray  # int64 [], how many these are; N + 1 stands for all cells
-    feasible_period: np.ndarray  # int64 [], the last period with a layout that broke no rule
-    boost: np.ndarray  # float64 [], how far the penalty is raised beyond its schedule
+    num_since: Scalar  # int64 [], how many these are; N + 1 stands for all cells
+    feasible_period: Scalar  # int64 [], the last period with a layout that broke no rule
+    boost: Scalar  # float64 [], how far the penalty is raised beyond its schedule
     walkers: np.ndarray  # int64 [3, 4], buffer of the connectivity test: cells, headings, ends
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP
-from qdenv.native import formula, kernel
+from qdenv.native import Scalar, formula, kernel
 from qdenv.simulate.mapf.host.state import GridMap
 from qdenv.simulate.mapf.planner import NOBODY, steps_type, unreachable
 
@@ -42,9 +42,9 @@ class DistanceFields(NamedTuple):
     place: np.ndarray  # int32 [N], where in its page each cell lies
     free_rows: np.ndarray  # int32 [R], a stack
     free_pages: np.ndarray  # int32 [S], a stack
-    num_free_rows: np.ndarray  # int64 []
-    num_free_pages: np.ndarray  # int64 []
-    is_full: np.ndarray  # bool [], a distance could not be measured for lack of rows or pages
+    num_free_rows: Scalar  # int64 []
+    num_free_pages: Scalar  # int64 []
+    is_full: Scalar  # bool [], a distance could not be measured for lack of rows or pages
     queue: np.ndarray  # int64 [2, 4 N], cells that wait in a search
     # [N], distances found by the search under way; between searches all `UNKNOWN`
     found: np.ndarray

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import move_steps
-from qdenv.native import formula, kernel
+from qdenv.native import Scalar, formula, kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.metrics import Block
 from qdenv.simulate.mapf.planner import World, unpad
@@ -45,9 +45,9 @@ class Agents(NamedTuple):
 class Counters(NamedTuple):
     """What was counted so far, see `metrics.Metrics`; T is rounded up to whole windows."""
 
-    time: np.ndarray  # int64 [], timesteps driven
-    congested_at: np.ndarray  # int64 [], `time` when the first congested window ended; 0 for none
-    moves: np.ndarray  # int64 [], agent-steps with a move
+    time: Scalar  # int64 [], timesteps driven
+    congested_at: Scalar  # int64 [], `time` when the first congested window ended; 0 for none
+    moves: Scalar  # int64 [], agent-steps with a move
     finished: np.ndarray  # int32 [T], tasks finished at each timestep
     visits: np.ndarray  # int32 [N], agent-steps on each cell
 
@@ -101,8 +101,11 @@ def make_run(world: World, settings: RunSettings, agents: int, block: Block) -> 
     position, kind, remaining_service, age, legs = np.zeros((5, agents), np.int64)
     goal, paths = np.zeros((2, agents), np.int64), np.zeros((agents, settings.window + 1), np.int64)
     stuck = np.zeros(agents, np.bool_)
+    time, congested_at, moves = (np.zeros((), np.int64) for _ in range(3))
     counters = Counters(
-        *(np.zeros((), np.int64) for _ in range(3)),
+        time,
+        congested_at,
+        moves,
         finished=np.zeros(windows * settings.horizon, np.int32),
         visits=np.zeros(grid.free.size, np.int32),
     )

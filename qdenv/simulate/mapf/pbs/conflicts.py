@@ -39,18 +39,18 @@ INCONSISTENT = -1
 @kernel
 def put_above(order: PartialOrder, high: int, low: int) -> None:
     """Give one agent precedence over another."""
-    pair = order.count[()]
+    pair = order.num_pairs[()]
     order.end[UP, pair], order.end[DOWN, pair] = high, low
     order.following[UP, pair], order.first[UP, low] = order.first[UP, low], pair
     order.following[DOWN, pair], order.first[DOWN, high] = order.first[DOWN, high], pair
-    order.count[()] += 1
+    order.num_pairs[()] += 1
 
 
 @kernel
 def take_back(order: PartialOrder) -> None:
     """Take the last pair back."""
-    order.count[()] -= 1
-    pair = order.count[()]
+    order.num_pairs[()] -= 1
+    pair = order.num_pairs[()]
     high, low = order.end[UP, pair], order.end[DOWN, pair]
     order.first[UP, low] = order.following[UP, pair]
     order.first[DOWN, high] = order.following[DOWN, pair]
@@ -206,7 +206,7 @@ def resolve(
         if not gives_way:
             continue
         budget -= 1
-        if work.changes.count[()] == work.changes.agent.size:
+        if work.changes.num_changes[()] == work.changes.agent.size:
             work.tree.is_full[()] = True
             budget = -1
         if budget < 0:
@@ -280,12 +280,12 @@ def _yields(plan: JointPlan, order: PartialOrder, agent: int, other: int, t: int
 @kernel
 def _note(plan: JointPlan, changes: Changes, agent: int, when: int) -> None:
     """Write the path of an agent down, before (`OLD`) or after (`NEW`) a change."""
-    change = changes.count[()]
+    change = changes.num_changes[()]
     changes.agent[change] = agent
     for t in range(plan.cell.shape[0]):
         changes.cell[change, when, t] = plan.cell[t, agent]
     changes.path[change, when] = plan.path[agent]
-    changes.count[()] += when
+    changes.num_changes[()] += when
 
 
 @kernel

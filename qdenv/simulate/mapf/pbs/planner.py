@@ -166,7 +166,7 @@ def solve(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int) -> 
         _expand(work, fields, grid, seed, depth, pick, first, last)
         # Go back up until there is a child to search next, undoing the changes on the way.
         while tree.node[depth].num_entered == tree.node[depth].num_children:
-            changes.count[()] = tree.node[depth].num_changes
+            changes.num_changes[()] = tree.node[depth].num_changes
             tree.num_conflicts[()] = tree.node[depth].num_conflicts
             if depth == 0:
                 return False
@@ -203,7 +203,7 @@ def _plan_root(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int
                 queue.num_near[agent] += 1
                 queue.num_near[other] += 1
     work.order.first[:] = NOBODY
-    work.order.count[()] = 0
+    work.order.num_pairs[()] = 0
     # At first only those are anywhere whom a service keeps at their start: all know of them.
     plan.delay[()] = 0
     for agent in range(agents):
@@ -212,7 +212,7 @@ def _plan_root(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int
         path.end, path.bound, path.delay = last, last + 1, 0
         for t in range(window + 1):
             plan.cell[t, agent] = goals.start[agent] if t <= last else -1 - agent
-    tree.num_conflicts[()], work.changes.count[()] = 0, 0
+    tree.num_conflicts[()], work.changes.num_changes[()] = 0, 0
     for agent in range(agents):
         walk(work.order, agent, UP)
         if not replan(work, fields, grid, agent, seed):
@@ -227,7 +227,7 @@ def _plan_root(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int
             plan, work.order, queue, tree.conflict, agent, agent, waiting, last
         )
     last = resolve(work, fields, grid, seed, waiting, 0, last)
-    work.changes.count[()], tree.num_conflicts[()] = 0, max(last, 0)
+    work.changes.num_changes[()], tree.num_conflicts[()] = 0, max(last, 0)
     return last
 
 
@@ -274,7 +274,7 @@ def _expand(
     """Make the children of a node, which is in hand before and after, from one of its conflicts."""
     tree, node, children = work.tree, work.tree.node[depth], work.tree.child[depth]
     _, one, two = parts_of(pick)
-    node.num_changes, node.num_conflicts = work.changes.count[()], tree.num_conflicts[()]
+    node.num_changes, node.num_conflicts = work.changes.num_changes[()], tree.num_conflicts[()]
     node.num_children, node.num_entered = 0, 0
     for side in range(2):
         low, high = (one, two) if side == 0 else (two, one)
@@ -310,7 +310,7 @@ def _make_child(
     """Make one child and write down what changes; returns whether it can be made consistent."""
     tree, changes, plan, queue = work.tree, work.changes, work.plan, work.queue
     child = tree.child[depth, side]
-    begin, change = tree.num_conflicts[()], changes.count[()]
+    begin, change = tree.num_conflicts[()], changes.num_changes[()]
     end = begin + last - first
     if end > tree.conflict.size:
         tree.is_full[()] = True
@@ -322,12 +322,12 @@ def _make_child(
     end = resolve(work, fields, grid, seed, 1, begin, end)
     child.cost = plan.delay[()]
     take_back(work.order)
-    for index in range(changes.count[()] - 1, change - 1, -1):
+    for index in range(changes.num_changes[()] - 1, change - 1, -1):
         redo(plan, changes, index, OLD)
     if end == INCONSISTENT:
-        changes.count[()] = change
+        changes.num_changes[()] = change
         return False
     child.first_conflict, child.end_conflict = begin, end
-    child.first_change, child.end_change = change, changes.count[()]
+    child.first_change, child.end_change = change, changes.num_changes[()]
     tree.num_conflicts[()] = end
     return True

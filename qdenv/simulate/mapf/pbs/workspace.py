@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import move_steps
+from qdenv.native import Scalar
 from qdenv.simulate.mapf.host.state import GridMap, HostRun
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.planner import NOBODY
@@ -60,7 +61,7 @@ class JointPlan(NamedTuple):
     # which is no cell
     cell: np.ndarray
     path: np.ndarray  # `PATH` [A]
-    delay: np.ndarray  # int64 [], the sum over all paths
+    delay: Scalar  # int64 [], the sum over all paths
     # int32 [A], the timesteps of conflicts of one agent with each other one, a bit each
     hit: np.ndarray
 
@@ -71,7 +72,7 @@ class Changes(NamedTuple):
     agent: np.ndarray  # int32 [R]
     cell: np.ndarray  # int32 [R, 2, w + 1], the column of `JointPlan.cell` before and after
     path: np.ndarray  # `PATH` [R, 2], before and after
-    count: np.ndarray  # int64 []
+    num_changes: Scalar  # int64 []
 
 
 class PartialOrder(NamedTuple):
@@ -80,9 +81,9 @@ class PartialOrder(NamedTuple):
     end: np.ndarray  # int32 [2, D], the agent above and the agent below of each pair
     following: np.ndarray  # int32 [2, D], the next pair of the same agent in either direction
     first: np.ndarray  # int32 [2, A], the first pair of each agent in either direction, or `NOBODY`
-    count: np.ndarray  # int64 [], number of pairs
+    num_pairs: Scalar  # int64 []
     mark: np.ndarray  # int64 [2, A], the last walk up, or down, that found an agent
-    walk: np.ndarray  # int64 [], the number of the last walk
+    walk: Scalar  # int64 [], the number of the last walk
     stack: np.ndarray  # int32 [A], agents whose pairs are still to be looked at
 
 
@@ -92,7 +93,7 @@ class ReservationTable(NamedTuple):
     # int32 [w + 1, N], the bits of a cell and above them the search that they belong to: bits of
     # other searches do not count
     entry: np.ndarray
-    search: np.ndarray  # int64 [], the number of this search
+    search: Scalar  # int64 [], the number of this search
 
 
 class PathSearch(NamedTuple):
@@ -108,8 +109,8 @@ class PathSearch(NamedTuple):
     following: np.ndarray  # int32 [S], the next state of the same bucket
     bucket: np.ndarray  # int32 [delays, w + 1], the first state of each bucket
     cells: np.ndarray  # int64 [w + 1], the path found
-    search: np.ndarray  # int64 [], the number of this search
-    delay: np.ndarray  # int64 [], of the states that are expanded, at last of the path found
+    search: Scalar  # int64 [], the number of this search
+    delay: Scalar  # int64 [], of the states that are expanded, at last of the path found
     offset: np.ndarray  # int64 [P], what leads from the start to the cell at a place
     steps: np.ndarray  # int64 [5], what each move adds to a place: wait, right, left, down, up
     time_bit: int  # the lowest bit of the timestep
@@ -133,14 +134,14 @@ class SearchTree(NamedTuple):
     child: np.ndarray  # `CHILD` [D, 2]
     order: np.ndarray  # int64 [D, 2], the children in the order in which they are searched
     conflict: np.ndarray  # int64 [K], the conflicts of all these nodes
-    num_conflicts: np.ndarray  # int64 []
-    is_full: np.ndarray  # bool [], the arrays of the tree or of the changes were too small
+    num_conflicts: Scalar  # int64 []
+    is_full: Scalar  # bool [], the arrays of the tree or of the changes were too small
     # bool [A, A], pairs of agents, the smaller number first, that had no feasible child once
     dead_end: np.ndarray
-    num_dead_ends: np.ndarray  # int64 []
+    num_dead_ends: Scalar  # int64 []
     best: np.ndarray  # int32 [w + 1, A], the plan whose first conflict was latest
-    best_time: np.ndarray  # int64 [], the time of that conflict
-    best_delay: np.ndarray  # int64 [], the delay of that plan
+    best_time: Scalar  # int64 [], the time of that conflict
+    best_delay: Scalar  # int64 [], the delay of that plan
 
 
 class Workspace(NamedTuple):
@@ -156,8 +157,8 @@ class Workspace(NamedTuple):
     tree: SearchTree  # the branch in hand
     published: bool  # whether agents without a path stay, and waiting at the start has precedence
     node_limit: int  # most nodes to expand
-    num_nodes: np.ndarray  # int64 [], expanded in all windows
-    num_unsolved: np.ndarray  # int64 [], windows without a solution
+    num_nodes: Scalar  # int64 [], expanded in all windows
+    num_unsolved: Scalar  # int64 [], windows without a solution
 
 
 def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import formula, kernel, shared
+from qdenv.native import Scalar, formula, kernel, shared
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields
 from qdenv.simulate.mapf.host.state import Agents, HostRun, agent_of, ranked, sift, sort
@@ -35,7 +35,7 @@ class Queue(NamedTuple):
     """The agents without a whole reserved path, and those who plan in this round."""
 
     heap: np.ndarray  # int64 [A], the urgencies of those who wait, negative: `sift` wants a maximum
-    size: np.ndarray  # int64 [], how many wait
+    size: Scalar  # int64 [], how many wait
     order: np.ndarray  # int64 [A], the rank of each agent, drawn at random
     turn: np.ndarray  # int64 [A], the agent of each rank
     tie_break: np.ndarray  # int64 [A], bits that settle ties

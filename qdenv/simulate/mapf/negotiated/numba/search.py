@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import NUM_MOVES, move_steps
-from qdenv.native import formula, kernel, shared
+from qdenv.native import Scalar, formula, kernel, shared
 from qdenv.simulate.mapf.host.distances import INDICES, DistanceFields, distance
 from qdenv.simulate.mapf.host.state import GridMap
 from qdenv.simulate.mapf.negotiated import path_rules, rules
@@ -56,10 +56,10 @@ class SearchArrays(NamedTuple):
     state: np.ndarray  # int64 [states], as `pack` makes them
     later: np.ndarray  # int32 [states], the next state that costs as much
     first: np.ndarray  # int32 [costs], the first state of each cost above the least possible one
-    num_states: np.ndarray  # int64 [], states so far
-    top: np.ndarray  # int64 [], the largest cost among them
-    search: np.ndarray  # int64 [], the number of this search
-    between: np.ndarray  # int64 [], steps between the two goals, or `NOT_MEASURED`
+    num_states: Scalar  # int64 [], states so far
+    top: Scalar  # int64 [], the largest cost among them
+    search: Scalar  # int64 [], the number of this search
+    between: Scalar  # int64 [], steps between the two goals, or `NOT_MEASURED`
     steps: np.ndarray  # int64 [5], what each move adds to a place in sight
     side: int  # E
     levels: int  # L
@@ -71,13 +71,17 @@ def make_arrays(window: int, levels: int, dearest: int) -> SearchArrays:
     driving, serving = side * side, path_rules.SERVED_BITS + window
     states = (window + 1) * path_rules.LEGS * levels * (driving + serving)
     costs = _delays(window) + (levels - 1) * capped_penalty(dearest, window) + 1
+    num_states, top, search, between = (np.zeros((), np.int64) for _ in range(4))
     return SearchArrays(
         np.zeros((window + 1, side * side), np.int64),
         np.zeros((levels, path_rules.LEGS, window + 1), np.int64),
         np.empty(states, np.int64),
         np.empty(states, np.int32),
         np.full(costs, NO_STATE, np.int32),
-        *(np.zeros((), np.int64) for _ in range(4)),
+        num_states,
+        top,
+        search,
+        between,
         move_steps(side),
         side,
         levels,
