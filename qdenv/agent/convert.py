@@ -62,8 +62,11 @@ class _Names(dict):
         super().__setitem__(name, value)
 
 
-class _Unpickler(pickle._Unpickler):  # type: ignore[name-defined]
+class _Unpickler(pickle._Unpickler):
     """Reads a description; in Python, because the compiled class trusts indices of its memo."""
+
+    append: Callable[[Any], None]  # to the stack
+    stack: list[Any]
 
     def __init__(self, description: bytes, load: Callable[[str, int], np.ndarray]) -> None:
         super().__init__(io.BytesIO(description))
@@ -94,7 +97,7 @@ class _Unpickler(pickle._Unpickler):  # type: ignore[name-defined]
         if type(self.stack[-1]) is not _Names:
             raise InputError("refused: the checkpoint sets attributes")
 
-    dispatch = pickle._Unpickler.dispatch | {  # type: ignore[attr-defined]
+    dispatch = pickle._Unpickler.dispatch | {  # type: ignore[assignment]
         pickle.EMPTY_DICT[0]: load_names,
         pickle.BUILD[0]: load_build,
     }

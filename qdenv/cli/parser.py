@@ -52,7 +52,7 @@ def parse(
     # The hook is no public interface of tyro yet. Of an event that we do not know, tyro prints a
     # longer text and leaves with the same exit code.
     with events.on_parse_error(refuse):
-        return tyro.cli(
+        return tyro.cli(  # type: ignore[call-overload]
             target,
             prog=program,
             description=_description(target),
@@ -92,7 +92,7 @@ def _message(event: Any, target: Any, rules: Any) -> str:
         arguments = [one.arg for one in event.missing_arguments]
         names = [_name_of(one) for one in arguments]
         texts = [one.field.helptext for one in arguments]
-        about = [(text() if callable(text) else text or "").rstrip(".") for text in texts]
+        about = [((text() if callable(text) else text) or "").rstrip(".") for text in texts]
         return f"{names[0]} is missing: {about[0]}{listed}"
     return ""
 

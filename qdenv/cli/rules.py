@@ -130,7 +130,7 @@ def _number_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
 
 def _spec_of(kind: Any, default: Any = MISSING_NONPROP) -> StructConstructorSpec:
     spec = ConstructorRegistry.get_struct_spec(StructTypeInfo.make(kind, default, False))
-    assert spec is not None
+    assert isinstance(spec, StructConstructorSpec)
     return spec
 
 
@@ -138,7 +138,7 @@ def _options(fields: Mapping[str, Any]) -> StructConstructorSpec:
     """Make options of the types in `fields`, which are left out unless they are stated."""
     plain = tyro.conf.arg(prefix_name=False)
     kinds = {name: Annotated[kind, plain] for name, kind in fields.items()}
-    return _spec_of(TypedDict("Options", kinds, total=False))  # type: ignore[misc]
+    return _spec_of(TypedDict("Options", kinds, total=False))  # type: ignore[operator]
 
 
 def _settings(record: Any, prefix: str = "", path: str = "") -> Iterator[tuple[str, Any, Any]]:

@@ -175,8 +175,8 @@ def repair_layout(
         "valid": not audit(repaired, rules),
     }
     say(*(f"{name:13} {value}" for name, value in tidy(facts).items()))
-    settings = {"layout": name, "domain": kind.name, "keep": keep, "seed": seed, "polish": polish}
-    settings["numbers"] = numbers
+    settings: dict[str, Any] = {"layout": name, "domain": kind.name, "keep": keep, "seed": seed}
+    settings |= {"polish": polish, "numbers": numbers}
     facts |= {"changes": [change._asdict() for change in changes], "settings": settings}
     if not facts["valid"]:
         less = ", or keep fewer cells" if kind.config.keep else ""
@@ -327,7 +327,7 @@ def symbols_of(domain: Domain) -> list[tuple[str, ...]]:
     also: dict[str, list[str]] = {}
     for other, symbol in aliases(domain.tiles, domain.meanings).items():
         also.setdefault(symbol, []).append(repr(other))
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for symbol in domain.tiles:
         name, drives, about = "", "", ""
         if tile := domain.meanings.get(symbol):

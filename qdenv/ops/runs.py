@@ -155,7 +155,9 @@ def generate_layout(
     Raises:
         InputError: there is no such elite, or no layout of this size obeys the rules.
     """
-    named = {name: numbers.pop(name) for name in ("steps", "seed") if name in numbers}
+    named: dict[str, Any] = {
+        name: numbers.pop(name) for name in ("steps", "seed") if name in numbers
+    }
     growth = dataclasses.replace(growth, **named)
     check_size(1 if rows is None else rows, 1 if cols is None else cols)
     opened = open_run(run)

@@ -59,7 +59,7 @@ def presets() -> Facts:
         for (rows, cols), size in domain.known.items():
             agents = {"agents": size.agents} if domain.simulator.tasks else {}
             steps = {"timesteps": size.timesteps, "steps of growth": size.steps}
-            place = {"domain": name, "size": f"{rows} x {cols}"}
+            place: dict[str, Any] = {"domain": name, "size": f"{rows} x {cols}"}
             sizes.append(place | dict(size.numbers) | agents | steps)
     say("", "sizes with numbers of their own, which commands take there unless others are stated:")
     for row in sizes:

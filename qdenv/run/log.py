@@ -108,7 +108,7 @@ class Log:
         self,
         done: int,
         batch: int,
-        summary: list[float],
+        summary: tuple[float, float, float],
         seconds: float,
         evaluation: Evaluation,
         notes: Mapping[str, SupportsFloat],

@@ -34,10 +34,10 @@ class Publisher:
         self._collect = collector(algorithm)
         self._summarise = jax.jit(lambda state: _summary(algorithm, state))
 
-    def summary(self, search: Search) -> list[float]:
+    def summary(self, search: Search) -> tuple[float, float, float]:
         """Compute QD-score, coverage and best objective, and wait for them."""
         qd_score, filled, cells, best = map(float, self._summarise(search.state))
-        return [qd_score, filled / cells, best]
+        return qd_score, filled / cells, best
 
     @property
     def has_time(self) -> bool:

@@ -48,9 +48,8 @@ def draw_mazes(mazes: Sequence[Maze], titles: Sequence[str]) -> Figure:
     panels = figure.subplots(down, across, squeeze=False).ravel()
     colours = ListedColormap([TILES[" "], TILES["X"], MARKS["start"], MARKS["reached"]])
     for ax, maze, title in zip(panels, mazes, titles, strict=False):
-        kinds = maze.layout.reshape(-1).copy()
-        kinds[maze.start], kinds[maze.goal] = 2, 3
-        kinds = kinds.reshape(maze.layout.shape)
+        kinds = maze.layout.copy()
+        kinds.flat[[maze.start, maze.goal]] = 2, 3
         ax.imshow(kinds, cmap=colours, vmin=-0.5, vmax=3.5, interpolation="nearest")
         ax.set_title(title, fontsize=7)
         ax.set(xticks=[], yticks=[])
