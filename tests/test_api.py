@@ -161,7 +161,8 @@ def test_train_takes_a_name_and_overrides(tmp_path):
     grown = qdenv.generate_layout(run, rows=14, cols=15)
     assert grown.layout.shape == (14, 15) and qdenv.check(grown) == []
     raw = qdenv.generate_layout(str(run.path), elite=run.best, repair=False)
-    assert raw.facts["elite"] == ",".join(map(str, run.best.cell))
+    assert raw.facts["elite"] == run.best.cell
+    assert f"elite {','.join(map(str, run.best.cell))}" in repr(raw)
     with pytest.raises(InputError, match="steps must be at least 1, not -3"):
         qdenv.generate_layout(run, steps=-3)
     with pytest.raises(InputError, match="unknown preset 'nothing'"):
@@ -219,7 +220,7 @@ def test_notebooks_show_a_run_its_archive_and_an_elite(run):
     assert "data:image/png;base64," in run._repr_html_()
     assert run._repr_html_().count("<img") == 2
     assert repr(run).endswith("32 evaluations, " + repr(run).partition("32 evaluations, ")[2])
-    assert repr(run.archive).startswith(f"Archive({len(run.archive)} elites, coverage ")
+    assert repr(run.archive).startswith(f"SavedArchive({len(run.archive)} elites, coverage ")
     assert repr(run.best).startswith("Elite(cell ") and "paths" in repr(run.best)
     assert "<img" in run.best._repr_html_()
 

@@ -113,9 +113,11 @@ def table_html(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _plain(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Leave out what is no single value."""
-    return {key: one for key, one in facts.items() if not isinstance(one, list | tuple | dict)}
+    """Leave out what is no single value; the cell of an elite, a tuple, is one."""
+    return {key: one for key, one in facts.items() if not isinstance(one, list | dict)}
 
 
 def _shown(value: Any) -> str:
+    if isinstance(value, tuple):
+        return ",".join(map(str, value))
     return f"{value:.{DIGITS}g}" if isinstance(value, float | np.floating) else str(value)
