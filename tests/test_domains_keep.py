@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qdenv import cli
+from qdenv.cli import main as cli
 from qdenv.domains.base import environment_entropy, find_domain, make_domain
 from qdenv.grid import draw, parse
 from qdenv.presets import PRESETS

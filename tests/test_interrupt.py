@@ -115,7 +115,8 @@ def test_what_is_done_is_saved_first_unless_asked_once_more(tmp_path, seconds, s
 
 RUN = """
 import sys
-from qdenv import cli, interrupt
+from qdenv import interrupt
+from qdenv.cli import main as cli
 from qdenv.run.publish import Publisher
 
 interrupt.watch()

@@ -9,7 +9,8 @@ import jax
 import numpy as np
 import pytest
 
-from qdenv import cli, grid
+from qdenv import grid
+from qdenv.cli import main as cli
 from qdenv.domains.base import KnownSize, find_domain, make_domain
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.warehouse import WarehouseConfig
