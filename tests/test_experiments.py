@@ -120,7 +120,7 @@ def test_algorithms_averages_seeds_draws_and_goes_on(preset, tmp_path, capsys):
     before = [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*/*"))]
     compare.main(preset, 2, 100, names, tmp_path)  # everything is done: runs are only read
     assert [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*/*"))] == before
-    with pytest.raises(InputError, match="more than that"):
+    with pytest.raises(InputError, match="give a larger number"):
         compare.main(preset, 2, 50, names, tmp_path)
     with pytest.raises(InputError, match="other settings"):
         compare.main("quick", 2, 100, names, rename(tmp_path))

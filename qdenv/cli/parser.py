@@ -25,6 +25,10 @@ from qdenv.types import InputError
 
 MARKERS = (tyro.conf.AvoidSubcommands,)
 SPEC = "COMPLETION_SPEC = "  # begins the line of tyro's completion script with all options
+_CONVERSIONS = {
+    "invalid literal for int()": "a whole number",
+    "could not convert string to float": "a number",
+}
 JSON = tyro.conf.arg(metavar="FILE", help="file of the facts to write; - is standard output")
 
 
@@ -80,6 +84,9 @@ def _message(event: Any, target: Any, rules: Any) -> str:
         name = _name_of(event.argument)
         if message.startswith("must be"):
             return f"{name} {message}{listed}"
+        for start, kind in _CONVERSIONS.items():  # Python's own words
+            if message.startswith(start):
+                return f"{name} must be {kind}, not {message.rpartition(': ')[2]}{listed}"
         if "parse" in message or "type matching" in message:  # tyro's own words
             return f"{name} does not have the form {event.argument.lowered.metavar}{listed}"
         return message
