@@ -302,18 +302,22 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 99_999,
-    "files": 999,
-    "records": 999,
-    "public names": 9_999,
-    "class names used twice": 99,
-    "functions of two lines": 999,
+    "lines": 32_400,
+    "files": 205,
+    "records": 251,
+    "public names": 1_640,
+    "class names used twice": 15,
+    "functions of two lines": 536,
 }
 # Functions of the package that can be reached by plain calls from an entry point.
 MOST_REACHED = {
-    "pipeline:evaluate": 999,
-    "repair.recipe:repair_layout": 999,
-    "run.loop:train": 999,
+    "pipeline:evaluate": 7,
+    "repair.recipe:repair_layout": 131,
+    "run.loop:train": 57,
+    "ops.traffic:simulate_layout": 144,
+    "ops.runs:generate_layout": 194,
+    "simulate.mapf.pbs.planner:_plan_window": 57,
+    "simulate.mapf.negotiated.numba.rounds:_plan_window": 84,
 }
 
 
@@ -403,6 +407,9 @@ ODD = re.compile(
 )
 
 
+MOST_ODD = 61  # what is left of them
+
+
 def test_docstrings_are_plain_english():
     odd = [
         f"{path.relative_to(PACKAGE)}:{node.body[0].lineno}: {match[0]}"
@@ -412,6 +419,3 @@ def test_docstrings_are_plain_english():
         for match in ODD.finditer(ast.get_docstring(node) or "")
     ]
     assert len(odd) <= MOST_ODD, odd
-
-
-MOST_ODD = 999
