@@ -1,30 +1,35 @@
 """Benchmarks: what they compare with and estimate."""
 
 import json
-import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import qdenv
-from experiments.benchmarks import search
-from experiments.benchmarks.common import best_of, show
+from experiments.benchmarks import common, search
 from experiments.benchmarks.simulation import simulate
 from experiments.benchmarks.training import shortest_time
 from qdenv.study.traffic import simulate_layout
 from qdenv.surrogate.settings import SurrogateConfig
 
 
-def test_the_fastest_call_counts_and_the_first_stands_apart():
-    seconds = iter([0.04, 0.01, 0.02])
-    timing = best_of(2, lambda: time.sleep(next(seconds)), items=2)
-    assert 5 <= timing["wall_ms"] < 10
-    assert timing["cpu_ms"] <= timing["worst_cpu_ms"]
+def test_the_fastest_call_counts_and_the_first_stands_apart(monkeypatch):
+    now, seconds = [0.0], iter([4.0, 2.0, 1.0, 3.0])
+
+    def call() -> None:
+        now[0] += next(seconds)
+
+    clock = SimpleNamespace(process_time=lambda: now[0], perf_counter=lambda: 10 * now[0])
+    monkeypatch.setattr(common, "time", clock)
+    timing = common.best_of(3, call, items=2)
+    expected = {"cpu_ms": 500, "wall_ms": 5000, "worst_cpu_ms": 1500, "first_cpu_s": 4}
+    assert timing == expected
 
 
 def test_a_table_has_the_numbers_and_texts_of_its_rows(capsys):
     rows = [{"name": "a", "cost": 1234.567, "each": [1, 2]}, {"name": "b", "cost": None}]
-    assert show("costs", iter(rows)) == rows
+    assert common.show("costs", iter(rows)) == rows
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert lines == [[], ["costs"], ["name", "cost"], ["a", "1235"], ["b", "None"]]
 

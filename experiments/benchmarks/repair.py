@@ -53,8 +53,10 @@ def repair(
         groups: list[Group] = [(plan.name, plan.domain.name, [plan.layout]) for plan in plans]
         groups += one_tile_layouts()
         for kind in DOMAINS:
-            groups += [(f"{kind} random", kind, grow_random(kind, random))] * bool(random)
-            groups += [(f"{kind} S_eval", kind, grow_random(kind, 1, shape=EVAL_SIZE))] * eval_size
+            if random:
+                groups.append((f"{kind} random", kind, grow_random(kind, random)))
+            if eval_size:
+                groups.append((f"{kind} S_eval", kind, grow_random(kind, 1, shape=EVAL_SIZE)))
         for (name, kind, group), level in product(groups, polish):
             seeds = 2 if group[0].shape == SIZE else 1
             yield repair_all(name, kind, group, RepairConfig(level), seeds)[0]

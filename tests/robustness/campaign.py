@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv import InputError
+from qdenv import InputError, interrupt
 from qdenv.io.files import write_json
 
 
@@ -75,20 +75,24 @@ def run(
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
     rows = [new_row(attacks[name]) for name in only or attacks]
     print(f"seed {seed}: {', '.join(row['attack'] for row in rows)}", flush=True)
-    end = time.monotonic() + 60 * minutes
-    try:
-        while not all(row["attempts"] for row in rows) or time.monotonic() < end:
-            row = min(rows, key=lambda row: (row["attempts"] > 0, row["seconds"]))
-            attack_once(attacks[row["attack"]], row, seed, first + row["attempts"])
-    finally:
+    result = {"seed": seed, "attacks": rows}
+
+    def report() -> None:
         for row in rows:
-            count, unit = row[attacks[row["attack"]].unit], attacks[row["attack"]].unit
+            unit = attacks[row["attack"]].unit
             notes = "".join(f", {count:,} {name}" for name, count in sorted(row["notes"].items()))
             outcome = f"{len(row['faults']) or 'no'} faults in {row['seconds']:.0f} s"
-            print(f"{row['attack']:11} {count:>9,} {unit:12} {outcome}{notes}", flush=True)
-        result = {"seed": seed, "attacks": rows}
+            print(f"{row['attack']:11} {row[unit]:>9,} {unit:12} {outcome}{notes}", flush=True)
         if json:
             write_json(json, result)
+
+    interrupt.save_first(report)
+    end = time.monotonic() + 60 * minutes
+    while not all(row["attempts"] for row in rows) or time.monotonic() < end:
+        row = min(rows, key=lambda row: (row["attempts"] > 0, row["seconds"]))
+        attack_once(attacks[row["attack"]], row, seed, first + row["attempts"])
+    interrupt.save_first(None)
+    report()
     if any(row["faults"] for row in rows):
         sys.exit(1)
     return result
