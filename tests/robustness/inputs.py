@@ -67,8 +67,10 @@ LINES: Mapping[str, str] = {
     "train": "train maze-quick --out RUN",
     "train-agent": "train-agent --out AGENT",
 }
-# With another folder these two would train for hours.
-TRAINING, FOLDERS = ("train", "train-agent"), ("--out", "--run-dir")
+TRAINING = ("train", "train-agent")
+# Options that are not drawn: in another folder these two would train for hours, and the picture of
+# the zoo takes longer than a bad input may.
+EXCLUDED = dict.fromkeys(TRAINING, ("--out", "--run-dir")) | {"zoo": ("--plot",)}
 EXTREMES = (
     *("-1", "0", "1", "0.5", "-0.0", "nan", "inf", "-inf", "1e308", "1e-320", "9" * 30, "9" * 5000),
     *("2147483648", "9223372036854775808", "18446744073709551616", "-2147483649", "", " ", "a"),
@@ -202,10 +204,9 @@ def bad_line(rng: Rng, folder: Path) -> Input:
     write(folder / "agent", {"checkpoint.npz": b"", "config.json": b"{}"})
     command = pick(rng, tuple(LINES))
     files = {"PLAN": "plan.json", "MAZE": "maze.txt", "RUN": "run", "AGENT": "agent"}
-    options = options_of(command)
-    if command in TRAINING:
-        options = tuple(option for option in options if option not in FOLDERS)
-    elif rng.random() < 0.2:
+    excluded = EXCLUDED.get(command, ())
+    options = tuple(option for option in options_of(command) if option not in excluded)
+    if command not in TRAINING and rng.random() < 0.2:
         files[pick(rng, tuple(files))] = pick(rng, EXTREMES)
     argv = list(line(command, **files))
     for _ in range(int(rng.integers(1, 4))):
