@@ -26,10 +26,12 @@ def repair(
     layouts: tuple[Path, ...] = (),
     polish: tuple[Polish, ...] = ("quick", "full"),
     random: int = 20,
+    kernel_sizes: tuple[int, ...] = KERNELS,
     hard: int = 1000,
     population: int = 50,
     tiles: int = 50,
     eval_size: bool = True,
+    seeds: int = 2,
     json: Path | None = None,
 ) -> Row:
     """Repair and audit files, layouts of one tile, of random automata and of random tiles.
@@ -38,11 +40,13 @@ def repair(
         layouts: unrepaired layout files.
         polish: levels to measure.
         random: number of random automata per domain.
+        kernel_sizes: of these automata.
         hard: number of layouts of noise, stripes, pockets and one tile per domain, annealed only.
         population: number of layouts repaired in one call; 0 for none.
         tiles: number of random tile maps, and of mutations of them, per domain and size, as a
             search of tiles repairs; a tenth of them at S_eval.
         eval_size: also repair layouts of size S_eval.
+        seeds: number of repairs of each layout of size S.
         json: file of the result.
     """
     sizes = (SMALL, SIZE, EVAL_SIZE) if eval_size else (SMALL, SIZE)
@@ -54,12 +58,12 @@ def repair(
         groups += one_tile_layouts()
         for kind in DOMAINS:
             if random:
-                groups.append((f"{kind} random", kind, grow_random(kind, random)))
+                groups.append((f"{kind} random", kind, grow_random(kind, random, kernel_sizes)))
             if eval_size:
                 groups.append((f"{kind} S_eval", kind, grow_random(kind, 1, shape=EVAL_SIZE)))
         for (name, kind, group), level in product(groups, polish):
-            seeds = 2 if group[0].shape == SIZE else 1
-            yield repair_all(name, kind, group, RepairConfig(level), seeds)[0]
+            repeats = seeds if group[0].shape == SIZE else 1
+            yield repair_all(name, kind, group, RepairConfig(level), repeats)[0]
         for kind in DOMAINS if hard else ():
             # A seventh of the moves of a search; the solver only starts from feasible layouts.
             config = RepairConfig("none", moves_per_cell=200)

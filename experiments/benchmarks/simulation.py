@@ -44,7 +44,6 @@ PLANNERS: dict[str, Any] = {  # name -> options of `simulate_layout`
     "plain": {"planner": qdenv.PbsConfig(rule="plain")},
 }
 WINDOW = 5  # timesteps between two plans
-ZOO = Path(qdenv.__file__).parent / "zoo"
 # Layout, domain, tiles int8 [H, W], agents, timesteps, recorded runs.
 Case = tuple[str, str, np.ndarray, int, int, list[Row]]
 
@@ -152,7 +151,7 @@ TIMED = {"growth": "#0072b2", "repair": "#d55e00", "distances": "#009e73", "wind
 
 def scale(
     sizes: tuple[str, ...] = ("33x36", "51x52", "101x102", "201x202", "401x401"),
-    run: Path = ZOO / "warehouse-even",
+    run: str = "zoo:warehouse-even",
     density: float = 10_000 / 401**2,
     timesteps: int = 200,
     effort: Literal["low", "high"] = "low",
@@ -168,7 +167,7 @@ def scale(
 
     Args:
         sizes: rows x columns, the frame included.
-        run: whose best elite grows the layouts.
+        run: folder of a run, or zoo:DOMAIN/NAME, whose elite grows the layouts.
         density: agents per cell of the layout, walls included.
         timesteps: of the simulation.
         effort: of the planner.
@@ -177,7 +176,7 @@ def scale(
         json: file of the result.
     """
     shapes = [parse_size(size) for size in sizes]
-    directory = qdenv.RunDirectory(run)
+    directory = qdenv.RunDirectory.open(run)
     config = directory.config.evaluation
     trained = qdenv.make_domain(config.domain)
     parameters = jnp.asarray(directory.archive.elite("best").solution)[None]

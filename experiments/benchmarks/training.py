@@ -106,6 +106,7 @@ def executors(
     workers: int = 2,
     kills: int = 20,
     simulated: int = 64,
+    batch: int = 50,
     ahead: int = 2,
     seed: int = 0,
     json: Path | None = None,
@@ -120,6 +121,7 @@ def executors(
         workers: processes of the cluster, and threads.
         kills: workers that are killed at random moments of the third search; 0 for none.
         simulated: workers of the cluster that sleeps; 0 for none.
+        batch: tasks of each of its populations.
         ahead: populations in flight beyond the first, to compare with none.
         seed: of the search and of the kills.
         json: file of the result.
@@ -129,7 +131,7 @@ def executors(
         config = replace(qdenv.find_preset(preset), evaluations=evaluations, seed=seed)
         tables["searches"] = show("searches", compare_executors(config, workers, kills))
     if simulated:
-        rows = (sleep(simulated, seed, number) for number in sorted({0, ahead}))
+        rows = (sleep(simulated, batch, seed, number) for number in sorted({0, ahead}))
         tables["sleeping"] = show("a cluster that sleeps", rows)
     return save(json, **tables)
 
@@ -186,7 +188,7 @@ def train_and_kill(
     return run, killed[0]
 
 
-def sleep(workers: int, seed: int, ahead: int) -> Row:
+def sleep(workers: int, batch: int, seed: int, ahead: int) -> Row:
     """Measure the share of time that a cluster's workers sleep, each task instead of an evaluation.
 
     The ideal is a share that no scheduler exceeds, as an old population waits for its slowest
@@ -194,8 +196,8 @@ def sleep(workers: int, seed: int, ahead: int) -> Row:
     """
     from distributed import Client, LocalCluster
 
-    # Seconds of 20 populations of 50 at size S: about 2 with a spread of a quarter.
-    lengths = np.random.default_rng(seed).gamma(16, 2 / 16, (20, 50))
+    # Seconds of 20 populations at size S: about 2 with a spread of a quarter.
+    lengths = np.random.default_rng(seed).gamma(16, 2 / 16, (20, batch))
     limits = {"threads_per_worker": 1, "memory_limit": 0, "dashboard_address": None}
     with (
         LocalCluster(n_workers=workers, processes=False, **limits) as cluster,
