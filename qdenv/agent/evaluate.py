@@ -212,7 +212,7 @@ def draw_mazes(
         walls: walls of each.
         accept: length of the longest shortest path -> keep it; by default every solvable maze.
         tries: mazes drawn before giving up.
-        progress: told how far it is.
+        progress: called with the progress.
 
     Raises:
         InputError: `tries` mazes were not enough, or more walls than tiles.
@@ -300,7 +300,7 @@ def compare_with_random(
         seed: of walls, headings and actions.
         horizon: actions per episode; twice the tiles of the ringed maze by default.
         band: least and largest length of the longest shortest path, as shares of the given maze's.
-        progress: told how far it is.
+        progress: called with the progress.
 
     Raises:
         InputError: fewer than two mazes, or no such mazes within 100,000 tries.
@@ -349,7 +349,7 @@ def maze_success(
         mazes: random mazes.
         random_runs: independent episodes on each of them.
         seed: of walls, headings and actions.
-        progress: told how far it is.
+        progress: called with the progress.
 
     Raises:
         InputError: fewer than two random mazes, none to be found, or nothing to solve.

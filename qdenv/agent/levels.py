@@ -178,7 +178,7 @@ def draw_level(key: jax.Array, config: LevelConfig) -> Level:
 
 
 def vary_level(key: jax.Array, level: Level, config: LevelConfig) -> Level:
-    """Flip a few tiles of a level and pair it anew, the edit of ACCEL; consumes the key.
+    """Flip a few tiles of a level and pair it again, the edit of ACCEL; consumes the key.
 
     Parker-Holder et al. 2022, https://arxiv.org/abs/2203.01302.
     """

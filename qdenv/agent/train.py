@@ -147,7 +147,7 @@ def train_agent(
             method, not for other sizes.
         report_every: updates between two lines of the log, each with a checkpoint and an exam on
             held-out mazes.
-        cpu_seconds: stop after about so many CPU seconds, ready to be resumed.
+        cpu_seconds: stop after about this many CPU seconds, ready to be resumed.
         progress: told the number of updates done, and after some of them the new line of the log.
 
     Returns:

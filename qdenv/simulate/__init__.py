@@ -50,8 +50,8 @@ more step there. Here cells 1 and 2 are the goals of a, in turn.
 
 **Service.** Where a goal has a stay (its service time), the agent remains on it for that many
 timesteps after arriving, and blocks the cell; then the task is finished. Nothing cuts a stay short.
-Planners know two goals of each agent. Whoever comes upon a third one with a stay before all are
-planned again drives on, and arrives there after the next planning.
+Planners know two goals of each agent. An agent that comes upon a third one with a stay before
+all are planned again drives on, and arrives there after the next planning.
 
     tasks: stay 2 on 1..2, finished at 3 8
     .a..  a...  a...  a...  .a..  ..a.  ...a  ...a  ...a

@@ -83,7 +83,7 @@ def average(maps: Sequence[Maps]) -> Maps:
 
 
 def worst_cells(layout: np.ndarray, maps: Maps, most: int = 10) -> list[Spot]:
-    """List the cells with the most waiting, the worst first; none where nobody waits.
+    """List the cells with the most waiting, the worst first; none where no agent waits.
 
     Args:
         layout: int8 [H, W].
@@ -108,7 +108,7 @@ def worst_cells(layout: np.ndarray, maps: Maps, most: int = 10) -> list[Spot]:
 
 
 def cells_with_half(maps: Maps) -> int:
-    """Count the fewest cells that together hold half of all waiting; 0 where nobody waits."""
+    """Count the fewest cells that together hold half of all waiting; 0 where no agent waits."""
     ordered = np.sort(maps.waiting.reshape(-1))[::-1].cumsum()
     return int(np.searchsorted(ordered, ordered[-1] / 2)) + 1 if ordered[-1] > 0 else 0
 

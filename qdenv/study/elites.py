@@ -106,7 +106,7 @@ def grow_elite(
         shape: (rows, columns) of the framed layout; None takes the trained size.
         steps: steps of growth; unless given what the domain knows of the size, or else scaled
             with the longer side.
-        numbers: exact numbers of tiles by the settings' names; those left out likewise, scaled
+        numbers: exact numbers of tiles by the settings' names; those left out as well, scaled
             with the generated area.
         keep: drawing of the layout's shape with the tiles that must stay; at the trained size
             what the run kept unless given.
@@ -176,7 +176,7 @@ def make_grower(config: EvaluationConfig, domain: Domain) -> tuple[int, Grower]:
 
     Returns:
         (steps C, float32 [B, P] -> framed layouts int8 [B, C + 1, H, W]); no steps where nothing
-        grows. Another B is compiled anew.
+        grows. Another B is compiled again.
     """
     from qdenv.pipeline import canvas_of  # imports both compilers
 

@@ -68,7 +68,7 @@ def record_fleet(
         plan: where.
         config: the numbers.
         seed: of starts, goals and ties; the run that `simulate` counts for this seed.
-        progress: told how far it is.
+        progress: called with the progress.
 
     Raises:
         InputError: the fleet cannot work on this layout, or the run is too long to be shown.

@@ -29,11 +29,12 @@ def silent(doing: str, share: float, note: str) -> None:
 
 
 def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
-    """Read seeds: a count, which gives the first so many, or a list.
+    """Read seeds: a count, which gives the first ones, or a list.
 
     Args:
         seeds: 10 or "10" for ten seeds from 0 on; "3,5,9" for these three, "7," for this one. In
-            a sequence one entry is read likewise, several are a list: (10,), ("3,5",), (3, 5, 9).
+            a sequence one entry is read the same way, several are a list: (10,), ("3,5",),
+            (3, 5, 9).
 
     Raises:
         InputError: it is neither, or there is no seed in it.
@@ -141,7 +142,7 @@ def fleet_tasks(layout: np.ndarray, tasks: TaskRule | None, agents: int) -> Task
     """Refuse what no simulation can begin with; returns what the agents do.
 
     Raises:
-        InputError: no fleet drives in this domain, or so many do not fit the layout.
+        InputError: no fleet drives in this domain, or that many do not fit the layout.
     """
     if tasks is None:
         raise InputError("no fleet drives in this domain: there is no traffic to simulate")
@@ -166,13 +167,13 @@ def usual_fleet(
     agents: int | None = None,
     timesteps: int | None = None,
 ) -> Usual:
-    """Choose the numbers that nobody stated, for layouts that are put to the same.
+    """Choose the numbers that are not stated, the same for all layouts.
 
     Args:
         domain: whose layouts.
         layouts: int8 [H, W] each; what their size gives counts where they are all of one size.
-        agents: None where nobody says.
-        timesteps: likewise.
+        agents: None if not stated.
+        timesteps: None if not stated.
     """
     shapes = {layout.shape for layout in layouts}
     size = domain.known_size(*shapes.pop()) if len(shapes) == 1 else None

@@ -76,7 +76,7 @@ def grow_sizes(
         which: "best", or the archive cell's indices like "12,40".
         sizes: rows and columns of each framed layout.
         steps: steps of growth for each size; as `grow_elite` chooses where empty.
-        numbers: exact numbers of tiles for each size, by the settings' names; likewise.
+        numbers: exact numbers of tiles for each size, by the settings' names.
         seed: of the repair; the run's own unless given.
 
     Yields:
@@ -147,7 +147,7 @@ def human_layout(domain: Domain) -> np.ndarray:
     """Draw what people design for `domain` at its size (int8 [H, W]; appendix D.2).
 
     Raises:
-        InputError: nobody designs layouts of this domain, or the size is too small.
+        InputError: no layouts of this domain are designed by hand, or the size is too small.
     """
     if domain.human is None:
         raise InputError(f"nobody designs layouts of {domain.name} by hand: choose another domain")
@@ -158,7 +158,7 @@ def tile_layout(domain: Domain, layout: np.ndarray) -> np.ndarray:
     """Repeat the generated area of a small layout until it fills a larger one (section E.4).
 
     The copies start in the upper left corner; those at the right and at the bottom are cut. The
-    frame is drawn anew.
+    frame is drawn again.
 
     Args:
         domain: at the larger size.

@@ -66,7 +66,7 @@ def examine(
         config: numbers of the simulation.
         seeds: of the runs; the first few of them for other numbers of agents.
         wanted: what is looked into.
-        progress: told how far it is.
+        progress: called with the progress.
         tell: told the study without its verdict, before the runs that this takes.
 
     Raises:
@@ -139,7 +139,7 @@ def simulate_layout(
         layout: int8 [H, W].
         domain: name of the domain.
         agents: number of agents; as `usual_fleet` chooses unless given.
-        timesteps: horizon T, likewise.
+        timesteps: horizon T; as `usual_fleet` chooses unless given.
         seeds: how many, or a list; see `parse_seeds`.
         check: audit every trajectory, and see where agents wait; without it "valid" is None.
         **driving: effort, planner, stop, see `options.Driving`.

@@ -89,7 +89,7 @@ def finite(values: np.ndarray) -> np.ndarray:
 
 
 def success_of(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
-    """Tell which simulations went well, bool [elites, S]; None where nobody counted."""
+    """Tell which simulations went well, bool [elites, S]; None if not counted."""
     if "congested" in columns:
         return ~columns["congested"].astype(bool)
     return columns["success"].astype(bool) if "success" in columns else None
@@ -193,7 +193,7 @@ def grow_elites(
         steps: of growth.
         grow: their generator, as `make_grower` makes it.
         wanted: how many; None for as many as the usual room holds.
-        progress: told how far it is.
+        progress: called with the progress.
     """
     growth = Growth(steps, [], {}, {})
     if not steps or wanted == 0:
@@ -276,7 +276,7 @@ def make_explorer(
         run: a run that has saved an archive.
         growth: how many elites the page shows growing, evenly spread over the archive, the best
             among them; unless given as many as fit into 12 MB.
-        progress: told how far it is.
+        progress: called with the progress.
 
     Returns:
         the page, and its facts in brief.

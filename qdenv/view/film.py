@@ -221,7 +221,7 @@ def save_film(
         tiles: the alphabet.
         motion: what moved.
         window: timesteps at which the film begins and ends; cut to those of the run.
-        progress: told what is done, and which share of it.
+        progress: called with the step and its completed share.
 
     Raises:
         InputError: the place cannot be written to, or the window is empty.

@@ -150,7 +150,7 @@ def draw_frames(layouts: Sequence[Array], steps: Sequence[int], tiles: str) -> F
     """Draw how one layout grows, a panel for each number of NCA steps (Figure 6).
 
     Args:
-        layouts: int8 [H, W] each, after so many steps.
+        layouts: int8 [H, W] each, after the given numbers of steps.
         steps: numbers of NCA steps.
         tiles: the alphabet.
     """

@@ -135,7 +135,7 @@ def find(place: str | Path) -> Shipped | None:
         The generator; None for other places.
 
     Raises:
-        InputError: nothing has this name; the line lists what there is.
+        InputError: nothing has this name; the line lists the choices.
     """
     text = place.as_posix() if isinstance(place, Path) else place
     if text.startswith(PREFIX):

@@ -1,4 +1,4 @@
-"""The agents of one run: where they start, how they drive and serve, what their planner is told."""
+"""The agents of one run: where they start, how they drive and serve, what their planner sees."""
 
 from typing import NamedTuple
 

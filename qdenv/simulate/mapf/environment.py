@@ -160,7 +160,7 @@ class Environment:
         return after, self._timestep(after, finished.astype(jnp.float32), refused)
 
     def targets(self, position: jax.Array, actions: jax.Array) -> jax.Array:
-        """Find the cells that actions lead to where nobody is in the way (int32 [A])."""
+        """Find the cells that actions lead to where no agent is in the way (int32 [A])."""
         rows, cols = self.free.shape
         steps = jnp.array([*MOVES, (0, 0)], jnp.int32)
         known = (actions >= 0) & (actions < self.actions)

@@ -53,7 +53,7 @@ def empty_metrics(world: World, timesteps: int) -> Metrics:
 def is_congested(
     start: jax.Array, remaining_service: jax.Array, block: Block, active: jax.Array
 ) -> jax.Array:
-    """Tell whether more than half of the agents are stuck.
+    """Return whether more than half of the agents are stuck.
 
     Stuck: the same cell at all timesteps of the window but the last, and never serving.
 
@@ -151,7 +151,7 @@ def recording_of(outcome: Outcome, active: jax.Array, world: World, timesteps: i
 
     Args:
         outcome: of the run.
-        active: bool [A]; whoever took no part is nowhere, all zeros.
+        active: bool [A]; an agent that takes no part is nowhere, all zeros.
         world: where the agents drove.
         timesteps: T of the run.
     """

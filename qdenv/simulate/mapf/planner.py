@@ -28,12 +28,12 @@ UNREACHABLE_AFAR = 1 << 20  # likewise on larger ones, of a thousand rows and co
 
 
 def steps_type(cells: int) -> type[np.int16] | type[np.int32]:
-    """Choose the type of distances on a grid of so many cells: no way is longer than the grid."""
+    """Choose the type of distances on a grid of this many cells: no way is longer than the grid."""
     return np.int16 if cells <= UNREACHABLE else np.int32
 
 
 def unreachable(cells: int) -> int:
-    """Give the number that stands for no way on a grid of so many cells, above all distances."""
+    """Give the number that stands for no way on a grid of this many cells, above all distances."""
     return UNREACHABLE if cells <= UNREACHABLE else UNREACHABLE_AFAR
 
 

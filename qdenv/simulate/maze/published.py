@@ -1,6 +1,6 @@
 """The published evaluation loop of the maze, quirks included, to compare with its archives.
 
-Two quirks: every environment of the batch is told the *union* of all environments' headings as its
+Two quirks: every environment of the batch sees the *union* of all environments' headings as its
 compass, and the first episodes to finish count, so short ones are over-represented. All share one
 random seed, hence the sequence of first headings. Not the default: that is `episode.run_episode`.
 """

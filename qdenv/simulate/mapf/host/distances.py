@@ -127,7 +127,7 @@ def _push(stack: np.ndarray, count: np.ndarray, numbers: np.ndarray) -> None:
 
 @formula
 def distance(fields: DistanceFields, grid: GridMap, goal: int, cell: int) -> int:
-    """Look up the steps from a free cell to a goal; measure them first where nobody has.
+    """Look up the steps from a free cell to a goal; measure them first if needed.
 
     If the fields are full the answer is `fields.unreachable`, and `fields.is_full` is set.
     """

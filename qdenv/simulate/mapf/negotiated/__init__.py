@@ -1,4 +1,4 @@
-"""The negotiated planner: agents bargain for reservations until nobody is in conflict.
+"""The negotiated planner: agents bargain for reservations until no two conflict.
 
 How to read it:
 

@@ -113,17 +113,17 @@ def is_flipped(tie_break: Value) -> Value:
 
 @shared
 def is_entry(state: PathState[Value], on_first_goal: Value, just_served: Value) -> Value:
-    """Tell whether leg 1 began here, by ending the service at the current goal."""
+    """Return whether leg 1 began here, by ending the service at the current goal."""
     return (state.elapsed < 0) & (state.leg == 1) & on_first_goal & just_served
 
 
 @shared
 def service_conflict(conflicts: Value, disturbed: Value, fewer_served: Value) -> Value:
-    """Tell whether the last timestep of a service added a conflict.
+    """Return whether the last timestep of a service added a conflict.
 
     Args:
         conflicts: after it.
-        disturbed: somebody has reserved the goal then.
+        disturbed: another agent has reserved the goal then.
         fewer_served: a path with one conflict less served for one timestep less.
     """
     return (conflicts > 0) & disturbed & fewer_served
@@ -152,7 +152,7 @@ def column_before(column: Value, move: int) -> Value:
 
 @shared
 def is_predecessor(same: Value, fewer: Value, conflicting: Value, cap: Value) -> Value:
-    """Tell whether a path can have come from a cell.
+    """Return whether a path can have come from a cell.
 
     Args:
         same: paths go on from there with as many conflicts.

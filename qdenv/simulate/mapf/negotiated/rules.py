@@ -53,14 +53,14 @@ def opposite(move: Value) -> Value:
 
 @shared
 def steps_conflict(before: Value, after: Value, other_before: Value, other_after: Value) -> Value:
-    """Tell whether two steps meet in a cell (vertex conflict) or swap their cells."""
+    """Return whether two steps meet in a cell (vertex conflict) or swap their cells."""
     swapped = (after == other_before) & (before == other_after)
     return (after == other_after) | swapped
 
 
 @shared
 def is_swapped(owner_ahead: Value, owner_behind: Value) -> Value:
-    """Tell whether a step swaps cells with a reserved one.
+    """Return whether a step swaps cells with a reserved one.
 
     Args:
         owner_ahead: who holds, before the step, the cell it enters.
@@ -119,7 +119,7 @@ def count_conflict(clean: Value, clashing: Value, fewer_clashing: Value, cap: Va
 
 @shared
 def continue_service(served: Value, fewer_served: Value, disturbed: Value, cap: Value) -> Value:
-    """Serve one timestep more; it conflicts where somebody has reserved the goal.
+    """Serve one timestep more; it conflicts where another agent has reserved the goal.
 
     Args:
         served: bit e, a path exists that has served for e timesteps.
@@ -139,7 +139,7 @@ def begin_service(served: Value, arrived: Value) -> Value:
 
 @shared
 def has_served(served: Value, timesteps: Value) -> Value:
-    """Tell whether a path has served for exactly so long (0 or 1)."""
+    """Return whether a path has served for exactly so long (0 or 1)."""
     return (served >> timesteps) & 1
 
 
@@ -173,13 +173,13 @@ def goal_column(cell: Value, position: Value, width: int, window: int) -> Value:
 
 @shared
 def is_visible(row: Value, column: Value, side: int) -> Value:
-    """Tell whether a cell lies in a local window of `side` rows and columns."""
+    """Return whether a cell lies in a local window of `side` rows and columns."""
     return (row >= 0) & (row < side) & (column >= 0) & (column < side)
 
 
 @shared
 def ends_leg(leg: int, service_time: Value) -> Value:
-    """Tell whether paths stop at the goal of a leg.
+    """Return whether paths stop at the goal of a leg.
 
     What follows the next goal is not known: without service there, it is driven over freely.
     """

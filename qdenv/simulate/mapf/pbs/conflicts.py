@@ -189,7 +189,7 @@ def resolve(
         last: one past them; nothing is kept beyond.
 
     Returns:
-        One past the conflicts of the new plan, or `INCONSISTENT`; then nobody waits either.
+        One past the conflicts of the new plan, or `INCONSISTENT`; then no agent waits either.
     """
     plan, order, queue, conflicts = work.plan, work.order, work.queue, work.tree.conflict
     budget = REPLANS_PER_AGENT * queue.num_near.size

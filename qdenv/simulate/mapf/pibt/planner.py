@@ -1,4 +1,4 @@
-"""PIBT: one step at a time, priorities inherited by whoever stands in the way.
+"""PIBT: one step at a time, priorities inherited by the agent in the way.
 
 Okumura et al. 2022, "Priority inheritance with backtracking for iterative multi-agent path
 finding", Artificial Intelligence 310 (https://arxiv.org/abs/1901.11282), algorithm 1. Fast, and it

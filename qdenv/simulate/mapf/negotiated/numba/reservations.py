@@ -60,7 +60,7 @@ def is_taken(word: int, t: int, move: int) -> int:
 
 @formula
 def is_reserved(word: int, t: int) -> int:
-    """Return whether somebody is in a cell at t + 1 (0 or 1)."""
+    """Return whether an agent is in a cell at t + 1 (0 or 1)."""
     return (word >> t) & 1
 
 

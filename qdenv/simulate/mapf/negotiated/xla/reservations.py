@@ -143,7 +143,7 @@ def remember(
 ) -> Reservations:
     """Reserve the first steps of everybody's previous path until they plan themselves.
 
-    They bind nobody, but tell whom to avoid where avoiding costs nothing.
+    They bind no agent, but tell whom to avoid where avoiding costs nothing.
     """
     count = state.position.shape[0]
     time = jnp.arange(state.previous.shape[0])[:, None]

@@ -64,7 +64,7 @@ def predecessor(local: LocalWindow, state: PathStates, step: History) -> PathSta
 
 
 def is_in(words: jax.Array, column: jax.Array, side: int) -> jax.Array:
-    """Tell whether each word (uint32 [K]) has the bit of its column; none beyond the border."""
+    """Return whether each word (uint32 [K]) has the bit of its column; none beyond the border."""
     inside = (column >= 0) & (column < side)
     return inside & ((words >> jnp.clip(column, 0, 31).astype(jnp.uint32)) & 1 == 1)
 
