@@ -26,13 +26,14 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-# The test suite switches XLA's optimizations off, which changes the last bits of its floats.
-os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "0"
-os.environ.setdefault("JAX_PLATFORMS", "cpu")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Compiling takes most of the time of the sections that use XLA.
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path.home() / ".cache" / "qdenv-golden"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+if __name__ == "__main__":
+    # The test suite switches XLA's optimizations off, which changes the last bits of its floats.
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "0"
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Compiling takes most of the time of the sections that use XLA.
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path.home() / ".cache" / "qdenv-golden"))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
 _NUMBER = re.compile(r"(?:(?<![\w.])-)?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
 
