@@ -18,14 +18,14 @@ from types import FrameType
 from typing import NoReturn
 
 EXIT_CODE = 130  # what shells expect of a program ended by Ctrl-C
-FLUSH_SECONDS = 0.3
-LOOK_SECONDS = 0.05
+_FLUSH_SECONDS = 0.3
+_LOOK_SECONDS = 0.05
 
 unfinished: set[str] = set()  # files under way, which are taken away
 _way: list[str] = [""]  # how to go on
 _unsaved: list[Callable[[], None]] = []  # saves what is done, before the end
 undisturbed = threading.Lock()  # held by whoever changes what would be saved
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def watch(program: str = "qdenv") -> None:
@@ -42,7 +42,7 @@ def watch(program: str = "qdenv") -> None:
     reader, writer = socket.socketpair()
     writer.setblocking(False)
     # Python's own handler does nothing; the number of the signal arrives at the socket at once.
-    for number in SIGNALS:
+    for number in _SIGNALS:
         signal.signal(number, _ignore)
     signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
 
@@ -50,7 +50,7 @@ def watch(program: str = "qdenv") -> None:
         with reader, writer:
             _await_signal(reader)
             _save(reader)
-            leave()
+            _leave()
 
     threading.Thread(target=wait, daemon=True, name="interrupt").start()
 
@@ -61,7 +61,7 @@ def _ignore(number: int, frame: FrameType | None) -> None:
 
 def _await_signal(reader: socket.socket) -> None:
     """Wait for a signal that ends this program."""
-    while reader.recv(1)[0] not in SIGNALS:
+    while reader.recv(1)[0] not in _SIGNALS:
         pass
 
 
@@ -73,7 +73,7 @@ def _save(reader: socket.socket) -> None:
         os.write(2, b"\nqdenv: saving what is done; once more ends at once\n")
     saving = threading.Thread(target=_save_undisturbed, daemon=True)
     saving.start()
-    reader.settimeout(LOOK_SECONDS)
+    reader.settimeout(_LOOK_SECONDS)
     while saving.is_alive():
         with contextlib.suppress(TimeoutError):
             _await_signal(reader)
@@ -104,14 +104,14 @@ def last_words() -> str:
     return f"qdenv: stopped; {_way[0]}" if _way[0] else "qdenv: stopped"
 
 
-def leave() -> NoReturn:
+def _leave() -> NoReturn:
     """Say how to go on, take unfinished files away, and end the process."""
     with contextlib.suppress(OSError):
         os.write(2, f"\n{last_words()}\n".encode())
     # Whoever prints at this moment holds a lock: wait for it a little, not for ever.
     flushing = threading.Thread(target=sys.stdout.flush, daemon=True)
     flushing.start()
-    flushing.join(FLUSH_SECONDS)
+    flushing.join(_FLUSH_SECONDS)
     for path in list(unfinished):
         with contextlib.suppress(OSError):
             os.unlink(path)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-AXIS = "devices"
+_AXIS = "devices"
 # Held during a call that devices share: they wait for each other in it, and those of two calls at
 # once could wait for ever.
 turn = threading.Lock()
@@ -31,7 +31,7 @@ def map_items(function: Callable[..., Any], *items: Any) -> Any:
         The results, with leading axis B, whole on every device.
     """
     devices = jax.local_devices()
-    mesh = Mesh(np.asarray(devices), (AXIS,))
+    mesh = Mesh(np.asarray(devices), (_AXIS,))
     # Whole on both sides: the compiler would share out what comes before and after as well, and
     # add up in another order there.
     whole = NamedSharding(mesh, PartitionSpec())
@@ -40,8 +40,8 @@ def map_items(function: Callable[..., Any], *items: Any) -> Any:
     shared = jax.shard_map(
         function,
         mesh=mesh,
-        in_specs=PartitionSpec(AXIS),
-        out_specs=PartitionSpec(AXIS),
+        in_specs=PartitionSpec(_AXIS),
+        out_specs=PartitionSpec(_AXIS),
         check_vma=False,  # loops begin from constants, which do not vary, and end with what does
     )
     results = shared(*jax.lax.with_sharding_constraint(full, whole))

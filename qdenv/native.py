@@ -24,7 +24,7 @@ from numba.extending import register_jitable
 
 MAX_FOLDERS = 128  # a dozen per state of the sources: other branches, other installations
 
-PACKAGE = Path(__file__).parent
+_PACKAGE = Path(__file__).parent
 
 # An array of shape [] in a record, which kernels update as ``x[()]``: a number, though numpy's
 # annotations call that an array.
@@ -82,7 +82,7 @@ def shared(rule: Function) -> Function:
 
 
 def _compile(function: Function, forceinline: bool) -> Function:
-    folder = cache_folder(function.__module__)
+    folder = _cache_folder(function.__module__)
     with _numba_caches_in(folder):
         options = {"cache": folder is not None, "nogil": True, "forceinline": forceinline}
         made: Function = numba.njit(**options)(function)
@@ -90,14 +90,14 @@ def _compile(function: Function, forceinline: bool) -> Function:
 
 
 @functools.cache
-def cache_folder(module: str) -> Path | None:
+def _cache_folder(module: str) -> Path | None:
     """Find the folder for the machine code of a module; None where none is writable.
 
     It lies in NUMBA_CACHE_DIR where that is set, else in the user's cache.
     """
     digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
-    for path in sorted(sources_of(module)):
-        digest.update(str(path.relative_to(PACKAGE)).encode())
+    for path in sorted(_sources_of(module)):
+        digest.update(str(path.relative_to(_PACKAGE)).encode())
         digest.update(path.read_bytes())
     home = Path(numba.config.CACHE_DIR or platformdirs.user_cache_path()) / "qdenv"
     folder = home / digest.hexdigest()[:16]
@@ -111,13 +111,13 @@ def cache_folder(module: str) -> Path | None:
     return folder
 
 
-def sources_of(module: str) -> frozenset[Path]:
+def _sources_of(module: str) -> frozenset[Path]:
     """List the files of this package that `module` is made of: its own and all those it imports.
 
     A module of another package may use any of ours.
     """
     if _source(module) is None:
-        return frozenset(PACKAGE.rglob("*.py"))
+        return frozenset(_PACKAGE.rglob("*.py"))
     found: set[Path] = set()
     waiting = [module]
     while waiting:
@@ -131,9 +131,9 @@ def sources_of(module: str) -> frozenset[Path]:
 def _source(module: str) -> Path | None:
     """Find the file of a module of this package; None for any other name."""
     first, *parts = module.split(".")
-    if first != PACKAGE.name:
+    if first != _PACKAGE.name:
         return None
-    base = PACKAGE.joinpath(*parts)
+    base = _PACKAGE.joinpath(*parts)
     files = (base.with_suffix(".py"), base / "__init__.py")
     return next((path for path in files if path.is_file()), None)
 

@@ -21,7 +21,7 @@ from qdenv.grid import parse
 from qdenv.types import Array, InputError
 
 
-class NCA(nn.Module):
+class _NCA(nn.Module):
     """One step of the automaton, [H, W, K] -> [H, W, K] in (0, 1)."""
 
     kinds: int  # kinds of tile K, the channels in and out
@@ -64,7 +64,7 @@ def make_automaton(
             no centre cell, so the drawing would drift).
     """
     check_kernels(kernel_sizes)
-    module = NCA(kinds, tuple(kernel_sizes), hidden)
+    module = _NCA(kinds, tuple(kernel_sizes), hidden)
     canvas = jnp.zeros((1, 1, kinds))
     variables = jax.tree.map(
         lambda leaf: np.zeros(leaf.shape, leaf.dtype),

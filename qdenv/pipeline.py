@@ -78,14 +78,14 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     )
 
 
-def grow_layouts(grow: Callable[[jax.Array], jax.Array], parameters: jax.Array) -> jax.Array:
+def _grow_layouts(grow: Callable[[jax.Array], jax.Array], parameters: jax.Array) -> jax.Array:
     """Grow a population float32 [B, P], a share of it on each device (-> int8 [B, H, W])."""
     if devices.count() == 1:
         return grow(parameters)
     return jnp.asarray(mesh.map_items(grow, parameters))
 
 
-def in_lanes(function: Callable, items: Any, lanes: int) -> Any:
+def _in_lanes(function: Callable, items: Any, lanes: int) -> Any:
     """Map `function` over the leading axis of `items`, `lanes` at a time side by side."""
     return jax.lax.map(function, items, batch_size=lanes if lanes > 1 else None)
 
@@ -103,9 +103,9 @@ def simulate_layouts(
         def one(item: tuple[jax.Array, jax.Array]) -> Any:
             layout, runs = item
             tables = simulator.prepare(layout)
-            return in_lanes(lambda run: simulator.run(tables, run), runs, lanes)
+            return _in_lanes(lambda run: simulator.run(tables, run), runs, lanes)
 
-        return in_lanes(one, (layouts, runs), lanes // runs.shape[1])
+        return _in_lanes(one, (layouts, runs), lanes // runs.shape[1])
 
     if devices_for(simulator) == 1:
         return share(layouts, runs)
@@ -153,7 +153,7 @@ def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evalu
     Returns:
         `Evaluation` with leading axis B.
     """
-    unrepaired = grow_layouts(pipeline.grow, parameters)
+    unrepaired = _grow_layouts(pipeline.grow, parameters)
     if pipeline.pool is None:
         repair = jax.vmap(unrepaired_as_is)(unrepaired)
     else:
@@ -196,7 +196,7 @@ class PipelinedEvaluator:
             evaluate_layouts: repairs and simulates, like `run.executors.layouts.Threads`.
         """
         self._evaluate_layouts = evaluate_layouts
-        self._grow = jax.jit(partial(grow_layouts, pipeline.grow))
+        self._grow = jax.jit(partial(_grow_layouts, pipeline.grow))
         self._score = jax.jit(pipeline.score)
 
     def __call__(self, parameters: Array, key: Array) -> Evaluation:

@@ -17,11 +17,11 @@ from typing import Any, Self, TypeAlias
 # What long tasks call: (name of the step, its completed share or -1 if unknown, status)
 Progress: TypeAlias = Callable[[str, float, str], None]
 
-PATIENCE = 2.0  # seconds before anything is shown: quick tasks show nothing
-TICK = 0.25  # seconds between two drawings on a terminal
-FILE_TICK = 10.0  # seconds between two drawings into a file, where each is a line
-COUNTED = "{desc} {percentage:3.0f} %|{bar:24}| {elapsed}, about {remaining} left{postfix}"
-UNCOUNTED = "{desc} {elapsed}{postfix}"
+_PATIENCE = 2.0  # seconds before anything is shown: quick tasks show nothing
+_TICK = 0.25  # seconds between two drawings on a terminal
+_FILE_TICK = 10.0  # seconds between two drawings into a file, where each is a line
+_COUNTED = "{desc} {percentage:3.0f} %|{bar:24}| {elapsed}, about {remaining} left{postfix}"
+_UNCOUNTED = "{desc} {elapsed}{postfix}"
 
 
 def silent(step: str, share: float, note: str = "") -> None:
@@ -114,9 +114,9 @@ class Bar:
 
     def _redraw(self) -> None:
         """Draw the bar periodically, in a thread of its own."""
-        delay = TICK if self._unit else PATIENCE
+        delay = _TICK if self._unit else _PATIENCE
         while not self._ended.wait(delay):
-            delay = TICK if self._terminal or not self._unit else FILE_TICK
+            delay = _TICK if self._terminal or not self._unit else _FILE_TICK
             self._draw()
         if self._unit:
             self._draw()
@@ -142,7 +142,7 @@ class Bar:
             *(f"compiling {room}, once on this machine" for room in self._compiling[-1:]),
         ]
         if not self._unit:
-            bar.bar_format = COUNTED if self._total and self._done > 0 else UNCOUNTED
+            bar.bar_format = _COUNTED if self._total and self._done > 0 else _UNCOUNTED
         bar.total, bar.n = self._total or None, min(self._done, self._total)
         bar.initial, bar.start_t = self._first, self._since
         bar.set_description_str(self._step, refresh=False)

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 
 from qdenv.types import InputError
 
-QUANTILE = 0.975  # of a two-sided 95 % interval
-NORMAL_95 = 1.959964  # that quantile of the normal distribution
+_QUANTILE = 0.975  # of a two-sided 95 % interval
+_NORMAL_95 = 1.959964  # that quantile of the normal distribution
 
 
 class Difference(NamedTuple):
@@ -47,7 +47,7 @@ def margin(sample: Sample) -> float:
     """Return half the width of the mean's 95 % interval (Student's t); NaN for one run."""
     from scipy.special import stdtrit  # late: it takes 0.2 s, and --help does not need it
 
-    return float(stdtrit(sample.runs - 1, QUANTILE)) * sample.error if sample.runs > 1 else np.nan
+    return float(stdtrit(sample.runs - 1, _QUANTILE)) * sample.error if sample.runs > 1 else np.nan
 
 
 def difference(ours: Sample, theirs: Sample) -> Difference:
@@ -79,7 +79,7 @@ def difference(ours: Sample, theirs: Sample) -> Difference:
     if not parts.any():
         return Difference(percent, percent, percent, bool(percent))
     freedom = parts.sum() ** 2 / (parts**2 / [ours.runs - 1, theirs.runs - 1]).sum()
-    spread = stdtrit(freedom, QUANTILE) ** 2 * parts
+    spread = stdtrit(freedom, _QUANTILE) ** 2 * parts
     # |ours - ratio * theirs| is within t standard errors: a quadratic in the ratio.
     a, b = theirs.mean**2 - spread[1], -2 * ours.mean * theirs.mean
     if a <= 0:
@@ -100,7 +100,7 @@ def wilson_interval(successes: int, runs: int) -> tuple[float, float]:
     """
     if runs < 1:
         raise InputError("a success rate needs at least one run")
-    rate, shrinkage = successes / runs, NORMAL_95**2 / runs
+    rate, shrinkage = successes / runs, _NORMAL_95**2 / runs
     centre = (rate + shrinkage / 2) / (1 + shrinkage)
     width = math.sqrt(rate * (1 - rate) * shrinkage + shrinkage**2 / 4) / (1 + shrinkage)
     return max(0.0, centre - width), min(1.0, centre + width)

@@ -31,7 +31,7 @@ else:  # a name in annotations is no reason to import jax
     Array: TypeAlias = Any
 
 
-LONGEST_LINE = 2000  # characters of a message; a damaged file could fill gigabytes
+_LONGEST_LINE = 2000  # characters of a message; a damaged file could fill gigabytes
 
 
 class InputError(ValueError):
@@ -42,17 +42,17 @@ class InputError(ValueError):
 
     def __init__(self, message: str) -> None:
         """Say what is wrong; line breaks become blanks, what no terminal should see is spelt."""
-        super().__init__(printable(message))
+        super().__init__(_printable(message))
 
 
 class DamagedError(InputError):
     """A file is not what was once written, as after a crash of the machine: others may be."""
 
 
-def printable(text: str) -> str:
+def _printable(text: str) -> str:
     """Make one printable line of any text; the middle is left out where it is too long to read."""
-    if len(text) > LONGEST_LINE:
-        half = LONGEST_LINE // 2
+    if len(text) > _LONGEST_LINE:
+        half = _LONGEST_LINE // 2
         text = f"{text[:half]} ... {text[-half:]}"
     if text.isprintable():
         return text

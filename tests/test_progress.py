@@ -28,7 +28,7 @@ def wait_for(text, capsys):
 
 
 def test_a_short_task_shows_nothing(monkeypatch, capsys):
-    monkeypatch.setattr(progress, "PATIENCE", 1000.0)
+    monkeypatch.setattr(progress, "_PATIENCE", 1000.0)
     with Bar("simulating", total=10, shown=True) as bar:
         bar.update()
         time.sleep(0.05)

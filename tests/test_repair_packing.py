@@ -52,7 +52,7 @@ def test_what_is_counted_along_the_way_is_what_counting_anew_gives(moves):
 def test_where_a_run_is_cut_makes_no_difference(monkeypatch):
     facts, told = Facts(warehouse(18, 12, 97)), list[float]()
     whole = pack(facts)
-    monkeypatch.setattr(packing, "CHUNK", 70_001)
+    monkeypatch.setattr(packing, "_CHUNK", 70_001)
     cut = pack(facts, lambda doing, done: told.append(done))
     np.testing.assert_array_equal(whole, cut)
     assert told == sorted(told) and told[0] > 0 and told[-1] < 1

@@ -115,7 +115,7 @@ def test_what_has_not_begun_can_be_cancelled(gate):
 
 
 def test_a_full_queue_makes_submit_wait(gate, monkeypatch):
-    monkeypatch.setattr(pools, "WAITING_PER_WORKER", 2)
+    monkeypatch.setattr(pools, "_WAITING_PER_WORKER", 2)
     layouts, queued = batch(4), []
     with RepairPool(RULES, RepairConfig("none", moves_per_cell=60, workers=1)) as pool:
         feeder = threading.Thread(

@@ -89,7 +89,7 @@ def test_at_size_s_711_shelves_are_impossible_and_the_answer_is_remembered(monke
 
 
 def test_what_is_not_decided_is_failed(monkeypatch):
-    monkeypatch.setattr(feasibility, "BRANCHED_CELLS", 0)
+    monkeypatch.setattr(feasibility, "_BRANCHED_CELLS", 0)
     assert find_possible(Facts(warehouse(7, 14, 45)))[0] == RepairStatus.FAILED
 
 

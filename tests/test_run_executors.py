@@ -71,7 +71,7 @@ def test_a_cluster_finds_bit_for_bit_what_threads_find(whole, local, tmp_path):
 
 
 def test_short_layouts_share_tasks_and_nothing_else_changes(whole, local, tmp_path, monkeypatch):
-    monkeypatch.setattr(layouts, "LONGEST", 1000.0)
+    monkeypatch.setattr(layouts, "_LONGEST", 1000.0)
     sizes, submit = [], ClusterExecutor.submit
 
     def record(self, work, *arguments):
@@ -123,7 +123,7 @@ def test_workers_that_are_killed_cost_time_and_no_results(whole, local, tmp_path
 def test_the_layouts_of_a_worker_that_hangs_go_to_another(whole, local, tmp_path, monkeypatch):
     now = [0.0]  # of a clock that moves only when nobody but the worker that hangs has work
     monkeypatch.setattr(dask, "monotonic", lambda: now[0])
-    monkeypatch.setattr(dask, "TICK", 0.02)
+    monkeypatch.setattr(dask, "_TICK", 0.02)
     with distributed.Client(local.scheduler_address) as client:
         wait_for_both(client, local)
         stopped, pid = next(iter(client.run(os.getpid).items()))
@@ -227,7 +227,7 @@ def test_contradictions_are_refused(given, said):
 
 
 def test_an_address_where_nobody_answers_is_refused(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(base, "ANSWER", 1)
+    monkeypatch.setattr(base, "_ANSWER", 1)
     execution = Execution("dask", scheduler="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match="start `dask scheduler`"):
         loop.train(whole.config, tmp_path / "run", False, execution)

@@ -185,7 +185,7 @@ def test_when_all_evaluations_fail_it_goes_on_with_random_tiles():
 
 
 def test_a_store_that_grows_changes_nothing(monkeypatch):
-    monkeypatch.setattr(base, "FIRST_ROWS", 18)
+    monkeypatch.setattr(base, "_FIRST_ROWS", 18)
     # Compiled as the other: bits depend on how much is optimised.
     monkeypatch.setattr(jax, "jit", functools.partial(jax.jit, compiler_options=QUICK))
     plain, grown = toy(), base.growing(toy().algorithm)

@@ -61,7 +61,7 @@ def test_archives_of_rows_hold_what_archives_of_solutions_hold():
 
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
-    monkeypatch.setattr(base, "FIRST_ROWS", 1)
+    monkeypatch.setattr(base, "_FIRST_ROWS", 1)
     algorithm = make_algorithm(SEARCHES[name], PROBLEM)
     found_by = base.growing(algorithm)
     ask, tell = jax.jit(algorithm.ask), jax.jit(algorithm.tell)
@@ -84,7 +84,7 @@ def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
 
 
 def test_a_store_grows_to_its_full_size_and_no_further(monkeypatch):
-    monkeypatch.setattr(base, "FIRST_ROWS", 1)
+    monkeypatch.setattr(base, "_FIRST_ROWS", 1)
     algorithm = base.growing(make_algorithm(CmaMaeConfig(), PROBLEM))
     state, sizes = algorithm.init(jax.random.key(0)), set()
     rng = np.random.default_rng(1)

@@ -157,7 +157,7 @@ def test_distances_on_demand_change_nothing(planner, monkeypatch):
 
     table, expected = outcome(xla)
     assert table.distance is not None and expected[0].finished.sum() > 20
-    monkeypatch.setattr(fleet, "TABLE_BYTES", 0)
+    monkeypatch.setattr(fleet, "_TABLE_BYTES", 0)
     for settings in (xla, host):
         world, found = outcome(settings)
         assert world.distance is None

@@ -263,7 +263,7 @@ def test_a_recording_is_dropped_once_it_is_read():
 
 
 def test_what_is_too_large_to_record_says_what_to_do(monkeypatch):
-    monkeypatch.setattr(traffic, "MOST_RECORDED", 1000)
+    monkeypatch.setattr(traffic, "_MOST_RECORDED", 1000)
     config = FleetConfig(10, 101, planner=PibtConfig())
     with pytest.raises(InputError, match="at most 100 timesteps, or add --no-audit"):
         examine(LANE, TASKS, config, (0,))

@@ -28,12 +28,12 @@ from qdenv.simulate.maze.policy import (
 )
 from qdenv.types import Array, InputError
 
-MAX_MEMBER = 64 * 2**20  # bytes of one member; the published checkpoint has 2 MB in all
-MAX_DESCRIPTION = 2**16  # bytes; the published checkpoint has a tenth of that
-MAX_AXES = 8
+_MAX_MEMBER = 64 * 2**20  # bytes of one member; the published checkpoint has 2 MB in all
+_MAX_DESCRIPTION = 2**16  # bytes; the published checkpoint has a tenth of that
+_MAX_AXES = 8
 _STORAGE = object()  # stands for torch.FloatStorage
-DESCRIPTION = "data.pkl"
-TENSORS = {
+_DESCRIPTION = "data.pkl"
+_TENSORS = {
     "kernel": "image_conv.0.weight",
     "kernel_bias": "image_conv.0.bias",
     "compass": "scalar_embed.weight",
@@ -49,7 +49,7 @@ TENSORS = {
     "value": "critic.1.weight",
     "value_bias": "critic.1.bias",
 }
-GATE_BIASES = ("rnn.rnn.bias_ih_l0", "rnn.rnn.bias_hh_l0")
+_GATE_BIASES = ("rnn.rnn.bias_ih_l0", "rnn.rnn.bias_hh_l0")
 
 
 class _Names(dict):
@@ -108,7 +108,7 @@ def _cut(storage: Any, offset: Any, size: Any, stride: Any, *flags: Any) -> np.n
     if not isinstance(storage, np.ndarray) or type(size) is not tuple or type(stride) is not tuple:
         raise InputError("refused: the checkpoint builds a tensor from something else")
     numbers = (offset, *size, *stride)
-    if len(size) != len(stride) or len(size) > MAX_AXES:
+    if len(size) != len(stride) or len(size) > _MAX_AXES:
         raise InputError("the checkpoint holds a tensor of impossible shape")
     if any(type(one) is not int or not 0 <= one < 2**40 for one in numbers):
         raise InputError("the checkpoint holds a tensor of impossible shape")
@@ -151,9 +151,9 @@ def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
 def _described(archive: zipfile.ZipFile) -> Any:
     """Build what the one description in an archive describes."""
     names = archive.namelist()
-    roots = [name.removesuffix(DESCRIPTION) for name in names if name.endswith(DESCRIPTION)]
+    roots = [name.removesuffix(_DESCRIPTION) for name in names if name.endswith(_DESCRIPTION)]
     if len(roots) != 1:
-        raise InputError(f"no PyTorch checkpoint: it has no single {DESCRIPTION}")
+        raise InputError(f"no PyTorch checkpoint: it has no single {_DESCRIPTION}")
     storages: dict[str, np.ndarray] = {}
 
     def load(key: str, count: int) -> np.ndarray:
@@ -168,8 +168,8 @@ def _described(archive: zipfile.ZipFile) -> Any:
             )
         return storages[key].view("<f4")
 
-    description = _member(archive, f"{roots[0]}{DESCRIPTION}")
-    if len(description) > MAX_DESCRIPTION:
+    description = _member(archive, f"{roots[0]}{_DESCRIPTION}")
+    if len(description) > _MAX_DESCRIPTION:
         raise InputError("refused: the description is far too long")
     try:
         return _Unpickler(description, load).load()
@@ -180,8 +180,8 @@ def _described(archive: zipfile.ZipFile) -> Any:
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:
-    if archive.getinfo(name).file_size > MAX_MEMBER:
-        raise InputError(f"checkpoint member {name} is larger than {MAX_MEMBER} bytes")
+    if archive.getinfo(name).file_size > _MAX_MEMBER:
+        raise InputError(f"checkpoint member {name} is larger than {_MAX_MEMBER} bytes")
     return archive.read(name)
 
 
@@ -191,10 +191,10 @@ def from_torch(tensors: dict[str, np.ndarray], source: str = "checkpoint") -> We
     Raises:
         InputError: a tensor is missing or has the wrong shape.
     """
-    missing = sorted({*TENSORS.values(), *GATE_BIASES} - set(tensors))
+    missing = sorted({*_TENSORS.values(), *_GATE_BIASES} - set(tensors))
     if missing:
         raise InputError(f"{source} is not the maze agent: it lacks {', '.join(missing)}")
-    named = {name: tensors[theirs] for name, theirs in TENSORS.items()}
+    named = {name: tensors[theirs] for name, theirs in _TENSORS.items()}
     kernel = named["kernel"]
     if kernel.ndim != 4:
         raise InputError(f"{source} is not the maze agent: its convolution is {kernel.shape}")
@@ -203,7 +203,7 @@ def from_torch(tensors: dict[str, np.ndarray], source: str = "checkpoint") -> We
             named[name] = array.T
     # PyTorch orders the kernel (filter, channel, x, y); flattening is (filter, x, y) on both sides.
     named["kernel"] = kernel.transpose(2, 3, 1, 0)
-    first, second = (tensors[name] for name in GATE_BIASES)
+    first, second = (tensors[name] for name in _GATE_BIASES)
     if first.shape != second.shape:
         raise InputError(f"{source} is not the maze agent: its two gate biases differ in shape")
     return check_weights(Weights(**named, gates_bias=first + second), source)

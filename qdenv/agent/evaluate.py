@@ -113,13 +113,13 @@ def evaluate_agent(
     """
     wilson_interval(0, runs)
     horizon, key = horizon or default_horizon(layout), jax.random.key(seed)
-    result = run_one(weights, layout, key, runs, horizon, reference_batching)
+    result = _run_one(weights, layout, key, runs, horizon, reference_batching)
     if result.shortest == 0:
         raise InputError("this maze has no two empty tiles that touch: nothing to solve")
     return result
 
 
-def run_one(
+def _run_one(
     weights: Weights,
     layout: Array,
     key: jax.Array,
@@ -164,7 +164,7 @@ def success_rates(
     keys = jax.random.split(jax.random.key(seed), len(layouts))
     return np.array(
         [
-            run_one(weights, layout, key, runs, horizon).rate
+            _run_one(weights, layout, key, runs, horizon).rate
             for layout, key in zip(layouts, keys, strict=True)
         ]
     )
@@ -317,7 +317,7 @@ def compare_with_random(
     )
     results = []
     for maze, key in zip(drawn, jax.random.split(jax.random.key(seed), mazes), strict=True):
-        results.append(run_one(weights, maze.layout, key, runs, horizon))
+        results.append(_run_one(weights, maze.layout, key, runs, horizon))
         progress("solving random mazes", len(results) / mazes)
     return Comparison(walls, given, drawn, horizon, results)
 

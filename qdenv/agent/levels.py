@@ -26,10 +26,10 @@ from qdenv.simulate.maze.world import (
 )
 from qdenv.types import Array
 
-LONGEST_PERIOD = 12  # of textures
-LARGE = 24  # rows and columns beyond which the longest path is approximated
-SWEEPS = 4  # random tiles from which that begins
-UNSEEN = 10_000  # distance of tiles that cannot reach the goal
+_LONGEST_PERIOD = 12  # of textures
+_LARGE = 24  # rows and columns beyond which the longest path is approximated
+_SWEEPS = 4  # random tiles from which that begins
+_UNSEEN = 10_000  # distance of tiles that cannot reach the goal
 
 
 class Level(NamedTuple):
@@ -71,11 +71,11 @@ def draw_layout(key: jax.Array, config: LevelConfig, side: Array) -> jax.Array:
     """
     n = config.size
     # One call for all random numbers: levels are drawn by the thousand.
-    draws = jax.random.uniform(key, (n * n + LONGEST_PERIOD + 6,))
+    draws = jax.random.uniform(key, (n * n + _LONGEST_PERIOD + 6,))
     noise, pattern = draws[: n * n].reshape(n, n), draws[n * n : -6]
     amount, kind, rough, period, down, right = draws[-6:]
     row, col = jnp.meshgrid(jnp.arange(n), jnp.arange(n), indexing="ij")
-    period = 3 + (period * (LONGEST_PERIOD - 2)).astype(jnp.int32)
+    period = 3 + (period * (_LONGEST_PERIOD - 2)).astype(jnp.int32)
     down, right = (down * period).astype(jnp.int32), (right * period).astype(jnp.int32)
     texture = pattern[(down * row + right * col) % period] + (0.02 + 0.6 * rough) * noise
     field = jnp.where(kind < config.textured, texture, noise)
@@ -85,18 +85,18 @@ def draw_layout(key: jax.Array, config: LevelConfig, side: Array) -> jax.Array:
     return jnp.where(inside, layout, WALL).astype(jnp.int8)
 
 
-def distances(kinds: jax.Array, goal: jax.Array) -> jax.Array:
+def _distances(kinds: jax.Array, goal: jax.Array) -> jax.Array:
     """Count the moves from every place of a canvas to the goal (int32 [(H + 8) (W + 8)])."""
     width = kinds.shape[1]
     free = (kinds != WALL).reshape(-1)
     strides = [int(row) * width + int(col) for row, col in HEADINGS]
-    far = jnp.full(free.shape, UNSEEN, jnp.int32).at[goal].set(0)
+    far = jnp.full(free.shape, _UNSEEN, jnp.int32).at[goal].set(0)
 
     def relax(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         old, _ = carry
         # The ring of walls around a canvas keeps what rolls over its edge out.
         near = jnp.stack([jnp.roll(old, stride) for stride in strides]).min(0) + 1
-        new = jnp.where(free, jnp.minimum(old, near), UNSEEN)
+        new = jnp.where(free, jnp.minimum(old, near), _UNSEEN)
         return new, (new != old).any()
 
     return jax.lax.while_loop(lambda carry: carry[1], relax, (far, jnp.bool_(True)))[0]
@@ -124,16 +124,16 @@ def far_pair(key: jax.Array, layout: jax.Array) -> Course:
         [jnp.roll(free, int(row) * (n + 2 * REACH) + int(col)) for row, col in HEADINGS]
     )
     useful = jnp.cumsum(free & beside.any(0))
-    rank = (jax.random.uniform(key, (SWEEPS,)) * useful[-1]).astype(jnp.int32)
+    rank = (jax.random.uniform(key, (_SWEEPS,)) * useful[-1]).astype(jnp.int32)
     tiles = jnp.searchsorted(useful, rank, side="right")
-    far = jax.vmap(lambda tile: distances(kinds, tile))(tiles)
-    gap = far[jnp.argmax((far < UNSEEN).sum(1))]
+    far = jax.vmap(lambda tile: _distances(kinds, tile))(tiles)
+    gap = far[jnp.argmax((far < _UNSEEN).sum(1))]
 
     def farthest(gap: jax.Array) -> jax.Array:
-        return jnp.argmax(jnp.where(gap < UNSEEN, gap, -1))
+        return jnp.argmax(jnp.where(gap < _UNSEEN, gap, -1))
 
     one = farthest(gap)
-    gap = distances(kinds, one)
+    gap = _distances(kinds, one)
     two = farthest(gap)
     length = jnp.where(useful[-1] > 0, gap[two], 0)
     return Course(in_layout(jnp.minimum(one, two), n), in_layout(jnp.maximum(one, two), n), length)
@@ -142,7 +142,7 @@ def far_pair(key: jax.Array, layout: jax.Array) -> Course:
 def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax.Array) -> Level:
     """Choose start and goal; a level without any pair gets one carved into its first corner."""
     keys = jax.random.split(key)
-    large = layout.shape[0] > LARGE
+    large = layout.shape[0] > _LARGE
     course = far_pair(keys[1], layout) if large else longest_path(layout)
     broken = course.length < 1
     carved = layout.at[0, :2].set(EMPTY)
@@ -153,16 +153,16 @@ def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax
     far = canvas(layout, goal)
     there = jnp.where(far == GOAL, EMPTY, far).reshape(-1)
     place = on_canvas(goal, n)
-    gap = distances(far, place)
+    gap = _distances(far, place)
     # A random pair lies in the component of the longest path, where a partner is sure to exist.
-    reachable = jnp.cumsum((gap < UNSEEN) & (there == EMPTY))
+    reachable = jnp.cumsum((gap < _UNSEEN) & (there == EMPTY))
     rank = (jax.random.uniform(keys[0], (2,)) * reachable[-1]).astype(jnp.int32)
     one, two = jnp.searchsorted(reachable, rank, side="right")
     swap = ~longest & (one != two)
     place = jnp.where(swap, one, place)
     begin = jnp.where(swap, two, on_canvas(start, n)).astype(jnp.int32)
     kinds = there.at[place].set(GOAL).reshape(far.shape).astype(jnp.int8)
-    moves = distances(kinds, place).astype(jnp.int16)
+    moves = _distances(kinds, place).astype(jnp.int16)
     return Level(kinds, begin, moves, horizon, longest)
 
 

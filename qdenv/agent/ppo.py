@@ -75,7 +75,7 @@ def reset_env(
     )
 
 
-def step_env(
+def _step_env(
     weights: Weights, env: EnvState, draw: jax.Array, rewards: Rewards
 ) -> tuple[EnvState, Transition]:
     """Act once in one environment, without starting over when the episode ends.
@@ -146,7 +146,7 @@ def collect(
         envs, steps with leading axes [T, E], value of the last states float32 [E].
     """
     count = envs.elapsed.shape[0]
-    everyone = jax.vmap(lambda env, draw: step_env(weights, env, draw, rewards))
+    everyone = jax.vmap(lambda env, draw: _step_env(weights, env, draw, rewards))
 
     def restart(env: EnvState, done: jax.Array, draws: jax.Array, number: jax.Array) -> EnvState:
         heading = (4 * draws[1]).astype(jnp.int32)

@@ -20,7 +20,7 @@ from qdenv.types import InputError
 
 Method = Literal["dr", "plr", "accel"]
 
-LARGEST_SIDE = 1000  # of a maze: nothing larger was tried
+_LARGEST_SIDE = 1000  # of a maze: nothing larger was tried
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class RewardConfig(Ranged):
 class LevelConfig(Ranged):
     """What levels look like."""
 
-    size: Annotated[int, Interval(ge=2, le=LARGEST_SIDE)] = 16  # rows and columns of the largest
+    size: Annotated[int, Interval(ge=2, le=_LARGEST_SIDE)] = 16  # rows and columns of the largest
     # rows and columns of the smallest; all are of one size unless given
     smallest: NonNegativeInt = 0
     # walls of the largest are drawn from 0 to this; smaller ones have fewer in proportion to their

@@ -89,8 +89,8 @@ def load_state(path: Path, like: Any) -> tuple[Any, Facts]:
 
 Progress = Callable[[int, dict[str, Any] | None], None]
 Examine = Callable[[Weights], dict[str, float]]
-EXAM_WALLS = (60, 90)
-EXAM_EPISODES = 8
+_EXAM_WALLS = (60, 90)
+_EXAM_EPISODES = 8
 
 
 _play = jax.jit(run_batch, static_argnums=(3, 4))
@@ -100,17 +100,19 @@ _update = jax.jit(update, static_argnums=1)
 def _exam(config: TrainConfig) -> Examine:
     """Prepare the held-out mazes: weights -> success rate for each number of walls."""
     size = config.levels.size
-    share = [walls * size * size // 256 for walls in EXAM_WALLS]
+    share = [walls * size * size // 256 for walls in _EXAM_WALLS]
     mazes = [random_mazes(12345 + walls, config.exam, size, size, walls) for walls in share]
     horizon = default_horizon(mazes[0][0])
 
     def examine(weights: Weights) -> dict[str, float]:
         key = jax.random.key(99)
         rates = [
-            _play(weights, jnp.asarray(batch), key, EXAM_EPISODES, horizon).success.mean()
+            _play(weights, jnp.asarray(batch), key, _EXAM_EPISODES, horizon).success.mean()
             for batch in mazes
         ]
-        return {f"exam_{walls}": float(rate) for walls, rate in zip(EXAM_WALLS, rates, strict=True)}
+        return {
+            f"exam_{walls}": float(rate) for walls, rate in zip(_EXAM_WALLS, rates, strict=True)
+        }
 
     return examine
 

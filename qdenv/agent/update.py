@@ -100,7 +100,7 @@ def start(config: TrainConfig) -> State:
     return State(weights, optimiser, envs, buffer, key, jnp.int32(0), anchor)
 
 
-class Schedule(NamedTuple):
+class _Schedule(NamedTuple):
     """What changes in the course of the training."""
 
     learning_rate: jax.Array
@@ -108,13 +108,13 @@ class Schedule(NamedTuple):
     rewards: Rewards
 
 
-def _schedule(config: TrainConfig, update: jax.Array) -> Schedule:
+def _schedule(config: TrainConfig, update: jax.Array) -> _Schedule:
     done = jnp.minimum(update / config.updates, 1.0)
     novelty: jax.Array | float = config.reward.novelty
     if config.novelty_until < 1:
         novelty = novelty * jnp.clip(2 - 2 * done / config.novelty_until, 0.0, 1.0)
     rewards = Rewards(novelty, config.reward.progress, config.reward.haste)
-    return Schedule(config.rate * (1 - 0.95 * done), config.entropy * (1 - 0.9 * done), rewards)
+    return _Schedule(config.rate * (1 - 0.95 * done), config.entropy * (1 - 0.9 * done), rewards)
 
 
 def _score_unseen(

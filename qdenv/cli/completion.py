@@ -17,10 +17,10 @@ from qdenv.presets import PRESETS
 from qdenv.zoo import PREFIX, names
 
 # Two corrections of tyro's script. Which words a colon does not part: ours as well (zoo:NAME).
-WORDS = 'set(spec.get("subcommands", {}).keys())'
+_WORDS = 'set(spec.get("subcommands", {}).keys())'
 # Bash puts back what stands before the last colon of a word: it is left out of the completions.
-UP_TO_COLON = ('#"$prefix"}', "#*:}")
-RUNS = ("plot", "generate", "series", "export")  # commands that take generators of the zoo
+_UP_TO_COLON = ('#"$prefix"}', "#*:}")
+_RUNS = ("plot", "generate", "series", "export")  # commands that take generators of the zoo
 
 
 def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
@@ -41,8 +41,8 @@ def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
     script = text.getvalue()
     spec = _with_names(completion_spec(script))
     lines = [f"{SPEC}{spec!r}" if line.startswith(SPEC) else line for line in script.splitlines()]
-    script = "\n".join(lines).replace(WORDS, f'{WORDS} | set(spec.get("words", []))')
-    say(script.replace(*UP_TO_COLON))
+    script = "\n".join(lines).replace(_WORDS, f'{_WORDS} | set(spec.get("words", []))')
+    say(script.replace(*_UP_TO_COLON))
 
 
 def _with_names(spec: dict[str, Any]) -> dict[str, Any]:
@@ -61,7 +61,7 @@ def _with_names(spec: dict[str, Any]) -> dict[str, Any]:
     words = [f"{PREFIX}{name}" for name in shipped]
     _add_words(commands["train"], list(PRESETS))
     _add_words(commands["zoo"], [*names(), *shipped])
-    for name in RUNS:
+    for name in _RUNS:
         _add_words(commands[name], words)
     return spec | {"subcommands": commands, "words": words}
 

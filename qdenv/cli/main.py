@@ -56,7 +56,7 @@ COMMANDS = {
     "convert-agent": "qdenv.ops.agents:convert_agent",
     "completion": "qdenv.cli.completion:completion",
 }
-PICTURE_OPTIONS = ("--plot", "--gif", "--mp4")  # options whose value may be left out
+_PICTURE_OPTIONS = ("--plot", "--gif", "--mp4")  # options whose value may be left out
 
 
 def run(words: list[str]) -> int:
@@ -241,7 +241,7 @@ def _with_names(words: list[str]) -> list[str]:
     named: list[str] = []
     for word, following in itertools.pairwise([*words, "-"]):
         named.append(word)
-        if word in PICTURE_OPTIONS and Path(following).suffix.lower() not in endings:
+        if word in _PICTURE_OPTIONS and Path(following).suffix.lower() not in endings:
             named += [str(AUTO)] * (following != str(AUTO))
     return named
 

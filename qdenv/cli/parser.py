@@ -29,7 +29,7 @@ _CONVERSIONS = {
     "invalid literal for int()": "a whole number",
     "could not convert string to float": "a number",
 }
-JSON = tyro.conf.arg(metavar="FILE", help="file of the facts to write; - is standard output")
+_JSON = tyro.conf.arg(metavar="FILE", help="file of the facts to write; - is standard output")
 
 
 def parse(
@@ -111,13 +111,13 @@ def _name_of(argument: Any) -> str:
 
 def _close_option(word: str, target: Any, rules: Any) -> str | None:
     """Return the option that may have been meant; one whose last part is equal comes first."""
-    spec = completion_spec(completion_script(target, "bash", rules))
+    spec = completion_spec(_completion_script(target, "bash", rules))
     known = [name for option in spec["options"] for name in option["flags"]]
     alike = [name for name in known if name.rpartition(".")[2] == word.lstrip("-")]
     return next(iter(alike + difflib.get_close_matches(word, known, 1)), None)
 
 
-def completion_script(target: Any, shell: str, rules: Any = None) -> str:
+def _completion_script(target: Any, shell: str, rules: Any = None) -> str:
     """Return tyro's completion script for a program."""
     script = io.StringIO()
     with contextlib.redirect_stdout(script), contextlib.suppress(SystemExit):
@@ -150,7 +150,7 @@ def command(operation: Callable) -> Any:
     @functools.wraps(operation)
     def bind(*values: Any, **named: Any) -> inspect.BoundArguments:
         arguments = signature.bind(*values, **named)
-        check_ranges(operation, arguments)
+        _check_ranges(operation, arguments)
         return arguments
 
     parameters = dict(signature.parameters)
@@ -162,14 +162,14 @@ def command(operation: Callable) -> Any:
     stated.__signature__ = signature.replace(parameters=[*parameters.values()])
     fields: list[Any] = [
         ("arguments", Annotated[Any, tyro.conf.arg(name="", constructor=bind)]),
-        ("json", Annotated[Path | None, JSON], None),
+        ("json", Annotated[Path | None, _JSON], None),
     ]
     record = dataclasses.make_dataclass("Command", fields)
     record.__doc__ = _description(operation)
     return record
 
 
-def check_ranges(function: Callable, arguments: inspect.BoundArguments) -> None:
+def _check_ranges(function: Callable, arguments: inspect.BoundArguments) -> None:
     """Check arguments against the ranges in the types of a function.
 
     Raises:
@@ -197,7 +197,7 @@ def run_program(function: Callable, program: str, words: Sequence[str] | None = 
 
     @functools.wraps(function)
     def bind(*values: Any, **named: Any) -> Callable[[], Any]:
-        check_ranges(function, inspect.signature(function).bind(*values, **named))
+        _check_ranges(function, inspect.signature(function).bind(*values, **named))
         return functools.partial(function, *values, **named)
 
     interrupt.watch(program)

@@ -53,9 +53,9 @@ from qdenv.study.plans import USUAL, read_plan
 from qdenv.types import InputError, choices
 from qdenv.zoo import PREFIX
 
-PLANNER = "planner."  # begins the options of a planner: other settings may have the same names
-WORKERS = "evaluation__repair__workers"  # which `Execution` has, too
-LONGEST_NAME = 255  # bytes of a file's name
+_PLANNER = "planner."  # begins the options of a planner: other settings may have the same names
+_WORKERS = "evaluation__repair__workers"  # which `Execution` has, too
+_LONGEST_NAME = 255  # bytes of a file's name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,7 +98,7 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
         if mark is PresetOptions:
             return _preset_options(chosen, rest)
         if mark is TileNumbers:
-            return _tile_numbers(domain_of(chosen, rest), value)
+            return _tile_numbers(_domain_of(chosen, rest), value)
         return None
 
     return rules
@@ -156,7 +156,7 @@ def _settings(record: Any, prefix: str = "", path: str = "") -> Iterator[tuple[s
         value = getattr(record, field.name)
         if dataclasses.is_dataclass(value):
             yield from _settings(
-                value, PLANNER if field.name == "planner" else prefix, f"{path}{field.name}__"
+                value, _PLANNER if field.name == "planner" else prefix, f"{path}{field.name}__"
             )
         elif tyro.conf.Fixed not in getattr(field.type, "__metadata__", ()):
             shown = " ".join(map(str, _flat(value)))
@@ -193,7 +193,7 @@ def _planner_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorS
     """Make ``--planner NAME`` and the options of that planner: a name and what is stated."""
     settings = find_planner(chosen.effort, chosen.planner or "")
     _check_planner_options(rest, settings)
-    listed = list(_settings(settings, PLANNER))
+    listed = list(_settings(settings, _PLANNER))
     planner = _name(PLANNERS, "who plans, with the defaults below")
     options = _options({"planner": planner} | {path: kind for path, kind, _ in listed})
     spec = _with_help(options, {path: text for path, _, text in listed})
@@ -206,8 +206,8 @@ def _check_planner_options(words: Sequence[str], settings: Any) -> None:
     own = {field.name for field in dataclasses.fields(settings)}
     for word in words:
         option = word.partition("=")[0]
-        name = option.removeprefix(f"--{PLANNER}").replace("-", "_")
-        if not option.startswith(f"--{PLANNER}") or {name, name.removeprefix("no_")} & own:
+        name = option.removeprefix(f"--{_PLANNER}").replace("-", "_")
+        if not option.startswith(f"--{_PLANNER}") or {name, name.removeprefix("no_")} & own:
             continue
         homes = [home for home in PLANNERS.names() if name in _names_in(home)]
         known = sorted(one.replace("_", "-") for one in own)
@@ -233,7 +233,7 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
         _check_planner_options(rest, planner)
     check_strategy(chosen.strategy or "")  # the parser would not say why
     effort = "of the negotiated planner: low inside a search, high for numbers to report"
-    listed = [one for one in _settings(config) if one[0] != WORKERS]
+    listed = [one for one in _settings(config) if one[0] != _WORKERS]
     named = {
         "domain": _name(DOMAINS, "another domain in place of the preset's, at its size"),
         "effort": Annotated[
@@ -266,7 +266,7 @@ def _tile_numbers(domain: Domain, kind: Any) -> StructConstructorSpec:
     )
 
 
-def domain_of(chosen: Choices, rest: Sequence[str]) -> Domain:
+def _domain_of(chosen: Choices, rest: Sequence[str]) -> Domain:
     """Find the domain that a command line is about: by name, a run, a layout, or the usual one.
 
     Raises:
@@ -275,7 +275,7 @@ def domain_of(chosen: Choices, rest: Sequence[str]) -> Domain:
     if chosen.domain is not None:
         return find_domain(chosen.domain)
     for word in rest:
-        if max(map(len, word.split("/"))) > LONGEST_NAME:  # a list of numbers, perhaps
+        if max(map(len, word.split("/"))) > _LONGEST_NAME:  # a list of numbers, perhaps
             continue
         if word.startswith(PREFIX) or (Path(word) / "config.json").exists():
             return make_domain(RunDirectory.open(word).config.evaluation.domain)

@@ -38,7 +38,7 @@ def environment_entropy(kinds: int, margin: tuple[int, int] = (0, 0)) -> Measure
     return Measure("environment entropy", 0, 1, 100, value)
 
 
-def weigh_alike(layout: Array) -> jax.Array:
+def _weigh_alike(layout: Array) -> jax.Array:
     """Weigh every cell 1 in the similarity (int8 [H, W] -> float32 [H, W])."""
     return jnp.ones(layout.shape, jnp.float32)
 
@@ -139,7 +139,7 @@ class Domain:
     objective: Callable[[jax.Array, Any], jax.Array]
     measures: tuple[Measure, ...]  # axes of the archive
     # unrepaired layout int8 [H, W] -> float32 [H, W], p_i / max p
-    similarity_weights: Callable[[Array], jax.Array] = weigh_alike
+    similarity_weights: Callable[[Array], jax.Array] = _weigh_alike
     # draws the hand-made layout int8 [H, W] of this size, the baseline of appendix D.2, or raises
     # `InputError` where nothing fits; None where people design none
     human: Callable[[], np.ndarray] | None = None

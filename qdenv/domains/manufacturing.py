@@ -17,16 +17,16 @@ from qdenv.simulate.mapf.goals import beside_goal
 from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Tile, Traffic
 
 TILES = ".012e"
-STATIONS = "012"
-MEANINGS: dict[str, Tile] = {
+_STATIONS = "012"
+_MEANINGS: dict[str, Tile] = {
     ".": Tile("empty", "robots drive past the stations"),
     "0": Tile("station 0", "the first of three kinds; needs an endpoint beside it", True),
     "1": Tile("station 1", "the second kind, where robots go next", True),
     "2": Tile("station 2", "the third kind, the last of a task", True),
     "e": Tile("endpoint", "robots stay here while served; needs a station beside it"),
 }
-SIZES = {(101, 102): KnownSize(steps=200, timesteps=5000, agents=1800)}  # S_eval of the paper
-STATION_WEIGHT = 5.0  # p_i of a generated station in the similarity (appendix C.2.1)
+_SIZES = {(101, 102): KnownSize(steps=200, timesteps=5000, agents=1800)}  # S_eval of the paper
+_STATION_WEIGHT = 5.0  # p_i of a generated station in the similarity (appendix C.2.1)
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ def rules(rows: int, cols: int) -> Rules:
     """State the constraints of appendix B.2."""
     return Rules(
         tiles=TILES,
-        counts=tuple(Count(station, 1) for station in STATIONS),
-        adjacency=(Adjacency(STATIONS, "e"), Adjacency("e", STATIONS)),
+        counts=tuple(Count(station, 1) for station in _STATIONS),
+        adjacency=(Adjacency(_STATIONS, "e"), Adjacency("e", _STATIONS)),
         connected=".e",
         allowed=np.ones((rows, cols, len(TILES)), bool),
         change_cost=np.ones((rows, cols), np.float32),
@@ -50,16 +50,16 @@ def rules(rows: int, cols: int) -> Rules:
 
 def similarity_weights(layout: Array) -> jax.Array:
     """Weigh a generated station five times: p_i / max p (float32 [H, W])."""
-    return jnp.where(of_tiles(layout, STATIONS, TILES), 1.0, 1.0 / STATION_WEIGHT)
+    return jnp.where(of_tiles(layout, _STATIONS, TILES), 1.0, 1.0 / _STATION_WEIGHT)
 
 
 def workstations(layout: jax.Array, runs: Traffic) -> jax.Array:
     """Count the stations (-> float32)."""
     del runs
-    return score.count(layout, STATIONS, TILES)
+    return score.count(layout, _STATIONS, TILES)
 
 
-STATION_COUNT = Measure("workstations", 0, 600, 100, workstations, "area")
+_STATION_COUNT = Measure("workstations", 0, 600, 100, workstations, "area")
 
 
 def manufacturing(config: ManufacturingConfig) -> Domain:
@@ -67,7 +67,7 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
     shape = (config.rows, config.cols)
     cycle = tuple(
         beside_goal("e", station, stay, TILES)
-        for station, stay in zip(STATIONS, config.stays, strict=True)
+        for station, stay in zip(_STATIONS, config.stays, strict=True)
     )
     return Domain(
         config=config,
@@ -81,11 +81,11 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         objective=throughput,
         objective_name=THROUGHPUT,
         similarity_weights=similarity_weights,
-        measures=(STATION_COUNT, environment_entropy(len(TILES))),
+        measures=(_STATION_COUNT, environment_entropy(len(TILES))),
         # As many stations of each kind as agents stay there, so that none is a bottleneck.
         human=lambda: parse(designs.stations(*shape, config.stays), TILES),
-        meanings=MEANINGS,
-        known=SIZES,
+        meanings=_MEANINGS,
+        known=_SIZES,
     )
 
 

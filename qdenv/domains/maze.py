@@ -22,13 +22,13 @@ from qdenv.types import Array, Measure, Tile
 if TYPE_CHECKING:
     from qdenv.simulate.maze.episode import Episode
 
-MARGIN = (1, 1)
-MEANINGS = {
+_MARGIN = (1, 1)
+_MEANINGS = {
     " ": Tile("empty", "the agent walks here; the longest path joins start and goal"),
     "X": Tile("wall", "the agent goes around it", True, also="#@"),
 }
 # S_eval of the paper: the horizon is twice the tiles.
-SIZES = {(66, 66): KnownSize(steps=200, timesteps=8712)}
+_SIZES = {(66, 66): KnownSize(steps=200, timesteps=8712)}
 # On an accelerator all episodes of a population run side by side to the horizon; on a CPU one
 # layout's at a time, because then the layout's episodes may stop with the last of them.
 _ACCELERATOR_LANES = 7500
@@ -80,7 +80,7 @@ def checksum_of_agent(agent: str) -> str:
     return digest.hexdigest()
 
 
-def maze_simulator(config: MazeConfig) -> Simulator:
+def _maze_simulator(config: MazeConfig) -> Simulator:
     """Make the maze's simulator, whose runs are `Episode`."""
 
     def weights() -> policy.Weights:
@@ -106,7 +106,7 @@ def maze_simulator(config: MazeConfig) -> Simulator:
 def walls(layout: jax.Array, runs: Episode) -> jax.Array:
     """Count the walls inside the ring (-> float32)."""
     del runs
-    return score.count(inside_frame(layout, MARGIN), "X", world.TILES)
+    return score.count(inside_frame(layout, _MARGIN), "X", world.TILES)
 
 
 def path_length(layout: jax.Array, runs: Episode) -> jax.Array:
@@ -115,37 +115,37 @@ def path_length(layout: jax.Array, runs: Episode) -> jax.Array:
     return runs.length.mean(dtype=jnp.float32)
 
 
-def start_and_goal(layout: np.ndarray) -> dict[str, int]:
+def _start_and_goal(layout: np.ndarray) -> dict[str, int]:
     """Name the cells between which the agent is sent; none in an unsolvable maze."""
     course = world.longest_path(layout)
     return {"start": int(course.start), "goal": int(course.goal)} if course.length else {}
 
 
-WALL_COUNT = Measure("number of walls", 0, 256, 256, walls, "area")
-LAYOUT_ENTROPY = environment_entropy(len(world.TILES), MARGIN)
-PATH_LENGTH = Measure("mean agent path length", 0, 648, 162, path_length, "timesteps")
+_WALL_COUNT = Measure("number of walls", 0, 256, 256, walls, "area")
+_LAYOUT_ENTROPY = environment_entropy(len(world.TILES), _MARGIN)
+_PATH_LENGTH = Measure("mean agent path length", 0, 648, 162, path_length, "timesteps")
 
 
 def maze(config: MazeConfig) -> Domain:
     """Make a maze of one size; the type of the settings chooses its first measure."""
-    first = LAYOUT_ENTROPY if isinstance(config, EntropyMazeConfig) else WALL_COUNT
+    first = _LAYOUT_ENTROPY if isinstance(config, EntropyMazeConfig) else _WALL_COUNT
     return Domain(
         config=config,
         tiles=world.TILES,
         generated=world.TILES,
         seed_block=("XX", "XX"),
-        margin=MARGIN,
+        margin=_MARGIN,
         frame=frame,
         rules=None,
-        simulator=maze_simulator(config),
+        simulator=_maze_simulator(config),
         objective=lambda layout, runs: world.is_solvable(layout).astype(jnp.float32),
         objective_name="solvable [0 or 1]",
         # Nearly every maze is solvable; among those the one with the longest way shows most.
         tie_break="shortest",
-        marks=start_and_goal,
-        measures=(first, PATH_LENGTH),
-        meanings=MEANINGS,
-        known=SIZES,
+        marks=_start_and_goal,
+        measures=(first, _PATH_LENGTH),
+        meanings=_MEANINGS,
+        known=_SIZES,
         reads=lambda: {"agent": checksum_of_agent(config.agent)},
     )
 

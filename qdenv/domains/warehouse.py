@@ -34,15 +34,15 @@ from qdenv.types import (
     Traffic,
 )
 
-TILES = ".@ew"
-GENERATED = ".@e"
-MEANINGS = {
+_TILES = ".@ew"
+_GENERATED = ".@e"
+_MEANINGS = {
     ".": Tile("empty", "robots drive here"),
     "@": Tile("shelf", "holds goods; needs an endpoint beside it", True, also="#"),
     "e": Tile("endpoint", "robots pick goods here; needs a shelf beside it"),
     "w": Tile("workstation", "robots deliver here; by itself in the outer columns only"),
 }
-MARGIN = (0, 2)
+_MARGIN = (0, 2)
 _STATION_SPACING = 3  # a workstation in rows 1, 4, 7, ..., never in the last row
 # S_eval of the paper (Table 1, and the numbers of agents that its throughputs were taken with).
 _S_EVAL = KnownSize(steps=200, timesteps=5000, agents=1400, numbers={"shelves": 2500})
@@ -50,32 +50,32 @@ _EVEN_SIZES = {(101, 102): _S_EVAL}
 _UNEVEN_SIZES = {(101, 102): _S_EVAL._replace(agents=1000)}
 
 
-def border(rows: int, cols: int) -> np.ndarray:
+def _border(rows: int, cols: int) -> np.ndarray:
     """Draw the fixed frame around empty tiles (int8 [H, W]): workstations in the outer columns.
 
     Raises:
         InputError: there is no room for a workstation or for anything between the borders.
     """
-    if rows < 3 or cols <= 2 * MARGIN[1]:
+    if rows < 3 or cols <= 2 * _MARGIN[1]:
         raise InputError(
             f"a warehouse of {rows} x {cols} is too small: it needs at least 3 rows and 5 columns"
         )
     picture = np.zeros((rows, cols), np.int8)
-    picture[1 : rows - 1 : _STATION_SPACING, [0, -1]] = TILES.index("w")
+    picture[1 : rows - 1 : _STATION_SPACING, [0, -1]] = _TILES.index("w")
     return picture
 
 
 def frame(tiles: Array) -> jax.Array:
     """Add two fixed columns on each side: workstations outside, a free lane inside."""
     rows, cols = tiles.shape
-    return put_in_frame(tiles, border(rows, cols + 2 * MARGIN[1]), MARGIN)
+    return put_in_frame(tiles, _border(rows, cols + 2 * _MARGIN[1]), _MARGIN)
 
 
 def design(rows: int, cols: int) -> np.ndarray:
     """Draw the hand-made warehouse of `rows` x `cols`, frame included (int8 [rows, cols])."""
-    picture = border(rows, cols)
-    inside_frame(picture, MARGIN)[:] = parse(
-        designs.shelf_blocks(rows, cols - 2 * MARGIN[1]), TILES
+    picture = _border(rows, cols)
+    inside_frame(picture, _MARGIN)[:] = parse(
+        designs.shelf_blocks(rows, cols - 2 * _MARGIN[1]), _TILES
     )
     return picture
 
@@ -100,13 +100,13 @@ class UnevenWarehouseConfig(WarehouseConfig):
 def rules(config: WarehouseConfig) -> Rules:
     """State the constraints of appendix B.1: connected, served, exact shelves, fixed border."""
     shape = (config.rows, config.cols)
-    allowed = np.zeros((*shape, len(TILES)), bool)
-    allowed[..., [TILES.index(symbol) for symbol in GENERATED]] = True
+    allowed = np.zeros((*shape, len(_TILES)), bool)
+    allowed[..., [_TILES.index(symbol) for symbol in _GENERATED]] = True
     outside = np.ones(shape, bool)
-    inside_frame(outside, MARGIN)[:] = False
-    allowed[outside] = np.eye(len(TILES), dtype=bool)[border(*shape)[outside]]
+    inside_frame(outside, _MARGIN)[:] = False
+    allowed[outside] = np.eye(len(_TILES), dtype=bool)[_border(*shape)[outside]]
     return Rules(
-        tiles=TILES,
+        tiles=_TILES,
         counts=(Count("@", config.shelves, config.shelves),),
         adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
         connected=".ew",
@@ -118,7 +118,7 @@ def rules(config: WarehouseConfig) -> Rules:
 def components(layout: jax.Array, runs: Traffic) -> jax.Array:
     """Count the connected components of shelves (-> float32)."""
     del runs
-    return score.components(layout, "@", TILES)
+    return score.components(layout, "@", _TILES)
 
 
 def warehouse(
@@ -130,25 +130,25 @@ def warehouse(
         config: its numbers.
         known: sizes whose numbers are known.
     """
-    cycle = (tile_goal("e", TILES), favour_left(tile_goal("w", TILES), config.left_odds))
+    cycle = (tile_goal("e", _TILES), favour_left(tile_goal("w", _TILES), config.left_odds))
     return Domain(
         config=config,
-        tiles=TILES,
-        generated=GENERATED,
+        tiles=_TILES,
+        generated=_GENERATED,
         seed_block=("ee", "@@", "ee"),
-        margin=MARGIN,
+        margin=_MARGIN,
         frame=frame,
         rules=lambda: rules(config),
-        simulator=fleet_simulator(TaskRule(TILES, ".ew", cycle), config.fleet),
+        simulator=fleet_simulator(TaskRule(_TILES, ".ew", cycle), config.fleet),
         objective=throughput,
         objective_name=THROUGHPUT,
         measures=(
             Measure("connected shelf components", 140, 240, 100, components, "shelves"),
-            environment_entropy(len(GENERATED), MARGIN),
+            environment_entropy(len(_GENERATED), _MARGIN),
         ),
         human=lambda: design(config.rows, config.cols),
         counted={"shelves": "@"},
-        meanings=MEANINGS,
+        meanings=_MEANINGS,
         known=known,
     )
 

@@ -25,15 +25,15 @@ from qdenv.io.records import parse_json, structured
 from qdenv.types import InputError
 
 SCHEMA = 2
-MAX_MEMBERS = 10_000
-MAX_DIRECTORY = 4 * MEGABYTE  # bytes of the list of members
+_MAX_MEMBERS = 10_000
+_MAX_DIRECTORY = 4 * MEGABYTE  # bytes of the list of members
 # An archive may expand to this many bytes, or else to this multiple of its own size.
 MAX_EXPANDED, MAX_RATIO = 64 * MEGABYTE, 30
-MAX_HEADER = 1000  # characters of an array's header: what numpy parses as a Python literal
+_MAX_HEADER = 1000  # characters of an array's header: what numpy parses as a Python literal
 PIECE = 2**24  # bytes that are copied at once
-ENCRYPTED = 1  # bit of a member's flags
+_ENCRYPTED = 1  # bit of a member's flags
 # Errors that the zip module and numpy raise for wrong bytes.
-DAMAGES = (
+_DAMAGES = (
     zipfile.BadZipFile,
     zlib.error,
     struct.error,
@@ -69,9 +69,9 @@ class _Schema(NamedTuple):
     schema: int
 
 
-NUMBERS = Column()
-ANY = Column("biufU")
-NONE: Mapping[str, Column] = MappingProxyType({})
+_NUMBERS = Column()
+_ANY = Column("biufU")
+_NONE: Mapping[str, Column] = MappingProxyType({})
 
 
 @contextmanager
@@ -92,7 +92,7 @@ def open_zip(path: Path | str) -> Iterator[zipfile.ZipFile]:
         raise unreadable(path, error) from error
     except InputError:
         raise
-    except DAMAGES as error:
+    except _DAMAGES as error:
         raise damaged(path, str(error) or type(error).__name__) from error
 
 
@@ -116,7 +116,7 @@ def _check_directory(stream: BinaryIO, source: Path | str) -> None:
         if len(long_end) < 56 or long_end[:4] != b"PK\6\6":
             raise damaged(source, "no archive, or its end is missing")
         (directory,) = struct.unpack("<Q", long_end[40:48])
-    if directory > MAX_DIRECTORY:
+    if directory > _MAX_DIRECTORY:
         raise damaged(source, "too many members")
     stream.seek(0)
 
@@ -124,11 +124,11 @@ def _check_directory(stream: BinaryIO, source: Path | str) -> None:
 def _check_members(archive: zipfile.ZipFile, size: int, source: Path | str) -> None:
     """Refuse members that are encrypted, packed oddly, named twice, or too large in all."""
     members = archive.infolist()
-    if len(members) > MAX_MEMBERS or len({one.filename for one in members}) < len(members):
+    if len(members) > _MAX_MEMBERS or len({one.filename for one in members}) < len(members):
         raise damaged(source, "too many members, or two of one name")
     for one in members:
         plain = one.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-        if one.flag_bits & ENCRYPTED or not plain:
+        if one.flag_bits & _ENCRYPTED or not plain:
             raise damaged(source, f"{one.filename} is encrypted or packed in an unknown way")
     if sum(one.compress_size for one in members) > size:
         raise damaged(source, "members overlap")
@@ -141,9 +141,9 @@ def _check_members(archive: zipfile.ZipFile, size: int, source: Path | str) -> N
 
 def read_arrays(
     path: Path | str,
-    columns: Mapping[str, Column] = NONE,
-    others: Column | None = ANY,
-    known: Mapping[str, Column] = NONE,
+    columns: Mapping[str, Column] = _NONE,
+    others: Column | None = _ANY,
+    known: Mapping[str, Column] = _NONE,
 ) -> dict[str, np.ndarray]:
     """Read an .npz file, without pickle.
 
@@ -183,11 +183,11 @@ def _check_header(archive: zipfile.ZipFile, name: str, column: Column, path: Pat
                 (1, 0): np.lib.format.read_array_header_1_0,
                 (2, 0): np.lib.format.read_array_header_2_0,
             }[version]
-            shape, _, dtype = read(member, MAX_HEADER)
-        except (KeyError, *DAMAGES) as error:
+            shape, _, dtype = read(member, _MAX_HEADER)
+        except (KeyError, *_DAMAGES) as error:
             raise damaged(path, f"{name} is not an array of numbers") from error
         bytes_left = archive.getinfo(f"{name}.npy").file_size - member.tell()
-    if dtype.kind not in ANY.kinds or dtype.itemsize == 0 or min(shape, default=0) < 0:
+    if dtype.kind not in _ANY.kinds or dtype.itemsize == 0 or min(shape, default=0) < 0:
         raise damaged(path, f"{name} is not an array of numbers")
     if math.prod(shape) * dtype.itemsize != bytes_left:
         raise damaged(path, f"{name} has another size than its header says")
@@ -200,7 +200,7 @@ def _check_header(archive: zipfile.ZipFile, name: str, column: Column, path: Pat
 def _read_values(archive: zipfile.ZipFile, name: str, finite: bool, path: Path | str) -> np.ndarray:
     with archive.open(f"{name}.npy") as member:
         values: np.ndarray = np.lib.format.read_array(
-            member, allow_pickle=False, max_header_size=MAX_HEADER
+            member, allow_pickle=False, max_header_size=_MAX_HEADER
         )
         member.read(1)  # the end, where the checksum is compared
     values = values.astype(values.dtype.newbyteorder("="), copy=False)
@@ -280,7 +280,7 @@ def read_state(path: Path, member: str, kind: type[T]) -> tuple[dict[str, np.nda
     """
     if not path.exists():
         raise InputError(f"there is no checkpoint {path}: nothing to resume")
-    arrays = read_arrays(path, {member: Column("u", 1)}, NUMBERS)
+    arrays = read_arrays(path, {member: Column("u", 1)}, _NUMBERS)
     place = f"{path}, {member}"
     content = parse_json(arrays.pop(member).tobytes().decode(errors="replace"), place)
     if structured(content, _Schema, place).schema > SCHEMA:

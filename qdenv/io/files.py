@@ -23,7 +23,7 @@ from qdenv.types import DamagedError, InputError
 TEMPORARY_PREFIX = ".qdenv-tmp-"
 MEGABYTE = 2**20
 MAX_TEXT = 64 * MEGABYTE  # bytes of a text file
-UTF_16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_UTF_16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) -> None:
@@ -182,6 +182,6 @@ def read_text(path: Path | str, max_bytes: int = MAX_TEXT, what: str = "text") -
     """
     content = read_bytes(path, max_bytes)
     try:
-        return content.decode("utf-16" if content.startswith(UTF_16_MARKS) else "utf-8-sig")
+        return content.decode("utf-16" if content.startswith(_UTF_16_MARKS) else "utf-8-sig")
     except UnicodeDecodeError as error:
         raise damaged(path, f"not a {what} file: {error}") from error

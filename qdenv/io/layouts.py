@@ -20,13 +20,13 @@ from qdenv.io.records import parse_json
 from qdenv.types import Array, DamagedError, InputError, Tile
 
 ENDINGS = (".json", ".txt", ".csv", ".map")  # of layout files; any other ending is JSON's
-MAX_BYTES = 32 * 2**20
+_MAX_BYTES = 32 * 2**20
 MAX_SIDE = 1000  # rows or columns; nothing larger was tried
-MAX_LINES = 20 * MAX_SIDE  # blank ones around a drawing with them
-DELIMITERS = ";,\t"
+_MAX_LINES = 20 * MAX_SIDE  # blank ones around a drawing with them
+_DELIMITERS = ";,\t"
 # Swamp is open ground, water is none: nobody gets there from the ground.
 OPEN, BLOCKED = ".GS", "@OTW"
-MOVING_AI = str.maketrans({**dict.fromkeys(OPEN, "."), **dict.fromkeys(BLOCKED, "#")})
+_MOVING_AI = str.maketrans({**dict.fromkeys(OPEN, "."), **dict.fromkeys(BLOCKED, "#")})
 
 
 class Drawing(NamedTuple):
@@ -47,7 +47,7 @@ def read_drawing(path: str | Path) -> Drawing:
         InputError: the file is missing, too big, or not what its ending says.
     """
     ending = Path(path).suffix.lower()
-    read = READERS.get(ending, _json)
+    read = _READERS.get(ending, _json)
     try:
         drawing = read(Path(path))
     except DamagedError as error:
@@ -78,7 +78,7 @@ def _check_size(rows: int, cols: int, path: str | Path) -> None:
         raise InputError(f"{path}: {error}") from error
 
 
-def trim(text: str) -> list[str]:
+def _trim(text: str) -> list[str]:
     """Split text into lines, without the blank ones around them.
 
     A line of blanks as wide as the widest line is a row: mazes draw empty cells like that.
@@ -91,10 +91,10 @@ def trim(text: str) -> list[str]:
 
 def _lines(path: Path, what: str) -> list[str]:
     """Read the lines of a text file; there may be blank ones, but not without end."""
-    text = read_text(path, MAX_BYTES, what)
-    if text.count("\n") + text.count("\r") > MAX_LINES:
-        raise damaged(path, f"more than {MAX_LINES:,} lines, this is no layout file")
-    return trim(text)
+    text = read_text(path, _MAX_BYTES, what)
+    if text.count("\n") + text.count("\r") > _MAX_LINES:
+        raise damaged(path, f"more than {_MAX_LINES:,} lines, this is no layout file")
+    return _trim(text)
 
 
 def _text(path: Path) -> Drawing:
@@ -103,7 +103,7 @@ def _text(path: Path) -> Drawing:
 
 def _json(path: Path) -> Drawing:
     """Find the rows in an object with "layout", or in a plain list."""
-    content = parse_json(read_text(path, MAX_BYTES, "JSON"), path)
+    content = parse_json(read_text(path, _MAX_BYTES, "JSON"), path)
     content = content if isinstance(content, dict) else {"layout": content}
     rows, domain, keep = (content.get(name) for name in ("layout", "domain", "keep"))
     if not _are_rows(rows):
@@ -119,11 +119,11 @@ def _are_rows(value: Any) -> TypeGuard[list[str]]:
 def _csv(path: Path) -> Drawing:
     """Join a table's cells, one tile each; lines of one cell are rows as they are."""
     lines = _lines(path, "CSV")
-    counts = {one: sum(line.count(one) for line in lines) for one in DELIMITERS}
-    delimiter = max(DELIMITERS, key=counts.__getitem__)
+    counts = {one: sum(line.count(one) for line in lines) for one in _DELIMITERS}
+    delimiter = max(_DELIMITERS, key=counts.__getitem__)
     if lines and lines[0].lower().startswith("sep="):  # Excel's own hint
         hint, *lines = lines
-        delimiter = hint[4:5] if hint[4:5] in (*DELIMITERS, "|") else delimiter
+        delimiter = hint[4:5] if hint[4:5] in (*_DELIMITERS, "|") else delimiter
     if lines:
         _check_size(len(lines), 1 + max(line.count(delimiter) for line in lines), path)
     try:
@@ -161,7 +161,7 @@ def _moving_ai(path: Path) -> Drawing:
     end = names.index("map")
     words = [line.split(maxsplit=2) for line in lines[:end]]
     head = dict(line for line in words if len(line) == 2)
-    rows = [line.translate(MOVING_AI) for line in lines[end + 1 :]]
+    rows = [line.translate(_MOVING_AI) for line in lines[end + 1 :]]
     found = {"height": len(rows), "width": max(map(len, rows), default=0)}
     for name, number in found.items():
         if head.get(name, str(number)) != str(number):
@@ -169,15 +169,15 @@ def _moving_ai(path: Path) -> Drawing:
     return Drawing(rows)
 
 
-READERS = {".txt": _text, ".csv": _csv, ".map": _moving_ai}
+_READERS = {".txt": _text, ".csv": _csv, ".map": _moving_ai}
 
 
-NO_MEANINGS: Mapping[str, Tile] = MappingProxyType({})
+_NO_MEANINGS: Mapping[str, Tile] = MappingProxyType({})
 BLANKS = " ."  # empty cells, drawn either way
 
 
 def read_layout(
-    path: str | Path, tiles: str, meanings: Mapping[str, Tile] = NO_MEANINGS
+    path: str | Path, tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS
 ) -> np.ndarray:
     """Read a layout.
 
@@ -199,7 +199,7 @@ def to_layout(
     rows: Sequence[str],
     path: str | Path,
     tiles: str,
-    meanings: Mapping[str, Tile] = NO_MEANINGS,
+    meanings: Mapping[str, Tile] = _NO_MEANINGS,
     whose: str = "this domain",
 ) -> np.ndarray:
     """Turn the rows of a file into a layout.
@@ -231,13 +231,13 @@ def to_layout(
         raise InputError(f"{path}: {error}") from error
 
 
-def alphabet(tiles: str, meanings: Mapping[str, Tile] = NO_MEANINGS) -> str:
+def alphabet(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> str:
     """List the symbols of an alphabet with what they mean, in a line."""
     names = {symbol: f" {tile.name}" for symbol, tile in meanings.items()}
     return ", ".join(f"{symbol!r}{names.get(symbol, '')}" for symbol in tiles)
 
 
-def aliases(tiles: str, meanings: Mapping[str, Tile] = NO_MEANINGS) -> dict[str, str]:
+def aliases(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> dict[str, str]:
     """List what else may be drawn for which symbol: ``#`` for a wall, a blank for a dot."""
     known = {other: symbol for symbol, tile in meanings.items() for other in tile.also}
     blanks = {other: symbol for symbol in BLANKS if symbol in tiles for other in BLANKS}
@@ -250,7 +250,7 @@ def respell(rows: Sequence[str], table: Mapping[str, str]) -> list[str]:
     return [row.translate(codes) for row in rows]
 
 
-def endings_for(tiles: str, meanings: Mapping[str, Tile] = NO_MEANINGS) -> tuple[str, ...]:
+def endings_for(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> tuple[str, ...]:
     """List the endings of files that can hold every tile of an alphabet."""
     every = set(tiles) <= _on_map(tiles, meanings).keys()
     return ENDINGS if every else tuple(ending for ending in ENDINGS if ending != ".map")
@@ -260,7 +260,7 @@ def write_layout(
     path: str | Path,
     layout: Array,
     tiles: str,
-    meanings: Mapping[str, Tile] = NO_MEANINGS,
+    meanings: Mapping[str, Tile] = _NO_MEANINGS,
     /,
     **details: Any,
 ) -> None:

@@ -15,15 +15,15 @@ from qdenv.io.files import MEGABYTE, damaged, read_text
 from qdenv.registry import Registry
 from qdenv.types import InputError
 
-MAX_DEPTH = 40  # nested brackets
-MAX_VALUES = 1_000_000
-MAX_DIGITS = 40  # of a whole number
-MAX_SHOWN = 40  # characters of a wrong value in a message
-INT_LIMIT = 2**63  # what an array can hold
+_MAX_DEPTH = 40  # nested brackets
+_MAX_VALUES = 1_000_000
+_MAX_DIGITS = 40  # of a whole number
+_MAX_SHOWN = 40  # characters of a wrong value in a message
+_INT_LIMIT = 2**63  # what an array can hold
 # Possessive quantifiers: without them the engine stores a state for every escaped character, which
 # took 1.7 GB for a string of 31 MB.
-TOKEN = re.compile(r'[][{},]|"[^"\\]*+(?:\\.[^"\\]*+)*+"?', re.DOTALL)
-TYPE_NAMES = {
+_TOKEN = re.compile(r'[][{},]|"[^"\\]*+(?:\\.[^"\\]*+)*+"?', re.DOTALL)
+_TYPE_NAMES = {
     int: "a whole number",
     float: "a number",
     str: "a word",
@@ -32,7 +32,7 @@ TYPE_NAMES = {
 }
 # Fields that hold the settings of a registered choice, wherever a field of this name stands.
 Choices = Mapping[str, Registry]
-NO_CHOICES: Choices = MappingProxyType({})
+_NO_CHOICES: Choices = MappingProxyType({})
 T = TypeVar("T")
 
 
@@ -59,14 +59,14 @@ def parse_json(text: str, source: Path | str) -> Any:
     """
     # Before the parser runs, which allocates for every bracket.
     depth = values = 0
-    for token in TOKEN.finditer(text):
+    for token in _TOKEN.finditer(text):
         first = text[token.start()]
         if first == '"':
             continue
         values += first in "[{,"
         depth += (first in "[{") - (first in "]}")
-        if depth > MAX_DEPTH or values > MAX_VALUES:
-            what = f"more than {MAX_VALUES:,} values" if values > MAX_VALUES else "too deep"
+        if depth > _MAX_DEPTH or values > _MAX_VALUES:
+            what = f"more than {_MAX_VALUES:,} values" if values > _MAX_VALUES else "too deep"
             raise damaged(source, f"not a JSON file of ours: {what}")
     try:
         return json.loads(text, parse_int=_int, parse_constant=_constant, object_pairs_hook=_object)
@@ -75,7 +75,7 @@ def parse_json(text: str, source: Path | str) -> Any:
 
 
 def _int(text: str) -> int:
-    if len(text) > MAX_DIGITS:  # converting digits takes quadratic time
+    if len(text) > _MAX_DIGITS:  # converting digits takes quadratic time
         raise ValueError(f"a number of {len(text)} digits")
     return int(text)
 
@@ -99,7 +99,7 @@ def structured(
     kind: type[T],
     source: Path | str,
     infinite: bool = False,
-    choices: Choices = NO_CHOICES,
+    choices: Choices = _NO_CHOICES,
 ) -> T:
     """Turn parsed JSON into a record, strictly: only whole numbers become fractions.
 
@@ -193,14 +193,18 @@ class _Reader:
 
     def read_plain(self, value: Any, kinds: tuple[type, ...], place: str) -> Any:
         kind = type(value)
-        if kind is int and (int in kinds or float in kinds) and not -INT_LIMIT <= value < INT_LIMIT:
+        if (
+            kind is int
+            and (int in kinds or float in kinds)
+            and not -_INT_LIMIT <= value < _INT_LIMIT
+        ):
             raise _wrong(place, f"must be a number that fits into 64 bits, not {_shown(value)}")
         if kind is int and int not in kinds and float in kinds:
             return float(value)
         if kind is float and float in kinds and not (self.infinite or math.isfinite(value)):
             raise _wrong(place, f"must be a finite number, not {_shown(value)}")
         if kind not in kinds:
-            names = " or ".join(name for one, name in TYPE_NAMES.items() if one in kinds)
+            names = " or ".join(name for one, name in _TYPE_NAMES.items() if one in kinds)
             if kinds == (float,) and not self.infinite:
                 names = "a finite number"
             raise _wrong(place, f"must be {names}, not {_shown(value)}")
@@ -245,4 +249,4 @@ def _wrong(place: str, reason: object) -> InputError:
 
 def _shown(value: Any) -> str:
     text = json.dumps(value, default=str)
-    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."

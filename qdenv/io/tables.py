@@ -8,11 +8,11 @@ from typing import Any, TypeVar, get_type_hints
 
 from qdenv.io.files import MAX_TEXT, damaged, read_text
 
-MAX_COLUMNS = 1000
-MAX_ROWS = 2_000_000
-MAX_DIGITS = 40  # characters
-TRUTH = {"True": True, "False": False}
-TYPE_NAMES = {int: "a whole number", float: "a number", bool: "True or False"}
+_MAX_COLUMNS = 1000
+_MAX_ROWS = 2_000_000
+_MAX_DIGITS = 40  # characters
+_TRUTH = {"True": True, "False": False}
+_TYPE_NAMES = {int: "a whole number", float: "a number", bool: "True or False"}
 T = TypeVar("T", bound=tuple)
 
 
@@ -33,13 +33,13 @@ def read_rows(path: Path | str, max_bytes: int = MAX_TEXT) -> Iterator[dict[str,
     number = 0
     try:
         head = next(rows, [])
-        if len(set(head)) < len(head) or not 0 < len(head) <= MAX_COLUMNS:
+        if len(set(head)) < len(head) or not 0 < len(head) <= _MAX_COLUMNS:
             raise damaged(path, "no table: columns need names of their own")
         for number, row in enumerate(rows, start=1):
             if len(row) != len(head):
                 raise damaged(path, f"row {number} has {len(row)} cells, the head {len(head)}")
-            if number > MAX_ROWS:
-                raise damaged(path, f"more than {MAX_ROWS:,} rows")
+            if number > _MAX_ROWS:
+                raise damaged(path, f"more than {_MAX_ROWS:,} rows")
             yield dict(zip(head, row, strict=True))
     except csv.Error as error:
         raise damaged(path, f"not a CSV file after row {number}: {error}") from error
@@ -93,11 +93,11 @@ def parse_cell(text: str, kind: type, infinite: bool = False) -> Any:
     if kind is str:
         return text
     try:
-        if len(text) > MAX_DIGITS:
+        if len(text) > _MAX_DIGITS:
             raise ValueError
-        value = TRUTH[text] if kind is bool else kind(text)
+        value = _TRUTH[text] if kind is bool else kind(text)
     except (ValueError, KeyError):
-        raise ValueError(f"{text[:MAX_DIGITS]!r} is not {TYPE_NAMES[kind]}") from None
+        raise ValueError(f"{text[:_MAX_DIGITS]!r} is not {_TYPE_NAMES[kind]}") from None
     if kind is float and not (math.isfinite(value) or (infinite and not math.isnan(value))):
         raise ValueError(f"{text} is no finite number")
     if kind is int and abs(value) >= 2**63:

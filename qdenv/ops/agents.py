@@ -28,9 +28,20 @@ if TYPE_CHECKING:  # imports jax
     from qdenv.agent.evaluate import Comparison
     from qdenv.simulate.maze.policy import Weights
 
-MOST_RUNS = 1_000_000
-MOST_MAZES = 10_000
-COLUMNS = ("file", "rows", "cols", "walls", "shortest", "runs", "success", "low", "high", "actions")
+_MOST_RUNS = 1_000_000
+_MOST_MAZES = 10_000
+_COLUMNS = (
+    "file",
+    "rows",
+    "cols",
+    "walls",
+    "shortest",
+    "runs",
+    "success",
+    "low",
+    "high",
+    "actions",
+)
 
 
 def train_agent(
@@ -108,7 +119,7 @@ class EpisodeOptions(Ranged):
     """The agent, and how often and how long it walks through a maze."""
 
     agent: str = ""  # an agent.npz; the shipped one unless given
-    runs: Annotated[int, Interval(ge=1, le=MOST_RUNS)] = 100  # independent episodes, in each maze
+    runs: Annotated[int, Interval(ge=1, le=_MOST_RUNS)] = 100  # independent episodes, in each maze
     # actions per episode; twice the tiles of the ringed maze unless given
     timesteps: Annotated[PositiveInt | None, tyro.conf.arg(aliases=("--horizon",))] = None
     seed: Seed = 0  # of headings, actions and random mazes
@@ -148,9 +159,9 @@ def evaluate_agent(
     Raises:
         InputError: it is no maze, or a number is impossible.
     """
-    if random_mazes and not 2 <= random_mazes <= MOST_MAZES:  # one has no standard error
+    if random_mazes and not 2 <= random_mazes <= _MOST_MAZES:  # one has no standard error
         raise InputError(
-            f"--random-mazes {random_mazes}: give 2 to {MOST_MAZES:,}, or leave it out"
+            f"--random-mazes {random_mazes}: give 2 to {_MOST_MAZES:,}, or leave it out"
         )
     if out not in (None, AUTO) and not random_mazes:
         raise InputError("--out is for the table of random mazes: add --random-mazes 100")
@@ -231,7 +242,7 @@ def _report_random(
         counts = (*maze.layout.shape, others.walls, maze.shortest, one.runs)
         rows.append([path, *counts, one.rate, one.low, one.high, one.mean_length])
     say(f"{places.folder}: {len(rows)} layouts")
-    write_csv(places.table.path, COLUMNS, rows)
+    write_csv(places.table.path, _COLUMNS, rows)
     say(places.table)
     mazes, rates = (others.given, *others.mazes), (own, *others.rates)
     titles = [

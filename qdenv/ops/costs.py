@@ -16,7 +16,7 @@ from qdenv.types import InputError
 # CPU seconds of one evaluation, measured on two cores of a cloud machine. Those of DSAGE on the
 # paper's rows are reckoned from `python -m experiments.benchmarks surrogate`, for outer loops of
 # one batch of 50 (mazes: 400 evaluations) that learn from half of the evaluations.
-CPU_SECONDS = {
+_CPU_SECONDS = {
     "quick": 0.06,
     "laptop": 0.91,
     "warehouse-even": 0.91,
@@ -34,7 +34,7 @@ CPU_SECONDS = {
     "maze-walls-dsage": 60.0,
     "maze-entropy-dsage": 60.0,
 }
-FEWEST_ROWS = 5  # iterations from which on a measurement counts: the first one compiles
+_FEWEST_ROWS = 5  # iterations from which on a measurement counts: the first one compiles
 
 
 def describe_cost(preset: str, config: RunConfig) -> str:
@@ -52,7 +52,7 @@ def describe_cost(preset: str, config: RunConfig) -> str:
     if planner_of(config) != planner_of(usual):  # which may take ten times as long
         return ""
     measured = base and (_read().get(preset) or _read().get(base))
-    seconds = measured or CPU_SECONDS.get(base, 0.0) / devices.count_cores()
+    seconds = measured or _CPU_SECONDS.get(base, 0.0) / devices.count_cores()
     if not seconds:
         return ""
     source = "as measured here" if measured else "an estimate"
@@ -60,8 +60,8 @@ def describe_cost(preset: str, config: RunConfig) -> str:
 
 
 def estimate_seconds(preset: str) -> float:
-    """Return the CPU seconds of one evaluation of a preset that `CPU_SECONDS` knows."""
-    return CPU_SECONDS[_base_of(preset)]
+    """Return the CPU seconds of one evaluation of a preset that `_CPU_SECONDS` knows."""
+    return _CPU_SECONDS[_base_of(preset)]
 
 
 def _base_of(preset: str) -> str:
@@ -69,7 +69,7 @@ def _base_of(preset: str) -> str:
 
     Rows that differ in alpha or in the algorithm alone are called like ``warehouse-even-cma-es``.
     """
-    bases = [name for name in CPU_SECONDS if f"{preset}-".startswith(f"{name}-")]
+    bases = [name for name in _CPU_SECONDS if f"{preset}-".startswith(f"{name}-")]
     return max(bases, key=len, default="")
 
 
@@ -88,7 +88,7 @@ def remember(preset: str, rows: Sequence[Metrics]) -> None:
         preset: its name.
         rows: the run's, one per iteration.
     """
-    if len(rows) < FEWEST_ROWS:
+    if len(rows) < _FEWEST_ROWS:
         return
     seconds = rows[-1].seconds - rows[0].seconds
     evaluations = rows[-1].evaluations - rows[0].evaluations

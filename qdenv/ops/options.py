@@ -29,7 +29,7 @@ from qdenv.study.plans import read_plan as read_file
 from qdenv.types import InputError
 from qdenv.view.widths import parse_width
 
-SECONDS_PER_HOUR = 3600
+_SECONDS_PER_HOUR = 3600
 
 
 def option(metavar: str, read: Any = str, nargs: Any = 1) -> Any:
@@ -193,7 +193,7 @@ class Fleet:
     @property
     def per_hour(self) -> float | None:
         """Number of timesteps per hour; None where their length is not given."""
-        return self.seconds_per_step and SECONDS_PER_HOUR / self.seconds_per_step
+        return self.seconds_per_step and _SECONDS_PER_HOUR / self.seconds_per_step
 
     def config(self, agents: int, timesteps: int | None = None) -> FleetConfig:
         """Make the settings of a simulation.

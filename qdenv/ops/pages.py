@@ -42,8 +42,8 @@ if TYPE_CHECKING:  # imports the simulator
     from qdenv.view.report.build import Report
     from qdenv.view.report.fleet import Asked
 
-SHORT = 100  # timesteps of a GIF of robots unless more are stated: it grows by megabytes
-LONG = 20.0  # seconds from which on an estimate of the time is logged
+_SHORT = 100  # timesteps of a GIF of robots unless more are stated: it grows by megabytes
+_LONG = 20.0  # seconds from which on an estimate of the time is logged
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,7 +190,7 @@ def _draw_film(path: Path, plan: Plan, motion: Motion, films: FilmOptions) -> No
 
     films.check_end(motion.steps)
     short = path.suffix.lower() == ".gif" and motion.headings is None
-    last = films.last or (films.first + SHORT if short else motion.steps)
+    last = films.last or (films.first + _SHORT if short else motion.steps)
     with Bar(f"drawing {path}") as bar:
         save_film(path, plan.layout, plan.domain.tiles, motion, (films.first, last), bar)
 
@@ -295,7 +295,7 @@ def _report_fleets(asked: Asked, again: str) -> Report:
         def show(row: Row) -> None:
             nonlocal first
             rest = seconds_for(asked, row, devices.threads())
-            if first and rest > LONG:
+            if first and rest > _LONG:
                 say(f"this takes about {format_duration(rest)} in all (an estimate)")
             first = False
             rate = f"{row.success_rate:.0%} never congested"

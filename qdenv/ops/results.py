@@ -14,7 +14,7 @@ from qdenv.domains.base import Domain
 from qdenv.io.layouts import write_layout
 from qdenv.types import InputError
 
-DIGITS = 4  # significant ones of a number in a notebook
+_DIGITS = 4  # significant ones of a number in a notebook
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,14 +57,14 @@ class Layout:
         from qdenv.view.notebook import layout_html  # imports matplotlib
 
         picture = layout_html(self.layout, self.domain.tiles, self.domain.names)
-        return picture + table_html([_plain(self.facts)])
+        return picture + _table_html([_plain(self.facts)])
 
 
 class Facts(dict):
     """Findings by name, as `--json` writes them."""
 
     def _repr_html_(self) -> str:
-        return table_html([_plain(self)])
+        return _table_html([_plain(self)])
 
 
 class Table(list):
@@ -82,7 +82,7 @@ class Table(list):
         return pandas.DataFrame([row._asdict() for row in self])
 
     def _repr_html_(self) -> str:
-        return table_html([row._asdict() for row in self])
+        return _table_html([row._asdict() for row in self])
 
 
 class UnsolvedError(InputError):
@@ -102,7 +102,7 @@ class Broken(NamedTuple):
     column: int  # of that cell
 
 
-def table_html(rows: Sequence[Mapping[str, Any]]) -> str:
+def _table_html(rows: Sequence[Mapping[str, Any]]) -> str:
     """Draw records as a table: one as a list of its entries, several with a row for each."""
     if len(rows) == 1:
         lines: Iterable[Iterable[Any]] = rows[0].items()
@@ -120,4 +120,4 @@ def _plain(facts: Mapping[str, Any]) -> dict[str, Any]:
 def _shown(value: Any) -> str:
     if isinstance(value, tuple):
         return ",".join(map(str, value))
-    return f"{value:.{DIGITS}g}" if isinstance(value, float | np.floating) else str(value)
+    return f"{value:.{_DIGITS}g}" if isinstance(value, float | np.floating) else str(value)

@@ -260,18 +260,18 @@ def series(
         layouts.append(Layout(item.layout, domain, details, details))
         grown.append(item)
         if folder:
-            save_with_picture(layouts[-1], place_in(folder, f"nca_{rows}x{cols}.json"))
+            save_with_picture(layouts[-1], _place_in(folder, f"nca_{rows}x{cols}.json"))
         if human:
             name = folder and folder / f"human_{rows}x{cols}.json"
             layouts.append(human_layout(rows, cols, domain.name, name))
     if folder:
-        table = place_in(folder, "series.csv")
+        table = _place_in(folder, "series.csv")
         studies.write_series(table.path, grown)
         say(table)
     return layouts
 
 
-def place_in(folder: Path, name: str) -> Place:
+def _place_in(folder: Path, name: str) -> Place:
     """Choose the place of a result in a folder that was named."""
     return Place(folder / name, (folder / name).exists())
 

@@ -27,7 +27,7 @@ from qdenv.study.plans import keep_from
 from qdenv.types import InputError
 from qdenv.zoo import PREFIX
 
-COLUMNS = ("preset", "domain", "algorithm", "size", "agents", "steps", "evaluations", "takes")
+_COLUMNS = ("preset", "domain", "algorithm", "size", "agents", "steps", "evaluations", "takes")
 # Name of a preset, or a whole configuration.
 Preset: TypeAlias = Annotated[
     Any,
@@ -51,7 +51,7 @@ Folder: TypeAlias = Annotated[
 def presets() -> Facts:
     """List the presets: what they search, and how long that takes on this machine."""
     table = [_facts_of(name, config) for name, config in PRESETS.items()]
-    say(*format_table([COLUMNS, *([row[name] for name in COLUMNS] for row in table)]))
+    say(*format_table([_COLUMNS, *([row[name] for name in _COLUMNS] for row in table)]))
     say("agents: robots in a simulation; steps: its timesteps; evaluations: layouts simulated")
     sizes = []
     for name in dict.fromkeys(str(row["domain"]) for row in table):

@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # imports the simulator
 
 # Numbers of agents unless given, on layouts for which 200 are usual.
 SWEEP, CLIMB = (50, 400, 50), (50, 1000, 50)  # first, last, step
-MOST_WARNINGS = 3
+_MOST_WARNINGS = 3
 
 
 def sweep(
@@ -292,7 +292,7 @@ def _finish(
         size = {} if width is None else {"width": width}
         figure = draw_peaks(rows, peaks, **size) if peaks else draw_comparison(rows, **size)
         save_figure(figure, case.picture.path)
-    for row in [row for row in rows if row.fading > FADING][:MOST_WARNINGS]:
+    for row in [row for row in rows if row.fading > FADING][:_MOST_WARNINGS]:
         say(
             f"{row.layout}: with {row.agents} agents a jam builds up, throughput falls by "
             f"{row.fading:.0%} with time: more timesteps show where that ends"

@@ -19,8 +19,8 @@ from qdenv.repair.rules import Result
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import Array, Repair, RepairStatus, Rules
 
-LOG = logging.getLogger(__name__)
-WAITING_PER_WORKER = 64  # layouts that may queue before `submit` waits
+_LOG = logging.getLogger(__name__)
+_WAITING_PER_WORKER = 64  # layouts that may queue before `submit` waits
 
 
 class RepairPool:
@@ -41,7 +41,7 @@ class RepairPool:
         self.rules, self.config = rules, config or RepairConfig()
         self.workers = self.config.workers or devices.count_cores()
         self._threads = ThreadPoolExecutor(self.workers, thread_name_prefix="repair")
-        self._slots = threading.BoundedSemaphore(WAITING_PER_WORKER * self.workers)
+        self._slots = threading.BoundedSemaphore(_WAITING_PER_WORKER * self.workers)
         self._lock, self._alone = threading.Lock(), threading.Lock()
         self._memo: OrderedDict[bytes, Future[Repair]] = OrderedDict()
         self._remember = remember
@@ -54,7 +54,7 @@ class RepairPool:
         what has not begun.
         """
         layout = np.array(layout, np.int8)
-        key = content_key(layout, seed)
+        key = _content_key(layout, seed)
         self._slots.acquire()
         with self._lock:
             known = self._memo.get(key)
@@ -74,7 +74,7 @@ class RepairPool:
         try:
             return self._repair(layout, seed)
         except Exception:
-            LOG.exception("a repair failed; its layout counts as not repairable")
+            _LOG.exception("a repair failed; its layout counts as not repairable")
             with self._lock:
                 self._memo.pop(key, None)
             return Result(layout, np.inf, 0.0, RepairStatus.FAILED).record(0.0)
@@ -84,7 +84,7 @@ class RepairPool:
         try:
             return repair_layout(layout, self.rules, seed, self.config)
         except MemoryError:
-            LOG.warning("a repair ran out of memory: it is tried again by itself")
+            _LOG.warning("a repair ran out of memory: it is tried again by itself")
         with self._alone:
             return repair_layout(layout, self.rules, seed, self.config)
 
@@ -107,7 +107,7 @@ class RepairPool:
         self.close()
 
 
-def content_key(layout: np.ndarray, seed: int) -> bytes:
+def _content_key(layout: np.ndarray, seed: int) -> bytes:
     """Name a repair by what decides it: the layout's content and shape, and the seed."""
     digest = hashlib.blake2b(layout.tobytes(), digest_size=16)
     digest.update(repr((layout.shape, int(seed))).encode())

@@ -31,7 +31,7 @@ from qdenv.repair.rules import (
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import Repair, RepairStatus, Rules
 
-MAX_TEMPLATES = 4  # regular layouts to start from, those that break the fewest rules
+_MAX_TEMPLATES = 4  # regular layouts to start from, those that break the fewest rules
 
 
 def repair_layout(
@@ -99,7 +99,7 @@ def _starts(
     """List where and how to anneal, the later ones for layouts that the earlier ones fail on."""
     yield layout, LOW_PENALTY
     yield layout, HIGH_PENALTY
-    for start in draw_templates(layout, facts)[:MAX_TEMPLATES]:
+    for start in draw_templates(layout, facts)[:_MAX_TEMPLATES]:
         yield start, NO_VIOLATIONS
     _, known = find_possible(facts, progress)
     if known is not None:

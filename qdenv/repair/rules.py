@@ -16,7 +16,7 @@ from qdenv.repair.audit import audit
 from qdenv.types import Repair, RepairStatus, Rules
 
 Progress = Callable[[str, float], None]  # receives what is being done, and which share of it is
-TOLERANCE = 1e-6  # how far a bound may miss a cost that it proves
+_TOLERANCE = 1e-6  # how far a bound may miss a cost that it proves
 
 
 def no_progress(doing: str, done: float) -> None:
@@ -33,7 +33,7 @@ class Result(NamedTuple):
 
     def proven(self, gap: float = 0.0) -> bool:
         """Return True if the bound proves the cost within a relative gap."""
-        return self.bound >= self.cost * (1 - gap) - TOLERANCE
+        return self.bound >= self.cost * (1 - gap) - _TOLERANCE
 
     def record(self, seconds: float) -> Repair:
         """Make a `Repair` of numpy values with the types it promises."""
@@ -190,7 +190,7 @@ def assign_kinds(
             mine = (roles == role) & ~fixed
             new, kept = np.argwhere(mine & ~stays), np.argwhere(mine & stays)
             _choose_kinds(candidate, rng.permutation(new), members, facts)
-            if excess(count_kinds(candidate, facts), facts):
+            if excess(_count_kinds(candidate, facts), facts):
                 _turn_kinds(candidate, rng.permutation(kept), members, facts)
     return candidate
 
@@ -213,7 +213,7 @@ def balance_kinds(
     return candidate, new_cost
 
 
-def count_kinds(layout: np.ndarray, facts: Facts) -> np.ndarray:
+def _count_kinds(layout: np.ndarray, facts: Facts) -> np.ndarray:
     """Count the tiles of each kind (int64 [K])."""
     return np.bincount(layout.ravel(), minlength=len(facts.rules.tiles))
 
@@ -227,7 +227,7 @@ def excess(counts: np.ndarray, facts: Facts) -> int:
 
 def _choose_kinds(candidate: np.ndarray, new: np.ndarray, members: list[int], facts: Facts) -> None:
     """Choose among `members` for the cells `new` (int64 [n, 2])."""
-    counts = count_kinds(candidate, facts) - count_kinds(candidate[tuple(new.T)], facts)
+    counts = _count_kinds(candidate, facts) - _count_kinds(candidate[tuple(new.T)], facts)
     # Plain numbers: a layout of a maze's size has thousands of cells to choose for.
     held = counts.tolist()
     bounds = [
@@ -252,7 +252,7 @@ def _choose_kinds(candidate: np.ndarray, new: np.ndarray, members: list[int], fa
 
 def _turn_kinds(candidate: np.ndarray, kept: np.ndarray, members: list[int], facts: Facts) -> None:
     """Turn cells of `kept` (int64 [n, 2]) into other kinds while that brings a bound nearer."""
-    counts = count_kinds(candidate, facts)
+    counts = _count_kinds(candidate, facts)
     missing = excess(counts, facts)
     for cell in kept:
         if missing == 0:

@@ -57,7 +57,7 @@ EFFORTS = {
         ),
     ),
 }
-MIN_MOVES = 20_000  # a few milliseconds, which tiny layouts need as well
+_MIN_MOVES = 20_000  # a few milliseconds, which tiny layouts need as well
 
 
 @dataclass(frozen=True)
@@ -96,4 +96,4 @@ class RepairConfig(Ranged):
 
     def count_moves(self, cells: int) -> int:
         """Return the number of annealing moves for a number of free cells."""
-        return max(cells * self.effort.moves_per_cell, MIN_MOVES)
+        return max(cells * self.effort.moves_per_cell, _MIN_MOVES)

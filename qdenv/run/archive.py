@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     import ribs.archives
 
 # Columns of every archive.
-COLUMNS = {
+_COLUMNS = {
     "index": Column("iu", 1),
     "solution": Column("iuf", 2, finite=True),
     "objective": Column("iuf", 1, finite=True),
     "measures": Column("iuf", 2, finite=True),
 }
-REPAIRED = {"repaired": Column("iu", 3)}  # of the archive of a run: the layouts
+_REPAIRED = {"repaired": Column("iu", 3)}  # of the archive of a run: the layouts
 # Those that it may have: the layouts before the repair, and how each simulation ended.
-KNOWN = {"unrepaired": Column("iu", 3), "congested": Column("b", 2), "success": Column("b", 2)}
+_KNOWN = {"unrepaired": Column("iu", 3), "congested": Column("b", 2), "success": Column("b", 2)}
 Columns = Mapping[str, np.ndarray]
 
 
@@ -80,7 +80,7 @@ def read_columns(path: Path, schema: ArchiveSchema) -> dict[str, np.ndarray]:
         InputError: it cannot be read; it is no archive over these measures: a column is missing or
             of another length, a cell lies outside, or a tile means nothing.
     """
-    columns = read_arrays(path, COLUMNS | REPAIRED, Column(), KNOWN)
+    columns = read_arrays(path, _COLUMNS | _REPAIRED, Column(), _KNOWN)
     index, cells = columns["index"], math.prod(one.cells for one in schema.measures)
     alike = all(column.ndim and len(column) == len(index) for column in columns.values())
     inside = ((index >= 0) & (index < cells)).all() and len(np.unique(index)) == len(index)
@@ -242,7 +242,7 @@ class SavedArchive:
         }
         for number, measure in enumerate(self.schema.measures):
             columns[measure.name] = self.columns["measures"][:, number]
-        others = [name for name in self.columns if name not in COLUMNS]
+        others = [name for name in self.columns if name not in _COLUMNS]
         for name in [*others, *(["solution"] if solutions else [])]:
             values = self.columns[name]
             if values.ndim == 1:
@@ -313,7 +313,7 @@ class SavedArchive:
         extras = {
             name: values
             for name, values in self.columns.items()
-            if name not in (*COLUMNS, "threshold")
+            if name not in (*_COLUMNS, "threshold")
         }
         archive: Any = GridArchive(
             solution_dim=self.columns["solution"].shape[1],
@@ -324,7 +324,7 @@ class SavedArchive:
             },
         )
         if len(self):
-            archive.add(*(self.columns[name] for name in COLUMNS if name != "index"), **extras)
+            archive.add(*(self.columns[name] for name in _COLUMNS if name != "index"), **extras)
         return archive
 
     def __repr__(self) -> str:

@@ -24,10 +24,10 @@ from qdenv.types import DamagedError, InputError, Measure
 
 _MANIFEST = "manifest"
 # A store doubles before a batch might not fit, and at most half of what it refers to is let go.
-MOST_GROWN = 8
+_MOST_GROWN = 8
 # Settings that decide how long a run takes or how far it goes, but none of its results.
-WITHOUT_EFFECT = ("evaluations", "checkpoint_every", "workers", "backend")
-LOG = logging.getLogger(__name__)
+_WITHOUT_EFFECT = ("evaluations", "checkpoint_every", "workers", "backend")
+_LOG = logging.getLogger(__name__)
 
 
 class Manifest(NamedTuple):
@@ -101,7 +101,7 @@ def load_checkpoint(path: Path, initial: Any) -> tuple[Any, Manifest]:
                 raise damaged(path, "an array does not say which of its rows are held")
             fits = length == len(like)
             if id(leaf) in growing:
-                fits = 0 < length <= MOST_GROWN * (len(held) + len(like))
+                fits = 0 < length <= _MOST_GROWN * (len(held) + len(like))
             fits = fits and (not held.size or 0 <= held.min() <= held.max() < length)
         if not fits:
             raise other
@@ -141,7 +141,7 @@ def load_newest(saved: Sequence[Path], initial: Any) -> tuple[Manifest, Any]:
                 raise InputError(
                     f"{error}: no checkpoint is whole, delete {path.parent} to begin anew"
                 ) from error
-            LOG.warning("%s: going on from the checkpoint before it", error)
+            _LOG.warning("%s: going on from the checkpoint before it", error)
     return Manifest(0), initial
 
 
@@ -162,7 +162,7 @@ def result_settings(
         for name, value in content.items():
             if isinstance(value, dict):
                 collect(value, f"{prefix}{name}.")
-            elif name not in WITHOUT_EFFECT:
+            elif name not in _WITHOUT_EFFECT:
                 found[f"{prefix}{name}"] = value
 
     # Through JSON, so that it compares with what a checkpoint holds.

@@ -25,7 +25,7 @@ from qdenv.simulate.mapf.settings import PLANNERS, find_planner
 from qdenv.types import InputError, Measure, Rules
 
 # Settings whose type is a choice, wherever a field of this name stands.
-CHOICES = {
+_CHOICES = {
     "domain": DOMAINS,
     "generator": GENERATORS,
     "planner": PLANNERS,
@@ -59,7 +59,7 @@ def config_to_json(config: RunConfig) -> dict[str, Any]:
     Raises:
         InputError: the type of a setting is not registered.
     """
-    content: dict[str, Any] = unstructured(config, CHOICES)
+    content: dict[str, Any] = unstructured(config, _CHOICES)
     return content
 
 
@@ -72,7 +72,7 @@ def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
     """
     if not isinstance(content.get("evaluation"), dict):
         raise damaged(source, "no configuration of a run: evaluation is missing")
-    return structured(content, RunConfig, source, infinite=True, choices=CHOICES)
+    return structured(content, RunConfig, source, infinite=True, choices=_CHOICES)
 
 
 def resolve(preset: RunConfig, overrides: Mapping[str, Any]) -> tuple[RunConfig, str]:
@@ -110,7 +110,7 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
     """
     values: dict[tuple[str, ...], Any] = {}
     # Choices first: which other names there are depends on them.
-    for name in sorted(settings, key=lambda name: name not in (*CHOICES, "effort")):
+    for name in sorted(settings, key=lambda name: name not in (*_CHOICES, "effort")):
         value = settings[name]
         if name == "domain" and isinstance(value, str):
             config = choose_domain(config, value)
@@ -118,8 +118,8 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
         if name in ("effort", "planner"):
             config = choose_planner(config, settings.get("effort"), settings.get("planner"))
             continue
-        if name in CHOICES and isinstance(value, str):
-            value = CHOICES[name].config(value)
+        if name in _CHOICES and isinstance(value, str):
+            value = _CHOICES[name].config(value)
         paths = [path for path in _field_paths(config) if path[-1] == name]
         if "__" in name:
             paths = [tuple(name.split("__"))]

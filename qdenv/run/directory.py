@@ -45,8 +45,8 @@ from qdenv.zoo import Shipped, find
 if TYPE_CHECKING:
     from qdenv.run.checkpoint import Manifest
 
-KEPT_CHECKPOINTS = 2
-START = "start.npz"
+_KEPT_CHECKPOINTS = 2
+_START = "start.npz"
 
 
 class _BestLayoutFile(NamedTuple):
@@ -92,7 +92,7 @@ class RunDirectory:
         write_json(run.path / "manifest.json", manifest)
         run.write_metrics([])
         if start is not None:
-            write_arrays(run.path / START, {"solution": start})
+            write_arrays(run.path / _START, {"solution": start})
         run.write_config(config)  # last: a folder with a configuration counts as a run
         return run
 
@@ -214,7 +214,7 @@ class RunDirectory:
 
         target = self.path / "checkpoints" / f"{iteration:06d}.npz"
         save_checkpoint(target, state, {"iteration": iteration, "settings": settings})
-        for old in self._checkpoints()[:-KEPT_CHECKPOINTS]:
+        for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
 
     def load_checkpoint(self, initial: Any) -> tuple[Manifest, Any]:
@@ -340,7 +340,7 @@ def read_start(run: RunDirectory) -> np.ndarray | None:
     """
     if not run.config.start:
         return None
-    path = run.path / START
+    path = run.path / _START
     if not path.exists():
         raise InputError(f"{path} is missing: copy it back, or train anew in another folder")
     return read_arrays(path, {"solution": Column("f", 1)}, None)["solution"]

@@ -12,10 +12,10 @@ from qdenv.io.files import damaged, write_csv
 from qdenv.io.tables import parse_cell, read_rows, read_table
 from qdenv.types import Evaluation, InputError, RepairStatus
 
-METRICS = "metrics.csv"
+_METRICS = "metrics.csv"
 NOTES = "notes.csv"
-PLACE = {"iteration", "evaluations"}  # columns of every note
-LOG = logging.getLogger(__name__)
+_PLACE = {"iteration", "evaluations"}  # columns of every note
+_LOG = logging.getLogger(__name__)
 Note = dict[str, float]  # numbers by name, like a surrogate's losses; NaN where there is none
 
 
@@ -55,7 +55,7 @@ def read_metrics(path: Path, salvage: bool = False) -> list[Metrics]:
     except InputError as error:
         if not salvage:
             raise
-        LOG.warning("%s: what follows row %d is lost", error, len(rows))
+        _LOG.warning("%s: what follows row %d is lost", error, len(rows))
     return rows
 
 
@@ -74,8 +74,8 @@ def read_notes(path: Path, salvage: bool = False) -> list[Note]:
     notes = []
     try:
         for number, row in enumerate(read_rows(path), start=1):
-            if not row.keys() >= PLACE:
-                raise damaged(path, f"one of the columns {', '.join(sorted(PLACE))} is missing")
+            if not row.keys() >= _PLACE:
+                raise damaged(path, f"one of the columns {', '.join(sorted(_PLACE))} is missing")
             try:
                 note = {
                     name: parse_cell(text, float, infinite=True) if text else math.nan
@@ -87,7 +87,7 @@ def read_notes(path: Path, salvage: bool = False) -> list[Note]:
     except InputError as error:
         if not salvage:
             raise
-        LOG.warning("%s: the notes so far are lost", error)
+        _LOG.warning("%s: the notes so far are lost", error)
         return []
     return notes
 
@@ -98,7 +98,7 @@ class Log:
     def __init__(self, path: Path, done: int) -> None:
         """Read the rows up to iteration `done`; later iterations are repeated."""
         self._path = path
-        metrics = read_metrics(path / METRICS, salvage=True)
+        metrics = read_metrics(path / _METRICS, salvage=True)
         self._rows = [row for row in metrics if row.iteration <= done]
         notes = read_notes(path / NOTES, salvage=True)
         self._notes = [note for note in notes if note["iteration"] <= done]
@@ -130,7 +130,7 @@ class Log:
         counts = int(failed.sum()), int(congested.sum())
         row = Metrics(done, done * batch, *summary, round(self._seconds, 3), *counts)
         self._rows.append(row)
-        write_csv(self._path / METRICS, Metrics._fields, self._rows)
+        write_csv(self._path / _METRICS, Metrics._fields, self._rows)
         place = {"iteration": float(done), "evaluations": float(done * batch)}
         self._notes.append(place | {name: float(value) for name, value in notes.items()})
         if notes:

@@ -16,8 +16,8 @@ from qdenv.lazy import jax
 from qdenv.search.axes import Axis, axes_of
 from qdenv.types import InputError, Measure
 
-SCHEMA = 2  # of run directories; 1 was never released
-PACKAGES = ("qdenv", "jax", "jaxlib", "numpy", "flax", "qdax", "evosax", "highspy", "numba")
+_SCHEMA = 2  # of run directories; 1 was never released
+_PACKAGES = ("qdenv", "jax", "jaxlib", "numpy", "flax", "qdax", "evosax", "highspy", "numba")
 
 
 class ArchiveSchema(NamedTuple):
@@ -72,7 +72,7 @@ def check_schema(path: Path) -> None:
     Raises:
         InputError: it is one, or cannot be read.
     """
-    if read_json(path, _Written).schema > SCHEMA:
+    if read_json(path, _Written).schema > _SCHEMA:
         raise InputError(f"{path.parent}: written by a newer qdenv, please upgrade")
 
 
@@ -80,7 +80,7 @@ def make_manifest(schema: ArchiveSchema, domain: Domain) -> dict[str, Any]:
     """Make the content of manifest.json of a run that begins now."""
     axes = ("name", "low", "high", "cells")
     return {
-        "schema": SCHEMA,
+        "schema": _SCHEMA,
         "measures": [{axis: getattr(one, axis) for axis in axes} for one in schema.measures],
         "tiles": schema.tiles,
         "tile_names": dict(schema.names),
@@ -95,7 +95,7 @@ def make_manifest(schema: ArchiveSchema, domain: Domain) -> dict[str, Any]:
     }
 
 
-def package_versions(packages: Sequence[str] = PACKAGES) -> dict[str, str]:
+def package_versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
     """Return the versions of packages, "not installed" for those that are not."""
     found = dict.fromkeys(packages, "not installed")
     for name in packages:

@@ -10,7 +10,7 @@ from qdenv.search.base import Drawing, Problem
 from qdenv.types import Array, Evaluation, InputError, Measure
 
 # Not archived: where congestion ends a run it equals `end_timestep`.
-TRANSIENT_FIELD = "congested_at"
+_TRANSIENT_FIELD = "congested_at"
 
 
 def problem_of(pipeline: Pipeline, measures: tuple[Measure, ...]) -> Problem:
@@ -18,7 +18,9 @@ def problem_of(pipeline: Pipeline, measures: tuple[Measure, ...]) -> Problem:
     domain = pipeline.domain
     one = jax.ShapeDtypeStruct((1, pipeline.solution_size), np.float32)
     shapes = jax.eval_shape(lambda p, k: evaluate(pipeline, p, k), one, jax.random.key(0))
-    extras = {name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in archived(shapes).items()}
+    extras = {
+        name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in _archived(shapes).items()
+    }
     drawing = Drawing(
         lambda solutions: pipeline.grow(jnp.asarray(solutions)),
         domain.shape,
@@ -55,16 +57,16 @@ def archive_axes(
     return measures or own
 
 
-def archived(evaluation: Evaluation) -> dict[str, Array]:
+def _archived(evaluation: Evaluation) -> dict[str, Array]:
     """Select what the archive holds of an evaluation beside its score.
 
     Both layouts, similarity, repair status, and every per-run number [B, S] of the simulator but
-    `TRANSIENT_FIELD`.
+    `_TRANSIENT_FIELD`.
     """
     per_run = {
         name: leaf
         for name, leaf in evaluation.runs._asdict().items()
-        if len(leaf.shape) == 2 and name != TRANSIENT_FIELD
+        if len(leaf.shape) == 2 and name != _TRANSIENT_FIELD
     }
     return per_run | {
         "unrepaired": evaluation.unrepaired,
@@ -81,4 +83,4 @@ def observed(evaluation: Evaluation) -> dict[str, Array]:
     absent where the simulator draws no such map.
     """
     usage = getattr(evaluation.runs, "usage", None)
-    return archived(evaluation) | ({} if usage is None else {"usage": usage.mean(axis=1)})
+    return _archived(evaluation) | ({} if usage is None else {"usage": usage.mean(axis=1)})

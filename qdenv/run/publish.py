@@ -16,8 +16,8 @@ from qdenv.search.base import Algorithm
 from qdenv.search.export import collector
 from qdenv.types import Measure
 
-SAVING_SHARE = 0.03  # of a run's time, for checkpoints beyond those that its settings ask for
-LONGEST = 240.0  # seconds without a checkpoint, whatever it costs: no more is ever lost
+_SAVING_SHARE = 0.03  # of a run's time, for checkpoints beyond those that its settings ask for
+_LONGEST = 240.0  # seconds without a checkpoint, whatever it costs: no more is ever lost
 
 
 class Publisher:
@@ -43,8 +43,8 @@ class Publisher:
     def has_time(self) -> bool:
         """Whether saving would stay a small share of the time, or has waited too long."""
         now = time.perf_counter()
-        cheap = self._spent + self._last <= SAVING_SHARE * (now - self._begun)
-        return cheap or now - self._since > LONGEST
+        cheap = self._spent + self._last <= _SAVING_SHARE * (now - self._begun)
+        return cheap or now - self._since > _LONGEST
 
     def save(self, iteration: int, search: Search, settings: dict[str, Any]) -> None:
         """Write a checkpoint, then the archive and its best layout."""

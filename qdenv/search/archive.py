@@ -188,7 +188,7 @@ class GridArchive(MapElitesRepertoire):
         archive = self
         if self.thresholds is not None:
             rivals = same_cell & accepted[None, :]
-            raised = annealed(threshold, objective, rivals, self.learning_rate, self.threshold_min)
+            raised = _annealed(threshold, objective, rivals, self.learning_rate, self.threshold_min)
             archive = self.replace(thresholds=_put(self.thresholds, target, raised))
         archive = archive.replace(
             genotypes=_put(self.genotypes, target, solutions),
@@ -262,7 +262,7 @@ class GridArchive(MapElitesRepertoire):
         )
 
 
-def annealed(
+def _annealed(
     threshold: jax.Array,
     objective: jax.Array,
     rivals: jax.Array,

@@ -14,8 +14,8 @@ from qdenv.io.files import damaged
 from qdenv.lazy import jax, jnp
 from qdenv.types import Array, InputError, Measure
 
-MOST_CELLS = 1_000_000  # each holds two layouts: of size S 2.4 GB in all
-EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
+_MOST_CELLS = 1_000_000  # each holds two layouts: of size S 2.4 GB in all
+_EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
 
 
 class Axis(NamedTuple):
@@ -55,8 +55,8 @@ def check_measures(measures: Sequence[Measure]) -> tuple[Measure, ...]:
         if axis.cells < 1:
             raise InputError(f"measure {axis.name!r}: give at least one cell, not {axis.cells}")
     cells = math.prod(axis.cells for axis in axes)
-    if cells > MOST_CELLS:
-        raise InputError(f"an archive of {cells:,} cells: give {MOST_CELLS:,} at most")
+    if cells > _MOST_CELLS:
+        raise InputError(f"an archive of {cells:,} cells: give {_MOST_CELLS:,} at most")
     return axes
 
 
@@ -68,7 +68,7 @@ def inner_edges(axis: Measure, dtype: np.dtype) -> np.ndarray:
     ``floor((cells * (m - low) + 1e-6) / (high - low))`` clipped to the grid, but free of the
     roundings of that formula in float32: integers on an edge always fall above it.
     """
-    numerators = np.arange(1, axis.cells) * (axis.high - axis.low) - EDGE_TOLERANCE
+    numerators = np.arange(1, axis.cells) * (axis.high - axis.low) - _EDGE_TOLERANCE
     exact = axis.low + numerators / axis.cells
     edges = exact.astype(dtype)
     # Rounded up, so that comparing in `dtype` decides as comparing in float64 would.

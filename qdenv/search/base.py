@@ -12,7 +12,7 @@ from qdenv.search.archive import GridArchive, Insertion
 from qdenv.search.store import ROW, Store, is_store, stores_in
 from qdenv.types import Array, InputError, Measure, Score
 
-FIRST_ROWS = 1024  # of a store that grows; it doubles when need be, so a search compiles few times
+_FIRST_ROWS = 1024  # of a store that grows; it doubles when need be, so a search compiles few times
 
 
 class Drawing(NamedTuple):
@@ -215,7 +215,7 @@ def growing(algorithm: Algorithm) -> Algorithm:
     @jax.jit
     def init(key: jax.Array) -> Any:
         # XLA makes no more of the zeros of an empty store than the rows that are left of them.
-        sizes = [min(rows, max(FIRST_ROWS, 1 + algorithm.batch_size)) for rows in full]
+        sizes = [min(rows, max(_FIRST_ROWS, 1 + algorithm.batch_size)) for rows in full]
         return _resized(algorithm.init(key), sizes)
 
     def resize_and_tell(

@@ -16,7 +16,7 @@ from qdenv.search.base import StoredArchive
 from qdenv.search.strategies.base import SMALLEST_STEP
 from qdenv.types import InputError
 
-FLAT = 1e-12  # best and worst ranking values closer than this restart the emitter (pyribs)
+_FLAT = 1e-12  # best and worst ranking values closer than this restart the emitter (pyribs)
 
 # A ranker turns (insertion, objective) into sort keys, the most important first.
 Ranker = Callable[[Insertion, jax.Array], tuple[jax.Array, ...]]
@@ -72,7 +72,7 @@ def is_flat(keys: tuple[jax.Array, ...], order: jax.Array, successes: jax.Array)
     """Return True if the best and the worst of at least two usable rows rank the same."""
     last = order[jnp.maximum(successes - 1, 0)]
     gaps = jnp.stack([(key[order[0]] - key[last]).astype(float) for key in keys])
-    return (successes >= 2) & (jnp.sqrt(jnp.square(gaps).sum()) < FLAT)
+    return (successes >= 2) & (jnp.sqrt(jnp.square(gaps).sum()) < _FLAT)
 
 
 def restart_rule(rule: str | int) -> RestartRule:

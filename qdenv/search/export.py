@@ -19,9 +19,9 @@ from qdenv.types import InputError, Measure
 if TYPE_CHECKING:
     import pandas
 
-TAKEN_AT_ONCE = 1024  # elites
+_TAKEN_AT_ONCE = 1024  # elites
 # What a saved archive must hold.
-SAVED = {
+_SAVED = {
     "index": Column("iu", 1),
     "solution": Column("iuf", 2),
     "objective": Column("iuf", 1),
@@ -87,9 +87,9 @@ def collector(algorithm: Algorithm) -> Callable[[Any], dict[str, np.ndarray]]:
             name: np.empty((len(index), *column.shape[1:]), column.dtype)
             for name, column in jax.eval_shape(take, state, index).items()
         }
-        for start in range(0, len(index), TAKEN_AT_ONCE):
-            part = index[start : start + TAKEN_AT_ONCE]
-            cells = np.zeros(TAKEN_AT_ONCE, np.int32)  # filled up to the shape that is compiled
+        for start in range(0, len(index), _TAKEN_AT_ONCE):
+            part = index[start : start + _TAKEN_AT_ONCE]
+            cells = np.zeros(_TAKEN_AT_ONCE, np.int32)  # filled up to the shape that is compiled
             cells[: len(part)] = part
             for name, column in take(state, cells).items():
                 columns[name][start : start + len(part)] = np.asarray(column)[: len(part)]
@@ -166,7 +166,7 @@ def load_npz(path: str | os.PathLike, measures: Sequence[Measure] | None = None)
         InputError: the file is missing, no archive, or has no axes and none were given.
     """
     path = Path(path)
-    rows = read_arrays(path, SAVED)
+    rows = read_arrays(path, _SAVED)
     index, solution = rows.pop("index"), rows.pop("solution")
     objective, places = rows.pop("objective"), rows.pop("measures")
     stored = _pop_axes(rows, path) or _axes_of_run(path.with_name("manifest.json"))

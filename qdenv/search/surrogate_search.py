@@ -14,7 +14,7 @@ from qdenv.types import InputError, Measure, Score
 
 # Tiles that a geometric draw changes at most: more come once in 65,000 mutations (2^-16), and
 # the shapes must be static.
-MOST = 16
+_MOST = 16
 
 
 def search_surrogate(
@@ -71,7 +71,7 @@ def mutate_tiles(key: jax.Array, parents: jax.Array, choices: int, mutations: in
     """
     many, cells = parents.shape
     place_key, number_key, tile_key = jax.random.split(key, 3)
-    most = min(mutations or MOST, cells)
+    most = min(mutations or _MOST, cells)
     # The places of the largest of random numbers: different ones, in random order.
     places = jax.lax.top_k(jax.random.uniform(place_key, parents.shape), most)[1]
     number = jnp.full(many, most)

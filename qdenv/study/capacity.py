@@ -27,10 +27,10 @@ from qdenv.types import Traffic
 
 FLOWS, NEAR, PAST, CONGESTED = "flows", "near capacity", "past its peak", "congested"
 
-JAMMED = 0.5  # share of congested runs from which on the layout is
+_JAMMED = 0.5  # share of congested runs from which on the layout is
 PROBES = 2  # runs with another number of agents
 FEWER, FAR_FEWER, MORE = 0.75, (0.5, 0.25), 1.25  # of the agents, those numbers
-GAIN = 0.02  # more throughput than this with fewer agents: past the peak
+_GAIN = 0.02  # more throughput than this with fewer agents: past the peak
 
 
 class Point(NamedTuple):
@@ -93,7 +93,7 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
     def verdict(word: str, reason: str) -> Verdict:
         return Verdict(word, reason, tuple(points))
 
-    if here.congested >= JAMMED * here.runs:
+    if here.congested >= _JAMMED * here.runs:
         stuck = "more than half of the agents stood still at once"
         return verdict(CONGESTED, f"in {here.congested} of {here.runs} runs {stuck}")
     if here.congested:
@@ -103,15 +103,15 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
     worth = 1.0
     if here.agents > 1:
         fewer = at(floor(FEWER * here.agents))
-        if gain(here, fewer) > GAIN:
+        if _gain(here, fewer) > _GAIN:
             return verdict(PAST, _compared(here, fewer))
         worth = value_of_an_agent(fewer[:2], here[:2])
-        reason = f"the last {here.agents - fewer.agents} agents add {-gain(here, fewer):.0%}"
+        reason = f"the last {here.agents - fewer.agents} agents add {-_gain(here, fewer):.0%}"
     if worth < WORTH:
         # Beyond the peak throughput may lie flat: it is sought where agents are far fewer.
         for share in FAR_FEWER:
             fewer = at(max(1, floor(share * here.agents)))
-            if gain(here, fewer) > GAIN:
+            if _gain(here, fewer) > _GAIN:
                 return verdict(PAST, _compared(here, fewer))
         return verdict(NEAR, reason)
     if here.agents < most:
@@ -126,7 +126,7 @@ def more_than(agents: int) -> int:
     return ceil(MORE * agents)
 
 
-def gain(here: Point, other: Point) -> float:
+def _gain(here: Point, other: Point) -> float:
     """Say how much more `other` moves than `here`, as a share of the latter."""
     if not here.throughput:
         return float(other.throughput > 0)
@@ -134,6 +134,6 @@ def gain(here: Point, other: Point) -> float:
 
 
 def _compared(here: Point, other: Point) -> str:
-    share = round(gain(here, other), 2)
+    share = round(_gain(here, other), 2)
     amount = f"{abs(share):.0%} {'more' if share > 0 else 'less'}" if share else "as much"
     return f"{other.agents} agents would move {amount}"

@@ -7,7 +7,7 @@ import numpy as np
 
 from qdenv.domains.base import Domain
 
-SHOWN = 3  # cells of a list that are named, the rest is counted
+_SHOWN = 3  # cells of a list that are named, the rest is counted
 
 
 class Change(NamedTuple):
@@ -91,5 +91,5 @@ def _say(change: Change) -> str:
 
 
 def _list_cells(cells: Sequence[tuple[int, int]]) -> str:
-    more = f" and {len(cells) - SHOWN} more" if len(cells) > SHOWN else ""
-    return ", ".join(map(str, cells[:SHOWN])) + more
+    more = f" and {len(cells) - _SHOWN} more" if len(cells) > _SHOWN else ""
+    return ", ".join(map(str, cells[:_SHOWN])) + more

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from qdenv.simulate.mapf.metrics import Recording
 
 FADING = 0.05  # throughput that falls by more than this is no chance, nor for long
-DOUBT = 3.0  # standard errors by which it must fall, were tasks finished independently
+_DOUBT = 3.0  # standard errors by which it must fall, were tasks finished independently
 
 
 class Maps(NamedTuple):
@@ -140,5 +140,5 @@ def fading(runs: Sequence[Traffic]) -> float:
     finished = np.sum([np.asarray(run.finished) for run in runs], axis=0)
     quarter = len(finished) // 4
     early, late = finished[quarter : 2 * quarter].sum(), finished[len(finished) - quarter :].sum()
-    sure = early - late > DOUBT * np.sqrt(early + late)
+    sure = early - late > _DOUBT * np.sqrt(early + late)
     return float(1 - late / early) if sure else 0.0

@@ -13,14 +13,18 @@ from qdenv.run.directory import RunDirectory
 from qdenv.stats import margin, sample_of
 from qdenv.types import InputError
 
-CHANCE = ("seed", "evaluations", "checkpoint_every")  # runs that differ in these repeat one another
+_CHANCE = (
+    "seed",
+    "evaluations",
+    "checkpoint_every",
+)  # runs that differ in these repeat one another
 WHO, WHERE = "algorithm", "evaluation.domain"
-WORDS = {
+_WORDS = {
     "map-elites": "MAP-Elites",
     "random": "random search",
     "cma-mae-screened": "CMA-MAE, screened",
 }
-INITIALS = ("cma-", "dsage")  # names that are written in capitals
+_INITIALS = ("cma-", "dsage")  # names that are written in capitals
 # Columns of metrics.csv, and how people call them.
 CURVES = {"qd_score": "QD-score", "coverage": "coverage", "best_objective": "best objective"}
 
@@ -88,7 +92,7 @@ def _settings(config: RunConfig) -> dict[str, Any]:
         else:
             flat[way] = value
 
-    walk("", {k: v for k, v in config_to_json(config).items() if k not in CHANCE})
+    walk("", {k: v for k, v in config_to_json(config).items() if k not in _CHANCE})
     return flat
 
 
@@ -130,7 +134,7 @@ def _value(value: Any) -> str:
 
 def algorithm_name(name: str) -> str:
     """Write an algorithm's name as papers do."""
-    return WORDS.get(name, name.upper() if name.startswith(INITIALS) else name)
+    return _WORDS.get(name, name.upper() if name.startswith(_INITIALS) else name)
 
 
 def _group(label: str, runs: Sequence[RunDirectory]) -> Group:

@@ -32,7 +32,7 @@ DRIVERS: Mapping[str, Any] = {
     "published": PbsConfig(rule="published"),
     "plain": PbsConfig(rule="plain"),
 }
-PAUSE = 30.0  # seconds between two words on how far it is
+_PAUSE = 30.0  # seconds between two words on how far it is
 Key: TypeAlias = tuple[str, str, int, int, str, bool, str, int]
 
 
@@ -142,7 +142,7 @@ def complete(
     for done, run in enumerate(simulate_all(todo), start=1):
         known[run.key] = run
         write_csv(path, Run._fields, [*_written(path), run])
-        if time.time() - said > PAUSE or done == len(todo):
+        if time.time() - said > _PAUSE or done == len(todo):
             said = time.time()
             rest = [case for case, seed in todo if case.key(seed) not in known]
             left = timedelta(seconds=round(seconds_for(rest, list(known.values()))))

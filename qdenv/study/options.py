@@ -16,10 +16,10 @@ from qdenv.simulate.mapf.settings import FleetConfig, find_planner
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.types import InputError, TaskRule, look_up
 
-SURROGATES = {"small": SurrogateConfig(), "published": PUBLISHED}
-MOST_SEEDS = 100_000
-MOST_COUNTS = 1000  # numbers of agents in one study
-SIMULATING = "simulating"  # what a study reports to do
+_SURROGATES = {"small": SurrogateConfig(), "published": PUBLISHED}
+_MOST_SEEDS = 100_000
+_MOST_COUNTS = 1000  # numbers of agents in one study
+_SIMULATING = "simulating"  # what a study reports to do
 # (what is done, its share of 0 to 1 or a negative number where that is unknown, a note)
 Progress: TypeAlias = Callable[[str, float, str], None]
 
@@ -51,8 +51,8 @@ def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
         raise InputError(f"seeds {text!r} names a seed twice, which tells nothing new")
     if "," in text:
         return tuple(numbers)
-    if not 1 <= numbers[0] <= MOST_SEEDS:
-        raise InputError(f"seeds {text!r}: simulate at least one seed, and at most {MOST_SEEDS:,}")
+    if not 1 <= numbers[0] <= _MOST_SEEDS:
+        raise InputError(f"seeds {text!r}: simulate at least one seed, and at most {_MOST_SEEDS:,}")
     return tuple(range(numbers[0]))
 
 
@@ -68,16 +68,16 @@ def parse_counts(text: str) -> tuple[int, ...]:
     try:
         if ":" in text:
             first, last, *step = (int(part) for part in text.split(":"))
-            counts = range(first, last + 1, *step)[: MOST_COUNTS + 1]
+            counts = range(first, last + 1, *step)[: _MOST_COUNTS + 1]
         else:
             counts = [int(part) for part in text.split(",")]
     except (ValueError, TypeError):
         raise InputError(f"agents {text!r}: write 200, or 50,100, or 50:400:50") from None
     if not counts or min(counts) < 1:
         raise InputError(f"agents {text!r} holds no number of agents above zero")
-    if len(counts) > MOST_COUNTS:
+    if len(counts) > _MOST_COUNTS:
         raise InputError(
-            f"agents {text!r} are more than {MOST_COUNTS} numbers: choose a larger step, as in "
+            f"agents {text!r} are more than {_MOST_COUNTS} numbers: choose a larger step, as in "
             "50:400:50"
         )
     if len(set(counts)) < len(counts):
@@ -85,7 +85,7 @@ def parse_counts(text: str) -> tuple[int, ...]:
     return tuple(counts)
 
 
-def scale_counts(text: str, factor: float) -> str:
+def _scale_counts(text: str, factor: float) -> str:
     """Multiply the numbers in words of `parse_counts`, so that a range keeps its steps."""
     return re.sub(r"\d+", lambda number: str(round(int(number[0]) * factor)), text)
 
@@ -132,7 +132,7 @@ def find_surrogate(size: str, numbers: Mapping[str, Any]) -> SurrogateConfig:
         InputError: a word is unknown, or a number learns nothing.
     """
     stated = {name: value for name, value in numbers.items() if value is not None}
-    chosen: SurrogateConfig = look_up(SURROGATES, size, "size")
+    chosen: SurrogateConfig = look_up(_SURROGATES, size, "size")
     for name in stated:
         look_up(vars(chosen), name, "setting")
     return replace(chosen, **stated)

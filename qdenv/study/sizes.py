@@ -132,13 +132,13 @@ def finish(grown: Grown, config: RepairConfig, seed: int) -> Sized:
         layout=after,
         steps=grown.steps,
         numbers=domain.fitted(after).numbers,
-        repair=status_name(repaired),
+        repair=_status_name(repaired),
         changed=int((before != after).sum()),
         cpu_seconds=0.0 if repaired is None else round(float(repaired.seconds), 3),
     )
 
 
-def status_name(repaired: Repair | None) -> str:
+def _status_name(repaired: Repair | None) -> str:
     """Name how a repair ended, in small letters; "none" where there was no repair."""
     return "none" if repaired is None else RepairStatus(int(repaired.status)).name.lower()
 

@@ -21,7 +21,7 @@ from qdenv.study.options import Driving, fleet_tasks, make_fleet, parse_seeds, u
 from qdenv.study.table import Row, summarise
 from qdenv.types import InputError, TaskRule, Traffic
 
-MOST_RECORDED = 50_000_000  # agent-steps recorded at a time: 650 MB, and copies of them
+_MOST_RECORDED = 50_000_000  # agent-steps recorded at a time: 650 MB, and copies of them
 
 
 class Wanted(NamedTuple):
@@ -32,7 +32,7 @@ class Wanted(NamedTuple):
     verdict: bool = True  # simulate other numbers of agents, too, and judge this one
 
 
-class Reading(NamedTuple):
+class _Reading(NamedTuple):
     """What is read off the recording of one run."""
 
     maps: Maps  # where agents waited and worked
@@ -74,11 +74,11 @@ def examine(
     """
     tasks = fleet_tasks(layout, tasks, config.agents)
     recorded = wanted.audit or wanted.maps
-    if recorded and config.agents * config.timesteps > MOST_RECORDED:
+    if recorded and config.agents * config.timesteps > _MOST_RECORDED:
         without = "add --no-audit" if wanted.audit else "leave the picture out"
         raise InputError(
             f"{config.agents} agents over {config.timesteps} timesteps are too much to record: "
-            f"simulate at most {MOST_RECORDED // config.agents} timesteps, or {without}"
+            f"simulate at most {_MOST_RECORDED // config.agents} timesteps, or {without}"
         )
     agents, most = config.agents, int(of_tiles(layout, tasks.traversable, tasks.tiles).sum())
     if wanted.verdict:  # the program has room for as many as are tried
@@ -86,7 +86,7 @@ def examine(
         config = replace(config, agents=max(agents, min(most, more_than(agents))))
     read = _reader(layout, tasks, config, wanted) if recorded else None
     # No more recordings at a time than fit the memory.
-    at_once = MOST_RECORDED // (agents * config.timesteps)
+    at_once = _MOST_RECORDED // (agents * config.timesteps)
     threads = min(devices.threads(), at_once) if recorded else None
     done = run_seeds(layout, tasks, config, seeds, agents, read, threads, progress)
     # The same program: another one for runs that are not recorded would have to be compiled.
@@ -114,12 +114,12 @@ def examine(
 
 def _reader(
     layout: np.ndarray, tasks: TaskRule, config: FleetConfig, wanted: Wanted
-) -> Callable[[int, Traffic, Recording], Reading]:
+) -> Callable[[int, Traffic, Recording], _Reading]:
     find_broken = auditor(layout, tasks, config)
 
-    def read(seed: int, run: Traffic, recording: Recording) -> Reading:
+    def read(seed: int, run: Traffic, recording: Recording) -> _Reading:
         broken = find_broken(seed, run, recording) if wanted.audit else []
-        return Reading(map_run(layout.shape, run, recording), broken)
+        return _Reading(map_run(layout.shape, run, recording), broken)
 
     return read
 
@@ -173,7 +173,7 @@ def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:
     """
     row, done, maps, verdict, broken = study
     facts: dict[str, Any] = {
-        "runs": [describe(seed, run) for seed, run in zip(done.seeds, done.runs, strict=True)],
+        "runs": [_describe(seed, run) for seed, run in zip(done.seeds, done.runs, strict=True)],
         "mean_throughput": None if np.isnan(row.throughput) else row.throughput,
         "mean_of_all": row.mean_of_all,
         "standard_error": row.error_of_all,
@@ -203,7 +203,7 @@ def steps_per_task(runs: Sequence[Traffic]) -> float | None:
     return float(moves.sum() / tasks.sum()) if tasks.any() else None
 
 
-def describe(seed: int, run: Traffic) -> dict[str, Any]:
+def _describe(seed: int, run: Traffic) -> dict[str, Any]:
     """Reduce one run to its JSON-ready numbers."""
     return {
         "seed": int(seed),

@@ -99,7 +99,7 @@ def _by_kernel(stride: int, maps: jax.Array, kernel: jax.Array, gradient: jax.Ar
 convolve.defvjp(_forward, _backward)
 
 
-class Convolution(nn.Module):
+class _Convolution(nn.Module):
     """`convolve` as a layer."""
 
     features: int  # channels F of the result
@@ -120,11 +120,11 @@ class Convolution(nn.Module):
         return result
 
 
-SLOPE = 0.2  # of the leaky rectifier below zero
-SMALLEST = 4  # side of the last map
+_SLOPE = 0.2  # of the leaky rectifier below zero
+_SMALLEST = 4  # side of the last map
 
 
-def normalise(train: bool) -> nn.BatchNorm:
+def _normalise(train: bool) -> nn.BatchNorm:
     """Make a batch normalisation with torch's numbers, from which the published sizes come."""
     return nn.BatchNorm(use_running_average=not train, momentum=0.9, epsilon=1e-5)
 
@@ -139,12 +139,12 @@ class MapPredictor(nn.Module):
     @nn.compact
     def __call__(self, maps: jax.Array, train: bool) -> jax.Array:
         """Map float32 [B, H, W, K] to [B, H, W, outputs]."""
-        hidden = nn.relu(normalise(train)(Convolution(self.channels, bias=False)(maps)))
+        hidden = nn.relu(_normalise(train)(_Convolution(self.channels, bias=False)(maps)))
         for _ in range(self.blocks):
-            inner = nn.relu(normalise(train)(Convolution(self.channels, bias=False)(hidden)))
-            inner = normalise(train)(Convolution(self.channels, bias=False)(inner))
+            inner = nn.relu(_normalise(train)(_Convolution(self.channels, bias=False)(hidden)))
+            inner = _normalise(train)(_Convolution(self.channels, bias=False)(inner))
             hidden = nn.relu(hidden + inner)
-        return Convolution(self.outputs, size=1)(hidden)
+        return _Convolution(self.outputs, size=1)(hidden)
 
 
 class ScorePredictor(nn.Module):
@@ -158,17 +158,17 @@ class ScorePredictor(nn.Module):
         """Map float32 [B, H, W, K] to [B, heads]; maps are filled up to a square first."""
         maps = fill_up(maps)
         channels = self.channels
-        while maps.shape[1] > SMALLEST:
+        while maps.shape[1] > _SMALLEST:
             first = channels == self.channels
-            maps = Convolution(channels, size=4, stride=2, bias=False)(maps)
-            maps = nn.leaky_relu(maps if first else normalise(train)(maps), SLOPE)
+            maps = _Convolution(channels, size=4, stride=2, bias=False)(maps)
+            maps = nn.leaky_relu(maps if first else _normalise(train)(maps), _SLOPE)
             channels *= 2
         return nn.Dense(self.heads)(maps.reshape(len(maps), -1))
 
 
 def fill_up(maps: jax.Array) -> jax.Array:
     """Add zeros below and right of maps [B, H, W, K] up to a square whose side is a power of 2."""
-    longest = max(*maps.shape[1:3], 2 * SMALLEST)
+    longest = max(*maps.shape[1:3], 2 * _SMALLEST)
     side = 1 << (longest - 1).bit_length()
     rows, cols = maps.shape[1:3]
     return jnp.pad(maps, ((0, 0), (0, side - rows), (0, side - cols), (0, 0)))

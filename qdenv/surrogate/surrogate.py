@@ -136,7 +136,7 @@ def stages_of(aspect: Aspect) -> list[str]:
     return [name for name in STAGES if present[name]]
 
 
-class Chain(NamedTuple):
+class _Chain(NamedTuple):
     """The networks in a row, fixed while they learn."""
 
     config: SurrogateConfig
@@ -193,7 +193,7 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
         "usage": MapPredictor(config.channels, config.blocks, 1),
         "score": ScorePredictor(config.channels, heads),
     }
-    chain, stages = Chain(config, aspect, networks), stages_of(aspect)
+    chain, stages = _Chain(config, aspect, networks), stages_of(aspect)
     optimiser = optax.adam(config.rate)
 
     def init(key: jax.Array) -> Fitted:
@@ -233,7 +233,7 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
     return Surrogate(init, fit, fit_part, predict, heads)
 
 
-def _inputs(chain: Chain, learners: dict[str, Learner], drawn: jax.Array) -> dict[str, jax.Array]:
+def _inputs(chain: _Chain, learners: dict[str, Learner], drawn: jax.Array) -> dict[str, jax.Array]:
     """Compute what each network is given, by those before it; stops where one is not made yet."""
     config, aspect = chain.config, chain.aspect
 
@@ -261,7 +261,7 @@ def _inputs(chain: Chain, learners: dict[str, Learner], drawn: jax.Array) -> dic
 
 
 def _loss(
-    chain: Chain, name: str, learners: dict[str, Learner], scale: tuple[jax.Array, jax.Array]
+    chain: _Chain, name: str, learners: dict[str, Learner], scale: tuple[jax.Array, jax.Array]
 ) -> Loss:
     """Make the loss of one network; those before it stand still."""
 

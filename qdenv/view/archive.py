@@ -14,7 +14,7 @@ from qdenv.types import InputError, Measure
 from qdenv.view.style import new_figure, save_figure, styled
 
 COLOURS = "viridis"
-EMPTY = "#f2f2f2"
+_EMPTY = "#f2f2f2"
 WIDTH, TALL = 6.0, 0.8  # inches of a picture, and its height as a share of that
 
 
@@ -85,7 +85,7 @@ def draw_heatmap(
         vmin=low if low is not None or filled else 0,
         vmax=high if high is not None or filled else 1,
     )
-    axes.set_facecolor(EMPTY)
+    axes.set_facecolor(_EMPTY)
     axes.set_xlabel(first.name)
     if second:
         axes.set_ylabel(second.name)
@@ -167,10 +167,10 @@ def describe_filling(objectives: ArrayLike, title: str = "") -> str:
     return f"{title} ({share})" if title else share
 
 
-SIDE = 3.4  # inches of a panel
-ROOM = 0.04  # of a panel's range, beyond the outermost points
-POINT_COLOUR = "#0072b2"
-LINE_COLOUR = "#b5432d"
+_SIDE = 3.4  # inches of a panel
+_ROOM = 0.04  # of a panel's range, beyond the outermost points
+_POINT_COLOUR = "#0072b2"
+_LINE_COLOUR = "#b5432d"
 
 
 @styled
@@ -183,14 +183,14 @@ def draw_predictions(
         panels: by the label of the number: true values, predicted values, what the title says.
         title: of the figure.
     """
-    figure = new_figure(SIDE * len(panels), SIDE + 0.45)
+    figure = new_figure(_SIDE * len(panels), _SIDE + 0.45)
     every: Sequence[Axes] = figure.subplots(1, len(panels), squeeze=False)[0]
     for axes, (label, (truth, predicted, said)) in zip(every, panels.items(), strict=True):
         both = np.concatenate([truth, predicted])
-        room = ROOM * max(float(np.ptp(both)), 1e-6)
+        room = _ROOM * max(float(np.ptp(both)), 1e-6)
         ends = (both.min() - room, both.max() + room)
-        axes.plot(ends, ends, color=LINE_COLOUR, linewidth=1, zorder=1)
-        axes.scatter(truth, predicted, s=9, alpha=0.5, color=POINT_COLOUR, linewidths=0, zorder=2)
+        axes.plot(ends, ends, color=_LINE_COLOUR, linewidth=1, zorder=1)
+        axes.scatter(truth, predicted, s=9, alpha=0.5, color=_POINT_COLOUR, linewidths=0, zorder=2)
         axes.set(xlim=ends, ylim=ends, aspect="equal", xlabel=f"true {label}")
         axes.set_title(said, fontsize=9)
         axes.grid(alpha=0.3)

@@ -25,7 +25,7 @@ from qdenv.view.page import Page, make_page, missing, pack
 
 NUMBER, SHARE, WHOLE = "number", "share", "whole"
 # Columns of an archive: what they are called, and how they are written.
-WORDS = {
+_WORDS = {
     "similarity": ("similarity before and after repair [0 to 1]", NUMBER),
     "throughput": ("throughput [tasks per timestep]", NUMBER),
     "waiting": ("time that robots wait", SHARE),
@@ -34,13 +34,13 @@ WORDS = {
     "shortest": ("shortest path [steps]", NUMBER),
 }
 # Told in another way, or of no interest to whoever looks at layouts.
-UNTOLD = {"index", "solution", "objective", "measures", "threshold", "status"}
-UNTOLD |= {"repaired", "unrepaired", "congested", "success", "end_timestep"}
-RUNS = ("throughput", "length")  # the first there is is shown run by run
-ALIKE = 1e-4  # relative; columns that differ by less are told once
+_UNTOLD = {"index", "solution", "objective", "measures", "threshold", "status"}
+_UNTOLD |= {"repaired", "unrepaired", "congested", "success", "end_timestep"}
+_RUNS = ("throughput", "length")  # the first there is is shown run by run
+_ALIKE = 1e-4  # relative; columns that differ by less are told once
 
 
-class Column(NamedTuple):
+class _Column(NamedTuple):
     """A number of each elite."""
 
     key: str  # a name for scripts
@@ -49,7 +49,7 @@ class Column(NamedTuple):
     values: np.ndarray  # float32 [elites]; NaN where there is none
 
 
-class Runs(NamedTuple):
+class _Runs(NamedTuple):
     """What was counted in each simulation of each elite."""
 
     label: str  # in words, with the unit
@@ -58,69 +58,69 @@ class Runs(NamedTuple):
     factor: float
 
 
-def columns_of(archive: SavedArchive, domain: Domain) -> list[Column]:
+def _columns_of(archive: SavedArchive, domain: Domain) -> list[_Column]:
     """List what is known of each elite: its measures first, then what the map can show."""
     data, repairs = archive.columns, domain.rules is not None
     found = [
-        Column(f"measure{number}", axis.name, NUMBER, data["measures"][:, number])
+        _Column(f"measure{number}", axis.name, NUMBER, data["measures"][:, number])
         for number, axis in enumerate(archive.schema.measures)
     ]
-    found.append(Column("objective", archive.schema.objective, NUMBER, data["objective"]))
-    if (success := success_of(data)) is not None:
+    found.append(_Column("objective", archive.schema.objective, NUMBER, data["objective"]))
+    if (success := _success_of(data)) is not None:
         label = "runs without congestion" if "congested" in data else "runs that reach the goal"
-        found.append(Column("success", label, SHARE, success.mean(axis=1)))
+        found.append(_Column("success", label, SHARE, success.mean(axis=1)))
     if repairs and "unrepaired" in data:
         changed = (data["repaired"] != data["unrepaired"]).sum(axis=(1, 2))
-        found.append(Column("changed", "cells changed by the repair", WHOLE, changed))
-    others = set(data) - UNTOLD - (set() if repairs else {"similarity"})
-    for name in sorted(others, key=[*WORDS, *sorted(others)].index):
-        label, form = WORDS.get(name, (name.replace("_", " "), NUMBER))
+        found.append(_Column("changed", "cells changed by the repair", WHOLE, changed))
+    others = set(data) - _UNTOLD - (set() if repairs else {"similarity"})
+    for name in sorted(others, key=[*_WORDS, *sorted(others)].index):
+        label, form = _WORDS.get(name, (name.replace("_", " "), NUMBER))
         values = data[name].astype(np.float64).reshape(len(archive), -1).mean(axis=1)
         if data[name].ndim <= 2 and not any(
-            np.allclose(values, one.values, ALIKE) for one in found
+            np.allclose(values, one.values, _ALIKE) for one in found
         ):
-            found.append(Column(name, label, form, values))
-    return [one._replace(values=finite(one.values)) for one in found]
+            found.append(_Column(name, label, form, values))
+    return [one._replace(values=_finite(one.values)) for one in found]
 
 
-def finite(values: np.ndarray) -> np.ndarray:
+def _finite(values: np.ndarray) -> np.ndarray:
     """Turn numbers into single precision, and what is none into NaN."""
     return np.where(np.isfinite(values), values, np.nan).astype("<f4")
 
 
-def success_of(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
+def _success_of(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
     """Tell which simulations went well, bool [elites, S]; None if not counted."""
     if "congested" in columns:
         return ~columns["congested"].astype(bool)
     return columns["success"].astype(bool) if "success" in columns else None
 
 
-def runs_of(columns: Mapping[str, np.ndarray]) -> Runs | None:
+def _runs_of(columns: Mapping[str, np.ndarray]) -> _Runs | None:
     """Find what is shown simulation by simulation; None where nothing was counted so."""
-    name = next((name for name in RUNS if name in columns and columns[name].ndim == 2), None)
+    name = next((name for name in _RUNS if name in columns and columns[name].ndim == 2), None)
     if name is None:
         return None
     count = columns[name].shape[1]
     factor = margin(Sample(0.0, 1 / np.sqrt(count), count)) if count > 1 else 0.0
-    return Runs(WORDS[name][0], finite(columns[name]), factor)
+    return _Runs(_WORDS[name][0], _finite(columns[name]), factor)
 
 
-def colour_first(columns: list[Column]) -> int:
+def _colour_first(columns: list[_Column]) -> int:
     """Choose what colours the map at first: the first that is not the same nearly everywhere."""
     shown = [number for number, one in enumerate(columns) if not one.key.startswith("measure")]
     ends = {number: np.nanquantile(columns[number].values, (0.02, 0.98)) for number in shown}
     return next((number for number, (low, high) in ends.items() if low < high), shown[0])
 
 
-def facts_of_columns(
-    archive: SavedArchive, columns: list[Column], runs: Runs | None
+def _facts_of_columns(
+    archive: SavedArchive, columns: list[_Column], runs: _Runs | None
 ) -> dict[str, Any]:
     """Say what the packed numbers are, JSON-ready."""
-    success = success_of(archive.columns)
+    success = _success_of(archive.columns)
     simulations = 0 if success is None else success.shape[1]
     return {
         "columns": [{"key": one.key, "label": one.label, "form": one.form} for one in columns],
-        "colour": colour_first(columns),
+        "colour": _colour_first(columns),
         "runs": None
         if runs is None
         else {"label": runs.label, "count": runs.values.shape[1], "factor": runs.factor},
@@ -131,13 +131,13 @@ def facts_of_columns(
     }
 
 
-LAYOUTS = 256  # elites in a chunk of layouts
-GROWN = 16  # elites in a chunk of growth
-AT_ONCE = 64  # elites grown by one call
-ROOM = 12_000_000  # bytes that growth may take in a file unless more is asked for
+_LAYOUTS = 256  # elites in a chunk of layouts
+_GROWN = 16  # elites in a chunk of growth
+_AT_ONCE = 64  # elites grown by one call
+_ROOM = 12_000_000  # bytes that growth may take in a file unless more is asked for
 
 
-class Growth(NamedTuple):
+class _Growth(NamedTuple):
     """How elites grow."""
 
     steps: int  # of growth; 0 where nothing grows
@@ -148,7 +148,7 @@ class Growth(NamedTuple):
     packed: dict[str, str]  # chunks by name
 
 
-def bits_of(tiles: str) -> int:
+def _bits_of(tiles: str) -> int:
     """Say how many bits hold a tile of an alphabet: 1, 2, 4 or 8."""
     return next(bits for bits in (1, 2, 4, 8) if len(tiles) <= 2**bits)
 
@@ -169,23 +169,23 @@ def pack_bits(tiles: np.ndarray, bits: int) -> np.ndarray:
     return sum(parts, np.zeros((len(tiles), padded.shape[1] // each), np.uint8))
 
 
-def pack_layouts(archive: SavedArchive, bits: int) -> dict[str, str]:
+def _pack_layouts(archive: SavedArchive, bits: int) -> dict[str, str]:
     """Pack all layouts, and in which tiles they differ from what was drawn before the repair."""
     kinds, cells = len(archive.schema.tiles), archive.columns["repaired"][0].size
     repaired = archive.columns["repaired"].reshape(-1, cells)
     drawn = archive.columns.get("unrepaired", archive.columns["repaired"]).reshape(-1, cells)
     change = (drawn - repaired) % kinds
     packed = {}
-    for number, start in enumerate(range(0, len(archive), LAYOUTS)):
-        part = slice(start, start + LAYOUTS)
+    for number, start in enumerate(range(0, len(archive), _LAYOUTS)):
+        part = slice(start, start + _LAYOUTS)
         both = [pack_bits(one[part].astype(np.uint8), bits) for one in (repaired, change)]
         packed[f"layouts-{number}"] = pack(np.stack(both))
     return packed
 
 
-def grow_elites(
+def _grow_elites(
     archive: SavedArchive, steps: int, grow: Grower, wanted: int | None, progress: Progress
-) -> Growth:
+) -> _Growth:
     """Grow elites again, evenly spread over the archive, the best first.
 
     Args:
@@ -195,37 +195,37 @@ def grow_elites(
         wanted: how many; None for as many as the usual room holds.
         progress: called with the progress.
     """
-    growth = Growth(steps, [], {}, {})
+    growth = _Growth(steps, [], {}, {})
     if not steps or wanted == 0:
         return growth
     best = int(np.flatnonzero((archive.cells == archive.best.cell).all(axis=1))[0])
     rows, size = spread(archive.cells, best), 0
-    while size < ROOM or wanted is not None:
-        left = AT_ONCE if wanted is None else min(AT_ONCE, wanted - len(growth.rows))
+    while size < _ROOM or wanted is not None:
+        left = _AT_ONCE if wanted is None else min(_AT_ONCE, wanted - len(growth.rows))
         batch = list(itertools.islice(rows, left))
         if not batch:
             break
         size += _add(growth, archive, batch, grow(_filled(archive.columns["solution"][batch])))
         done = len(growth.rows) / min(len(archive), wanted or len(archive))
-        progress("growing", max(done, size / ROOM if wanted is None else 0), "")
+        progress("growing", max(done, size / _ROOM if wanted is None else 0), "")
     return growth
 
 
 def _filled(solutions: np.ndarray) -> np.ndarray:
     """Fill a batch up to the size that is compiled."""
-    return np.pad(solutions, ((0, AT_ONCE - len(solutions)), (0, 0)))
+    return np.pad(solutions, ((0, _AT_ONCE - len(solutions)), (0, 0)))
 
 
-def _add(growth: Growth, archive: SavedArchive, batch: list[int], frames: np.ndarray) -> int:
+def _add(growth: _Growth, archive: SavedArchive, batch: list[int], frames: np.ndarray) -> int:
     """Add a batch and say how many bytes it takes."""
-    bits, size = bits_of(archive.schema.tiles), 0
+    bits, size = _bits_of(archive.schema.tiles), 0
     for row, layouts in zip(batch, frames, strict=False):
         drawn = archive.columns.get("unrepaired")
         differing = 0 if drawn is None else int((layouts[-1] != drawn[row]).sum())
         if differing:
             growth.differing[row] = differing
-    for start in range(0, len(batch), GROWN):
-        part = frames[start : min(start + GROWN, len(batch))].astype(np.uint8)
+    for start in range(0, len(batch), _GROWN):
+        part = frames[start : min(start + _GROWN, len(batch))].astype(np.uint8)
         name = f"growth-{len(growth.packed)}"
         growth.packed[name] = pack(pack_bits(part.reshape(len(part), -1), bits))
         size += len(growth.packed[name])
@@ -233,8 +233,8 @@ def _add(growth: Growth, archive: SavedArchive, batch: list[int], frames: np.nda
     return size
 
 
-SHADES = 12  # of the colour scale, with straight lines between
-SCRIPTS = (
+_SHADES = 12  # of the colour scale, with straight lines between
+_SCRIPTS = (
     "data",
     "tiles",
     "sketch",
@@ -248,7 +248,7 @@ SCRIPTS = (
 )
 
 
-def read_archive(run: RunDirectory, growth: int | None = None) -> SavedArchive:
+def _read_archive(run: RunDirectory, growth: int | None = None) -> SavedArchive:
     """Read the archive of a run, and refuse what no explorer shows.
 
     Raises:
@@ -282,17 +282,17 @@ def make_explorer(
         the page, and its facts in brief.
 
     Raises:
-        InputError: as in `read_archive`, or a package is not installed.
+        InputError: as in `_read_archive`, or a package is not installed.
     """
-    archive, config = read_archive(run, growth), run.config.evaluation
+    archive, config = _read_archive(run, growth), run.config.evaluation
     try:
         from plotly.offline import get_plotlyjs
     except ImportError as error:
         raise missing("explorers", "plotly") from error
     domain = make_domain(config.domain)
-    grown = grow_elites(archive, *make_grower(config, domain), growth, progress)
+    grown = _grow_elites(archive, *make_grower(config, domain), growth, progress)
     progress("writing", -1, "")
-    columns, runs = columns_of(archive, domain), runs_of(archive.columns)
+    columns, runs = _columns_of(archive, domain), _runs_of(archive.columns)
     packed: dict[str, np.ndarray | bytes | str] = {
         "plotly": get_plotlyjs().encode(),
         "cells": archive.columns["index"].astype("<i4"),
@@ -300,10 +300,10 @@ def make_explorer(
     }
     if runs is not None:
         packed["runs"] = runs.values
-    packed |= pack_layouts(archive, bits_of(domain.tiles)) | grown.packed
-    facts = _facts(run, archive, domain, grown) | facts_of_columns(archive, columns, runs)
+    packed |= _pack_layouts(archive, _bits_of(domain.tiles)) | grown.packed
+    facts = _facts(run, archive, domain, grown) | _facts_of_columns(archive, columns, runs)
     title = f"{domain.name}: {len(archive):,} layout{'s' * (len(archive) != 1)}"
-    scripts = [f"explorer_{name}" for name in SCRIPTS]
+    scripts = [f"explorer_{name}" for name in _SCRIPTS]
     words = {"head": _head(run, archive), "mark": CHANGED}
     words |= {name: facts[name] for name in ("rows", "cols")}
     page = make_page("explorer", title, scripts, facts, packed, **words)
@@ -327,7 +327,7 @@ def _head(run: RunDirectory, archive: SavedArchive) -> str:
 
 
 def _facts(
-    run: RunDirectory, archive: SavedArchive, domain: Domain, grown: Growth
+    run: RunDirectory, archive: SavedArchive, domain: Domain, grown: _Growth
 ) -> dict[str, Any]:
     """Say what the page shows, JSON-ready; rows are those of archive.npz."""
     rows, cols = archive.columns["repaired"].shape[1:]
@@ -341,11 +341,11 @@ def _facts(
         "tile_names": [domain.names.get(tile, tile) for tile in tiles],
         "colours": [COLOURS.get(tile, UNKNOWN) for tile in tiles],
         "mark": CHANGED,
-        "scale": [to_hex(colormaps[SCALE](shade)) for shade in np.linspace(0, 1, SHADES)],
+        "scale": [to_hex(colormaps[SCALE](shade)) for shade in np.linspace(0, 1, _SHADES)],
         "rows": rows,
         "cols": cols,
-        "bits": bits_of(tiles),
-        "chunk": LAYOUTS,
+        "bits": _bits_of(tiles),
+        "chunk": _LAYOUTS,
         "repairs": domain.rules is not None and "unrepaired" in archive.columns,
         "axes": [
             {"name": axis.name, "low": axis.low, "high": axis.high, "cells": axis.cells}
@@ -356,7 +356,7 @@ def _facts(
         "growth": {
             "steps": grown.steps,
             "rows": grown.rows,
-            "chunk": GROWN,
+            "chunk": _GROWN,
             "differing": grown.differing,
         },
     }

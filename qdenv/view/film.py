@@ -19,7 +19,7 @@ from qdenv.study.motion import Motion
 from qdenv.types import InputError
 from qdenv.view.layouts import COLOURS, UNKNOWN
 
-FADING = 0.4  # of the tiles' colours towards white, so that robots stand out
+_FADING = 0.4  # of the tiles' colours towards white, so that robots stand out
 # What is drawn over the tiles, told apart by colour-blind eyes, too.
 MARKS = {
     "driving": "#1c4e9a",
@@ -35,15 +35,15 @@ MARKS = {
 WARMTH = ("#ffd873", "#fdb84e", "#fb9038", "#f1602b", "#d9301f", "#a50f15")  # of jams
 JAM_FROM = 5  # timesteps of waiting in a row that make a jam
 JAM_STEP = 5  # timesteps from one step of warmth to the next
-PAPER = "#ffffff"
+_PAPER = "#ffffff"
 # Corners of a triangle that points to heading 0 (right), in cells from the middle: (right, down).
-TRIANGLE = np.array([(0.38, 0.0), (-0.32, -0.34), (-0.32, 0.34)])
+_TRIANGLE = np.array([(0.38, 0.0), (-0.32, -0.34), (-0.32, 0.34)])
 TITLE = 26  # pixels above the layout
-FINE = 4  # a mark is drawn so much larger, then reduced: its edge is smooth
-EDGE = 0.45  # share of a mark's colour in the colours that its edge has
+_FINE = 4  # a mark is drawn so much larger, then reduced: its edge is smooth
+_EDGE = 0.45  # share of a mark's colour in the colours that its edge has
 
 
-def mix(ground: str, colour: str, share: float) -> str:
+def _mix(ground: str, colour: str, share: float) -> str:
     """Lay a share of a colour over another one, both "#rrggbb"."""
     pairs = [(int(ground[at : at + 2], 16), int(colour[at : at + 2], 16)) for at in (1, 3, 5)]
     return "#" + "".join(f"{round(low + share * (high - low)):02x}" for low, high in pairs)
@@ -51,21 +51,21 @@ def mix(ground: str, colour: str, share: float) -> str:
 
 def floor_colours(tiles: str) -> list[str]:
     """List the colours in which films and replays show the tiles of an alphabet."""
-    return [mix(COLOURS.get(tile, UNKNOWN), PAPER, FADING) for tile in tiles]
+    return [_mix(COLOURS.get(tile, UNKNOWN), _PAPER, _FADING) for tile in tiles]
 
 
-def palette_of(tiles: str) -> Image.Image:
+def _palette_of(tiles: str) -> Image.Image:
     """Make the palette of a GIF: the same in all pictures, so that nothing flickers."""
     floors, marks = floor_colours(tiles), list(MARKS.values())
-    edges = [mix(*pair, EDGE) for pair in product([*floors, *WARMTH, PAPER], marks)]
-    colours = list(dict.fromkeys([*floors, *WARMTH, PAPER, *marks, *edges]))[:256]
+    edges = [_mix(*pair, _EDGE) for pair in product([*floors, *WARMTH, _PAPER], marks)]
+    colours = list(dict.fromkeys([*floors, *WARMTH, _PAPER, *marks, *edges]))[:256]
     levels = [int(colour[at : at + 2], 16) for colour in colours for at in (1, 3, 5)]
     palette = Image.new("P", (1, 1))
     palette.putpalette(levels + levels[:3] * (256 - len(colours)))
     return palette
 
 
-def draw(
+def _draw(
     layout: np.ndarray, tiles: str, motion: Motion, times: Sequence[float], side: int
 ) -> Iterator[Image.Image]:
     """Draw a run at some times, the later the later.
@@ -80,7 +80,7 @@ def draw(
     Returns:
         pictures of one size, their sides even.
     """
-    stage = Stage(layout, tiles, side)
+    stage = _Stage(layout, tiles, side)
     waits = motion.waits
     waited, done = np.zeros(motion.positions.shape[1], int), 0
     for time in times:
@@ -89,7 +89,7 @@ def draw(
             done += 1
         picture = stage.floor.copy()
         pen = ImageDraw.Draw(picture)
-        pen.text((8, TITLE / 2), title_of(motion, time, waited), MARKS["ink"], stage.font, "lm")
+        pen.text((8, TITLE / 2), _title_of(motion, time, waited), MARKS["ink"], stage.font, "lm")
         if motion.headings is None:
             stage.draw_robots(picture, motion, time, waited)
         else:
@@ -97,7 +97,7 @@ def draw(
         yield picture
 
 
-def title_of(motion: Motion, time: float, waited: np.ndarray) -> str:
+def _title_of(motion: Motion, time: float, waited: np.ndarray) -> str:
     """Say how things stand at a time."""
     step = int(time)
     if motion.headings is not None:
@@ -108,7 +108,7 @@ def title_of(motion: Motion, time: float, waited: np.ndarray) -> str:
     return f"timestep {step}   {rate:.2f} tasks per timestep   {share:.0%} wait"
 
 
-class Stage:
+class _Stage:
     """What all pictures of a run share, and how things are drawn on it.
 
     Attributes:
@@ -126,14 +126,14 @@ class Stage:
         large = colours[layout].repeat(self.cell, 0).repeat(self.cell, 1)
         width, height = self.cols * self.cell, rows * self.cell + TITLE
         # Encoders of films want even sides.
-        self.floor = Image.new("RGB", (width + width % 2, height + height % 2), PAPER)
+        self.floor = Image.new("RGB", (width + width % 2, height + height % 2), _PAPER)
         self.floor.paste(Image.fromarray(large), (0, TITLE))
         self.font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 13)
         self.discs = {name: self._disc(MARKS[name]) for name in ("driving", "waiting", "serving")}
 
     def _disc(self, colour: str) -> Image.Image:
-        large = Image.new("RGBA", (self.cell * FINE,) * 2, f"{colour}00")
-        low, high = 0.1 * self.cell * FINE, 0.9 * self.cell * FINE
+        large = Image.new("RGBA", (self.cell * _FINE,) * 2, f"{colour}00")
+        low, high = 0.1 * self.cell * _FINE, 0.9 * self.cell * _FINE
         ImageDraw.Draw(large).ellipse((low, low, high, high), colour)
         return large.resize((self.cell,) * 2, Image.Resampling.LANCZOS)
 
@@ -176,7 +176,7 @@ class Stage:
         way = [tuple(at) for at in (np.vstack([past, here]) + middle).tolist()]
         pen.line(way, MARKS["way"], max(2, self.cell // 6), "curve")
         turn = motion.headings[int(time)] * np.pi / 2
-        (right, down), (x, y) = TRIANGLE.T * self.cell, way[-1]
+        (right, down), (x, y) = _TRIANGLE.T * self.cell, way[-1]
         across = x + right * np.cos(turn) - down * np.sin(turn)
         along = y + right * np.sin(turn) + down * np.cos(turn)
         corners = list(zip(across.tolist(), along.tolist(), strict=True))
@@ -188,12 +188,12 @@ def _levels(colour: str) -> tuple[int, ...]:
 
 
 # H.264 in the form that every browser plays, and from its beginning before all of it is there.
-CODING = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "28", "-preset", "veryfast"]
-CODING += ["-movflags", "+faststart"]
-REST = 1.0  # seconds that the last picture of a GIF is seen before it begins anew
+_CODING = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "28", "-preset", "veryfast"]
+_CODING += ["-movflags", "+faststart"]
+_REST = 1.0  # seconds that the last picture of a GIF is seen before it begins anew
 
 
-class Kind(NamedTuple):
+class _Kind(NamedTuple):
     """How films of one kind are drawn."""
 
     side: int  # pixels of the layout's longer side, about
@@ -202,7 +202,7 @@ class Kind(NamedTuple):
 
 
 MOST = 600  # pictures of an episode in a maze, which may take thousands of actions
-KINDS = {".gif": Kind(600, 2, 12.5), ".mp4": Kind(720, 3, 24)}
+KINDS = {".gif": _Kind(600, 2, 12.5), ".mp4": _Kind(720, 3, 24)}
 
 
 def save_film(
@@ -235,19 +235,19 @@ def save_film(
         times = [*range(first, last, -(-(last - first) // MOST)), last]
 
     def told() -> Iterator[Image.Image]:
-        for number, picture in enumerate(draw(layout, tiles, motion, times, kind.side)):
+        for number, picture in enumerate(_draw(layout, tiles, motion, times, kind.side)):
             progress(f"drawing {path}", number / len(times))
             yield picture
 
     if path.suffix.lower() == ".gif":
-        palette = palette_of(tiles)
+        palette = _palette_of(tiles)
         pictures = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in told())
-        save_gif(path, pictures, len(times), 1 / kind.rate)
+        _save_gif(path, pictures, len(times), 1 / kind.rate)
     else:
-        save_mp4(path, told(), kind.rate)
+        _save_mp4(path, told(), kind.rate)
 
 
-def save_gif(path: Path, pictures: Iterable[Image.Image], count: int, seconds: float) -> None:
+def _save_gif(path: Path, pictures: Iterable[Image.Image], count: int, seconds: float) -> None:
     """Write pictures as a GIF that plays for ever; the last one rests for a second.
 
     Args:
@@ -259,7 +259,7 @@ def save_gif(path: Path, pictures: Iterable[Image.Image], count: int, seconds: f
     Raises:
         InputError: the place cannot be written to.
     """
-    times = [round(1000 * seconds)] * (count - 1) + [round(1000 * REST)]
+    times = [round(1000 * seconds)] * (count - 1) + [round(1000 * _REST)]
 
     def write(file: BinaryIO) -> None:
         rest = iter(pictures)
@@ -270,7 +270,7 @@ def save_gif(path: Path, pictures: Iterable[Image.Image], count: int, seconds: f
     write_atomically(Path(path), write)
 
 
-def save_mp4(path: Path, pictures: Iterable[Image.Image], rate: float) -> None:
+def _save_mp4(path: Path, pictures: Iterable[Image.Image], rate: float) -> None:
     """Write pictures (of even sides) as a film that any browser plays.
 
     Raises:
@@ -284,7 +284,7 @@ def save_mp4(path: Path, pictures: Iterable[Image.Image], rate: float) -> None:
         film = Path(folder) / "film.mp4"
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-f", "rawvideo"]
         command += ["-pix_fmt", "rgb24", "-s", "{}x{}".format(*first.size), "-r", f"{rate}"]
-        command += ["-i", "-", *CODING, str(film)]
+        command += ["-i", "-", *_CODING, str(film)]
         # A group of its own: Ctrl-C is for this program, which ends the encoder by itself.
         # `imageio_ffmpeg.write_frames` does that by a fork, which threads of JAX do not survive.
         with Popen(command, stdin=PIPE, stderr=PIPE, process_group=0) as encoder:

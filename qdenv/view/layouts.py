@@ -27,19 +27,19 @@ COLOURS = {
     " ": "#ffffff",
 }
 UNKNOWN = "#b39ddb"  # tiles of a user's own domain
-LINES = "#d9d9d9"
+_LINES = "#d9d9d9"
 CHANGED = "#e8108c"
-CELL = 0.16  # inches per cell, so that tiles are told apart at a glance
+_CELL = 0.16  # inches per cell, so that tiles are told apart at a glance
 SMALLEST, LARGEST = 4.5, 12.0  # inches of the longer side of one layout
-FINE = 60  # rows or columns beyond which lines would hide the tiles
-LABELS = (1, 2, 5, 10, 20, 50, 100, 200)  # rows from one numbered row to the next
-LETTER = 0.52  # of a letter's height: its width
-NO_NAMES: Mapping[str, str] = MappingProxyType({})
+_FINE = 60  # rows or columns beyond which lines would hide the tiles
+_LABELS = (1, 2, 5, 10, 20, 50, 100, 200)  # rows from one numbered row to the next
+_LETTER = 0.52  # of a letter's height: its width
+_NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
 @styled
 def draw_layout(
-    layout: Array, tiles: str, ax: Axes | None = None, names: Mapping[str, str] = NO_NAMES
+    layout: Array, tiles: str, ax: Axes | None = None, names: Mapping[str, str] = _NO_NAMES
 ) -> Axes:
     """Draw a layout with a legend of the tiles it holds.
 
@@ -58,10 +58,10 @@ def draw_layout(
     ax.imshow(layout, cmap=colours, vmin=-0.5, vmax=len(tiles) - 0.5, interpolation="nearest")
     ax.spines[:].set_visible(True)
     rows, cols = layout.shape
-    if max(rows, cols) <= FINE:
+    if max(rows, cols) <= _FINE:
         ax.set_xticks(np.arange(cols + 1) - 0.5, minor=True)
         ax.set_yticks(np.arange(rows + 1) - 0.5, minor=True)
-        ax.grid(which="minor", color=LINES, linewidth=0.4, alpha=1)  # on black shelves, too
+        ax.grid(which="minor", color=_LINES, linewidth=0.4, alpha=1)  # on black shelves, too
     ax.tick_params(which="both", length=0, labelbottom=False, labelleft=False)
     counts = [int((layout == kind).sum()) for kind in range(len(tiles))]
     handles = [
@@ -82,7 +82,7 @@ def _add_legend(ax: Axes, handles: list[Patch]) -> None:
     inches = ax.get_window_extent().width / ax.figure.dpi
     points = float(np.clip(1.6 * inches, 8, 14))
     longest = max(len(str(handle.get_label())) for handle in handles)
-    entry = (longest * LETTER + 3) * points / 72
+    entry = (longest * _LETTER + 3) * points / 72
     ax.legend(
         handles=handles,
         loc="upper center",
@@ -96,7 +96,7 @@ def _add_legend(ax: Axes, handles: list[Patch]) -> None:
 
 
 def save_layout(
-    path: str | Path, layout: Array, tiles: str, names: Mapping[str, str] = NO_NAMES
+    path: str | Path, layout: Array, tiles: str, names: Mapping[str, str] = _NO_NAMES
 ) -> None:
     """Save a picture of `layout` (int8 [H, W]); the ending of `path` chooses the format.
 
@@ -109,7 +109,7 @@ def save_layout(
 
 
 @styled
-def draw_plan(layout: Array, tiles: str, names: Mapping[str, str] = NO_NAMES) -> Figure:
+def draw_plan(layout: Array, tiles: str, names: Mapping[str, str] = _NO_NAMES) -> Figure:
     """Draw a layout as `save_layout` does, to be cropped to what is drawn."""
     figure = _new_figure(np.shape(layout), 1)
     _number_cells(draw_layout(layout, tiles, figure.axes[0], names))
@@ -118,7 +118,7 @@ def draw_plan(layout: Array, tiles: str, names: Mapping[str, str] = NO_NAMES) ->
 
 @styled
 def save_difference(
-    path: str | Path, before: Array, after: Array, tiles: str, names: Mapping[str, str] = NO_NAMES
+    path: str | Path, before: Array, after: Array, tiles: str, names: Mapping[str, str] = _NO_NAMES
 ) -> None:
     """Save `before` and `after` (int8 [H, W]) side by side, every changed cell framed.
 
@@ -141,7 +141,7 @@ def _number_cells(ax: Axes) -> None:
     """Number rows at the left and columns at the top, as many as can be read."""
     for axis, limits in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
         count = round(abs(limits[1] - limits[0]))
-        step = next((step for step in LABELS if count / step <= 12), LABELS[-1])
+        step = next((step for step in _LABELS if count / step <= 12), _LABELS[-1])
         axis.set_ticks(np.arange(0, count, step))
     ax.tick_params(which="major", labeltop=True, labelleft=True, labelsize=8, labelcolor="#666666")
 
@@ -155,7 +155,7 @@ def draw_frames(layouts: Sequence[Array], steps: Sequence[int], tiles: str) -> F
         tiles: the alphabet.
     """
     panels = [
-        Picture(layout, tiles, NO_NAMES, f"{number} steps", "")
+        Picture(layout, tiles, _NO_NAMES, f"{number} steps", "")
         for layout, number in zip(layouts, steps, strict=True)
     ]
     return draw_sheet(panels, 6, 2.9)  # six side by side as in Figure 6
@@ -198,7 +198,7 @@ def draw_sheet(pictures: Sequence[Picture], across: int = 5, width: float = 2.6)
 def _scale(shape: tuple[int, ...], panels: int = 1) -> float:
     """Inches per cell of layouts of this shape, so many side by side."""
     longest = max(shape)
-    return float(np.clip(CELL * longest, SMALLEST, LARGEST / np.sqrt(panels))) / longest
+    return float(np.clip(_CELL * longest, SMALLEST, LARGEST / np.sqrt(panels))) / longest
 
 
 def _new_figure(shape: tuple[int, ...], panels: int) -> Figure:

@@ -14,8 +14,8 @@ from qdenv.view.style import PALETTE, add_legend, new_figure, styled
 from qdenv.view.traffic import BESIDE, TITLES, draw_map
 from qdenv.view.widths import PAGE
 
-ACROSS = 6  # panels side by side
-PANEL = 2.3  # inches
+_ACROSS = 6  # panels side by side
+_PANEL = 2.3  # inches
 
 
 class Maze(Protocol):
@@ -42,9 +42,9 @@ def draw_mazes(mazes: Sequence[Maze], titles: Sequence[str]) -> Figure:
         mazes: at least one.
         titles: one for each.
     """
-    across = min(len(mazes), ACROSS)
+    across = min(len(mazes), _ACROSS)
     down = -(-len(mazes) // across)
-    figure = new_figure(PANEL * across, (PANEL + 0.25) * down)
+    figure = new_figure(_PANEL * across, (_PANEL + 0.25) * down)
     panels = figure.subplots(down, across, squeeze=False).ravel()
     colours = ListedColormap([TILES[" "], TILES["X"], MARKS["start"], MARKS["reached"]])
     for ax, maze, title in zip(panels, mazes, titles, strict=False):
@@ -59,7 +59,7 @@ def draw_mazes(mazes: Sequence[Maze], titles: Sequence[str]) -> Figure:
     return figure
 
 
-FLAT = 0.48  # of the width: the height of the curves
+_FLAT = 0.48  # of the width: the height of the curves
 
 
 @styled
@@ -87,7 +87,7 @@ def draw_arrivals(arrivals: Mapping[str, np.ndarray], most: int, width: float = 
         most: actions after which an episode fails.
         width: in inches.
     """
-    figure = new_figure(width, FLAT * width)
+    figure = new_figure(width, _FLAT * width)
     axes = figure.subplots()
     for place, (name, actions) in enumerate(arrivals.items()):
         reached = np.sort(actions[np.isfinite(actions)])

@@ -12,13 +12,13 @@ from qdenv.view.archive import draw_archive, scatter_objectives
 from qdenv.view.layouts import draw_layout
 from qdenv.view.style import new_figure
 
-DPI = 80  # pixels per inch: these are looked at beside text
+_DPI = 80  # pixels per inch: these are looked at beside text
 
 
-def figure_html(figure: Figure) -> str:
+def _figure_html(figure: Figure) -> str:
     """Turn a figure into an <img> with its pixels inside."""
     content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=DPI, bbox_inches="tight")
+    figure.savefig(content, format="png", dpi=_DPI, bbox_inches="tight")
     return f'<img src="data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}">'
 
 
@@ -28,7 +28,7 @@ def layout_html(layout: np.ndarray, tiles: str, names: Mapping[str, str]) -> str
     axes = draw_layout(layout, tiles, names=names)
     figure = axes.get_figure()
     assert isinstance(figure, Figure)
-    return figure_html(figure)
+    return _figure_html(figure)
 
 
 def archive_html(
@@ -39,4 +39,4 @@ def archive_html(
         return ""
     figure = new_figure(6, 4.8)
     draw_archive(figure, scatter_objectives(index, objective, measures), measures, label=label)
-    return figure_html(figure)
+    return _figure_html(figure)

@@ -23,8 +23,8 @@ from qdenv.stats import Sample, margin
 from qdenv.study.table import Row
 from qdenv.types import InputError
 
-HEIGHT = 760  # pixels of a page inside of a notebook
-LEVEL = 9  # of gzip: pages are written once and sent around
+_HEIGHT = 760  # pixels of a page inside of a notebook
+_LEVEL = 9  # of gzip: pages are written once and sent around
 
 
 def _listed(values: Sequence[Any]) -> str:
@@ -78,7 +78,7 @@ class Page:
 
     def _repr_html_(self) -> str:
         """Show it in a frame of its own, so that its style and the notebook's do not mix."""
-        style = f"width:100%;height:{HEIGHT}px;border:0"
+        style = f"width:100%;height:{_HEIGHT}px;border:0"
         return f'<iframe srcdoc="{html.escape(self.html)}" style="{style}"></iframe>'
 
 
@@ -136,7 +136,7 @@ def pack(content: np.ndarray | bytes | str) -> str:
     if isinstance(content, str):
         return content
     raw = content if isinstance(content, bytes) else np.ascontiguousarray(content).tobytes()
-    return base64.b64encode(gzip.compress(raw, LEVEL, mtime=0)).decode()
+    return base64.b64encode(gzip.compress(raw, _LEVEL, mtime=0)).decode()
 
 
 def demand(what: str, package: str) -> None:

@@ -21,8 +21,8 @@ from qdenv.study.plans import Plan
 from qdenv.types import InputError, TaskRule, Traffic
 from qdenv.view.page import Page, make_page
 
-SCRIPTS = ("film", "view", "ground", "marks", "robots", "chart", "panel", "controls", "start")
-DIGITS = np.array([25, 5, 1], np.uint8)
+_SCRIPTS = ("film", "view", "ground", "marks", "robots", "chart", "panel", "controls", "start")
+_DIGITS = np.array([25, 5, 1], np.uint8)
 
 
 def make_replay(
@@ -70,7 +70,7 @@ def make_replay(
     return make_page(
         "replay",
         f"Replay of {plan.name}",
-        [f"replay_{name}" for name in SCRIPTS],
+        [f"replay_{name}" for name in _SCRIPTS],
         facts,
         {"tiles": plan.layout.astype(np.uint8), **encode(motion, cols)},
         name=plan.name,
@@ -145,7 +145,7 @@ def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
     agents, times = np.nonzero(motion.finished.T)
     return {
         "starts": motion.positions[0].astype("<u4"),
-        "moves": (whole.T.reshape(motion.finished.shape[1], -1, 3) @ DIGITS).astype(np.uint8),
+        "moves": (whole.T.reshape(motion.finished.shape[1], -1, 3) @ _DIGITS).astype(np.uint8),
         "goals": motion.goals[0].astype("<u4"),
         "counts": motion.finished.sum(0).astype("<u4"),
         "times": (times + 1).astype("<u4"),

@@ -29,14 +29,14 @@ from qdenv.view.style import (
 )
 from qdenv.view.widths import PAGE
 
-SKIPPED = ("iteration", "evaluations", "fits")  # counters, of which a curve shows nothing
-LOGARITHMIC = ("loss", "rmse")  # what shrinks by factors
-LOWEST_R2 = -1.0  # further down it says no more than "bad"
-COLUMNS = 4
+_SKIPPED = ("iteration", "evaluations", "fits")  # counters, of which a curve shows nothing
+_LOGARITHMIC = ("loss", "rmse")  # what shrinks by factors
+_LOWEST_R2 = -1.0  # further down it says no more than "bad"
+_COLUMNS = 4
 
 
 @styled
-def draw_notes(notes: list[Note]) -> Figure:
+def _draw_notes(notes: list[Note]) -> Figure:
     """Draw one panel for each kind of number: ``loss_repair`` and ``loss_usage`` are of one kind.
 
     Args:
@@ -44,11 +44,11 @@ def draw_notes(notes: list[Note]) -> Figure:
     """
     kinds: dict[str, list[str]] = {}
     for name in notes[0]:
-        if name not in SKIPPED:
+        if name not in _SKIPPED:
             kinds.setdefault(name.partition("_")[0], []).append(name)
-    rows = -(-len(kinds) // COLUMNS)
+    rows = -(-len(kinds) // _COLUMNS)
     figure = new_figure(10, 3.4 * rows, dpi=SCREEN_DPI)
-    panels = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
+    panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
     evaluations = [note["evaluations"] for note in notes]
     for axes, (kind, names) in zip(panels, kinds.items(), strict=False):
         for name in names:
@@ -56,10 +56,10 @@ def draw_notes(notes: list[Note]) -> Figure:
             axes.plot(evaluations, [note[name] for note in notes], ".-", label=label, lw=1)
         axes.set(title=kind if len(names) > 1 else names[0].replace("_", " "))
         axes.set_xlabel("true evaluations")
-        if kind in LOGARITHMIC:
+        if kind in _LOGARITHMIC:
             axes.set_yscale("log")
         if kind == "r2":
-            axes.set_ylim(LOWEST_R2, 1)
+            axes.set_ylim(_LOWEST_R2, 1)
         if len(names) > 1:
             # Below the panel: inside, it would cover the curves.
             place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2}
@@ -69,13 +69,13 @@ def draw_notes(notes: list[Note]) -> Figure:
     return figure
 
 
-NARROWEST = 1.65  # inches of one archive
-ABREAST = 5.0  # inches from which the panels of progress stand side by side
-TALL = 0.85  # of its width: the height of a panel
-FLAT = 0.5  # likewise of one in a column
-TITLES = 0.55  # inches above and below it
-LETTERS_PER_INCH = 12  # of a label
-MEANING = "lines: mean over runs, bands: its 95 % interval"
+_NARROWEST = 1.65  # inches of one archive
+_ABREAST = 5.0  # inches from which the panels of progress stand side by side
+_TALL = 0.85  # of its width: the height of a panel
+_FLAT = 0.5  # likewise of one in a column
+_TITLES = 0.55  # inches above and below it
+_LETTERS_PER_INCH = 12  # of a label
+_MEANING = "lines: mean over runs, bands: its 95 % interval"
 
 
 class ArchivePanel(NamedTuple):
@@ -97,9 +97,9 @@ def draw_progress(groups: Sequence[Group], objective: str, width: float = PAGE) 
         objective: what is maximised, with its unit.
         width: in inches; on narrow paper the panels stand one below the other.
     """
-    shape = (1, 3) if width >= ABREAST else (3, 1)
-    tall = TALL if shape[0] == 1 else FLAT
-    figure = new_figure(width, shape[0] * (tall * width / shape[1] + TITLES))
+    shape = (1, 3) if width >= _ABREAST else (3, 1)
+    tall = _TALL if shape[0] == 1 else _FLAT
+    figure = new_figure(width, shape[0] * (tall * width / shape[1] + _TITLES))
     panels = figure.subplots(*shape, sharex=True).ravel()
     for axes, (name, title) in zip(panels, CURVES.items(), strict=True):
         for place, group in enumerate(groups):
@@ -119,7 +119,7 @@ def draw_progress(groups: Sequence[Group], objective: str, width: float = PAGE) 
     if len(groups) > 1:
         add_legend(figure, *panels[0].get_legend_handles_labels())
     if any(len(group.runs) > 1 for group in groups):
-        figure.supxlabel(MEANING, fontsize=SMALL, color=GREY)
+        figure.supxlabel(_MEANING, fontsize=SMALL, color=GREY)
     return figure
 
 
@@ -144,9 +144,9 @@ def draw_archives(shown: Sequence[ArchivePanel], objective: str, width: float = 
         objective: what the colours mean, with its unit.
         width: in inches.
     """
-    across = min(len(shown), max(1, int(width / NARROWEST)))
+    across = min(len(shown), max(1, int(width / _NARROWEST)))
     down = -(-len(shown) // across)
-    figure = new_figure(width, down * (TALL * width / across + TITLES) + TITLES)
+    figure = new_figure(width, down * (_TALL * width / across + _TITLES) + _TITLES)
     panels = figure.subplots(down, across, squeeze=False).ravel()
     filled = np.concatenate([one.objectives[np.isfinite(one.objectives)] for one in shown])
     low, high = (filled.min(), filled.max()) if len(filled) else (0.0, 1.0)
@@ -154,7 +154,7 @@ def draw_archives(shown: Sequence[ArchivePanel], objective: str, width: float = 
     for place, (axes, one) in enumerate(zip(panels, shown, strict=False)):
         image = draw_heatmap(axes, one.objectives, one.measures, low, high)
         share = np.isfinite(one.objectives).mean()
-        letters = int(LETTERS_PER_INCH * width / across)
+        letters = int(_LETTERS_PER_INCH * width / across)
         title = "\n".join([*wrap(one.title, letters), f"{share:.1%} filled"])
         axes.set_title(title, fontsize=SMALL + 0.5)
         axes.set_xlabel("\n".join(wrap(axes.get_xlabel(), letters)))
@@ -170,8 +170,8 @@ def draw_archives(shown: Sequence[ArchivePanel], objective: str, width: float = 
     return figure
 
 
-MARK = "#e8590c"
-MARKERS = {"start": "o", "goal": "*"}  # any other mark is a square
+_MARK = "#e8590c"
+_MARKERS = {"start": "o", "goal": "*"}  # any other mark is a square
 
 
 def plot_run(
@@ -210,7 +210,7 @@ def plot_run(
     notes = read_notes(run.path / NOTES)
     if notes:
         pictures.append(place / f"notes.{form}")
-        save_figure(draw_notes(notes), pictures[-1])
+        save_figure(_draw_notes(notes), pictures[-1])
     best = run.read_best_layout()
     if best is not None:
         pictures.append(place / f"best_layout.{form}")
@@ -227,7 +227,13 @@ def draw_marks(axes: Axes, marks: Mapping[str, tuple[int, int]]) -> None:
     rows, _ = np.array(axes.get_ylim())
     for name, (row, column) in marks.items():
         axes.scatter(
-            column, row, s=42, color=MARK, marker=MARKERS.get(name, "s"), edgecolors="white", lw=0.6
+            column,
+            row,
+            s=42,
+            color=_MARK,
+            marker=_MARKERS.get(name, "s"),
+            edgecolors="white",
+            lw=0.6,
         )
         above = row > rows / 2
         axes.annotate(
@@ -238,7 +244,7 @@ def draw_marks(axes: Axes, marks: Mapping[str, tuple[int, int]]) -> None:
             ha="center",
             va="bottom" if above else "top",
             fontsize=7,
-            color=MARK,
+            color=_MARK,
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85},
         )
 

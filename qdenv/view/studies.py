@@ -23,16 +23,16 @@ from qdenv.view.style import (
 )
 from qdenv.view.widths import PAGE
 
-THROUGHPUT = "throughput [tasks / timestep]"
-SUCCESS = "never congested"
-MEANING = "error bars: standard error over {runs} runs above, 95 % Wilson interval below"
-AGAINST = "\nper cent: against the first layout, over all runs, with 95 % interval"
-SPREAD = 0.02  # of the axis: how far lines that would hide one another are moved apart
-BAR_COLOUR = "#cfd8e3"
-TALL = 0.66  # of the width: the height of layouts side by side
-FLAT = 0.48  # of the width: the height of one panel alone
-LOWEST = 4.0  # inches of its height
-ABREAST = 5.0  # inches from which two panels stand side by side
+_THROUGHPUT = "throughput [tasks / timestep]"
+_SUCCESS = "never congested"
+_MEANING = "error bars: standard error over {runs} runs above, 95 % Wilson interval below"
+_AGAINST = "\nper cent: against the first layout, over all runs, with 95 % interval"
+_SPREAD = 0.02  # of the axis: how far lines that would hide one another are moved apart
+_BAR_COLOUR = "#cfd8e3"
+_TALL = 0.66  # of the width: the height of layouts side by side
+_FLAT = 0.48  # of the width: the height of one panel alone
+_LOWEST = 4.0  # inches of its height
+_ABREAST = 5.0  # inches from which two panels stand side by side
 
 
 @styled
@@ -46,7 +46,7 @@ def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
         rows: of all layouts.
         width: in inches.
     """
-    figure = new_figure(width, max(TALL * width, LOWEST))
+    figure = new_figure(width, max(_TALL * width, _LOWEST))
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     layouts = _by_layout(rows)
     names = [own[0].layout for own in layouts]
@@ -57,17 +57,17 @@ def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
             _draw_points(below, [place], own, _success_of, place)
     else:
         _draw_lines(above, rows, _successful_throughput_of)
-        _draw_lines(below, rows, _success_of, SPREAD)
+        _draw_lines(below, rows, _success_of, _SPREAD)
     if bars:
         below.set_xticks(range(len(names)), map(name_of, names), rotation=20, ha="right")
         above.set_title(f"{rows[0].agents} agents, {rows[0].runs} runs each")
     else:
         below.set_xlabel("agents")
         add_legend(figure, *above.get_legend_handles_labels())
-    above.set(ylabel=THROUGHPUT, ylim=(0, None))
+    above.set(ylabel=_THROUGHPUT, ylim=(0, None))
     _set_rates(below)
-    meaning = MEANING.format(runs=rows[0].runs) + (AGAINST if bars and len(names) > 1 else "")
-    if width < ABREAST:
+    meaning = _MEANING.format(runs=rows[0].runs) + (_AGAINST if bars and len(names) > 1 else "")
+    if width < _ABREAST:
         meaning = meaning.replace(" above, ", " above,\n").replace(", over all", ",\nover all")
     figure.supxlabel(meaning, fontsize=SMALL, color=GREY)
     for axes in (above, below):
@@ -92,7 +92,7 @@ def _look(place: int) -> dict[str, Any]:
 
 
 # Values [n] of the rows of a layout, and half the length of their error bars, [n] or [2, n].
-Measured: TypeAlias = Callable[[Sequence[Row]], tuple[Sequence[float], np.ndarray]]
+_Measured: TypeAlias = Callable[[Sequence[Row]], tuple[Sequence[float], np.ndarray]]
 
 
 def _successful_throughput_of(rows: Sequence[Row]) -> tuple[Sequence[float], np.ndarray]:
@@ -116,7 +116,7 @@ def _success_of(rows: Sequence[Row]) -> tuple[Sequence[float], np.ndarray]:
     return [row.success_rate for row in rows], np.maximum(np.transpose(ends), 0)
 
 
-def _draw_lines(axes: Axes, rows: Sequence[Row], measured: Measured, spread: float = 0.0) -> None:
+def _draw_lines(axes: Axes, rows: Sequence[Row], measured: _Measured, spread: float = 0.0) -> None:
     """Draw a line per layout over agents; `spread` moves lines apart that would hide another."""
     layouts, most = _by_layout(rows), max(row.agents for row in rows)
     for place, own in enumerate(layouts):
@@ -126,7 +126,7 @@ def _draw_lines(axes: Axes, rows: Sequence[Row], measured: Measured, spread: flo
 
 
 def _draw_points(
-    axes: Axes, places: Sequence[float], rows: Sequence[Row], measured: Measured, place: int
+    axes: Axes, places: Sequence[float], rows: Sequence[Row], measured: _Measured, place: int
 ) -> None:
     """Draw points with error bars in the look of the layout at this place."""
     label = name_of(rows[0].layout)
@@ -143,14 +143,14 @@ def draw_over_agents(rows: Sequence[Row], success: bool = False, width: float = 
             throughput of all runs (Student's t).
         width: in inches.
     """
-    figure = new_figure(width, FLAT * width)
+    figure = new_figure(width, _FLAT * width)
     axes = figure.subplots()
     if success:
-        _draw_lines(axes, rows, _success_of, SPREAD)
+        _draw_lines(axes, rows, _success_of, _SPREAD)
         _set_rates(axes)
     else:
         _draw_lines(axes, rows, _mean_throughput_of)
-        axes.set(ylabel=THROUGHPUT, ylim=(0, None))
+        axes.set(ylabel=_THROUGHPUT, ylim=(0, None))
     axes.set(xlabel="robots")
     axes.grid()
     if len(axes.containers) > 1:
@@ -159,7 +159,7 @@ def draw_over_agents(rows: Sequence[Row], success: bool = False, width: float = 
 
 
 def _set_rates(axes: Axes) -> None:
-    axes.set(ylabel=SUCCESS, ylim=(-0.05, 1.05))
+    axes.set(ylabel=_SUCCESS, ylim=(-0.05, 1.05))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
@@ -177,7 +177,7 @@ def draw_peaks(rows: Sequence[Row], peaks: Sequence[Peak], width: float = PAGE) 
         peaks: one of each layout.
         width: in inches; on narrow paper one panel stands below the other.
     """
-    abreast = width >= ABREAST
+    abreast = width >= _ABREAST
     figure = new_figure(width, 0.48 * width if abreast else 1.6 * width)
     left, right = figure.subplots(*((1, 2) if abreast else (2, 1)))
     for place, peak in enumerate(peaks):
@@ -186,19 +186,19 @@ def draw_peaks(rows: Sequence[Row], peaks: Sequence[Peak], width: float = PAGE) 
         look = _look(place)
         left.plot(agents, means, label=name_of(peak.layout), **look)
         left.plot(peak.agents, peak.throughput, **look | {"marker": "*", "markersize": 11})
-    left.set(xlabel="agents", ylabel=f"mean {THROUGHPUT}", ylim=(0, None), xlim=(0, None))
+    left.set(xlabel="agents", ylabel=f"mean {_THROUGHPUT}", ylim=(0, None), xlim=(0, None))
     left.set_title(f"all of {rows[0].runs} runs each; a star is a peak")
     left.grid()
     add_legend(figure, *left.get_legend_handles_labels())
     ordered = sorted(peaks, key=lambda peak: peak.rows * peak.cols)
     places = range(len(ordered))
-    right.bar(places, [peak.agents for peak in ordered], 0.6, color=BAR_COLOUR)
+    right.bar(places, [peak.agents for peak in ordered], 0.6, color=_BAR_COLOUR)
     right.set_ylabel("agents at the peak (bars)")
     labels = [f"{name_of(peak.layout)}\n{peak.rows}x{peak.cols}" for peak in ordered]
     right.set_xticks(places, labels, rotation=30, ha="right")
     twin = right.twinx()
     twin.plot(places, [peak.throughput for peak in ordered], "o-", color=WARNING)
-    twin.set_ylabel(f"mean {THROUGHPUT} at the peak", color=WARNING)
+    twin.set_ylabel(f"mean {_THROUGHPUT} at the peak", color=WARNING)
     twin.set_ylim(0, None)
     twin.spines["right"].set_visible(True)
     return figure

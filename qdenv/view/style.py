@@ -16,7 +16,7 @@ from matplotlib.legend import Legend
 
 from qdenv.io.files import write_atomically
 
-DPI = 220  # journals ask for 200 at least
+_DPI = 220  # journals ask for 200 at least
 SCREEN_DPI = 150  # of pictures that are larger than paper
 
 # Okabe and Ito 2008, without the yellow that is lost on white: told apart by colour-blind eyes.
@@ -26,18 +26,18 @@ DASHES = ("-", "--", ":", "-.")  # of lines beyond the colours
 GREY = "#6b7280"
 WARNING = "#d55e00"
 
-LETTERS = 8  # points
+_LETTERS = 8  # points
 SMALL = 7  # of numbers along axes
-KEYS = 7.5  # of legends
+_KEYS = 7.5  # of legends
 # Typed by matplotlib as literals of its own.
-STYLE: Any = {
-    "font.size": LETTERS,
-    "axes.titlesize": LETTERS + 1,
-    "axes.labelsize": LETTERS,
-    "figure.titlesize": LETTERS + 1.5,
+_STYLE: Any = {
+    "font.size": _LETTERS,
+    "axes.titlesize": _LETTERS + 1,
+    "axes.labelsize": _LETTERS,
+    "figure.titlesize": _LETTERS + 1.5,
     "xtick.labelsize": SMALL,
     "ytick.labelsize": SMALL,
-    "legend.fontsize": KEYS,
+    "legend.fontsize": _KEYS,
     "legend.frameon": False,
     "axes.prop_cycle": cycler(color=PALETTE),
     "axes.linewidth": 0.6,
@@ -60,24 +60,24 @@ FONTS: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "qdenv",
 }
-LETTER = 0.56  # of a letter's height: its width
-LONGEST = 28  # letters of a layout's name; those of long paths are cut at the left
-KEY = 3.5  # letters that a legend's key and the gap behind it take
+_LETTER = 0.56  # of a letter's height: its width
+_LONGEST = 28  # letters of a layout's name; those of long paths are cut at the left
+_KEY = 3.5  # letters that a legend's key and the gap behind it take
 
 # Draws in the style of this module and leaves the session's own as it is: `@styled`.
-styled = rc_context(STYLE)
+styled = rc_context(_STYLE)
 
 
-class StyledFigure(Figure):
+class _StyledFigure(Figure):
     """A figure in the style of this module: ticks, made only when it is drawn, read it then."""
 
     def draw(self, renderer: Any) -> None:
         """Draw with this style, whatever the style of the session is."""
-        with rc_context(STYLE):
+        with rc_context(_STYLE):
             super().draw(renderer)
 
 
-def new_figure(width: float, height: float, arrange: bool = True, dpi: int = DPI) -> Figure:
+def new_figure(width: float, height: float, arrange: bool = True, dpi: int = _DPI) -> Figure:
     """Make an empty figure, for functions that are `styled`.
 
     Built without pyplot, which would keep every figure alive and pick a window system.
@@ -88,7 +88,7 @@ def new_figure(width: float, height: float, arrange: bool = True, dpi: int = DPI
         arrange: let matplotlib place the axes so that no labels overlap; else by hand.
         dpi: pixels per inch.
     """
-    figure = StyledFigure(figsize=(width, height), dpi=dpi)
+    figure = _StyledFigure(figsize=(width, height), dpi=dpi)
     figure.set_layout_engine("constrained" if arrange else "none")
     return figure
 
@@ -96,14 +96,14 @@ def new_figure(width: float, height: float, arrange: bool = True, dpi: int = DPI
 def name_of(layout: str) -> str:
     """Write a layout's name as words: ``warehouse_human`` is "warehouse human"."""
     words = layout.replace("_", " ").strip() or layout
-    return words if len(words) <= LONGEST else f"...{words[-LONGEST:]}"
+    return words if len(words) <= _LONGEST else f"...{words[-_LONGEST:]}"
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str]) -> Legend | None:
     """Put a legend above all axes of a figure, where it covers nothing; None for no entries."""
     if not handles:
         return None
-    entry = (max(map(len, labels)) * LETTER + KEY) * KEYS / 72  # inches
+    entry = (max(map(len, labels)) * _LETTER + _KEY) * _KEYS / 72  # inches
     rows = -(-len(handles) // max(1, int(figure.get_figwidth() / entry)))
     return figure.legend(
         handles,

@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from qdenv.study.plans import Plan
     from qdenv.study.traffic import Study
 
-WALL = "#5f6368"
-FLOOR = "#ffffff"
+_WALL = "#5f6368"
+_FLOOR = "#ffffff"
 LINE = PALETTE[0]
-PLACE = (1.03, 0.05, 0.04, 0.9)  # of a colour bar, in shares of its map: left, bottom, size
+_PLACE = (1.03, 0.05, 0.04, 0.9)  # of a colour bar, in shares of its map: left, bottom, size
 BESIDE = 1.2  # inches of a colour bar, its labels, and those of the rows
 TITLES = 0.75  # inches above and below a map
-ABREAST = 5.0  # inches from which two panels stand side by side
-TALL = 0.5  # of the width: the height of throughput over time alone
-COLOURS = {"usage": "Blues", "waiting": "Reds", "finished": "Greens"}
-LETTERS_PER_INCH = 13  # of a title
-KEY = 6.5  # points of a rank, and of a cell that has room for it
+_ABREAST = 5.0  # inches from which two panels stand side by side
+_TALL = 0.5  # of the width: the height of throughput over time alone
+_COLOURS = {"usage": "Blues", "waiting": "Reds", "finished": "Greens"}
+_LETTERS_PER_INCH = 13  # of a title
+_KEY = 6.5  # points of a rank, and of a cell that has room for it
 
 
 class Scene(NamedTuple):
@@ -82,13 +82,13 @@ def draw_traffic(scene: Scene, width: float = SCREEN) -> Figure:
         scene: what is drawn.
         width: in inches; on narrow paper one panel stands below the other.
     """
-    across = 2 if width >= ABREAST else 1
+    across = 2 if width >= _ABREAST else 1
     tall = _tallness(scene)
-    height = len(PANELS) // across * ((width / across - BESIDE) * tall + TITLES) + 0.3
+    height = len(_PANELS) // across * ((width / across - BESIDE) * tall + TITLES) + 0.3
     figure = new_figure(width, height)
-    figure.suptitle("\n".join(wrap(scene.title, int(LETTERS_PER_INCH * width))))
-    every = figure.subplots(len(PANELS) // across, across).ravel()
-    for axes, draw in zip(every, PANELS.values(), strict=True):
+    figure.suptitle("\n".join(wrap(scene.title, int(_LETTERS_PER_INCH * width))))
+    every = figure.subplots(len(_PANELS) // across, across).ravel()
+    for axes, draw in zip(every, _PANELS.values(), strict=True):
         draw(axes, scene)
     every[-1].set_box_aspect(tall)
     return figure
@@ -98,10 +98,10 @@ def draw_traffic(scene: Scene, width: float = SCREEN) -> Figure:
 def draw_panel(scene: Scene, kind: str, width: float) -> Figure:
     """Draw one of the four panels alone: "waiting", "usage", "finished" or "time"."""
     time = kind == "time"
-    height = TALL * width if time else (width - BESIDE) * _tallness(scene) + TITLES
+    height = _TALL * width if time else (width - BESIDE) * _tallness(scene) + TITLES
     figure = new_figure(width, height)
     axes = figure.subplots()
-    PANELS[kind](axes, scene)
+    _PANELS[kind](axes, scene)
     axes.set_title("")  # whatever stands around it says so
     return figure
 
@@ -146,17 +146,17 @@ def draw_map(
         label: of the colour bar.
         title: above.
     """
-    axes.imshow(free, cmap=ListedColormap([WALL, FLOOR]), vmin=0, vmax=1)
+    axes.imshow(free, cmap=ListedColormap([_WALL, _FLOOR]), vmin=0, vmax=1)
     shown = np.ma.masked_where(values <= 0, values)
     # One extreme cell must not wash out all others; the bar's tip says that there is more.
     top = float(np.quantile(values[values > 0], 0.995)) if (values > 0).any() else 1.0
-    image = axes.imshow(shown, cmap=COLOURS[kind], vmin=0, vmax=top, interpolation="nearest")
+    image = axes.imshow(shown, cmap=_COLOURS[kind], vmin=0, vmax=top, interpolation="nearest")
     axes.set_title(title)
     axes.spines[:].set_visible(True)
     axes.set(xlabel="column", ylabel="row")
     assert axes.figure is not None
     extend = "max" if values.max() > top else "neither"
-    bar = axes.figure.colorbar(image, cax=axes.inset_axes(PLACE), extend=extend)
+    bar = axes.figure.colorbar(image, cax=axes.inset_axes(_PLACE), extend=extend)
     bar.set_label(label)
     bar.outline.set_linewidth(0.4)
     if kind != "finished":
@@ -172,8 +172,8 @@ def _number_worst(axes: Axes, scene: Scene) -> None:
     for rank, spot in enumerate(scene.worst, 1):
         place = (spot.column, spot.row)
         axes.plot(*place, "s", markersize=max(0.9 * side, 3), mfc="none", mec="black", mew=0.7)
-        if side >= KEY:
-            text = axes.text(*place, str(rank), ha="center", va="center", fontsize=KEY)
+        if side >= _KEY:
+            text = axes.text(*place, str(rank), ha="center", va="center", fontsize=_KEY)
             text.set_path_effects([withStroke(linewidth=1.4, foreground="white")])
 
 
@@ -199,7 +199,7 @@ def _draw_time(axes: Axes, scene: Scene) -> None:
 
 
 # What draws each panel, in reading order.
-PANELS: dict[str, Callable[[Axes, Scene], None]] = {
+_PANELS: dict[str, Callable[[Axes, Scene], None]] = {
     "waiting": _draw_waiting,
     "usage": _draw_usage,
     "finished": _draw_finished,

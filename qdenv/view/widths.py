@@ -4,7 +4,7 @@ from qdenv.types import InputError
 
 COLUMN, PAGE = 3.5, 7.2  # inches, as journals of two columns have them
 SCREEN = 10.0  # inches of several floor plans side by side, unless a width is given
-NAMES = {"column": COLUMN, "page": PAGE}
+_NAMES = {"column": COLUMN, "page": PAGE}
 NARROWEST, WIDEST = 2.0, 40.0  # inches
 
 
@@ -15,7 +15,7 @@ def parse_width(text: str) -> float:
         InputError: it is none of the three, or nothing could be read at that width.
     """
     try:
-        inches = NAMES.get(text) or float(text)
+        inches = _NAMES.get(text) or float(text)
     except ValueError:
         inches = 0.0
     if not NARROWEST <= inches <= WIDEST:

@@ -16,8 +16,8 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from qdenv.native import formula, kernel
 from qdenv.repair.anneal.state import Board, State
 
-MAX_STEPS = 200  # of one walker, before the move is refused
-STRIDE = 8  # steps a walker makes in one go
+_MAX_STEPS = 200  # of one walker, before the move is refused
+_STRIDE = 8  # steps a walker makes in one go
 
 
 def _ring_bits() -> np.ndarray:
@@ -135,12 +135,12 @@ def _pieces_meet(board: Board, state: State, cell: int, pieces: int) -> bool:
     cells, headings, ends = state.walkers[0], state.walkers[1], state.walkers[2]
     _send_walkers(cells, headings, ends, cell, pattern)
     walking = pieces
-    for _ in range(MAX_STEPS // STRIDE):
+    for _ in range(_MAX_STEPS // _STRIDE):
         for piece in range(pieces):
             if ends[piece] >= 0:
                 continue
             here, heading = cells[piece], headings[piece]
-            for _ in range(STRIDE):
+            for _ in range(_STRIDE):
                 here += steps[2 * heading]
                 if here == cell:
                     break
@@ -157,7 +157,7 @@ def _pieces_meet(board: Board, state: State, cell: int, pieces: int) -> bool:
     return False
 
 
-class Reach(NamedTuple):
+class _Reach(NamedTuple):
     """Which piece of the driving area is nearest to each of N cells."""
 
     owner: np.ndarray  # int32 [N], the piece, from 1 on; 0 for cells that none can reach
@@ -195,7 +195,7 @@ def join_pieces(
     return driving, driving & (groups[reach.owner] == groups[reach.owner[root]])
 
 
-def _reach(driving: np.ndarray, may_open: np.ndarray, stride: int) -> Reach:
+def _reach(driving: np.ndarray, may_open: np.ndarray, stride: int) -> _Reach:
     """Reach out from all pieces at once, a cell at a time."""
     owner, _ = ndimage.label(driving.reshape(-1, stride))
     owner = owner.ravel()
@@ -210,10 +210,10 @@ def _reach(driving: np.ndarray, may_open: np.ndarray, stride: int) -> Reach:
             owner[there], came_from[there], distance[there] = owner[front[new]], front[new], level
             reached.append(there)
         front = np.concatenate(reached)
-    return Reach(owner, distance, came_from)
+    return _Reach(owner, distance, came_from)
 
 
-def _choose_ways(reach: Reach, stride: int) -> tuple[np.ndarray, sparse.csr_array]:
+def _choose_ways(reach: _Reach, stride: int) -> tuple[np.ndarray, sparse.csr_array]:
     """Choose where pieces meet: the shortest ways that join them all."""
     pieces = int(reach.owner.max()) + 1
     inside = np.flatnonzero(reach.owner > 0)

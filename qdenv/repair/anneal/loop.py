@@ -37,12 +37,12 @@ from qdenv.repair.anneal.state import (
 )
 from qdenv.repair.rules import Facts, Progress, no_progress
 
-PERIODS = 1000  # times the schedule moves on in one run
-CHUNK = 2_000_000  # moves between two reports of progress, a fraction of a second
-LATE = 0.85  # share of the moves after which the penalty may be raised beyond its schedule
-PATIENCE = 50  # periods without a feasible layout before it is
-MAX_BOOST = 20.0
-BOOST_STEP = 1.05
+_PERIODS = 1000  # times the schedule moves on in one run
+_CHUNK = 2_000_000  # moves between two reports of progress, a fraction of a second
+_LATE = 0.85  # share of the moves after which the penalty may be raised beyond its schedule
+_PATIENCE = 50  # periods without a feasible layout before it is
+_MAX_BOOST = 20.0
+_BOOST_STEP = 1.05
 _ACCEPT_BITS = (36, 10)  # of a move's second random word: one of the `RISE_LIMITS`
 
 
@@ -96,7 +96,7 @@ def anneal(
     costs, moves = board.change_cost[board.free], moves if board.free.size else 0
     mean, top = (float(costs.mean()), float(costs.max())) if costs.any() else (1.0, 1.0)
     (hot, cold), (light, heavy) = schedule
-    period = max(moves // PERIODS, 1)
+    period = max(moves // _PERIODS, 1)
     plan = Plan(
         seed=np.uint64(rng.integers(1 << 63)),
         moves=moves,
@@ -107,7 +107,7 @@ def anneal(
         enough=bound,
     )
     # In pieces, so that a long run can show how far it is.
-    chunk = max(CHUNK // plan.period, 1)
+    chunk = max(_CHUNK // plan.period, 1)
     for first in range(0, plan.periods, chunk):
         last = min(first + chunk, plan.periods)
         anneal_periods(board, state, aisles, move, plan, first, last)
@@ -179,8 +179,8 @@ def _raise_penalty(state: State, done: float, period: int) -> float:
     A demand may be worth more than the schedule pays, as where every shelf has four endpoints of
     its own. Earlier in the run violations are welcome: they are the way over the hills.
     """
-    if done > LATE and period - state.feasible_period[()] > PATIENCE:
-        state.boost[()] = min(BOOST_STEP * state.boost[()], MAX_BOOST)
+    if done > _LATE and period - state.feasible_period[()] > _PATIENCE:
+        state.boost[()] = min(_BOOST_STEP * state.boost[()], _MAX_BOOST)
     return state.boost[()]
 
 

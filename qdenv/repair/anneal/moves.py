@@ -24,20 +24,20 @@ from qdenv.repair.anneal.state import (
 
 # Probabilities, in parts of `LEVELS`; measured on published and random layouts at equal numbers of
 # moves: drawing near changed cells, and partners next door, each save two thirds of them.
-NEAR_CHANGED = round(0.70 * LEVELS)  # start at a changed cell or beside one
-PAIR = round(0.85 * LEVELS)  # flip another cell the other way where one opens or closes
-PAIR_EARLY = round(0.35 * LEVELS)  # the same while there is much to mend
-NEXT_DOOR = round(0.90 * LEVELS)  # look for that partner among the eight neighbours
-RETILE = round(0.33 * LEVELS)  # retile a neighbour on the driving area as well
-MUCH = 25  # one broken demand to so many cells: a driving area that must grow first
-STEPS = 18  # half of the draws near a changed cell step aside: to one of the 3x3 block, or stay
-TRIES = 3  # to find a partner anywhere
-NO_CELL = -1
+_NEAR_CHANGED = round(0.70 * LEVELS)  # start at a changed cell or beside one
+_PAIR = round(0.85 * LEVELS)  # flip another cell the other way where one opens or closes
+_PAIR_EARLY = round(0.35 * LEVELS)  # the same while there is much to mend
+_NEXT_DOOR = round(0.90 * LEVELS)  # look for that partner among the eight neighbours
+_RETILE = round(0.33 * LEVELS)  # retile a neighbour on the driving area as well
+_MUCH = 25  # one broken demand to so many cells: a driving area that must grow first
+_STEPS = 18  # half of the draws near a changed cell step aside: to one of the 3x3 block, or stay
+_TRIES = 3  # to find a partner anywhere
+_NO_CELL = -1
 
 # Which bits of a random word decide what, as (first bit, number of bits); no draws share a bit.
 # The first word of a move:
 _FOCUS_BITS = (0, 10)  # near a changed cell with probability NEAR_CHANGED
-_STEP_BITS = (10, 10)  # one of `STEPS` steps aside, equally likely
+_STEP_BITS = (10, 10)  # one of `_STEPS` steps aside, equally likely
 _TILE_BITS = (20, 7)  # the cell's new tile
 _CELL_BITS = (32, 32)  # which cell, all equally likely
 # The second; `loop` takes bits 36 to 45 of it to accept the move or not:
@@ -68,10 +68,10 @@ def _draw_tile(board: Board, state: State, cell: int, group: int, source: int) -
 def _pick(board: Board, state: State, source: np.uint64) -> int:
     """Pick a cell, mostly one that has changed or is beside one; it may be one that cannot."""
     changed = state.num_changed[()]
-    if changed == 0 or uniform_bits(source, _FOCUS_BITS) >= NEAR_CHANGED:
+    if changed == 0 or uniform_bits(source, _FOCUS_BITS) >= _NEAR_CHANGED:
         return board.free[uniform_below(source, _CELL_BITS, board.free.size)]
     cell = state.changed[uniform_below(source, _CELL_BITS, changed)]
-    step = uniform_below(source, _STEP_BITS, STEPS)
+    step = uniform_below(source, _STEP_BITS, _STEPS)
     return cell + board.steps[step] if step < 8 else cell
 
 
@@ -79,21 +79,21 @@ def _pick(board: Board, state: State, source: np.uint64) -> int:
 def _partner(
     board: Board, state: State, cell: int, drives: int, seed: np.uint64, number: int
 ) -> int:
-    """Find a free cell on or off the driving area, mostly beside `cell`, or `NO_CELL`."""
+    """Find a free cell on or off the driving area, mostly beside `cell`, or `_NO_CELL`."""
     source = random_u64(seed, number)
-    if uniform_bits(source, _NEXT_DOOR_BITS) < NEXT_DOOR:
+    if uniform_bits(source, _NEXT_DOOR_BITS) < _NEXT_DOOR:
         ring = board.free_ring[cell] & (state.ring[cell] if drives else ~state.ring[cell])
         if ring == 0:
-            return NO_CELL
+            return _NO_CELL
         # `SET_BITS` lists how many bits are set, then which.
         place = SET_BITS[ring, 1 + uniform_below(source, _NEIGHBOUR_BITS, SET_BITS[ring, 0])]
         return cell + board.steps[place]
-    for attempt in range(1, TRIES + 1):
+    for attempt in range(1, _TRIES + 1):
         source = random_u64(seed, number + attempt)
         other = board.free[uniform_below(source, _CELL_BITS, board.free.size)]
         if other != cell and board.traits[state.candidate[other], Trait.DRIVES] == drives:
             return other
-    return NO_CELL
+    return _NO_CELL
 
 
 @kernel
@@ -126,17 +126,17 @@ def propose(board: Board, state: State, move: Move, seed: np.uint64, number: int
     if new == NO_TILE:
         return 0
     move.cells[0], move.new[0] = cell, new
-    drives, other = board.traits[new, Trait.DRIVES], NO_CELL
+    drives, other = board.traits[new, Trait.DRIVES], _NO_CELL
     was_driving, changes = board.traits[state.candidate[cell], Trait.DRIVES], 1
     source = random_u64(seed, number + 1)
     if drives != was_driving:
-        early = state.violations[()] * MUCH > board.free.size
-        if uniform_bits(source, _PAIR_BITS) >= (PAIR_EARLY if early else PAIR):
+        early = state.violations[()] * _MUCH > board.free.size
+        if uniform_bits(source, _PAIR_BITS) >= (_PAIR_EARLY if early else _PAIR):
             return _release(board, state, move)
         # Flip a partner the other way, so that the counts stay as they are.
         other = _partner(board, state, cell, drives, seed, number + 2)
         swap = NO_TILE
-        if other != NO_CELL:
+        if other != _NO_CELL:
             swap = _draw_tile(board, state, other, was_driving, uniform_bits(source, _SWAP_BITS))
             leaves = swap != board.layout[other]
             if leaves and uniform_bits(source, _LEAVE_BITS) >= board.leave_quarters:
@@ -145,7 +145,7 @@ def propose(board: Board, state: State, move: Move, seed: np.uint64, number: int
             move.cells[1], move.new[1] = other, swap
             changes = 2
     # An endpoint comes and goes with its shelf: retile a driving neighbour in the same move.
-    if uniform_bits(source, _RETILE_BITS) < RETILE:
+    if uniform_bits(source, _RETILE_BITS) < _RETILE:
         place = 2 * uniform_bits(source, _SIDE_BITS)
         side = cell + board.steps[place]
         if state.ring[cell] >> place & 1 and side != other:

@@ -33,14 +33,14 @@ from qdenv.repair.audit import audit
 from qdenv.repair.rules import Facts, Progress, no_progress
 from qdenv.types import Adjacency
 
-MOVES_PER_CELL = 40_000
-MAX_CELLS = 2500  # that may change: a search for pieces takes longer the more there are
-NARROW = 10  # columns or rows, of those alike, that a narrow layout has
-CHUNK = 2_000_000  # moves between two reports of progress, about a second
-TEMPERATURES = (0.6, 0.08)  # the first and the last, in broken demands
-SWAP = round(0.7 * LEVELS)  # of `LEVELS`: change a second cell near the first one the other way
-REACH = 2  # cells between the two in each direction, at most
-_SIDE = 2 * REACH + 1
+_MOVES_PER_CELL = 40_000
+_MAX_CELLS = 2500  # that may change: a search for pieces takes longer the more there are
+_NARROW = 10  # columns or rows, of those alike, that a narrow layout has
+_CHUNK = 2_000_000  # moves between two reports of progress, about a second
+_TEMPERATURES = (0.6, 0.08)  # the first and the last, in broken demands
+_SWAP = round(0.7 * LEVELS)  # of `LEVELS`: change a second cell near the first one the other way
+_REACH = 2  # cells between the two in each direction, at most
+_SIDE = 2 * _REACH + 1
 
 # Which bits of a move's first random word decide what: (first bit, number of bits).
 _SWAP_BITS = (0, 10)  # two cells with probability SWAP
@@ -237,16 +237,16 @@ def pack_moves(
     Returns:
         Whether nothing is broken; the run ends there.
     """
-    hot, cold = TEMPERATURES
+    hot, cold = _TEMPERATURES
     for index in range(first, last):
         if _break_count(packing, low, high) == 0 and packing.pieces[()] <= 1:
             return True
         source = random_u64(seed, 2 * index)
         cell = packing.free[uniform_below(source, _CELL_BITS, packing.free.size)]
         other = cell
-        if uniform_bits(source, _SWAP_BITS) < SWAP:
+        if uniform_bits(source, _SWAP_BITS) < _SWAP:
             step = uniform_below(source, _NEAR_BITS, _SIDE * _SIDE)
-            other = cell + (step // _SIDE - REACH) * packing.steps[4] + step % _SIDE - REACH
+            other = cell + (step // _SIDE - _REACH) * packing.steps[4] + step % _SIDE - _REACH
             if not 0 <= other < packing.flips.size or not packing.flips[other]:
                 continue
             if packing.drives[other] == packing.drives[cell]:
@@ -280,7 +280,7 @@ def pack(facts: Facts, progress: Progress = no_progress) -> np.ndarray | None:
     served = set(service.needs) <= set(rules.connected)
     if not served or not set(service.tiles) == obstacles == set(count.tiles):
         return None
-    if not 0 < facts.free_cells <= MAX_CELLS:
+    if not 0 < facts.free_cells <= _MAX_CELLS:
         return None
     for axis in (1, 0):
         layout = _pack_narrow(facts, axis, service, progress)
@@ -294,7 +294,7 @@ def _pack_narrow(
 ) -> np.ndarray | None:
     """Pack with columns (axis 1) or rows (0) left out, then repeat one of the others; None if none.
 
-    They are left out of the longest stretch of those that may hold the same, behind `NARROW`
+    They are left out of the longest stretch of those that may hold the same, behind `_NARROW`
     others, and with them the obstacles that straight aisles have there.
     """
     rules = facts.rules
@@ -302,7 +302,7 @@ def _pack_narrow(
     changes = np.flatnonzero((lines[1:] != lines[:-1]).any((1, 2))) + 1
     ends = np.array([0, *changes, len(lines)])
     longest = int(np.diff(ends).argmax())
-    first, last = int(ends[longest]) + NARROW, int(ends[longest + 1])
+    first, last = int(ends[longest]) + _NARROW, int(ends[longest + 1])
     if first >= last:
         return None
     straight = max(
@@ -319,7 +319,7 @@ def _pack_narrow(
     narrow = _pack_whole(Facts(narrow_rules), service, progress)
     if narrow is None:
         return None
-    for line in range(first - NARROW, first):
+    for line in range(first - _NARROW, first):
         times = np.ones(narrow.shape[axis], np.int64)
         times[line] += last - first
         layout = np.repeat(narrow, times, axis)
@@ -332,10 +332,10 @@ def _pack_whole(facts: Facts, service: Adjacency, progress: Progress) -> np.ndar
     """Pack all cells at once."""
     start = draw_templates(facts.any_layout, facts)[0]
     packing, moves = start_packing(facts.driving[start], facts, service), facts.free_cells
-    moves *= MOVES_PER_CELL
+    moves *= _MOVES_PER_CELL
     low, high = facts.count_bounds[0]
-    for first in range(0, moves, CHUNK):
-        last = min(first + CHUNK, moves)
+    for first in range(0, moves, _CHUNK):
+        last = min(first + _CHUNK, moves)
         if pack_moves(packing, low, high, np.uint64(0), first, last, moves):
             layout = _choose_tiles(packing, facts, service)
             return None if audit(layout, facts.rules) else layout

@@ -78,7 +78,7 @@ def compile_board(layout: np.ndarray, facts: Facts) -> Board:
     steps = eight_steps(stride)
     free = np.pad(facts.free, 1).ravel()
     return Board(
-        layout=pad_layout(layout, kinds),
+        layout=_pad_layout(layout, kinds),
         change_cost=np.pad(np.asarray(rules.change_cost, np.float32), 1).ravel(),
         free=np.flatnonzero(free).astype(np.int32),
         free_ring=join_bits(free, steps),
@@ -107,7 +107,7 @@ def join_bits(marks: np.ndarray, steps: np.ndarray) -> np.ndarray:
     return np.asarray(np.sum(bits, 0, dtype=np.uint8))
 
 
-def pad_layout(layout: np.ndarray, wall: int) -> np.ndarray:
+def _pad_layout(layout: np.ndarray, wall: int) -> np.ndarray:
     """Put a ring of walls around a layout (int8 [H, W] -> int8 [N])."""
     return np.pad(layout.astype(np.int8), 1, constant_values=wall).ravel()
 
@@ -135,7 +135,7 @@ def project(board: Board, start: np.ndarray, rng: np.random.Generator) -> np.nda
     """
     kinds, drives = len(board.traits) - 1, board.traits[:, Trait.DRIVES]
     may = board.fits[board.tile_set, Group.ANY]
-    candidate, cells = pad_layout(start, kinds), np.arange(board.layout.size)
+    candidate, cells = _pad_layout(start, kinds), np.arange(board.layout.size)
     wall = candidate == kinds
     # Open a cell with its input tile where that drives: it costs nothing.
     layout = board.layout

@@ -1,6 +1,6 @@
 """What the rules alone allow, whatever layout came in: a layout that obeys them, or proof of none.
 
-Needed where annealing finds nothing. The relaxation with a spanning tree in it (`span`) refutes
+Needed where annealing finds nothing. The relaxation with a spanning tree in it (`_span`) refutes
 most of what is impossible at any size; small programs are decided by branch and cut, larger layouts
 are packed (`anneal.packing`).
 """
@@ -28,12 +28,12 @@ from qdenv.repair.milp.program import Program, Rows, at_least, build
 from qdenv.repair.rules import Facts, Progress, no_progress
 from qdenv.types import Adjacency, RepairStatus
 
-MAX_CELLS = 20_000  # that may change: beyond, the relaxation alone takes minutes
-BRANCHED_CELLS = 120  # that may change: with more, branching decides little
-NODES = 2000  # of one solve
-INTERRUPT_BUDGET = 2000  # of one solve
-ROUNDS = 40  # solves, each with more connectivity cuts
-CACHED_RULES = 32
+_MAX_CELLS = 20_000  # that may change: beyond, the relaxation alone takes minutes
+_BRANCHED_CELLS = 120  # that may change: with more, branching decides little
+_NODES = 2000  # of one solve
+_INTERRUPT_BUDGET = 2000  # of one solve
+_ROUNDS = 40  # solves, each with more connectivity cuts
+_CACHED_RULES = 32
 
 # A status and a layout: `ANNEALED` with one (int8 [H, W]) that obeys every rule, `IMPOSSIBLE` where
 # none exists, else `FAILED`.
@@ -58,19 +58,19 @@ def find_possible(facts: Facts, progress: Progress = no_progress) -> Existence:
     with _lock:
         if key not in _answers:
             _answers[key] = _decide(facts, progress)
-            while len(_answers) > CACHED_RULES:
+            while len(_answers) > _CACHED_RULES:
                 _answers.popitem(last=False)
         return _answers[key]
 
 
 def _decide(facts: Facts, progress: Progress) -> Existence:
     """Try the relaxation, then the solver or the packer."""
-    if facts.free_cells > MAX_CELLS:
+    if facts.free_cells > _MAX_CELLS:
         return RepairStatus.FAILED, None
     progress("asking whether any layout exists", 0.0)
     if is_refuted(facts):
         return RepairStatus.IMPOSSIBLE, None
-    if facts.free_cells <= BRANCHED_CELLS:
+    if facts.free_cells <= _BRANCHED_CELLS:
         return _branch(facts)
     layout = pack(facts, progress)
     return RepairStatus.FAILED if layout is None else RepairStatus.ANNEALED, layout
@@ -84,7 +84,7 @@ def _build_free(facts: Facts) -> Program:
 
 def is_refuted(facts: Facts) -> bool:
     """Return True if not even the relaxation has a solution: then no layout obeys the rules."""
-    solver = solve_relaxation(span(_build_free(facts), facts))
+    solver = solve_relaxation(_span(_build_free(facts), facts))
     return bool(solver.getModelStatus() == highspy.HighsModelStatus.kInfeasible)
 
 
@@ -92,11 +92,11 @@ def _branch(facts: Facts) -> Existence:
     """Solve with more and more connectivity cuts, until a layout obeys every rule or none can."""
     program, rng = _build_free(facts), np.random.default_rng(0)
     if facts.rules.aisle <= 1:  # wide aisles say more than a tree, which takes ten times as long
-        program = span(program, facts)
+        program = _span(program, facts)
     solver = load(new_solver(0), program)
-    solver.setOptionValue("mip_max_nodes", NODES)
-    for _ in range(ROUNDS):
-        run_limited(solver, INTERRUPT_BUDGET)
+    solver.setOptionValue("mip_max_nodes", _NODES)
+    for _ in range(_ROUNDS):
+        run_limited(solver, _INTERRUPT_BUDGET)
         status = solver.getModelStatus()
         if status == highspy.HighsModelStatus.kInfeasible:
             return RepairStatus.IMPOSSIBLE, None
@@ -113,7 +113,7 @@ def _branch(facts: Facts) -> Existence:
     return RepairStatus.FAILED, None
 
 
-def span(program: Program, facts: Facts) -> Program:
+def _span(program: Program, facts: Facts) -> Program:
     """Add a spanning tree and who serves whom to a program: the same layouts, a tighter relaxation.
 
     If the driving area is one piece, its n cells have a spanning tree of n - 1 edges. A side of a

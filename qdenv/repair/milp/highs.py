@@ -16,8 +16,8 @@ from qdenv.repair.rules import Facts, Result, assign_kinds
 from qdenv.repair.settings import MilpLimits, RepairConfig
 from qdenv.types import RepairStatus
 
-SMALL = 500  # variables of a program that the solver closes in a second whatever its gap
-MENDING_MOVES = 300  # annealing moves per cell that mend a solution's connections
+_SMALL = 500  # variables of a program that the solver closes in a second whatever its gap
+_MENDING_MOVES = 300  # annealing moves per cell that mend a solution's connections
 
 
 class Cut(NamedTuple):
@@ -67,7 +67,7 @@ def solve_relaxation(program: Program) -> highspy.Highs:
     return solver
 
 
-def bound_relaxation(program: Program, facts: Facts) -> float:
+def _bound_relaxation(program: Program, facts: Facts) -> float:
     """Bound the cost from below by the linear relaxation."""
     solver = solve_relaxation(program)
     if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
@@ -115,7 +115,7 @@ def mend(
     candidate: np.ndarray, layout: np.ndarray, facts: Facts, rng: np.random.Generator
 ) -> np.ndarray:
     """Mend the connections of a solution by small changes; return it unchanged where none do."""
-    moves, seed = MENDING_MOVES * layout.size, int(rng.integers(1 << 62))
+    moves, seed = _MENDING_MOVES * layout.size, int(rng.integers(1 << 62))
     best, _ = anneal(layout, facts, seed, moves, candidate, MENDING)
     return candidate if best is None else best
 
@@ -204,12 +204,12 @@ def improve(
         The best layout found, never worse than `start`, with the status of the last solve.
     """
     program = build(layout, facts)
-    best = start._replace(bound=max(start.bound, bound_relaxation(program, facts)))
+    best = start._replace(bound=max(start.bound, _bound_relaxation(program, facts)))
     if best.proven(config.gap):
         return best._replace(status=RepairStatus.OPTIMAL)
     # Branching closes small gaps only, but any gap of a small program.
     closable = best.bound >= best.cost * (1 - limits.max_gap_to_branch)
-    if program.cost.size > SMALL and not closable:
+    if program.cost.size > _SMALL and not closable:
         return best
     solver, rng = load(new_solver(seed), program), np.random.default_rng(seed)
     always = facts.must(facts.rules.connected)

@@ -77,7 +77,7 @@ def at_least(columns: Sequence[np.ndarray], values: Sequence[np.ndarray], low: n
     return Rows(joined, np.column_stack([*values]), low, np.full(len(joined), np.inf))
 
 
-def around(array: np.ndarray, outside: float) -> list[np.ndarray]:
+def _around(array: np.ndarray, outside: float) -> list[np.ndarray]:
     """List, for each cell of [H, W, ...], its four neighbours; `outside` beyond the grid."""
     height, width = array.shape[:2]
     padded = np.full((height + 2, width + 2, *array.shape[2:]), outside, array.dtype)
@@ -89,9 +89,9 @@ def demand(cells: Cells, tiles: np.ndarray, needs: np.ndarray) -> Rows:
     """A cell with one of the roles `tiles` (bool [R]) has a neighbour with one of `needs`."""
     own, holds = cells.express(tiles)
     serving, serves = cells.express(needs)
-    columns = np.concatenate([cells.columns, *around(cells.columns, -1)], -1)
-    values = np.concatenate([-own, *around(serving, 0)], -1)
-    low = holds - sum(around(serves, 0))
+    columns = np.concatenate([cells.columns, *_around(cells.columns, -1)], -1)
+    values = np.concatenate([-own, *_around(serving, 0)], -1)
+    low = holds - sum(_around(serves, 0))
     may = (holds > 0) | ((cells.columns >= 0) & (own != 0)).any(-1)
     return Rows(columns[may], values[may], low[may], np.full(may.sum(), np.inf))
 

@@ -14,13 +14,13 @@ from qdenv.repair.milp.program import Cells, Program, Rows, demand, total
 from qdenv.repair.rules import Facts, Progress, excess, no_progress
 from qdenv.repair.settings import WindowLimits
 
-AROUND = 2  # cells around a window that its rules look at: neighbours, and what serves these
-ROUNDS = 3  # solves of one window, each with more connectivity cuts
-MARGIN = 12  # cells around a window in which its parts may hang together
-USUAL_CELLS = 1000  # of a layout that `WindowLimits` are meant for
-NOISE = 0.4  # of the cheapest change: enough to draw among equals, too little to prefer others
+_AROUND = 2  # cells around a window that its rules look at: neighbours, and what serves these
+_ROUNDS = 3  # solves of one window, each with more connectivity cuts
+_MARGIN = 12  # cells around a window in which its parts may hang together
+_USUAL_CELLS = 1000  # of a layout that `WindowLimits` are meant for
+_NOISE = 0.4  # of the cheapest change: enough to draw among equals, too little to prefer others
 
-Box = tuple[slice, slice]  # rows and columns of a part of the layout
+_Box = tuple[slice, slice]  # rows and columns of a part of the layout
 
 
 class WindowSearch:
@@ -44,7 +44,7 @@ class WindowSearch:
 
     def run(self, limits: WindowLimits, progress: Progress = no_progress) -> np.ndarray:
         """Improve window by window while that pays; returns the best layout (int8 [H, W])."""
-        granted = limits.windows * max(self.facts.free_cells / USUAL_CELLS, 1.0)
+        granted = limits.windows * max(self.facts.free_cells / _USUAL_CELLS, 1.0)
         credit, waiting = granted, list[list[int]]()
         self.solver.setOptionValue("mip_max_nodes", limits.node_limit)
         while credit >= 1:
@@ -71,7 +71,7 @@ class WindowSearch:
         Returns:
             How much the cost falls.
         """
-        near, box = (self._box(corner, side, margin) for margin in (AROUND, MARGIN))
+        near, box = (self._box(corner, side, margin) for margin in (_AROUND, _MARGIN))
         window = self._box(corner, side, 0)
         cells = self._cells(near, window)
         inside = (cells.columns >= 0).any(-1)
@@ -82,13 +82,13 @@ class WindowSearch:
         cost = self._price_roles(places)[columns >= 0]
         if not cost.any():
             return 0.0
-        noise = self.rng.random(cost.size) * NOISE * cost[cost > 0].min() / cost.size
+        noise = self.rng.random(cost.size) * _NOISE * cost[cost > 0].min() / cost.size
         ones = np.ones(cost.size)
         load(self.solver, Program(cells, cost + noise, self._rules(cells, near), ones, ones > 0))
         start, paid = highspy.HighsSolution(), self._cost(places)
         stands = np.arange(columns.shape[1]) == self.roles[places][:, None]
         start.col_value = stands[columns >= 0].astype(float).tolist()
-        for _ in range(ROUNDS):
+        for _ in range(_ROUNDS):
             self.solver.setSolution(start)
             self.solver.run()
             feasible = highspy.SolutionStatus.kSolutionStatusFeasible
@@ -107,7 +107,7 @@ class WindowSearch:
             add_cuts(self.solver, self._cells(box, window), self.facts, cuts)
         return 0.0
 
-    def _box(self, corner: tuple[int, int], side: int, margin: int) -> Box:
+    def _box(self, corner: tuple[int, int], side: int, margin: int) -> _Box:
         """Cut a window with a margin out of the layout."""
         low = (max(axis - margin, 0) for axis in corner)
         ends = zip(corner, self.layout.shape, strict=True)
@@ -115,7 +115,7 @@ class WindowSearch:
         rows, cols = (slice(first, last) for first, last in zip(low, high, strict=True))
         return rows, cols
 
-    def _cells(self, box: Box, window: Box) -> Cells:
+    def _cells(self, box: _Box, window: _Box) -> Cells:
         """Number the binaries of a window's cells; all others in a box are constants."""
         free = np.zeros(self.facts.may_take[box].shape, bool)
         at = tuple(
@@ -127,7 +127,7 @@ class WindowSearch:
         columns = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
         return Cells(columns, np.where(free.any(-1), -1, self.roles[box]))
 
-    def _rules(self, cells: Cells, box: Box) -> list[Rows]:
+    def _rules(self, cells: Cells, box: _Box) -> list[Rows]:
         """State every rule of the window but connectivity."""
         facts, columns = self.facts, cells.columns[(cells.columns >= 0).any(-1)]
         ones = np.ones(len(columns))
@@ -185,7 +185,7 @@ class WindowSearch:
         self.counts += np.bincount(kept, minlength=kinds)
         self.candidate[places] = kept
 
-    def _find_cuts(self, before: np.ndarray, box: Box) -> list[Cut]:
+    def _find_cuts(self, before: np.ndarray, box: _Box) -> list[Cut]:
         """Find cuts where the driving area, one piece with `before` in a box, may fall apart."""
         after = self.facts.driving[self.candidate[box]]
         # The cells of the box that have a neighbour outside.

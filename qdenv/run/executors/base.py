@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from qdenv.run.config import RunConfig
 
 ExecutorName = Literal["threads", "dask"]
-ANSWER = 20  # seconds that a scheduler may take to answer
-ARRIVAL = 120  # seconds that the first worker may take to join
+_ANSWER = 20  # seconds that a scheduler may take to answer
+_ARRIVAL = 120  # seconds that the first worker may take to join
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,8 @@ def connected(execution: Execution) -> Iterator[Client]:
             )
             place = stack.enter_context(local).scheduler_address
         try:
-            client = stack.enter_context(Client(place, timeout=ANSWER))
-            client.wait_for_workers(1, timeout=ARRIVAL)
+            client = stack.enter_context(Client(place, timeout=_ANSWER))
+            client.wait_for_workers(1, timeout=_ARRIVAL)
         except (OSError, ValueError, TimeoutError) as error:
             hint = f"start `dask scheduler` and `dask worker {place}` first"
             raise InputError(f"{place}: no worker answers ({error}): {hint}") from error

@@ -29,18 +29,18 @@ from qdenv.types import InputError
 if TYPE_CHECKING:
     import distributed
 
-LOG = getLogger(__name__)
+_LOG = getLogger(__name__)
 # Packages whose version decides a result.
-PACKAGES = ("jax", "jaxlib", "numpy", "numba", "highspy", "flax")
+_PACKAGES = ("jax", "jaxlib", "numpy", "numba", "highspy", "flax")
 # A task's own errors repeat; one that a full disk or a broken network caused passes within three.
-MAX_ERRORS = 3
+_MAX_ERRORS = 3
 # Clusters kill workers for reasons of their own, so only many deaths are blamed on the task.
-MAX_DEATHS = 10
+_MAX_DEATHS = 10
 # Seconds without any answer, or SLOW times what a task takes, until copies are sent to others.
 PATIENCE = 30.0
-SLOW = 5.0
+_SLOW = 5.0
 REMEMBERED = 100  # tasks whose duration says what one takes
-TICK = 0.5  # seconds between two looks for overdue tasks
+_TICK = 0.5  # seconds between two looks for overdue tasks
 
 
 class WrongWorkerError(RuntimeError):
@@ -55,7 +55,7 @@ def versions() -> str:
     files = (path for path in home.rglob("*") if path.suffix in (".py", ".npz"))  # and the agent
     for path in sorted(files):
         code.update(path.relative_to(home).as_posix().encode() + path.read_bytes())
-    packages = [f"{name} {number}" for name, number in package_versions(PACKAGES).items()]
+    packages = [f"{name} {number}" for name, number in package_versions(_PACKAGES).items()]
     python = ".".join(platform.python_version_tuple()[:2])
     return ", ".join([f"python {python}", *packages, f"qdenv {code.hexdigest()}"])
 
@@ -143,7 +143,7 @@ class ClusterExecutor(Executor):
                 if changed:
                     self._collect(changed)
                     heard = monotonic()
-                elif self._pending and monotonic() - heard >= max(PATIENCE, SLOW * usual):
+                elif self._pending and monotonic() - heard >= max(PATIENCE, _SLOW * usual):
                     self._send_copies()
                     heard = monotonic()
         except BaseException as error:  # the scheduler is gone, say: no result will come
@@ -160,7 +160,7 @@ class ClusterExecutor(Executor):
         """Wait a moment for tasks that changed; None means that the executor ends."""
         events: list[Task | None] = []
         with contextlib.suppress(queue.Empty):
-            events.append(self._events.get(timeout=TICK))
+            events.append(self._events.get(timeout=_TICK))
             while True:
                 events.append(self._events.get_nowait())
         return None if None in events else [one for one in dict.fromkeys(events) if one]
@@ -210,7 +210,7 @@ class ClusterExecutor(Executor):
             return
         if isinstance(error, KilledWorker):
             task.deaths += 1
-            if task.deaths >= MAX_DEATHS:
+            if task.deaths >= _MAX_DEATHS:
                 text = f"workers keep dying ({error}): give them more memory"
                 self._settle(task, error=InputError(text))
             return
@@ -223,7 +223,7 @@ class ClusterExecutor(Executor):
                 self._settle(task, error=refusal)
                 return
         task.errors += 1
-        if task.errors >= MAX_ERRORS:
+        if task.errors >= _MAX_ERRORS:
             self._settle(task, error=error)
 
     def _send(self, tasks: Sequence[Task], workers: Sequence[str] = ()) -> None:
@@ -241,7 +241,7 @@ class ClusterExecutor(Executor):
 
     def _send_copies(self) -> None:
         """Send another copy of each pending task: its worker may hang. The first result counts."""
-        LOG.warning("%d tasks are overdue and sent to others, too", len(self._pending))
+        _LOG.warning("%d tasks are overdue and sent to others, too", len(self._pending))
         keys = {copy.key for task in list(self._pending) for copy in task.copies}
         processing = self._client.processing()
         free = [worker for worker, has in processing.items() if not keys & {*has}]
@@ -255,7 +255,7 @@ class ClusterExecutor(Executor):
         answers = self._client.run(versions, on_error="return")
         wrong = {worker: one for worker, one in answers.items() if one != versions()}
         for worker, one in wrong.items():
-            LOG.warning("worker %s is sent away: it has %s, not %s", worker, one, versions())
+            _LOG.warning("worker %s is sent away: it has %s, not %s", worker, one, versions())
         if wrong:
             self._client.retire_workers(list(wrong))
         if wrong and len(wrong) == len(answers):

@@ -27,7 +27,7 @@ from qdenv.types import Array, Repair
 if TYPE_CHECKING:
     from distributed import Client
 
-LONGEST = 1.0  # seconds of a task of several layouts: the scheduler spends milliseconds on each
+_LONGEST = 1.0  # seconds of a task of several layouts: the scheduler spends milliseconds on each
 
 
 class Threads:
@@ -127,17 +127,17 @@ class Cluster:
         parts = zip(np.split(unrepaired, firsts[1:]), firsts, strict=True)
         bits = np.asarray(jax.random.key_data(key))
         submit, settings = self.executor.submit, self._settings
-        return [submit(evaluate_layouts, settings, *part, bits) for part in parts]
+        return [submit(_evaluate_layouts, settings, *part, bits) for part in parts]
 
     def _divide(self, layouts: int) -> list[int]:
         """Divide a population into tasks, ever smaller ones, so that all workers end together.
 
         Guided self-scheduling (Polychronopoulos and Kuck 1987): each is what is left, divided by
-        the workers, but no longer than `LONGEST`. While the duration of a layout is unknown, each
+        the workers, but no longer than `_LONGEST`. While the duration of a layout is unknown, each
         is a task.
         """
         usual = statistics.median(self._seconds) if self._seconds else math.inf
-        most = max(round(LONGEST / usual), 1) if usual else 1
+        most = max(round(_LONGEST / usual), 1) if usual else 1
         workers = max(self.executor.workers, 2)
         firsts = [0]
         while (left := layouts - firsts[-1]) > 1:
@@ -159,7 +159,7 @@ def _chain(settings: str) -> tuple[Pipeline, Callable]:
     return pipeline, jax.jit(pipeline.simulate)
 
 
-def evaluate_layouts(settings: str, layouts: np.ndarray, first: int, key: np.ndarray) -> Outcomes:
+def _evaluate_layouts(settings: str, layouts: np.ndarray, first: int, key: np.ndarray) -> Outcomes:
     """Repair and simulate layouts, one by one; what a worker does.
 
     Args:

@@ -45,7 +45,7 @@ class Rates(NamedTuple, Generic[Numbers]):
 CovarianceRates = Callable[[float, int], tuple[float, float, float]]
 
 
-def recombination_weights(parents: int, batch: int) -> np.ndarray:
+def _recombination_weights(parents: int, batch: int) -> np.ndarray:
     """Compute the positive logarithmic weights, float64 [batch], summing to 1 (49, 53).
 
     As pyribs: log(mu + 1/2) for mu parents in place of log((lambda + 1) / 2), so that any number
@@ -84,7 +84,7 @@ def rates_row(
     """Compute the parameters for one number of parents (float64)."""
     if parents == 0:
         return Rates(np.eye(1, batch)[0], *map(np.asarray, (1.0, 0.0, 1.0, 0.0, 0.0, 0.0)))
-    weights = recombination_weights(parents, batch)
+    weights = _recombination_weights(parents, batch)
     mu_eff = 1 / (weights**2).sum()  # (8)
     path = (mu_eff + 2) / (dim + mu_eff + 5)  # (55)
     damping = 1 + 2 * max(0.0, math.sqrt((mu_eff - 1) / (dim + 1)) - 1) + path  # (55)
@@ -100,7 +100,7 @@ def rates_table(batch: int, dim: int, covariance_rates: CovarianceRates) -> Rate
     return Rates(*(np.asarray(column).astype(dtype) for column in zip(*rows, strict=True)))
 
 
-def pick(table: Rates[np.ndarray], parents: jax.Array) -> Rates[jax.Array]:
+def _pick(table: Rates[np.ndarray], parents: jax.Array) -> Rates[jax.Array]:
     """Take one row of a table (parents: int32)."""
     return jax.tree.map(lambda column: jnp.asarray(column)[parents], table)
 
@@ -171,7 +171,12 @@ class Strategy(DistributionBasedAlgorithm):
         """Order a batch: (order int32 [b] best first, parents int32, evaluated int32, rates)."""
         evaluated = (~jnp.isnan(fitness)).sum(dtype=jnp.int32)
         parents = jnp.minimum(params.num_elites, evaluated)
-        return jnp.argsort(fitness), parents, evaluated, pick(self.table, parents)  # NaN comes last
+        return (
+            jnp.argsort(fitness),
+            parents,
+            evaluated,
+            _pick(self.table, parents),
+        )  # NaN comes last
 
     def is_degenerate(self, state: Any) -> jax.Array:
         """Return True if the distribution is too narrow to search on, or not finite."""

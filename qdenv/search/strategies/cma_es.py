@@ -229,26 +229,26 @@ def refresh_gap(dim: int, batch: int) -> float:
     return float(0.5 * batch / (dim * (rates.rank_one + rates.rank_mu)))
 
 
-Eigensystem = tuple[jax.Array, jax.Array, jax.Array]  # covariance, basis, eigenvalues
+_Eigensystem = tuple[jax.Array, jax.Array, jax.Array]  # covariance, basis, eigenvalues
 
 
 @jax.custom_batching.custom_vmap
 def _refresh_if(
     due: jax.Array, covariance: jax.Array, basis: jax.Array, eigenvalues: jax.Array
-) -> Eigensystem:
+) -> _Eigensystem:
     """Renew an eigensystem if it is due."""
     return jax.lax.cond(due, _decompose, lambda *same: same, covariance, basis, eigenvalues)
 
 
 @_refresh_if.def_vmap
-def _refresh_each(size: int, batched: list[bool], *given: jax.Array) -> tuple[Eigensystem, Any]:
+def _refresh_each(size: int, batched: list[bool], *given: jax.Array) -> tuple[_Eigensystem, Any]:
     """Renew those eigensystems of several emitters that are due."""
     rows = [
         leaf if own else jnp.broadcast_to(leaf, (size, *leaf.shape))
         for leaf, own in zip(given, batched, strict=True)
     ]
 
-    def each(due: jax.Array, *systems: jax.Array) -> Eigensystem:
+    def each(due: jax.Array, *systems: jax.Array) -> _Eigensystem:
         one = lambda row: jax.lax.cond(row[0], _decompose, lambda *same: same, *row[1:])  # noqa: E731
         return jax.lax.map(one, (due, *systems))
 
@@ -257,7 +257,7 @@ def _refresh_each(size: int, batched: list[bool], *given: jax.Array) -> tuple[Ei
     return new, (True, True, True)
 
 
-def _decompose(covariance: jax.Array, basis: jax.Array, eigenvalues: jax.Array) -> Eigensystem:
+def _decompose(covariance: jax.Array, basis: jax.Array, eigenvalues: jax.Array) -> _Eigensystem:
     """Renew the eigensystem of a covariance matrix."""
     # Products of rounded numbers are not quite symmetric; pyribs takes the larger of each pair.
     covariance = jnp.maximum(covariance, covariance.T)

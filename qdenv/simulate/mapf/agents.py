@@ -23,7 +23,7 @@ class Fleet(NamedTuple):
     fields: Fields | None  # distances measured on demand; None where the world has a table of all
 
 
-def draw_starts(world: World, active: jax.Array, seed: jax.Array) -> jax.Array:
+def _draw_starts(world: World, active: jax.Array, seed: jax.Array) -> jax.Array:
     """Draw distinct free cells for all agents in `active` (bool [A] -> int32 [A]).
 
     Padding agents stand on cell 0, a wall.
@@ -48,7 +48,7 @@ def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Flee
         active: bool [A], False for padding.
         seed: of the run.
     """
-    position = draw_starts(world, active, chance.draw(seed, chance.STARTS))
+    position = _draw_starts(world, active, chance.draw(seed, chance.STARTS))
     zero = jnp.zeros(active.shape, jnp.int32)
     cycle = world.service_time.shape[0]
     goal = [

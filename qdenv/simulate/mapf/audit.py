@@ -50,7 +50,7 @@ def audit(
     positions = trajectory.positions[: end + 1].astype(np.int64)
     broken = check_moves(layout, rule, positions)
     finished, working, messages = replay_tasks(layout, rule, trajectory, end, horizon)
-    return broken + messages + check_report(layout, positions, finished, working, traffic, horizon)
+    return broken + messages + _check_report(layout, positions, finished, working, traffic, horizon)
 
 
 def check_moves(layout: np.ndarray, rule: TaskRule, positions: np.ndarray) -> list[str]:
@@ -136,7 +136,7 @@ def replay_tasks(
     return finished, working, broken
 
 
-def check_report(
+def _check_report(
     layout: np.ndarray,
     positions: np.ndarray,
     finished: np.ndarray,

@@ -20,10 +20,10 @@ from qdenv.types import Array
 Bits = TypeVar("Bits", int, jax.Array, np.ndarray)  # 32 of them
 
 # Typed, as both backends take them without changing the type of what they meet.
-MASK: Any = np.uint32(0xFFFFFFFF)
-GOLDEN: Any = np.uint32(0x9E3779B9)  # added to a number, so that 0 is not drawn for 0
-FIRST: Any = np.uint32(0x7FEB352D)
-SECOND: Any = np.uint32(0x846CA68B)
+_MASK: Any = np.uint32(0xFFFFFFFF)
+_GOLDEN: Any = np.uint32(0x9E3779B9)  # added to a number, so that 0 is not drawn for 0
+_FIRST: Any = np.uint32(0x7FEB352D)
+_SECOND: Any = np.uint32(0x846CA68B)
 CHANCE_BITS = 24  # exact in a float32
 
 # What a number is drawn for: each purpose has numbers of its own.
@@ -32,19 +32,19 @@ ORDER, TIES, RESORT = range(3)  # by a planner, of the seed of a window
 
 
 @shared
-def scramble(bits: Bits) -> Bits:
+def _scramble(bits: Bits) -> Bits:
     """Mix 32 bits so that each depends on all."""
     bits = bits ^ (bits >> 16)
-    bits = (bits * FIRST) & MASK
+    bits = (bits * _FIRST) & _MASK
     bits = bits ^ (bits >> 15)
-    bits = (bits * SECOND) & MASK
+    bits = (bits * _SECOND) & _MASK
     return bits ^ (bits >> 16)
 
 
 @shared
 def mix(seed: Bits, number: Bits) -> Bits:
     """Draw the 32 bits of a number; different seeds give unrelated bits."""
-    return scramble(seed ^ scramble((number + GOLDEN) & MASK))
+    return _scramble(seed ^ _scramble((number + _GOLDEN) & _MASK))
 
 
 def draw_on_host(seed: np.ndarray | int, number: np.ndarray | int) -> np.ndarray:

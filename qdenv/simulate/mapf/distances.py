@@ -14,9 +14,9 @@ from qdenv.simulate.mapf.planner import NOBODY, World, steps_type, unreachable
 
 Planes: TypeAlias = tuple[jax.Array, ...]
 
-PLANES = 4  # bits of the step counter that is unpacked once per epoch
-WORD = 32
-AT_ONCE = 8 * WORD  # rows measured side by side
+_PLANES = 4  # bits of the step counter that is unpacked once per epoch
+_WORD = 32
+_AT_ONCE = 8 * _WORD  # rows measured side by side
 
 
 class _Wave(NamedTuple):
@@ -28,14 +28,14 @@ class _Wave(NamedTuple):
     grew: jax.Array  # bool, the last epoch reached new cells
 
 
-def pack_goals(cells: jax.Array, used: jax.Array, shape: tuple[int, int]) -> jax.Array:
+def _pack_goals(cells: jax.Array, used: jax.Array, shape: tuple[int, int]) -> jax.Array:
     """Set bit ``g % 32`` of word ``g // 32`` at the cell of goal g (uint32 [G / 32, H, W])."""
     count = cells.shape[0]
-    words = -(-count // WORD)
+    words = -(-count // _WORD)
     slot = jnp.arange(count)
-    bit = jnp.where(used, jnp.uint32(1) << (slot % WORD).astype(jnp.uint32), jnp.uint32(0))
+    bit = jnp.where(used, jnp.uint32(1) << (slot % _WORD).astype(jnp.uint32), jnp.uint32(0))
     empty = jnp.zeros((words, shape[0] * shape[1]), jnp.uint32)
-    return empty.at[slot // WORD, cells].add(bit).reshape(words, *shape)
+    return empty.at[slot // _WORD, cells].add(bit).reshape(words, *shape)
 
 
 def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) -> jax.Array:
@@ -56,7 +56,7 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
     rows, cols = traversable.shape
     count, steps = cells.shape[0], steps_type(traversable.size)
     open_cells = jnp.where(traversable, jnp.uint32(0xFFFFFFFF), jnp.uint32(0))
-    start = pack_goals(cells, used, (rows, cols)) & open_cells[None]
+    start = _pack_goals(cells, used, (rows, cols)) & open_cells[None]
 
     def step(_: jax.Array, carry: tuple[jax.Array, Planes]) -> tuple[jax.Array, Planes]:
         reached, planes = carry
@@ -70,12 +70,12 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
         return after & open_cells[None], tuple(sums)
 
     def unpack(words: jax.Array) -> jax.Array:
-        bits = (words[:, None] >> jnp.arange(WORD, dtype=jnp.uint32)[None, :, None, None]) & 1
+        bits = (words[:, None] >> jnp.arange(_WORD, dtype=jnp.uint32)[None, :, None, None]) & 1
         return bits.astype(steps).reshape(-1, rows * cols)[:count]
 
     def epoch(wave: _Wave) -> _Wave:
-        planes = (jnp.zeros_like(wave.reached),) * PLANES
-        reached, planes = jax.lax.fori_loop(0, 2**PLANES - 1, step, (wave.reached, planes))
+        planes = (jnp.zeros_like(wave.reached),) * _PLANES
+        reached, planes = jax.lax.fori_loop(0, 2**_PLANES - 1, step, (wave.reached, planes))
         distance = wave.distance
         for bit, plane in enumerate(planes):
             distance = distance + (unpack(plane) << bit)
@@ -125,7 +125,7 @@ def measure_fields(world: World, fields: Fields, goal: jax.Array) -> Fields:
 
     def measure(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         distance, measured = carry
-        row = jnp.nonzero(measured != wanted, size=min(AT_ONCE, count), fill_value=count)[0]
+        row = jnp.nonzero(measured != wanted, size=min(_AT_ONCE, count), fill_value=count)[0]
         slot = wanted[jnp.minimum(row, count - 1)]
         cells = world.goals.cells[slot]
         used = (row < count) & world.goals.used[slot] & world.traversable.reshape(-1)[cells]

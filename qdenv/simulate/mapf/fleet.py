@@ -37,7 +37,7 @@ from qdenv.simulate.mapf.planner import World, pad, steps_type, unreachable
 from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.types import Array, InputError, TaskRule, Traffic
 
-TABLE_BYTES = 1 << 27  # of a table of all distances; above, agents measure their own
+_TABLE_BYTES = 1 << 27  # of a table of all distances; above, agents measure their own
 
 
 def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
@@ -69,7 +69,7 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     traversable = jnp.asarray(of_tiles(layout, rule.traversable, rule.tiles))
     goals = tasks.goal_table(layout, rule, capacity)
     distance, entry = None, np.dtype(steps_type(layout.size))
-    if not planner.on_host and capacity * layout.size * entry.itemsize <= TABLE_BYTES:
+    if not planner.on_host and capacity * layout.size * entry.itemsize <= _TABLE_BYTES:
         used = goals.used & traversable.reshape(-1)[goals.cells]
         distance = goal_distances(traversable, goals.cells, used).reshape(capacity, rows, cols)
         sides, far = (planner.margin, planner.margin), unreachable(layout.size)
@@ -85,7 +85,7 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     )
 
 
-def run_window(
+def _run_window(
     world: World,
     config: FleetConfig,
     fleet: Fleet,
@@ -164,7 +164,7 @@ def _run(
     def window(run: _Run) -> _Run:
         fleet, metrics, buffer = run
         at_work = active & going(run)  # a finished lane of a batch has nobody left to plan
-        after, block = run_window(world, config, fleet, at_work, seed, metrics.time)
+        after, block = _run_window(world, config, fleet, at_work, seed, metrics.time)
         # A window that T cuts short is no window of the jam rule.
         whole = metrics.time + config.horizon <= config.timesteps
         jam = whole & is_congested(fleet.position, fleet.remaining_service, block, active)
@@ -179,7 +179,7 @@ def _run(
     return Outcome(last.metrics, world.goals.cells[last.fleet.goal[0]], last.buffer)
 
 
-def select_active_agents(
+def _select_active_agents(
     world: World, config: FleetConfig, agents: Array | None
 ) -> tuple[World, jax.Array]:
     """Choose who takes part (bool [A]); without room for them the world is not valid."""
@@ -204,7 +204,7 @@ def simulate(
     Returns:
         `Traffic`. A layout with too few free cells or without goals counts as congested at once.
     """
-    world, active = select_active_agents(world, config, agents)
+    world, active = _select_active_agents(world, config, agents)
     outcome = _run(world, chance.seed_of(key), config, active, keep=False)
     return summarise(world, outcome.metrics, active, config.timesteps)
 
@@ -213,7 +213,7 @@ def record(
     world: World, key: jax.Array, config: FleetConfig, agents: Array | None = None
 ) -> tuple[Traffic, Recording]:
     """Run the same simulation as `simulate` and keep every step of it."""
-    world, active = select_active_agents(world, config, agents)
+    world, active = _select_active_agents(world, config, agents)
     return report(world, config, _run(world, chance.seed_of(key), config, active, True), active)
 
 
@@ -241,7 +241,7 @@ def compile_runs(
     host, count = config.make_planner().host, jax.ShapeDtypeStruct((), np.int32)
 
     def finish(world: World, outcome: Outcome, agents: Array) -> tuple[Traffic, Recording | None]:
-        world, active = select_active_agents(world, config, agents)
+        world, active = _select_active_agents(world, config, agents)
         if keep:
             return report(world, config, outcome, active)
         return summarise(world, outcome.metrics, active, config.timesteps), None
@@ -249,7 +249,7 @@ def compile_runs(
     if host is None:
 
         def whole(world: World, key: jax.Array, agents: Array) -> tuple[Traffic, Recording | None]:
-            able, active = select_active_agents(world, config, agents)
+            able, active = _select_active_agents(world, config, agents)
             outcome = _run(able, chance.seed_of(key), config, active, keep)
             return finish(world, outcome, agents)
 

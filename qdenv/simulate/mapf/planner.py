@@ -24,7 +24,7 @@ from qdenv.types import Array
 
 NOBODY = -1  # stands where an agent's number could stand
 UNREACHABLE = 32_000  # steps to where no way leads, on grids of at most so many cells
-UNREACHABLE_AFAR = 1 << 20  # likewise on larger ones, of a thousand rows and columns at most
+_UNREACHABLE_AFAR = 1 << 20  # likewise on larger ones, of a thousand rows and columns at most
 
 
 def steps_type(cells: int) -> type[np.int16] | type[np.int32]:
@@ -34,7 +34,7 @@ def steps_type(cells: int) -> type[np.int16] | type[np.int32]:
 
 def unreachable(cells: int) -> int:
     """Give the number that stands for no way on a grid of this many cells, above all distances."""
-    return UNREACHABLE if cells <= UNREACHABLE else UNREACHABLE_AFAR
+    return UNREACHABLE if cells <= UNREACHABLE else _UNREACHABLE_AFAR
 
 
 @flax.struct.dataclass

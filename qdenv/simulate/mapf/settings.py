@@ -16,7 +16,7 @@ from qdenv.types import InputError, look_up
 if TYPE_CHECKING:
     from qdenv.simulate.mapf.planner import Planner
 
-MOST_TIMESTEPS = 10_000_000
+_MOST_TIMESTEPS = 10_000_000
 MOST_STEPS = 2**31 - 1  # agent-steps, which are counted in 32 bits
 
 # An entry's maker is called as make(settings) and returns a `Planner`.
@@ -50,8 +50,8 @@ class FleetConfig(Ranged):
     def __post_init__(self) -> None:
         """Refuse numbers that make no simulation, and what is no planner's settings."""
         super().__post_init__()
-        if self.timesteps > MOST_TIMESTEPS or self.agents * self.timesteps > MOST_STEPS:
-            most = max(1, min(MOST_TIMESTEPS, MOST_STEPS // self.agents))
+        if self.timesteps > _MOST_TIMESTEPS or self.agents * self.timesteps > MOST_STEPS:
+            most = max(1, min(_MOST_TIMESTEPS, MOST_STEPS // self.agents))
             raise InputError(
                 f"{self.agents} agents over {self.timesteps} timesteps are more than a run can "
                 f"count: simulate at most {most} timesteps"
@@ -70,7 +70,7 @@ class FleetConfig(Ranged):
 
 
 OWN = "negotiated"  # the planner where none is named, and the only one with efforts
-SILENT = "backend"  # a setting that decides no result: reports leave it out
+_SILENT = "backend"  # a setting that decides no result: reports leave it out
 
 
 def find_planner(effort: str | None = None, planner: Any = "", usual: str = "high") -> Any:
@@ -113,7 +113,7 @@ def describe_planner(settings: Any) -> str:
         words, said = [name, f"{effort} effort"], others[effort]
     for key, value in said.items():
         number = f"{value:g}" if isinstance(value, float) else value
-        words += [f"{key.replace('_', ' ')} {number}"] * (key != SILENT)
+        words += [f"{key.replace('_', ' ')} {number}"] * (key != _SILENT)
     return ", ".join(words)
 
 

@@ -13,7 +13,7 @@ from qdenv.lazy import jax, jnp
 from qdenv.simulate.maze.policy import Memory, Tables, Weights, act, blank_memory, recur
 from qdenv.simulate.maze.world import FORWARD, TURN_LEFT, Pose
 
-FEWEST = 12  # episodes below which dropping some saves nothing
+_FEWEST = 12  # episodes below which dropping some saves nothing
 
 
 class Episode(NamedTuple):
@@ -119,7 +119,7 @@ def run_episodes(weights: Weights, tables: Tables, keys: jax.Array, timesteps: i
     place, t = jnp.arange(keys.shape[0]), jnp.int32(0)  # which episodes `now` holds
     success, length, actions = now.success, now.length, now.actions
     while place.size:
-        rest = place.size // 2 if place.size >= FEWEST else 0
+        rest = place.size // 2 if place.size >= _FEWEST else 0
         t, now = _until_few(weights, tables, draws[place], rest, (t, now))
         success = success.at[place].set(now.success)
         length = length.at[place].set(now.length)

@@ -30,8 +30,8 @@ from qdenv.types import Array, InputError
 
 VIEW, WINDOW, CHANNELS, FILTERS, COMPASS, HEAD = 5, 3, 3, 16, 5, 32
 PATCHES = VIEW - WINDOW + 1
-FEATURES = FILTERS * PATCHES * PATCHES + COMPASS
-NUMBERS = Column()
+_FEATURES = FILTERS * PATCHES * PATCHES + COMPASS
+_NUMBERS = Column()
 
 
 class Weights(NamedTuple):
@@ -85,14 +85,14 @@ def _dense_kernel(kernel: Array) -> jax.Array:
     return dense.reshape(VIEW * VIEW * CHANNELS, FILTERS * PATCHES * PATCHES)
 
 
-def trailing(bias: Array, axes: int) -> jax.Array:
+def _trailing(bias: Array, axes: int) -> jax.Array:
     """Give a vector leading axes of length one, `axes` in all."""
     return jnp.expand_dims(bias, tuple(range(axes - 1)))
 
 
-def affine(inputs: Array, kernel: Array, bias: Array) -> jax.Array:
+def _affine(inputs: Array, kernel: Array, bias: Array) -> jax.Array:
     """Multiply by `kernel` [m, n] and add `bias` [n] (float32 [..., m] -> [..., n])."""
-    return jnp.matmul(inputs, kernel) + trailing(bias, inputs.ndim)
+    return jnp.matmul(inputs, kernel) + _trailing(bias, inputs.ndim)
 
 
 def encode(weights: Weights, image: Array, compass: Array) -> jax.Array:
@@ -107,11 +107,11 @@ def encode(weights: Weights, image: Array, compass: Array) -> jax.Array:
         float32 [..., 4 L].
     """
     flat = image.reshape(*image.shape[:-3], -1)
-    seen = affine(flat, _dense_kernel(weights.kernel), jnp.repeat(weights.kernel_bias, PATCHES**2))
-    facing = affine(compass, weights.compass, weights.compass_bias)
+    seen = _affine(flat, _dense_kernel(weights.kernel), jnp.repeat(weights.kernel_bias, PATCHES**2))
+    facing = _affine(compass, weights.compass, weights.compass_bias)
     split = seen.shape[-1]
     gates = jax.nn.relu(seen) @ weights.gates_in[:split] + facing @ weights.gates_in[split:]
-    return gates + trailing(weights.gates_bias, gates.ndim)
+    return gates + _trailing(weights.gates_bias, gates.ndim)
 
 
 def recur(weights: Weights, gates: Array, memory: Memory) -> Memory:
@@ -124,14 +124,14 @@ def recur(weights: Weights, gates: Array, memory: Memory) -> Memory:
 
 def act(weights: Weights, hidden: Array) -> jax.Array:
     """Score the actions (float32 [..., L] -> logits float32 [..., N])."""
-    inner = jnp.tanh(affine(hidden, weights.actor, weights.actor_bias))
-    return affine(inner, weights.logits, weights.logits_bias)
+    inner = jnp.tanh(_affine(hidden, weights.actor, weights.actor_bias))
+    return _affine(inner, weights.logits, weights.logits_bias)
 
 
 def estimate_value(weights: Weights, hidden: Array) -> jax.Array:
     """Estimate the return (float32 [..., L] -> float32 [...])."""
-    inner = jnp.tanh(affine(hidden, weights.critic, weights.critic_bias))
-    return affine(inner, weights.value, weights.value_bias)[..., 0]
+    inner = jnp.tanh(_affine(hidden, weights.critic, weights.critic_bias))
+    return _affine(inner, weights.value, weights.value_bias)[..., 0]
 
 
 def shapes(units: int, actions: int) -> dict[str, tuple[int, ...]]:
@@ -141,7 +141,7 @@ def shapes(units: int, actions: int) -> dict[str, tuple[int, ...]]:
         "kernel_bias": (FILTERS,),
         "compass": (4, COMPASS),
         "compass_bias": (COMPASS,),
-        "gates_in": (FEATURES, 4 * units),
+        "gates_in": (_FEATURES, 4 * units),
         "gates_back": (units, 4 * units),
         "gates_bias": (4 * units,),
         "actor": (units, HEAD),
@@ -206,7 +206,7 @@ def load_weights(path: str | Path = "") -> Weights:
     path = Path(path) if path else shipped_agent()
     if not path.exists():
         raise InputError(f"there is no agent {path}: train or convert one first")
-    arrays = read_arrays(path, dict.fromkeys(Weights._fields, NUMBERS), others=None)
+    arrays = read_arrays(path, dict.fromkeys(Weights._fields, _NUMBERS), others=None)
     return check_weights(Weights(**arrays), str(path))
 
 

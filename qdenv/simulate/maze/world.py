@@ -20,7 +20,7 @@ EMPTY, WALL, GOAL = 0, 1, 2  # GOAL is a kind of view cell, not a tile
 TURN_LEFT, TURN_RIGHT, FORWARD = 0, 1, 2
 HEADINGS = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])  # (row, column) step of each heading
 REACH = 4  # cells the view extends ahead; also the padding that makes every view fall inside
-CODES = np.array([(1, 0, 0), (2, 5, 0), (8, 1, 0)], np.float32)  # channels of empty, wall, goal
+_CODES = np.array([(1, 0, 0), (2, 5, 0), (8, 1, 0)], np.float32)  # channels of empty, wall, goal
 
 
 class Course(NamedTuple):
@@ -100,7 +100,7 @@ def canvas(layout: Array, goal: Array) -> jax.Array:
     return jnp.pad(kinds, REACH, constant_values=WALL)
 
 
-def view_offsets(width: int) -> np.ndarray:
+def _view_offsets(width: int) -> np.ndarray:
     """List how far each view cell lies from the agent on a canvas `width` wide.
 
     Returns:
@@ -125,13 +125,13 @@ def view(kinds: Array, place: Array, heading: Array) -> jax.Array:
     Returns:
         int8 [5, 5] of view kinds, indexed [x, y].
     """
-    offsets = jnp.asarray(view_offsets(kinds.shape[1]))
+    offsets = jnp.asarray(_view_offsets(kinds.shape[1]))
     return jnp.asarray(kinds).reshape(-1)[place + offsets[heading]]
 
 
 def image(kinds: Array) -> jax.Array:
     """Code a view for the network (int8 [..., 5, 5] -> float32 [..., 5, 5, 3], a tenth of ints)."""
-    return (jnp.asarray(CODES) / 10)[kinds.astype(jnp.int32)]
+    return (jnp.asarray(_CODES) / 10)[kinds.astype(jnp.int32)]
 
 
 def on_canvas(position: jax.Array, width: int) -> jax.Array:

@@ -37,8 +37,8 @@ from qdenv.view.style import FONTS, WARNING, new_figure
 from qdenv.view.traffic import draw_panel, scene_of
 
 WIDTH, MAP, HEATMAP = 6.8, 5.6, 5.2  # inches of figures, maps of floor plans, and archives
-TALL = 0.78  # of its width: the height of the heat map
-PACKAGES = ("qdenv", "jax", "numpy", "numba", "highspy", "matplotlib")
+_TALL = 0.78  # of its width: the height of the heat map
+_PACKAGES = ("qdenv", "jax", "numpy", "numba", "highspy", "matplotlib")
 
 listed, interval, percent_range = (
     FILTERS[name] for name in ("listed", "interval", "percent_range")
@@ -71,7 +71,7 @@ def make_report(
         **content: of the template.
     """
     machine = f"{platform.system()} on {platform.machine()}, {devices.threads()} threads"
-    versions = package_versions(PACKAGES)
+    versions = package_versions(_PACKAGES)
     versions |= {"Python": platform.python_version(), "machine": machine}
     page = make_page(
         template,
@@ -291,7 +291,7 @@ def _search(subject: Subject, place: int) -> dict[str, Any]:
     assert run is not None and elite is not None
     schema, archive, heat_svg = run.schema, run.archive, ""
     if len(schema.measures) <= 2:
-        heat = new_figure(HEATMAP, TALL * HEATMAP)
+        heat = new_figure(HEATMAP, _TALL * HEATMAP)
         columns = archive.columns
         filled = scatter_objectives(columns["index"], columns["objective"], schema.measures)
         draw_archive(heat, filled, schema.measures, label=schema.objective)

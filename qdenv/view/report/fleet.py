@@ -16,7 +16,7 @@ from qdenv.study.table import Row, find_peak
 from qdenv.study.traffic import Study, examine
 from qdenv.view.report.subjects import Rival, Subject, find_rival
 
-SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)  # of the number of agents that is asked about
+_SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)  # of the number of agents that is asked about
 
 
 class Asked(NamedTuple):
@@ -94,7 +94,7 @@ def ask(
 
 def around(agents: int, most: int) -> tuple[int, ...]:
     """Choose numbers of agents around one, none larger than what fits."""
-    return tuple(sorted({min(max(1, round(share * agents)), most) for share in SHARES}))
+    return tuple(sorted({min(max(1, round(share * agents)), most) for share in _SHARES}))
 
 
 def study(
@@ -110,7 +110,7 @@ def study(
         progress: hears how far it is.
     """
     tasks = asked.subjects[0].plan.domain.simulator.tasks
-    layouts = layouts_of(asked)
+    layouts = _layouts_of(asked)
     trial = Trial(tasks, asked.config, asked.counts, asked.seeds)
     rows = compare(layouts, trial, told, progress)
     agents = asked.agents
@@ -127,7 +127,7 @@ def study(
     return Found(asked, agents, rows, studies)
 
 
-def layouts_of(asked: Asked) -> dict[str, np.ndarray]:
+def _layouts_of(asked: Asked) -> dict[str, np.ndarray]:
     """List all that is simulated by name: the subjects, then the hand-made layouts."""
     rivals = {one.name: one.layout for one in asked.rivals if one.layout is not None}
     return {one.name: one.layout for one in asked.subjects} | rivals
@@ -143,4 +143,4 @@ def seconds_for(asked: Asked, row: Row, threads: int) -> float:
     """
     per_agent = row.cpu_seconds_per_run * row.runs / row.agents / threads
     closely = (asked.agents or max(asked.counts)) * len(asked.subjects)
-    return per_agent * (len(layouts_of(asked)) * sum(asked.counts) + closely)
+    return per_agent * (len(_layouts_of(asked)) * sum(asked.counts) + closely)

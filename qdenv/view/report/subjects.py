@@ -17,8 +17,8 @@ from qdenv.types import InputError
 from qdenv.view.page import FILTERS
 from qdenv.zoo import PREFIX, file_name
 
-HAND_MADE = "hand-made"
-SHOWN = "At the right is what people draw by hand at this size."
+_HAND_MADE = "hand-made"
+_SHOWN = "At the right is what people draw by hand at this size."
 
 
 class Subject(NamedTuple):
@@ -139,7 +139,7 @@ def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival:
         return Rival("", None, f"This is the very layout that people draw by hand at {size}.")
     same = [one.name for one in subjects if np.array_equal(one.layout, layout)]
     sizes = {one.layout.shape for one in subjects}
-    name = same[0] if same else HAND_MADE if len(sizes) == 1 else f"{HAND_MADE} {size}"
+    name = same[0] if same else _HAND_MADE if len(sizes) == 1 else f"{_HAND_MADE} {size}"
     return Rival(name, layout, _compared(subject, domain.fitted(layout).numbers))
 
 
@@ -148,10 +148,10 @@ def _compared(subject: Subject, theirs: Mapping[str, int]) -> str:
     own = subject.numbers
     if own == theirs:
         alike = ", ".join(f"{number} {name}" for name, number in own.items())
-        return f"{SHOWN} Both hold {alike}."
+        return f"{_SHOWN} Both hold {alike}."
     others = [
         f"{theirs[name]} {name} where this one has {own[name]}"
         for name in own
         if own[name] != theirs[name]
     ]
-    return f"{SHOWN} It holds {', '.join(others)}: the design leaves no choice of that."
+    return f"{_SHOWN} It holds {', '.join(others)}: the design leaves no choice of that."

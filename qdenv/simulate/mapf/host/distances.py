@@ -19,15 +19,15 @@ from qdenv.native import Scalar, formula, kernel
 from qdenv.simulate.mapf.host.state import GridMap
 from qdenv.simulate.mapf.planner import NOBODY, steps_type, unreachable
 
-UNKNOWN = -1
-NO_PAGE = 0  # a page that holds nothing but UNKNOWN: tiles of a field without a page share it
-WHOLE_SIDE = 64  # a grid with at most this many rows and columns is one page
-PAGE_SIDE = 16
-SHARE = 8  # a field is expected to need one page in this many
-LOW_SHARE = 4  # buffers grow if no more than one row or page in this many is free
-SLACK = 12  # steps longer than the shortest way that a first search measures as well
-REACHES = 6  # searches of a field after which the next one measures all of it
-COMPLETE = 127  # of `DistanceFields.extent`, which else counts the searches
+_UNKNOWN = -1
+_NO_PAGE = 0  # a page that holds nothing but UNKNOWN: tiles of a field without a page share it
+_WHOLE_SIDE = 64  # a grid with at most this many rows and columns is one page
+_PAGE_SIDE = 16
+_SHARE = 8  # a field is expected to need one page in this many
+_LOW_SHARE = 4  # buffers grow if no more than one row or page in this many is free
+_SLACK = 12  # steps longer than the shortest way that a first search measures as well
+_REACHES = 6  # searches of a field after which the next one measures all of it
+_COMPLETE = 127  # of `DistanceFields.extent`, which else counts the searches
 INDICES = (1 << 31) - 1  # a masked index is known not to count from the end
 
 
@@ -37,7 +37,7 @@ class DistanceFields(NamedTuple):
     row: np.ndarray  # int32 [G], the row of each goal's field, or `NOBODY`
     extent: np.ndarray  # int8 [R], how often a field was measured, see `_measure`
     page: np.ndarray  # int32 [R, tiles], the page of each tile of the grid
-    steps: np.ndarray  # [S, cells of a page], distances (`planner.steps_type`), or `UNKNOWN`
+    steps: np.ndarray  # [S, cells of a page], distances (`planner.steps_type`), or `_UNKNOWN`
     tile: np.ndarray  # int32 [N], the tile of each cell
     place: np.ndarray  # int32 [N], where in its page each cell lies
     free_rows: np.ndarray  # int32 [R], a stack
@@ -46,7 +46,7 @@ class DistanceFields(NamedTuple):
     num_free_pages: Scalar  # int64 []
     is_full: Scalar  # bool [], a distance could not be measured for lack of rows or pages
     queue: np.ndarray  # int64 [2, 4 N], cells that wait in a search
-    # [N], distances found by the search under way; between searches all `UNKNOWN`
+    # [N], distances found by the search under way; between searches all `_UNKNOWN`
     found: np.ndarray
     order: np.ndarray  # int32 [N], the cells of `found`, as they were found
     unreachable: int  # the distance to where no way leads
@@ -62,14 +62,14 @@ def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) 
         pages: number of pages at a time; 0 for what such fields are expected to need.
     """
     cells = shape[0] * shape[1]
-    side = WHOLE_SIDE if max(shape) <= WHOLE_SIDE else PAGE_SIDE
+    side = _WHOLE_SIDE if max(shape) <= _WHOLE_SIDE else _PAGE_SIDE
     row, column = np.divmod(np.arange(cells, dtype=np.int32), shape[1])
     tiles_across = -(-shape[1] // side)
     tiles = -(-shape[0] // side) * tiles_across
-    pages = pages or 1 + max(rows, rows * tiles // SHARE)
+    pages = pages or 1 + max(rows, rows * tiles // _SHARE)
     # Not initialised: a page takes memory once it is used, but for the first, never written again.
     steps: np.ndarray = np.empty((pages, side * side), steps_type(cells))
-    steps[NO_PAGE] = UNKNOWN
+    steps[_NO_PAGE] = _UNKNOWN
     return DistanceFields(
         row=np.full(goals, NOBODY, np.int32),
         extent=np.zeros(rows, np.int8),
@@ -78,12 +78,12 @@ def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) 
         tile=row // side * tiles_across + column // side,
         place=row % side * side + column % side,
         free_rows=np.arange(rows, dtype=np.int32)[::-1].copy(),
-        free_pages=np.arange(pages, dtype=np.int32)[:NO_PAGE:-1].copy(),
+        free_pages=np.arange(pages, dtype=np.int32)[:_NO_PAGE:-1].copy(),
         num_free_rows=np.array(rows, np.int64),
         num_free_pages=np.array(pages - 1, np.int64),
         is_full=np.array(False),
         queue=np.empty((2, 4 * cells), np.int64),
-        found=np.full(cells, UNKNOWN, steps_type(cells)),
+        found=np.full(cells, _UNKNOWN, steps_type(cells)),
         order=np.empty(cells, np.int32),
         unreachable=unreachable(cells),
     )
@@ -96,12 +96,12 @@ def make_room(fields: DistanceFields, needed: np.ndarray) -> DistanceFields:
     dropped = np.flatnonzero((fields.row != NOBODY) & ~spared)
     rows = fields.row[dropped]
     tables = fields.page[rows]
-    pages = tables[tables != NO_PAGE]
+    pages = tables[tables != _NO_PAGE]
     _push(fields.free_rows, fields.num_free_rows, rows)
     _push(fields.free_pages, fields.num_free_pages, pages)
-    fields.page[rows], fields.extent[rows], fields.row[dropped] = NO_PAGE, 0, NOBODY
+    fields.page[rows], fields.extent[rows], fields.row[dropped] = _NO_PAGE, 0, NOBODY
     old = fields.extent.size
-    if fields.num_free_rows <= old // LOW_SHARE:
+    if fields.num_free_rows <= old // _LOW_SHARE:
         fields = fields._replace(
             extent=np.concatenate([fields.extent, np.zeros(old, np.int8)]),
             page=np.concatenate([fields.page, np.zeros_like(fields.page)]),
@@ -109,7 +109,7 @@ def make_room(fields: DistanceFields, needed: np.ndarray) -> DistanceFields:
         )
         _push(fields.free_rows, fields.num_free_rows, np.arange(old, 2 * old))
     old, cells = fields.steps.shape
-    if fields.num_free_pages <= old // LOW_SHARE:
+    if fields.num_free_pages <= old // _LOW_SHARE:
         steps = np.empty((2 * old, cells), fields.steps.dtype)
         steps[:old] = fields.steps
         stack = np.concatenate([fields.free_pages, np.zeros(old + 1, np.int32)])
@@ -135,7 +135,7 @@ def distance(fields: DistanceFields, grid: GridMap, goal: int, cell: int) -> int
     if row != NOBODY:
         page = fields.page[row & INDICES, fields.tile[cell] & INDICES]
         steps = fields.steps[page & INDICES, fields.place[cell] & INDICES]
-        if steps != UNKNOWN:
+        if steps != _UNKNOWN:
             return steps + 0  # as a number of 64 bits
     return _measure(fields, grid, goal, cell)
 
@@ -152,12 +152,12 @@ def _measure(fields: DistanceFields, grid: GridMap, goal: int, cell: int) -> int
         fields.num_free_rows[()] -= 1
         fields.row[goal] = fields.free_rows[fields.num_free_rows[()]]
     row, begin = fields.row[goal], grid.goals[goal]
-    if fields.extent[row] == COMPLETE or not grid.free[begin]:
+    if fields.extent[row] == _COMPLETE or not grid.free[begin]:
         return fields.unreachable
     # Small fields are cheap, and goals that many agents head for are soon needed everywhere.
     before = fields.extent[row]
-    if before == REACHES or fields.page.shape[1] == 1:
-        fields.extent[row] = COMPLETE
+    if before == _REACHES or fields.page.shape[1] == 1:
+        fields.extent[row] = _COMPLETE
         count = _flood(fields, grid, begin)
     else:
         fields.extent[row] = before + 1
@@ -166,7 +166,7 @@ def _measure(fields: DistanceFields, grid: GridMap, goal: int, cell: int) -> int
     if not _store(fields, row, count):
         fields.extent[row], fields.is_full[()] = before, True
         return fields.unreachable
-    return steps if steps != UNKNOWN else fields.unreachable
+    return steps if steps != _UNKNOWN else fields.unreachable
 
 
 @kernel
@@ -176,7 +176,7 @@ def _store(fields: DistanceFields, row: int, count: int) -> bool:
     for index in range(count):
         cell = fields.order[index]
         fits = fits and _write(fields, row, cell, fields.found[cell])
-        fields.found[cell] = UNKNOWN
+        fields.found[cell] = _UNKNOWN
     return fits
 
 
@@ -185,14 +185,14 @@ def _write(fields: DistanceFields, row: int, cell: int, steps: int) -> bool:
     """Write a distance; returns False if it lies on a new page and none is free."""
     tile = fields.tile[cell]
     page = fields.page[row, tile]
-    if page == NO_PAGE:
+    if page == _NO_PAGE:
         if fields.num_free_pages[()] == 0:
             return False
         fields.num_free_pages[()] -= 1
         page = fields.free_pages[fields.num_free_pages[()]]
         fields.page[row, tile] = page
         for place in range(fields.steps.shape[1]):
-            fields.steps[page, place] = UNKNOWN
+            fields.steps[page, place] = _UNKNOWN
     fields.steps[page, fields.place[cell]] = steps
     return True
 
@@ -214,7 +214,7 @@ def _flood(fields: DistanceFields, grid: GridMap, begin: int) -> int:
         head += 1
         for move in range(1, NUM_MOVES):
             other = cell + grid.steps[move]
-            if grid.free[other] and fields.found[other] == UNKNOWN:
+            if grid.free[other] and fields.found[other] == _UNKNOWN:
                 count = _find(fields, count, other, fields.found[cell] + 1)
     return count
 
@@ -236,17 +236,17 @@ def _reach(fields: DistanceFields, grid: GridMap, begin: int, target: int) -> in
         while sizes_this > 0:
             sizes_this -= 1
             cell = fields.queue[this, sizes_this]
-            if fields.found[cell] != UNKNOWN:
+            if fields.found[cell] != _UNKNOWN:
                 continue
             at_row = cell // width
             at_column = cell - at_row * width
             left = abs(at_row - target_row) + abs(at_column - target_column)
             count = _find(fields, count, cell, length - left)
             if cell == target:
-                longest = length + SLACK
+                longest = length + _SLACK
             for move in range(1, NUM_MOVES):
                 other = cell + grid.steps[move]
-                if not grid.free[other] or fields.found[other] != UNKNOWN:
+                if not grid.free[other] or fields.found[other] != _UNKNOWN:
                     continue
                 across = abs(at_column + (move == RIGHT) - (move == LEFT) - target_column)
                 nearer = across + abs(at_row + (move == DOWN) - (move == UP) - target_row)

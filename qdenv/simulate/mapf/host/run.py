@@ -14,7 +14,7 @@ from qdenv.simulate.mapf.host.windows import DONE, FIELDS_FULL, make_fallback
 from qdenv.simulate.mapf.metrics import Outcome
 from qdenv.simulate.mapf.planner import HostPlanner, World
 
-SPARE_ROWS = 64  # fields of distances for more goals than two per agent
+_SPARE_ROWS = 64  # fields of distances for more goals than two per agent
 
 
 def simulate_in_callback(
@@ -76,7 +76,7 @@ def run_to_the_end(planner: HostPlanner, run: HostRun, shape: tuple[int, ...]) -
     A window for which a buffer is too small is planned again with a larger one.
     """
     goals, agents = run.grid.goals.size, run.agents.position.size
-    fields = empty_fields((shape[0], shape[1]), goals, min(goals, 2 * agents + SPARE_ROWS))
+    fields = empty_fields((shape[0], shape[1]), goals, min(goals, 2 * agents + _SPARE_ROWS))
     fallback, size = make_fallback(run, planner.fallback_waits), 1
     plan = planner.make_plan(run, size)
     while (status := planner.run_windows(run, fields, plan, fallback)) != DONE:

@@ -14,7 +14,7 @@ from qdenv.simulate.mapf.metrics import Block
 from qdenv.simulate.mapf.planner import World, unpad
 from qdenv.simulate.mapf.tasks import KNOWN, serve
 
-AGENT_BITS = 24
+_AGENT_BITS = 24
 
 
 class GridMap(NamedTuple):
@@ -220,13 +220,13 @@ def _draw_goal(grid: GridMap, kind: int, bits: int) -> int:
 @formula
 def ranked(number: int, agent: int) -> int:
     """Pack a number (0 to 2^38) and an agent: packs sort by number, then by agent."""
-    return (number << AGENT_BITS) | agent
+    return (number << _AGENT_BITS) | agent
 
 
 @formula
 def agent_of(pack: int) -> int:
     """Read the agent of a pack."""
-    return pack & ((1 << AGENT_BITS) - 1)
+    return pack & ((1 << _AGENT_BITS) - 1)
 
 
 @kernel

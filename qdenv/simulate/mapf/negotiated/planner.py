@@ -44,7 +44,7 @@ def negotiated(config: NegotiatedConfig) -> Planner:
         # Sets of cells broadcast over agents on purpose, also where a caller forbids it at large.
         with jax.numpy_rank_promotion("allow"):
             result = negotiate(config, world, near, horizon, seed)
-            paths = fall_back(config, world, near, horizon, result, key)
+            paths = _fall_back(config, world, near, horizon, result, key)
         rest = jnp.broadcast_to(paths[-1], (window - ahead, paths.shape[1]))
         return jnp.concatenate([paths, rest])
 
@@ -52,7 +52,7 @@ def negotiated(config: NegotiatedConfig) -> Planner:
     return Planner(plan, MAX_WINDOW, MAX_SERVICE, MARGIN, on_host)
 
 
-def fall_back(
+def _fall_back(
     config: NegotiatedConfig,
     world: World,
     state: AgentState,

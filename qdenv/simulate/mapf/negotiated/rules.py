@@ -28,7 +28,7 @@ from qdenv.grid import DOWN, LEFT, RIGHT, UP
 from qdenv.native import shared
 from qdenv.simulate.mapf.planner import NOBODY
 
-ROUND_TIE_BREAK = 0x5851  # times the round: ties are broken in another way in every round
+_ROUND_TIE_BREAK = 0x5851  # times the round: ties are broken in another way in every round
 SWEEPS = 3  # of the greedy choice; an odd number errs towards choosing too few
 
 Value = TypeVar("Value", int, jax.Array)
@@ -207,7 +207,7 @@ def tie_break_of(bits: Value) -> Value:
 @shared
 def tie_break_of_round(tie_break: Value, turn: Value) -> Value:
     """Change an agent's random bits from round to round."""
-    return tie_break ^ (turn * ROUND_TIE_BREAK)
+    return tie_break ^ (turn * _ROUND_TIE_BREAK)
 
 
 @shared

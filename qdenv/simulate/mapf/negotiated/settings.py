@@ -14,11 +14,11 @@ from qdenv.types import InputError
 MAX_WINDOW = 10  # a square of 2 * 10 + 1 columns around any cell lies within one packed word
 MAX_SERVICE = 20  # timesteps served so far are one bit of a 32-bit word, a whole window longer
 MARGIN = MAX_WINDOW  # so that no agent sees beyond the border
-MAX_CONFLICT_LEVELS = 4  # more would not fit into the code of a path's end
+_MAX_CONFLICT_LEVELS = 4  # more would not fit into the code of a path's end
 
 
-LARGEST = 1_000_000  # of any number: more fits into no count of costs
-_Number = Annotated[int, Interval(ge=1, le=LARGEST)]
+_LARGEST = 1_000_000  # of any number: more fits into no count of costs
+_Number = Annotated[int, Interval(ge=1, le=_LARGEST)]
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class NegotiatedConfig(Ranged):
     lookahead: _Number = 10  # timesteps planned without conflict, at most the simulation's window
     lanes: _Number = 4  # agents that plan against the same reservations in one round
     # most rounds, in units of ``agents / lanes``
-    rounds: Annotated[float, Interval(gt=0, le=LARGEST)] = 12.0
+    rounds: Annotated[float, Interval(gt=0, le=_LARGEST)] = 12.0
     # how finely the soft conflicts of a path are counted: the numbers 0, 1, ... told apart, the
     # last of which stands for all larger ones; 1 to 4.
-    conflict_levels: Annotated[int, Interval(ge=1, le=MAX_CONFLICT_LEVELS)] = 4
+    conflict_levels: Annotated[int, Interval(ge=1, le=_MAX_CONFLICT_LEVELS)] = 4
     # timesteps an agent would rather lose than drive over one reservation, at its first, second,
     # ... attempt within a window; the last is used from then on.
-    penalties: tuple[Annotated[float, Interval(ge=0, le=LARGEST)], ...] = (
+    penalties: tuple[Annotated[float, Interval(ge=0, le=_LARGEST)], ...] = (
         *(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5),
         *(4.5, 5.5, 6.5, 8.5, 11.0, 16.0),
     )

@@ -29,7 +29,7 @@ from qdenv.simulate.mapf.planner import NOBODY
 UP, DOWN = 0, 1  # from an agent to those above it, or to those below
 OLD, NEW = 0, 1  # of a change
 TIME_BIT, FIRST_BIT, AGENT_BITS = 48, 24, 24  # of a conflict, which sorts by its time
-REPLANS_PER_AGENT = 5  # within a node, beyond which it is given up
+_REPLANS_PER_AGENT = 5  # within a node, beyond which it is given up
 INCONSISTENT = -1
 
 
@@ -192,7 +192,7 @@ def resolve(
         One past the conflicts of the new plan, or `INCONSISTENT`; then no agent waits either.
     """
     plan, order, queue, conflicts = work.plan, work.order, work.queue, work.tree.conflict
-    budget = REPLANS_PER_AGENT * queue.num_near.size
+    budget = _REPLANS_PER_AGENT * queue.num_near.size
     while waiting > 0:
         agent = _take_highest(queue, order, waiting)
         waiting -= 1

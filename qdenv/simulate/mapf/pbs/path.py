@@ -25,15 +25,15 @@ from qdenv.simulate.mapf.pbs.workspace import (
 )
 
 NO_PATH = -1
-MOVE_BITS = 5  # an agent is here, and leaves right, left, down, up: one bit each
+_MOVE_BITS = 5  # an agent is here, and leaves right, left, down, up: one bit each
 HERE = 1
-LAST_SEARCH = (1 << (31 - MOVE_BITS)) - 1
+_LAST_SEARCH = (1 << (31 - _MOVE_BITS)) - 1
 
 
 @kernel
 def forget_reservations(table: ReservationTable) -> None:
     """Begin with no reservations."""
-    if table.search[()] >= LAST_SEARCH:
+    if table.search[()] >= _LAST_SEARCH:
         table.entry[:] = 0
         table.search[()] = 0
     table.search[()] += 1
@@ -57,15 +57,15 @@ def reserve_path(table: ReservationTable, plan: JointPlan, agent: int, width: in
 def reserve(table: ReservationTable, t: int, cell: int, bits: int) -> None:
     """Reserve a cell at a timestep."""
     old, number = table.entry[t, cell], table.search[()]
-    fresh = (number << MOVE_BITS) | bits
-    table.entry[t, cell] = old | bits if old >> MOVE_BITS == number else fresh
+    fresh = (number << _MOVE_BITS) | bits
+    table.entry[t, cell] = old | bits if old >> _MOVE_BITS == number else fresh
 
 
 @formula
 def _bits_at(table: ReservationTable, t: int, cell: int) -> int:
     """Read the bits of a cell at a timestep."""
     entry = table.entry[t, cell]
-    return entry & ((1 << MOVE_BITS) - 1) if entry >> MOVE_BITS == table.search[()] else 0
+    return entry & ((1 << _MOVE_BITS) - 1) if entry >> _MOVE_BITS == table.search[()] else 0
 
 
 @kernel

@@ -57,7 +57,7 @@ from qdenv.simulate.mapf.pbs.workspace import (
 )
 from qdenv.simulate.mapf.planner import NOBODY, HostPlanner, Planner
 
-PREFERRED = 1 << 60  # taken off a conflict that comes first
+_PREFERRED = 1 << 60  # taken off a conflict that comes first
 
 
 def pbs(settings: PbsConfig) -> Planner:
@@ -66,7 +66,7 @@ def pbs(settings: PbsConfig) -> Planner:
     def make_plan(run: HostRun, size: int) -> Workspace:
         return make_workspace(run, settings, FIRST_DEPTH * size)
 
-    return Planner(None, MAX_WINDOW, host=HostPlanner(make_plan, run_windows))
+    return Planner(None, MAX_WINDOW, host=HostPlanner(make_plan, _run_windows))
 
 
 @shared
@@ -85,7 +85,7 @@ def _plan_window(
     return DONE
 
 
-run_windows = compile_windows(_plan_window)
+_run_windows = compile_windows(_plan_window)
 
 
 @kernel
@@ -238,12 +238,12 @@ def _choose_conflict(tree: SearchTree, first: int, last: int) -> tuple[int, int]
     Returns:
         The time of the earliest, the conflict chosen.
     """
-    earliest, best, chosen = tree.conflict[first], PREFERRED, tree.conflict[first]
+    earliest, best, chosen = tree.conflict[first], _PREFERRED, tree.conflict[first]
     for index in range(first, last):
         pack = tree.conflict[index]
         earliest = min(earliest, pack)
         _, one, two = parts_of(pack)
-        key = pack - PREFERRED if tree.dead_end[one, two] else pack
+        key = pack - _PREFERRED if tree.dead_end[one, two] else pack
         if key < best:
             best, chosen = key, pack
     return parts_of(earliest)[0], chosen

@@ -10,7 +10,7 @@ from qdenv.registry import Entry
 from qdenv.types import InputError
 
 MAX_WINDOW = 30  # the timesteps of conflicts are the bits of one word
-MOST_NODES = 1_000_000
+_MOST_NODES = 1_000_000
 
 Rule = Literal["published", "plain"]
 
@@ -25,7 +25,7 @@ class PbsConfig(Ranged):
     rule: Rule = "published"
     # most nodes of the search tree that are expanded per window, in units of the number of agents;
     # a window that is still unsolved is driven by PIBT where its best plan has conflicts
-    nodes_per_agent: Annotated[float, Interval(ge=0, le=MOST_NODES)] = 5.0
+    nodes_per_agent: Annotated[float, Interval(ge=0, le=_MOST_NODES)] = 5.0
 
     def __post_init__(self) -> None:
         """Refuse an unknown rule."""

@@ -19,21 +19,21 @@ DONE = NUM_GOALS  # the leg of an agent that has served both; legs 0 and 1 lead 
 HOLDING = DONE + 1  # added to the leg while an agent stays at its start against all reservations
 NO_STATE = -1
 FIRST_DEPTH = 512  # nodes of a branch that there are arrays for at first
-CHANGES_PER_NODE = 16
-CONFLICTS_PER_NODE = 4  # and agent
+_CHANGES_PER_NODE = 16
+_CONFLICTS_PER_NODE = 4  # and agent
 
 # The numbers of a path: the timestep at which it ends; the first timestep at which nothing binds
 # the agent to its start any more; how much longer than the shortest way the path is.
-PATH = np.dtype([("end", np.int32), ("bound", np.int32), ("delay", np.int32)])
+_PATH = np.dtype([("end", np.int32), ("bound", np.int32), ("delay", np.int32)])
 # A child of a node: who is put above whom, the delay of all paths together, and the range of the
 # changes that lead to it, and of its conflicts (end: one past the last).
-CHILD = np.dtype(
+_CHILD = np.dtype(
     [("high", np.int32), ("low", np.int32)]
     + [(name, np.int64) for name in ("cost", "first_change", "end_change")]
     + [(name, np.int64) for name in ("first_conflict", "end_conflict")]
 )
 # A node: number of children, and of those entered; changes and conflicts before the children.
-NODE = np.dtype(
+_NODE = np.dtype(
     [(name, np.int64) for name in ("num_children", "num_entered", "num_changes", "num_conflicts")]
 )
 
@@ -60,7 +60,7 @@ class JointPlan(NamedTuple):
     # int32 [w + 1, A], where they are; after a path's end a number of the agent's own below zero,
     # which is no cell
     cell: np.ndarray
-    path: np.ndarray  # `PATH` [A]
+    path: np.ndarray  # `_PATH` [A]
     delay: Scalar  # int64 [], the sum over all paths
     # int32 [A], the timesteps of conflicts of one agent with each other one, a bit each
     hit: np.ndarray
@@ -71,7 +71,7 @@ class Changes(NamedTuple):
 
     agent: np.ndarray  # int32 [R]
     cell: np.ndarray  # int32 [R, 2, w + 1], the column of `JointPlan.cell` before and after
-    path: np.ndarray  # `PATH` [R, 2], before and after
+    path: np.ndarray  # `_PATH` [R, 2], before and after
     num_changes: Scalar  # int64 []
 
 
@@ -130,8 +130,8 @@ class ReplanQueue(NamedTuple):
 class SearchTree(NamedTuple):
     """The branch of the search tree in hand; K conflicts."""
 
-    node: np.ndarray  # `NODE` [D]
-    child: np.ndarray  # `CHILD` [D, 2]
+    node: np.ndarray  # `_NODE` [D]
+    child: np.ndarray  # `_CHILD` [D, 2]
     order: np.ndarray  # int64 [D, 2], the children in the order in which they are searched
     conflict: np.ndarray  # int64 [K], the conflicts of all these nodes
     num_conflicts: Scalar  # int64 []
@@ -175,12 +175,12 @@ def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:
     order = PartialOrder(
         end, following, first, _number(), mark, _number(), np.zeros(agents, np.int32)
     )
-    room = CHANGES_PER_NODE * depth + 2 * agents
+    room = _CHANGES_PER_NODE * depth + 2 * agents
     tree = SearchTree(
-        _records(NODE, depth),
-        _records(CHILD, depth, 2),
+        _records(_NODE, depth),
+        _records(_CHILD, depth, 2),
         np.empty((depth, 2), np.int64),
-        np.empty((CONFLICTS_PER_NODE * depth + 64) * agents, np.int64),
+        np.empty((_CONFLICTS_PER_NODE * depth + 64) * agents, np.int64),
         _number(),
         np.array(False),
         np.zeros((agents, agents), np.bool_),
@@ -193,14 +193,14 @@ def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:
         _make_goals(agents, grid),
         JointPlan(
             np.zeros((window + 1, agents), np.int32),
-            _records(PATH, agents),
+            _records(_PATH, agents),
             _number(),
             np.zeros(agents, np.int32),
         ),
         Changes(
             np.empty(room, np.int32),
             np.empty((room, 2, window + 1), np.int32),
-            _records(PATH, room, 2),
+            _records(_PATH, room, 2),
             _number(),
         ),
         order,

@@ -41,16 +41,16 @@ def _plan_window(run: HostRun, fields: Any, plan: None, fallback: Fallback, seed
     return DONE
 
 
-run_windows = compile_windows(_plan_window)
+_run_windows = compile_windows(_plan_window)
 
 
 def pibt(settings: PibtConfig) -> Planner:
     """Make the planner; both backends give the same paths to the bit."""
-    on_host = HostPlanner(lambda run, size: None, run_windows)
+    on_host = HostPlanner(lambda run, size: None, _run_windows)
     return Planner(rollout, host=on_host if runs_on_host(settings.backend) else None)
 
 
-def preferences(
+def _preferences(
     world: World,
     distance: jax.Array,
     rows: jax.Array,
@@ -111,7 +111,7 @@ def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> ja
         order = jnp.argsort(rules.urgency(fixed, agents.age, rank)).astype(jnp.int32)
         tie_break = chance.draw_many(chance.draw(ties, rules.TIE_BREAKS + t), count)
         rows = jnp.take_along_axis(state.row, stage, axis=0)[0]
-        candidates, allowed = preferences(
+        candidates, allowed = _preferences(
             world, state.distance, rows, agents.position, fixed, tie_break
         )
         position = one_step(candidates, agents.position, allowed, order, size)

@@ -16,7 +16,7 @@ Number = TypeVar("Number", int, jax.Array)
 
 RANKS, TIE_BREAKS = 0, 1  # what is drawn for a rollout; the ties of step t by TIE_BREAKS + t
 RANK_BITS, TIE_BITS = 12, 5
-OLDEST = (1 << 17) - 1  # agents that have waited longer are equally urgent
+_OLDEST = (1 << 17) - 1  # agents that have waited longer are equally urgent
 
 
 @shared
@@ -28,8 +28,8 @@ def urgency(fixed: Number, age: Number, bits: Number) -> Number:
         age: timesteps since it last finished a task.
         bits: 32 random bits.
     """
-    age = age - (age > OLDEST) * (age - OLDEST)
-    return (1 - fixed) * (((OLDEST - age) << RANK_BITS) + (bits >> (32 - RANK_BITS)) + 1)
+    age = age - (age > _OLDEST) * (age - _OLDEST)
+    return (1 - fixed) * (((_OLDEST - age) << RANK_BITS) + (bits >> (32 - RANK_BITS)) + 1)
 
 
 @shared

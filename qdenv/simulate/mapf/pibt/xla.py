@@ -13,7 +13,7 @@ from qdenv.simulate.mapf.pibt.rules import is_admissible, is_pushed
 from qdenv.simulate.mapf.planner import NOBODY
 
 
-class Crowd(NamedTuple):
+class _Crowd(NamedTuple):
     """What does not change within one timestep."""
 
     candidates: jax.Array  # int32 [A, 5], cells from best to worst
@@ -54,7 +54,7 @@ def one_step(
     nobody = jnp.full((count + 1,), NOBODY, jnp.int32)
     on_no_cell = jnp.full((cells + 1,), NOBODY, jnp.int32)
     standing = on_no_cell.at[position].set(jnp.arange(count, dtype=jnp.int32))
-    crowd = Crowd(candidates, allowed, order, nobody.at[:count].set(position), standing)
+    crowd = _Crowd(candidates, allowed, order, nobody.at[:count].set(position), standing)
     first = Chain(
         next_cell=nobody,
         claimant=on_no_cell,
@@ -67,10 +67,10 @@ def one_step(
     def going(chain: Chain) -> jax.Array:
         return (chain.rank < count) | (chain.current != NOBODY)
 
-    return jax.lax.while_loop(going, lambda chain: visit(crowd, chain), first).next_cell[:count]
+    return jax.lax.while_loop(going, lambda chain: _visit(crowd, chain), first).next_cell[:count]
 
 
-def visit(crowd: Crowd, chain: Chain) -> Chain:
+def _visit(crowd: _Crowd, chain: Chain) -> Chain:
     """Let the agent whose turn it is try its next candidate.
 
     Index `NOBODY` (-1) reads the last entry of an array, which says `NOBODY` again; so no rule
@@ -98,10 +98,10 @@ def visit(crowd: Crowd, chain: Chain) -> Chain:
         current=follower.astype(jnp.int32),
         rank=chain.rank + taking,
     )
-    return settle(chain, good | fail, agent, jnp.where(good, cell, here))
+    return _settle(chain, good | fail, agent, jnp.where(good, cell, here))
 
 
-def settle(chain: Chain, settled: jax.Array, agent: jax.Array, cell: jax.Array) -> Chain:
+def _settle(chain: Chain, settled: jax.Array, agent: jax.Array, cell: jax.Array) -> Chain:
     """Write down, where `settled`, that `agent` takes `cell`; else write to nobody's entries."""
     return chain._replace(
         next_cell=chain.next_cell.at[jnp.where(settled, agent, NOBODY)].set(

@@ -18,7 +18,7 @@ from qdenv.simulate.mapf.planner import NOBODY
 PLANE = 12  # bits of a plane: a window of at most ten steps, and five planes below the sign
 WALL = -1 << 63  # the sign: a wall
 # Where in a word those stand who leave against each move.
-AGAINST = np.array([PLANE * rules.opposite(move) for move in range(NUM_MOVES)])
+_AGAINST = np.array([PLANE * rules.opposite(move) for move in range(NUM_MOVES)])
 
 
 class ReservationWords(NamedTuple):
@@ -55,7 +55,7 @@ def is_taken(word: int, t: int, move: int) -> int:
     """Return whether arriving in a cell by a move, from t to t + 1, conflicts (0 or 1)."""
     here = word >> t
     # Who leaves the cell against the move would be swapped with.
-    return (here | (here >> AGAINST[move])) & 1
+    return (here | (here >> _AGAINST[move])) & 1
 
 
 @formula

@@ -90,7 +90,7 @@ def host_planner(config: NegotiatedConfig) -> HostPlanner:
             make_arrays(window, config.conflict_levels, int(penalties.max())),
         )
 
-    return HostPlanner(make_plan, run_windows, config.last_resort == "wait")
+    return HostPlanner(make_plan, _run_windows, config.last_resort == "wait")
 
 
 @shared
@@ -110,7 +110,7 @@ def _plan_window(
     return DONE
 
 
-run_windows = compile_windows(_plan_window)
+_run_windows = compile_windows(_plan_window)
 
 
 @kernel

@@ -25,13 +25,13 @@ from qdenv.simulate.mapf.negotiated.numba.reservations import (
     is_taken,
 )
 
-NO_STATE = -1
-NOT_MEASURED = -1
+_NO_STATE = -1
+_NOT_MEASURED = -1
 # Where the parts of a state stand in its number.
 PLACE_BIT, TIME_BIT, LEG_BIT, CONFLICTS_BIT, ELAPSED_BIT = 24, 34, 39, 40, 44
 CELLS, PLACES, TIMES, LEGS, LEVELS = (1 << 24) - 1, (1 << 10) - 1, 31, 1, 15
-LEG_MARKS = 4  # marks of a leg: one per number of conflicts
-MARK_BITS = 2 * LEG_MARKS
+_LEG_MARKS = 4  # marks of a leg: one per number of conflicts
+_MARK_BITS = 2 * _LEG_MARKS
 
 
 class Agent(NamedTuple):
@@ -53,13 +53,13 @@ class SearchArrays(NamedTuple):
     # it one bit per leg and number of conflicts
     mark: np.ndarray
     served: np.ndarray  # int64 [L, 2, w + 1], bit e: a path has served for e timesteps
-    state: np.ndarray  # int64 [states], as `pack` makes them
+    state: np.ndarray  # int64 [states], as `_pack` makes them
     later: np.ndarray  # int32 [states], the next state that costs as much
     first: np.ndarray  # int32 [costs], the first state of each cost above the least possible one
     num_states: Scalar  # int64 [], states so far
     top: Scalar  # int64 [], the largest cost among them
     search: Scalar  # int64 [], the number of this search
-    between: Scalar  # int64 [], steps between the two goals, or `NOT_MEASURED`
+    between: Scalar  # int64 [], steps between the two goals, or `_NOT_MEASURED`
     steps: np.ndarray  # int64 [5], what each move adds to a place in sight
     side: int  # E
     levels: int  # L
@@ -77,7 +77,7 @@ def make_arrays(window: int, levels: int, dearest: int) -> SearchArrays:
         np.zeros((levels, path_rules.LEGS, window + 1), np.int64),
         np.empty(states, np.int64),
         np.empty(states, np.int32),
-        np.full(costs, NO_STATE, np.int32),
+        np.full(costs, _NO_STATE, np.int32),
         num_states,
         top,
         search,
@@ -101,30 +101,30 @@ def capped_penalty(penalty: int, window: int) -> int:
 
 
 @formula
-def pack(cell: int, place: int, t: int, leg: int, conflicts: int) -> int:
+def _pack(cell: int, place: int, t: int, leg: int, conflicts: int) -> int:
     """Number a driving state; `search` adds how long the agent has served."""
     legs = (leg << LEG_BIT) | (conflicts << CONFLICTS_BIT)
     return cell | (place << PLACE_BIT) | (t << TIME_BIT) | legs
 
 
 @formula
-def unpack(state: int) -> tuple[int, int, int, int, int]:
+def _unpack(state: int) -> tuple[int, int, int, int, int]:
     """Read cell, place, time, leg and conflicts of a state."""
     cell, place, t = state & CELLS, (state >> PLACE_BIT) & PLACES, (state >> TIME_BIT) & TIMES
     return cell, place, t, (state >> LEG_BIT) & LEGS, (state >> CONFLICTS_BIT) & LEVELS
 
 
 @formula
-def enqueue(work: SearchArrays, state: int, cost: int) -> None:
+def _enqueue(work: SearchArrays, state: int, cost: int) -> None:
     """Queue a state by its cost."""
-    cost = in_range(work, cost)
+    cost = _in_range(work, cost)
     link(work, work.num_states[()], state, cost)
     work.num_states[()] += 1
     work.top[()] = max(work.top[()], cost)
 
 
 @formula
-def in_range(work: SearchArrays, cost: int) -> int:
+def _in_range(work: SearchArrays, cost: int) -> int:
     """Bound a cost: full fields of distances give costs out of range."""
     return min(max(cost, 0), work.first.size - 1)
 
@@ -140,9 +140,9 @@ def link(work: SearchArrays, index: int, state: int, cost: int) -> None:
 def mark(work: SearchArrays, search: int, t: int, place: int, leg: int, conflicts: int) -> bool:
     """Mark that paths go on from a place in this search; returns True if that is new."""
     marks = work.mark[t, place]
-    if marks >> MARK_BITS != search:
-        marks = search << MARK_BITS
-    bit = 1 << (leg * LEG_MARKS + conflicts)
+    if marks >> _MARK_BITS != search:
+        marks = search << _MARK_BITS
+    bit = 1 << (leg * _LEG_MARKS + conflicts)
     work.mark[t, place] = marks | bit
     return (marks & bit) == 0
 
@@ -151,8 +151,8 @@ def mark(work: SearchArrays, search: int, t: int, place: int, leg: int, conflict
 def is_marked(work: SearchArrays, t: int, place: int, leg: int, conflicts: int) -> int:
     """Return whether paths go on from a place (0 or 1)."""
     marks = work.mark[t, place]
-    known = marks >> MARK_BITS == work.search[()]
-    return (marks >> (leg * LEG_MARKS + conflicts)) & known
+    known = marks >> _MARK_BITS == work.search[()]
+    return (marks >> (leg * _LEG_MARKS + conflicts)) & known
 
 
 @kernel
@@ -164,7 +164,7 @@ def find_path(
     agent: Agent,
 ) -> int:
     """Find the best path of one agent; returns the code of its end, or -1 where there is none."""
-    work.num_states[()], work.top[()], work.between[()] = 0, 0, NOT_MEASURED
+    work.num_states[()], work.top[()], work.between[()] = 0, 0, _NOT_MEASURED
     work.search[()] += 1
     for conflicts in range(work.levels):
         for leg in range(path_rules.LEGS):
@@ -174,7 +174,7 @@ def find_path(
     best, cost, dearest = path_rules.INFEASIBLE, 0, work.first.size
     while cost <= work.top[()]:
         index = work.first[cost]
-        if index == NO_STATE:
+        if index == _NO_STATE:
             if best < path_rules.INFEASIBLE:
                 break  # all of its cost were visitd
             cost += 1
@@ -191,7 +191,7 @@ def find_path(
             _drive_on(work, reservations, fields, grid, agent, state, least, dearest)
     # From 0 on: where the fields are full costs mean nothing, and states may wait below this one.
     for other in range(work.top[()] + 1):
-        work.first[other] = NO_STATE
+        work.first[other] = _NO_STATE
     found = best < path_rules.INFEASIBLE
     return best ^ path_rules.tie_breaker(agent.tie_break) if found else -1
 
@@ -202,13 +202,13 @@ def _start(work: SearchArrays, fields: DistanceFields, grid: GridMap, agent: Age
     middle = work.side * work.side // 2
     if agent.remaining_service:
         elapsed = agent.service_time[0] - agent.remaining_service
-        state = pack(agent.position, middle, 0, 0, 0)
+        state = _pack(agent.position, middle, 0, 0, 0)
         work.served[0, 0, 0] = 1 << elapsed
-        enqueue(work, state | ((elapsed + 1) << ELAPSED_BIT), 0)
+        _enqueue(work, state | ((elapsed + 1) << ELAPSED_BIT), 0)
         return path_rules.COST_UNIT * agent.remaining_service
     # Standing on the goal is not arriving: the path leaves it like any other cell.
     mark(work, work.search[()], 0, middle, 0, 0)
-    enqueue(work, pack(agent.position, middle, 0, 0, 0), 0)
+    _enqueue(work, _pack(agent.position, middle, 0, 0, 0), 0)
     left = distance(fields, grid, agent.goal[0], agent.position) + agent.service_time[0]
     return path_rules.COST_UNIT * left
 
@@ -220,7 +220,7 @@ def _left(
     """Count the timesteps left from a cell until the current goal is done, less than 0 beyond."""
     if leg == 0:
         return distance(fields, grid, agent.goal[0], cell) + agent.service_time[0]
-    if work.between[()] == NOT_MEASURED:
+    if work.between[()] == _NOT_MEASURED:
         work.between[()] = distance(fields, grid, agent.goal[1], agent.cell[0])
     return distance(fields, grid, agent.goal[1], cell) - work.between[()]
 
@@ -241,7 +241,7 @@ def _drive_on(
     Half of a run's time is spent here: what the loop counts stays in registers, for the compiler
     must expect any array to overlap any other.
     """
-    cell, place, t, leg, conflicts = unpack(state)
+    cell, place, t, leg, conflicts = _unpack(state)
     goal = agent.cell[leg] if rules.ends_leg(leg, agent.service_time[leg]) else -1
     search, states, top = work.search[()], work.num_states[()], work.top[()]
     # Waiting always costs a timestep more: once the best cost is known, nobody does.
@@ -254,13 +254,13 @@ def _drive_on(
         there = (place + work.steps[move]) & PLACES
         if other == goal:
             work.num_states[()], work.top[()] = states, top
-            _serve(work, fields, grid, agent, pack(other, there, t + 1, leg, after), 0, least)
+            _serve(work, fields, grid, agent, _pack(other, there, t + 1, leg, after), 0, least)
             states, top = work.num_states[()], work.top[()]
         elif mark(work, search, t + 1, there, leg, after):
             left = t + 1 + _left(work, fields, grid, agent, leg, other)
-            cost = in_range(work, path_rules.COST_UNIT * left + after * agent.penalty - least)
+            cost = _in_range(work, path_rules.COST_UNIT * left + after * agent.penalty - least)
             if cost <= dearest:
-                link(work, states, pack(other, there, t + 1, leg, after), cost)
+                link(work, states, _pack(other, there, t + 1, leg, after), cost)
                 states, top = states + 1, max(top, cost)
     work.num_states[()], work.top[()] = states, top
 
@@ -276,10 +276,10 @@ def _serve_on(
     least: int,
 ) -> None:
     """Visit a serving state: serve for one timestep more."""
-    cell, place, t, leg, conflicts = unpack(state)
+    cell, place, t, leg, conflicts = _unpack(state)
     after = min(conflicts + is_reserved(reservations.word[cell], t), work.levels - 1)
     elapsed = state >> ELAPSED_BIT
-    _serve(work, fields, grid, agent, pack(cell, place, t + 1, leg, after), elapsed, least)
+    _serve(work, fields, grid, agent, _pack(cell, place, t + 1, leg, after), elapsed, least)
 
 
 @kernel
@@ -293,7 +293,7 @@ def _serve(
     least: int,
 ) -> None:
     """Queue that the agent has served for `elapsed` timesteps, and may go on to the next goal."""
-    cell, place, t, leg, conflicts = unpack(state)
+    cell, place, t, leg, conflicts = _unpack(state)
     if (work.served[conflicts, leg, t] >> elapsed) & 1:
         return
     work.served[conflicts, leg, t] |= 1 << elapsed
@@ -304,19 +304,19 @@ def _serve(
         left += _left(work, fields, grid, agent, 1, cell) - agent.service_time[1]
     price = conflicts * agent.penalty - least
     cost = path_rules.COST_UNIT * (t + left) + price
-    enqueue(work, state | ((elapsed + 1) << ELAPSED_BIT), cost)
+    _enqueue(work, state | ((elapsed + 1) << ELAPSED_BIT), cost)
     if leg == 0 and elapsed == agent.service_time[0]:
         if not mark(work, work.search[()], t, place, 1, conflicts):
             return
         left = _left(work, fields, grid, agent, 1, cell)
         cost = path_rules.COST_UNIT * (t + left) + price
-        enqueue(work, pack(cell, place, t, 1, conflicts), cost)
+        _enqueue(work, _pack(cell, place, t, 1, conflicts), cost)
 
 
 @kernel
 def _end_code(work: SearchArrays, state: int) -> int:
     """Give the end of a path its code."""
-    _, place, _, leg, conflicts = unpack(state)
+    _, place, _, leg, conflicts = _unpack(state)
     served = state >> ELAPSED_BIT
     if served:
         return path_rules.serving_end(leg, conflicts, work.levels, served - 1, work.side)

@@ -81,7 +81,7 @@ def gather(
     after = path_rules.cost_after_goal(
         state.distance[rows[1], cells[0]].astype(jnp.int32), service_time[1]
     )
-    to_go = distance_to_go(world, state.distance, position, rows, window)
+    to_go = _distance_to_go(world, state.distance, position, rows, window)
     # On the first leg the whole second one is still to come, whichever cell the window ends on.
     after_leg = jnp.stack([after, jnp.zeros_like(after)])
     shortest = path_rules.driving_cost(to_go[0, window, window], service_time[0], after)
@@ -104,7 +104,7 @@ def gather(
     )
 
 
-def distance_to_go(
+def _distance_to_go(
     world: World, distance: jax.Array, position: jax.Array, rows: jax.Array, window: int
 ) -> jax.Array:
     """Look up the steps from every cell in sight to both goals (int32 [2, E, E, K])."""

@@ -19,27 +19,29 @@ from qdenv.grid import NUM_MOVES
 from qdenv.simulate.mapf.negotiated import rules
 from qdenv.simulate.mapf.planner import NOBODY, AgentState
 
-STRIDE = 11  # columns between the starts of neighbouring words
-WORD = 32
-COPIES = 3  # words that hold one cell
+_STRIDE = 11  # columns between the starts of neighbouring words
+_WORD = 32
+_COPIES = 3  # words that hold one cell
 
 
-def words_per_row(width: int) -> int:
+def _words_per_row(width: int) -> int:
     """Count the words of one row of `width` cells."""
-    return -(-width // STRIDE)
+    return -(-width // _STRIDE)
 
 
 def pack(mask: jax.Array) -> jax.Array:
     """Pack a map of cells (bool [H', W']) into overlapping words (uint32 [H', words])."""
     width = mask.shape[1]
-    columns = STRIDE * jnp.arange(words_per_row(width))[:, None] + jnp.arange(WORD)[None, :]
+    columns = _STRIDE * jnp.arange(_words_per_row(width))[:, None] + jnp.arange(_WORD)[None, :]
     bits = mask[:, jnp.minimum(columns, width - 1)] & (columns < width)[None]
-    return (bits.astype(jnp.uint32) << jnp.arange(WORD, dtype=jnp.uint32)).sum(-1, dtype=jnp.uint32)
+    return (bits.astype(jnp.uint32) << jnp.arange(_WORD, dtype=jnp.uint32)).sum(
+        -1, dtype=jnp.uint32
+    )
 
 
 def empty(window: int, rows: int, width: int) -> jax.Array:
     """Make a table without reservations (uint32 [window * 5 * H' * words], flat)."""
-    return jnp.zeros((window * NUM_MOVES * rows * words_per_row(width),), jnp.uint32)
+    return jnp.zeros((window * NUM_MOVES * rows * _words_per_row(width),), jnp.uint32)
 
 
 def add_paths(
@@ -55,7 +57,7 @@ def add_paths(
         sign: 1 or -1.
     """
     rows, width = shape
-    words = words_per_row(width)
+    words = _words_per_row(width)
     window = paths.shape[0] - 1
     plane = rules.move_plane(paths[1:] - paths[:-1], width)
     time = jnp.arange(window)[:, None]
@@ -64,12 +66,12 @@ def add_paths(
         row, column = cells // width, cells % width
         base = ((time * NUM_MOVES + plane) * rows + row) * words
         places, values = [], []
-        for copy in range(COPIES):
-            word = column // STRIDE - copy
-            bit = column - STRIDE * word
-            seen = mask & (word >= 0) & (bit < WORD)
+        for copy in range(_COPIES):
+            word = column // _STRIDE - copy
+            bit = column - _STRIDE * word
+            seen = mask & (word >= 0) & (bit < _WORD)
             places.append(base + jnp.maximum(word, 0))
-            values.append(jnp.where(seen, jnp.uint32(1) << bit.astype(jnp.uint32) % WORD, 0))
+            values.append(jnp.where(seen, jnp.uint32(1) << bit.astype(jnp.uint32) % _WORD, 0))
         return jnp.stack(places), jnp.stack(values)
 
     mask = jnp.broadcast_to(mask, plane.shape)
@@ -93,10 +95,10 @@ def around(packed: jax.Array, position: jax.Array, width: int, reach: int) -> ja
     Returns:
         uint32 [..., 2 * reach + 1, K]: bit j of row i is the cell ``(i - reach, j - reach)`` away.
     """
-    words = words_per_row(width)
+    words = _words_per_row(width)
     row, column = position // width, position % width - reach
     rows = row[None, :] - reach + jnp.arange(2 * reach + 1)[:, None]
-    word, bit = column // STRIDE, (column % STRIDE).astype(jnp.uint32)
+    word, bit = column // _STRIDE, (column % _STRIDE).astype(jnp.uint32)
     flat = packed.reshape(*packed.shape[:-2], -1)
     seen = flat[..., rows * words + word[None, :]]
     return (seen >> bit) & jnp.uint32((1 << (2 * reach + 1)) - 1)
@@ -197,11 +199,11 @@ def evict(reservations: Reservations, shape: Shape, accepted: Accepted) -> Reser
         agents = jnp.nonzero(losers, size=lanes, fill_value=count)[0]
         return release(reservations, shape, agents), losers.at[agents].set(False, mode="drop")
 
-    losers = find_losers(reservations, accepted)
+    losers = _find_losers(reservations, accepted)
     return jax.lax.while_loop(lambda carry: carry[1].any(), some, (reservations, losers))[0]
 
 
-def find_losers(reservations: Reservations, accepted: Accepted) -> jax.Array:
+def _find_losers(reservations: Reservations, accepted: Accepted) -> jax.Array:
     """Mark the agents whose reservations accepted paths drive over (bool [A])."""
     count, (_, paths, mask) = reservations.reserved_steps.shape[0], accepted
     time = jnp.arange(paths.shape[0])[:, None]

@@ -34,7 +34,7 @@ class History(NamedTuple):
     served_after: jax.Array  # uint32 [L, 2, K], the same at t + 1
 
 
-def end_state(local: LocalWindow, code: jax.Array, levels: int) -> PathStates:
+def _end_state(local: LocalWindow, code: jax.Array, levels: int) -> PathStates:
     """Find the end of the path that the search chose."""
     state = path_rules.unpack_end(code, levels, local.side)
     agent = jnp.arange(code.shape[0])
@@ -45,11 +45,11 @@ def end_state(local: LocalWindow, code: jax.Array, levels: int) -> PathStates:
     )
 
 
-def predecessor(local: LocalWindow, state: PathStates, step: History) -> PathStates:
+def _predecessor(local: LocalWindow, state: PathStates, step: History) -> PathStates:
     """Go from where the paths are at t + 1 to where they were at t."""
     agent = jnp.arange(state.leg.shape[0])
     service_time = local.service_time[0]
-    on_first_goal = is_in(local.goal[0, state.row, agent], state.column, local.side)
+    on_first_goal = _is_in(local.goal[0, state.row, agent], state.column, local.side)
     finished = rules.has_served(
         step.served_after[state.conflicts, 0, agent], service_time.astype(jnp.uint32)
     )
@@ -59,30 +59,30 @@ def predecessor(local: LocalWindow, state: PathStates, step: History) -> PathSta
         elapsed=jnp.where(entered, service_time, state.elapsed),
     )
     serving = state.elapsed > 0
-    before = (serve_before(local, state, step), drive_before(local, state, step))
+    before = (_serve_before(local, state, step), _drive_before(local, state, step))
     return PathState(*(jnp.where(serving, one, other) for one, other in zip(*before, strict=True)))
 
 
-def is_in(words: jax.Array, column: jax.Array, side: int) -> jax.Array:
+def _is_in(words: jax.Array, column: jax.Array, side: int) -> jax.Array:
     """Return whether each word (uint32 [K]) has the bit of its column; none beyond the border."""
     inside = (column >= 0) & (column < side)
     return inside & ((words >> jnp.clip(column, 0, 31).astype(jnp.uint32)) & 1 == 1)
 
 
-def serve_before(local: LocalWindow, state: PathStates, step: History) -> PathStates:
+def _serve_before(local: LocalWindow, state: PathStates, step: History) -> PathStates:
     """Serve for one timestep less."""
     agent = jnp.arange(state.leg.shape[0])
     fewer = jnp.maximum(state.conflicts - 1, 0)
     elapsed = jnp.maximum(state.elapsed - 1, 0).astype(jnp.uint32)
     conflict = path_rules.service_conflict(
         state.conflicts,
-        is_in(step.reserved[0, state.row, agent], state.column, local.side),
+        _is_in(step.reserved[0, state.row, agent], state.column, local.side),
         rules.has_served(step.served[fewer, state.leg, agent], elapsed) == 1,
     )
     return state._replace(conflicts=state.conflicts - conflict, elapsed=state.elapsed - 1)
 
 
-def drive_before(local: LocalWindow, state: PathStates, step: History) -> PathStates:
+def _drive_before(local: LocalWindow, state: PathStates, step: History) -> PathStates:
     """Take the first neighbour, in order of preference, from which this cell was reached."""
     agent = jnp.arange(state.leg.shape[0])
     side, levels = local.side, step.expandable.shape[0]
@@ -96,9 +96,9 @@ def drive_before(local: LocalWindow, state: PathStates, step: History) -> PathSt
         inside = jnp.clip(i, 0, side - 1)
         same = step.expandable[state.conflicts, state.leg, inside, agent]
         less = step.expandable[fewer, state.leg, inside, agent]
-        from_same = is_in(same, j, side) & (i == inside)
-        from_less = is_in(less, j, side) & (i == inside) & (state.conflicts > 0)
-        conflicting = is_in(words, state.column, side)
+        from_same = _is_in(same, j, side) & (i == inside)
+        from_less = _is_in(less, j, side) & (i == inside) & (state.conflicts > 0)
+        conflicting = _is_in(words, state.column, side)
         possible = path_rules.is_predecessor(from_same, from_less, conflicting, at_cap)
         rank = path_rules.move_at(move, flipped)  # its own inverse
         better = possible & (rank < best_rank)
@@ -108,7 +108,7 @@ def drive_before(local: LocalWindow, state: PathStates, step: History) -> PathSt
     return PathState(state.leg, conflicts, row, column, jnp.full_like(state.elapsed, -1))
 
 
-ALL = 0xFFFFFFFF  # the mask that holds
+_ALL = 0xFFFFFFFF  # the mask that holds
 
 
 class ReachableSet(NamedTuple):
@@ -123,15 +123,15 @@ class ReachableSet(NamedTuple):
     just_served: jax.Array
 
 
-def from_fewer(sets: jax.Array) -> jax.Array:
+def _from_fewer(sets: jax.Array) -> jax.Array:
     """Give every conflict level (axis 0) the set of the level below; the first gets nothing."""
     return jnp.concatenate([jnp.zeros_like(sets[:1]), sets[:-1]])
 
 
-def cap_of(sets: jax.Array) -> jax.Array:
+def _cap_of(sets: jax.Array) -> jax.Array:
     """Make the mask of the last conflict level (uint32 [L, 1, ...], as many axes as `sets`)."""
     levels = sets.shape[0]
-    cap = jnp.where(jnp.arange(levels) == levels - 1, jnp.uint32(ALL), jnp.uint32(0))
+    cap = jnp.where(jnp.arange(levels) == levels - 1, jnp.uint32(_ALL), jnp.uint32(0))
     return cap.reshape(-1, *[1] * (sets.ndim - 1))
 
 
@@ -140,7 +140,7 @@ def expandable(local: LocalWindow, reached: ReachableSet) -> jax.Array:
     return rules.expandable(reached.cells, local.goal, reached.just_served, local.goal[:1])
 
 
-def serve(
+def _serve(
     local: LocalWindow, cells: jax.Array, served: jax.Array, disturbed: jax.Array
 ) -> ReachableSet:
     """Let the agents at their goals begin, continue or end their service.
@@ -152,7 +152,7 @@ def serve(
         disturbed: uint32 [2, K], mask: another agent has reserved the goal now.
     """
     levels, agents = cells.shape[0], cells.shape[-1]
-    served = rules.continue_service(served, from_fewer(served), disturbed, cap_of(served))
+    served = rules.continue_service(served, _from_fewer(served), disturbed, _cap_of(served))
     level, leg, agent = jnp.ogrid[:levels, :2, :agents]
     on_goal = cells[level, leg, local.goal_row, agent] & local.goal[leg, local.goal_row, agent]
     arrived = (on_goal >> local.goal_column.astype(jnp.uint32)) & 1
@@ -162,7 +162,7 @@ def serve(
     return ReachableSet(cells, served, just_served)
 
 
-def advance(
+def _advance(
     local: LocalWindow, reached: ReachableSet, reserved: jax.Array, disturbed: jax.Array
 ) -> ReachableSet:
     """Take one timestep past the reservations of that step (uint32 [5, E, K])."""
@@ -173,8 +173,8 @@ def advance(
     clean, clashing = rules.arrivals(
         (here, here << 1, here >> 1, down, up), conflicting_cells(reserved), local.traversable
     )
-    cells = rules.count_conflict(clean, clashing, from_fewer(clashing), cap_of(clashing))
-    return serve(local, cells, reached.served, disturbed)
+    cells = rules.count_conflict(clean, clashing, _from_fewer(clashing), _cap_of(clashing))
+    return _serve(local, cells, reached.served, disturbed)
 
 
 def start(local: LocalWindow, levels: int) -> ReachableSet:
@@ -189,11 +189,11 @@ def start(local: LocalWindow, levels: int) -> ReachableSet:
     # Standing on the goal is not arriving: the path leaves it like any other cell.
     on_goal = driving & ((local.goal[0, middle] >> middle) & 1 == 1)
     just_served = jnp.zeros((levels, 2, 1, agents), jnp.uint32)
-    just_served = just_served.at[0, 0, 0].set(jnp.where(on_goal, jnp.uint32(ALL), 0))
+    just_served = just_served.at[0, 0, 0].set(jnp.where(on_goal, jnp.uint32(_ALL), 0))
     return ReachableSet(cells, served, just_served)
 
 
-def cheapest_end(
+def _cheapest_end(
     local: LocalWindow, cells: jax.Array, served: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Choose where to be after the window (cost and code, both int32 [K]).
@@ -245,15 +245,15 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
     at_goal = (
         local.reserved[:, 0][:, local.goal_row, agent] & local.goal[leg, local.goal_row, agent]
     )
-    disturbed = jnp.where(at_goal != 0, jnp.uint32(ALL), jnp.uint32(0))
+    disturbed = jnp.where(at_goal != 0, jnp.uint32(_ALL), jnp.uint32(0))
 
     def forward(
         reached: ReachableSet, inputs: tuple[jax.Array, jax.Array]
     ) -> tuple[ReachableSet, tuple[jax.Array, jax.Array]]:
-        return advance(local, reached, *inputs), (expandable(local, reached), reached.served)
+        return _advance(local, reached, *inputs), (expandable(local, reached), reached.served)
 
     last, (cells, served) = jax.lax.scan(forward, start(local, levels), (local.reserved, disturbed))
-    cost, code = cheapest_end(local, expandable(local, last), last.served)
+    cost, code = _cheapest_end(local, expandable(local, last), last.served)
     history = History(
         reserved=local.reserved,
         expandable=cells,
@@ -262,8 +262,8 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
     )
 
     def backward(state: PathStates, step: History) -> tuple[PathStates, jax.Array]:
-        return predecessor(local, state, step), jnp.stack([state.row, state.column])
+        return _predecessor(local, state, step), jnp.stack([state.row, state.column])
 
-    first, path = jax.lax.scan(backward, end_state(local, code, levels), history, reverse=True)
+    first, path = jax.lax.scan(backward, _end_state(local, code, levels), history, reverse=True)
     begin = jnp.stack([first.row, first.column])
     return jnp.concatenate([begin[None], path]).swapaxes(0, 1) - local.middle, cost
