@@ -81,8 +81,8 @@ class DirectConfig:
     """The numbers of the generator that draws nothing: a solution is the tiles themselves."""
 
 
-_DIRECT_GENERATOR = Entry(DirectConfig, "qdenv.generate:direct")
-_NCA_GENERATOR = Entry(NcaConfig, "qdenv.nca:nca")
+DIRECT_GENERATOR = Entry(DirectConfig, "qdenv.generate:direct")
+NCA_GENERATOR = Entry(NcaConfig, "qdenv.nca:nca")
 
 
 def choose_tiles(cells: Array) -> jax.Array:
