@@ -30,8 +30,7 @@ from qdenv.domains.base import make_domain
 from qdenv.io.files import write_csv
 from qdenv.study.ledger import Case, Run, complete
 from qdenv.study.options import parse_seeds
-from qdenv.study.plans import read_plan
-from qdenv.study.sweep import name_layouts
+from qdenv.study.plans import name_layouts, read_plan
 
 PAPER = "published"  # the planner that the others are compared with
 PLANNERS = ("low", "high", "plain", PAPER)

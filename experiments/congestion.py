@@ -34,8 +34,7 @@ from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
 from qdenv.study.ledger import Case, Outcome, complete, outcomes_of, read_runs
 from qdenv.study.options import parse_counts, parse_seeds
-from qdenv.study.plans import read_plan
-from qdenv.study.sweep import name_layouts
+from qdenv.study.plans import name_layouts, read_plan
 from qdenv.view.style import new_figure, save_figure, styled
 
 # What files call a layout's maker: the first that fits counts, as a tiled layout's name may say

@@ -13,7 +13,7 @@ from qdenv.grid import draw as drawn_as
 from qdenv.grid import parse
 from qdenv.io.files import write_json
 from qdenv.run.directory import RunDirectory
-from qdenv.study import sizes
+from qdenv.study import elites as sizes
 from qdenv.study.elites import grow_elite
 from qdenv.view.layouts import draw_frames
 

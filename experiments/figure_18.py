@@ -6,8 +6,8 @@ from experiments.peaks import SavedPeak
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import FLEETS
 from qdenv.stats import Difference, Sample, difference, margin
+from qdenv.study.elites import SIZES
 from qdenv.study.ledger import Outcome
-from qdenv.study.sizes import SIZES
 
 # The paper: 5,000 timesteps and 50 runs.
 TIMESTEPS, SEEDS = 1000, 3

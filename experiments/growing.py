@@ -16,7 +16,7 @@ from qdenv.run.archive import SavedArchive
 from qdenv.run.config import scale
 from qdenv.run.directory import RunDirectory
 from qdenv.stats import sample_of
-from qdenv.study import sizes
+from qdenv.study import elites as sizes
 from qdenv.study.elites import grow_elite
 from qdenv.study.ledger import Case, complete
 from qdenv.study.options import parse_seeds

@@ -19,7 +19,7 @@ from qdenv.grid import draw, of_tiles, parse
 from qdenv.io.layouts import write_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.simulate.maze.world import WALL, longest_path
-from qdenv.study import sizes
+from qdenv.study import elites as sizes
 from qdenv.study.elites import Grown, grow_elite
 from qdenv.types import Array, InputError
 

@@ -14,8 +14,7 @@ from qdenv.io.files import write_csv
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.stats import Sample, sample_of
-from qdenv.study.elites import Grown, find_elite, grow_elite
-from qdenv.study.sizes import SIZES, finish
+from qdenv.study.elites import SIZES, Grown, finish, grow_elite
 from qdenv.view.style import new_figure
 
 SEEDS = 3  # repairs of each layout
@@ -82,12 +81,11 @@ class SavedRuntime(NamedTuple):
     def make(self, folders: Folders, say: Say) -> None:
         """Grow and repair once per seed; each is saved as it ends."""
         run = RunDirectory.open(f"zoo:{self.domain}/best")
-        elite = find_elite(run)
-        grown = grow_elite(run, elite, self.shape)
+        grown = grow_elite(run, "best", self.shape)
         # A process loads what was compiled before when it repairs first, which is no repair's work.
         finish(grown, run.config.evaluation.repair, seed=0)
         while (seed := len(known := self.read(folders))) < self.seeds:
-            row = measure(grown, elite.solution, run.config, seed, best_of(self.domain))
+            row = measure(grown, grown.elite.solution, run.config, seed, best_of(self.domain))
             write_csv(self.path(folders), Runtime._fields, [*known, row])
             say(f"{self.name}: {seed + 1} of {self.seeds}, repair {row.repair_seconds:.1f} s")
 

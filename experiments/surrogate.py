@@ -115,7 +115,7 @@ def main(
             ):
                 for place, name in enumerate(names):
                     skill = score_predictions(predicted[:, place], truth[:, place])
-                    figures = [f"{value:.4g}" for value in (*skill, spent)]
+                    figures = [f"{value:.4g}" for value in (*skill.values(), spent)]
                     rows.append((size, known, held, seed, name, *figures))
                 print(*(" ".join(map(str, row)) for row in rows[-len(names) :]), sep="\n")
                 write_csv(out, HEAD, rows)

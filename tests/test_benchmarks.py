@@ -10,7 +10,6 @@ import qdenv
 from experiments.benchmarks import common, search
 from experiments.benchmarks.simulation import simulate
 from experiments.benchmarks.training import shortest_time
-from qdenv.study.traffic import simulate_layout
 from qdenv.surrogate.settings import SurrogateConfig
 
 
@@ -45,10 +44,8 @@ def test_fleets_are_compared_with_recorded_runs(tmp_path):
     result = simulate(reference, planners=("low",), seeds=2, audit=True, json=tmp_path / "x.json")
     assert json.loads((tmp_path / "x.json").read_text()) == result
     (row,) = result["fleets"]
-    own = [
-        simulate_layout(layout, "warehouse-even", 5, 20, f"{seed},", True, effort="low")
-        for seed in range(2)
-    ]
+    options = {"domain": "warehouse-even", "timesteps": 20, "effort": "low"}
+    own = [qdenv.simulate_layout(layout, 5, True, seeds=(seed,), **options) for seed in range(2)]
     assert row["throughputs"] == [runs["mean_of_all"] for runs in own]
     assert row["C++"] == pytest.approx(0.2) and row["broken"] == 0
     assert row["ratio"] == pytest.approx(row["throughput"] / 0.2)

@@ -42,7 +42,8 @@ from qdenv.run.manifest import archive_schema
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.simulate.maze.world import longest_path
 from qdenv.stats import wilson_interval
-from qdenv.study import ledger, sizes
+from qdenv.study import elites as sizes
+from qdenv.study import ledger
 from qdenv.study.engine import run_seeds
 from qdenv.study.ledger import Case, Run
 from qdenv.types import InputError

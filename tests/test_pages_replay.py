@@ -13,9 +13,8 @@ from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.study.motion import record_fleet, trace_agent
-from qdenv.study.options import make_fleet
 from qdenv.study.plans import Plan, read_plan
+from qdenv.study.recordings import record_fleet, trace_agent
 from qdenv.types import InputError
 from qdenv.view.replay import encode, make_replay
 
@@ -211,7 +210,7 @@ def test_congested_time_is_marked_and_a_run_that_it_ends_says_so(tmp_path):
     rows = ["@@@@@@@@", "w.....ee", "@@@@@@@@"]  # nobody passes anybody
     plan = warehouse()._replace(layout=parse(rows, TILES))
     page = qdenv.replay(plan, agents=6, timesteps=40, effort="low", stop=False)
-    motion, traffic = record_fleet(plan, make_fleet(6, 40, "low", stop=False))
+    motion, traffic = record_fleet(plan, FleetConfig(6, 40, stop_when_congested=False))
     begin, end = motion.congested[0]
     with opened(page.save(tmp_path / "jam.html")) as shown:
         shown.wait_for_function(SHOWN)

@@ -14,7 +14,7 @@ from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.layouts import write_layout
-from qdenv.study.sizes import human_layout
+from qdenv.study.elites import human_layout
 from qdenv.types import InputError
 from qdenv.view.page import FILTERS
 from qdenv.view.report.build import listed, name_seeds, to_svg

@@ -11,8 +11,8 @@ from matplotlib.text import Text
 from small_warehouse import ROWS
 
 from qdenv.cli.main import run
-from qdenv.study.congestion import Maps, Spot
 from qdenv.study.groups import CURVES, Group
+from qdenv.study.recordings import Maps, Spot
 from qdenv.study.table import Peak, Row
 from qdenv.types import InputError, Measure
 from qdenv.view.runs import draw_archives, draw_progress

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from qdenv.study.motion import Motion
+from qdenv.study.recordings import Motion
 from qdenv.types import InputError
 from qdenv.view.film import KINDS, MARKS, MOST, TITLE, WARMTH, floor_colours, save_film
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from qdenv.study.congestion import Maps, Spot
+from qdenv.study.recordings import Maps, Spot
 from qdenv.view.style import save_figure
 from qdenv.view.traffic import Scene, draw_traffic
 

@@ -67,7 +67,7 @@ def test_a_run_outside_of_xla_is_the_one_inside_bit_for_bit(planner, keep):
         return fleet.record(fleet.prepare(layout, SERVICES, config), key, config, count)
 
     for seed, agents in ((0, 7), (3, 9), (0, 10)):
-        world = program.make_ready(layout)
+        world = program.prepare(layout)
         outside, recording = program.drive(world, seed, agents)
         traffic, tape = inside(layout, jax.random.key(seed), np.int32(agents))
         jax.tree.map(np.testing.assert_array_equal, outside, traffic)

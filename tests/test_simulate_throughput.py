@@ -10,19 +10,20 @@ from pathlib import Path
 
 import pytest
 
+import qdenv
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import read_layout
 from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.negotiated.settings import LOW
-from qdenv.study.traffic import run_seeds, simulate_layout
+from qdenv.study.engine import run_seeds
 
 AGENTS = 200
 
 
 def report(path: Path, domain: str, effort: str) -> dict:
     """Simulate a layout with two seeds over 400 steps, every trajectory audited."""
-    layout = read_layout(path, find_domain(domain).tiles)
-    return simulate_layout(layout, domain, AGENTS, 400, (2,), True, effort=effort)
+    options = {"domain": domain, "timesteps": 400, "seeds": 2, "effort": effort}
+    return qdenv.simulate_layout(path, AGENTS, audit=True, **options)
 
 
 def congestion(path: Path, seeds: Sequence[int], **changes) -> list[bool]:

@@ -14,8 +14,8 @@ from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.stats import wilson_interval
 from qdenv.study.engine import Simulated, run_seeds
-from qdenv.study.sweep import Trial, climb, compare, name_layouts
-from qdenv.study.table import Row, find_capacity, find_peak, write_rows
+from qdenv.study.plans import name_layouts
+from qdenv.study.table import Row, Trial, climb, compare, find_capacity, find_peak, write_rows
 from qdenv.types import InputError, Traffic
 
 WAREHOUSE = find_domain("warehouse-even")

@@ -25,7 +25,7 @@ from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.manifest import archive_schema
 from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.study import sizes
+from qdenv.study import elites as sizes
 from qdenv.study.elites import grow_elite, grow_series, repair_grown
 from qdenv.types import InputError
 

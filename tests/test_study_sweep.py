@@ -12,8 +12,7 @@ from qdenv.simulate.mapf.goals import tile_goal
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.stats import wilson_interval
 from qdenv.study.options import parse_counts
-from qdenv.study.sweep import Trial, compare
-from qdenv.study.table import write_rows
+from qdenv.study.table import Trial, compare, write_rows
 from qdenv.types import InputError, TaskRule
 
 TILES = ".@ew"

@@ -5,13 +5,15 @@ import threading
 import numpy as np
 import pytest
 
+import qdenv
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.settings import FleetConfig, find_planner
 from qdenv.study import traffic
-from qdenv.study.capacity import Point, judge, point_of
-from qdenv.study.congestion import (
+from qdenv.study.engine import run_seeds
+from qdenv.study.plans import Plan
+from qdenv.study.recordings import (
     Maps,
     average,
     cells_with_half,
@@ -19,14 +21,14 @@ from qdenv.study.congestion import (
     throughput_over_time,
     worst_cells,
 )
-from qdenv.study.engine import run_seeds
-from qdenv.study.traffic import Wanted, examine, simulate_layout
+from qdenv.study.traffic import Point, examine, judge, point_of
 from qdenv.types import InputError, Traffic
 
 WAREHOUSE, MAKING = find_domain("warehouse-even"), find_domain("manufacturing")
 # Two halls and a lane with one bay in between: whoever meets in the lane is in the way.
 LANE = parse(["w...@@@@@...e", "w.........e.e", "w...@@@@@...e"], WAREHOUSE.tiles)
 TASKS = WAREHOUSE.simulator.tasks
+HALLS = Plan("halls", LANE, WAREHOUSE, assumed=False)
 
 
 def recorded(layout, tasks, agents, timesteps, planner=None):
@@ -161,7 +163,7 @@ def test_fading_is_told_from_chance():
 )
 def test_a_lane_between_two_halls_jams_with_its_agents(agents, word):
     config = FleetConfig(agents, 300, planner=PibtConfig())
-    study = examine(LANE, TASKS, config, (0, 1, 2))
+    study = examine(HALLS, config, (0, 1, 2))
     assert study.verdict.word == word and study.broken == []
     if agents == 12:  # beside the two mouths of the lane
         worst = {(spot.row, spot.column) for spot in worst_cells(LANE, study.maps, 4)}
@@ -170,7 +172,7 @@ def test_a_lane_between_two_halls_jams_with_its_agents(agents, word):
 
 def test_nine_hundred_robots_on_948_cells_are_past_the_peak():
     config = FleetConfig(900, 100, planner=find_planner("low"))
-    study = examine(WAREHOUSE.human(), TASKS, config, (0,), Wanted(False, False, True))
+    study = examine(HALLS._replace(layout=WAREHOUSE.human()), config, (0,), False, False)
     assert not study.done.runs[0].congested  # the jam rule sees nothing
     assert study.verdict.word == "past its peak"
     assert "675 agents would move" in study.verdict.reason
@@ -179,15 +181,15 @@ def test_nine_hundred_robots_on_948_cells_are_past_the_peak():
 def test_a_verdict_changes_no_number_of_the_runs():
     """Its program has room for more agents."""
     config = FleetConfig(12, 80, planner=PibtConfig())
-    plain = examine(LANE, TASKS, config, (0, 1), Wanted(False, False, False))
-    judged = examine(LANE, TASKS, config, (0, 1))
+    plain = examine(HALLS, config, (0, 1), False, False, False)
+    judged = examine(HALLS, config, (0, 1))
     for one, other in zip(plain.done.runs, judged.done.runs, strict=True):
         np.testing.assert_array_equal(one.finished, other.finished)
         np.testing.assert_array_equal(one.usage, other.usage)
 
 
 def test_a_report_counts_what_the_runs_did():
-    facts = simulate_layout(LANE, agents=12, timesteps=90, seeds=2, check=True, planner="pibt")
+    facts = qdenv.simulate_layout(HALLS, 12, True, timesteps=90, seeds=2, planner="pibt")
     assert facts["valid"] is True and "verdict" not in facts
     assert 0.1 < facts["waiting_share"] < 0.9
     assert len(facts["worst_cells"]) == 10
@@ -266,10 +268,10 @@ def test_what_is_too_large_to_record_says_what_to_do(monkeypatch):
     monkeypatch.setattr(traffic, "_MOST_RECORDED", 1000)
     config = FleetConfig(10, 101, planner=PibtConfig())
     with pytest.raises(InputError, match="at most 100 timesteps, or add --no-audit"):
-        examine(LANE, TASKS, config, (0,))
+        examine(HALLS, config, (0,))
     with pytest.raises(InputError, match="at most 100 timesteps, or leave the picture out"):
-        examine(LANE, TASKS, config, (0,), Wanted(False, True, False))
-    study = examine(LANE, TASKS, config, (0,), Wanted(False, False, False))
+        examine(HALLS, config, (0,), False, True, False)
+    study = examine(HALLS, config, (0,), False, False, False)
     assert study.maps is None and study.row.mean_of_all > 0
 
 

@@ -29,7 +29,7 @@ from qdenv.agent.evaluate import (
 from qdenv.repair.recipe import repair_layout
 from qdenv.simulate.maze.policy import draw_weights, load_weights
 from qdenv.simulate.maze.world import longest_path
-from qdenv.study.traffic import simulate_layout
+from qdenv.study.elites import parse_size
 from qdenv.view.style import new_figure, save_figure
 
 DOMAINS = {  # by their names in the file of recorded runs
@@ -117,9 +117,10 @@ def recorded_cases(reference: Path, layouts: Path, longest: int) -> Iterator[Cas
 def simulate_case(case: Case, planner: str, seeds: int, audit: bool) -> Row:
     """Simulate a case with one planner, one run at a time: a row of the table."""
     name, kind, tiles, agents, timesteps, recorded = case
+    options = {"domain": kind, "timesteps": timesteps, **PLANNERS[planner]}
     # Given one seed at a time, `simulate_layout` uses one core: CPU seconds are then comparable.
     results = [
-        simulate_layout(tiles, kind, agents, timesteps, f"{seed},", audit, **PLANNERS[planner])
+        qdenv.simulate_layout(tiles, agents, audit, seeds=(seed,), **options)
         for seed in range(seeds)
     ]
     throughputs = [result["runs"][0]["throughput"] for result in results]
@@ -192,9 +193,10 @@ def scale(
             (layout,) = np.asarray(grow(parameters))
         repair = repair_layout(layout, domain.rules(), 0, config.repair)
         agents = max(round(density * layout.size), 1)
-        simulate = partial(simulate_layout, np.asarray(repair.layout), domain.name, agents)
-        first = simulate(WINDOW, "0,", effort=effort, stop=False)["cpu_seconds_per_run"]
-        whole = simulate(timesteps, "0,", check=audit, effort=effort, stop=False)
+        options = {"domain": domain.name, "seeds": (0,), "effort": effort, "stop": False}
+        simulate = partial(qdenv.simulate_layout, np.asarray(repair.layout), agents, **options)
+        first = simulate(timesteps=WINDOW)["cpu_seconds_per_run"]
+        whole = simulate(timesteps=timesteps, audit=audit)
         windows, seconds = timesteps / WINDOW, whole["cpu_seconds_per_run"]
         window = (seconds - first) / (windows - 1)
         return {
@@ -220,14 +222,6 @@ def scale(
     if plot:
         save_figure(draw(rows, slopes), plot)
     return save(json, sizes=rows, slopes=[slopes])
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """Read a size like "101x102"; raise InputError if it is none."""
-    rows, _, cols = text.partition("x")
-    if not (rows.isdigit() and cols.isdigit()):
-        raise qdenv.InputError(f"size {text!r}: write rows and columns like 101x102")
-    return int(rows), int(cols)
 
 
 def slope(rows: list[Row], name: str) -> float:

@@ -20,8 +20,8 @@ from qdenv.ops.output import AUTO, Place, place, say
 from qdenv.ops.results import Facts
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged, Seed
-from qdenv.study.motion import MAZES
 from qdenv.study.plans import Plan
+from qdenv.study.recordings import MAZES
 from qdenv.types import InputError
 
 if TYPE_CHECKING:  # imports jax
@@ -256,7 +256,7 @@ def _report_random(
 
 def _draw_episode(path: Path, weights: Weights, plan: Plan, seed: int, steps: int) -> None:
     """Draw one episode as an animation."""
-    from qdenv.study.motion import trace_agent
+    from qdenv.study.recordings import trace_agent
     from qdenv.view.film import save_film
 
     motion = trace_agent(plan, seed, steps, weights)

@@ -29,9 +29,8 @@ from qdenv.progress import Bar
 from qdenv.repair.audit import audit, check_allowed
 from qdenv.repair.rules import impossible
 from qdenv.repair.settings import RepairConfig
-from qdenv.study.changes import describe_changes, list_changes, warn_of_changes
 from qdenv.study.options import describe_growth
-from qdenv.study.plans import USUAL
+from qdenv.study.plans import USUAL, describe_changes, list_changes, warn_of_changes
 from qdenv.types import InputError, RepairStatus, Rules
 
 if TYPE_CHECKING:
@@ -177,7 +176,7 @@ def repair_layout(
     say(*(f"{name:13} {value}" for name, value in tidy(facts).items()))
     settings: dict[str, Any] = {"layout": name, "domain": kind.name, "keep": keep, "seed": seed}
     settings |= {"polish": polish, "numbers": numbers}
-    facts |= {"changes": [change._asdict() for change in changes], "settings": settings}
+    facts |= {"changes": changes, "settings": settings}
     if not facts["valid"]:
         less = ", or keep fewer cells" if kind.config.keep else ""
         raise UnsolvedError(f"{name}: no feasible layout was found: try another seed{less}", facts)
@@ -223,7 +222,7 @@ def human_layout(
         InputError: the size is impossible, or the domain has no such design.
     """
     check_size(rows, cols)
-    from qdenv.study import sizes  # imports jax
+    from qdenv.study import elites as sizes  # imports jax
 
     found = find_domain(domain).resized(rows, cols)
     endings = endings_for(found.tiles, found.meanings)
@@ -272,7 +271,7 @@ def tile_layout(
         InputError: the size is smaller than the layout, or no such layout exists.
     """
     check_size(rows, cols)
-    from qdenv.study import sizes  # imports jax
+    from qdenv.study import elites as sizes  # imports jax
 
     plan = read_plan(layout, domain)
     if rows < plan.layout.shape[0] or cols < plan.layout.shape[1]:

@@ -29,10 +29,10 @@ from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
 from qdenv.run.directory import RunDirectory
 from qdenv.simulate.mapf.settings import OWN, PLANNERS, record_planner
-from qdenv.study import motion as studies
-from qdenv.study.motion import MAZES, Motion
+from qdenv.study import recordings as studies
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import Plan
+from qdenv.study.recordings import MAZES, Motion
 from qdenv.study.table import Row
 from qdenv.types import InputError
 from qdenv.view.page import Page, demand
@@ -139,10 +139,10 @@ def _replay_fleet(
     plan: Plan, agents: int | None, options: Fleet, seed: int, films: FilmOptions
 ) -> tuple[Page, Motion, dict[str, Any]]:
     """Simulate a fleet once and make its page."""
-    usual = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
-    films.check_end(usual.timesteps)
-    fleet_tasks(plan.layout, plan.domain.simulator.tasks, usual.agents)
-    config = options.config(usual.agents, usual.timesteps)
+    agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    films.check_end(timesteps)
+    fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
+    config = options.config(agents, timesteps)
     studies.check_run(config.agents, config.timesteps, seed)
     # This imports the simulator: refusals are faster without it.
     from qdenv.view.replay import about_fleet, make_replay
@@ -150,7 +150,7 @@ def _replay_fleet(
     with Bar("simulating") as bar:
         motion, traffic = studies.record_fleet(plan, config, seed, bar)
     about = about_fleet(plan, config, seed, motion, traffic)
-    say(*about, plan.whose, *[usual.said] * bool(usual.said))
+    say(*about, plan.whose, *[note] * bool(note))
     facts = {
         "agents": config.agents,
         "planner": record_planner(config.planner),

@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 
 from qdenv.domains.base import DOMAINS, Domain, make_domain
+from qdenv.io.files import write_csv
 from qdenv.io.layouts import check_size, endings_for
 from qdenv.ops.layouts import human_layout, save_with_picture
 from qdenv.ops.options import (
@@ -28,9 +29,9 @@ from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
-from qdenv.study.changes import describe_changes, list_changes
 from qdenv.study.groups import CURVES, band_of, group_runs
 from qdenv.study.options import describe_growth
+from qdenv.study.plans import describe_changes, list_changes
 from qdenv.types import InputError, RepairStatus
 from qdenv.zoo import file_name
 
@@ -76,9 +77,8 @@ def plot(
     for group in groups:
         ends = []
         for name, word in CURVES.items():
-            end = band_of(group.curves[name][:, -1:])
-            spread = f" +- {end.half[0]:.2g}" if len(group.runs) > 1 else ""
-            ends.append(f"{word} {end.mean[0]:.4g}{spread}")
+            (mean,), (half,) = band_of(group.curves[name][:, -1:])
+            ends.append(f"{word} {mean:.4g}" + f" +- {half:.2g}" * (len(group.runs) > 1))
         say(f"{group.title}: {', '.join(ends)} after {group.evaluations[-1]} evaluations")
     if len(groups) < len(opened):
         say("+-: half the width of the 95 % interval over runs")
@@ -208,7 +208,7 @@ def _known(domain: Domain, shape: tuple[int, int], stated: Sequence[str]) -> lis
 
 def _draw_frames(run: RunDirectory, grown: Any, every: int, picture: Path) -> None:
     """Draw how a layout grows, and log when and where."""
-    from qdenv.study.sizes import grow_frames
+    from qdenv.study.elites import grow_frames
     from qdenv.view.layouts import draw_frames
     from qdenv.view.style import save_figure
 
@@ -246,7 +246,7 @@ def series(
     """
     opened = open_run(run)
     domain = make_domain(opened.config.evaluation.domain)
-    from qdenv.study import sizes as studies  # imports jax
+    from qdenv.study import elites as studies  # imports jax
 
     shapes = [studies.parse_size(text) for text in sizes] or list(studies.SIZES)
     for shape in shapes:
@@ -256,9 +256,9 @@ def series(
     for item in studies.grow_sizes(opened, elite, shapes, steps, numbers, seed):
         rows, cols = item.layout.shape
         say(*_known(domain, (rows, cols), [*numbers, *(["steps"] if steps else [])]))
-        details = studies.details(item) | {"domain": domain.name}
+        grown.append(studies.details(item))
+        details = grown[-1] | {"domain": domain.name}
         layouts.append(Layout(item.layout, domain, details, details))
-        grown.append(item)
         if folder:
             save_with_picture(layouts[-1], _place_in(folder, f"nca_{rows}x{cols}.json"))
         if human:
@@ -266,7 +266,7 @@ def series(
             layouts.append(human_layout(rows, cols, domain.name, name))
     if folder:
         table = _place_in(folder, "series.csv")
-        studies.write_series(table.path, grown)
+        write_csv(table.path, list(grown[0]), [list(one.values()) for one in grown])
         say(table)
     return layouts
 

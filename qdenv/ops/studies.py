@@ -27,10 +27,10 @@ from qdenv.ops.output import AUTO, PICTURES, Place, place, say
 from qdenv.ops.results import Table
 from qdenv.progress import Bar
 from qdenv.stats import Difference
-from qdenv.study import sweep as studies
-from qdenv.study.congestion import FADING
+from qdenv.study import table as studies
 from qdenv.study.options import AGENTS, usual_fleet
 from qdenv.study.plans import Plan
+from qdenv.study.recordings import FADING
 from qdenv.study.table import Peak, Row, differences, find_capacity, find_peak, write_rows
 from qdenv.types import InputError
 
@@ -195,14 +195,15 @@ def _prepare(
         picture = table.beside(".png") if named else place(AUTO, f"{table.path.stem}.png", PICTURES)
     plans = _read_plans(layouts, options.domain)
     first, drawn = next(iter(plans.values())), [plan.layout for plan in plans.values()]
-    usual = usual_fleet(first.domain, drawn, max(stated, default=None), options.timesteps)
-    begin, end, step = (round(one * usual.agents / AGENTS) for one in default)
+    largest = max(stated, default=None)
+    usual, timesteps, note = usual_fleet(first.domain, drawn, largest, options.timesteps)
+    begin, end, step = (round(one * usual / AGENTS) for one in default)
     counts = stated or tuple(range(begin, end + 1, step))
-    config = options.config(max(counts), usual.timesteps)
+    config = options.config(max(counts), timesteps)
     trial = studies.Trial(first.domain.simulator.tasks, config, counts, options.seeds)
-    settings = options.settings(usual.timesteps) | {"agents": list(counts)}
+    settings = options.settings(timesteps) | {"agents": list(counts)}
     settings["layouts"] = dict(zip(plans, map(name_of, layouts), strict=True))
-    lines = [options.describe(_describe_counts(counts), usual.timesteps, first), usual.said]
+    lines = [options.describe(_describe_counts(counts), timesteps, first), note]
     return _Case(
         {name: plan.layout for name, plan in plans.items()},
         trial,

@@ -23,7 +23,7 @@ from qdenv.ops.output import PICTURES, format_table, place, say
 from qdenv.ops.results import Facts
 from qdenv.progress import Bar
 from qdenv.simulate.mapf.settings import describe_planner
-from qdenv.study import sweep as studies
+from qdenv.study import table as studies
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import Plan
 from qdenv.types import InputError
@@ -64,15 +64,15 @@ def simulate_layout(
     picture = plot and place(plot, f"{stem_of(layout)}_traffic.png", PICTURES, [layout])
     options = Fleet(fleet)
     plan, name = read_plan(layout, options.domain), name_of(layout)
-    usual = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     with studies.about(name):
-        tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, usual.agents)
-        config = options.config(usual.agents, usual.timesteps)
+        fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
+        config = options.config(agents, timesteps)
     # This imports the simulator: refusals are faster without it.
-    from qdenv.study.traffic import Wanted, examine, facts_of
+    from qdenv.study.traffic import examine, facts_of
 
-    about: dict[str, Any] = {"domain": plan.domain.name, "agents": usual.agents, "layout": name}
-    about |= {"planner": describe_planner(config.planner), "timesteps": usual.timesteps}
+    about: dict[str, Any] = {"domain": plan.domain.name, "agents": agents, "layout": name}
+    about |= {"planner": describe_planner(config.planner), "timesteps": timesteps}
     about["stop"] = options.stop
 
     def facts_with(study: Study) -> dict[str, Any]:
@@ -84,11 +84,13 @@ def simulate_layout(
     with studies.about(name), Bar("simulating") as bar:
 
         def show_numbers(study: Study) -> None:
-            head = options.describe(str(usual.agents), usual.timesteps, plan)
-            say(head, *[usual.said] * bool(usual.said), *_numbers(facts_with(study)))
+            head = options.describe(str(config.agents), timesteps, plan)
+            say(head, *[note] * bool(note), *_numbers(facts_with(study)))
 
-        wanted = Wanted(audit, maps=audit or picture is not None, verdict=verdict)
-        study = examine(plan.layout, tasks, config, options.seeds, wanted, bar, show_numbers)
+        maps = audit or picture is not None
+        study = examine(
+            plan, config, options.seeds, audit, maps, verdict, bar, on_runs=show_numbers
+        )
     facts = facts_with(study)
     if "verdict" in facts:
         say(f"verdict      {facts['verdict']}: {facts['verdict_reason']}")
@@ -103,7 +105,7 @@ def simulate_layout(
         size = {} if width is None else {"width": width}
         save_figure(draw_traffic(scene_of(plan, study, title, facts["stop"]), **size), picture.path)
         say(picture)
-    return Facts(facts | {"settings": options.settings(usual.timesteps)})
+    return Facts(facts | {"settings": options.settings(timesteps)})
 
 
 def _numbers(facts: Mapping[str, Any]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Elites of a saved run: find one, grow it on a canvas of any size, repair what it drew."""
+"""Layouts of any size: grown by an elite of a run (E.3), designed by hand, tiled (E.4)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
-from qdenv.generate import GENERATORS, Generator
+from qdenv.generate import GENERATORS, inside_frame
 from qdenv.lazy import jax, jnp
-from qdenv.ranges import NonNegativeInt, check_range
+from qdenv.ranges import NonNegativeInt, PositiveInt, check_range
 from qdenv.repair.rules import Progress, impossible, no_progress
 from qdenv.repair.settings import RepairConfig
 from qdenv.run.archive import Elite
@@ -19,6 +19,9 @@ from qdenv.run.directory import RunDirectory
 from qdenv.settings import EvaluationConfig
 from qdenv.study.plans import keep_from
 from qdenv.types import InputError, Repair, RepairStatus
+
+# Rows and columns of Figure 18, from S to S_eval.
+SIZES = ((33, 36), (45, 47), (57, 58), (69, 69), (81, 80), (93, 91), (101, 102))
 
 
 class Grown(NamedTuple):
@@ -30,28 +33,49 @@ class Grown(NamedTuple):
     steps: int  # of growth; 0 where nothing grew
 
 
-def find_elite(
-    run: RunDirectory,
-    which: str | Sequence[int] = "best",
-    measures: Sequence[float] | None = None,
-) -> Elite:
-    """Find an elite.
+class Sized(NamedTuple):
+    """A layout of some size and how it came about."""
 
-    Args:
-        run: a run that has saved an archive.
-        which: "best", or the cell's indices: "12,40" or (12, 40).
-        measures: a value for each measure, in place of `which`: the elite there, or the nearest.
+    layout: np.ndarray  # int8 [H, W], repaired where the domain repairs
+    steps: int  # of growth; 0 for a tiled layout
+    numbers: dict[str, int]  # how many tiles of each counted kind it holds, by the settings' names
+    repair: str  # a RepairStatus by name, "none" where nothing was repaired
+    changed: int  # cells that the repair changed
+    cpu_seconds: float  # of the repair
 
-    Raises:
-        InputError: there is no archive, no elite in that cell, or the question has no such form.
-    """
-    return run.archive.elite(which, measures)
+
+def details(sized: Sized) -> dict[str, int | float | str]:
+    """Return the numbers of a layout for tables and files."""
+    rows, cols = sized.layout.shape
+    return {
+        "rows": rows,
+        "cols": cols,
+        "steps": sized.steps,
+        **sized.numbers,
+        "repair": sized.repair,
+        "changed": sized.changed,
+        "cpu_seconds": sized.cpu_seconds,
+    }
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Read a size like ``57x58`` (rows x columns); raise InputError if it is none."""
+    rows, _, cols = text.partition("x")
+    if not (rows.isdecimal() and cols.isdecimal() and int(rows) and int(cols)):
+        raise InputError(f"size {text!r}: give rows and columns like 57x58")
+    return int(rows), int(cols)
+
+
+def _generator_of(config: EvaluationConfig, domain: Domain) -> Any:
+    from qdenv.pipeline import canvas_of  # imports both compilers: refusals are faster without
+
+    return GENERATORS.make(config.generator, canvas_of(domain))
 
 
 def grow_series(
     config: EvaluationConfig, domain: Domain, solution: np.ndarray, steps: Sequence[int]
 ) -> list[np.ndarray]:
-    """Grow one solution and keep the framed layout after each number of steps (Figure 6).
+    """Grow one solution and return the framed layout after each number of steps (Figure 6).
 
     Args:
         config: whose generator.
@@ -83,13 +107,6 @@ def grow_series(
     return [np.asarray(grow(jnp.asarray(number, jnp.int32))) for number in steps]
 
 
-def _generator_of(config: EvaluationConfig, domain: Domain) -> Any:
-    # Only here: imports both compilers, and who is refused need not wait.
-    from qdenv.pipeline import canvas_of
-
-    return GENERATORS.make(config.generator, canvas_of(domain))
-
-
 def grow_elite(
     run: RunDirectory,
     which: str | Sequence[int] | Elite = "best",
@@ -102,7 +119,7 @@ def grow_elite(
 
     Args:
         run: the run.
-        which: an elite, or as in `find_elite`.
+        which: an elite, "best", or its cell's indices: "12,40" or (12, 40).
         shape: (rows, columns) of the framed layout; None takes the trained size.
         steps: steps of growth; unless given what the domain knows of the size, or else scaled
             with the longer side.
@@ -121,13 +138,11 @@ def grow_elite(
     if keep is not None:
         domain = keep_from(keep, domain)
     if steps is None:
-        size, longer = (
-            trained.known_size(rows, cols),
-            max(rows / trained.shape[0], cols / trained.shape[1], 1),
-        )
-        own = _generator_of(config, trained).steps
+        size, own = trained.known_size(rows, cols), _generator_of(config, trained).steps
+        # A larger canvas grows out of the same seed, at most a cell per step.
+        longer = max(rows / trained.shape[0], cols / trained.shape[1], 1)
         steps = size.steps if size and own else round(own * longer)
-    elite = which if isinstance(which, Elite) else find_elite(run, which)
+    elite = which if isinstance(which, Elite) else run.archive.elite(which)
     layout = grow_series(config, domain, elite.solution, [steps])[0]
     return Grown(domain, elite, layout, steps)
 
@@ -149,8 +164,7 @@ def repair_grown(
     domain = grown.domain
     if domain.rules is None:
         return None
-    # Only here: imports a compiler and a solver.
-    from qdenv.repair.recipe import repair_layout
+    from qdenv.repair.recipe import repair_layout  # imports a compiler and a solver
 
     rules = domain.rules()
     result = repair_layout(grown.layout, rules, seed, config, progress)
@@ -162,6 +176,74 @@ def repair_grown(
             f"{impossible(rules) or 'none was found, try another repair seed'}"
         )
     return result
+
+
+def finish(grown: Grown, config: RepairConfig, seed: int) -> Sized:
+    """Repair a layout and count what that changed; raise InputError as `repair_grown` does."""
+    before, repaired = grown.layout, repair_grown(grown, config, seed)
+    after = before if repaired is None else np.asarray(repaired.layout)
+    return Sized(
+        layout=after,
+        steps=grown.steps,
+        numbers=grown.domain.fitted(after).numbers,
+        repair="none" if repaired is None else RepairStatus(int(repaired.status)).name.lower(),
+        changed=int((before != after).sum()),
+        cpu_seconds=0.0 if repaired is None else round(float(repaired.seconds), 3),
+    )
+
+
+def grow_sizes(
+    run: RunDirectory,
+    which: str = "best",
+    sizes: Sequence[tuple[int, int]] = SIZES,
+    steps: Sequence[int] = (),
+    numbers: Mapping[str, Sequence[int]] | None = None,
+    seed: int | None = None,
+) -> Iterator[Sized]:
+    """Grow one elite at several sizes and repair each layout.
+
+    Args:
+        run: a run with an archive.
+        which: "best", or the archive cell's indices like "12,40".
+        sizes: rows and columns of each framed layout.
+        steps: steps of growth for each size; as `grow_elite` chooses where empty.
+        numbers: exact numbers of tiles for each size, by the settings' names.
+        seed: of the repair; the run's own unless given.
+
+    Yields:
+        the layouts in the order of `sizes`, each as soon as it is repaired.
+
+    Raises:
+        InputError: there is no such elite, a size is impossible, or a list has another length
+            than `sizes`.
+    """
+    given = dict(numbers or {})
+    for name, values in {"steps": steps, **given}.items():
+        if values and len(values) != len(sizes):
+            raise InputError(f"{len(values)} numbers of {name} for {len(sizes)} sizes: give all")
+    config = run.config
+    seed = config.seed if seed is None else seed
+    for index, shape in enumerate(sizes):
+        own = {name: values[index] for name, values in given.items() if values}
+        grown = grow_elite(run, which, shape, steps[index] if steps else None, own)
+        yield finish(grown, config.evaluation.repair, seed)
+
+
+def grow_frames(run: RunDirectory, grown: Grown, every: int) -> tuple[list[int], list[np.ndarray]]:
+    """Grow an elite of a run once more and keep what it drew on the way (Figure 6).
+
+    Returns:
+        the numbers of steps, `every` so many and the last one, and the unrepaired layout (int8
+        [H, W]) after each.
+
+    Raises:
+        InputError: `every` is not positive, or no elite drew the layout.
+    """
+    check_range("every", every, PositiveInt)
+    if grown.elite is None:
+        raise InputError("a tiled layout did not grow: it has no frames")
+    steps = sorted({*range(0, grown.steps, every), grown.steps})
+    return steps, grow_series(run.config.evaluation, grown.domain, grown.elite.solution, steps)
 
 
 Grower = Callable[[np.ndarray], np.ndarray]
@@ -178,25 +260,20 @@ def make_grower(config: EvaluationConfig, domain: Domain) -> tuple[int, Grower]:
         (steps C, float32 [B, P] -> framed layouts int8 [B, C + 1, H, W]); no steps where nothing
         grows. Another B is compiled again.
     """
-    from qdenv.pipeline import canvas_of  # imports both compilers
-
-    generator = GENERATORS.make(config.generator, canvas_of(domain))
+    generator = _generator_of(config, domain)
     steps = generator.steps
 
     @jax.jit
     def grow(solutions: jax.Array) -> jax.Array:
-        framed = jax.vmap(jax.vmap(domain.frame))(_frames(generator, solutions, steps))
-        return jnp.asarray(framed)
+        if generator.frames is not None:
+            frames = generator.frames(solutions, steps)
+        else:  # a generator that gives nothing but the end is run once for each number of steps
+            after = jnp.arange(steps + 1)
+            frames = jax.lax.map(lambda step: generator.grow(solutions, step), after)
+            frames = jnp.moveaxis(frames, 0, 1)
+        return jnp.asarray(jax.vmap(jax.vmap(domain.frame))(frames))
 
     return steps, lambda solutions: np.asarray(grow(jnp.asarray(solutions)))
-
-
-def _frames(generator: Generator, solutions: jax.Array, steps: int) -> jax.Array:
-    if generator.frames is not None:
-        return generator.frames(solutions, steps)
-    # Whoever tells only how it ends is asked again and again.
-    after = jnp.arange(steps + 1)
-    return jnp.moveaxis(jax.lax.map(lambda step: generator.grow(solutions, step), after), 0, 1)
 
 
 def spread(cells: np.ndarray, first: int) -> Iterator[int]:
@@ -220,3 +297,65 @@ def spread(cells: np.ndarray, first: int) -> Iterator[int]:
         np.minimum(distance, ((points - points[row]) ** 2).sum(axis=1), out=distance)
         distance[row] = -1
         row = int(distance.argmax())
+
+
+def human_layout(domain: Domain) -> np.ndarray:
+    """Draw what people design for `domain` at its size (int8 [H, W]; appendix D.2).
+
+    Raises:
+        InputError: no layouts of this domain are designed by hand, or the size is too small.
+    """
+    if domain.human is None:
+        raise InputError(f"nobody designs layouts of {domain.name} by hand: choose another domain")
+    return domain.human()
+
+
+def tile_layout(domain: Domain, layout: np.ndarray) -> np.ndarray:
+    """Repeat the generated area of a small layout until it fills a larger one (section E.4).
+
+    The copies start in the upper left corner; those at the right and at the bottom are cut. The
+    frame is drawn again.
+
+    Args:
+        domain: at the larger size.
+        layout: int8 [h, w], framed.
+
+    Returns:
+        int8 [H, W], not repaired.
+
+    Raises:
+        InputError: the larger layout is smaller than the frame.
+    """
+    inside, (height, width) = inside_frame(layout, domain.margin), domain.generated_shape
+    if min(height, width) < 1 or inside.size == 0:
+        rows, cols = domain.shape
+        raise InputError(f"{rows} x {cols} leaves no room inside the frame: ask for more")
+    copies = -(-height // inside.shape[0]), -(-width // inside.shape[1])  # rounded up
+    return np.asarray(domain.frame(np.tile(inside, copies)[:height, :width]))
+
+
+def tile(
+    domain: Domain,
+    layout: np.ndarray,
+    shape: tuple[int, int],
+    numbers: Mapping[str, int] | None = None,
+    config: RepairConfig | None = None,
+    seed: int = 0,
+) -> Sized:
+    """Tile a small layout to a larger size and repair it: the baseline of section E.4.
+
+    Args:
+        domain: whose rules, at any size.
+        layout: int8 [h, w], framed.
+        shape: rows and columns of the larger layout.
+        numbers: exact numbers of tiles by the settings' names; where left out those known of the
+            size, or else the small layout's, scaled with the area.
+        config: limits of the repair.
+        seed: other seeds give other, equally good repairs.
+
+    Raises:
+        InputError: the size is impossible, or no repair was found.
+    """
+    larger = domain.fitted(layout).resized(*shape, numbers)
+    grown = Grown(larger, None, tile_layout(larger, layout), 0)
+    return finish(grown, config or RepairConfig(), seed)

@@ -3,7 +3,7 @@
 import functools
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
@@ -44,12 +44,12 @@ def run_seeds(
     threads: int | None = None,
     progress: Progress = silent,
 ) -> Simulated:
-    """Simulate a layout once per seed, on all cores.
+    """Simulate a layout (int8 [H, W]) once per seed, on all cores.
 
     Args:
-        layout: int8 [H, W].
+        layout: int8 [H, W]; layouts of one size share a compiled program.
         tasks: what the agents do.
-        config: settings of the simulation; layouts of one size share a compiled program.
+        config: settings of the simulation.
         seeds: one per run, of starts, goals and ties.
         agents: number of agents, at most ``config.agents``; None for all. Compiles nothing new.
         read: called with every run and its recording, which is dropped afterwards: all recordings
@@ -66,7 +66,10 @@ def run_seeds(
     program = _program(tasks, config, layout.shape, read is not None)
     if not program.ready:
         progress("compiling the simulator", -1, "")
-    world = program.make_ready(layout)
+    world = program.prepare(layout)
+    if program.on_host and not program.ready:
+        program.drive(world, 0, 0)  # a run without agents loads or compiles the host's code
+    program.ready = True
     compiled = time.process_time()
 
     def one(seed: int) -> tuple[Traffic, Any, float]:
@@ -79,7 +82,17 @@ def run_seeds(
     pool = ThreadPoolExecutor(threads or devices.threads())
     try:
         futures = [pool.submit(one, seed) for seed in seeds]
-        _report_progress(futures, config.timesteps, progress)
+        share, left = 0.0, set(futures)
+        while left:
+            done, left = wait(left, timeout=_POLL_SECONDS)
+            for future in done:
+                future.result()  # raises at once what a run raised
+            ended = len(futures) - len(left)
+            # A run that has just ended is for a moment counted neither as running nor as ended,
+            # and progress must not go back.
+            share = max(share, (ended + steps_under_way() / config.timesteps) / len(futures))
+            note = f"run {min(ended + 1, len(futures))} of {len(futures)}"
+            progress("simulating", min(share, 1.0), note)
         results = [future.result() for future in futures]
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
@@ -87,26 +100,10 @@ def run_seeds(
         seeds=tuple(seeds),
         runs=[traffic for traffic, _, _ in results],
         readings=[reading for _, reading, _ in results if read],
-        # The process's time, for what the drivers do in threads of their own counts, too.
+        # The process's time, because drivers also work in threads of their own.
         cpu_seconds=time.process_time() - compiled - sum(spent for _, _, spent in results),
         compile_seconds=compiled - begin,
     )
-
-
-def _report_progress(futures: Sequence[Future], timesteps: int, progress: Progress) -> None:
-    """Report the progress until all runs have ended, or one has failed."""
-    share, left = 0.0, set(futures)
-    while left:
-        done, left = wait(left, timeout=_POLL_SECONDS)
-        for future in done:
-            future.result()
-        ended = len(futures) - len(left)
-        # A run that has just ended is for a moment counted neither as running nor as ended, and
-        # progress must not go back.
-        share = max(share, (ended + steps_under_way() / timesteps) / len(futures))
-        progress(
-            "simulating", min(share, 1.0), f"run {min(ended + 1, len(futures))} of {len(futures)}"
-        )
 
 
 @dataclass
@@ -117,14 +114,6 @@ class _Program:
     run: Callable  # (world, seed, number of agents) -> traffic and recording
     on_host: bool  # runs are driven by compiled code of the host
     ready: bool = False  # that code has been loaded or compiled
-
-    def make_ready(self, layout: np.ndarray) -> Any:
-        """Prepare a layout; the first time also run no agents, which loads the host's code."""
-        world = self.prepare(layout)
-        if self.on_host and not self.ready:
-            self.drive(world, 0, 0)
-        self.ready = True
-        return world
 
     def drive(self, world: Any, seed: int, agents: int) -> tuple[Traffic, Any]:
         """Run once; the values are numpy's."""

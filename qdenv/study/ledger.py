@@ -20,26 +20,26 @@ from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
 from qdenv.stats import sample_of, wilson_interval
-from qdenv.study.sweep import check_fleet, choose_capacity
+from qdenv.study.options import fleet_tasks
+from qdenv.study.table import about, choose_capacity
 from qdenv.types import look_up
 
 if TYPE_CHECKING:
     from distributed import Client
 
-# Who drives, by a word: our planner at two efforts, the paper's by two rules.
+# Planners by name: ours at two efforts, the paper's by two rules.
 DRIVERS: Mapping[str, Any] = {
     **EFFORTS,
     "published": PbsConfig(rule="published"),
     "plain": PbsConfig(rule="plain"),
 }
-_PAUSE = 30.0  # seconds between two words on how far it is
-Key: TypeAlias = tuple[str, str, int, int, str, bool, str, int]
+_PAUSE = 30.0  # seconds between two lines on the progress
 
 
 class Case(NamedTuple):
     """What is simulated once per seed."""
 
-    layout: str  # how tables call it
+    layout: str  # its name in tables
     tiles: np.ndarray  # int8 [H, W]
     domain: Domain  # whose tasks the agents do
     agents: int  # how many
@@ -47,20 +47,18 @@ class Case(NamedTuple):
     planner: str  # one of `DRIVERS`
     stop: bool = True  # end a run where it congests
 
-    def key(self, seed: int) -> Key:
-        """Tell the run of a seed from all others."""
+    def key(self, seed: int) -> tuple:
+        """Return the fields of `Run` that tell the run of a seed from all others."""
         drawn = f"{zlib.crc32(self.tiles.astype(np.int8).tobytes()):08x}"
         numbers = (self.agents, self.timesteps, self.planner, self.stop)
         return (self.layout, self.domain.name, *numbers, drawn, seed)
 
     @property
     def fleet(self) -> FleetConfig:
-        """The numbers of its simulation."""
+        """The settings of its simulation."""
+        planner = DRIVERS[self.planner]
         return FleetConfig(
-            agents=self.agents,
-            timesteps=self.timesteps,
-            planner=DRIVERS[self.planner],
-            stop_when_congested=self.stop,
+            self.agents, self.timesteps, planner=planner, stop_when_congested=self.stop
         )
 
 
@@ -81,10 +79,9 @@ class Run(NamedTuple):
     cpu_seconds: float  # of driving, without preparing and compiling
 
     @property
-    def key(self) -> Key:
-        """Tell it from all other runs, as `Case.key` does."""
-        numbers = (self.agents, self.timesteps, self.planner, self.stop)
-        return (self.layout, self.domain, *numbers, self.tiles, self.seed)
+    def key(self) -> tuple:
+        """Layout to seed, which tell it from all other runs, as `Case.key` does."""
+        return self[:8]
 
 
 # Simulates cases, each from its seed, and gives the runs as they end, in any order.
@@ -92,11 +89,7 @@ SimulateAll: TypeAlias = Callable[[Sequence[tuple[Case, int]]], Iterator[Run]]
 
 
 def read_runs(path: Path) -> list[Run]:
-    """Read the runs of a file.
-
-    Raises:
-        InputError: there is no such file, or it is no table of runs.
-    """
+    """Read the runs of a file; raise InputError if there is none, or it is no table of runs."""
     return list(read_table(path, Run))
 
 
@@ -123,8 +116,8 @@ def complete(
         cases: what to simulate.
         seeds: of each case.
         others: further files of runs; only read.
-        say: told every half minute how far it is.
-        simulate_all: who simulates, and in which order.
+        say: called every half minute with a line on the progress.
+        simulate_all: simulates, in any order.
 
     Returns:
         the runs of all cases, case by case.
@@ -134,16 +127,18 @@ def complete(
     """
     for case in cases:
         look_up(DRIVERS, case.planner, "planner")
-        check_fleet(case.layout, case.tiles, case.domain.simulator.tasks, case.agents)
-    known = {run.key: run for file in others for run in read_runs(file)}
-    known |= {run.key: run for run in _written(path)}
+        with about(case.layout):
+            fleet_tasks(case.tiles, case.domain.simulator.tasks, case.agents)
+    files = [*others, *[path] * path.exists()]
+    known = {run.key: run for file in files for run in read_runs(file)}
     todo = [(case, seed) for case in cases for seed in seeds if case.key(seed) not in known]
-    said = time.time()
+    last = time.time()
     for done, run in enumerate(simulate_all(todo), start=1):
         known[run.key] = run
-        write_csv(path, Run._fields, [*_written(path), run])
-        if time.time() - said > _PAUSE or done == len(todo):
-            said = time.time()
+        # Read again: another process may have written since.
+        write_csv(path, Run._fields, [*(read_runs(path) if path.exists() else []), run])
+        if time.time() - last > _PAUSE or done == len(todo):
+            last = time.time()
             rest = [case for case, seed in todo if case.key(seed) not in known]
             left = timedelta(seconds=round(seconds_for(rest, list(known.values()))))
             say(
@@ -153,10 +148,6 @@ def complete(
                 * run.congested
             )
     return [known[case.key(seed)] for case in cases for seed in seeds]
-
-
-def _written(path: Path) -> list[Run]:
-    return read_runs(path) if path.exists() else []
 
 
 def simulate(case: Case, seed: int) -> Run:
@@ -179,19 +170,17 @@ def simulate(case: Case, seed: int) -> Run:
 
 
 def seconds_for(cases: Sequence[Case], runs: Sequence[Run]) -> float:
-    """Reckon the CPU seconds of a run of each case from other runs, best of the same planner.
+    """Estimate the CPU seconds of a run of each case from other runs, best of the same planner.
 
     Args:
         cases: to be simulated.
         runs: at least one, unless there is no case; a run costs by its agents and timesteps.
     """
-
-    def rate(planner: str) -> float:
+    rates = {}
+    for planner in {case.planner for case in cases}:
         same = [run for run in runs if run.planner == planner] or runs
         work = sum(run.agents * run.timesteps for run in same)
-        return sum(run.cpu_seconds for run in same) / work
-
-    rates = {planner: rate(planner) for planner in {case.planner for case in cases}}
+        rates[planner] = sum(run.cpu_seconds for run in same) / work
     return sum(rates[case.planner] * case.agents * case.timesteps for case in cases)
 
 
@@ -223,9 +212,9 @@ def outcomes_of(runs: Iterable[Run]) -> list[Outcome]:
 
     A run that is given twice counts once.
     """
-    cases: dict[Key, dict[int, Run]] = {}
+    cases: dict[tuple, dict[int, Run]] = {}
     for run in runs:
-        cases.setdefault(run._replace(seed=0).key, {})[run.seed] = run
+        cases.setdefault(run[:7], {})[run.seed] = run
     return [_condense(list(seeds.values())) for seeds in cases.values()]
 
 
@@ -245,11 +234,7 @@ def _condense(runs: Sequence[Run]) -> Outcome:
 
 
 def handed_to(client: Client) -> SimulateAll:
-    """Return what simulates cases for `complete` on the workers of a cluster.
-
-    Args:
-        client: of a cluster with a worker at least.
-    """
+    """Return what simulates cases for `complete` on the workers of a cluster."""
 
     def simulate_all(todo: Sequence[tuple[Case, int]]) -> Iterator[Run]:
         executor = ClusterExecutor(client)

@@ -1,31 +1,23 @@
-"""What users say of a study in words: seeds, numbers of agents, who plans."""
+"""Options of studies: seeds, numbers of agents, surrogates, and what a known size gives."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeAlias, TypedDict
+from typing import Any
 
 import numpy as np
 
 from qdenv.domains.base import Domain, KnownSize
 from qdenv.ranges import LARGEST_SEED
 from qdenv.simulate.mapf.goals import check_playable
-from qdenv.simulate.mapf.settings import FleetConfig, find_planner
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
 from qdenv.types import InputError, TaskRule, look_up
 
+AGENTS, TIMESTEPS = 200, 1000  # of a simulation on a layout of no known size
 _SURROGATES = {"small": SurrogateConfig(), "published": PUBLISHED}
 _MOST_SEEDS = 100_000
 _MOST_COUNTS = 1000  # numbers of agents in one study
-_SIMULATING = "simulating"  # what a study reports to do
-# (what is done, its share of 0 to 1 or a negative number where that is unknown, a note)
-Progress: TypeAlias = Callable[[str, float, str], None]
-
-
-def silent(doing: str, share: float, note: str) -> None:
-    """Report no progress."""
 
 
 def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
@@ -57,9 +49,7 @@ def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
 
 
 def parse_counts(text: str) -> tuple[int, ...]:
-    """Read numbers of agents: one ("200"), a list ("50,100") or a range ("50:400:50").
-
-    The end of a range belongs to it.
+    """Read numbers of agents: "200", "50,100", or "50:400:50", a range with its end.
 
     Raises:
         InputError: none of the three, a count below one or named twice, or too many of them.
@@ -85,61 +75,21 @@ def parse_counts(text: str) -> tuple[int, ...]:
     return tuple(counts)
 
 
-def _scale_counts(text: str, factor: float) -> str:
-    """Multiply the numbers in words of `parse_counts`, so that a range keeps its steps."""
-    return re.sub(r"\d+", lambda number: str(round(int(number[0]) * factor)), text)
-
-
-class Driving(TypedDict, total=False):
-    """Who plans, and until when."""
-
-    effort: str  # "low" for a quick look, "high" for numbers to report; of the negotiated planner
-    planner: Any  # name of a registered planner, or settings like ``PbsConfig(rule="plain")``
-    stop: bool  # end a run at its first congested window, as published; else it goes on
-
-
-def make_fleet(
-    agents: int,
-    timesteps: int,
-    effort: str | None = None,
-    planner: Any = "",
-    stop: bool = True,
-) -> FleetConfig:
-    """Make the numbers of a simulation from words.
-
-    Args:
-        agents: how many take part.
-        timesteps: horizon T.
-        effort: see `Driving`, as the others.
-        planner: the negotiated one with high effort unless given.
-        stop: at the first congested window.
-
-    Raises:
-        InputError: a word is unknown, or the numbers make no simulation.
-    """
-    settings = find_planner(effort, planner)
-    return FleetConfig(agents, timesteps, planner=settings, stop_when_congested=stop)
-
-
 def find_surrogate(size: str, numbers: Mapping[str, Any]) -> SurrogateConfig:
-    """Choose a surrogate's settings by words.
-
-    Args:
-        size: "small" or "published".
-        numbers: in place of those of this size, by the settings' names; None stands for nothing.
+    """Return the settings of a surrogate: "small" or "published", with changes that are not None.
 
     Raises:
-        InputError: a word is unknown, or a number learns nothing.
+        InputError: a name is unknown, or a number is impossible.
     """
-    stated = {name: value for name, value in numbers.items() if value is not None}
+    changes = {name: value for name, value in numbers.items() if value is not None}
     chosen: SurrogateConfig = look_up(_SURROGATES, size, "size")
-    for name in stated:
+    for name in changes:
         look_up(vars(chosen), name, "setting")
-    return replace(chosen, **stated)
+    return replace(chosen, **changes)
 
 
 def fleet_tasks(layout: np.ndarray, tasks: TaskRule | None, agents: int) -> TaskRule:
-    """Refuse what no simulation can begin with; returns what the agents do.
+    """Return what the agents do, if a simulation can begin.
 
     Raises:
         InputError: no fleet drives in this domain, or that many do not fit the layout.
@@ -150,51 +100,34 @@ def fleet_tasks(layout: np.ndarray, tasks: TaskRule | None, agents: int) -> Task
     return tasks
 
 
-AGENTS, TIMESTEPS = 200, 1000
-
-
-class Usual(NamedTuple):
-    """The numbers of a simulation."""
-
-    agents: int  # how many robots drive
-    timesteps: int  # how long, T
-    said: str  # a line about those that a known size gives; "" where it gives none
-
-
 def usual_fleet(
     domain: Domain,
     layouts: Sequence[np.ndarray],
     agents: int | None = None,
     timesteps: int | None = None,
-) -> Usual:
-    """Choose the numbers that are not stated, the same for all layouts.
+) -> tuple[int, int, str]:
+    """Return agents, timesteps, and a line about what the layouts' size gives of them, or "".
 
-    Args:
-        domain: whose layouts.
-        layouts: int8 [H, W] each; what their size gives counts where they are all of one size.
-        agents: None if not stated.
-        timesteps: None if not stated.
+    A number that is None is that of the size where all layouts have one known size, else `AGENTS`
+    or `TIMESTEPS`.
     """
     shapes = {layout.shape for layout in layouts}
     size = domain.known_size(*shapes.pop()) if len(shapes) == 1 else None
-    numbers = (size.agents, size.timesteps) if size else (AGENTS, TIMESTEPS)
-    taken = {
-        name: value
-        for name, value, stated in (
-            ("agents", numbers[0], agents),
-            ("timesteps", numbers[1], timesteps),
-        )
-        if stated is None and size
-    }
-    return Usual(
-        numbers[0] if agents is None else agents,
-        numbers[1] if timesteps is None else timesteps,
-        _in_words(layouts[0].shape, size, taken) if size else "",
+    given = {"agents": agents, "timesteps": timesteps}
+    numbers = {"agents": AGENTS, "timesteps": TIMESTEPS}
+    if size is not None:
+        numbers = {"agents": size.agents, "timesteps": size.timesteps}
+    taken = {name: number for name, number in numbers.items() if given[name] is None}
+    note = "" if size is None else _describe_size(layouts[0].shape, size, taken)
+    return (
+        numbers["agents"] if agents is None else agents,
+        numbers["timesteps"] if timesteps is None else timesteps,
+        note,
     )
 
 
 def describe_growth(domain: Domain, shape: tuple[int, int], given: Collection[str]) -> str:
-    """Say which numbers a known size gives to a layout that is drawn for it; "" for none.
+    """Describe which numbers a known size gives to a layout that is drawn for it; "" for none.
 
     Args:
         domain: at the size that the layout is made from.
@@ -206,11 +139,11 @@ def describe_growth(domain: Domain, shape: tuple[int, int], given: Collection[st
         return ""
     numbers = {**size.numbers, "steps": size.steps}
     taken = {name: value for name, value in numbers.items() if name not in given}
-    return _in_words(shape, size, taken).replace(" steps", " steps of growth")
+    return _describe_size(shape, size, taken).replace(" steps", " steps of growth")
 
 
-def _in_words(shape: tuple[int, ...], size: KnownSize, taken: dict[str, int]) -> str:
+def _describe_size(shape: tuple[int, ...], size: KnownSize, taken: dict[str, int]) -> str:
     if not taken:
         return ""
-    said = ", ".join(f"{value} {name}" for name, value in taken.items())
-    return f"{shape[0]} x {shape[1]} is {size.about}: {said} unless stated"
+    numbers = ", ".join(f"{value} {name}" for name, value in taken.items())
+    return f"{shape[0]} x {shape[1]} is {size.about}: {numbers} unless stated"

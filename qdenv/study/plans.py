@@ -1,9 +1,10 @@
-"""Drawings of what must stay, from files: read beside a plan or without one."""
+"""Layouts from files with their domains, drawings of what must stay, and what a repair changed."""
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,80 +14,14 @@ from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing, respell, t
 from qdenv.repair.rules import impossible
 from qdenv.types import InputError
 
-
-def keep_from(path: str | Path, domain: Domain, layout: np.ndarray | None = None) -> Domain:
-    """Read which cells must stay, and demand it of a domain.
-
-    Args:
-        path: a drawing of the layout's shape in any format of layout files. ``?`` is free to
-            change, ``!`` stays as the plan has it, a tile stays this tile.
-        domain: at the layout's size.
-        layout: the plan int8 [H, W]; None where there is none.
-
-    Raises:
-        InputError: the file is no such drawing, asks for what the plan does not hold, or for what
-            no layout can be.
-    """
-    rows = _read(path, domain)
-    try:
-        kept = domain.keeping(_resolve(rows, domain, layout))
-        reason = None if kept.rules is None else impossible(kept.rules())
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    if reason:
-        raise InputError(f"{path}: nothing can be built around what is kept: {reason}")
-    return kept
-
-
-def _read(path: str | Path, domain: Domain) -> list[str]:
-    """Read a drawing, each tile by its own symbol; blanks are no second way to draw a tile."""
-    known = aliases(domain.tiles, domain.meanings)
-    table = {one: symbol for one, symbol in known.items() if one not in BLANKS + FREE + SAME}
-    return respell(read_drawing(path).rows, table)
-
-
-def _resolve(rows: list[str], domain: Domain, layout: np.ndarray | None) -> tuple[str, ...]:
-    """Name the tile of every cell that stays."""
-    check_shape(rows, domain.shape)
-    return tuple(
-        "".join(_resolve_cell(symbol, row, col, domain, layout) for col, symbol in enumerate(drawn))
-        for row, drawn in enumerate(rows)
-    )
-
-
-def _resolve_cell(
-    symbol: str, row: int, col: int, domain: Domain, layout: np.ndarray | None
-) -> str:
-    """Name the tile of a cell that stays, `FREE` of one that may change."""
-    if symbol not in FREE + SAME + domain.tiles:
-        raise InputError(
-            f"row {row}, column {col}: {symbol!r} is no tile of {domain.name}: draw {FREE!r} where "
-            f"anything may be, {SAME!r} for what the plan holds, or one of "
-            f"{alphabet(domain.tiles, domain.meanings)}"
-        )
-    if symbol == SAME and layout is None:
-        raise InputError(
-            f"row {row}, column {col}: {SAME!r} keeps what a plan holds, and there is no plan "
-            "here: draw the tile itself"
-        )
-    if symbol == FREE or layout is None:
-        return symbol
-    held = domain.tiles[layout[row, col]]
-    if symbol not in (SAME, held):
-        raise InputError(
-            f"row {row}, column {col}: {symbol!r} is to stay, but the plan holds {held!r} there: "
-            f"change one of the two, or draw {FREE!r}"
-        )
-    return held
-
-
 USUAL = "warehouse-even"  # the domain where nothing says otherwise
+_SHOWN = 3  # cells of a list that are named, the rest is counted
 
 
 class Plan(NamedTuple):
     """A layout with its domain."""
 
-    name: str  # how tables and messages call it
+    name: str  # in tables and messages
     layout: np.ndarray  # int8 [H, W]
     domain: Domain  # whose layout; at its default size, not fitted to this one
     assumed: bool  # nothing but the tiles said whose layout it is
@@ -95,7 +30,7 @@ class Plan(NamedTuple):
 
     @property
     def whose(self) -> str:
-        """Say whose layout it is, and how that is known, as commands print it."""
+        """Whose layout it is, and how that is known, as commands print it."""
         how = " (assumed from the tiles; --domain chooses another)" if self.assumed else ""
         return f"domain {self.domain.name}{how}"
 
@@ -132,33 +67,164 @@ def read_plan(path: str | Path, domain: str | None = None) -> Plan:
         InputError: the file holds no layout, or says that it is another domain's.
     """
     drawing = read_drawing(path)
-    said = drawing.domain
-    if said and domain and said != domain and said in DOMAINS.names():
-        raise InputError(f"{path}: the file says {said}: leave --domain out, or change the file")
-    if said and not domain and said not in DOMAINS.names():
+    stated = drawing.domain
+    if stated and domain and stated != domain and stated in DOMAINS.names():
+        raise InputError(f"{path}: the file says {stated}: leave --domain out, or change the file")
+    if stated and not domain and stated not in DOMAINS.names():
         raise InputError(
-            f"{path}: the file says domain {said!r}, which is unknown: "
+            f"{path}: the file says domain {stated!r}, which is unknown: "
             f"--domain chooses one of {', '.join(DOMAINS.names())}"
         )
-    chosen = domain or said
-    found = find_domain(chosen) if chosen else _guess_domain(set("".join(drawing.rows)))
+    name = domain or stated
+    found = find_domain(name) if name else _guess_domain(set("".join(drawing.rows)))
     layout = to_layout(drawing.rows, path, found.tiles, found.meanings, found.name)
-    return Plan(Path(path).stem, layout, found, assumed=not chosen, keep=drawing.keep)
+    return Plan(Path(path).stem, layout, found, assumed=not name, keep=drawing.keep)
 
 
 def _guess_domain(symbols: set[str]) -> Domain:
-    """Find whose tiles `symbols` are: drawn as they are, else with other symbols for the same."""
-    for domain in _domains():
-        if symbols <= set(domain.tiles):
-            return domain
-    for domain in _domains():
-        if symbols <= {*domain.tiles, *aliases(domain.tiles, domain.meanings)}:
-            return domain
-    return find_domain(USUAL)
-
-
-def _domains() -> Iterator[Domain]:
-    """Make the domains one after the other, the usual one first."""
+    """Find the domain whose tiles have these symbols, or else other symbols for the same tiles."""
+    domains = []
     for name in dict.fromkeys((USUAL, *DOMAINS.names())):
         with contextlib.suppress(InputError):  # somebody else's broken plug-in
-            yield find_domain(name)
+            domains.append(find_domain(name))
+    tiles = [set(domain.tiles) for domain in domains]
+    tiles += [{*one.tiles, *aliases(one.tiles, one.meanings)} for one in domains]
+    fitting = (one for one, known in zip(domains * 2, tiles, strict=True) if symbols <= known)
+    return next(fitting, domains[0])
+
+
+def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:
+    """Name layout files briefly: by their stem where that is enough, else by their whole path."""
+    stems = Counter(path.stem for path in set(paths))
+    return {path.stem if stems[path.stem] == 1 else str(path): path for path in paths}
+
+
+def keep_from(path: str | Path, domain: Domain, layout: np.ndarray | None = None) -> Domain:
+    """Read which cells must stay, and demand it of a domain.
+
+    Args:
+        path: a drawing of the layout's shape in any format of layout files. ``?`` is free to
+            change, ``!`` stays as the plan has it, a tile stays this tile.
+        domain: at the layout's size.
+        layout: the plan int8 [H, W]; None where there is none.
+
+    Raises:
+        InputError: the file is no such drawing, asks for what the plan does not hold, or for what
+            no layout can be.
+    """
+    known = aliases(domain.tiles, domain.meanings)
+    # In a drawing of what stays, blanks are no second symbol of a tile.
+    table = {one: symbol for one, symbol in known.items() if one not in BLANKS + FREE + SAME}
+    rows = respell(read_drawing(path).rows, table)
+    try:
+        check_shape(rows, domain.shape)
+        cells = tuple(
+            "".join(_resolve(symbol, row, col, domain, layout) for col, symbol in enumerate(drawn))
+            for row, drawn in enumerate(rows)
+        )
+        kept = domain.keeping(cells)
+        reason = None if kept.rules is None else impossible(kept.rules())
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    if reason:
+        raise InputError(f"{path}: nothing can be built around what is kept: {reason}")
+    return kept
+
+
+def _resolve(symbol: str, row: int, col: int, domain: Domain, layout: np.ndarray | None) -> str:
+    """Return the tile of a cell that stays, `FREE` for one that may change."""
+    if symbol not in FREE + SAME + domain.tiles:
+        raise InputError(
+            f"row {row}, column {col}: {symbol!r} is no tile of {domain.name}: draw {FREE!r} where "
+            f"anything may be, {SAME!r} for what the plan holds, or one of "
+            f"{alphabet(domain.tiles, domain.meanings)}"
+        )
+    if symbol == SAME and layout is None:
+        raise InputError(
+            f"row {row}, column {col}: {SAME!r} keeps what a plan holds, and there is no plan "
+            "here: draw the tile itself"
+        )
+    if symbol == FREE or layout is None:
+        return symbol
+    held = domain.tiles[layout[row, col]]
+    if symbol not in (SAME, held):
+        raise InputError(
+            f"row {row}, column {col}: {symbol!r} is to stay, but the plan holds {held!r} there: "
+            f"change one of the two, or draw {FREE!r}"
+        )
+    return held
+
+
+def list_changes(before: np.ndarray, after: np.ndarray, domain: Domain) -> list[dict[str, Any]]:
+    """Compare two layouts (int8 [H, W]) of one domain in JSON-ready values.
+
+    Returns:
+        for each kind of tile that changed: tile (its symbol), name, station (people decide where
+        it stands), before and after (number of cells), removed and placed ((row, column) of the
+        cells that hold it no longer, or now).
+    """
+    # No generator draws a station, or the rules demand a number of them or more.
+    rules = domain.rules() if domain.rules else None
+    at_least = [bound.tiles for bound in rules.counts if bound.high is None] if rules else []
+    stations = (set(domain.tiles) - set(domain.generated)) | set("".join(at_least))
+    changes = []
+    for kind, tile in enumerate(domain.tiles):
+        held, holds = before == kind, after == kind
+        if (held != holds).any():
+            change = {
+                "tile": tile,
+                "name": domain.names.get(tile, repr(tile)),
+                "station": tile in stations,
+                "before": int(held.sum()),
+                "after": int(holds.sum()),
+                "removed": _cells(held & ~holds),
+                "placed": _cells(holds & ~held),
+            }
+            changes.append(change)
+    return changes
+
+
+def _cells(mask: np.ndarray) -> list[tuple[int, int]]:
+    return [(int(row), int(col)) for row, col in np.argwhere(mask)]
+
+
+def describe_changes(changes: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Describe what `list_changes` found, a line per kind of tile under a head."""
+    if not changes:
+        return ["nothing changed"]
+    width = max(len("tile"), *(len(change["name"]) for change in changes))
+    lines = [f"{'tile':{width}}  before  after  cells as (row, column) from 0"]
+    for change in changes:
+        removed, placed = (
+            ", ".join(map(str, cells[:_SHOWN]))
+            + (f" and {len(cells) - _SHOWN} more" if len(cells) > _SHOWN else "")
+            for cells in (change["removed"], change["placed"])
+        )
+        gone, new = len(change["removed"]), len(change["placed"])
+        parts = [f"{gone} removed: {removed}"] * bool(gone)
+        parts += [f"{new} placed: {placed}"] * bool(new)
+        if gone == new:
+            parts = [f"{gone} moved: from {removed} to {placed}"]
+        numbers = f"{change['before']:6}  {change['after']:5}"
+        lines.append(f"{change['name']:{width}}  {numbers}  {'; '.join(parts)}")
+    return lines
+
+
+def warn_of_changes(changes: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Warn of stations that are gone, and of new ones, and say how to prevent it."""
+    lines = []
+    for change in (change for change in changes if change["station"]):
+        removed, placed, name = change["removed"], change["placed"], change["name"]
+        if removed:
+            lines.append(
+                f"WARNING: {len(removed)} of the plan's {change['before']} {name} cells changed, "
+                f"the first at row {removed[0][0]}, column {removed[0][1]}: "
+                "--keep FILE keeps the cells that a drawing marks with '!'"
+            )
+        if placed:
+            lines.append(
+                f"note: {len(placed)} {name} cells are new, the first at "
+                f"row {placed[0][0]}, column {placed[0][1]}: "
+                "--keep FILE keeps them out where a drawing marks the cells with '!'"
+            )
+    return lines

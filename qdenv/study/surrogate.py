@@ -43,16 +43,6 @@ class Evaluated:
         return len(self.numbers)
 
 
-class Skill(NamedTuple):
-    """The quality of the predictions of one number."""
-
-    # share of the variance of the held-out elites that is explained: 1 is perfect, 0 no better than
-    # their mean, below 0 worse; NaN if they do not vary
-    r2: float
-    rmse: float  # root mean squared error, in the number's own units
-    rank: float  # Spearman's rank correlation; NaN if either side does not vary
-
-
 def read_elites(run: RunDirectory) -> Evaluated:
     """Read what a surrogate can learn from a run's archive.
 
@@ -95,8 +85,15 @@ def split_elites(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return np.sort(order[held:]), np.sort(order[:held])
 
 
-def score_predictions(predicted: np.ndarray, truth: np.ndarray) -> Skill:
-    """Score predictions of one number (float [n] each)."""
+def score_predictions(predicted: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """Score predictions of one number (float [n] each).
+
+    Returns:
+        r2: share of the variance of the held-out elites that is explained (1 is perfect, 0 no
+        better than their mean, below 0 worse; NaN if they do not vary); rmse: root mean squared
+        error, in the number's own units; rank: Spearman's rank correlation (NaN if either side
+        does not vary).
+    """
     from scipy import stats  # takes half a second: refusals are faster without it
 
     predicted, truth = predicted.astype(float), truth.astype(float)
@@ -105,7 +102,7 @@ def score_predictions(predicted: np.ndarray, truth: np.ndarray) -> Skill:
     r2 = 1 - squared / truth.var() if varies else float("nan")
     ranked = varies and predicted.max() > predicted.min()
     rank = stats.spearmanr(predicted, truth).statistic if ranked else float("nan")
-    return Skill(float(r2), float(np.sqrt(squared)), float(rank))
+    return {"r2": float(r2), "rmse": float(np.sqrt(squared)), "rank": float(rank)}
 
 
 class Split(NamedTuple):
@@ -114,7 +111,7 @@ class Split(NamedTuple):
     seed: int  # of the split and of the networks
     held: np.ndarray  # int [n], indices of the held-out elites
     predicted: np.ndarray  # float32 [n, numbers]
-    skills: tuple[Skill, ...]  # of each number
+    skills: tuple[dict[str, float], ...]  # of each number, see `score_predictions`
     tiles: float  # share of the tiles of repaired layouts that were predicted; NaN without a repair
 
 
@@ -144,32 +141,32 @@ def try_surrogate(
     for number, seed in enumerate(seeds):
         known, held = split_elites(len(elites), seed)
         first, second = jax.random.split(jax.random.key(seed))
-        fitted, ring = init(first), _ring(elites, known)
+        numbers = elites.numbers[known]
+        samples = Samples(
+            drawn=jnp.asarray(elites.drawn[known]),
+            repaired=jnp.asarray(elites.repaired[known]),
+            usage=jnp.zeros(elites.drawn[known].shape, jnp.float16),
+            # Archives hold only the result objective, which stands in for the search's own.
+            numbers=jnp.asarray(np.column_stack([numbers[:, 0], numbers])),
+        )
+        fitted, ring = init(first), Ring(samples, jnp.int32(len(known)))
         for done, (name, epoch) in enumerate(parts):
             share = (number + done / len(parts)) / len(seeds)
             progress("learning", share, f"split {number + 1} of {len(seeds)}")
             fitted, loss = fit_part(fitted, ring, second, name, epoch, epoch + 1)
             # jax runs asynchronously: without this all parts would be reported at once.
             loss.block_until_ready()
-        predicted, repaired = _predict(predict, fitted, elites.drawn, held)
+        # Whole chunks, so that one compiled program predicts all of them.
+        rows = np.resize(held, -(-len(held) // _CHUNK) * _CHUNK).reshape(-1, _CHUNK)
+        reports = [predict(fitted, jnp.asarray(elites.drawn[chunk])) for chunk in rows]
+        columns = [(one.score.result_objective, one.score.measures) for one in reports]
+        predicted = np.concatenate([np.column_stack(one) for one in columns])[: len(held)]
+        repaired = np.concatenate([one.repaired for one in reports])[: len(held)]
         truth = elites.numbers[held]
         skills = tuple(map(score_predictions, predicted.T, truth.T))
         alike = float((repaired == elites.repaired[held]).mean())
         splits.append(Split(seed, held, predicted, skills, alike if elites.repairs else np.nan))
     return splits
-
-
-def _predict(
-    predict: Callable, fitted: Any, drawn: np.ndarray, held: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Predict the numbers (float32 [n, 1 + M]) and the repaired layouts of held-out elites."""
-    # Whole chunks, so that one compiled program predicts all of them.
-    rows = np.resize(held, -(-len(held) // _CHUNK) * _CHUNK).reshape(-1, _CHUNK)
-    reports: list[Any] = [predict(fitted, jnp.asarray(drawn[chunk])) for chunk in rows]
-    objective = np.concatenate([one.score.result_objective for one in reports])
-    measures = np.concatenate([one.score.measures for one in reports])
-    repaired = np.concatenate([one.repaired for one in reports])
-    return np.column_stack([objective, measures])[: len(held)], repaired[: len(held)]
 
 
 @functools.lru_cache(maxsize=4)
@@ -178,19 +175,6 @@ def _compile(config: SurrogateConfig, aspect: Aspect) -> tuple[Callable, Callabl
     surrogate = make_surrogate(config, aspect)
     part = jax.jit(surrogate.fit_part, static_argnames="name")
     return jax.jit(surrogate.init), part, jax.jit(surrogate.predict)
-
-
-def _ring(elites: Evaluated, known: np.ndarray) -> Ring:
-    """Fill a sample buffer with elites."""
-    numbers = elites.numbers[known]
-    samples = Samples(
-        drawn=jnp.asarray(elites.drawn[known]),
-        repaired=jnp.asarray(elites.repaired[known]),
-        usage=jnp.zeros(elites.drawn[known].shape, jnp.float16),
-        # Archives hold only the result objective, which stands in for the search's own.
-        numbers=jnp.asarray(np.column_stack([numbers[:, 0], numbers])),
-    )
-    return Ring(samples, jnp.int32(len(known)))
 
 
 def average_splits(values: Sequence[float]) -> dict[str, Any]:
@@ -208,15 +192,15 @@ def average_splits(values: Sequence[float]) -> dict[str, Any]:
 def scores_to_dict(
     elites: Evaluated, config: SurrogateConfig, splits: Sequence[Split]
 ) -> dict[str, Any]:
-    """Report each score of each number, averaged over the splits, in JSON-ready values."""
+    """Return each score of each number, averaged over the splits, in JSON-ready values."""
     held = len(splits[0].held)
-    skills = {}
-    for number, name in enumerate(elites.names):
-        columns = zip(*(split.skills[number] for split in splits), strict=True)
-        skills[name] = {
-            score: average_splits(list(values))
-            for score, values in zip(Skill._fields, columns, strict=True)
+    skills = {
+        name: {
+            score: average_splits([split.skills[number][score] for split in splits])
+            for score in splits[0].skills[number]
         }
+        for number, name in enumerate(elites.names)
+    }
     facts = {
         "elites": len(elites),
         "learnt_from": len(elites) - held,

@@ -1,18 +1,30 @@
-"""The row of every study of traffic: one layout at one number of agents, over some seeds."""
+"""Tables of traffic: a row for each layout and number of agents, how it is made and what it shows.
 
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+Layouts are simulated side by side (`compare`) or with more and more agents up to their peak
+(`climb`); peaks, capacities and differences are read off the rows.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from qdenv.grid import of_tiles
 from qdenv.io.files import write_csv
+from qdenv.progress import Progress, silent
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.stats import Difference, Sample, difference, sample_of, wilson_interval
-from qdenv.study.congestion import fading
-from qdenv.types import Traffic
+from qdenv.study.options import fleet_tasks
+from qdenv.study.recordings import fading
+from qdenv.types import InputError, TaskRule, Traffic
 
 WORTH = 0.5  # share of what an average agent brings; one that brings less is hardly worth it
+# Agents of the smallest compiled program: a smaller one saves less than it costs to compile.
+_MIN_CAPACITY = 64
 
 
 class Row(NamedTuple):
@@ -33,7 +45,7 @@ class Row(NamedTuple):
     mean_of_all: float  # tasks per timestep, averaged over all runs
     cpu_seconds_per_run: float  # without compilation
     error_of_all: float = float("nan")  # standard error of `mean_of_all`; NaN with one run
-    fading: float = 0.0  # see `congestion.fading`
+    fading: float = 0.0  # see `recordings.fading`
 
 
 class Peak(NamedTuple):
@@ -50,6 +62,137 @@ class Peak(NamedTuple):
     dropped: bool
 
 
+class Trial(NamedTuple):
+    """The simulations that each layout of a study goes through."""
+
+    tasks: TaskRule | None  # what the agents do; None if the domain has no fleet
+    config: FleetConfig  # settings of a simulation; its own number of agents is ignored
+    counts: Sequence[int]  # numbers of agents
+    seeds: Sequence[int]  # of the runs with each number of agents
+
+
+@contextmanager
+def about(name: str) -> Iterator[None]:
+    """Prefix the message of an `InputError` with the name of the layout."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+
+
+def compare(
+    layouts: Mapping[str, np.ndarray],
+    trial: Trial,
+    on_row: Callable[[Row], None] = lambda row: None,
+    progress: Progress = silent,
+) -> list[Row]:
+    """Simulate layouts with the same numbers of agents and the same seeds.
+
+    Args:
+        layouts: int8 [H, W] each, by name; sizes may differ.
+        trial: the simulations.
+        on_row: called with each row when it is finished.
+        progress: called with the share of the work that is done.
+
+    Returns:
+        a row for each layout and number of agents, layout by layout.
+
+    Raises:
+        InputError: before the first run, if agents cannot work on a layout, which it names.
+    """
+    for name, layout in layouts.items():
+        with about(name):
+            fleet_tasks(layout, trial.tasks, max(trial.counts))
+    trial = trial._replace(config=replace(trial.config, agents=max(trial.counts)))
+    total = len(layouts) * sum(trial.counts)  # a run's cost grows with its agents
+    rows: list[Row] = []
+
+    def row_of(name: str, layout: np.ndarray, agents: int) -> Row:
+        before = sum(row.agents for row in rows)
+
+        def report(doing: str, share: float, note: str) -> None:
+            done = (before + agents * max(share, 0.0)) / total
+            progress("simulating", done, f"{name}, {agents} agents, {note or doing}")
+
+        return _simulate(name, layout, agents, trial, report)
+
+    for (name, layout), agents in product(layouts.items(), trial.counts):
+        rows.append(row_of(name, layout, agents))
+        on_row(rows[-1])
+    return rows
+
+
+def climb(
+    name: str,
+    layout: np.ndarray,
+    trial: Trial,
+    on_row: Callable[[Row], None] = lambda row: None,
+    progress: Progress = silent,
+) -> list[Row]:
+    """Add agents until the mean throughput over all runs drops (section E.3).
+
+    Args:
+        name: of the layout.
+        layout: int8 [H, W].
+        trial: the simulations; of its numbers of agents those that fit, in ascending order.
+        on_row: called with each row when it is finished.
+        progress: called with what is simulated; the share is -1, as the end is unknown.
+
+    Returns:
+        a row for each number of agents tried; `find_peak` reads them.
+
+    Raises:
+        InputError: see `check_climb`.
+    """
+    fitting = check_climb(name, layout, trial)
+    rows: list[Row] = []
+    for count in fitting:
+        config = replace(trial.config, agents=min(choose_capacity(count), fitting[-1]))
+
+        def report(doing: str, share: float, note: str, count: int = count) -> None:
+            progress(f"adding agents to {name}", -1, f"{count} agents, {note or doing}")
+
+        rows.append(_simulate(name, layout, count, trial._replace(config=config), report))
+        on_row(rows[-1])
+        if find_peak(rows).dropped:
+            break
+    return rows
+
+
+def check_climb(name: str, layout: np.ndarray, trial: Trial) -> list[int]:
+    """Return the numbers of agents that fit on a layout, in ascending order.
+
+    Raises:
+        InputError: agents cannot work on the layout, or not even the smallest number fits.
+    """
+    tasks, counts = trial.tasks, trial.counts
+    free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
+    fitting = [count for count in sorted(counts) if count <= free]
+    if not fitting:
+        raise InputError(f"{name}: {min(counts)} agents do not fit on {free} free cells")
+    with about(name):
+        fleet_tasks(layout, tasks, fitting[-1])
+    return fitting
+
+
+def choose_capacity(agents: int) -> int:
+    """Choose the capacity, in agents, of the program that simulates this number of agents.
+
+    Capacities double: few programs are compiled, and none is much too large.
+    """
+    return max(_MIN_CAPACITY, 1 << (agents - 1).bit_length())
+
+
+def _simulate(name: str, layout: np.ndarray, agents: int, trial: Trial, progress: Progress) -> Row:
+    """Run the seeds with one number of agents; ``trial.config.agents`` sizes the program."""
+    from qdenv.study.engine import run_seeds  # imports the simulator
+
+    tasks, config, _, seeds = trial
+    done = run_seeds(layout, tasks, config, seeds, agents, progress=progress)
+    stop = config.stop_when_congested
+    return summarise(name, layout, agents, done.runs, done.cpu_seconds, stop)
+
+
 def summarise(
     name: str,
     layout: np.ndarray,
@@ -61,17 +204,17 @@ def summarise(
     """Condense the runs of one layout with one number of agents.
 
     Args:
-        name: how the table calls the layout.
+        name: of the layout in tables.
         layout: int8 [H, W].
         agents: how many took part.
         runs: one per seed.
         cpu_seconds: of all of them together.
         stop: congestion ended those that congested.
     """
+    # In the runs' single precision, as the numbers of saved tables are.
     every = np.array([run.throughput for run in runs])
     flowed = np.array([not run.congested for run in runs])
     good = every[flowed] if stop else every
-    error = sample_of(good).error if len(good) else float("nan")
     successes = int(flowed.sum())
     low, high = wilson_interval(successes, len(runs))
     return Row(
@@ -81,7 +224,7 @@ def summarise(
         agents=agents,
         runs=len(runs),
         throughput=float(good.mean()) if len(good) else float("nan"),
-        standard_error=error,
+        standard_error=sample_of(good).error if len(good) else float("nan"),
         success_rate=successes / len(runs),
         success_low=low,
         success_high=high,
@@ -105,22 +248,16 @@ def value_of_an_agent(fewer: tuple[int, float], more: tuple[int, float]) -> floa
     """Compare what a further agent brings with what one brings on average.
 
     The elasticity of throughput to the number of agents: 1 without any hindrance, 0 at the peak.
-
-    Args:
-        fewer: a number of agents and its throughput.
-        more: a larger number and its throughput.
+    Both arguments are a number of agents with its throughput.
     """
     added = (more[1] - fewer[1]) / (more[0] - fewer[0])
     return added / (fewer[1] / fewer[0]) if fewer[1] else 0.0
 
 
 def find_capacity(rows: Sequence[Row]) -> int:
-    """Find up to which number of agents of one layout's rows every further one is worth it.
+    """Return the number of agents up to which every further one is worth it (see `WORTH`).
 
-    It is where it brings at least half of what an average one does (`WORTH`).
-
-    Args:
-        rows: sorted by agents.
+    The rows are of one layout, sorted by agents.
     """
     points = [(row.agents, row.mean_of_all) for row in rows]
     for fewer, more in pairwise(points):
@@ -135,29 +272,20 @@ def differences(rows: Sequence[Row]) -> list[Difference]:
     Over all runs, congested ones too: to leave them out would favour a layout that congests.
     The first layout's own rows differ by 0 from themselves, without an interval.
     """
-    first = {row.agents: row for row in rows if row.layout == rows[0].layout}
+    samples = [Sample(row.mean_of_all, row.error_of_all, row.runs) for row in rows]
+    pairs = list(zip(rows, samples, strict=True))
+    first = {row.agents: sample for row, sample in pairs if row.layout == rows[0].layout}
     itself = Difference(0.0, float("nan"), float("nan"), False)
-
-    def sample(row: Row) -> Sample:
-        return Sample(row.mean_of_all, row.error_of_all, row.runs)
-
     return [
-        itself
-        if row.layout == rows[0].layout
-        else difference(sample(row), sample(first[row.agents]))
-        for row in rows
+        itself if row.layout == rows[0].layout else difference(sample, first[row.agents])
+        for row, sample in pairs
     ]
 
 
 def write_rows(
     path: Path, rows: Sequence[Row], columns: Mapping[str, Sequence[Any]] | None = None
 ) -> None:
-    """Write rows as CSV, one line each.
-
-    Args:
-        path: the file.
-        rows: of the table.
-        columns: further ones by name, an entry for each row.
+    """Write rows as CSV with further columns by name, an entry for each row in each.
 
     Raises:
         InputError: the place cannot be written to.

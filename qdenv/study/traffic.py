@@ -1,184 +1,266 @@
-"""Studies of one layout's traffic: simulate it over seeds, see where it jams, judge it."""
+"""The study of one layout's traffic: simulate it, see where it jams, judge its number of agents.
+
+A fleet's throughput rises with its agents up to a peak, and falls beyond it. On crowded layouts it
+falls all of a sudden, when a jam forms that no agent gets out of: the hand-made warehouse of
+33 x 36 moves 6.04 tasks per timestep with 200 agents, 5.68 with 225 and 5.20 with 250. That no run
+was *congested*, i.e. that never more than half of the agents stood still at once, says little then.
+
+Verdicts beside the true peaks, found by sweeps over T = 1000 with high effort in steps of 12 to 50
+agents, on three published warehouses of 33 x 36:
+
+| layout | peak at | flows         | near capacity | past its peak | congested |
+| human  |     200 | 100, 150      | 175, 200      | 225, 250      |           |
+| NCA    |     338 | 200, 250      | 300, 350      | 400           |           |
+| DSAGE  |     300 | 200, 250      | 300           |               | 350       |
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Unpack
+from math import ceil, floor
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from qdenv import devices
-from qdenv.domains.base import find_domain
 from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.metrics import Recording
-from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig, describe_planner
-from qdenv.study.capacity import PROBES, Point, Verdict, judge, more_than, point_of
-from qdenv.study.congestion import Maps, average, cells_with_half, map_run, worst_cells
+from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
+from qdenv.stats import sample_of
 from qdenv.study.engine import Simulated, auditor, run_seeds
-from qdenv.study.options import Driving, fleet_tasks, make_fleet, parse_seeds, usual_fleet
-from qdenv.study.table import Row, summarise
-from qdenv.types import InputError, TaskRule, Traffic
+from qdenv.study.options import fleet_tasks
+from qdenv.study.plans import Plan
+from qdenv.study.recordings import (
+    FADING,
+    Maps,
+    average,
+    cells_with_half,
+    fading,
+    map_run,
+    worst_cells,
+)
+from qdenv.study.table import WORTH, Row, summarise, value_of_an_agent
+from qdenv.types import InputError, Traffic
+
+_FLOWS, _NEAR, _PAST, _CONGESTED = "flows", "near capacity", "past its peak", "congested"
 
 _MOST_RECORDED = 50_000_000  # agent-steps recorded at a time: 650 MB, and copies of them
+_JAMMED = 0.5  # share of congested runs from which on the layout is
+_PROBES = 2  # runs with another number of agents
+_FEWER, _FAR_FEWER, _MORE = 0.75, (0.5, 0.25), 1.25  # of the agents, those numbers
+_GAIN = 0.02  # more throughput than this with fewer agents: past the peak
 
 
-class Wanted(NamedTuple):
-    """What a study looks into beyond throughput."""
+class Point(NamedTuple):
+    """The throughput at one number of agents."""
 
-    audit: bool = True  # check every trajectory against the rules
-    maps: bool = True  # count where agents wait and work
-    verdict: bool = True  # simulate other numbers of agents, too, and judge this one
+    agents: int  # how many agents
+    throughput: float  # tasks per timestep, the mean over all runs
+    standard_error: float  # of it; NaN for one run
+    runs: int  # how many
+    congested: int  # how many of them congested
+    fading: float  # see `recordings.fading`
 
 
-class _Reading(NamedTuple):
-    """What is read off the recording of one run."""
+class Verdict(NamedTuple):
+    """How a layout bears a fleet."""
 
-    maps: Maps  # where agents waited and worked
-    broken: list[str]  # what was done against the rules; empty without an audit
+    word: str  # "flows", "near capacity", "past its peak" or "congested"
+    reason: str  # what shows it, in one line
+    # the evidence: this number of agents first, then those that were probed
+    points: tuple[Point, ...]
 
 
 class Study(NamedTuple):
-    """What is known of a fleet on a layout."""
+    """The results of a fleet on a layout; None where something was not looked into."""
 
     row: Row  # its numbers in brief
     done: Simulated  # its runs
-    maps: Maps | None  # averaged over the runs; None where they were not wanted
-    verdict: Verdict | None  # None where it was not wanted
-    broken: list[str] | None  # what was done against the rules; None where nobody looked
+    maps: Maps | None  # averaged over the runs
+    verdict: Verdict | None
+    broken: list[str] | None  # violations of the rules of movement, with their seeds
 
 
 def examine(
-    layout: np.ndarray,
-    tasks: TaskRule | None,
+    plan: Plan,
     config: FleetConfig,
     seeds: Sequence[int],
-    wanted: Wanted = Wanted(),  # noqa: B008 (frozen)
+    audit: bool = True,
+    maps: bool = True,
+    verdict: bool = True,
     progress: Progress = silent,
-    tell: Callable[[Study], None] = lambda study: None,
+    on_runs: Callable[[Study], None] = lambda study: None,
 ) -> Study:
     """Simulate a fleet on a layout over seeds, see where it jams, and judge the number of agents.
 
     Args:
-        layout: int8 [H, W].
-        tasks: what the agents do; None where no fleet drives, which is refused.
-        config: numbers of the simulation.
+        plan: the layout.
+        config: settings of the simulation.
         seeds: of the runs; the first few of them for other numbers of agents.
-        wanted: what is looked into.
-        progress: called with the progress.
-        tell: told the study without its verdict, before the runs that this takes.
+        audit: check every trajectory against the rules.
+        maps: count where agents wait and work.
+        verdict: simulate other numbers of agents, too, and judge this one.
+        progress: called with the share of the work that is done.
+        on_runs: called with the study before the runs that its verdict takes.
 
     Raises:
         InputError: the fleet cannot work on this layout, or is too large to be recorded.
     """
-    tasks = fleet_tasks(layout, tasks, config.agents)
-    recorded = wanted.audit or wanted.maps
-    if recorded and config.agents * config.timesteps > _MOST_RECORDED:
-        without = "add --no-audit" if wanted.audit else "leave the picture out"
+    layout, agents = plan.layout, config.agents
+    tasks = fleet_tasks(layout, plan.domain.simulator.tasks, agents)
+    recorded, at_once = audit or maps, _MOST_RECORDED // (agents * config.timesteps)
+    if recorded and not at_once:
+        without = "add --no-audit" if audit else "leave the picture out"
         raise InputError(
-            f"{config.agents} agents over {config.timesteps} timesteps are too much to record: "
-            f"simulate at most {_MOST_RECORDED // config.agents} timesteps, or {without}"
+            f"{agents} agents over {config.timesteps} timesteps are too much to record: "
+            f"simulate at most {_MOST_RECORDED // agents} timesteps, or {without}"
         )
-    agents, most = config.agents, int(of_tiles(layout, tasks.traversable, tasks.tiles).sum())
-    if wanted.verdict:  # the program has room for as many as are tried
-        most = min(most, MOST_STEPS // config.timesteps)
-        config = replace(config, agents=max(agents, min(most, more_than(agents))))
-    read = _reader(layout, tasks, config, wanted) if recorded else None
-    # No more recordings at a time than fit the memory.
-    at_once = _MOST_RECORDED // (agents * config.timesteps)
+    # No more recordings at a time than fit into memory.
     threads = min(devices.threads(), at_once) if recorded else None
-    done = run_seeds(layout, tasks, config, seeds, agents, read, threads, progress)
-    # The same program: another one for runs that are not recorded would have to be compiled.
-    probing = (lambda *run: None) if recorded else None
+    most = int(of_tiles(layout, tasks.traversable, tasks.tiles).sum())
+    if verdict:  # the program has room for as many agents as are tried
+        most = min(most, MOST_STEPS // config.timesteps)
+        config = replace(config, agents=max(agents, min(most, ceil(_MORE * agents))))
+    find_broken = auditor(layout, tasks, config)
+
+    def read(seed: int, run: Traffic, recording: Recording) -> tuple[Maps, list[str]]:
+        broken = find_broken(seed, run, recording) if audit else []
+        return map_run(layout.shape, run, recording), broken
+
+    reader = read if recorded else None
+    done = run_seeds(layout, tasks, config, seeds, agents, reader, threads, progress)
+    # A reader that does nothing: without one, another program would have to be compiled.
+    no_reader = (lambda *run: None) if recorded else None
 
     def probe(number: int) -> Point:
-        def tell(doing: str, share: float, note: str) -> None:
+        def report(doing: str, share: float, note: str) -> None:
             progress(f"trying {number} agents", share, note)
 
-        few = run_seeds(layout, tasks, config, seeds[:PROBES], number, probing, threads, tell)
-        return point_of(number, few.runs)
+        few = seeds[:_PROBES]
+        runs = run_seeds(layout, tasks, config, few, number, no_reader, threads, report).runs
+        return point_of(number, runs)
 
     study = Study(
         row=summarise("", layout, agents, done.runs, done.cpu_seconds, config.stop_when_congested),
         done=done,
-        maps=average([reading.maps for reading in done.readings]) if wanted.maps else None,
+        maps=average([one for one, _ in done.readings]) if maps else None,
         verdict=None,
-        broken=[rule for one in done.readings for rule in one.broken] if wanted.audit else None,
+        broken=[rule for _, broken in done.readings for rule in broken] if audit else None,
     )
-    tell(study)
-    if not wanted.verdict:
+    on_runs(study)
+    if not verdict:
         return study
     return study._replace(verdict=judge(point_of(agents, done.runs), probe, most))
 
 
-def _reader(
-    layout: np.ndarray, tasks: TaskRule, config: FleetConfig, wanted: Wanted
-) -> Callable[[int, Traffic, Recording], _Reading]:
-    find_broken = auditor(layout, tasks, config)
-
-    def read(seed: int, run: Traffic, recording: Recording) -> _Reading:
-        broken = find_broken(seed, run, recording) if wanted.audit else []
-        return _Reading(map_run(layout.shape, run, recording), broken)
-
-    return read
+def point_of(agents: int, runs: Sequence[Traffic]) -> Point:
+    """Condense runs with one number of agents."""
+    # In double precision, other than in `table.Row`: the numbers of saved reports stay the same.
+    sample = sample_of(np.array([run.throughput for run in runs], float))
+    congested = sum(bool(run.congested) for run in runs)
+    return Point(agents, sample.mean, sample.error, len(runs), congested, fading(runs))
 
 
-def simulate_layout(
-    layout: np.ndarray,
-    domain: str = "warehouse-even",
-    agents: int | None = None,
-    timesteps: int | None = None,
-    seeds: int | str | Sequence[int | str] = 10,
-    check: bool = False,
-    **driving: Unpack[Driving],
-) -> dict[str, Any]:
-    """Simulate a layout over seeds and report it in JSON-ready values.
+def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
+    """Judge whether a layout takes this many agents, and whether it would take more.
+
+    In this order, so that runs are only spent where the verdict hangs on them:
+
+    * *congested*: in at least half of the runs, more than half of the agents stood still at once.
+    * *past its peak*: throughput fades by more than 5 % while time goes on (a jam builds up), or a
+      run congested, or three quarters, half or a quarter of the agents move 2 % more.
+    * *near capacity*: the last quarter of the agents, or a quarter more of them, brings per agent
+      less than half of what an average robot does.
+    * *flows*: none of these.
 
     Args:
-        layout: int8 [H, W].
-        domain: name of the domain.
-        agents: number of agents; as `usual_fleet` chooses unless given.
-        timesteps: horizon T; as `usual_fleet` chooses unless given.
-        seeds: how many, or a list; see `parse_seeds`.
-        check: audit every trajectory, and see where agents wait; without it "valid" is None.
-        **driving: effort, planner, stop, see `options.Driving`.
-
-    Returns:
-        what `facts_of` reports, and domain, planner, agents, timesteps, stop.
-
-    Raises:
-        InputError: a name is unknown, or the fleet cannot work on this layout.
+        here: with the number of agents in question.
+        probe: simulates another number of agents.
+        most: agents that fit the layout.
     """
-    found = find_domain(domain)
-    agents, timesteps, _ = usual_fleet(found, [layout], agents, timesteps)
-    tasks = fleet_tasks(layout, found.simulator.tasks, agents)
-    config = make_fleet(agents, timesteps, **driving)
-    study = examine(layout, tasks, config, parse_seeds(seeds), Wanted(check, check, False))
-    about = {"domain": domain, "planner": describe_planner(config.planner), "agents": agents}
-    about |= {"timesteps": timesteps, "stop": config.stop_when_congested}
-    return about | facts_of(study, layout)
+    points = [here]
+
+    def at(agents: int) -> Point:
+        points.append(probe(agents))
+        return points[-1]
+
+    def verdict(word: str, reason: str) -> Verdict:
+        return Verdict(word, reason, tuple(points))
+
+    if here.congested >= _JAMMED * here.runs:
+        stuck = "more than half of the agents stood still at once"
+        return verdict(_CONGESTED, f"in {here.congested} of {here.runs} runs {stuck}")
+    if here.congested:
+        return verdict(_PAST, f"{here.congested} of {here.runs} runs congested")
+    if here.fading > FADING:
+        return verdict(_PAST, f"a jam builds up: throughput falls by {here.fading:.0%} with time")
+    worth = 1.0
+    if here.agents > 1:
+        fewer = at(floor(_FEWER * here.agents))
+        if _gain(here, fewer) > _GAIN:
+            return verdict(_PAST, _compared(here, fewer))
+        worth = value_of_an_agent(fewer[:2], here[:2])
+        reason = f"the last {here.agents - fewer.agents} agents add {-_gain(here, fewer):.0%}"
+    if worth < WORTH:
+        # Beyond the peak throughput may lie flat: it is sought where agents are far fewer.
+        for share in _FAR_FEWER:
+            fewer = at(max(1, floor(share * here.agents)))
+            if _gain(here, fewer) > _GAIN:
+                return verdict(_PAST, _compared(here, fewer))
+        return verdict(_NEAR, reason)
+    if here.agents < most:
+        more = at(min(most, ceil(_MORE * here.agents)))
+        word = _NEAR if value_of_an_agent(here[:2], more[:2]) < WORTH else _FLOWS
+        return verdict(word, _compared(here, more))
+    return verdict(_FLOWS, "every free cell holds an agent")
+
+
+def _gain(here: Point, other: Point) -> float:
+    """Return how much more `other` moves than `here`, as a share of the latter."""
+    if not here.throughput:
+        return float(other.throughput > 0)
+    return other.throughput / here.throughput - 1
+
+
+def _compared(here: Point, other: Point) -> str:
+    share = round(_gain(here, other), 2)
+    amount = f"{abs(share):.0%} {'more' if share > 0 else 'less'}" if share else "as much"
+    return f"{other.agents} agents would move {amount}"
 
 
 def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:
-    """Report a study in JSON-ready values.
+    """Return a study of a layout (int8 [H, W]) in JSON-ready values.
 
     Returns:
         runs (seed, throughput, congested, congested_at, end_timestep, finished_tasks),
         mean_throughput (see `Row.throughput`; None where it is none), mean_of_all (over all runs),
-        standard_error (of the latter), success_rate, steps_per_task, cpu_seconds_per_run,
-        compile_seconds, valid, broken; where it was looked into also waiting_share (of the
-        agents' time), worst_cells, cells_with_half_of_waiting, verdict, verdict_reason,
-        evidence (the numbers of agents that were tried).
+        standard_error (of the latter), success_rate, steps_per_task (moves; None where no task is
+        finished), cpu_seconds_per_run, compile_seconds, valid, broken; where it was looked into
+        also waiting_share (of the agents' time), worst_cells, cells_with_half_of_waiting, verdict,
+        verdict_reason, evidence (the numbers of agents that were tried).
     """
     row, done, maps, verdict, broken = study
+    tasks = np.array([run.finished.sum() for run in done.runs])
+    moves = tasks * [float(run.path_length) for run in done.runs]
     facts: dict[str, Any] = {
-        "runs": [_describe(seed, run) for seed, run in zip(done.seeds, done.runs, strict=True)],
+        "runs": [
+            {
+                "seed": int(seed),
+                "throughput": float(run.throughput),
+                "congested": bool(run.congested),
+                "congested_at": int(run.congested_at) if run.congested else None,
+                "end_timestep": int(run.end_timestep),
+                "finished_tasks": int(run.finished.sum()),
+            }
+            for seed, run in zip(done.seeds, done.runs, strict=True)
+        ],
         "mean_throughput": None if np.isnan(row.throughput) else row.throughput,
         "mean_of_all": row.mean_of_all,
         "standard_error": row.error_of_all,
         "success_rate": row.success_rate,
-        "steps_per_task": steps_per_task(done.runs),
+        "steps_per_task": float(moves.sum() / tasks.sum()) if tasks.any() else None,
         "cpu_seconds_per_run": round(row.cpu_seconds_per_run, 4),
         "compile_seconds": round(done.compile_seconds, 3),
         "valid": None if broken is None else not broken,
@@ -194,22 +276,3 @@ def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:
         points = [point._asdict() for point in verdict.points]
         facts |= {"verdict": verdict.word, "verdict_reason": verdict.reason, "evidence": points}
     return facts
-
-
-def steps_per_task(runs: Sequence[Traffic]) -> float | None:
-    """Average the moves that a finished task takes over all runs; None where none is finished."""
-    tasks = np.array([run.finished.sum() for run in runs])
-    moves = tasks * [float(run.path_length) for run in runs]
-    return float(moves.sum() / tasks.sum()) if tasks.any() else None
-
-
-def _describe(seed: int, run: Traffic) -> dict[str, Any]:
-    """Reduce one run to its JSON-ready numbers."""
-    return {
-        "seed": int(seed),
-        "throughput": float(run.throughput),
-        "congested": bool(run.congested),
-        "congested_at": int(run.congested_at) if run.congested else None,
-        "end_timestep": int(run.end_timestep),
-        "finished_tasks": int(run.finished.sum()),
-    }

@@ -15,7 +15,7 @@ from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
 from qdenv.io.files import write_atomically
-from qdenv.study.motion import Motion
+from qdenv.study.recordings import Motion
 from qdenv.types import InputError
 from qdenv.view.layouts import COLOURS, UNKNOWN
 

@@ -15,9 +15,8 @@ import numpy as np
 
 from qdenv.grid import DOWN, LEFT, RIGHT, UP, WAIT
 from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
-from qdenv.study.congestion import throughput_over_time
-from qdenv.study.motion import Motion
 from qdenv.study.plans import Plan
+from qdenv.study.recordings import Motion, throughput_over_time
 from qdenv.types import InputError, TaskRule, Traffic
 from qdenv.view.page import Page, make_page
 

@@ -125,14 +125,15 @@ def draw_progress(groups: Sequence[Group], objective: str, width: float = PAGE) 
 
 def _draw_curve(axes: Axes, group: Group, name: str, place: int) -> None:
     """Draw the mean of a group's runs, and its interval where it has one."""
-    band, colour = band_of(group.curves[name]), PALETTE[place % len(PALETTE)]
+    (mean, half), colour = band_of(group.curves[name]), PALETTE[place % len(PALETTE)]
     dashes = DASHES[place // len(PALETTE) % len(DASHES)]
     # A line through one point is nothing: the last point is marked.
-    look: Any = {"marker": "o", "markevery": [len(band.mean) - 1], "linestyle": dashes}
-    axes.plot(group.evaluations, band.mean, color=colour, label=group.title, **look)
+    look: Any = {"marker": "o", "markevery": [len(mean) - 1], "linestyle": dashes}
+    axes.plot(group.evaluations, mean, color=colour, label=group.title, **look)
     if len(group.runs) > 1:
-        low, high = band.mean - band.half, band.mean + band.half
-        axes.fill_between(group.evaluations, low, high, color=colour, alpha=0.2, lw=0)
+        axes.fill_between(
+            group.evaluations, mean - half, mean + half, color=colour, alpha=0.2, lw=0
+        )
 
 
 @styled

@@ -14,7 +14,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import PercentFormatter
 
 from qdenv.grid import of_tiles
-from qdenv.study.congestion import Maps, Spot, throughput_over_time, worst_cells
+from qdenv.study.recordings import Maps, Spot, throughput_over_time, worst_cells
 from qdenv.view.style import PALETTE, WARNING, new_figure, styled
 from qdenv.view.widths import SCREEN
 

@@ -22,8 +22,8 @@ from qdenv import devices
 from qdenv.run.manifest import package_versions
 from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.stats import Difference, Sample, difference
-from qdenv.study.congestion import FADING, cells_with_half, worst_cells
 from qdenv.study.groups import algorithm_name, group_runs
+from qdenv.study.recordings import FADING, cells_with_half, worst_cells
 from qdenv.study.table import Row, find_capacity, find_peak
 from qdenv.study.traffic import Study, facts_of
 from qdenv.view.archive import draw_archive, scatter_objectives

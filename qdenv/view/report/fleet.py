@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import of_tiles
+from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.study.options import Progress, fleet_tasks, silent, usual_fleet
-from qdenv.study.sweep import Trial, about, compare
-from qdenv.study.table import Row, find_peak
+from qdenv.study.options import fleet_tasks, usual_fleet
+from qdenv.study.table import Row, Trial, about, compare, find_peak
 from qdenv.study.traffic import Study, examine
 from qdenv.view.report.subjects import Rival, Subject, find_rival
 
@@ -70,8 +70,8 @@ def ask(
         InputError: a fleet cannot work on one of the layouts, or the numbers make no simulation.
     """
     domain, layouts = subjects[0].plan.domain, [one.layout for one in subjects]
-    usual = usual_fleet(domain, layouts, max(agents, default=None), timesteps)
-    wanted = tuple(sorted(agents)) or (usual.agents,)
+    usual, timesteps, note = usual_fleet(domain, layouts, max(agents, default=None), timesteps)
+    wanted = tuple(sorted(agents)) or (usual,)
     tasks = domain.simulator.tasks
     for one in subjects:
         with about(one.source):
@@ -86,9 +86,9 @@ def ask(
         rivals=rivals,
         agents=wanted[0] if len(wanted) == 1 else None,
         counts=counts,
-        config=config(max(counts), usual.timesteps),
+        config=config(max(counts), timesteps),
         seeds=seeds,
-        said=usual.said,
+        said=note,
     )
 
 
@@ -123,7 +123,7 @@ def study(
         def tell(doing: str, share: float, note: str, name: str = one.name) -> None:
             progress(f"looking closely at {name}", share, note or doing)
 
-        studies.append(examine(one.layout, tasks, config, asked.seeds, progress=tell))
+        studies.append(examine(one.plan, config, asked.seeds, progress=tell))
     return Found(asked, agents, rows, studies)
 
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from qdenv.agent.evaluate import Success, default_horizon, evaluate_agent, run_alone
 from qdenv.grid import of_tiles
+from qdenv.progress import Progress, silent
 from qdenv.run.archive import mark_cells
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.simulate.maze.world import WALL
-from qdenv.study.options import Progress, silent
-from qdenv.study.sweep import about
+from qdenv.study.table import about
 from qdenv.view.layouts import draw_plan
 from qdenv.view.maze import draw_arrivals, draw_walks
 from qdenv.view.report.build import (

@@ -129,7 +129,7 @@ def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival:
     if domain.human is None:
         return Rival("", None, f"Nobody designs layouts of {domain.name} by hand.")
     rows, cols = subject.layout.shape
-    from qdenv.study.sizes import human_layout  # imports both compilers
+    from qdenv.study.elites import human_layout  # imports both compilers
 
     try:
         layout = human_layout(domain.resized(rows, cols))
