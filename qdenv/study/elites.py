@@ -233,8 +233,8 @@ def grow_frames(run: RunDirectory, grown: Grown, every: int) -> tuple[list[int],
     """Grow an elite of a run once more and keep what it drew on the way (Figure 6).
 
     Returns:
-        the numbers of steps, `every` so many and the last one, and the unrepaired layout (int8
-        [H, W]) after each.
+        the multiples of `every` and the last step, and the unrepaired layout (int8 [H, W]) after
+        each of these numbers of steps.
 
     Raises:
         InputError: `every` is not positive, or no elite drew the layout.
