@@ -30,7 +30,7 @@ ALLOWED = {
     "registry": {"types"},
     "nca": {"types", "generate", "grid"},
     "generate": {"nca", "types", "ranges", "grid", "lazy", "registry"},
-    "repair": {"types", "ranges", "grid", "lazy", "native", "devices"},
+    "repair": {"types", "ranges", "grid", "lazy", "native", "devices", "progress"},
     "simulate": {"types", "ranges", "grid", "lazy", "native", "io"} | PLUGS,
     "score": {"types", "grid", "lazy"},
     "agent": BASE | {"simulate.maze", "score", "devices"},

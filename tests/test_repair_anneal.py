@@ -10,22 +10,11 @@ from scipy import ndimage
 
 from qdenv.domains.base import find_domain
 from qdenv.native import kernel
-from qdenv.repair.anneal.connectivity import (
-    RING_PIECES,
-    join_pieces,
-    may_close,
-    tabulate_ring_pieces,
-)
+from qdenv.repair.anneal.connectivity import RING_PIECES, join_pieces, may_close
 from qdenv.repair.anneal.loop import anneal, anneal_periods
 from qdenv.repair.anneal.packing import draw_templates
-from qdenv.repair.anneal.start import (
-    compile_board,
-    initial_aisles,
-    initial_state,
-    project,
-    unpad_layout,
-)
-from qdenv.repair.anneal.state import Board, Plan, State, Trait, no_move
+from qdenv.repair.anneal.start import compile_board, initial_state, project
+from qdenv.repair.anneal.state import Annealing, AnnealState, Board, Move, Trait
 from qdenv.repair.audit import audit
 from qdenv.repair.rules import Facts
 from qdenv.types import Adjacency, Count, InputError, Rules
@@ -53,7 +42,7 @@ def mixed_rules(rows: int = 9, cols: int = 10, aisle: int = 1) -> Rules:
 
 def test_ring_table_agrees_with_labelling():
     places = [(0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0)]
-    for pattern, pieces in enumerate(tabulate_ring_pieces()):
+    for pattern, pieces in enumerate(RING_PIECES):
         ring = np.zeros((3, 3), bool)
         for bit, place in enumerate(places):
             ring[place] = pattern >> bit & 1
@@ -84,11 +73,15 @@ def test_facts_follow_from_the_rules():
     assert facts.cost(np.ones((9, 10), np.int8), np.zeros((9, 10), np.int8)) == 90 + 27
 
 
-def plan_of(moves: int, seed: int, periods: int = 100) -> Plan:
+def plan_of(moves: int, seed: int, periods: int = 100) -> Annealing:
     """Plan a hot run."""
     period = max(moves // periods, 1)
     count = max(-(-moves // period), 1)
-    return Plan(np.uint64(seed), moves, period, count, (2.0, 1.0), (0.5, 0.5), -np.inf)
+    return Annealing(np.uint64(seed), moves, period, count, (2.0, 1.0), (0.5, 0.5), -np.inf)
+
+
+def empty_move() -> Move:
+    return Move(*np.zeros((3, 5), np.int64))
 
 
 @pytest.mark.parametrize("aisle", [1, 2])
@@ -100,12 +93,11 @@ def test_bookkeeping_and_connectivity_survive_thousands_of_moves(aisle):
         board = compile_board(layout, Facts(rules))
         candidate = project(board, layout, rng)
         for moves in (0, 3000):
-            aisles = initial_aisles(board, candidate, aisle)
-            state, plan = initial_state(board, candidate, aisles), plan_of(moves, seed)
-            anneal_periods(board, state, aisles, no_move(), plan, 0, plan.periods)
+            state, aisles = initial_state(board, candidate, aisle)
+            plan = plan_of(moves, seed)
+            anneal_periods(board, state, aisles, empty_move(), plan, 0, plan.periods)
             assert (state.candidate != candidate).any() == (moves > 0)
-            fresh_aisles = initial_aisles(board, state.candidate, aisle)
-            fresh = initial_state(board, state.candidate, fresh_aisles)
+            fresh, fresh_aisles = initial_state(board, state.candidate, aisle)
             for field in ("ring", "tally", "counts"):
                 assert (getattr(state, field) == getattr(fresh, field)).all(), field
             for field in ("driving", "closed", "cover") if aisle > 1 else ():
@@ -122,13 +114,13 @@ def test_the_best_layout_costs_what_was_noted_for_it():
     facts = Facts(mixed_rules())
     layout = np.random.default_rng(3).integers(0, 5, (9, 10)).astype(np.int8)
     board = compile_board(layout, facts)
-    state = initial_state(board, project(board, layout, np.random.default_rng(0)), None)
+    state, _ = initial_state(board, project(board, layout, np.random.default_rng(0)))
     noted = set()
     plan = plan_of(200_000, 3)._replace(temperatures=(1.0, 0.1), penalty_weights=(1.0, 3.0))
     for period in range(plan.periods):
-        anneal_periods(board, state, None, no_move(), plan, period, period + 1)
+        anneal_periods(board, state, None, empty_move(), plan, period, period + 1)
         if np.isfinite(state.best_cost):
-            best = unpad_layout(state.best, 12)
+            best = state.best.reshape(11, 12)[1:-1, 1:-1].copy()
             assert (
                 facts.cost(best, layout) == float(state.best_cost)
                 and audit(best, facts.rules) == []
@@ -141,9 +133,9 @@ def test_a_run_cut_into_pieces_goes_the_same_way():
     layout = np.random.default_rng(1).integers(0, 5, (9, 10)).astype(np.int8)
     board, ended = compile_board(layout, Facts(mixed_rules())), []
     for cuts in ([0, 100], [0, 1, 37, 99, 100]):
-        state = initial_state(board, project(board, layout, np.random.default_rng(0)), None)
+        state, _ = initial_state(board, project(board, layout, np.random.default_rng(0)))
         for first, last in itertools.pairwise(cuts):
-            anneal_periods(board, state, None, no_move(), plan_of(5000, 7), first, last)
+            anneal_periods(board, state, None, empty_move(), plan_of(5000, 7), first, last)
         ended.append(state)
     for field, other in zip(*ended, strict=True):
         assert (field == other).all()
@@ -157,7 +149,7 @@ def test_walkers_find_what_labelling_finds(open_share):
         layout = np.where(rng.random((9, 10)) < open_share, 0, 1).astype(np.int8)
         board = compile_board(layout, Facts(open_rules(9, 10)))
         candidate = project(board, layout, rng)
-        state = initial_state(board, candidate, None)
+        state, _ = initial_state(board, candidate)
         driving = board.traits[candidate, Trait.DRIVES].reshape(11, 12) == 1
         for cell in np.flatnonzero(driving):
             without = driving.copy()
@@ -171,7 +163,7 @@ def test_walkers_find_what_labelling_finds(open_share):
 
 
 @numba.njit
-def ask_walkers(board: Board, state: State, cell: int) -> bool:
+def ask_walkers(board: Board, state: AnnealState, cell: int) -> bool:
     return may_close(board, state, cell)
 
 
@@ -201,7 +193,7 @@ def test_the_initial_state_counts_the_same_breaches_as_the_audit_finds():
     layout[6, 6] = 4  # an endpoint without a station; one 0 and two of 1 and 2 are missing
     board = compile_board(layout, Facts(mixed_rules()))
     start = project(board, layout, np.random.default_rng(0))
-    assert initial_state(board, start, None).violations == 1 + 1 + 2
+    assert initial_state(board, start)[0].violations == 1 + 1 + 2
 
 
 def test_same_seed_same_layout_and_cost():
@@ -256,7 +248,9 @@ def test_a_kernel_that_makes_an_array_is_refused():
 
 
 def test_too_many_kinds_are_refused_in_one_line():
-    rules = mixed_rules()._replace(tiles="abcdefghijklmnopqrstu", counts=(), adjacency=())
+    allowed = np.ones((9, 10, 21), bool)
+    rules = mixed_rules()._replace(tiles="abcdefghijklmnopqrstu", allowed=allowed)
+    rules = rules._replace(counts=(), adjacency=())
     with pytest.raises(InputError, match="at most 20 kinds of tile"):
         compile_board(np.zeros((9, 10), np.int8), Facts(rules))
 

@@ -53,7 +53,7 @@ def test_where_a_run_is_cut_makes_no_difference(monkeypatch):
     facts, told = Facts(warehouse(18, 12, 97)), list[float]()
     whole = pack(facts)
     monkeypatch.setattr(packing, "_CHUNK", 70_001)
-    cut = pack(facts, lambda doing, done: told.append(done))
+    cut = pack(facts, lambda step, share, note: told.append(share))
     np.testing.assert_array_equal(whole, cut)
     assert told == sorted(told) and told[0] > 0 and told[-1] < 1
 

@@ -10,12 +10,14 @@ from small_yard import yard
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.layouts import read_layout
+from qdenv.repair import recipe
 from qdenv.repair.audit import audit
 from qdenv.repair.milp.highs import separate
 from qdenv.repair.milp.program import build, decode, encode
+from qdenv.repair.milp.windows import WindowSearch
 from qdenv.repair.recipe import repair_layout
 from qdenv.repair.rules import Facts, impossible
-from qdenv.repair.settings import EFFORTS, RepairConfig
+from qdenv.repair.settings import MOVES_PER_CELL, RepairConfig
 from qdenv.types import InputError, RepairStatus, Rules
 
 FULL = RepairConfig("full", moves_per_cell=300)
@@ -166,18 +168,26 @@ def test_moves_grow_with_the_cells_and_with_the_polish():
     assert RepairConfig("quick", moves_per_cell=7).count_moves(4000) == 4000 * 7
     assert RepairConfig("full").count_moves(4000) == 4000 * 2500
     assert RepairConfig("full").count_moves(1) == 20_000
-    assert RepairConfig("full", node_limit=3).effort.milp.node_limit == 3
+    assert [RepairConfig("full", node_limit=limit).nodes for limit in (None, 0, 3)] == [1000, 0, 3]
 
 
-def test_only_full_uses_the_solver():
-    assert [RepairConfig(level).effort.windows is None for level in EFFORTS] == [True, True, False]
-    assert [RepairConfig(level).effort.milp is None for level in EFFORTS] == [True, True, False]
+def test_only_full_uses_the_solver(monkeypatch):
+    used = []
+    monkeypatch.setattr(recipe, "improve", lambda *_: used.append("improve") or _[2])
+    monkeypatch.setattr(WindowSearch, "run", lambda self, *_: used.append("run") or self.candidate)
+    layout = np.full((8, 9), 2, np.int8)
+    for level in MOVES_PER_CELL:
+        used.append(level)
+        repair_layout(layout, yard(8, 9, 14, 14), 0, RepairConfig(level))
+    assert used == ["none", "quick", "full", "run", "improve"]
 
 
 def test_progress_is_reported_and_changes_nothing():
     layout, told = np.full((8, 9), 2, np.int8), []
     rules = yard(8, 9, 14, 14)
-    found = repair_layout(layout, rules, 0, FULL, lambda doing, done: told.append((doing, done)))
+    found = repair_layout(
+        layout, rules, 0, FULL, lambda step, share, note: told.append((step, share))
+    )
     assert [doing for doing, _ in told if doing == "annealing"]
     assert told[0][1] <= 1 and {"solving windows"} <= {doing for doing, _ in told}
     assert (found.layout == repair_layout(layout, rules, 0, FULL).layout).all()

@@ -10,9 +10,9 @@ from small_yard import yard
 from qdenv.domains.base import find_domain
 from qdenv.repair.anneal.loop import anneal
 from qdenv.repair.audit import audit
+from qdenv.repair.milp import windows
 from qdenv.repair.milp.windows import WindowSearch, stays_connected
 from qdenv.repair.rules import Facts
-from qdenv.repair.settings import WindowLimits
 from qdenv.types import Rules
 
 
@@ -55,15 +55,16 @@ def test_a_window_is_solved_to_the_optimum_that_enumeration_finds():
 
 
 @pytest.mark.parametrize("name", ["warehouse-even", "manufacturing"])
-def test_windows_never_cost_more_and_never_break_a_rule(name):
+def test_windows_never_cost_more_and_never_break_a_rule(name, monkeypatch):
     domain = find_domain(name)
     rng, facts, saved = np.random.default_rng(1), Facts(domain.rules()), 0.0
-    limits = WindowLimits(side=6, windows=25, reward=0.0, node_limit=1)
+    for limit, value in (("_SIDE", 6), ("_WINDOWS", 25), ("_REWARD", 0.0)):
+        monkeypatch.setattr(windows, limit, value)
     for seed in range(3):
         tiles = rng.choice(len(domain.generated), domain.generated_shape, p=odds(domain))
         layout = np.asarray(domain.frame(tiles.astype(np.int8)))
         start, cost = poor_start(layout, facts)
-        one, two = (WindowSearch(layout, start, facts, seed).run(limits) for _ in range(2))
+        one, two = (WindowSearch(layout, start, facts, seed).run() for _ in range(2))
         assert (one == two).all() and audit(one, facts.rules) == []
         search = WindowSearch(layout, one, facts, 0)
         assert (search.counts == np.bincount(one.ravel(), minlength=len(search.counts))).all()

@@ -3,18 +3,18 @@
 Threads suffice: the annealer and HiGHS both work outside the interpreter lock. Nothing forks.
 """
 
-import hashlib
 import logging
 import threading
 from collections import OrderedDict
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from typing import Any
 
 import jax
 import numpy as np
 
 from qdenv import devices
-from qdenv.repair.recipe import repair_layout
+from qdenv.repair.recipe import hash_content, repair_layout
 from qdenv.repair.rules import Result
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import Array, Repair, RepairStatus, Rules
@@ -23,7 +23,7 @@ _LOG = logging.getLogger(__name__)
 _WAITING_PER_WORKER = 64  # layouts that may queue before `submit` waits
 
 
-class RepairPool:
+class RepairPool(AbstractContextManager["RepairPool"]):
     """Repair layouts of one canvas on all cores; equal layouts are repaired once.
 
     Use it as a context manager, or call `close`. Results depend on the layout, the seed and the
@@ -31,13 +31,7 @@ class RepairPool:
     """
 
     def __init__(self, rules: Rules, config: RepairConfig | None = None, remember: int = 4096):
-        """Start the threads.
-
-        Args:
-            rules: the constraints of the canvas.
-            config: limits and number of workers.
-            remember: how many repairs to keep.
-        """
+        """Start the threads; the last `remember` repairs are cached."""
         self.rules, self.config = rules, config or RepairConfig()
         self.workers = self.config.workers or devices.count_cores()
         self._threads = ThreadPoolExecutor(self.workers, thread_name_prefix="repair")
@@ -54,14 +48,14 @@ class RepairPool:
         what has not begun.
         """
         layout = np.array(layout, np.int8)
-        key = _content_key(layout, seed)
+        key = hash_content(layout, seed, 16)
         self._slots.acquire()
         with self._lock:
             known = self._memo.get(key)
             if known is not None and not known.cancelled():
                 self._memo.move_to_end(key)
                 self._slots.release()
-                return _for_free(known)
+                return _share(known)
             future = self._threads.submit(self._work, key, layout, int(seed))
             self._memo[key] = future
             while len(self._memo) > self._remember:
@@ -72,21 +66,17 @@ class RepairPool:
     def _work(self, key: bytes, layout: np.ndarray, seed: int) -> Repair:
         """Repair one layout; whatever happens, answer with a record."""
         try:
-            return self._repair(layout, seed)
+            try:
+                return repair_layout(layout, self.rules, seed, self.config)
+            except MemoryError:
+                _LOG.warning("a repair ran out of memory: it is tried again by itself")
+            with self._alone:  # one retry at a time: the others may have taken the memory
+                return repair_layout(layout, self.rules, seed, self.config)
         except Exception:
             _LOG.exception("a repair failed; its layout counts as not repairable")
             with self._lock:
                 self._memo.pop(key, None)
             return Result(layout, np.inf, 0.0, RepairStatus.FAILED).record(0.0)
-
-    def _repair(self, layout: np.ndarray, seed: int) -> Repair:
-        """Repair one layout; where memory is short, once more when no other retries."""
-        try:
-            return repair_layout(layout, self.rules, seed, self.config)
-        except MemoryError:
-            _LOG.warning("a repair ran out of memory: it is tried again by itself")
-        with self._alone:
-            return repair_layout(layout, self.rules, seed, self.config)
 
     def repair(self, layouts: np.ndarray, seed: int = 0) -> Repair:
         """Repair a batch (int8 [B, H, W]) and wait for it; every field gets a leading axis B."""
@@ -98,27 +88,16 @@ class RepairPool:
         """Cancel what waits, let what runs finish, stop the threads."""
         self._threads.shutdown(wait=True, cancel_futures=True)
 
-    def __enter__(self) -> "RepairPool":
-        """Return the pool itself."""
-        return self
-
     def __exit__(self, *exception: object) -> None:
         """Close the pool."""
         self.close()
 
 
-def _content_key(layout: np.ndarray, seed: int) -> bytes:
-    """Name a repair by what decides it: the layout's content and shape, and the seed."""
-    digest = hashlib.blake2b(layout.tobytes(), digest_size=16)
-    digest.update(repr((layout.shape, int(seed))).encode())
-    return digest.digest()
-
-
-def _for_free(known: "Future[Repair]") -> "Future[Repair]":
-    """Follow a repair that someone else pays for."""
+def _share(known: "Future[Repair]") -> "Future[Repair]":
+    """Follow a repair that another future pays for: cancelling the copy leaves that one alone."""
     mine: Future[Repair] = Future()
 
-    def hand_on(done: Future[Repair]) -> None:
+    def copy_result(done: Future[Repair]) -> None:
         if not mine.set_running_or_notify_cancel():
             return
         if done.cancelled():
@@ -127,34 +106,24 @@ def _for_free(known: "Future[Repair]") -> "Future[Repair]":
             nothing: Any = np.float32(0)
             mine.set_result(done.result()._replace(seconds=nothing))
 
-    known.add_done_callback(hand_on)
+    known.add_done_callback(copy_result)
     return mine
 
 
 def repair_in_jit(pool: RepairPool, layouts: Array, seed: Array | int) -> Repair:
-    """Repair a batch from inside jit or scan.
+    """Repair a batch (int8 [B, H, W]) from inside jit or scan, with a base seed (int32 or uint32).
 
-    Args:
-        pool: where to repair.
-        layouts: int8 [B, H, W].
-        seed: int32 or uint32 scalar, the base seed.
-
-    Returns:
-        A `Repair` whose fields have a leading axis B.
+    Every field of the result gets a leading axis B.
     """
     batch = layouts.shape[:1]
+    shapes = layouts.shape, batch, batch, batch, batch
+    dtypes = np.int8, np.int32, np.float32, np.float32, np.float32
+    fields: Any = map(jax.ShapeDtypeStruct, shapes, dtypes)
+    expected = Repair(*fields)
 
     def on_host(layouts: Array, seed: Array) -> Repair:
         # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
         return pool.repair(np.asarray(layouts), int(np.asarray(seed)))
 
-    shapes: dict[str, Any] = {
-        "layout": jax.ShapeDtypeStruct(layouts.shape, np.int8),
-        "status": jax.ShapeDtypeStruct(batch, np.int32),
-        "cost": jax.ShapeDtypeStruct(batch, np.float32),
-        "lower_bound": jax.ShapeDtypeStruct(batch, np.float32),
-        "seconds": jax.ShapeDtypeStruct(batch, np.float32),
-    }
-    promised = Repair(**shapes)
-    repaired: Repair = jax.pure_callback(on_host, promised, layouts, seed, vmap_method="sequential")
+    repaired: Repair = jax.pure_callback(on_host, expected, layouts, seed, vmap_method="sequential")
     return repaired

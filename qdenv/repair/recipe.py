@@ -1,10 +1,8 @@
 """The repair of one layout: bound its cost, anneal, audit; improve it as far as `polish` says.
 
-Anneal first: that makes a feasible layout in a fraction of a second of whatever came in, where the
-solver alone often fails. Where annealing fails too, so near to what is impossible that hardly any
-layout is left, the solver decides whether there is one. Otherwise it starts from the annealed
-layout: it improves windows of it, and on the whole of it lowers the cost and bounds how low a cost
-can be.
+Annealing makes a feasible layout of any input in a fraction of a second, where the solver alone
+often fails. The solver starts from that layout: it improves windows of it, then the whole, and
+bounds how low a cost can be. Where annealing fails too, it decides whether any layout exists.
 """
 
 import hashlib
@@ -13,21 +11,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from qdenv.progress import Progress, silent
 from qdenv.repair.anneal.loop import HIGH_PENALTY, LOW_PENALTY, NO_VIOLATIONS, Schedule, anneal
 from qdenv.repair.anneal.packing import draw_templates
 from qdenv.repair.audit import audit
 from qdenv.repair.milp.feasibility import find_possible
-from qdenv.repair.milp.highs import improve, keep_cheaper
+from qdenv.repair.milp.highs import MAX_CELLS, improve, keep_cheaper
 from qdenv.repair.milp.windows import WindowSearch
-from qdenv.repair.rules import (
-    Facts,
-    Progress,
-    Result,
-    balance_kinds,
-    bound_cost,
-    find_contradiction,
-    no_progress,
-)
+from qdenv.repair.rules import Facts, Result, assign_kinds, bound_cost, impossible
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import Repair, RepairStatus, Rules
 
@@ -39,7 +30,7 @@ def repair_layout(
     rules: Rules,
     seed: int = 0,
     config: RepairConfig | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = silent,
 ) -> Repair:
     """Find the cheapest layout near `layout` that obeys `rules`.
 
@@ -49,27 +40,37 @@ def repair_layout(
         seed: any integer; mixed with the layout's content. The same seed gives the same layout,
             another seed may give another one of equal cost.
         config: limits; defaults to `RepairConfig()`.
-        progress: called with what is being done, and from 0 to 1 how much of it is.
+        progress: called with each step and its completed share.
 
     Returns:
         A `Repair` of numpy values. Status `IMPOSSIBLE` or `FAILED` returns the layout as it came,
         with infinite cost.
     """
-    config = config or RepairConfig()
     begin = time.thread_time()
     layout, facts = np.asarray(layout, np.int8), Facts(rules)
     best = Result(layout, np.inf, np.inf, RepairStatus.IMPOSSIBLE)
-    if find_contradiction(facts) is None:
-        best = _repair_possible(layout, facts, _mix_seed(layout, seed), config, progress)
+    if impossible(rules, facts) is None:
+        seed = int.from_bytes(hash_content(layout, seed, 8), "little") >> 1
+        best = _repair_possible(layout, facts, seed, config or RepairConfig(), progress)
     return best.record(time.thread_time() - begin)
+
+
+def hash_content(layout: np.ndarray, seed: int, size: int) -> bytes:
+    """Hash what decides a repair: the layout's content (int8 [H, W]), its shape and the seed.
+
+    Equal layouts share a seed whatever the batch around them, so a remembered repair is exactly
+    the one that would be computed again.
+    """
+    digest = hashlib.blake2b(layout.tobytes(), digest_size=size)
+    digest.update(repr((layout.shape, int(seed))).encode())
+    return digest.digest()
 
 
 def _repair_possible(
     layout: np.ndarray, facts: Facts, seed: int, config: RepairConfig, progress: Progress
 ) -> Result:
     """Repair a layout whose rules do not contradict each other."""
-    bound, effort = bound_cost(layout, facts), config.effort
-    moves = config.count_moves(facts.free_cells)
+    bound, moves = bound_cost(layout, facts), config.count_moves(facts.free_cells)
     for attempt, (start, schedule) in enumerate(_starts(layout, facts, progress)):
         candidate, cost = anneal(
             layout, facts, seed + attempt, moves, start, schedule, progress, bound
@@ -80,17 +81,24 @@ def _repair_possible(
         if find_possible(facts, progress)[0] == RepairStatus.IMPOSSIBLE:
             return Result(layout, np.inf, np.inf, RepairStatus.IMPOSSIBLE)
         return Result(layout, np.inf, bound, RepairStatus.FAILED)
-    candidate, cost = balance_kinds(candidate, cost, layout, facts, seed)
+    if max(map(len, facts.roles)) > 1:
+        # Kinds that share a role: assign them again, where that costs no more.
+        rng = np.random.default_rng(seed)
+        balanced = assign_kinds(facts.role_of[candidate], layout, facts, rng)
+        paid = facts.cost(balanced, layout)
+        if paid <= cost and not audit(balanced, facts.rules):
+            candidate, cost = balanced, paid
     best = Result(candidate, cost, bound, RepairStatus.ANNEALED)
-    if effort.windows is not None and facts.rules.aisle <= 1 and not best.proven():
+    if config.polish == "full" and facts.rules.aisle <= 1 and not best.proven():
+        # The program of a window states no rule on aisles.
         search = WindowSearch(layout, candidate, facts, seed)
-        best = keep_cheaper(best, search.run(effort.windows, progress), layout, facts)
+        best = keep_cheaper(best, search.run(progress), layout, facts)
     if best.proven():
         return best._replace(status=RepairStatus.OPTIMAL)
-    if effort.milp is None or facts.free_cells > effort.milp.max_cells:
+    if config.polish != "full" or facts.free_cells > MAX_CELLS:
         return best
-    progress("solving the whole layout", 0.0)
-    return improve(layout, facts, best, seed, config, effort.milp)
+    progress("solving the whole layout", 0.0, "")
+    return improve(layout, facts, best, seed, config)
 
 
 def _starts(
@@ -104,14 +112,3 @@ def _starts(
     _, known = find_possible(facts, progress)
     if known is not None:
         yield known, NO_VIOLATIONS
-
-
-def _mix_seed(layout: np.ndarray, seed: int) -> int:
-    """Mix a base seed with the layout's content.
-
-    Equal layouts share a seed whatever the batch around them, so a remembered repair is exactly
-    the one that would be computed again.
-    """
-    digest = hashlib.blake2b(layout.astype(np.int8).tobytes(), digest_size=8)
-    digest.update(repr((layout.shape, int(seed))).encode())
-    return int.from_bytes(digest.digest(), "little") >> 1

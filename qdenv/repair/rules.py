@@ -1,30 +1,21 @@
-"""What follows from a domain's rules: tables that every step of the repair shares, kinds, bounds.
+"""Tables that follow from a domain's rules and that every step of the repair shares; bounds.
 
 Only the audit derives its own tables, on purpose: it has to catch a mistake that is made here.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from qdenv.grid import count_neighbours
 from qdenv.lazy import ndimage
-from qdenv.repair.audit import audit
 from qdenv.types import Repair, RepairStatus, Rules
 
-Progress = Callable[[str, float], None]  # receives what is being done, and which share of it is
-_TOLERANCE = 1e-6  # how far a bound may miss a cost that it proves
-
-
-def no_progress(doing: str, done: float) -> None:
-    """Ignore how far a repair is."""
+_TOLERANCE = 1e-6  # how far a bound may miss a cost that it proves: sums of floats differ by less
 
 
 class Result(NamedTuple):
-    """The best layout so far, and what is known of it."""
+    """The best layout so far, its cost and a bound on that."""
 
     layout: np.ndarray  # int8 [H, W]
     cost: float  # summed costs of its changed cells
@@ -37,37 +28,58 @@ class Result(NamedTuple):
 
     def record(self, seconds: float) -> Repair:
         """Make a `Repair` of numpy values with the types it promises."""
-        numbers: list[Any] = [
-            np.int32(self.status),
-            np.float32(self.cost),
-            np.float32(self.bound),
-            np.float32(seconds),
-        ]
-        return Repair(self.layout.astype(np.int8), *numbers)
+        floats: list[Any] = [np.float32(value) for value in (self.cost, self.bound, seconds)]
+        status: Any = np.int32(self.status)
+        return Repair(self.layout.astype(np.int8), status, *floats)
 
 
-@dataclass(frozen=True, eq=False)
 class Facts:
-    """What follows from `rules`; each table is computed at its first use and cached.
+    """What follows from `rules`, in tables over `K` tiles, `Q` counts and `R` roles.
 
     A *driving* tile is one of the connected group: its cells form the driving area. Tiles that no
     adjacency, connectivity or placement rule tells apart share a *role*: three kinds of station
-    differ in counts and in cost only. `K` tiles, `Q` counts, `R` roles.
+    differ in counts and in cost only.
     """
 
-    rules: Rules  # the constraints
+    def __init__(self, rules: Rules) -> None:
+        """Compute the tables."""
+        self.rules, tiles, allowed = rules, rules.tiles, rules.allowed
+        self.free: np.ndarray = allowed.sum(-1) > 1  # bool [H, W], the cells that may change
+        self.free_cells = int(self.free.sum())
+        # int8 [H, W], an allowed tile for each cell
+        self.any_layout: np.ndarray = allowed.argmax(-1).astype(np.int8)
+        self.driving = self.holding(rules.connected)  # bool [K]
+        # of each tile the adjacency demands: the tiles one of which must be a neighbour
+        self.needs = [[rule.needs for rule in rules.adjacency if t in rule.tiles] for t in tiles]
+        self.demands = np.array([len(needs) for needs in self.needs])  # int64 [K], how many
+        marks = [self.holding(bound.tiles) for bound in rules.counts]
+        self.counting = np.array(marks, bool).reshape(-1, len(tiles))  # bool [Q, K]
+        # int64 [Q, 2], the lowest and highest number of tiles that count in each bound
+        highest = [self.free.size if high is None else high for _, _, high in rules.counts]
+        pairs = [(bound.low, high) for bound, high in zip(rules.counts, highest, strict=True)]
+        self.count_bounds = np.array(pairs, np.int64).reshape(-1, 2)
+        groups: dict[tuple[bool, tuple[tuple[bool, bool], ...], bytes], list[int]] = {}
+        for kind, tile in enumerate(tiles):
+            demands = tuple((tile in rule.tiles, tile in rule.needs) for rule in rules.adjacency)
+            places = allowed[..., kind][self.free].tobytes()
+            groups.setdefault((bool(self.driving[kind]), demands, places), []).append(kind)
+        self.roles = list(groups.values())  # the tiles of each role, in the alphabet's order
+        self.role_of = np.zeros(len(tiles), np.int64)  # int64 [K]
+        for role, members in enumerate(self.roles):
+            self.role_of[members] = role
+        # bool [H, W, R], the roles that each cell may take
+        self.may_take = np.stack([allowed[..., kinds].any(-1) for kinds in self.roles], -1)
+        # whether every change costs an integer, so that bounds on the cost round up
+        self.whole_costs = bool((np.asarray(rules.change_cost) % 1 == 0).all())
 
     def holding(self, tiles: str) -> np.ndarray:
         """Mark which tiles of the alphabet are among `tiles` (bool [K])."""
         return np.array([tile in tiles for tile in self.rules.tiles])
 
     def roles_of(self, tiles: str) -> np.ndarray:
-        """Mark the roles whose tiles are among `tiles` (bool [R])."""
-        return self.holding(tiles)[[members[0] for members in self.roles]]
-
-    def whole_roles(self, counting: np.ndarray) -> np.ndarray:
-        """Mark the roles all of whose tiles count (bool [K] -> bool [R])."""
-        return np.array([counting[members].all() for members in self.roles])
+        """Mark the roles all of whose tiles are among `tiles` (bool [R])."""
+        held = self.holding(tiles)
+        return np.array([held[members].all() for members in self.roles])
 
     def may(self, tiles: str) -> np.ndarray:
         """Mark the cells that may hold one of `tiles` (bool [H, W])."""
@@ -88,134 +100,58 @@ class Facts:
         """Sum the costs of the cells in which `candidate` differs from the input `layout`."""
         return float((self.rules.change_cost * (candidate != layout)).sum())
 
-    @cached_property
-    def any_layout(self) -> np.ndarray:
-        """An allowed tile for each cell (int8 [H, W])."""
-        layout: np.ndarray = self.rules.allowed.argmax(-1).astype(np.int8)
-        return layout
-
-    @cached_property
-    def driving(self) -> np.ndarray:
-        """Mark the tiles of the connected group (bool [K])."""
-        return self.holding(self.rules.connected)
-
-    @cached_property
-    def free(self) -> np.ndarray:
-        """Mark the cells that may change (bool [H, W])."""
-        return self.rules.allowed.sum(-1) > 1
-
-    @cached_property
-    def free_cells(self) -> int:
-        """Count the cells that may change."""
-        return int(self.free.sum())
-
-    @cached_property
-    def needs(self) -> list[list[str]]:
-        """List each tile's adjacency demands: the tiles one of which must be a neighbour."""
-        tiles, demanding = self.rules.tiles, self.rules.adjacency
-        return [[rule.needs for rule in demanding if tile in rule.tiles] for tile in tiles]
-
-    @cached_property
-    def demands(self) -> np.ndarray:
-        """Count each tile's adjacency demands (int64 [K])."""
-        return np.array([len(needs) for needs in self.needs])
-
-    @cached_property
-    def counting(self) -> np.ndarray:
-        """Mark which tiles count in which bound (bool [Q, K])."""
-        marks = [self.holding(bound.tiles) for bound in self.rules.counts]
-        return np.array(marks, bool).reshape(-1, len(self.rules.tiles))
-
-    @cached_property
-    def count_bounds(self) -> np.ndarray:
-        """List the lowest and highest number of tiles that count in each bound (int64 [Q, 2])."""
-        most = self.free.size
-        pairs = [(low, most if high is None else high) for _, low, high in self.rules.counts]
-        return np.array(pairs, np.int64).reshape(-1, 2)
-
-    @cached_property
-    def roles(self) -> list[list[int]]:
-        """Group the tiles by role, in the order of the alphabet."""
-        demanding = self.rules.adjacency
-        groups: dict[tuple[bool, tuple[tuple[bool, bool], ...], bytes], list[int]] = {}
-        for kind, tile in enumerate(self.rules.tiles):
-            demands = tuple((tile in rule.tiles, tile in rule.needs) for rule in demanding)
-            places = self.rules.allowed[..., kind][self.free].tobytes()
-            groups.setdefault((bool(self.driving[kind]), demands, places), []).append(kind)
-        return list(groups.values())
-
-    @cached_property
-    def role_of(self) -> np.ndarray:
-        """Name each tile's role (int64 [K])."""
-        table = np.zeros(len(self.rules.tiles), np.int64)
-        for role, members in enumerate(self.roles):
-            table[members] = role
-        return table
-
-    @cached_property
-    def may_take(self) -> np.ndarray:
-        """Mark the roles that each cell may take (bool [H, W, R])."""
-        return np.stack([self.rules.allowed[..., kinds].any(-1) for kinds in self.roles], -1)
-
-    @cached_property
-    def whole_costs(self) -> bool:
-        """Whether every change costs an integer, so that bounds on the cost round up."""
-        return bool((np.asarray(self.rules.change_cost) % 1 == 0).all())
-
 
 def assign_kinds(
     roles: np.ndarray, layout: np.ndarray, facts: Facts, rng: np.random.Generator
 ) -> np.ndarray:
-    """Turn roles into tiles: kept tiles stay, new ones take the kind that the counts lack most.
+    """Turn `roles` (int64 [H, W]) into tiles (int8 [H, W]), near the input `layout` (int8 [H, W]).
 
-    That is a kind below its bounds, else the least used. Kept tiles are turned into another kind
-    of their role only where the bounds cannot be met otherwise.
-
-    Args:
-        roles: int64 [H, W], index into `facts.roles`.
-        layout: int8 [H, W], the input.
-        facts: the constraints.
-        rng: breaks ties.
-
-    Returns:
-        int8 [H, W].
+    The input's tiles stay where their role does; new ones take a kind below its bounds, else the
+    least used. Kept tiles are turned into another kind of their role only where the bounds cannot
+    be met otherwise. `rng` breaks ties.
     """
     candidate = np.array([members[0] for members in facts.roles], np.int8)[roles]
     stays = facts.keeps(layout) & (facts.role_of[layout] == roles)
     candidate = np.where(stays, layout, candidate)
     fixed = facts.rules.allowed.sum(-1) == 1
     candidate = np.where(fixed, facts.any_layout, candidate).astype(np.int8)
+    unit = np.eye(len(facts.rules.tiles), dtype=np.int64)
+    # Plain numbers: a layout of a maze's size has thousands of cells to choose for.
+    bounds = [
+        (low, high, np.flatnonzero(marks).tolist())
+        for (low, high), marks in zip(facts.count_bounds.tolist(), facts.counting, strict=True)
+    ]
     for role, members in enumerate(facts.roles):
-        if len(members) > 1:
-            mine = (roles == role) & ~fixed
-            new, kept = np.argwhere(mine & ~stays), np.argwhere(mine & stays)
-            _choose_kinds(candidate, rng.permutation(new), members, facts)
-            if excess(_count_kinds(candidate, facts), facts):
-                _turn_kinds(candidate, rng.permutation(kept), members, facts)
+        if len(members) == 1:
+            continue
+        mine = (roles == role) & ~fixed
+        held = np.bincount(candidate[~(mine & ~stays)], minlength=len(unit)).tolist()
+        for cell in map(tuple, rng.permutation(np.argwhere(mine & ~stays))):
+            ranks = []
+            for kind in members:
+                # How the excess changes if one more tile of this kind joins, then the number of
+                # them.
+                change = 0
+                for low, high, kinds in bounds:
+                    if kind in kinds:
+                        count = sum(held[other] for other in kinds)
+                        change += (count >= high) - (count < low)
+                ranks.append((change, held[kind]))
+            kind = members[ranks.index(min(ranks))]
+            candidate[cell] = kind
+            held[kind] += 1
+        counts = np.array(held)
+        missing = excess(counts, facts)
+        # Nothing is drawn unless a bound is missed: later draws depend on it.
+        for cell in map(tuple, rng.permutation(np.argwhere(mine & stays)) if missing else ()):
+            others = [counts - unit[candidate[cell]] + unit[kind] for kind in members]
+            left = [excess(other, facts) for other in others]
+            best = int(np.argmin(left))
+            if left[best] < missing:
+                candidate[cell], missing, counts = members[best], left[best], others[best]
+            if missing == 0:
+                break
     return candidate
-
-
-def balance_kinds(
-    best: np.ndarray, cost: float, layout: np.ndarray, facts: Facts, seed: int
-) -> tuple[np.ndarray, float]:
-    """Assign the kinds of the feasible layout `best` again, where that costs no more.
-
-    Returns:
-        The layout (int8 [H, W]) and its cost.
-    """
-    if max(map(len, facts.roles)) == 1:
-        return best, cost
-    rng = np.random.default_rng(seed)
-    candidate = assign_kinds(facts.role_of[best], layout, facts, rng)
-    new_cost = facts.cost(candidate, layout)
-    if new_cost > cost or audit(candidate, facts.rules):
-        return best, cost
-    return candidate, new_cost
-
-
-def _count_kinds(layout: np.ndarray, facts: Facts) -> np.ndarray:
-    """Count the tiles of each kind (int64 [K])."""
-    return np.bincount(layout.ravel(), minlength=len(facts.rules.tiles))
 
 
 def excess(counts: np.ndarray, facts: Facts) -> int:
@@ -225,62 +161,12 @@ def excess(counts: np.ndarray, facts: Facts) -> int:
     return int(np.maximum(low - held, held - high).clip(0).sum())
 
 
-def _choose_kinds(candidate: np.ndarray, new: np.ndarray, members: list[int], facts: Facts) -> None:
-    """Choose among `members` for the cells `new` (int64 [n, 2])."""
-    counts = _count_kinds(candidate, facts) - _count_kinds(candidate[tuple(new.T)], facts)
-    # Plain numbers: a layout of a maze's size has thousands of cells to choose for.
-    held = counts.tolist()
-    bounds = [
-        (low, high, np.flatnonzero(marks).tolist())
-        for (low, high), marks in zip(facts.count_bounds.tolist(), facts.counting, strict=True)
-    ]
-
-    def rank(kind: int) -> tuple[int, int]:
-        """Change of the excess if one more tile of this kind joins, then the number of them."""
-        change = 0
-        for low, high, kinds in bounds:
-            if kind in kinds:
-                count = sum(held[other] for other in kinds)
-                change += (count >= high) - (count < low)
-        return change, held[kind]
-
-    for cell in new:
-        kind = min(members, key=rank)
-        candidate[tuple(cell)] = kind
-        held[kind] += 1
-
-
-def _turn_kinds(candidate: np.ndarray, kept: np.ndarray, members: list[int], facts: Facts) -> None:
-    """Turn cells of `kept` (int64 [n, 2]) into other kinds while that brings a bound nearer."""
-    counts = _count_kinds(candidate, facts)
-    missing = excess(counts, facts)
-    for cell in kept:
-        if missing == 0:
-            break
-        old, left = candidate[tuple(cell)], {}
-        for kind in members:
-            after = counts.copy()
-            after[old] -= 1
-            after[kind] += 1
-            left[kind] = excess(after, facts)
-        best = min(members, key=left.__getitem__)
-        if left[best] < missing:
-            candidate[tuple(cell)], missing = best, left[best]
-            counts[old] -= 1
-            counts[best] += 1
-
-
-def impossible(rules: Rules) -> str | None:
+def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
     """Return a contradiction in `rules` that counting shows, or None.
 
-    None is no proof that a layout exists.
+    None is no proof that a layout exists. `facts` are those of the rules, where they are known.
     """
-    return find_contradiction(Facts(rules))
-
-
-def find_contradiction(facts: Facts) -> str | None:
-    """Return a contradiction as `impossible` does."""
-    rules = facts.rules
+    facts = facts or Facts(rules)
     if not rules.allowed.any(-1).all():
         row, col = np.argwhere(~rules.allowed.any(-1))[0]
         return f"no tile may stand at row {row}, column {col}"
@@ -293,18 +179,29 @@ def find_contradiction(facts: Facts) -> str | None:
             return f"{bound.low} {bound.tiles!r} are required but only {may} cells may hold one"
         if high < must:
             return f"at most {high} {bound.tiles!r} are allowed but {must} cells must hold one"
-        most = _count_servable(facts, bound.tiles)
-        if bound.low > most:
+        # How many obstacles can a connected driving area serve? A part of c serving cells that
+        # hangs together has 4c sides and spends 2 (c - 1) of them on itself, and one more where
+        # something else joins it to the other parts: each part serves at most 2c + 1 obstacles
+        # (2c + 2 when it is alone).
+        needs = [rule.needs for rule in rules.adjacency if set(bound.tiles) <= set(rule.tiles)]
+        needs = [need for need in needs if set(need) <= set(rules.connected)]
+        if not needs or set(bound.tiles) & set(rules.connected):
+            continue
+        groups = (needs[0], bound.tiles, rules.connected)
+        serves, holds, driving = (facts.may(group) for group in groups)
+        joints = serves & (count_neighbours(driving & ~serves) > 0)
+        sides = int(2 * (serves.sum() + (holds & ~serves).sum()) + max(2, int(joints.sum())))
+        if bound.low > (most := sides // 3):
             return (
                 f"{bound.low} {bound.tiles!r} are required but a connected driving area "
                 f"can reach at most {most}"
             )
-    for tiles, needs in rules.adjacency:
-        alone = facts.must(tiles) & (count_neighbours(facts.may(needs)) == 0)
+    for tiles, others in rules.adjacency:
+        alone = facts.must(tiles) & (count_neighbours(facts.may(others)) == 0)
         if alone.any():
             row, col = np.argwhere(alone)[0]
             return (
-                f"{tiles!r} needs {needs!r}, which no cell beside row {row}, column {col} may hold"
+                f"{tiles!r} needs {others!r}, which no cell beside row {row}, column {col} may hold"
             )
     if rules.connected:
         labels, _ = ndimage.label(facts.may(rules.connected))
@@ -317,24 +214,6 @@ def find_contradiction(facts: Facts) -> str | None:
                 f"{rules.connected!r}"
             )
     return None
-
-
-def _count_servable(facts: Facts, tiles: str) -> int:
-    """Bound how many obstacles `tiles` a connected driving area can serve.
-
-    A part of c serving cells that hangs together has 4c sides and spends 2 (c - 1) of them on
-    itself, and one more where something else joins it to the other parts: each part serves at
-    most 2c + 1 obstacles (2c + 2 when it is alone).
-    """
-    rules = facts.rules
-    needs = [rule.needs for rule in rules.adjacency if set(tiles) <= set(rule.tiles)]
-    needs = [need for need in needs if set(need) <= set(rules.connected)]
-    if not needs or set(tiles) & set(rules.connected):
-        return facts.free.size
-    serves, holds, driving = (facts.may(group) for group in (needs[0], tiles, rules.connected))
-    joints = serves & (count_neighbours(driving & ~serves) > 0)
-    parts = max(2, int(joints.sum()))
-    return int(2 * (serves.sum() + (holds & ~serves).sum()) + parts) // 3
 
 
 def bound_cost(layout: np.ndarray, facts: Facts) -> float:

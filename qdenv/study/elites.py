@@ -11,8 +11,9 @@ import numpy as np
 from qdenv.domains.base import Domain, make_domain
 from qdenv.generate import GENERATORS, inside_frame
 from qdenv.lazy import jax, jnp
+from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, PositiveInt, check_range
-from qdenv.repair.rules import Progress, impossible, no_progress
+from qdenv.repair.rules import impossible
 from qdenv.repair.settings import RepairConfig
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
@@ -148,7 +149,7 @@ def grow_elite(
 
 
 def repair_grown(
-    grown: Grown, config: RepairConfig, seed: int = 0, progress: Progress = no_progress
+    grown: Grown, config: RepairConfig, seed: int = 0, progress: Progress = silent
 ) -> Repair | None:
     """Repair a grown layout; None where its domain has no rules.
 
@@ -156,7 +157,7 @@ def repair_grown(
         grown: the layout.
         config: limits of the repair.
         seed: other seeds give other, equally good repairs.
-        progress: called with what is being done, and from 0 to 1 how much of it is.
+        progress: called with each step and its completed share.
 
     Raises:
         InputError: no layout of this size obeys the rules, or none was found.

@@ -7,124 +7,50 @@ leave it with their left hand on the wall. On a plane a walker that comes back f
 has gone round a part that nothing else joins to the rest.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy import ndimage, sparse
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from qdenv.native import formula, kernel
-from qdenv.repair.anneal.state import Board, State
+from qdenv.repair.anneal.state import AnnealState, Board
 
 _MAX_STEPS = 200  # of one walker, before the move is refused
 _STRIDE = 8  # steps a walker makes in one go
 
-
-def _ring_bits() -> np.ndarray:
-    """List the bits of all 3x3 ring patterns (int64 [256, 8])."""
-    return np.arange(256)[:, None] >> np.arange(8) & 1
-
-
-def tabulate_ring_pieces() -> np.ndarray:
-    """Count, for each 3x3 ring pattern, the pieces its open 4-neighbours form (int8 [256]).
-
-    Two neighbouring 4-neighbours hang together when the corner between them is open. One piece: a
-    simple point.
-    """
-    bits = _ring_bits()
-    linked = [bits[:, p] & bits[:, p + 1] & bits[:, (p + 2) % 8] for p in (0, 2, 4, 6)]
-    return np.where(bits.all(1), 1, bits[:, ::2].sum(1) - sum(linked)).astype(np.int8)
-
-
-def _tabulate_set_bits() -> np.ndarray:
-    """List, for each pattern, how many bits are set, then which (int8 [256, 9])."""
-    table = np.zeros((256, 9), np.int8)
-    for pattern, bits in enumerate(_ring_bits()):
-        places = np.flatnonzero(bits)
-        table[pattern, : 1 + places.size] = [places.size, *places]
-    return table
-
-
-def _tabulate_turns() -> np.ndarray:
-    """Tell a walker with its left hand on the wall where to go next (int8 [4, 256]).
-
-    Headings are clockwise from the top; from one and the pattern of the cell comes the next: left
-    if that is open, else straight on, else right, else back.
-    """
-    table = np.zeros((4, 256), np.int8)
-    for heading in range(4):
-        for turn in (2, 1, 0, 3):
-            towards = (heading + turn) % 4
-            table[heading, _ring_bits()[:, 2 * towards] == 1] = towards
-    return table
-
-
-RING_PIECES = tabulate_ring_pieces()
-SET_BITS = _tabulate_set_bits()
-TURNS = _tabulate_turns()
+# All 3x3 patterns by number: which of the eight neighbours are open, in clockwise order from the
+# top. The sides are the 4-neighbours; two of them hang together when the corner between them is
+# open, too, and so form a piece.
+_OPEN = np.arange(256)[:, None] >> np.arange(8) & 1 == 1  # bool [256, 8]
+_SIDES, _CORNERS = _OPEN[:, ::2], _OPEN[:, 1::2]  # the corner behind each side
+# The first side of a piece from the left: an open one that hangs together with none to its left.
+_LEFT_ENDS = _SIDES & ~np.roll(_SIDES & _CORNERS, 1, 1)
+# int8 [256], the number of pieces; where it is 1, the cell in the middle is a simple point
+RING_PIECES = np.where(_OPEN.all(1), 1, _LEFT_ENDS.sum(1)).astype(np.int8)
+# int8 [256, 4], the left ends of the pieces, in their order
+_STARTS = np.argsort(~_LEFT_ENDS, 1, kind="stable").astype(np.int8)
+# int8 [256, 4], the piece of each open side; those before the first left end belong to the last
+_PIECE_OF = ((_LEFT_ENDS.cumsum(1) - 1) % np.maximum(RING_PIECES, 1)[:, None]).astype(np.int8)
+# int8 [256, 9], how many neighbours are open, then which
+SET_BITS = np.column_stack([_OPEN.sum(1), np.argsort(~_OPEN, 1, kind="stable")]).astype(np.int8)
+# int8 [4, 256], the next heading of a walker with its left hand on the wall, from its heading
+# (clockwise from the top) and the pattern around it: left if that is open, else straight on, else
+# right, else back. The last of these turns that is written wins.
+_TURNS = np.zeros((4, 256), np.int8)
+for _heading in range(4):
+    for _turn in (2, 1, 0, 3):
+        _TURNS[_heading, _SIDES[:, (_heading + _turn) % 4]] = (_heading + _turn) % 4
 
 
 @formula
-def flip_driving(board: Board, ring: np.ndarray, cell: int) -> None:
-    """Tell the eight neighbours of a cell that it has opened or closed."""
-    for place in range(8):
-        ring[cell + board.steps[place]] ^= 1 << (place + 4 & 7)
-
-
-@formula
-def may_close(board: Board, state: State, cell: int) -> bool:
-    """Whether the driving area stays in one piece without this cell of it."""
+def may_close(board: Board, state: AnnealState, cell: int) -> bool:
+    """Return True if the driving area stays in one piece without this cell of it."""
     pieces = RING_PIECES[state.ring[cell]]
     # Most cells are simple points: only pieces that the ring leaves apart need walkers.
     return pieces == 1 or (pieces > 1 and _pieces_meet(board, state, cell, pieces))
 
 
-@formula
-def _is_left_end(pattern: int, side: int) -> bool:
-    """Whether an open side of a ring hangs together with none to its left."""
-    left = pattern >> (2 * side + 6 & 7) & pattern >> (2 * side + 7 & 7) & 1
-    return pattern >> 2 * side & 1 == 1 and left == 0
-
-
-@formula
-def _send_walkers(
-    cells: np.ndarray, headings: np.ndarray, ends: np.ndarray, cell: int, pattern: int
-) -> None:
-    """Send a walker into each piece of a ring, along its left end."""
-    sent = 0
-    for side in range(4):
-        if _is_left_end(pattern, side):
-            cells[sent], headings[sent], ends[sent] = cell, side, -1
-            sent += 1
-
-
-@formula
-def _piece_of(pattern: int, heading: int, pieces: int) -> int:
-    """Number the piece of a ring from which a walker arrives that heads for the middle."""
-    piece = -1
-    for side in range((heading + 2 & 3) + 1):
-        piece += _is_left_end(pattern, side)
-    # The sides before the first left end belong to the last piece.
-    return piece if piece >= 0 else pieces - 1
-
-
-@formula
-def _is_single_ring(ends: np.ndarray, pieces: int) -> bool:
-    """Whether the walks, of which one has not ended, lead through all pieces."""
-    missing = pieces * (pieces - 1) // 2
-    for piece in range(pieces):
-        missing -= max(ends[piece], 0)
-    piece = 0
-    for length in range(1, pieces + 1):
-        # The last walk can only end where no other did.
-        piece = ends[piece] if ends[piece] >= 0 else missing
-        if piece == 0:
-            return length == pieces
-    return False
-
-
 @kernel
-def _pieces_meet(board: Board, state: State, cell: int, pieces: int) -> bool:
+def _pieces_meet(board: Board, state: AnnealState, cell: int, pieces: int) -> bool:
     """Walk from all pieces in lockstep until it is known how the walls lead from one to another.
 
     The walk from each piece ends at one of them, and all walks together form rings; the pieces meet
@@ -133,8 +59,9 @@ def _pieces_meet(board: Board, state: State, cell: int, pieces: int) -> bool:
     """
     ring, steps, pattern = state.ring, board.steps, state.ring[cell]
     cells, headings, ends = state.walkers[0], state.walkers[1], state.walkers[2]
-    _send_walkers(cells, headings, ends, cell, pattern)
-    walking = pieces
+    for piece in range(pieces):
+        cells[piece], headings[piece], ends[piece] = cell, _STARTS[pattern, piece], -1
+    walking, missing = pieces, pieces * (pieces - 1) // 2
     for _ in range(_MAX_STEPS // _STRIDE):
         for piece in range(pieces):
             if ends[piece] >= 0:
@@ -144,25 +71,25 @@ def _pieces_meet(board: Board, state: State, cell: int, pieces: int) -> bool:
                 here += steps[2 * heading]
                 if here == cell:
                     break
-                heading = TURNS[heading, ring[here]]
+                heading = _TURNS[heading, ring[here]]
             cells[piece], headings[piece] = here, heading
             if here != cell:
                 continue
-            ends[piece] = _piece_of(pattern, heading, pieces)
+            ends[piece] = _PIECE_OF[pattern, heading + 2 & 3]
             walking -= 1
+            missing -= ends[piece]
             if ends[piece] == piece:
                 return False
             if walking == 1:
-                return _is_single_ring(ends, pieces)
+                # The last walk can only end where no other did: in the piece that is missing in
+                # the sum. Follow the walks from the first piece until they are back there.
+                reached = 0
+                for length in range(1, pieces + 1):
+                    reached = ends[reached] if ends[reached] >= 0 else missing
+                    if reached == 0:
+                        return length == pieces
+                return False
     return False
-
-
-class _Reach(NamedTuple):
-    """Which piece of the driving area is nearest to each of N cells."""
-
-    owner: np.ndarray  # int32 [N], the piece, from 1 on; 0 for cells that none can reach
-    distance: np.ndarray  # int32 [N], closed cells from there to the cell, itself included
-    came_from: np.ndarray  # int64 [N], the cell before on the way, -1 in the pieces themselves
 
 
 def join_pieces(
@@ -185,20 +112,10 @@ def join_pieces(
     """
     driving = driving.copy()
     driving[root] = True
-    reach = _reach(driving, may_open, stride)
-    ends, tree = _choose_ways(reach, stride)
-    while ends.size:
-        driving[ends] = True
-        ends = reach.came_from[ends]
-        ends = ends[ends >= 0]
-    _, groups = connected_components(tree, directed=False)
-    return driving, driving & (groups[reach.owner] == groups[reach.owner[root]])
-
-
-def _reach(driving: np.ndarray, may_open: np.ndarray, stride: int) -> _Reach:
-    """Reach out from all pieces at once, a cell at a time."""
-    owner, _ = ndimage.label(driving.reshape(-1, stride))
-    owner = owner.ravel()
+    # Reach out from all pieces at once, a cell at a time: which piece (from 1 on; 0 for cells that
+    # none can reach) is nearest to each cell, how many closed cells lie on the way there (the cell
+    # included), and the cell before on it (-1 in the pieces themselves).
+    owner = ndimage.label(driving.reshape(-1, stride))[0].ravel()
     distance, came_from = np.zeros(owner.size, np.int32), np.full(owner.size, -1)
     front, level = np.flatnonzero(driving), 0
     while front.size:
@@ -210,26 +127,28 @@ def _reach(driving: np.ndarray, may_open: np.ndarray, stride: int) -> _Reach:
             owner[there], came_from[there], distance[there] = owner[front[new]], front[new], level
             reached.append(there)
         front = np.concatenate(reached)
-    return _Reach(owner, distance, came_from)
-
-
-def _choose_ways(reach: _Reach, stride: int) -> tuple[np.ndarray, sparse.csr_array]:
-    """Choose where pieces meet: the shortest ways that join them all."""
-    pieces = int(reach.owner.max()) + 1
-    inside = np.flatnonzero(reach.owner > 0)
+    # Where the reaches of two pieces touch, a way leads from one to the other.
+    pieces = int(owner.max()) + 1
+    inside = np.flatnonzero(owner > 0)
     pairs = []
     for step in (1, stride):
         far = inside + step
-        meets = (reach.owner[far] > 0) & (reach.owner[far] != reach.owner[inside])
+        meets = (owner[far] > 0) & (owner[far] != owner[inside])
         pairs.append(np.stack([inside[meets], far[meets]]))
     cells = np.concatenate(pairs, axis=1)
     # Of several ways between two pieces the shortest: sparse arrays would add them up.
-    low, high = np.sort(reach.owner[cells].astype(np.int64), axis=0)
-    length = reach.distance[cells].sum(0)
+    low, high = np.sort(owner[cells].astype(np.int64), axis=0)
+    length = distance[cells].sum(0)
     order = np.lexsort((length, high, low))
-    _, first = np.unique((low * pieces + high)[order], return_index=True)
-    best = order[first]
+    best = order[np.unique((low * pieces + high)[order], return_index=True)[1]]
     ways = sparse.csr_array((length[best], (low[best], high[best])), shape=(pieces, pieces))
     tree = sparse.coo_array(minimum_spanning_tree(ways))
     chosen = np.isin(low[best] * pieces + high[best], tree.row * np.int64(pieces) + tree.col)
-    return cells[:, best[chosen]].ravel(), sparse.csr_array(tree)
+    # Open the chosen ways, from where they meet back to the pieces.
+    ends = cells[:, best[chosen]].ravel()
+    while ends.size:
+        driving[ends] = True
+        ends = came_from[ends]
+        ends = ends[ends >= 0]
+    _, groups = connected_components(sparse.csr_array(tree), directed=False)
+    return driving, driving & (groups[owner] == groups[owner[root]])

@@ -11,38 +11,31 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.native import formula, inlined, kernel
-from qdenv.repair.anneal.connectivity import flip_driving, may_close
-from qdenv.repair.anneal.energy import list_changed, put, remember, set_aisles, unmake, weigh
-from qdenv.repair.anneal.moves import propose
-from qdenv.repair.anneal.start import (
-    compile_board,
-    initial_aisles,
-    initial_state,
-    project,
-    unpad_layout,
-)
+from qdenv.progress import Progress, silent
+from qdenv.repair.anneal.connectivity import may_close
+from qdenv.repair.anneal.moves import propose, put, set_aisles, weigh
+from qdenv.repair.anneal.start import compile_board, initial_state, project
 from qdenv.repair.anneal.state import (
     RISE_LIMITS,
     SIDES,
     WORDS,
     Aisles,
+    Annealing,
+    AnnealState,
     Board,
     Move,
-    Plan,
-    State,
     Trait,
-    no_move,
     random_u64,
     uniform_bits,
 )
-from qdenv.repair.rules import Facts, Progress, no_progress
+from qdenv.repair.rules import Facts
 
 _PERIODS = 1000  # times the schedule moves on in one run
 _CHUNK = 2_000_000  # moves between two reports of progress, a fraction of a second
 _LATE = 0.85  # share of the moves after which the penalty may be raised beyond its schedule
-_PATIENCE = 50  # periods without a feasible layout before it is
-_MAX_BOOST = 20.0
-_BOOST_STEP = 1.05
+_PATIENCE = 50  # periods without a feasible layout before it is raised
+_MAX_BOOST = 20.0  # factor on the penalty, at most
+_BOOST_STEP = 1.05  # a period: a factor of 20 within 62 periods, fewer than are left
 _ACCEPT_BITS = (36, 10)  # of a move's second random word: one of the `RISE_LIMITS`
 
 
@@ -71,7 +64,7 @@ def anneal(
     moves: int,
     start: np.ndarray,
     schedule: Schedule = LOW_PENALTY,
-    progress: Progress = no_progress,
+    progress: Progress = silent,
     bound: float = -np.inf,
 ) -> tuple[np.ndarray | None, float]:
     """Find a cheap layout that obeys every rule.
@@ -80,24 +73,22 @@ def anneal(
         layout: int8 [H, W], the input from which changes are counted.
         facts: the constraints.
         seed: any integer; the same seed gives the same layout.
-        moves: proposed moves.
+        moves: number of proposed moves.
         start: int8 [H, W], where to start; the input itself will do.
         schedule: how to cool down.
-        progress: called now and then with the share of the moves that is done.
+        progress: called now and then with the completed share of the moves.
         bound: no layout costs less: reaching it ends the run, and changes nothing else.
 
     Returns:
         The best feasible layout (int8 [H, W]) and its cost, or (None, inf).
     """
     board, rng = compile_board(layout, facts), np.random.default_rng(abs(seed))
-    candidate, move = project(board, start, rng), no_move()
-    aisles = initial_aisles(board, candidate, facts.rules.aisle)
-    state = initial_state(board, candidate, aisles)
+    state, aisles = initial_state(board, project(board, start, rng), facts.rules.aisle)
     costs, moves = board.change_cost[board.free], moves if board.free.size else 0
     mean, top = (float(costs.mean()), float(costs.max())) if costs.any() else (1.0, 1.0)
     (hot, cold), (light, heavy) = schedule
     period = max(moves // _PERIODS, 1)
-    plan = Plan(
+    run = Annealing(
         seed=np.uint64(rng.integers(1 << 63)),
         moves=moves,
         period=period,
@@ -106,22 +97,23 @@ def anneal(
         penalty_weights=(light * top, heavy * top),
         enough=bound,
     )
-    # In pieces, so that a long run can show how far it is.
-    chunk = max(_CHUNK // plan.period, 1)
-    for first in range(0, plan.periods, chunk):
-        last = min(first + chunk, plan.periods)
-        anneal_periods(board, state, aisles, move, plan, first, last)
-        progress("annealing", last / plan.periods)
+    # In pieces, so that a long run can show its progress.
+    chunk, move = max(_CHUNK // period, 1), Move(*np.zeros((3, 5), np.int64))
+    for first in range(0, run.periods, chunk):
+        last = min(first + chunk, run.periods)
+        anneal_periods(board, state, aisles, move, run, first, last)
+        progress("annealing", last / run.periods, "")
     if not np.isfinite(state.best_cost):
         return None, float("inf")
-    best = unpad_layout(state.best, int(board.steps[4]))
+    best = state.best.reshape(-1, layout.shape[1] + 2)[1:-1, 1:-1].copy()
     return best, facts.cost(best, layout)
 
 
 @inlined
-def _settle_driving(board: Board, state: State, move: Move, changes: int) -> bool:
+def _settle_driving(board: Board, state: AnnealState, move: Move, changes: int) -> bool:
     """Open and close what the move does; undone and refused if the driving area falls apart."""
-    flipped, refused, drives = 0, False, board.traits[:, Trait.DRIVES]
+    ring, steps, drives = state.ring, board.steps, board.traits[:, Trait.DRIVES]
+    flipped, refused = 0, False
     # Open before closing: a way round that the move itself opens counts.
     for opens in (1, 0):
         for index in range(changes):
@@ -129,24 +121,22 @@ def _settle_driving(board: Board, state: State, move: Move, changes: int) -> boo
             if drives[move.new[index]] != opens or drives[move.old[index]] == opens or refused:
                 continue
             if board.connected:
-                if opens:
-                    refused = state.ring[cell] & SIDES == 0
-                else:
-                    refused = not may_close(board, state, cell)
+                refused = ring[cell] & SIDES == 0 if opens else not may_close(board, state, cell)
             if not refused:
-                flip_driving(board, state.ring, cell)
                 flipped |= 1 << index
-    if refused:
-        for index in range(changes):
-            if flipped >> index & 1:
-                flip_driving(board, state.ring, move.cells[index])
+                for place in range(8):  # a neighbour sees this cell at the opposite place
+                    ring[cell + steps[place]] ^= 1 << (place + 4 & 7)
+    for index in range(changes if refused else 0):
+        if flipped >> index & 1:
+            for place in range(8):
+                ring[move.cells[index] + steps[place]] ^= 1 << (place + 4 & 7)
     return not refused
 
 
 @inlined
 def _try_move(
     board: Board,
-    state: State,
+    state: AnnealState,
     aisles: Aisles | None,
     move: Move,
     changes: int,
@@ -159,82 +149,93 @@ def _try_move(
         breaks += set_aisles(board, aisles, move.cells, move.new, changes)
     # The most expensive test comes last.
     accept = rise + penalty * breaks <= limit and _settle_driving(board, state, move, changes)
-    if accept:
-        put(board, state, move.cells[changes - 1], move.new[changes - 1])
-        for index in range(changes):
-            list_changed(board, state, move.cells[index])
-        state.cost[()] += rise
-        state.violations[()] += breaks
-    else:
-        unmake(board, state, move, changes)
+    if not accept:
+        for index in range(changes - 1):  # the last change is not made yet
+            put(board, state, move.cells[index], move.old[index])
         if aisles is not None:
             set_aisles(board, aisles, move.cells, move.old, changes)
+        return accept
+    put(board, state, move.cells[changes - 1], move.new[changes - 1])
+    changed, place, since = state.changed, state.place, state.since
+    for index in range(changes):
+        cell, count = move.cells[index], state.num_changed[()]
+        differs = state.candidate[cell] != board.layout[cell]
+        if differs and place[cell] == 0:
+            changed[count] = cell
+            place[cell] = count + 1
+            state.num_changed[()] = count + 1
+        elif not differs and place[cell] > 0:
+            # The last cell of the list takes the place of the one that goes.
+            last = changed[count - 1]
+            changed[place[cell] - 1], place[last] = last, place[cell]
+            place[cell] = 0
+            state.num_changed[()] = count - 1
+        if state.num_since[()] < since.size:
+            since[state.num_since[()]] = cell
+            state.num_since[()] += 1
+    state.cost[()] += rise
+    state.violations[()] += breaks
     return accept
 
 
 @formula
-def _raise_penalty(state: State, done: float, period: int) -> float:
-    """Raise the penalty when no feasible layout came by for 5 % of the moves.
-
-    A demand may be worth more than the schedule pays, as where every shelf has four endpoints of
-    its own. Earlier in the run violations are welcome: they are the way over the hills.
-    """
-    if done > _LATE and period - state.feasible_period[()] > _PATIENCE:
-        state.boost[()] = min(_BOOST_STEP * state.boost[()], _MAX_BOOST)
-    return state.boost[()]
-
-
-@formula
-def _note_feasible(state: State, period: int) -> None:
+def _note_feasible(state: AnnealState, period: int) -> None:
     """Keep the candidate if it breaks no rule and is cheaper than the best so far."""
     if state.violations[()] == 0:
         state.feasible_period[()] = period
         if state.cost[()] < state.best_cost[()]:
             state.best_cost[()] = state.cost[()]
-            remember(state)
+            _remember(state)
+
+
+@kernel
+def _remember(state: AnnealState) -> None:
+    """Copy the candidate to `best`; only what has changed since the last copy, if that is known."""
+    if state.num_since[()] == state.since.size:
+        for cell in range(state.candidate.size):
+            state.best[cell] = state.candidate[cell]
+    else:
+        for entry in range(state.num_since[()]):
+            state.best[state.since[entry]] = state.candidate[state.since[entry]]
+    state.num_since[()] = 0
 
 
 @kernel
 def anneal_periods(
     board: Board,
-    state: State,
+    state: AnnealState,
     aisles: Aisles | None,
     move: Move,
-    plan: Plan,
+    run: Annealing,
     first: int,
     last: int,
 ) -> None:
     """Anneal for the periods `first` to `last` - 1; where they are cut makes no difference.
 
-    Ends early once nothing can be cheaper.
-
     The temperature falls geometrically; the penalty weight rises linearly, and faster while no
-    feasible layout comes by. `state.best` receives the cheapest layout that broke nothing, and
-    `state.best_cost` its cost.
-
-    Args:
-        board: the rules and the input.
-        state: where to start; ends where the last move led.
-        aisles: of `state`; None where rules allow narrow aisles.
-        move: a buffer for one move.
-        plan: how to draw and cool down.
-        first: the first period.
-        last: the one after the last.
+    feasible layout comes by. Ends early once nothing can be cheaper. `state` ends where the last
+    move led; its `best` receives the cheapest layout that broke nothing, and `best_cost` its cost.
+    `aisles` are those of `state`, None where rules allow narrow ones; `move` is a buffer.
     """
-    (hot, cold), (light, heavy) = plan.temperatures, plan.penalty_weights
+    (hot, cold), (light, heavy) = run.temperatures, run.penalty_weights
     for period in range(first, last):
-        done = period / plan.periods
+        done = period / run.periods
         temperature = hot * (cold / hot) ** done
-        penalty = _raise_penalty(state, done, period) * (light + (heavy - light) * done)
+        # A demand may be worth more than the schedule pays, as where every shelf has four endpoints
+        # of its own: raise the penalty when no feasible layout came by for 5 % of the moves.
+        # Earlier in the run violations are welcome: they are the way over the hills.
+        if done > _LATE and period - state.feasible_period[()] > _PATIENCE:
+            state.boost[()] = min(_BOOST_STEP * state.boost[()], _MAX_BOOST)
+        penalty = state.boost[()] * (light + (heavy - light) * done)
         _note_feasible(state, period)
         # Only a cheaper layout would be kept: the moves saved change nothing.
-        if state.best_cost[()] <= plan.enough:
+        if state.best_cost[()] <= run.enough:
             return
-        for index in range(period * plan.period, min((period + 1) * plan.period, plan.moves)):
-            changes = propose(board, state, move, plan.seed, WORDS * index)
+        for index in range(period * run.period, min((period + 1) * run.period, run.moves)):
+            changes = propose(board, state, move, run.seed, WORDS * index)
             if changes == 0:
                 continue
-            source = random_u64(plan.seed, WORDS * index + 1)
+            source = random_u64(run.seed, WORDS * index + 1)
             limit = temperature * RISE_LIMITS[uniform_bits(source, _ACCEPT_BITS)]
             if _try_move(board, state, aisles, move, changes, limit, penalty):
                 _note_feasible(state, period)

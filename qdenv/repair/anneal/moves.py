@@ -1,21 +1,22 @@
-"""How the annealer draws its moves: up to five cells that change together. Compiled by numba.
+"""The annealer's moves: up to five cells that change together, and what that changes.
 
 A move that broke one rule for the sake of another would rarely be accepted; cells that depend on
-one another are therefore changed at once.
+one another are therefore changed at once. Cost and broken demands are kept up to date by
+differences; nothing is counted again. Compiled by numba.
 """
 
 import numpy as np
 
 from qdenv.native import formula, inlined, kernel
 from qdenv.repair.anneal.connectivity import SET_BITS
-from qdenv.repair.anneal.energy import unmet_needs
 from qdenv.repair.anneal.state import (
     LEVELS,
     NO_TILE,
+    Aisles,
+    AnnealState,
     Board,
-    Group,
     Move,
-    State,
+    TileGroup,
     Trait,
     random_u64,
     uniform_below,
@@ -29,10 +30,11 @@ _PAIR = round(0.85 * LEVELS)  # flip another cell the other way where one opens 
 _PAIR_EARLY = round(0.35 * LEVELS)  # the same while there is much to mend
 _NEXT_DOOR = round(0.90 * LEVELS)  # look for that partner among the eight neighbours
 _RETILE = round(0.33 * LEVELS)  # retile a neighbour on the driving area as well
-_MUCH = 25  # one broken demand to so many cells: a driving area that must grow first
+_MUCH = 25  # fewer free cells per broken demand: a driving area that must grow first
 _STEPS = 18  # half of the draws near a changed cell step aside: to one of the 3x3 block, or stay
 _TRIES = 3  # to find a partner anywhere
 _NO_CELL = -1
+_FIELDS = 0x1111111  # the lowest bit of each of a tally's needs
 
 # Which bits of a random word decide what, as (first bit, number of bits); no draws share a bit.
 # The first word of a move:
@@ -53,7 +55,21 @@ _NEIGHBOUR_BITS = (10, 10)  # which of those that fit
 
 
 @formula
-def _draw_tile(board: Board, state: State, cell: int, group: int, source: int) -> int:
+def _unmet_needs(traits: np.ndarray, tile: int, tally: int) -> int:
+    """Mark the needs a tile has and a tally of its neighbours does not meet, one bit for each."""
+    # A need is met at most four times: three bits tell.
+    return traits[tile, Trait.NEEDS] & ~(tally | tally >> 1 | tally >> 2)
+
+
+@formula
+def _count_unmet(traits: np.ndarray, tile: int, tally: int) -> int:
+    """Count the needs of a tile that a tally of its neighbours does not meet."""
+    # The product gathers the sum of all fields in the highest of them.
+    return _unmet_needs(traits, tile, tally) * _FIELDS >> 24 & 7
+
+
+@formula
+def _draw_tile(board: Board, state: AnnealState, cell: int, group: int, source: int) -> int:
     """Draw another tile for a cell, often its input tile, or `NO_TILE`, with seven bits."""
     old, own, tile_set = state.candidate[cell], board.layout[cell], board.tile_set[cell]
     drawn = board.choices[tile_set, group, old, source & 63]
@@ -65,19 +81,8 @@ def _draw_tile(board: Board, state: State, cell: int, group: int, source: int) -
 
 
 @formula
-def _pick(board: Board, state: State, source: np.uint64) -> int:
-    """Pick a cell, mostly one that has changed or is beside one; it may be one that cannot."""
-    changed = state.num_changed[()]
-    if changed == 0 or uniform_bits(source, _FOCUS_BITS) >= _NEAR_CHANGED:
-        return board.free[uniform_below(source, _CELL_BITS, board.free.size)]
-    cell = state.changed[uniform_below(source, _CELL_BITS, changed)]
-    step = uniform_below(source, _STEP_BITS, _STEPS)
-    return cell + board.steps[step] if step < 8 else cell
-
-
-@formula
 def _partner(
-    board: Board, state: State, cell: int, drives: int, seed: np.uint64, number: int
+    board: Board, state: AnnealState, cell: int, drives: int, seed: np.uint64, number: int
 ) -> int:
     """Find a free cell on or off the driving area, mostly beside `cell`, or `_NO_CELL`."""
     source = random_u64(seed, number)
@@ -97,7 +102,7 @@ def _partner(
 
 
 @kernel
-def _release(board: Board, state: State, move: Move) -> int:
+def _release(board: Board, state: AnnealState, move: Move) -> int:
     """Retile the driving neighbours that the first change would leave in need; returns changes.
 
     A shelf that goes may strand four endpoints: giving them up one by one would cost more at
@@ -111,18 +116,24 @@ def _release(board: Board, state: State, move: Move) -> int:
         idle = plain == own or not traits[own, Trait.DRIVES]
         if idle or plain == NO_TILE:
             continue
-        if unmet_needs(traits, own, tally + change) & ~unmet_needs(traits, own, tally):
+        if _unmet_needs(traits, own, tally + change) & ~_unmet_needs(traits, own, tally):
             move.cells[changes], move.new[changes] = side, plain
             changes += 1
     return changes
 
 
 @inlined
-def propose(board: Board, state: State, move: Move, seed: np.uint64, number: int) -> int:
+def propose(board: Board, state: AnnealState, move: Move, seed: np.uint64, number: int) -> int:
     """Draw up to five changes into `move` with words from `number` on; returns how many."""
-    source = random_u64(seed, number)
-    cell = _pick(board, state, source)
-    new = _draw_tile(board, state, cell, Group.ANY, uniform_bits(source, _TILE_BITS))
+    source, changed = random_u64(seed, number), state.num_changed[()]
+    if changed == 0 or uniform_bits(source, _FOCUS_BITS) >= _NEAR_CHANGED:
+        cell = board.free[uniform_below(source, _CELL_BITS, board.free.size)]
+    else:
+        cell = state.changed[uniform_below(source, _CELL_BITS, changed)]
+        step = uniform_below(source, _STEP_BITS, _STEPS)
+        # A step may lead to a cell that cannot change: no tile is drawn there.
+        cell = cell + board.steps[step] if step < 8 else cell
+    new = _draw_tile(board, state, cell, TileGroup.ANY, uniform_bits(source, _TILE_BITS))
     if new == NO_TILE:
         return 0
     move.cells[0], move.new[0] = cell, new
@@ -150,8 +161,93 @@ def propose(board: Board, state: State, move: Move, seed: np.uint64, number: int
         side = cell + board.steps[place]
         if state.ring[cell] >> place & 1 and side != other:
             tile_bits = uniform_bits(source, _SIDE_TILE_BITS)
-            new = _draw_tile(board, state, side, Group.DRIVING, tile_bits)
+            new = _draw_tile(board, state, side, TileGroup.DRIVING, tile_bits)
             if new != NO_TILE:
                 move.cells[changes], move.new[changes] = side, new
                 changes += 1
     return changes
+
+
+@inlined
+def put(board: Board, state: AnnealState, cell: int, new: int) -> None:
+    """Set one cell; rings, aisles and the lists of changes are brought up to date elsewhere."""
+    traits, old = board.traits, state.candidate[cell]
+    change = traits[new, Trait.UNIT] - traits[old, Trait.UNIT]
+    if change:
+        for place in (0, 2, 4, 6):
+            state.tally[cell + board.steps[place]] += change
+    before, after = traits[old, Trait.BOUNDS], traits[new, Trait.BOUNDS]
+    if before != after:
+        for bound in range(state.counts.size):
+            state.counts[bound] += (after >> bound & 1) - (before >> bound & 1)
+    state.candidate[cell] = new
+
+
+@inlined
+def weigh(board: Board, state: AnnealState, move: Move, changes: int) -> tuple[float, int]:
+    """Weigh the proposed changes; returns the rise in cost and in broken demands.
+
+    All but the last are made: each is weighed where the ones before it stand.
+    """
+    rise, broken, traits = 0.0, 0, board.traits
+    for index in range(changes):
+        if index:
+            put(board, state, move.cells[index - 1], move.new[index - 1])
+        cell, new = move.cells[index], move.new[index]
+        old, own, here = state.candidate[cell], board.layout[cell], state.tally[cell]
+        move.old[index] = old
+        rise += board.change_cost[cell] * ((new != own) * 1.0 - (old != own) * 1.0)
+        # Adjacency: what the tile needs, and what its neighbours need of it.
+        broken += _count_unmet(traits, new, here) - _count_unmet(traits, old, here)
+        change = traits[new, Trait.UNIT] - traits[old, Trait.UNIT]
+        if change:
+            for place in (0, 2, 4, 6):
+                side = cell + board.steps[place]
+                tile, tally = state.candidate[side], state.tally[side]
+                broken += _count_unmet(traits, tile, tally + change)
+                broken -= _count_unmet(traits, tile, tally)
+        # Counts: how far they are outside their bounds.
+        before, after = traits[old, Trait.BOUNDS], traits[new, Trait.BOUNDS]
+        if before != after:
+            for bound in range(state.counts.size):
+                count = state.counts[bound]
+                more = (after >> bound & 1) - (before >> bound & 1)
+                low, high = board.count_bounds[bound, 0], board.count_bounds[bound, 1]
+                broken += max(low - count - more, 0) + max(count + more - high, 0)
+                broken -= max(low - count, 0) + max(count - high, 0)
+    return rise, broken
+
+
+@kernel
+def set_aisles(
+    board: Board, aisles: Aisles, cells: np.ndarray, tiles: np.ndarray, changes: int
+) -> int:
+    """Bring the aisles to `tiles` on `cells`; returns the change in broken demands.
+
+    Broken are the driving cells that no open square covers.
+    """
+    side, driving, closed, cover = aisles
+    stride, broken = board.steps[4], 0
+    for index in range(changes):
+        cell, opens = cells[index], board.traits[tiles[index], Trait.DRIVES]
+        if driving[cell] == opens:
+            continue
+        broken -= driving[cell] == 1 and cover[cell] == 0
+        driving[cell] = opens
+        broken += driving[cell] == 1 and cover[cell] == 0
+        for corner_step in range(side * side):
+            corner = cell - corner_step // side * stride - corner_step % side
+            if corner < 0:
+                continue
+            before = closed[corner] == 0
+            closed[corner] += -1 if opens else 1
+            after = closed[corner] == 0
+            # Only a square that opens or closes as a whole changes what its cells are covered by.
+            if before == after:
+                continue
+            for inside_step in range(side * side):
+                inside = corner + inside_step // side * stride + inside_step % side
+                broken -= driving[inside] == 1 and cover[inside] == 0
+                cover[inside] += 1 if after else -1
+                broken += driving[inside] == 1 and cover[inside] == 0
+    return broken

@@ -1,15 +1,14 @@
 """As many obstacles as the rules require: regular layouts, and packing them densely.
 
-Regular layouts obey the rules by construction: annealing starts there where the input leads
-nowhere. Aisles have two rows of obstacles between them: every obstacle touches an aisle, so any of
-them may be left out, and about two thirds of the cells can be obstacles, which no connected layout
-exceeds.
+Regular layouts have two rows of obstacles between aisles. They obey the rules by construction:
+every obstacle touches an aisle, so any of them may be left out, and about two thirds of the cells
+can be obstacles, which no connected layout exceeds.
 
-Packing is the last resort near the limit, where hardly any layout is left. The annealer never lets
-the driving area fall apart, and the ways to the densest layouts lead through pieces. Straight
-aisles between two rows of shelves hold 704 of them at the paper's size; packing finds 708, with
-aisles that end head to head in a seam. A seam takes few columns and all others are alike: so a
-narrow layout is packed first, and one of its columns repeated.
+Packing is the last resort near that limit. The annealer never lets the driving area fall apart,
+and the ways to the densest layouts lead through pieces. Straight aisles hold 704 shelves at the
+paper's size; packing finds 708, with aisles that end head to head in a seam. A seam takes few
+columns and all others are alike: so a narrow layout is packed first, and one of its columns
+repeated.
 """
 
 from typing import NamedTuple
@@ -19,6 +18,7 @@ from scipy import ndimage
 
 from qdenv.grid import MOVES, count_neighbours
 from qdenv.native import Scalar, formula, inlined, kernel
+from qdenv.progress import Progress, silent
 from qdenv.repair.anneal.connectivity import RING_PIECES
 from qdenv.repair.anneal.start import eight_steps, join_bits
 from qdenv.repair.anneal.state import (
@@ -30,7 +30,7 @@ from qdenv.repair.anneal.state import (
     uniform_bits,
 )
 from qdenv.repair.audit import audit
-from qdenv.repair.rules import Facts, Progress, no_progress
+from qdenv.repair.rules import Facts
 from qdenv.types import Adjacency
 
 _MOVES_PER_CELL = 40_000
@@ -52,13 +52,8 @@ _ACCEPT_BITS = (36, 10)  # of its second word: one of the `RISE_LIMITS`
 def draw_templates(layout: np.ndarray, facts: Facts) -> list[np.ndarray]:
     """Draw aisles along rows and along columns, in every phase (each int8 [H, W]).
 
-    Args:
-        layout: int8 [H, W], the input: obstacles stand where it has some, as far as they fit.
-        facts: the constraints.
-
-    Returns:
-        Candidates, those first that break the fewest rules: fixed cells and odd keep-outs may
-        break one here and there.
+    Obstacles stand where the input `layout` (int8 [H, W]) has some, as far as they fit. Those come
+    first that break the fewest rules: fixed cells and odd keep-outs may break one here and there.
     """
     height, width = layout.shape
     aisle, period = facts.rules.aisle, facts.rules.aisle + 2
@@ -84,11 +79,10 @@ def _furnish(layout: np.ndarray, facts: Facts, aisles: np.ndarray) -> np.ndarray
     for bound in facts.rules.counts:
         counted = facts.holding(bound.tiles) & ~driving
         may = (allowed & counted).any(-1) & ~aisles & driving[candidate]
-        cells = np.argwhere(may)
         # Cells first that hold a counted tile in the input.
         order = np.argsort(~counted[layout][may], kind="stable")
         missing = max(bound.low - int(counted[candidate].sum()), 0)
-        for row, col in cells[order[:missing]]:
+        for row, col in np.argwhere(may)[order[:missing]]:
             own = layout[row, col]
             kind = own if counted[own] else int(np.argmax(allowed[row, col] & counted))
             if allowed[row, col, kind]:
@@ -109,7 +103,7 @@ def _furnish(layout: np.ndarray, facts: Facts, aisles: np.ndarray) -> np.ndarray
 
 
 class Packing(NamedTuple):
-    """What is being packed; N cells with a ring around the layout."""
+    """A layout that is being packed; N cells with a ring around it."""
 
     free: np.ndarray  # int32 [F], the cells that may drive or not
     flips: np.ndarray  # bool [N], the same
@@ -117,7 +111,7 @@ class Packing(NamedTuple):
     serves: np.ndarray  # bool [N], whether it may serve the obstacles beside it where it drives
     drives: np.ndarray  # bool [N], where robots drive now
     ring: np.ndarray  # uint8 [N], which of the eight neighbours drive
-    steps: np.ndarray  # int64 [8], to these neighbours
+    steps: np.ndarray  # int64 [9], to these neighbours and to the cell itself
     obstacles: Scalar  # int64 [], the cells where none drives
     unserved: Scalar  # int64 [], obstacles that nothing serves
     pieces: Scalar  # int64 [], unconnected parts of the driving area
@@ -127,42 +121,39 @@ class Packing(NamedTuple):
 
 
 @formula
-def _is_unserved(packing: Packing, cell: int) -> int:
-    """Whether an obstacle stands on a cell and none of its neighbours serves it."""
-    alone = packing.inside[cell] and not packing.drives[cell]
-    for place in (0, 2, 4, 6):
-        side = cell + packing.steps[place]
-        alone = alone and not (packing.drives[side] and packing.serves[side])
-    return int(alone)
+def _count_unserved(packing: Packing, cell: int) -> int:
+    """Count the obstacles on a cell and beside it that none of their neighbours serves."""
+    unserved = 0
+    for place in (8, 0, 2, 4, 6):
+        here = cell + packing.steps[place]
+        if packing.inside[here] and not packing.drives[here]:
+            alone = True
+            for towards in (0, 2, 4, 6):
+                side = here + packing.steps[towards]
+                alone = alone and not (packing.drives[side] and packing.serves[side])
+            unserved += alone
+    return unserved
 
 
 @inlined
 def _flip(packing: Packing, cell: int) -> None:
     """Open or close a cell; pieces are `_weigh_pieces`'s."""
-    steps, unserved = packing.steps, -_is_unserved(packing, cell)
-    for place in (0, 2, 4, 6):
-        side = cell + steps[place]
-        if packing.inside[side]:
-            unserved -= _is_unserved(packing, side)
+    before = _count_unserved(packing, cell)
     packing.drives[cell] = not packing.drives[cell]
     packing.obstacles[()] += -1 if packing.drives[cell] else 1
-    unserved += _is_unserved(packing, cell)
-    for place in (0, 2, 4, 6):
-        side = cell + steps[place]
-        if packing.inside[side]:
-            unserved += _is_unserved(packing, side)
-    packing.unserved[()] += unserved
-    for place in range(8):
-        packing.ring[cell + steps[place]] ^= 1 << (place + 4 & 7)
+    packing.unserved[()] += _count_unserved(packing, cell) - before
+    for place in range(8):  # a neighbour sees this cell at the opposite place
+        packing.ring[cell + packing.steps[place]] ^= 1 << (place + 4 & 7)
 
 
 @kernel
-def _count_around(packing: Packing, cell: int) -> int:
-    """Count the pieces beside a cell, were it closed."""
+def _weigh_pieces(packing: Packing, cell: int) -> None:
+    """Bring the number of pieces up to date after a cell has opened or closed."""
+    # Count the pieces beside the cell, were it closed: opening it joins them in one.
     sides = packing.ring[cell] & SIDES
-    if sides == 0 or RING_PIECES[packing.ring[cell]] == 1:
-        return int(sides != 0)
     pieces, first = 0, packing.searches[()] + 1
+    if sides == 0 or RING_PIECES[packing.ring[cell]] == 1:
+        pieces, sides = int(sides != 0), 0
     for place in (0, 2, 4, 6):
         root = cell + packing.steps[place]
         if not sides >> place & 1 or packing.visited[root] >= first:
@@ -178,14 +169,7 @@ def _count_around(packing: Packing, cell: int) -> int:
                 if packing.drives[there] and there != cell and packing.visited[there] < first:
                     packing.visited[there], packing.front[size] = first, there
                     size += 1
-    return pieces
-
-
-@inlined
-def _weigh_pieces(packing: Packing, cell: int) -> None:
-    """Bring the number of pieces up to date after a cell has opened or closed."""
-    change = _count_around(packing, cell) - 1
-    packing.pieces[()] += -change if packing.drives[cell] else change
+    packing.pieces[()] += 1 - pieces if packing.drives[cell] else pieces - 1
 
 
 @formula
@@ -195,51 +179,19 @@ def _break_count(packing: Packing, low: int, high: int) -> int:
     return max(low - obstacles, 0) + max(obstacles - high, 0) + unserved
 
 
-@inlined
-def _try_flips(packing: Packing, cell: int, other: int, limit: float, low: int, high: int) -> None:
-    """Change a cell, and another unless that is the same, if the energy stays within a limit."""
-    pieces = packing.pieces[()]
-    _flip(packing, cell)
-    if other != cell:
-        _flip(packing, other)
-    # The most expensive test comes last; pieces are weighed after one change, then after both.
-    accept = _break_count(packing, low, high) <= limit - max(pieces - 1, 0)
-    if accept:
-        if other != cell:
-            _flip(packing, other)
-        _weigh_pieces(packing, cell)
-        if other != cell:
-            _flip(packing, other)
-            _weigh_pieces(packing, other)
-        accept = _break_count(packing, low, high) + packing.pieces[()] <= limit
-    if not accept:
-        _flip(packing, cell)
-        if other != cell:
-            _flip(packing, other)
-        packing.pieces[()] = pieces
-
-
 @kernel
 def pack_moves(
     packing: Packing, low: int, high: int, seed: np.uint64, first: int, last: int, moves: int
 ) -> bool:
-    """Make the moves `first` to `last` - 1; where a run is cut makes no difference.
+    """Make the moves `first` to `last` - 1 of `moves`; where a run is cut makes no difference.
 
-    Args:
-        packing: where to start; ends where the last move led.
-        low: obstacles, at least.
-        high: obstacles, at most.
-        seed: of all draws.
-        first: number of the first move.
-        last: number of the one after the last.
-        moves: of the whole run, during which the temperature falls geometrically.
-
-    Returns:
-        Whether nothing is broken; the run ends there.
+    Between `low` and `high` obstacles are allowed. Ends where nothing is broken, and returns
+    whether that is so.
     """
     hot, cold = _TEMPERATURES
     for index in range(first, last):
-        if _break_count(packing, low, high) == 0 and packing.pieces[()] <= 1:
+        broken, pieces = _break_count(packing, low, high), packing.pieces[()]
+        if broken == 0 and pieces <= 1:
             return True
         source = random_u64(seed, 2 * index)
         cell = packing.free[uniform_below(source, _CELL_BITS, packing.free.size)]
@@ -254,22 +206,33 @@ def pack_moves(
         temperature = hot * (cold / hot) ** (index / moves)
         source = random_u64(seed, 2 * index + 1)
         limit = temperature * RISE_LIMITS[uniform_bits(source, _ACCEPT_BITS)]
-        limit += _break_count(packing, low, high) + packing.pieces[()]
-        _try_flips(packing, cell, other, limit, low, high)
+        limit += broken + pieces
+        _flip(packing, cell)
+        if other != cell:
+            _flip(packing, other)
+        # The most expensive test comes last; pieces are weighed after one change, then after both.
+        accept = _break_count(packing, low, high) <= limit - max(pieces - 1, 0)
+        if accept:
+            if other != cell:
+                _flip(packing, other)
+            _weigh_pieces(packing, cell)
+            if other != cell:
+                _flip(packing, other)
+                _weigh_pieces(packing, other)
+            accept = _break_count(packing, low, high) + packing.pieces[()] <= limit
+        if not accept:
+            _flip(packing, cell)
+            if other != cell:
+                _flip(packing, other)
+            packing.pieces[()] = pieces
     return _break_count(packing, low, high) == 0 and packing.pieces[()] <= 1
 
 
-def pack(facts: Facts, progress: Progress = no_progress) -> np.ndarray | None:
-    """Find a layout that obeys the rules, however many obstacles they require.
+def pack(facts: Facts, progress: Progress = silent) -> np.ndarray | None:
+    """Find a layout (int8 [H, W]) that obeys the rules, however many obstacles they require.
 
-    Only for rules with one count, of obstacles, all of which driving cells have to serve.
-
-    Args:
-        facts: the constraints.
-        progress: called now and then with the share of the moves that is done.
-
-    Returns:
-        A layout (int8 [H, W]), or None where none was found, which proves nothing.
+    Only for rules with one count, of obstacles, all of which driving cells have to serve. None
+    proves nothing.
     """
     rules = facts.rules
     obstacles = set(rules.tiles) - set(rules.connected)
@@ -337,10 +300,19 @@ def _pack_whole(facts: Facts, service: Adjacency, progress: Progress) -> np.ndar
     for first in range(0, moves, _CHUNK):
         last = min(first + _CHUNK, moves)
         if pack_moves(packing, low, high, np.uint64(0), first, last, moves):
-            layout = _choose_tiles(packing, facts, service)
-            return None if audit(layout, facts.rules) else layout
-        progress("packing", last / moves)
-    return None
+            break
+        progress("packing", last / moves, "")
+    else:
+        return None
+    # Give every cell a tile: beside obstacles those that serve, else the least demanding.
+    drives = packing.drives.reshape(start.shape[0] + 2, -1)[1:-1, 1:-1]
+    fits = facts.rules.allowed & (facts.driving == drives[..., None])
+    serving, most = facts.holding(service.needs), facts.demands.max()
+    worth = np.where(serving, 0.0, 1.0 + most - facts.demands)
+    beside = (count_neighbours(~drives) > 0)[..., None]
+    worth = worth + beside * serving * (2.0 + most)
+    layout = (fits * (1.0 + worth)).argmax(-1).astype(np.int8)
+    return None if audit(layout, facts.rules) else layout
 
 
 def start_packing(driving: np.ndarray, facts: Facts, service: Adjacency) -> Packing:
@@ -356,7 +328,7 @@ def start_packing(driving: np.ndarray, facts: Facts, service: Adjacency) -> Pack
         serves=np.pad(facts.may(service.needs), 1).ravel(),
         drives=drives,
         ring=join_bits(drives, steps),
-        steps=steps,
+        steps=np.append(steps, 0),
         obstacles=np.array((~driving).sum(), np.int64),
         unserved=np.array(unserved.sum(), np.int64),
         pieces=np.array(ndimage.label(driving)[1], np.int64),
@@ -364,14 +336,3 @@ def start_packing(driving: np.ndarray, facts: Facts, service: Adjacency) -> Pack
         visited=np.zeros(flips.size, np.int32),
         front=np.zeros(flips.size, np.int32),
     )
-
-
-def _choose_tiles(packing: Packing, facts: Facts, service: Adjacency) -> np.ndarray:
-    """Give every cell a tile: beside obstacles those that serve, else the least demanding."""
-    allowed, shape = facts.rules.allowed, facts.free.shape
-    drives = packing.drives.reshape(shape[0] + 2, -1)[1:-1, 1:-1]
-    fits = allowed & (facts.driving == drives[..., None])
-    worth = np.where(facts.holding(service.needs), 0.0, 1.0 + facts.demands.max() - facts.demands)
-    beside = (count_neighbours(~drives) > 0)[..., None]
-    worth = worth + beside * facts.holding(service.needs) * (2.0 + facts.demands.max())
-    return (fits * (1.0 + worth)).argmax(-1).astype(np.int8)

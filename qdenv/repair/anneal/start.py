@@ -9,30 +9,13 @@ from qdenv.repair.anneal.state import (
     MAX_NEEDS,
     NO_TILE,
     Aisles,
+    AnnealState,
     Board,
-    Group,
-    State,
+    TileGroup,
     Trait,
 )
 from qdenv.repair.rules import Facts
 from qdenv.types import InputError
-
-
-def _tabulate_traits(facts: Facts) -> np.ndarray:
-    """Tabulate the facts about tiles (int32 [K + 1, traits]); the last row is the wall."""
-    different = sorted({need for needs in facts.needs for need in needs})
-    if len(different) > MAX_NEEDS:
-        raise InputError(
-            f"the repair knows at most {MAX_NEEDS} different neighbours that tiles need, these "
-            f"rules have {len(different)}: merge demands"
-        )
-    table = []
-    for kind, tile in enumerate(facts.rules.tiles):
-        unit = sum(1 << 4 * field for field, need in enumerate(different) if tile in need)
-        needs = sum(1 << 4 * different.index(need) for need in set(facts.needs[kind]))
-        bounds = sum(int(counts) << q for q, counts in enumerate(facts.counting[:, kind]))
-        table.append([facts.driving[kind], unit, needs, facts.role_of[kind], bounds])
-    return np.array([*table, [0, 0, 0, -1, 0]], np.int32)
 
 
 def _tabulate_choices(allowed: np.ndarray, facts: Facts) -> tuple[np.ndarray, np.ndarray]:
@@ -42,17 +25,16 @@ def _tabulate_choices(allowed: np.ndarray, facts: Facts) -> tuple[np.ndarray, np
     likely; another kind of the same role matters to the counts only, and comes a quarter as often.
     """
     kinds = allowed.size
-    choices = np.full((len(Group), kinds + 1, DRAWS), NO_TILE, np.int8)
-    fits = np.zeros((len(Group), kinds + 1), np.int8)
-    for group in Group:
-        fits[group, :kinds] = allowed & ((group == Group.ANY) | (facts.driving == group))
+    choices = np.full((len(TileGroup), kinds + 1, DRAWS), NO_TILE, np.int8)
+    fits = np.zeros((len(TileGroup), kinds + 1), np.int8)
+    for group in TileGroup:
+        fits[group, :kinds] = allowed & ((group == TileGroup.ANY) | (facts.driving == group))
         for old in range(kinds):
             weights = np.zeros(kinds)
             for role, members in enumerate(facts.roles):
                 others = [kind for kind in members if fits[group, kind] and kind != old]
-                weights[others] = (0.25 if role == facts.role_of[old] else 1.0) / max(
-                    len(others), 1
-                )
+                share = 0.25 if role == facts.role_of[old] else 1.0
+                weights[others] = share / max(len(others), 1)
             if weights.any():
                 ends = np.cumsum(weights) / weights.sum()
                 choices[group, old] = np.searchsorted(ends, (np.arange(DRAWS) + 0.5) / DRAWS)
@@ -65,28 +47,41 @@ def compile_board(layout: np.ndarray, facts: Facts) -> Board:
     Raises:
         InputError: there are more kinds of tile or of need than the kernels can tell apart.
     """
-    rules, kinds, stride = facts.rules, len(facts.rules.tiles), layout.shape[1] + 2
+    rules, kinds = facts.rules, len(facts.rules.tiles)
     if kinds > MAX_KINDS:
         raise InputError(
             f"the repair knows at most {MAX_KINDS} kinds of tile, these rules have "
             f"{kinds}: merge tiles that obey the same rules"
         )
-    traits = _tabulate_traits(facts)
+    different = sorted({need for needs in facts.needs for need in needs})
+    if len(different) > MAX_NEEDS:
+        raise InputError(
+            f"the repair knows at most {MAX_NEEDS} different neighbours that tiles need, these "
+            f"rules have {len(different)}: merge demands"
+        )
+    traits = []
+    for kind, tile in enumerate(rules.tiles):
+        unit = sum(1 << 4 * field for field, need in enumerate(different) if tile in need)
+        needs = sum(1 << 4 * different.index(need) for need in set(facts.needs[kind]))
+        bounds = sum(int(counts) << q for q, counts in enumerate(facts.counting[:, kind]))
+        traits.append([facts.driving[kind], unit, needs, facts.role_of[kind], bounds])
     allowed = np.pad((rules.allowed * (1 << np.arange(kinds))).sum(-1).astype(np.int64), 1).ravel()
     masks, tile_set = np.unique(allowed, return_inverse=True)
     tables = [_tabulate_choices(mask >> np.arange(kinds) & 1 == 1, facts) for mask in masks]
-    steps = eight_steps(stride)
-    free = np.pad(facts.free, 1).ravel()
+    open_tile = np.full(allowed.size, NO_TILE, np.int8)
+    for kind in sorted(np.flatnonzero(facts.driving), key=lambda kind: -facts.demands[kind]):
+        open_tile[allowed >> kind & 1 == 1] = kind
+    steps, free = eight_steps(layout.shape[1] + 2), np.pad(facts.free, 1).ravel()
     return Board(
-        layout=_pad_layout(layout, kinds),
+        layout=np.pad(layout.astype(np.int8), 1, constant_values=kinds).ravel(),
         change_cost=np.pad(np.asarray(rules.change_cost, np.float32), 1).ravel(),
         free=np.flatnonzero(free).astype(np.int32),
         free_ring=join_bits(free, steps),
-        open_tile=_default_open_tiles(allowed, facts),
+        open_tile=open_tile,
         tile_set=tile_set.astype(np.int16),
         choices=np.array([choices for choices, _ in tables]),
         fits=np.array([fits for _, fits in tables]),
-        traits=traits,
+        traits=np.array([*traits, [0, 0, 0, -1, 0]], np.int32),  # the last one is the wall
         count_bounds=facts.count_bounds,
         steps=steps,
         connected=bool(rules.connected),
@@ -107,38 +102,16 @@ def join_bits(marks: np.ndarray, steps: np.ndarray) -> np.ndarray:
     return np.asarray(np.sum(bits, 0, dtype=np.uint8))
 
 
-def _pad_layout(layout: np.ndarray, wall: int) -> np.ndarray:
-    """Put a ring of walls around a layout (int8 [H, W] -> int8 [N])."""
-    return np.pad(layout.astype(np.int8), 1, constant_values=wall).ravel()
-
-
-def unpad_layout(layout: np.ndarray, stride: int) -> np.ndarray:
-    """Take the ring of walls away again (int8 [N] -> int8 [H, W])."""
-    return layout.reshape(-1, stride)[1:-1, 1:-1].copy()
-
-
-def _default_open_tiles(allowed: np.ndarray, facts: Facts) -> np.ndarray:
-    """Choose each cell's allowed driving tile with the fewest demands, or `NO_TILE` (int8 [N])."""
-    open_tile = np.full(allowed.size, NO_TILE, np.int8)
-    for kind in sorted(np.flatnonzero(facts.driving), key=lambda kind: -facts.demands[kind]):
-        open_tile[allowed >> kind & 1 == 1] = kind
-    return open_tile
-
-
 def project(board: Board, start: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Pad a layout, make every tile an allowed one and the driving area one piece (int8 [N]).
+    """Pad a layout (int8 [H, W]), make every tile an allowed one and the driving area one piece.
 
-    Args:
-        board: the rules and the input.
-        start: int8 [H, W].
-        rng: draws the cell whose piece the others are joined to.
+    `rng` draws the cell whose piece the others are joined to. Returns int8 [N].
     """
     kinds, drives = len(board.traits) - 1, board.traits[:, Trait.DRIVES]
-    may = board.fits[board.tile_set, Group.ANY]
-    candidate, cells = _pad_layout(start, kinds), np.arange(board.layout.size)
-    wall = candidate == kinds
+    may = board.fits[board.tile_set, TileGroup.ANY]
+    candidate = np.pad(start.astype(np.int8), 1, constant_values=kinds).ravel()
+    cells, wall, layout = np.arange(candidate.size), candidate == kinds, board.layout
     # Open a cell with its input tile where that drives: it costs nothing.
-    layout = board.layout
     kept = (may[cells, layout] == 1) & (drives[layout] == 1)
     opened = np.where(kept, layout, board.open_tile)
     kept = wall | (may[cells, candidate] == 1)
@@ -146,7 +119,7 @@ def project(board: Board, start: np.ndarray, rng: np.random.Generator) -> np.nda
     candidate = np.where(kept, candidate, fallback).astype(np.int8)
     if not board.connected or not (opened >= 0).any():
         return candidate
-    may_shut = board.fits[board.tile_set, Group.OBSTACLE]
+    may_shut = board.fits[board.tile_set, TileGroup.OBSTACLE]
     shut = np.where(may_shut.any(1), may_shut.argmax(1), NO_TILE)
     # Start at a cell that always drives, else at one that does, else at one that may.
     roots = np.flatnonzero((shut < 0) & ~wall)
@@ -165,20 +138,10 @@ def _sum_squares(mask: np.ndarray, side: int) -> np.ndarray:
     return windows.sum((-1, -2))
 
 
-def initial_aisles(board: Board, candidate: np.ndarray, side: int) -> Aisles | None:
-    """Start `Aisles` at a projected layout (int8 [N]); None where any passage is wide enough."""
-    if side <= 1:
-        return None
-    driving = board.traits[candidate, Trait.DRIVES].reshape(-1, int(board.steps[4]))
-    closed = side**2 - _sum_squares(driving, side)
-    # Squares that reach back over a cell: the same sum on the grid turned round.
-    cover = _sum_squares((closed == 0)[::-1, ::-1], side)[::-1, ::-1]
-    drives, counts = driving.ravel().astype(np.int8), (closed.ravel(), cover.ravel())
-    return Aisles(side, drives, *(count.astype(np.int32) for count in counts))
-
-
-def initial_state(board: Board, candidate: np.ndarray, aisles: Aisles | None) -> State:
-    """Start a `State` at a projected layout (int8 [N]) and its aisles."""
+def initial_state(
+    board: Board, candidate: np.ndarray, side: int = 1
+) -> tuple[AnnealState, Aisles | None]:
+    """Start at a projected layout (int8 [N]); with aisles where they must be `side` > 1 wide."""
     size, traits = candidate.size, board.traits[candidate]
     tally = sum(np.roll(traits[:, Trait.UNIT], step) for step in board.steps[::2])
     counts = (traits[:, Trait.BOUNDS, None] >> np.arange(len(board.count_bounds)) & 1).sum(0)
@@ -186,13 +149,20 @@ def initial_state(board: Board, candidate: np.ndarray, aisles: Aisles | None) ->
     lacking = traits[:, Trait.NEEDS] & ~(tally | tally >> 1 | tally >> 2)
     broken = (lacking[:, None] >> 4 * np.arange(MAX_NEEDS) & 1).sum()
     broken += np.maximum(low - counts, counts - high).clip(0).sum()
-    if aisles is not None:
-        broken += ((aisles.driving == 1) & (aisles.cover == 0)).sum()
+    aisles = None
+    if side > 1:
+        driving = traits[:, Trait.DRIVES].reshape(-1, int(board.steps[4]))
+        closed = side**2 - _sum_squares(driving, side)
+        # Squares that reach back over a cell: the same sum on the grid turned round.
+        cover = _sum_squares((closed == 0)[::-1, ::-1], side)[::-1, ::-1]
+        numbers = (count.ravel().astype(np.int32) for count in (closed, cover))
+        aisles = Aisles(side, driving.ravel().astype(np.int8), *numbers)
+        broken += ((driving == 1) & (cover == 0)).sum()
     differs = candidate != board.layout
     changed, place = np.zeros(size, np.int32), np.zeros(size, np.int32)
     changed[: differs.sum()] = np.flatnonzero(differs)
     place[differs] = 1 + np.arange(differs.sum())
-    return State(
+    state = AnnealState(
         candidate=candidate.copy(),
         ring=join_bits(traits[:, Trait.DRIVES] == 1, board.steps),
         tally=tally.astype(np.int32),
@@ -210,3 +180,4 @@ def initial_state(board: Board, candidate: np.ndarray, aisles: Aisles | None) ->
         boost=np.array(1.0),
         walkers=np.zeros((3, 4), np.int64),
     )
+    return state, aisles

@@ -1,4 +1,4 @@
-"""What the annealer's kernels read and write: records of arrays, and random numbers by number.
+"""What the annealer's kernels read and write: records of arrays; random numbers.
 
 Cells live on a grid padded by one ring of walls, so that no neighbour test needs a border case:
 N = (H + 2) (W + 2) cells in rows of `stride` = W + 2. Tiles are the K of the alphabet and the wall,
@@ -40,7 +40,7 @@ class Trait(IntEnum):
     BOUNDS = 4  # bit q: the tile counts in bound q
 
 
-class Group(IntEnum):
+class TileGroup(IntEnum):
     """Which tiles a draw may give: the second axis of `Board.choices` and of `Board.fits`."""
 
     OBSTACLE = 0  # off the driving area
@@ -59,10 +59,10 @@ class Board(NamedTuple):
     # stand here, or `NO_TILE`
     open_tile: np.ndarray
     tile_set: np.ndarray  # int16 [N], which of the S sets of tiles a cell allows
-    # int8 [S, 3, K + 1, DRAWS], tiles to draw from, of a `Group` and other than the one that stands
-    # here; each role as often as another
+    # int8 [S, 3, K + 1, DRAWS], tiles to draw from, of a `TileGroup` and other than the one that
+    # stands here; each role as often as another
     choices: np.ndarray
-    fits: np.ndarray  # int8 [S, 3, K + 1], 1 for tiles that are allowed and of the `Group`
+    fits: np.ndarray  # int8 [S, 3, K + 1], 1 for tiles that are allowed and of the `TileGroup`
     traits: np.ndarray  # int32 [K + 1, 5], facts about tiles; `Trait` names them
     # int64 [Q, 2], lowest and highest number of tiles that count in bound q
     count_bounds: np.ndarray
@@ -72,7 +72,7 @@ class Board(NamedTuple):
     leave_quarters: int
 
 
-class State(NamedTuple):
+class AnnealState(NamedTuple):
     """One layout being annealed, with everything its energy needs."""
 
     candidate: np.ndarray  # int8 [N], the layout
@@ -111,7 +111,7 @@ class Move(NamedTuple):
     old: np.ndarray  # int64 [5], the tiles they had
 
 
-class Plan(NamedTuple):
+class Annealing(NamedTuple):
     """How a run draws and cools down."""
 
     seed: np.uint64  # of all draws
@@ -121,11 +121,6 @@ class Plan(NamedTuple):
     temperatures: tuple[float, float]  # the first and the last
     penalty_weights: tuple[float, float]  # the first and the last cost of a broken demand
     enough: float  # a cost that no layout undercuts: the run ends where one reaches it
-
-
-def no_move() -> Move:
-    """Make an empty move."""
-    return Move(*np.zeros((3, 5), np.int64))
 
 
 @formula

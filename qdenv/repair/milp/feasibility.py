@@ -1,6 +1,6 @@
-"""What the rules alone allow, whatever layout came in: a layout that obeys them, or proof of none.
+"""Whether any layout obeys the rules, whatever the input: one that does, or a proof of none.
 
-Needed where annealing finds nothing. The relaxation with a spanning tree in it (`_span`) refutes
+Needed where annealing fails. The relaxation with a spanning tree in it (`_span`) refutes
 most of what is impossible at any size; small programs are decided by branch and cut, larger layouts
 are packed (`anneal.packing`).
 """
@@ -12,23 +12,23 @@ import highspy
 import numpy as np
 from scipy import ndimage
 
+from qdenv.progress import Progress, silent
 from qdenv.repair.anneal.packing import pack
 from qdenv.repair.audit import audit
 from qdenv.repair.milp.highs import (
+    MAX_CELLS,
     add_cuts,
     load,
     mend,
     new_solver,
-    read_layout,
     run_limited,
     separate,
     solve_relaxation,
 )
-from qdenv.repair.milp.program import Program, Rows, at_least, build
-from qdenv.repair.rules import Facts, Progress, no_progress
-from qdenv.types import Adjacency, RepairStatus
+from qdenv.repair.milp.program import Constraints, Program, at_least, build, decode
+from qdenv.repair.rules import Facts, assign_kinds
+from qdenv.types import RepairStatus
 
-_MAX_CELLS = 20_000  # that may change: beyond, the relaxation alone takes minutes
 _BRANCHED_CELLS = 120  # that may change: with more, branching decides little
 _NODES = 2000  # of one solve
 _INTERRUPT_BUDGET = 2000  # of one solve
@@ -43,14 +43,10 @@ _answers: OrderedDict[bytes, Existence] = OrderedDict()
 _lock = threading.Lock()
 
 
-def find_possible(facts: Facts, progress: Progress = no_progress) -> Existence:
+def find_possible(facts: Facts, progress: Progress = silent) -> Existence:
     """Find a layout that obeys the rules, or prove that there is none; both may fail.
 
     The answer follows from the rules alone and is cached: a batch pays for it once.
-
-    Args:
-        facts: the constraints.
-        progress: called with what is being done, and from 0 to 1 how much of it is.
     """
     rules = facts.rules  # named by their content, costs left out
     texts = (rules.tiles, rules.counts, rules.adjacency, rules.connected, rules.aisle)
@@ -63,36 +59,25 @@ def find_possible(facts: Facts, progress: Progress = no_progress) -> Existence:
         return _answers[key]
 
 
-def _decide(facts: Facts, progress: Progress) -> Existence:
-    """Try the relaxation, then the solver or the packer."""
-    if facts.free_cells > _MAX_CELLS:
-        return RepairStatus.FAILED, None
-    progress("asking whether any layout exists", 0.0)
-    if is_refuted(facts):
-        return RepairStatus.IMPOSSIBLE, None
-    if facts.free_cells <= _BRANCHED_CELLS:
-        return _branch(facts)
-    layout = pack(facts, progress)
-    return RepairStatus.FAILED if layout is None else RepairStatus.ANNEALED, layout
-
-
-def _build_free(facts: Facts) -> Program:
-    """Build the program in which every layout costs nothing."""
-    program = build(facts.any_layout, facts)
-    return program._replace(cost=np.zeros_like(program.cost), constant=0.0)
-
-
 def is_refuted(facts: Facts) -> bool:
     """Return True if not even the relaxation has a solution: then no layout obeys the rules."""
-    solver = solve_relaxation(_span(_build_free(facts), facts))
-    return bool(solver.getModelStatus() == highspy.HighsModelStatus.kInfeasible)
+    status = solve_relaxation(_build_free(facts, spanned=True)).getModelStatus()
+    return bool(status == highspy.HighsModelStatus.kInfeasible)
 
 
-def _branch(facts: Facts) -> Existence:
-    """Solve with more and more connectivity cuts, until a layout obeys every rule or none can."""
-    program, rng = _build_free(facts), np.random.default_rng(0)
-    if facts.rules.aisle <= 1:  # wide aisles say more than a tree, which takes ten times as long
-        program = _span(program, facts)
+def _decide(facts: Facts, progress: Progress) -> Existence:
+    """Try the relaxation, then the solver or the packer."""
+    if facts.free_cells > MAX_CELLS:
+        return RepairStatus.FAILED, None
+    progress("checking whether any layout exists", 0.0, "")
+    if is_refuted(facts):
+        return RepairStatus.IMPOSSIBLE, None
+    if facts.free_cells > _BRANCHED_CELLS:
+        layout = pack(facts, progress)
+        return RepairStatus.FAILED if layout is None else RepairStatus.ANNEALED, layout
+    # Solve with more and more connectivity cuts, until a layout obeys every rule or none can. Wide
+    # aisles exclude more than a tree, which takes ten times as long.
+    program, rng = _build_free(facts, spanned=facts.rules.aisle <= 1), np.random.default_rng(0)
     solver = load(new_solver(0), program)
     solver.setOptionValue("mip_max_nodes", _NODES)
     for _ in range(_ROUNDS):
@@ -102,7 +87,8 @@ def _branch(facts: Facts) -> Existence:
             return RepairStatus.IMPOSSIBLE, None
         if status != highspy.HighsModelStatus.kOptimal:
             break
-        solution = read_layout(solver, program.cells, facts.any_layout, facts, rng)
+        roles = decode(program.cells, np.array(solver.getSolution().col_value))
+        solution = assign_kinds(roles, facts.any_layout, facts, rng)
         cuts = separate(facts.driving[solution], facts.must(facts.rules.connected))
         for candidate in (solution, mend(solution, solution, facts, rng)):
             if not audit(candidate, facts.rules):
@@ -113,28 +99,29 @@ def _branch(facts: Facts) -> Existence:
     return RepairStatus.FAILED, None
 
 
+def _build_free(facts: Facts, spanned: bool) -> Program:
+    """Build the program in which every layout costs nothing; `spanned` with `_span`'s rows."""
+    program = build(facts.any_layout, facts)
+    program = program._replace(cost=np.zeros_like(program.cost), constant=0.0)
+    return _span(program, facts) if spanned and facts.rules.connected else program
+
+
 def _span(program: Program, facts: Facts) -> Program:
     """Add a spanning tree and who serves whom to a program: the same layouts, a tighter relaxation.
 
     If the driving area is one piece, its n cells have a spanning tree of n - 1 edges. A side of a
     driving cell is an edge of the tree or serves one obstacle, so a part of c cells serves 2 c + 1
-    obstacles at most: what `rules.find_contradiction` counts for a whole layout, here the solver
-    may state of any part of it. Cells that always drive and hang together count as one.
-
-    Args:
-        program: from `program.build`; its rows keep their place and so do its variables.
-        facts: the constraints.
-
-    Returns:
-        The program with more rows, and more (continuous) variables behind the others.
+    obstacles at most: what `rules.impossible` counts for a whole layout, here the solver may state
+    of any part of it. Cells that always drive and hang together count as one. The rows and
+    (continuous) variables that are added stand behind the others.
     """
     connected = facts.rules.connected
-    if not connected:
-        return program
     (height, width), first = facts.free.shape, program.cost.size
     cell = np.arange(facts.free.size).reshape(facts.free.shape)
     always = facts.must(connected).ravel()
-    one, other = _list_pairs(cell)
+    # The pairs of neighbours: all to the right, then all below.
+    one = np.concatenate([cell[:, :-1].ravel(), cell[:-1].ravel()])
+    other = np.concatenate([cell[:, 1:].ravel(), cell[1:].ravel()])
     pair = ~(always[one] & always[other])  # no edges within what always drives
     count = int(pair.sum())
     edge = np.where(pair, first + np.cumsum(pair) - 1, -1)
@@ -169,7 +156,12 @@ def _span(program: Program, facts: Facts) -> Program:
     # The direction of a side, as seen from its end: no two sides share it and the end.
     towards = np.repeat([0, 1], [right.size, below.size])[pair]
     towards = np.concatenate([towards, towards + 2])
-    services = [rule for rule in facts.rules.adjacency if _is_service(rule, connected)]
+    # The rules by which driving cells serve obstacles.
+    services = [
+        rule
+        for rule in facts.rules.adjacency
+        if not set(rule.tiles) & set(connected) and set(rule.needs) <= set(connected)
+    ]
     for place, rule in enumerate(services):
         # Every obstacle is served over a side, which is no edge of the tree then.
         used = first + count * (1 + 2 * place) + np.arange(2 * count)
@@ -194,17 +186,6 @@ def _span(program: Program, facts: Facts) -> Program:
     )
 
 
-def _is_service(rule: Adjacency, connected: str) -> bool:
-    """Return True if by this rule driving cells serve obstacles."""
-    return not set(rule.tiles) & set(connected) and set(rule.needs) <= set(connected)
-
-
-def _list_pairs(cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """List the pairs of neighbours among cells [H, W]: all to the right, then all below."""
-    one = np.concatenate([cell[:, :-1].ravel(), cell[:-1].ravel()])
-    return one, np.concatenate([cell[:, 1:].ravel(), cell[1:].ravel()])
-
-
 def _break_rings(
     columns: np.ndarray,
     own: np.ndarray,
@@ -212,7 +193,7 @@ def _break_rings(
     labels: np.ndarray,
     right: np.ndarray,
     below: np.ndarray,
-) -> list[Rows]:
+) -> list[Constraints]:
     """Within a square of four cells a tree has an edge less than cells that drive.
 
     Args:
@@ -230,7 +211,7 @@ def _break_rings(
     part = np.sort(labels.ravel()[square], 1)
     fixed = (part[:, 0] > 0) + ((part[:, 1:] != part[:, :-1]) & (part[:, 1:] > 0)).sum(1)
 
-    def less_edges(rows: np.ndarray, cells: np.ndarray, low: np.ndarray) -> Rows:
+    def less_edges(rows: np.ndarray, cells: np.ndarray, low: np.ndarray) -> Constraints:
         loose = labels.ravel()[cells] == 0
         shape = (len(cells), cells.shape[1] * columns.shape[1])
         numbers = columns[cells].reshape(shape)

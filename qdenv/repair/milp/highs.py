@@ -13,11 +13,16 @@ from qdenv.repair.anneal.loop import MENDING, anneal
 from qdenv.repair.audit import audit
 from qdenv.repair.milp.program import Cells, Program, build, decode, encode
 from qdenv.repair.rules import Facts, Result, assign_kinds
-from qdenv.repair.settings import MilpLimits, RepairConfig
+from qdenv.repair.settings import RepairConfig
 from qdenv.types import RepairStatus
 
+MAX_CELLS = 20_000  # that may change: with more even the relaxation takes minutes
+_MAX_GAP = 0.08  # of the relaxation beyond which branching would not pay, in parts of the cost
 _SMALL = 500  # variables of a program that the solver closes in a second whatever its gap
+_ROUNDS = 4  # solves, each with more connectivity cuts
+_INTERRUPT_BUDGET = 100  # of one solve: a deterministic limit on its work
 _MENDING_MOVES = 300  # annealing moves per cell that mend a solution's connections
+_CUTS = 4  # for each part that is cut off, at most: one for a cell
 
 
 class Cut(NamedTuple):
@@ -30,9 +35,9 @@ class Cut(NamedTuple):
 def new_solver(seed: int) -> highspy.Highs:
     """Make a silent solver with one thread."""
     solver = highspy.Highs()
-    options = {"output_flag": False, "threads": 1, "random_seed": seed % (1 << 31)}
-    for name, value in options.items():
-        solver.setOptionValue(name, value)
+    solver.setOptionValue("output_flag", False)
+    solver.setOptionValue("threads", 1)
+    solver.setOptionValue("random_seed", seed % (1 << 31))
     return solver
 
 
@@ -61,18 +66,11 @@ def load(solver: highspy.Highs, program: Program) -> highspy.Highs:
 def solve_relaxation(program: Program) -> highspy.Highs:
     """Solve the linear relaxation (interior point, no crossover)."""
     solver = load(new_solver(0), program)
-    for name, value in {"solve_relaxation": True, "solver": "ipm", "run_crossover": "off"}.items():
-        solver.setOptionValue(name, value)
+    solver.setOptionValue("solve_relaxation", True)
+    solver.setOptionValue("solver", "ipm")
+    solver.setOptionValue("run_crossover", "off")
     solver.run()
     return solver
-
-
-def _bound_relaxation(program: Program, facts: Facts) -> float:
-    """Bound the cost from below by the linear relaxation."""
-    solver = solve_relaxation(program)
-    if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
-        return 0.0
-    return round_up(solver.getInfo().objective_function_value, facts)
 
 
 def round_up(bound: float, facts: Facts) -> float:
@@ -82,11 +80,8 @@ def round_up(bound: float, facts: Facts) -> float:
 
 
 def run_limited(solver: highspy.Highs, budget: int) -> None:
-    """Solve until the solver has offered to be interrupted more than `budget` times.
-
-    It does so at fixed points of its work: counting them ends it reproducibly, which a time limit
-    would not.
-    """
+    """Solve until the solver has offered to be interrupted more than `budget` times."""
+    # It does so at fixed points of its work: a count is reproducible, a time limit is not.
     offers = 0
 
     def count(event: highspy.HighsCallbackEvent) -> None:
@@ -99,18 +94,6 @@ def run_limited(solver: highspy.Highs, budget: int) -> None:
     solver.cbMipInterrupt.unsubscribe(count)
 
 
-def read_layout(
-    solver: highspy.Highs,
-    cells: Cells,
-    layout: np.ndarray,
-    facts: Facts,
-    rng: np.random.Generator,
-) -> np.ndarray:
-    """Read the layout of a solution (int8 [H, W]); its driving area may fall apart."""
-    values = np.array(solver.getSolution().col_value)
-    return assign_kinds(decode(cells, values), layout, facts, rng)
-
-
 def mend(
     candidate: np.ndarray, layout: np.ndarray, facts: Facts, rng: np.random.Generator
 ) -> np.ndarray:
@@ -120,21 +103,14 @@ def mend(
     return candidate if best is None else best
 
 
-def separate(driving: np.ndarray, always: np.ndarray, most: int = 4) -> list[Cut]:
+def separate(driving: np.ndarray, always: np.ndarray) -> list[Cut]:
     """Find cuts for every part of the driving area that is cut off from the main one.
 
     Connectivity as lazy inequalities over minimal separators (Carvajal et al. 2013,
     https://doi.org/10.1287/opre.2013.1183; Fischetti et al. 2017,
     https://doi.org/10.1007/s12532-016-0111-0): stated up front there would be exponentially many,
-    and few of them matter.
-
-    Args:
-        driving: bool [H, W], the driving area of a solution.
-        always: bool [H, W], cells that drive in every layout.
-        most: cells of each part to cut for.
-
-    Returns:
-        Cuts through minimal separators; empty when the area is one piece.
+    and few of them matter. `driving` (bool [H, W]) is the driving area of a solution; the cells
+    `always` (bool [H, W]) drive in every layout.
     """
     labels, parts = ndimage.label(driving)
     if parts <= 1:
@@ -155,7 +131,7 @@ def separate(driving: np.ndarray, always: np.ndarray, most: int = 4) -> list[Cut
         beyond, _ = ndimage.label(~shell & ~inside)
         facing = shell & ndimage.binary_dilation(beyond == beyond[anchor])
         gates, cells = np.flatnonzero(facing).tolist(), np.flatnonzero(inside)
-        for cell in cells[np.linspace(0, cells.size - 1, min(most, cells.size)).astype(int)]:
+        for cell in cells[np.linspace(0, cells.size - 1, min(_CUTS, cells.size)).astype(int)]:
             cuts.append(Cut([int(cell), *other], gates))
     return cuts
 
@@ -183,48 +159,38 @@ def keep_cheaper(best: Result, candidate: np.ndarray, layout: np.ndarray, facts:
 
 
 def improve(
-    layout: np.ndarray,
-    facts: Facts,
-    start: Result,
-    seed: int,
-    config: RepairConfig,
-    limits: MilpLimits,
+    layout: np.ndarray, facts: Facts, start: Result, seed: int, config: RepairConfig
 ) -> Result:
-    """Improve a feasible layout by branch and cut, and bound what is possible.
+    """Improve the feasible layout of `start` by branch and cut, and bound what is possible.
 
-    Args:
-        layout: int8 [H, W], the input.
-        facts: the constraints.
-        start: a feasible layout, its cost, and a known lower bound.
-        seed: the solver's.
-        config: the gap and the wall-clock limit.
-        limits: when to branch, and how long.
-
-    Returns:
-        The best layout found, never worse than `start`, with the status of the last solve.
+    Returns the best layout found for the input `layout` (int8 [H, W]), never worse than `start`,
+    with the status of the last solve.
     """
-    program = build(layout, facts)
-    best = start._replace(bound=max(start.bound, _bound_relaxation(program, facts)))
+    program, best = build(layout, facts), start
+    relaxed = solve_relaxation(program)
+    if relaxed.getModelStatus() == highspy.HighsModelStatus.kOptimal:
+        bound = round_up(relaxed.getInfo().objective_function_value, facts)
+        best = best._replace(bound=max(best.bound, bound))
     if best.proven(config.gap):
         return best._replace(status=RepairStatus.OPTIMAL)
     # Branching closes small gaps only, but any gap of a small program.
-    closable = best.bound >= best.cost * (1 - limits.max_gap_to_branch)
-    if program.cost.size > _SMALL and not closable:
+    if program.cost.size > _SMALL and best.bound < best.cost * (1 - _MAX_GAP):
         return best
     solver, rng = load(new_solver(seed), program), np.random.default_rng(seed)
+    solver.setOptionValue("mip_rel_gap", config.gap)
+    solver.setOptionValue("mip_max_nodes", config.nodes)
+    solver.setOptionValue("time_limit", config.time_limit)
     always = facts.must(facts.rules.connected)
-    for _ in range(limits.rounds):
-        solver.setOptionValue("mip_rel_gap", config.gap)
-        solver.setOptionValue("mip_max_nodes", limits.node_limit)
-        solver.setOptionValue("time_limit", config.time_limit)
+    for _ in range(_ROUNDS):
         solution = highspy.HighsSolution()
         solution.col_value = encode(program, best.layout, layout, facts).tolist()
         solver.setSolution(solution)
-        run_limited(solver, limits.interrupt_budget)
+        run_limited(solver, _INTERRUPT_BUDGET)
         timed_out = solver.getModelStatus() == highspy.HighsModelStatus.kTimeLimit
         bound = round_up(solver.getInfo().mip_dual_bound, facts)
         best = best._replace(bound=max(best.bound, bound))
-        candidate = read_layout(solver, program.cells, layout, facts, rng)
+        roles = decode(program.cells, np.array(solver.getSolution().col_value))
+        candidate = assign_kinds(roles, layout, facts, rng)
         cuts = separate(facts.driving[candidate], always) if facts.rules.connected else []
         if cuts:
             candidate = mend(candidate, layout, facts, rng)

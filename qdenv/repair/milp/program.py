@@ -20,7 +20,7 @@ Term = tuple[int, float]  # a column and its coefficient
 
 
 class Cells(NamedTuple):
-    """Which variables say what the cells hold."""
+    """The variables behind the roles of the cells."""
 
     columns: np.ndarray  # int64 [H, W, R], the binary "the cell holds the role", -1 for none
     # int64 [H, W], the role a cell holds when none of its binaries is set, -1 where one must be set
@@ -30,15 +30,14 @@ class Cells(NamedTuple):
     def express(self, roles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Express "the cell holds one of `roles`" (bool [R]), which is 0 or 1.
 
-        Returns:
-            The coefficients of the binaries (float64 [H, W, R]) and a constant (float64 [H, W]).
+        Returns coefficients of the binaries (float64 [H, W, R]) and constants (float64 [H, W]).
         """
         # Where the base role is one of `roles`, each binary of another role takes the 1 away.
         constant = (roles[self.base] & (self.base >= 0)).astype(float)
         return roles - constant[..., None], constant
 
 
-class Rows(NamedTuple):
+class Constraints(NamedTuple):
     """Rows ``low <= sum(values * v[columns]) <= high`` in the variables v."""
 
     columns: np.ndarray  # int64 [rows, terms], -1 for no term
@@ -50,9 +49,9 @@ class Rows(NamedTuple):
         """Mark the terms that are there (bool [rows, terms])."""
         return (self.columns >= 0) & (self.values != 0)
 
-    def select(self, rows: np.ndarray) -> "Rows":
+    def select(self, rows: np.ndarray) -> "Constraints":
         """Select rows (bool [rows])."""
-        return Rows(*(field[rows] for field in self))
+        return Constraints(*(field[rows] for field in self))
 
 
 class Program(NamedTuple):
@@ -60,7 +59,7 @@ class Program(NamedTuple):
 
     cells: Cells
     cost: np.ndarray  # float64 [variables]
-    rows: list[Rows]
+    rows: list[Constraints]
     upper: np.ndarray  # float64 [variables]
     integer: np.ndarray  # bool [variables]
     constant: float = 0.0  # cost when all variables are 0
@@ -71,29 +70,31 @@ class Program(NamedTuple):
     squares: np.ndarray | None = None
 
 
-def at_least(columns: Sequence[np.ndarray], values: Sequence[np.ndarray], low: np.ndarray) -> Rows:
+def at_least(
+    columns: Sequence[np.ndarray], values: Sequence[np.ndarray], low: np.ndarray
+) -> Constraints:
     """Make rows ``low <= ...`` of terms side by side ([rows, terms] or [rows] each)."""
     joined = np.column_stack([*columns])
-    return Rows(joined, np.column_stack([*values]), low, np.full(len(joined), np.inf))
+    return Constraints(joined, np.column_stack([*values]), low, np.full(len(joined), np.inf))
 
 
-def _around(array: np.ndarray, outside: float) -> list[np.ndarray]:
-    """List, for each cell of [H, W, ...], its four neighbours; `outside` beyond the grid."""
-    height, width = array.shape[:2]
-    padded = np.full((height + 2, width + 2, *array.shape[2:]), outside, array.dtype)
-    padded[1:-1, 1:-1] = array
-    return [padded[1 + r : 1 + r + height, 1 + c : 1 + c + width] for r, c in MOVES]
-
-
-def demand(cells: Cells, tiles: np.ndarray, needs: np.ndarray) -> Rows:
+def demand(cells: Cells, tiles: np.ndarray, needs: np.ndarray) -> Constraints:
     """A cell with one of the roles `tiles` (bool [R]) has a neighbour with one of `needs`."""
     own, holds = cells.express(tiles)
     serving, serves = cells.express(needs)
-    columns = np.concatenate([cells.columns, *_around(cells.columns, -1)], -1)
-    values = np.concatenate([-own, *_around(serving, 0)], -1)
-    low = holds - sum(_around(serves, 0))
+    height, width = holds.shape
+
+    def around(array: np.ndarray, outside: float) -> list[np.ndarray]:
+        """List, for each cell of [H, W, ...], its four neighbours; `outside` beyond the grid."""
+        padded = np.full((height + 2, width + 2, *array.shape[2:]), outside, array.dtype)
+        padded[1:-1, 1:-1] = array
+        return [padded[1 + r : 1 + r + height, 1 + c : 1 + c + width] for r, c in MOVES]
+
+    columns = np.concatenate([cells.columns, *around(cells.columns, -1)], -1)
+    values = np.concatenate([-own, *around(serving, 0)], -1)
+    low = holds - sum(around(serves, 0))
     may = (holds > 0) | ((cells.columns >= 0) & (own != 0)).any(-1)
-    return Rows(columns[may], values[may], low[may], np.full(may.sum(), np.inf))
+    return Constraints(columns[may], values[may], low[may], np.full(may.sum(), np.inf))
 
 
 def total(
@@ -103,17 +104,24 @@ def total(
     low: float,
     high: float,
     extra: Sequence[Term] = (),
-) -> Rows:
+) -> Constraints:
     """Bound a sum over all cells: of coefficients [H, W, R], constants [H, W] and extra terms."""
     columns = np.append(cells.columns.ravel(), [column for column, _ in extra]).astype(int)
     coefficients = np.append(values.ravel(), [value for _, value in extra])
     limits = (np.array([limit - constant.sum()]) for limit in (low, high))
-    return Rows(columns[None], coefficients[None], *limits)
+    return Constraints(columns[None], coefficients[None], *limits)
 
 
 def build(layout: np.ndarray, facts: Facts) -> Program:
     """Build the program that repairs `layout` (int8 [H, W]), connectivity left out."""
-    cells = _number_binaries(facts)
+    # The base role is the allowed one with the fewest adjacency demands: its cells need no rows.
+    may, demands = facts.may_take, [facts.demands[members[0]] for members in facts.roles]
+    order = np.argsort(demands, kind="stable")
+    base = order[may[..., order].argmax(-1)]
+    binary = may & (np.arange(may.shape[-1]) != base[..., None])
+    # Numbered cell by cell, so that neighbours in the grid are near in the program.
+    number = np.cumsum(binary).reshape(binary.shape) - 1
+    cells = Cells(np.where(binary, number, -1), base)
     size = int(cells.columns.max()) + 1
     apart = [
         kind
@@ -128,17 +136,19 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
         inside = squares[: 1 - aisle, : 1 - aisle]
         inside[:] = size + np.arange(inside.size).reshape(inside.shape)
         size += inside.size
-    demands = [
-        demand(cells, facts.roles_of(rule.tiles), facts.roles_of(rule.needs))
-        for rule in facts.rules.adjacency
-    ]
+    # At most one binary of a cell is set.
+    several = binary.sum(-1) > 1
+    columns = cells.columns[several][np.argsort(base[several], kind="stable")]
     rows = [
-        _one_role(cells),
-        *demands,
+        at_least([columns], [np.full(columns.shape, -1.0)], np.full(len(columns), -1.0)),
+        *(
+            demand(cells, facts.roles_of(rule.tiles), facts.roles_of(rule.needs))
+            for rule in facts.rules.adjacency
+        ),
         *_counts(cells, retypes, facts, layout),
-        *_aisles(cells, squares, facts),
+        *(_aisles(cells, squares, facts) if aisle > 1 else ()),
     ]
-    # A row without variables says something only where fixed cells break it.
+    # A row without variables matters only where fixed cells break it.
     rows = [part.select(part.terms().any(1) | (part.low > 0) | (part.high < 0)) for part in rows]
     upper, integer = np.ones(size), np.ones(size, bool)
     upper[[column for pair in retypes.values() for column in pair]] = layout.size
@@ -148,69 +158,41 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
     return Program(cells, cost, rows, upper, integer, constant, retypes, squares)
 
 
-def _number_binaries(facts: Facts) -> Cells:
-    """Choose each cell's base role and number the binaries of the others.
-
-    The base role is the allowed one with the fewest adjacency demands: its cells need no rows.
-    """
-    may, demands = facts.may_take, [facts.demands[members[0]] for members in facts.roles]
-    order = np.argsort(demands, kind="stable")
-    base = order[may[..., order].argmax(-1)]
-    binary = may & (np.arange(may.shape[-1]) != base[..., None])
-    # Numbered cell by cell, so that neighbours in the grid are near in the program.
-    number = np.cumsum(binary).reshape(binary.shape) - 1
-    return Cells(np.where(binary, number, -1), base)
-
-
-def _one_role(cells: Cells) -> Rows:
-    """At most one binary of a cell is set."""
-    several = (cells.columns >= 0).sum(-1) > 1
-    columns, base = cells.columns[several], cells.base[several]
-    columns = columns[np.argsort(base, kind="stable")]
-    return at_least([columns], [np.full(columns.shape, -1.0)], np.full(len(columns), -1.0))
-
-
 def _counts(
     cells: Cells, retypes: dict[int, tuple[int, int]], facts: Facts, layout: np.ndarray
-) -> list[Rows]:
+) -> list[Constraints]:
     """Bound the counts: of whole roles, or of kinds that are counted apart."""
     kept, rows = facts.keeps(layout), []
     for role, members in enumerate(facts.roles):
         if members[0] not in retypes:
             continue
-        own, constant = cells.express(np.arange(len(facts.roles)) == role)
         may = facts.rules.allowed[..., members]
         left, left_terms = np.ones(layout.shape), list[Term]()
-
-        def weighed(
-            weights: np.ndarray,
-            *extra: Term,
-            high: float = np.inf,
-            own: np.ndarray = own,
-            constant: np.ndarray = constant,
-        ) -> Rows:
-            """Bound the weighed number of cells with this role, plus extra terms, by 0."""
-            return total(cells, own * weights[..., None], constant * weights, 0.0, high, extra)
-
+        # Sums over the cells with this role, which are 0 or more: weights, extra terms, limit.
+        sums = list[tuple[np.ndarray, list[Term], float]]()
         for place, kind in enumerate(members):
             # The amount of a kind is staying + gained - lost.
             (gained, lost), staying = retypes[kind], 1.0 * (kept & (layout == kind))
-            rows.append(weighed(staying, (lost, -1.0)))
+            sums.append((staying, [(lost, -1.0)], np.inf))
             # At least the cells that may hold no other kind of the role, at most those that may
             # hold this one.
             this = may[..., place]
             only = this & (may.sum(-1) == 1)
             if only.any():
-                rows.append(weighed(staying - only, (gained, 1.0), (lost, -1.0)))
+                sums.append((staying - only, [(gained, 1.0), (lost, -1.0)], np.inf))
             if (may.any(-1) & ~this).any():
-                rows.append(weighed(this - staying, (gained, -1.0), (lost, 1.0)))
+                sums.append((this - staying, [(gained, -1.0), (lost, 1.0)], np.inf))
             left = left - staying
             left_terms += [(gained, -1.0), (lost, 1.0)]
-        rows.append(weighed(left, *left_terms, high=0.0))
+        sums.append((left, left_terms, 0.0))
+        own, constant = cells.express(np.arange(len(facts.roles)) == role)
+        for weights, extra, high in sums:
+            values = own * weights[..., None]
+            rows.append(total(cells, values, constant * weights, 0.0, high, extra))
     for bound, counting in zip(facts.rules.counts, facts.counting, strict=True):
-        whole = facts.whole_roles(counting)
+        whole = facts.roles_of(bound.tiles)
         values, constant = cells.express(whole)
-        extra: list[Term] = []
+        extra = list[Term]()
         for kind in np.flatnonzero(counting & ~whole[facts.role_of]).tolist():
             hold, holds = cells.express(np.arange(whole.size) == facts.role_of[kind])
             staying = kept & (layout == kind)
@@ -221,11 +203,9 @@ def _counts(
     return rows
 
 
-def _aisles(cells: Cells, squares: np.ndarray, facts: Facts) -> list[Rows]:
+def _aisles(cells: Cells, squares: np.ndarray, facts: Facts) -> list[Constraints]:
     """A driving cell needs an aisle square over it; a square needs all its cells to drive."""
     side = facts.rules.aisle
-    if side <= 1:
-        return []
     own, drives = cells.express(facts.roles_of(facts.rules.connected))
     corners, offsets = np.argwhere(squares >= 0), np.argwhere(np.ones((side, side)))
     rows, cols = (corners[:, None] + offsets).reshape(-1, 2).T
