@@ -19,8 +19,6 @@ from qdenv.repair.audit import audit
 from qdenv.repair.rules import Facts
 from qdenv.types import Adjacency, Count, InputError, Rules
 
-CROSS = ndimage.generate_binary_structure(2, 1)
-
 
 def mixed_rules(rows: int = 9, cols: int = 10, aisle: int = 1) -> Rules:
     """Three kinds of station counted apart, a fixed door, a keep-out and uneven weights."""
@@ -46,7 +44,7 @@ def test_ring_table_agrees_with_labelling():
         ring = np.zeros((3, 3), bool)
         for bit, place in enumerate(places):
             ring[place] = pattern >> bit & 1
-        labels, _ = ndimage.label(ring, CROSS)
+        labels, _ = ndimage.label(ring)
         sides = {labels[place] for place in places[::2] if ring[place]}
         assert pieces == len(sides), pattern
 
@@ -104,7 +102,7 @@ def test_bookkeeping_and_connectivity_survive_thousands_of_moves(aisle):
                 assert (getattr(aisles, field) == getattr(fresh_aisles, field)).all(), field
             assert (state.cost, state.violations) == (fresh.cost, fresh.violations)
             driving = board.traits[state.candidate, Trait.DRIVES].reshape(11, 12) == 1
-            assert ndimage.label(driving, CROSS)[1] == 1
+            assert ndimage.label(driving)[1] == 1
             differs = np.flatnonzero(state.candidate != board.layout)
             assert sorted(state.changed[: state.num_changed]) == differs.tolist()
 
@@ -155,7 +153,7 @@ def test_walkers_find_what_labelling_finds(open_share):
             without = driving.copy()
             without.ravel()[cell] = False
             alone = driving.sum() == 1
-            expected = ndimage.label(without, CROSS)[1] == 1 and not alone
+            expected = ndimage.label(without)[1] == 1 and not alone
             assert ask_walkers(board, state, cell) == expected
             asked += 1
             walked += RING_PIECES[state.ring[cell]] > 1
@@ -181,7 +179,7 @@ def test_pieces_are_joined_by_the_shortest_ways():
     # Two cells to the right, one down, and from there two on to the right.
     assert (joined & ~driving).sum() == 5
     assert (hanging == joined).all()
-    assert ndimage.label(joined.reshape(6, 7), CROSS)[1] == 1
+    assert ndimage.label(joined.reshape(6, 7))[1] == 1
     may_open[3 * 7 : 5 * 7] = False
     joined, hanging = join_pieces(driving, may_open, root=8, stride=7)
     assert np.flatnonzero(joined & ~hanging).tolist() == [31]

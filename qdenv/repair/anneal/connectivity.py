@@ -99,16 +99,9 @@ def join_pieces(
 
     A minimum spanning tree over the ways between neighbouring pieces, which is at most twice as
     long as a shortest Steiner tree (Mehlhorn 1988, https://doi.org/10.1016/0020-0190(88)90066-X).
-    The time grows with the cells.
-
-    Args:
-        driving: bool [N], cells of a padded grid.
-        may_open: bool [N], cells that may open, or are open.
-        root: the cell to join the others to.
-        stride: from a cell to the one below it.
-
-    Returns:
-        The cells that drive now (bool [N]), and those that hang together with the root (bool [N]).
+    The time grows with the cells. `driving` and `may_open` (bool [N], the latter also where a cell
+    is open) are those of a padded grid in which the next row is `stride` cells on. Returns the
+    cells that drive now and those that hang together with the root (bool [N] each).
     """
     driving = driving.copy()
     driving[root] = True

@@ -67,17 +67,11 @@ def anneal(
     progress: Progress = silent,
     bound: float = -np.inf,
 ) -> tuple[np.ndarray | None, float]:
-    """Find a cheap layout that obeys every rule.
+    """Find a cheap layout that obeys every rule, with a number of proposed moves.
 
-    Args:
-        layout: int8 [H, W], the input from which changes are counted.
-        facts: the constraints.
-        seed: any integer; the same seed gives the same layout.
-        moves: number of proposed moves.
-        start: int8 [H, W], where to start; the input itself will do.
-        schedule: how to cool down.
-        progress: called now and then with the completed share of the moves.
-        bound: no layout costs less: reaching it ends the run, and changes nothing else.
+    Changes are counted from the input `layout` (int8 [H, W]); `start` (int8 [H, W]) may be the
+    input itself. The same seed gives the same layout. No layout costs less than `bound`: reaching
+    it ends the run, and changes nothing else.
 
     Returns:
         The best feasible layout (int8 [H, W]) and its cost, or (None, inf).

@@ -11,6 +11,7 @@ columns and all others are alike: so a narrow layout is packed first, and one of
 repeated.
 """
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -62,11 +63,8 @@ def draw_templates(layout: np.ndarray, facts: Facts) -> list[np.ndarray]:
     for along, across, last in ((rows, cols, width), (cols, rows, height)):
         # Aisles across both ends link those along the rows, where no fixed border does.
         spine = (across < aisle) | (across >= last - aisle)
-        for link in (spine, np.zeros_like(spine)):
-            drawn += [
-                _furnish(layout, facts, ((along + phase) % period < aisle) | link)
-                for phase in range(period)
-            ]
+        for link, phase in product((spine, np.zeros_like(spine)), range(period)):
+            drawn.append(_furnish(layout, facts, ((along + phase) % period < aisle) | link))
     return sorted(drawn, key=lambda candidate: len(audit(candidate, facts.rules)))
 
 

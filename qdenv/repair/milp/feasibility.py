@@ -196,13 +196,9 @@ def _break_rings(
 ) -> list[Constraints]:
     """Within a square of four cells a tree has an edge less than cells that drive.
 
-    Args:
-        columns: int64 [cells, R].
-        own: float64 [cells, R], coefficients of "the cell drives".
-        drives: float64 [cells], its constants.
-        labels: int64 [H, W], parts of what always drives, from 1 on.
-        right: int64 [H, W - 1], the edge to the right, -1 for none.
-        below: int64 [H - 1, W], the edge to the cell below.
+    `own` (float64 [cells, R]) are the coefficients of "the cell drives" and `drives` its constants;
+    `labels` (int64 [H, W]) number the parts of what always drives, from 1 on; `right` (int64
+    [H, W - 1]) and `below` (int64 [H - 1, W]) are the edges to the next cell, -1 for none.
     """
     width = labels.shape[1]
     corner = np.arange(labels.size).reshape(labels.shape)[:-1, :-1].ravel()
