@@ -125,7 +125,8 @@ def _span(program: Program, facts: Facts) -> Program:
     pair = ~(always[one] & always[other])  # no edges within what always drives
     count = int(pair.sum())
     edge = np.where(pair, first + np.cumsum(pair) - 1, -1)
-    right, below = edge[: height * (width - 1)], edge[height * (width - 1) :]
+    right = edge[: height * (width - 1)].reshape(height, -1)
+    below = edge[right.size :].reshape(-1, width)
     # Sides are pairs with a direction: those of all pairs, then the same reversed.
     start = np.concatenate([one[pair], other[pair]])
     end = np.concatenate([other[pair], one[pair]])
@@ -149,9 +150,7 @@ def _span(program: Program, facts: Facts) -> Program:
             [np.ones((1, count)), -(own * ~always[:, None]).reshape(1, -1)],
             np.array([drives[~always].sum() + parts - 1.0]),
         ),
-        *_break_rings(
-            columns, own, drives, labels, right.reshape(height, -1), below.reshape(-1, width)
-        ),
+        *_break_rings(columns, own, drives, labels, right, below),
     ]
     # The direction of a side, as seen from its end: no two sides share it and the end.
     towards = np.repeat([0, 1], [right.size, below.size])[pair]
