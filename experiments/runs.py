@@ -12,7 +12,7 @@ import numpy as np
 import qdenv
 from experiments.pieces import Folders, Piece, Say
 from qdenv.io.files import write_csv
-from qdenv.ops.costs import estimate_seconds
+from qdenv.ops.searches import estimate_seconds
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.log import Metrics

@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import read_layout, write_layout
-from qdenv.ops.layouts import symbols_of
+from qdenv.ops.layouts import list_symbols
 from qdenv.repair import recipe
 
 README = Path(__file__).parents[1] / "README.md"
@@ -275,7 +275,7 @@ def test_the_readme_lists_the_symbols_as_they_are():
     listed = [(domain, *(cell.strip() for cell in row.split("|"))) for domain, row in rows]
     known = []
     for domain, name in (("warehouse", "-even"), ("manufacturing", ""), ("maze", "-walls")):
-        for row in symbols_of(find_domain(domain + name)):
+        for row in list_symbols(find_domain(domain + name)):
             symbol, tile, _, also, meaning = row
             known.append((domain, quote(symbol), tile, quote(also), meaning))
     assert listed == known

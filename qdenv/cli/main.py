@@ -41,7 +41,7 @@ COMMANDS = {
     "layout human": "qdenv.ops.layouts:human_layout",
     "layout tile": "qdenv.ops.layouts:tile_layout",
     "layout symbols": "qdenv.ops.layouts:layout_symbols",
-    "zoo": "qdenv.ops.zoo:zoo",
+    "zoo": "qdenv.ops.searches:zoo",
     "presets": "qdenv.ops.searches:presets",
     "train": "qdenv.ops.searches:train",
     "resume": "qdenv.ops.searches:resume",
@@ -50,7 +50,7 @@ COMMANDS = {
     "series": "qdenv.ops.runs:series",
     "explore": "qdenv.ops.pages:explore",
     "export": "qdenv.ops.runs:export",
-    "surrogate": "qdenv.ops.surrogates:fit_surrogate",
+    "surrogate": "qdenv.ops.runs:fit_surrogate",
     "train-agent": "qdenv.ops.agents:train_agent",
     "evaluate-agent": "qdenv.ops.agents:evaluate_agent",
     "convert-agent": "qdenv.ops.agents:convert_agent",
@@ -155,8 +155,7 @@ def _call(name: str, words: list[str]) -> int:
     """Parse a command line, run the operation and write its facts."""
     from qdenv.cli.parser import command, parse
     from qdenv.cli.rules import Choices, make_rules
-    from qdenv.ops.output import AUTO, place
-    from qdenv.ops.results import UnsolvedError
+    from qdenv.ops.output import AUTO, UnsolvedError, place
     from qdenv.types import InputError
 
     operation, program, typed = load(name), f"qdenv {name}", words

@@ -15,9 +15,8 @@ from qdenv.agent.settings import TrainConfig
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
 from qdenv.io.records import read_json
-from qdenv.ops.options import Out, Picture, Source, read_plan, stem_of
-from qdenv.ops.output import AUTO, Place, place, say
-from qdenv.ops.results import Facts
+from qdenv.ops.options import Out, Picture, Source, name_of, read_plan, stem_of
+from qdenv.ops.output import AUTO, Facts, Place, place, say
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged, Seed
 from qdenv.study.plans import Plan
@@ -26,22 +25,8 @@ from qdenv.types import InputError
 
 if TYPE_CHECKING:  # imports jax
     from qdenv.agent.evaluate import Comparison
-    from qdenv.simulate.maze.policy import Weights
 
-_MOST_RUNS = 1_000_000
 _MOST_MAZES = 10_000
-_COLUMNS = (
-    "file",
-    "rows",
-    "cols",
-    "walls",
-    "shortest",
-    "runs",
-    "success",
-    "low",
-    "high",
-    "actions",
-)
 
 
 def train_agent(
@@ -73,25 +58,26 @@ def train_agent(
         raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
     if resume and not begun:
         raise InputError(f"{path}: no run to resume (checkpoint.npz is missing)")
-    if resume and config.steps < _read_config(path).steps:
+    if resume and config.steps < read_json(path / "config.json", TrainConfig).steps:
         raise InputError(f"{path}: more steps are configured already: give as many, or more")
     from qdenv.agent.train import train_agent as train  # imports jax and optax
 
     go_on = f"`qdenv resume {shlex.quote(str(path))}` goes on"
     if resume:
         interrupt.advise(go_on)
+    shown = 0  # updates that the bar shows
     with Bar("training the agent", config.updates) as bar:
-        known = [0]
 
         def show(done: int, row: dict[str, Any] | None) -> None:
-            bar.update(done - known[0])
-            known[0] = done
+            nonlocal shown
+            bar.update(done - shown)
+            shown = done
             if row:  # a checkpoint was written before
                 interrupt.advise(go_on)
                 exams = ", ".join(
                     f"{row[name]:.0%} (mean {row[f'mean_{name}']:.0%}) of {name[5:]} walls"
                     for name in row
-                    if name[:5] == "exam_"
+                    if name.startswith("exam_")
                 )
                 say(f"update {done} of {config.updates}: solves {exams}")
 
@@ -100,42 +86,16 @@ def train_agent(
     return agent
 
 
-def is_agent_run(path: Path) -> bool:
-    """Return True if a folder is that of an agent's training, not of a search."""
-    return (path / "checkpoint.npz").exists() and (path / "config.json").exists()
-
-
-def resume_agent(path: Path) -> Path:
-    """Go on with an agent's training as it was configured."""
-    return train_agent(_read_config(path), path, resume=True)
-
-
-def _read_config(path: Path) -> TrainConfig:
-    return read_json(path / "config.json", TrainConfig)
-
-
 @dataclass(frozen=True)
 class EpisodeOptions(Ranged):
     """The agent, and how often and how long it walks through a maze."""
 
     agent: str = ""  # an agent.npz; the shipped one unless given
-    runs: Annotated[int, Interval(ge=1, le=_MOST_RUNS)] = 100  # independent episodes, in each maze
+    runs: Annotated[int, Interval(ge=1, le=1_000_000)] = 100  # independent episodes, in each maze
     # actions per episode; twice the tiles of the ringed maze unless given
     timesteps: Annotated[PositiveInt | None, tyro.conf.arg(aliases=("--horizon",))] = None
     seed: Seed = 0  # of headings, actions and random mazes
     reference_batching: bool = False  # repeat the published evaluation's two quirks, for comparison
-
-
-class _Places:
-    """Where random mazes go: a table, a picture beside it and a folder of layouts."""
-
-    def __init__(self, out: Any, layout: Any) -> None:
-        """Choose the places before any work is done."""
-        self.table = place(out, f"{stem_of(layout)}_random.csv", (".csv",), [layout])
-        self.picture = self.table.beside(".png")
-        self.folder: Place = self.table.beside("")
-        if self.folder.path.is_file():
-            raise InputError(f"{self.folder.path}: that is a file, and random mazes need a folder")
 
 
 def evaluate_agent(
@@ -170,8 +130,12 @@ def evaluate_agent(
         raise InputError(f"{layout}: a layout of {plan.domain.name}, the agent walks in mazes")
     if random_mazes and episodes.reference_batching:
         raise InputError("--reference-batching is for one maze: leave --random-mazes out")
-    picture = gif and place(gif, "episode.gif", (".gif",), [layout])
-    places = _Places(out, layout) if random_mazes and out is not None else None
+    picture = place(gif, "episode.gif", (".gif",), [layout])
+    table = place(out, f"{stem_of(layout)}_random.csv", (".csv",), [layout])
+    if not random_mazes:
+        table = None
+    elif table and table.beside("").path.is_file():
+        raise InputError(f"{table.beside('').path}: that is a file, and random mazes need a folder")
     # These import jax: refusals are faster without it.
     from qdenv.agent.evaluate import compare_with_random, default_horizon
     from qdenv.agent.evaluate import evaluate_agent as measure_success
@@ -179,7 +143,7 @@ def evaluate_agent(
 
     maze, weights, seed = plan.layout, load_weights(episodes.agent), episodes.seed
     steps, runs = episodes.timesteps or default_horizon(maze), episodes.runs
-    name = layout if isinstance(layout, str | Path) else plan.name
+    name = name_of(layout)
     with Bar(f"solving {name} {runs} times"):
         result = measure_success(weights, maze, seed, runs, steps, episodes.reference_batching)
     facts = result._asdict()
@@ -193,9 +157,13 @@ def evaluate_agent(
             others = compare_with_random(
                 weights, maze, random_mazes, runs, seed, steps, progress=bar
             )
-        facts["random_mazes"] = _report_random(places, others, plan, result.rate)
+        facts["random_mazes"] = _report_random(table, others, plan, result.rate)
     if picture:
-        _draw_episode(picture.path, weights, plan, seed, steps)
+        from qdenv.study.motion import trace_agent
+        from qdenv.view.film import save_film
+
+        motion = trace_agent(plan, seed, steps, weights)
+        save_film(picture.path, plan.layout, plan.domain.tiles, motion, (0, motion.steps))
         say(picture)
     agent = episodes.agent or "the shipped one"
     settings = {"layout": name, "timesteps": steps, "seed": seed, "agent": agent}
@@ -203,12 +171,12 @@ def evaluate_agent(
 
 
 def _report_random(
-    places: _Places | None, others: Comparison, plan: Plan, own: float
+    table: Place | None, others: Comparison, plan: Plan, own: float
 ) -> dict[str, Any]:
-    """Write random mazes, their table and their picture, and return the facts.
+    """Describe random mazes by facts, and write a table, a picture and layout files of them.
 
     Args:
-        places: where everything goes; None to write nothing.
+        table: where the table goes, the others beside it; None to write nothing.
         others: the random mazes and the agent's success on each.
         plan: the maze they are compared with.
         own: the agent's success rate on it.
@@ -227,40 +195,29 @@ def _report_random(
         "rates": others.rates,
         "shortest": lengths,
     }
-    if places is None:
+    if table is None:
         return facts
     from qdenv.view.maze import draw_mazes  # imports matplotlib
     from qdenv.view.style import save_figure
 
-    rows = []
+    folder, picture, rows = table.beside(""), table.beside(".png"), []
+    titles = [f"{plan.name}: path {others.given.shortest}, success {own:.0%}"]
     for number, (maze, one) in enumerate(zip(others.mazes, others.results, strict=True)):
-        path = places.folder.path / f"random_{number:03}.json"
+        path = folder.path / f"random_{number:03}.json"
         details = {"walls": others.walls, "shortest": maze.shortest, "success": one.rate}
         write_layout(
             path, maze.layout, domain.tiles, domain.meanings, domain=domain.name, **details
         )
         counts = (*maze.layout.shape, others.walls, maze.shortest, one.runs)
         rows.append([path, *counts, one.rate, one.low, one.high, one.mean_length])
-    say(f"{places.folder}: {len(rows)} layouts")
-    write_csv(places.table.path, _COLUMNS, rows)
-    say(places.table)
-    mazes, rates = (others.given, *others.mazes), (own, *others.rates)
-    titles = [
-        f"{'random' if number else plan.name}: path {maze.shortest}, success {rate:.0%}"
-        for number, (maze, rate) in enumerate(zip(mazes, rates, strict=True))
-    ]
-    save_figure(draw_mazes(list(mazes), titles), places.picture.path)
-    say(places.picture)
-    return facts | {"table": places.table.path}
-
-
-def _draw_episode(path: Path, weights: Weights, plan: Plan, seed: int, steps: int) -> None:
-    """Draw one episode as an animation."""
-    from qdenv.study.recordings import trace_agent
-    from qdenv.view.film import save_film
-
-    motion = trace_agent(plan, seed, steps, weights)
-    save_film(path, plan.layout, plan.domain.tiles, motion, (0, motion.steps))
+        titles.append(f"random: path {maze.shortest}, success {one.rate:.0%}")
+    columns = ("file", "rows", "cols", "walls", "shortest", "runs", "success", "low", "high")
+    say(f"{folder}: {len(rows)} layouts")
+    write_csv(table.path, (*columns, "actions"), rows)
+    say(table)
+    save_figure(draw_mazes([others.given, *others.mazes], titles), picture.path)
+    say(picture)
+    return facts | {"table": table.path}
 
 
 def convert_agent(checkpoint: tyro.conf.Positional[Path], out: Out = None) -> Path:
@@ -274,6 +231,7 @@ def convert_agent(checkpoint: tyro.conf.Positional[Path], out: Out = None) -> Pa
         InputError: it is no such checkpoint.
     """
     target = place(out or AUTO, "agent.npz", (".npz",), [checkpoint])
+    assert target is not None
     from qdenv.agent import convert  # imports jax
 
     convert.convert_agent(checkpoint, target.path)

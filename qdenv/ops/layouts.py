@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
 
 from qdenv.domains.base import DOMAINS, Domain, find_domain
 from qdenv.io.files import tidy
-from qdenv.io.layouts import aliases, check_size, endings_for
+from qdenv.io.layouts import aliases, check_size
 from qdenv.ops.options import (
+    DOMAIN_NAMES,
     DomainName,
     Number,
     Out,
     Picture,
     RepairSeed,
     Source,
-    domain_names,
+    name_of,
     read_plan,
     stem_of,
 )
-from qdenv.ops.output import PICTURES, Place, format_table, place, say
-from qdenv.ops.results import Broken, Layout, UnsolvedError
+from qdenv.ops.output import (
+    PICTURES,
+    Layout,
+    Table,
+    UnsolvedError,
+    format_table,
+    place,
+    place_layout,
+    save_with_picture,
+    say,
+)
 from qdenv.progress import Bar
 from qdenv.repair.audit import audit, check_allowed
 from qdenv.repair.rules import impossible
@@ -55,27 +64,24 @@ def render(layout: Source, out: Out = None, domain: DomainName = None) -> Layout
     """
     plan = read_plan(layout, domain)
     drawn = Layout(plan.layout, plan.domain)
-    if out is not None:
-        target = place(out, f"{stem_of(layout)}.png", PICTURES, [layout])
+    if target := place(out, f"{stem_of(layout)}.png", PICTURES, [layout]):
         drawn.draw(target.path)
         rows, cols = plan.layout.shape
         say(f"{target}: {rows} x {cols}, {plan.whose}")
     return drawn
 
 
-class Check(list):
-    """The broken rules of a layout, each a `Broken`; empty where it obeys them all."""
+class Broken(NamedTuple):
+    """A broken rule."""
 
-    def __init__(self, broken: list[Broken], facts: Mapping[str, Any]) -> None:
-        """List broken rules, with the facts that ``--json`` writes."""
-        super().__init__(broken)
-        self.facts = facts
-        self.exit_code = 1 if broken else 0
+    message: str  # which rule
+    row: int  # of the first cell that breaks it
+    column: int  # of that cell
 
 
 def check(
     layout: Source, domain: DomainName = None, keep: Path | None = None, **numbers: Number
-) -> Check:
+) -> Table:
     """Check a layout against its domain's rules: exit code 0, or 1 and what is broken.
 
     Args:
@@ -85,21 +91,19 @@ def check(
         **numbers: exact numbers of tiles to demand; not checked unless given.
 
     Returns:
-        a `Broken` for each broken rule, which names a cell.
+        a `Broken` for each broken rule, which names a cell; empty where the layout obeys them all.
 
     Raises:
         InputError: it is no layout, or `keep` is no drawing of its shape.
     """
-    plan = read_plan(layout, domain)
-    kind = plan.fitted(numbers, keep)
-    rules: Any = kind.rules() if kind.rules else None
+    plan, name = read_plan(layout, domain), name_of(layout)
+    fitted = plan.fitted(numbers, keep)
+    rules: Any = fitted.rules() if fitted.rules else None
     found = audit(plan.layout, rules) if rules else []
     broken = [Broken(one.message, *map(int, one.cell)) for one in found]
-    for one in broken:
-        say(f"{one.message} (row {one.row}, column {one.column})")
-    name = layout if isinstance(layout, str | Path) else plan.name
+    say(*(f"{one.message} (row {one.row}, column {one.column})" for one in broken))
     if rules is None:
-        say(f"{name}: layouts of {kind.name} have no rules, none is broken")
+        say(f"{name}: layouts of {fitted.name} have no rules, none is broken")
     elif broken:
         if check_allowed(plan.layout, rules):
             say("(--keep FILE allows what a drawing marks with '!' to stand where it stands)")
@@ -107,10 +111,13 @@ def check(
         say(f"{name}: {count} broken, {plan.whose}")
     else:
         say(f"{name}: obeys every rule, {plan.whose}")
-    listed = [one._asdict() for one in broken]
-    settings = {"layout": name, "domain": kind.name, "keep": keep, "numbers": numbers}
-    facts = {"valid": not broken, "rules": rules is not None, "broken": listed}
-    return Check(broken, facts | {"settings": settings})
+    facts = {
+        "valid": not broken,
+        "rules": rules is not None,
+        "broken": [one._asdict() for one in broken],
+        "settings": {"layout": name, "domain": fitted.name, "keep": keep, "numbers": numbers},
+    }
+    return Table(broken, facts, exit_code=1 if broken else 0)
 
 
 def repair_layout(
@@ -142,16 +149,17 @@ def repair_layout(
         InputError: the domain has no rules, they contradict each other, or no feasible layout was
             found.
     """
-    plan = read_plan(layout, domain)
-    kind, name = plan.fitted(numbers, keep), plan.name
-    if isinstance(layout, str | Path):
-        name = str(layout)
-    rules = _possible_rules(kind, name)
-    inputs, endings = [layout, keep], endings_for(kind.tiles, kind.meanings)
-    default = f"{stem_of(layout)}_repaired.json"
-    target = None if out is None else place(out, default, endings, inputs)
-    beside = target or Place(Path(default), False)
-    picture = plot and place(plot, str(beside.path.with_suffix(PICTURES[0])), PICTURES, inputs)
+    plan, name = read_plan(layout, domain), name_of(layout)
+    fitted = plan.fitted(numbers, keep)
+    if fitted.rules is None:
+        raise InputError(f"{name}: layouts of {fitted.name} have no rules: nothing to repair")
+    rules: Rules = fitted.rules()
+    if reason := impossible(rules):
+        raise InputError(f"{name}: no repair exists: {reason}")
+    inputs, default = [layout, keep], f"{stem_of(layout)}_repaired.json"
+    target = place_layout(out, default, fitted, inputs)
+    beside = target.path if target else Path(default)
+    picture = place(plot, str(beside.with_suffix(PICTURES[0])), PICTURES, inputs)
     rows, cols = plan.layout.shape
     say(f"{name}: {rows} x {cols}, {plan.whose}")
     # These import jax, a compiler and a solver: refusals are faster without them.
@@ -161,7 +169,7 @@ def repair_layout(
     with Bar("repairing") as bar:
         result = repair(plan.layout, rules, seed, RepairConfig(polish=polish), bar)
     repaired = np.asarray(result.layout)
-    changes = list_changes(plan.layout, repaired, kind)
+    changes = list_changes(plan.layout, repaired, fitted)
     weights = plan.domain.similarity_weights(plan.layout)
     facts = {
         "status": RepairStatus(int(result.status)).name.lower(),
@@ -173,40 +181,30 @@ def repair_layout(
         "broken_before": len(audit(plan.layout, rules)),
         "valid": not audit(repaired, rules),
     }
-    say(*(f"{name:13} {value}" for name, value in tidy(facts).items()))
-    settings: dict[str, Any] = {"layout": name, "domain": kind.name, "keep": keep, "seed": seed}
+    say(*(f"{key:13} {value}" for key, value in tidy(facts).items()))
+    settings: dict[str, Any] = {"layout": name, "domain": fitted.name, "keep": keep, "seed": seed}
     settings |= {"polish": polish, "numbers": numbers}
     facts |= {"changes": changes, "settings": settings}
     if not facts["valid"]:
-        less = ", or keep fewer cells" if kind.config.keep else ""
+        less = ", or keep fewer cells" if fitted.config.keep else ""
         raise UnsolvedError(f"{name}: no feasible layout was found: try another seed{less}", facts)
     say(*describe_changes(changes), *warn_of_changes(changes))
-    made = Layout(repaired, kind, {"repaired_from": Path(name).name}, facts)
+    made = Layout(repaired, fitted, {"repaired_from": Path(name).name}, facts)
     if target:
         made.save(target.path)
         say(target)
     if picture:
         from qdenv.view.layouts import save_difference  # imports matplotlib
 
-        save_difference(picture.path, plan.layout, repaired, kind.tiles, kind.names)
+        save_difference(picture.path, plan.layout, repaired, fitted.tiles, fitted.names)
         say(picture)
     return made
-
-
-def _possible_rules(domain: Domain, name: str) -> Rules:
-    """Return the rules of a layout's domain; refuse where there is none or no layout obeys them."""
-    if domain.rules is None:
-        raise InputError(f"{name}: layouts of {domain.name} have no rules: nothing to repair")
-    rules: Rules = domain.rules()
-    if reason := impossible(rules):
-        raise InputError(f"{name}: no repair exists: {reason}")
-    return rules
 
 
 def human_layout(
     rows: int,
     cols: int,
-    domain: Annotated[str, tyro.conf.arg(metavar=domain_names())] = USUAL,
+    domain: Annotated[str, tyro.conf.arg(metavar=DOMAIN_NAMES)] = USUAL,
     out: Out = None,
 ) -> Layout:
     """Draw a layout as people design it by hand, at any size.
@@ -225,8 +223,7 @@ def human_layout(
     from qdenv.study import elites as sizes  # imports jax
 
     found = find_domain(domain).resized(rows, cols)
-    endings = endings_for(found.tiles, found.meanings)
-    target = None if out is None else place(out, "layout.json", endings)
+    target = place_layout(out, "layout.json", found)
     drawn = sizes.human_layout(found)
     details = {"domain": found.name, "design": "human"}
     made = Layout(drawn, found, details, {"rows": rows, "cols": cols, **details})
@@ -235,7 +232,7 @@ def human_layout(
         for k, tile in enumerate(found.tiles)
     )
     if target:
-        save_with_picture(made, target, counts=f"{rows} x {cols}, {counts}")
+        save_with_picture(made, target, f"{rows} x {cols}, {counts}")
     for name, number in found.numbers.items():
         has = found.fitted(drawn).numbers[name]
         if found.known.get((rows, cols)) and has != number:
@@ -277,34 +274,18 @@ def tile_layout(
     if rows < plan.layout.shape[0] or cols < plan.layout.shape[1]:
         size = "{} x {}".format(*plan.layout.shape)
         raise InputError(f"{rows} x {cols} is smaller than the layout it repeats, {size}")
-    found, config, target = plan.domain, RepairConfig(polish=polish), None
-    if out is not None:
-        endings = endings_for(found.tiles, found.meanings)
-        target = place(out, f"{stem_of(layout)}_tiled.json", endings, [layout])
+    found, config = plan.domain, RepairConfig(polish=polish)
+    target = place_layout(out, f"{stem_of(layout)}_tiled.json", found, [layout])
     tiled = sizes.tile(found, plan.layout, (rows, cols), numbers, config, seed)
     say(*filter(None, [describe_growth(found, (rows, cols), ["steps", *numbers])]))
-    source = Path(layout).name if isinstance(layout, str | Path) else plan.name
-    details = sizes.details(tiled) | {"domain": found.name, "tiled_from": source}
+    details = sizes.details(tiled) | {
+        "domain": found.name,
+        "tiled_from": Path(name_of(layout)).name,
+    }
     made = Layout(tiled.layout, found, details, details)
     if target:
         save_with_picture(made, target)
     return made
-
-
-def save_with_picture(layout: Layout, target: Place, counts: str = "") -> None:
-    """Write a layout and a picture beside it, and log their names.
-
-    Args:
-        layout: the layout.
-        target: of the layout file.
-        counts: what is logged of the layout; its details unless given.
-    """
-    layout.save(target.path)
-    picture = target.beside(PICTURES[0])
-    layout.draw(picture.path)
-    say(picture)
-    details = ", ".join(f"{name} {value}" for name, value in layout.details.items())
-    say(f"{target}: {counts or details}")
 
 
 def layout_symbols(domain: DomainName = None) -> None:
@@ -315,24 +296,24 @@ def layout_symbols(domain: DomainName = None) -> None:
     """
     domains_of: dict[tuple[tuple[str, ...], ...], list[str]] = {}
     for name in (domain,) if domain else DOMAINS.names():
-        domains_of.setdefault(tuple(symbols_of(find_domain(name))), []).append(name)
+        # Domains with the same symbols share a table.
+        domains_of.setdefault(tuple(list_symbols(find_domain(name))), []).append(name)
     for rows, names in domains_of.items():
         table = format_table([("symbol", "tile", "robots", "also", "meaning"), *rows])
         say(", ".join(names), *(f"  {line}" for line in table), "")
 
 
-def symbols_of(domain: Domain) -> list[tuple[str, ...]]:
+def list_symbols(domain: Domain) -> list[tuple[str, ...]]:
     """List a domain's tiles: symbol, name, whether robots drive there, other symbols, meaning."""
     also: dict[str, list[str]] = {}
     for other, symbol in aliases(domain.tiles, domain.meanings).items():
         also.setdefault(symbol, []).append(repr(other))
-    rows: list[tuple[str, ...]] = []
+    rows = []
     for symbol in domain.tiles:
-        name, drives, about = "", "", ""
-        if tile := domain.meanings.get(symbol):
-            drives = "drive around it" if tile.obstacle else "drive over it"
-            name, about = tile.name, tile.about
-        rows.append((repr(symbol), name, drives, " ".join(also.get(symbol, [])), about))
+        tile, others = domain.meanings.get(symbol), " ".join(also.get(symbol, []))
+        drives = "drive around it" if tile and tile.obstacle else "drive over it"
+        about = (tile.name, drives, others, tile.about) if tile else ("", "", others, "")
+        rows.append((repr(symbol), *about))
     return rows
 
 
@@ -348,7 +329,7 @@ def make_environment(
     Args:
         layout: see `read_plan`.
         agents: number of robots.
-        timesteps: steps until `Timestep.last`.
+        timesteps: number of steps until `Timestep.last`.
         domain: whose tasks they do.
         observe: traceable function of the state; positions, goals and services unless given.
 

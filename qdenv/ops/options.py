@@ -11,17 +11,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, TypedDict
 
 import numpy as np
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 from qdenv.domains.base import DOMAINS, find_domain
-from qdenv.ops.output import AUTO
-from qdenv.ops.results import Layout
+from qdenv.ops.output import AUTO, Layout
 from qdenv.ranges import PositiveFloat, PositiveInt
-from qdenv.run.directory import RunDirectory
 from qdenv.simulate.mapf.settings import FleetConfig, describe_planner, find_planner, record_planner
 from qdenv.study.options import TIMESTEPS, parse_counts, parse_seeds
 from qdenv.study.plans import Plan
@@ -29,17 +27,12 @@ from qdenv.study.plans import read_plan as read_file
 from qdenv.types import InputError
 from qdenv.view.widths import parse_width
 
-_SECONDS_PER_HOUR = 3600
+if TYPE_CHECKING:
+    from qdenv.run.directory import RunDirectory
 
 
-def option(metavar: str, read: Any = str, nargs: Any = 1) -> Any:
-    """Describe an option that the command line reads in a form of its own.
-
-    Args:
-        metavar: its form in help.
-        read: turns the text into the value; raises InputError.
-        nargs: how many words it may have; with none it is `AUTO`.
-    """
+def option(metavar: str, read: Any, nargs: Any = 1) -> Any:
+    """Describe an option that the command line reads by `read`; without a value it is `AUTO`."""
     return PrimitiveConstructorSpec(
         nargs=nargs,
         metavar=metavar,
@@ -67,33 +60,28 @@ class TileNumbers:
     """Marks the exact numbers of tiles of a domain."""
 
 
-def _positional(metavar: str, kind: Any = Path) -> Any:
-    return tyro.conf.arg(metavar=metavar, constructor=kind)
-
-
-def domain_names() -> str:
-    """Return the names of all domains as help shows them."""
-    return "{" + ",".join(DOMAINS.names()) + "}"
-
-
+DOMAIN_NAMES = "{" + ",".join(DOMAINS.names()) + "}"
+_PATHS = tuple[Path, ...]
 # A layout: path of its file, a `Plan`, a `Layout`, or int [H, W] with ``domain=`` beside it.
 Source: TypeAlias = Annotated[
     str | Path | Plan | Layout | np.ndarray | Sequence[Sequence[int]],
     tyro.conf.Positional,
-    _positional("LAYOUT"),
+    tyro.conf.arg(metavar="LAYOUT", constructor=Path),
 ]
 Sources: TypeAlias = Annotated[
-    Sequence[Any], tyro.conf.Positional, _positional("LAYOUT ...", tuple[Path, ...])
+    Sequence[Any],
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="LAYOUT ...", constructor=_PATHS),
 ]
-# A run, its folder, or zoo:DOMAIN/NAME.
-Run: TypeAlias = Annotated[RunDirectory | str | Path, tyro.conf.Positional, _positional("RUN")]
+# A `RunDirectory`, its folder, or zoo:DOMAIN/NAME. Only operations on runs import that record:
+# other refusals are faster without it.
+Run: TypeAlias = Annotated[
+    Any, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", constructor=Path)
+]
 Runs: TypeAlias = Annotated[
-    Sequence[Any], tyro.conf.Positional, _positional("RUN ...", tuple[Path, ...])
+    Sequence[Any], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", constructor=_PATHS)
 ]
-Subjects: TypeAlias = Annotated[
-    Any, tyro.conf.Positional, _positional("RUN|LAYOUT ...", tuple[Path, ...])
-]
-DomainName: TypeAlias = Annotated[str | None, tyro.conf.arg(metavar=domain_names())]
+DomainName: TypeAlias = Annotated[str | None, tyro.conf.arg(metavar=DOMAIN_NAMES)]
 # 10 for ten runs with the seeds 0 to 9, (3, 5, 9) for these three; on command lines 3,5,9 and 7,
 Seeds: TypeAlias = Annotated[int | Sequence[int], option("N|SEED,...", parse_seeds)]
 # One number of agents or several; on command lines 200 or 50,100 or 50:400:50
@@ -105,7 +93,13 @@ Out: TypeAlias = Annotated[str | Path | None, option("FILE", Path)]
 # A picture to write; ``--plot`` without a name is `AUTO`
 Picture: TypeAlias = Annotated[str | Path | None, option("[FILE]", Path, nargs=(0, 1))]
 # Of a picture, in inches; on command lines also column or page of a journal
-Width: TypeAlias = Annotated[float | None, option("{column,page,INCHES}", parse_width)]
+Width: TypeAlias = Annotated[
+    float | None,
+    option("{column,page,INCHES}", parse_width),
+    tyro.conf.arg(
+        help="of the picture: column or page of a journal, or inches; what suits it unless given"
+    ),
+]
 # Exact numbers of tiles by name; one, or one for each of several sizes
 Number: TypeAlias = Annotated[int, TileNumbers]
 Numbers: TypeAlias = Annotated[Sequence[int], TileNumbers]
@@ -170,10 +164,7 @@ class Fleet:
     """The options of runs of a fleet, resolved."""
 
     def __init__(self, options: Mapping[str, Any]) -> None:
-        """Resolve options.
-
-        Args:
-            options: those of `FleetOptions` that are given.
+        """Resolve those of `FleetOptions` that are given.
 
         Raises:
             InputError: a name is unknown, or a number is impossible.
@@ -188,19 +179,12 @@ class Fleet:
         self.stop: bool = options.get("stop", True)
         self.seeds = list_seeds(options.get("seeds", 10))
         self.seconds_per_step: float | None = options.get("seconds_per_step")
+        # Number of timesteps per hour; None where their length is not given.
+        self.per_hour = self.seconds_per_step and 3600 / self.seconds_per_step
         self.config(1)  # refuses what makes no simulation
 
-    @property
-    def per_hour(self) -> float | None:
-        """Number of timesteps per hour; None where their length is not given."""
-        return self.seconds_per_step and _SECONDS_PER_HOUR / self.seconds_per_step
-
     def config(self, agents: int, timesteps: int | None = None) -> FleetConfig:
-        """Make the settings of a simulation.
-
-        Raises:
-            InputError: a number is impossible.
-        """
+        """Make the settings of a simulation; raise InputError if a number is impossible."""
         steps = timesteps or self.timesteps or TIMESTEPS
         return FleetConfig(agents, steps, planner=self.planner, stop_when_congested=self.stop)
 
@@ -227,7 +211,7 @@ class Fleet:
 
 
 def list_seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
-    """Return seeds of which one has the number (10 for 0 to 9) or a list.
+    """Return seeds given by their number (10 for 0 to 9) or as a list.
 
     Raises:
         InputError: there is none, one is named twice, or one is out of range.
@@ -247,10 +231,10 @@ def read_plan(layout: Any, domain: str | None = None) -> Plan:
     """
     if isinstance(layout, str | Path):
         return read_file(layout, domain)
+    name = name_of(layout)
     if isinstance(layout, Plan | Layout):
         if domain not in (None, layout.domain.name):
             raise InputError(f"this layout is of {layout.domain.name}: leave domain out")
-        name = layout.name if isinstance(layout, Plan) else "layout"
         return Plan(name, layout.layout, layout.domain, assumed=False)
     if domain is None:
         names = ", ".join(repr(name) for name in DOMAINS.names())
@@ -260,23 +244,27 @@ def read_plan(layout: Any, domain: str | None = None) -> Plan:
         raise InputError("a layout is an array of integers with rows and columns")
     if tiles.min() < 0 or tiles.max() >= len(found.tiles):
         raise InputError(f"tiles of {domain} are 0 to {len(found.tiles) - 1} ({found.tiles!r})")
-    return Plan("layout", tiles.astype(np.int8), found, assumed=False)
+    return Plan(name, tiles.astype(np.int8), found, assumed=False)
 
 
 def open_run(run: Any) -> RunDirectory:
-    """Return a run of which one has the folder, the name in the zoo or the record itself.
+    """Return a run that is given as its record, its folder or its name in the zoo.
 
     Raises:
         InputError: there is no run.
     """
+    from qdenv.run.directory import RunDirectory
+
     return run if isinstance(run, RunDirectory) else RunDirectory.open(run)
+
+
+def name_of(layout: Any) -> str:
+    """Return the path of a layout's file as given, the name of a plan, or "layout"."""
+    if isinstance(layout, str | Path):
+        return str(layout)
+    return layout.name if isinstance(layout, Plan) else "layout"
 
 
 def stem_of(layout: Any) -> str:
     """Return the name of a layout for the files made from it."""
     return Path(layout).stem if isinstance(layout, str | Path) else "layout"
-
-
-def name_of(layout: Any) -> str:
-    """Return the path of a layout's file as it was given, or "layout" for another form."""
-    return str(layout) if isinstance(layout, str | Path) else "layout"

@@ -1,12 +1,18 @@
-"""What operations leave: lines of text, files that replace nothing by surprise, tables."""
+"""What operations return and leave: tables and layouts with facts, lines of text, files."""
 
 from __future__ import annotations
 
+import html
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from qdenv.domains.base import Domain
+from qdenv.io.layouts import endings_for, write_layout
 from qdenv.types import InputError
 
 # Operations log what they find, line by line. The command line prints these lines; in Python they
@@ -41,15 +47,16 @@ class Place(NamedTuple):
 
 
 def place(
-    out: str | Path,
+    out: str | Path | None,
     default: str,
     endings: Iterable[str] = (),
     inputs: Iterable[Any] = (),
-) -> Place:
+) -> Place | None:
     """Choose where a result goes, before any work is done.
 
     Args:
-        out: the file; `AUTO` takes `default`, or the next free name like it (plan-2.json).
+        out: the file; `AUTO` takes `default`, or the next free name like it (plan-2.json); with
+            None nothing is written.
         default: name in the current folder.
         endings: those the file may have; empty for data, which any but a picture's may name.
         inputs: files that are read and must not be overwritten; other values are ignored.
@@ -57,6 +64,8 @@ def place(
     Raises:
         InputError: the ending is none of them, or the place is a folder or an input.
     """
+    if out is None:
+        return None
     path, endings = Path(out), tuple(endings)
     if path == AUTO:
         return Place(_free(Path(default)), False)
@@ -73,27 +82,25 @@ def place(
         raise InputError(
             f"{path}: that is a folder: name a file in it, like {path / Path(default).name}"
         )
-    if path.exists() and any(
-        one.exists() and path.samefile(one) for one in map(Path, _paths(inputs))
-    ):
+    files = [Path(one) for one in inputs if isinstance(one, str | Path)]
+    if path.exists() and any(one.exists() and path.samefile(one) for one in files):
         raise InputError(f"{path}: that is what is read: choose another name")
     return Place(path, path.exists())
 
 
-def place_folder(out: str | Path, default: str) -> Path:
-    """Choose the folder of several results.
+def place_layout(
+    out: str | Path | None, default: str, domain: Domain, inputs: Iterable[Any] = ()
+) -> Place | None:
+    """Choose where a layout of a domain goes, see `place`."""
+    return place(out, default, endings_for(domain.tiles, domain.meanings), inputs)
 
-    Raises:
-        InputError: it is a file.
-    """
+
+def place_folder(out: str | Path, default: str) -> Path:
+    """Choose the folder of several results; raise InputError if it is a file."""
     folder = _free(Path(default)) if Path(out) == AUTO else Path(out)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: that is a file: name a folder")
     return folder
-
-
-def _paths(values: Iterable[Any]) -> list[str | Path]:
-    return [value for value in values if isinstance(value, str | Path)]
 
 
 def _free(path: Path) -> Path:
@@ -106,14 +113,132 @@ def _free(path: Path) -> Path:
 
 
 def format_table(rows: Iterable[Sequence[Any]]) -> list[str]:
-    """Align the columns of a table to the left.
-
-    Args:
-        rows: of equal length, the head first.
-    """
+    """Align the columns of a table to the left; the rows are of equal length, the head first."""
     cells = [[str(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in cells
     ]
+
+
+def format_duration(seconds: float) -> str:
+    """Write a duration in a unit that leaves two or three digits."""
+    for unit, length in {"days": 86400, "h": 3600, "min": 60}.items():
+        if seconds >= 2.5 * length:
+            return f"{seconds / length:.0f} {unit}"
+    return f"{max(seconds, 1):.0f} s"
+
+
+@dataclass(frozen=True, repr=False)
+class Layout:
+    """A layout that was drawn, repaired or read."""
+
+    layout: np.ndarray  # int8 [H, W]
+    domain: Domain  # whose layout, at its size
+    details: Mapping[str, Any] = field(default_factory=dict)  # of its making; saved in its file
+    facts: Mapping[str, Any] = field(default_factory=dict)  # as `--json` writes them
+
+    def save(self, path: str | Path) -> Path:
+        """Write a layout file with the domain and the details in it.
+
+        Raises:
+            InputError: the place cannot be written to.
+        """
+        details = {**self.domain.details, **self.details}
+        write_layout(path, self.layout, self.domain.tiles, self.domain.meanings, **details)
+        return Path(path)
+
+    def draw(self, path: str | Path) -> Path:
+        """Draw the layout as a picture, PNG, SVG or PDF by the ending of its name."""
+        from qdenv.view.layouts import save_layout  # imports matplotlib
+
+        save_layout(path, self.layout, self.domain.tiles, self.domain.names)
+        return Path(path)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """Return the tiles as an array."""
+        return np.array(self.layout, dtype=dtype, copy=copy)
+
+    def __repr__(self) -> str:
+        """Return size, domain and facts in one line."""
+        rows, cols = self.layout.shape
+        facts = "".join(f", {name} {_shown(value)}" for name, value in _plain(self.facts).items())
+        return f"Layout({rows} x {cols} of {self.domain.name}{facts})"
+
+    def _repr_html_(self) -> str:
+        from qdenv.view.notebook import layout_html  # imports matplotlib
+
+        picture = layout_html(self.layout, self.domain.tiles, self.domain.names)
+        return picture + _table_html([_plain(self.facts)])
+
+
+def save_with_picture(layout: Layout, target: Place, text: str = "") -> None:
+    """Write a layout and a picture beside it, and log their names and what is in the file.
+
+    Args:
+        layout: the layout.
+        target: of the layout file.
+        text: about the layout; its details unless given.
+    """
+    picture = target.beside(PICTURES[0])
+    layout.save(target.path)
+    layout.draw(picture.path)
+    details = ", ".join(f"{name} {value}" for name, value in layout.details.items())
+    say(picture, f"{target}: {text or details}")
+
+
+class Facts(dict):
+    """Findings by name, as `--json` writes them."""
+
+    def _repr_html_(self) -> str:
+        return _table_html([_plain(self)])
+
+
+class Table(list):
+    """Rows of one kind, each a `NamedTuple`, and the facts that `--json` writes."""
+
+    def __init__(self, rows: Iterable[Any], facts: Mapping[str, Any], exit_code: int = 0) -> None:
+        """Make a table; the command that made it ends with `exit_code`."""
+        super().__init__(rows)
+        self.facts, self.exit_code = facts, exit_code
+
+    def to_pandas(self) -> Any:
+        """Make a pandas data frame."""
+        import pandas
+
+        return pandas.DataFrame([row._asdict() for row in self])
+
+    def _repr_html_(self) -> str:
+        return _table_html([row._asdict() for row in self])
+
+
+class UnsolvedError(InputError):
+    """A task without a solution, and the facts that `--json` writes of it."""
+
+    def __init__(self, message: str, facts: Mapping[str, Any]) -> None:
+        """Fail with one line."""
+        super().__init__(message)
+        self.facts = facts
+
+
+def _table_html(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Draw records as a table: one as a list of its entries, several with a row for each."""
+    if len(rows) == 1:
+        lines: Iterable[Iterable[Any]] = rows[0].items()
+    else:
+        lines = [list(rows[0]), *(row.values() for row in rows)] if rows else []
+    cells = ["".join(f"<td>{html.escape(_shown(cell))}</td>" for cell in line) for line in lines]
+    return "<table>" + "".join(f"<tr>{line}</tr>" for line in cells) + "</table>"
+
+
+def _plain(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave out what is no single value; the cell of an elite, a tuple, is one."""
+    return {key: one for key, one in facts.items() if not isinstance(one, list | dict)}
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, tuple):
+        return ",".join(map(str, value))
+    # Four significant digits tell numbers apart in a notebook; --json has them all.
+    return f"{value:.4g}" if isinstance(value, float | np.floating) else str(value)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Unpack
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, Unpack
 
 import tyro
 
 from qdenv import devices
-from qdenv.ops.costs import format_duration
 from qdenv.ops.options import (
     Counts,
     Fleet,
@@ -19,12 +18,13 @@ from qdenv.ops.options import (
     Run,
     RunOptions,
     Source,
-    Subjects,
+    name_of,
     open_run,
     read_plan,
     stem_of,
 )
 from qdenv.ops.output import place, say
+from qdenv.ops.searches import format_duration
 from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
 from qdenv.run.directory import RunDirectory
@@ -42,8 +42,15 @@ if TYPE_CHECKING:  # imports the simulator
     from qdenv.view.report.build import Report
     from qdenv.view.report.fleet import Asked
 
-_SHORT = 100  # timesteps of a GIF of robots unless more are stated: it grows by megabytes
 _LONG = 20.0  # seconds from which on an estimate of the time is logged
+
+
+# Layouts and runs, one or several; both are named in the same way on command lines.
+Subjects: TypeAlias = Annotated[
+    Any,
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="RUN|LAYOUT ...", constructor=tuple[Path, ...]),
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,15 +106,14 @@ def replay(
         InputError: a name is unknown, the fleet cannot work on this layout, or a package is
             missing.
     """
-    stem, target = stem_of(layout), None
-    if out is not None:
-        target = place(out, f"{stem}_replay.html", (".html",), [layout])
+    stem = stem_of(layout)
+    target = place(out, f"{stem}_replay.html", (".html",), [layout])
     if films.mp4:
         demand("films", "imageio-ffmpeg")
+    endings = {".gif": films.gif, ".mp4": films.mp4}
     drawn = [
         place(path, f"{stem}_replay{ending}", (ending,), [layout])
-        for path, ending in ((films.gif, ".gif"), (films.mp4, ".mp4"))
-        if path
+        for ending, path in endings.items()
     ]
     demand("pages", "jinja2")
     options = Fleet(fleet)
@@ -124,14 +130,25 @@ def replay(
         page.save(target.path)
         say(target)
         facts["page"] = target.path
-    for one in drawn:
-        _draw_film(one.path, plan, motion, films)
-        say(one)
-        facts[one.path.suffix[1:]] = one.path
+    for film in filter(None, drawn):
+        from qdenv.view.film import save_film  # imports matplotlib
+
+        films.check_end(motion.steps)
+        last = films.last or motion.steps
+        ending = film.path.suffix
+        if ending == ".gif" and not films.last and motion.headings is None:
+            last = films.first + 100  # a GIF of robots grows by megabytes
+        with Bar(f"drawing {film.path}") as bar:
+            save_film(film.path, plan.layout, plan.domain.tiles, motion, (films.first, last), bar)
+        say(film)
+        facts[ending[1:]] = film.path
     facts["megabytes"] = len(page.html.encode()) / 1e6
-    name = layout if isinstance(layout, str | Path) else plan.name
-    settings = {"layout": name, "domain": plan.domain.name, "seed": seed}
-    facts["settings"] = settings | {"timesteps": motion.timesteps}
+    facts["settings"] = {
+        "layout": name_of(layout),
+        "domain": plan.domain.name,
+        "seed": seed,
+        "timesteps": motion.timesteps,
+    }
     return dataclasses.replace(page, facts=facts)
 
 
@@ -184,17 +201,6 @@ def _replay_episode(
     return make_replay(plan, motion, None, about), motion, facts
 
 
-def _draw_film(path: Path, plan: Plan, motion: Motion, films: FilmOptions) -> None:
-    """Draw a film of a stretch of the run."""
-    from qdenv.view.film import save_film  # imports matplotlib
-
-    films.check_end(motion.steps)
-    short = path.suffix.lower() == ".gif" and motion.headings is None
-    last = films.last or (films.first + _SHORT if short else motion.steps)
-    with Bar(f"drawing {path}") as bar:
-        save_film(path, plan.layout, plan.domain.tiles, motion, (films.first, last), bar)
-
-
 def explore(run: Run, growth: NonNegativeInt | None = None, out: Out = None) -> Page:
     """Make a page on which a run's archive can be touched: layouts, numbers, growth.
 
@@ -212,8 +218,7 @@ def explore(run: Run, growth: NonNegativeInt | None = None, out: Out = None) -> 
     Raises:
         InputError: there is no elite, there are more than two measures, or a package is missing.
     """
-    opened = open_run(run)
-    target = None if out is None else place(out, "explorer.html", (".html",))
+    opened, target = open_run(run), place(out, "explorer.html", (".html",))
     from qdenv.view.explorer import make_explorer  # imports jax
 
     with Bar("growing") as bar:
@@ -255,12 +260,23 @@ def report(
     demand("pages", "jinja2")
     given = list(sources) if isinstance(sources, list | tuple) else [sources]
     files = [one for one in given if isinstance(one, str | Path) and Path(one).is_file()]
-    target = None if out is None else place(out, "report.html", (".html",), files)
+    target = place(out, "report.html", (".html",), files)
     counts = (agents,) if isinstance(agents, int) else tuple(agents or ())
-    options = Fleet(fleet)
-    subjects = distinct([_subject(one, options.domain) for one in given])
+    options, subjects = Fleet(fleet), []
+    for one in given:
+        if isinstance(one, RunDirectory) or (isinstance(one, str | Path) and is_run(one)):
+            subjects.append(subject_of_run(open_run(one)))
+        else:
+            plan = read_plan(one, options.domain)
+            subjects.append(Subject(plan.name, name_of(one), plan))
+    subjects = distinct(subjects)
     if subjects[0].plan.domain.simulator.tasks is None:
-        made = _report_mazes(subjects, counts, options, again)
+        if counts:
+            raise InputError("no fleet drives in mazes: leave --agents out")
+        from qdenv.view.report.mazes import maze_report, solve
+
+        with Bar("solving mazes") as bar:
+            made = maze_report(solve(subjects, options.timesteps, bar), again)
     else:
         # This imports the simulator: refusals are faster without it.
         from qdenv.view.report.fleet import ask
@@ -272,16 +288,6 @@ def report(
         say(f"{target}: {target.path.stat().st_size / 1e6:.1f} MB")
     settings = options.settings(options.timesteps) | {"sources": [str(one) for one in given]}
     return dataclasses.replace(made.page, facts={**made.facts, "settings": settings})
-
-
-def _subject(source: Any, domain: str | None) -> Subject:
-    if isinstance(source, RunDirectory):
-        return subject_of_run(source)
-    if isinstance(source, str | Path) and is_run(source):
-        return subject_of_run(RunDirectory.open(source))
-    plan = read_plan(source, domain)
-    name = str(source) if isinstance(source, str | Path) else plan.name
-    return Subject(plan.name, name, plan)
 
 
 def _report_fleets(asked: Asked, again: str) -> Report:
@@ -308,15 +314,3 @@ def _report_fleets(asked: Asked, again: str) -> Report:
         assert result.verdict is not None
         say(f"{one.name}, {found.agents} agents: {result.verdict.word}, {result.verdict.reason}")
     return made
-
-
-def _report_mazes(
-    subjects: list[Subject], agents: tuple[int, ...], options: Fleet, again: str
-) -> Report:
-    """Let the agent solve mazes, and make the page."""
-    if agents:
-        raise InputError("no fleet drives in mazes: leave --agents out")
-    from qdenv.view.report.mazes import maze_report, solve
-
-    with Bar("solving mazes") as bar:
-        return maze_report(solve(subjects, options.timesteps, bar), again)

@@ -1,42 +1,57 @@
-"""Operations on saved runs: pictures, elites at other sizes, tables."""
+"""Operations on saved runs: pictures, elites at other sizes, tables, what a surrogate predicts."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Unpack
 
 import numpy as np
 import tyro
 
-from qdenv.domains.base import DOMAINS, Domain, make_domain
+from qdenv.domains.base import DOMAINS, make_domain
 from qdenv.io.files import write_csv
-from qdenv.io.layouts import check_size, endings_for
-from qdenv.ops.layouts import human_layout, save_with_picture
+from qdenv.io.layouts import check_size
+from qdenv.ops.layouts import human_layout
 from qdenv.ops.options import (
     Number,
     Numbers,
     Out,
+    Picture,
     Run,
     Runs,
+    Seeds,
+    SurrogateOptions,
     Width,
+    list_seeds,
     open_run,
 )
-from qdenv.ops.output import AUTO, PICTURES, Place, place, place_folder, say
-from qdenv.ops.results import Layout
+from qdenv.ops.output import (
+    AUTO,
+    PICTURES,
+    Facts,
+    Layout,
+    Place,
+    format_table,
+    place,
+    place_folder,
+    place_layout,
+    save_with_picture,
+    say,
+)
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.study.groups import CURVES, band_of, group_runs
-from qdenv.study.options import describe_growth
-from qdenv.study.plans import describe_changes, list_changes
+from qdenv.study.options import describe_growth, find_surrogate
 from qdenv.types import InputError, RepairStatus
+from qdenv.view.widths import PAGE
 from qdenv.zoo import file_name
 
 if TYPE_CHECKING:  # imports jax
-    pass
+    from qdenv.study.surrogate import Evaluated, Split
 
 
 def plot(
@@ -53,7 +68,7 @@ def plot(
         out: folder for the pictures; a run's own unless given, for generators of the zoo one
             named after them, for several runs plots.
         form: of the pictures.
-        width: column or page of a journal, or inches; what suits a screen unless given.
+        width: of the pictures in inches.
 
     Returns:
         the pictures.
@@ -63,17 +78,17 @@ def plot(
     """
     if not runs:
         raise InputError("give at least one folder of a run")
-    opened = [open_run(run) for run in runs]
-    several = len(opened) > 1
-    folder = None
-    if several or opened[0].shipped or out not in (None, AUTO):
-        folder = place_folder(out or AUTO, "plots" if several else file_name(Path(str(runs[0]))))
-    if not several or folder is None:
+    opened, folder = [open_run(run) for run in runs], None
+    if len(opened) > 1:
+        folder = place_folder(out or AUTO, "plots")
+    elif opened[0].shipped or out not in (None, AUTO):
+        folder = place_folder(out or AUTO, file_name(Path(str(runs[0]))))
+    if len(opened) == 1 or folder is None:
         return plot_one(opened[0], folder, form, width)
     groups = group_runs(opened)
     from qdenv.view.runs import plot_runs  # imports matplotlib
 
-    pictures = plot_runs(opened, folder, form, **_size(width))
+    pictures = plot_runs(opened, folder, form, width or PAGE)
     for group in groups:
         ends = []
         for name, word in CURVES.items():
@@ -86,10 +101,6 @@ def plot(
     return pictures
 
 
-def _size(width: float | None) -> dict[str, Any]:
-    return {} if width is None else {"width": width}
-
-
 def plot_one(
     run: RunDirectory, folder: Path | None = None, form: str = "png", width: float | None = None
 ) -> list[Path]:
@@ -99,7 +110,7 @@ def plot_one(
         raise InputError(f"{run}: nothing is done yet; `qdenv resume {run}` begins")
     from qdenv.view.runs import plot_run  # imports matplotlib
 
-    pictures, last = plot_run(run, folder, form, **_size(width)), rows[-1]
+    pictures, last = plot_run(run, folder, form, width), rows[-1]
     say(
         f"QD-score {last.qd_score:.2f}, coverage {last.coverage:.1%}, best objective "
         f"{last.best_objective:.3f} after {last.evaluations} evaluations in {last.seconds:.0f} s",
@@ -155,30 +166,34 @@ def generate_layout(
     Raises:
         InputError: there is no such elite, or no layout of this size obeys the rules.
     """
-    named: dict[str, Any] = {
-        name: numbers.pop(name) for name in ("steps", "seed") if name in numbers
-    }
-    growth = dataclasses.replace(growth, **named)
+    stated = {name: numbers.pop(name) for name in ("steps", "seed") if name in numbers}
+    growth = dataclasses.replace(growth, **stated)
     check_size(1 if rows is None else rows, 1 if cols is None else cols)
-    opened = open_run(run)
-    config, found = opened.config, elite
+    opened, found = open_run(run), elite
     if not isinstance(elite, Elite):
         found = opened.archive.elite(elite, growth.measures or None)
     # This imports jax: refusals are faster without it.
     from qdenv.study.elites import grow_elite, repair_grown
 
-    trained, target = make_domain(config.evaluation.domain), None
-    if out is not None:
-        target = place(out, "layout.json", endings_for(trained.tiles, trained.meanings))
+    config = opened.config
+    trained = make_domain(config.evaluation.domain)
+    target = place_layout(out, "layout.json", trained)
     with Bar("growing") as bar:
         grown = grow_elite(opened, found, (rows, cols), growth.steps, numbers, growth.keep)
+        domain, layout = grown.domain, grown.layout
         if growth.frames is not None:
-            beside = target or Place(Path("layout.json"), False)
-            _draw_frames(opened, grown, growth.frames, beside.beside(".png", "_frames").path)
-        chosen = config.seed if growth.seed is None else growth.seed
-        repaired = repair_grown(grown, config.evaluation.repair, chosen, bar) if repair else None
-    domain, layout = grown.domain, grown.layout
-    say(*_known(trained, domain.shape, [*numbers, *(["steps"] if growth.steps else [])]))
+            from qdenv.study.sizes import grow_frames
+            from qdenv.view.layouts import draw_frames
+            from qdenv.view.style import save_figure
+
+            frames = (target or Place(Path("layout.json"), False)).beside(".png", "_frames").path
+            after, drawn = grow_frames(opened, grown, growth.frames)
+            save_figure(draw_frames(drawn, after, domain.tiles), frames)
+            say(f"{frames}: after {', '.join(map(str, after))} steps")
+        seed = config.seed if growth.seed is None else growth.seed
+        repaired = repair_grown(grown, config.evaluation.repair, seed, bar) if repair else None
+    known = describe_growth(trained, domain.shape, [*numbers, *(["steps"] if growth.steps else [])])
+    say(*filter(None, [known]))
     if trained.config.keep and not domain.config.keep:
         say(
             "WARNING: what the run kept is drawn for {} x {}, so nothing is kept at this size: "
@@ -191,30 +206,12 @@ def generate_layout(
         details |= {"repair": status, "changed": float(repaired.cost)}
         say(*describe_changes(list_changes(grown.layout, layout, domain)))
     facts = {"rows": layout.shape[0], "cols": layout.shape[1], **domain.numbers, **details}
-    settings = {"run": str(run), "elite": found.cell, "seed": chosen}
+    settings = {"run": str(run), "elite": found.cell, "seed": seed}
     made = Layout(layout, domain, details, facts | {"settings": settings})
     if target:
-        made.save(target.path)
-        picture = target.beside(PICTURES[0])
-        made.draw(picture.path)
-        say(f"{target}: " + ", ".join(f"{name} {value}" for name, value in facts.items()), picture)
+        text = ", ".join(f"{name} {value}" for name, value in facts.items())
+        save_with_picture(made, target, text)
     return made
-
-
-def _known(domain: Domain, shape: tuple[int, int], stated: Sequence[str]) -> list[str]:
-    """Describe the numbers that a size has by itself, if any."""
-    return [line for line in [describe_growth(domain, shape, stated)] if line]
-
-
-def _draw_frames(run: RunDirectory, grown: Any, every: int, picture: Path) -> None:
-    """Draw how a layout grows, and log when and where."""
-    from qdenv.study.elites import grow_frames
-    from qdenv.view.layouts import draw_frames
-    from qdenv.view.style import save_figure
-
-    after, drawn = grow_frames(run, grown, every)
-    save_figure(draw_frames(drawn, after, grown.domain.tiles), picture)
-    say(f"{picture}: after {', '.join(map(str, after))} steps")
 
 
 def series(
@@ -252,28 +249,23 @@ def series(
     for shape in shapes:
         check_size(*shape)
     folder = None if out is None else place_folder(out, "series")
-    grown, layouts = [], []
+    stated, grown, layouts = [*numbers, *(["steps"] if steps else [])], [], []
     for item in studies.grow_sizes(opened, elite, shapes, steps, numbers, seed):
         rows, cols = item.layout.shape
-        say(*_known(domain, (rows, cols), [*numbers, *(["steps"] if steps else [])]))
-        grown.append(studies.details(item))
-        details = grown[-1] | {"domain": domain.name}
+        say(*filter(None, [describe_growth(domain, (rows, cols), stated)]))
+        details = studies.details(item) | {"domain": domain.name}
         layouts.append(Layout(item.layout, domain, details, details))
         if folder:
-            save_with_picture(layouts[-1], _place_in(folder, f"nca_{rows}x{cols}.json"))
+            path = folder / f"nca_{rows}x{cols}.json"
+            save_with_picture(layouts[-1], Place(path, path.exists()))
         if human:
             name = folder and folder / f"human_{rows}x{cols}.json"
             layouts.append(human_layout(rows, cols, domain.name, name))
     if folder:
-        table = _place_in(folder, "series.csv")
-        write_csv(table.path, list(grown[0]), [list(one.values()) for one in grown])
+        table = Place(folder / "series.csv", (folder / "series.csv").exists())
+        studies.write_series(table.path, grown)
         say(table)
     return layouts
-
-
-def _place_in(folder: Path, name: str) -> Place:
-    """Choose the place of a result in a folder that was named."""
-    return Place(folder / name, (folder / name).exists())
 
 
 def export(
@@ -298,8 +290,7 @@ def export(
     """
     opened, written = open_run(run), []
     archive = opened.archive
-    if out is not None:
-        table = place(out, f"{file_name(Path(str(run)))}_elites.csv", (".csv", ".parquet"))
+    if table := place(out, f"{file_name(Path(str(run)))}_elites.csv", (".csv", ".parquet")):
         archive.write_table(table.path, solutions)
         say(f"{table}: {len(archive)} elites")
         written.append(table.path)
@@ -308,3 +299,107 @@ def export(
         say(f"{layouts}: {len(archive)} layouts")
         written.append(layouts)
     return written
+
+
+def fit_surrogate(
+    run: Run,
+    seeds: Seeds = 3,
+    out: Out = None,
+    plot: Picture = None,
+    **options: Unpack[SurrogateOptions],
+) -> Facts:
+    """Predict a run's elites by a surrogate: how much of throughput and measures it can tell.
+
+    The surrogate is DSAGE's. It learns from four fifths of the elites and predicts the others:
+    the repaired layout from the drawn one, then throughput and measures. How much each cell is
+    used is left out, as no archive has it.
+
+    Args:
+        run: folder of the run; its archive needs 50 elites or more.
+        seeds: 3 for three random splits, seeds 0 to 2; 3,5,9 for these three; 7, for this one.
+        out: CSV file to write, a line for each elite held out; RUN_surrogate.csv unless given.
+        plot: picture to write, predicted over true; beside the table unless given.
+        **options: see `SurrogateOptions`.
+
+    Raises:
+        InputError: there are too few elites, or a setting is impossible.
+    """
+    numbers: dict[str, Any] = {"size": "small", **options}
+    config, chosen = find_surrogate(numbers.pop("size"), numbers), list_seeds(seeds)
+    name = file_name(Path(str(run)))
+    table = place(out, f"{name}_surrogate.csv", (".csv",))
+    picture = table and table.beside(".png")
+    if plot not in (None, AUTO):
+        picture = place(plot, "surrogate.png", PICTURES)
+    opened = open_run(run)
+    _ = opened.archive  # refuses a folder without one
+    # This imports jax: refusals are faster without it.
+    from qdenv.study.surrogate import read_elites, scores_to_dict, try_surrogate
+
+    elites = read_elites(opened)
+    _, rows, cols = elites.drawn.shape
+    plural, blocks = "s" * (len(chosen) > 1), "s" * (config.blocks != 1)
+    say(
+        f"{name}: {len(elites)} elites of {rows} x {cols}, a fifth held out, {len(chosen)} random "
+        f"split{plural}; surrogate of {config.channels} channels, {config.blocks} residual "
+        f"block{blocks}, {config.epochs} epochs"
+    )
+    with Bar("learning", total=1) as bar:
+        trials = try_surrogate(elites, config, chosen, bar)
+    facts = scores_to_dict(elites, config, trials)
+    head = ("held out", "R2 (s.d.)", "RMSE (s.d.)", "rank correlation (s.d.)")
+    skills = [
+        (name, _figure(one["r2"]), _figure(one["rmse"], ".3g"), _figure(one["rank"]))
+        for name, one in facts["skills"].items()
+    ]
+    say(
+        *format_table([head, *skills]),
+        "R2: 1 is perfect, 0 no better than the mean of the elites held out; s.d. over the splits",
+    )
+    if "repaired_tiles_predicted" in facts:
+        say(
+            f"tiles of repaired layouts predicted: {facts['repaired_tiles_predicted']['mean']:.1%}"
+            f" (as drawn, without a surrogate: {facts['repaired_tiles_as_drawn']:.1%})"
+        )
+    if table:
+        columns = [f"{word}{one}" for one in elites.names for word in ("", "predicted ")]
+        lines = []
+        for trial in trials:
+            for row, predicted in zip(trial.held, trial.predicted, strict=True):
+                pairs = zip(elites.numbers[row], predicted, strict=True)
+                cell = ",".join(map(str, elites.cells[row]))
+                lines.append([trial.seed, cell, *(f"{one:.6g}" for pair in pairs for one in pair)])
+        write_csv(table.path, ["seed", "cell", *columns], lines)
+    if picture:
+        _draw_predictions(picture.path, elites, trials, facts, name)
+    if table or picture:
+        say(", ".join(str(one) for one in (table, picture) if one))
+    return Facts(facts | {"settings": {"run": str(run), "seeds": chosen}})
+
+
+def _figure(figure: Mapping[str, Any], form: str = ".2f") -> str:
+    """Write a mean and its spread, as far as they are known."""
+    mean, spread = figure["mean"], figure["spread"]
+    if np.isnan(mean):
+        return "does not vary"
+    return f"{mean:{form}}" + ("" if np.isnan(spread) else f" ({spread:{form}})")
+
+
+def _draw_predictions(
+    path: Path, elites: Evaluated, trials: list[Split], facts: Mapping[str, Any], name: str
+) -> None:
+    """Draw predicted over true values, a panel for each number."""
+    from qdenv.view.archive import draw_predictions  # imports matplotlib
+    from qdenv.view.style import save_figure
+
+    truth = np.concatenate([elites.numbers[trial.held] for trial in trials])
+    predicted = np.concatenate([trial.predicted for trial in trials])
+    panels = {}
+    for number, (one, figures) in enumerate(facts["skills"].items()):
+        unit = f" [{elites.units}]" if number == 0 and elites.units else ""
+        text = f"R2 {_figure(figures['r2'])}, rank {_figure(figures['rank'])}"
+        panels[one + unit] = (truth[:, number], predicted[:, number], text)
+    many = f"{len(trials)} splits; in brackets the standard deviation over them"
+    splits = many if len(trials) > 1 else "1 split"
+    title = f"{name}: {facts['held_out']} of {facts['elites']} elites held out, {splits}"
+    save_figure(draw_predictions(panels, title), path)

@@ -1,8 +1,11 @@
-"""Operations that search: the presets, a new run, a run continued."""
+"""Operations that search: presets and the zoo, a new run, a run continued; what a search costs."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import os
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -10,24 +13,47 @@ from typing import Annotated, Any, TypeAlias
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
+from qdenv import devices
+from qdenv.agent.settings import TrainConfig
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
-from qdenv.ops.agents import is_agent_run, resume_agent
-from qdenv.ops.costs import describe_cost, remember
-from qdenv.ops.options import OnCommandLine, PresetOptions, Run, option
-from qdenv.ops.output import format_table, say
-from qdenv.ops.results import Facts
+from qdenv.io.files import write_json
+from qdenv.io.records import read_json
+from qdenv.ops.agents import train_agent
+from qdenv.ops.options import OnCommandLine, Picture, PresetOptions, Run, option
+from qdenv.ops.output import PICTURES, Facts, format_duration, format_table, place, say
 from qdenv.ops.runs import plot_one
 from qdenv.presets import PRESETS, find_preset
 from qdenv.run.config import RunConfig, planner_of, resolve
 from qdenv.run.directory import RunDirectory, find_start
 from qdenv.run.executors.base import Execution
+from qdenv.run.log import Metrics
 from qdenv.search.registry import ALGORITHMS
 from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.study.plans import keep_from
 from qdenv.types import InputError
-from qdenv.zoo import PREFIX
+from qdenv.zoo import PREFIX, Collection, Driven, Origin, Shipped, named, names, to_json
 
-_COLUMNS = ("preset", "domain", "algorithm", "size", "agents", "steps", "evaluations", "takes")
+# CPU seconds of one evaluation, measured on two cores of a cloud machine. Those of DSAGE on the
+# paper's rows are reckoned from `python -m experiments.benchmarks surrogate`, for outer loops of
+# one batch of 50 (mazes: 400 evaluations) that learn from half of the evaluations.
+_CPU_SECONDS = {
+    "quick": 0.06,
+    "laptop": 0.91,
+    "warehouse-even": 0.91,
+    "warehouse-uneven": 1.14,
+    "manufacturing": 1.14,
+    "manufacturing-quick": 0.092,
+    "maze-walls": 0.023,
+    "maze-entropy": 0.023,
+    "maze-quick": 0.017,
+    "dsage-quick": 0.25,
+    "dsage-laptop": 4.8,
+    "warehouse-even-dsage": 280.0,
+    "warehouse-uneven-dsage": 280.0,
+    "manufacturing-dsage": 280.0,
+    "maze-walls-dsage": 60.0,
+    "maze-entropy-dsage": 60.0,
+}
 # Name of a preset, or a whole configuration.
 Preset: TypeAlias = Annotated[
     Any,
@@ -50,39 +76,97 @@ Folder: TypeAlias = Annotated[
 
 def presets() -> Facts:
     """List the presets: what they search, and how long that takes on this machine."""
-    table = [_facts_of(name, config) for name, config in PRESETS.items()]
-    say(*format_table([_COLUMNS, *([row[name] for name in _COLUMNS] for row in table)]))
+    table, sizes = [], []
+    for name, config in PRESETS.items():
+        settings = config.evaluation.domain
+        table.append(
+            {
+                "preset": name,
+                "domain": DOMAINS.name_of(settings),
+                "size": f"{settings.rows} x {settings.cols}",
+                "agents": settings.fleet.agents if settings.fleet else 1,
+                "steps": settings.horizon,
+                "evaluations": config.evaluations,
+                "takes": describe_cost(name, config) or "not known",
+                "alpha": config.evaluation.alpha,
+                "algorithm": ALGORITHMS.name_of(config.algorithm),
+                "simulations": config.evaluation.simulations,
+            }
+        )
+    head = ("preset", "domain", "algorithm", "size", "agents", "steps", "evaluations", "takes")
+    say(*format_table([head, *([row[name] for name in head] for row in table)]))
     say("agents: robots in a simulation; steps: its timesteps; evaluations: layouts simulated")
-    sizes = []
     for name in dict.fromkeys(str(row["domain"]) for row in table):
         domain = find_domain(name)
         for (rows, cols), size in domain.known.items():
             agents = {"agents": size.agents} if domain.simulator.tasks else {}
             steps = {"timesteps": size.timesteps, "steps of growth": size.steps}
-            place: dict[str, Any] = {"domain": name, "size": f"{rows} x {cols}"}
-            sizes.append(place | dict(size.numbers) | agents | steps)
+            numbers = dict(size.numbers) | agents | steps
+            sizes.append({"domain": name, "size": f"{rows} x {cols}", **numbers})
     say("", "sizes with numbers of their own, which commands take there unless others are stated:")
     for row in sizes:
-        numbers = ", ".join(f"{value} {name}" for name, value in list(row.items())[2:])
-        say(f"  {row['domain']}, {row['size']}: {numbers}")
+        listed = ", ".join(f"{value} {name}" for name, value in list(row.items())[2:])
+        say(f"  {row['domain']}, {row['size']}: {listed}")
     return Facts({"presets": table, "sizes": sizes, "settings": {}})
 
 
-def _facts_of(name: str, config: RunConfig) -> dict[str, Any]:
-    """Return the numbers of a preset that a person chooses by."""
-    domain = config.evaluation.domain
-    return {
-        "preset": name,
-        "domain": DOMAINS.name_of(domain),
-        "size": f"{domain.rows} x {domain.cols}",
-        "agents": domain.fleet.agents if domain.fleet else 1,
-        "steps": domain.horizon,
-        "evaluations": config.evaluations,
-        "takes": describe_cost(name, config) or "not known",
-        "alpha": config.evaluation.alpha,
-        "algorithm": ALGORITHMS.name_of(config.algorithm),
-        "simulations": config.evaluation.simulations,
-    }
+def describe_cost(preset: str, config: RunConfig) -> str:
+    """Return how long a configuration takes here, like "about 8 min"; "" where that is unknown.
+
+    Args:
+        preset: name of the preset that it was made from.
+        config: the configuration.
+    """
+    base = _base_of(preset)
+    usual = find_preset(preset) if base else config
+    if hasattr(config.algorithm, "surrogate"):
+        # What a surrogate learns is no part of what another algorithm takes.
+        base = preset if type(usual.algorithm) is type(config.algorithm) else ""
+    if planner_of(config) != planner_of(usual):  # which may take ten times as long
+        return ""
+    measured = base and (_read_costs().get(preset) or _read_costs().get(base))
+    seconds = measured or _CPU_SECONDS.get(base, 0.0) / devices.count_cores()
+    if not seconds:
+        return ""
+    source = "as measured here" if measured else "an estimate"
+    return f"about {format_duration(seconds * config.evaluations)} ({source})"
+
+
+def estimate_seconds(preset: str) -> float:
+    """Return the CPU seconds of one evaluation of a preset that `_CPU_SECONDS` knows."""
+    return _CPU_SECONDS[_base_of(preset)]
+
+
+def _base_of(preset: str) -> str:
+    """Return the preset whose evaluations cost as much, by its name; "" where there is none.
+
+    Rows that differ in alpha or in the algorithm alone are called like ``warehouse-even-cma-es``.
+    """
+    bases = [name for name in _CPU_SECONDS if f"{preset}-".startswith(f"{name}-")]
+    return max(bases, key=len, default="")
+
+
+def remember_cost(preset: str, rows: Sequence[Metrics]) -> None:
+    """Save what an evaluation of a preset took on this machine, by the rows of a run's log."""
+    if len(rows) < 5:  # too few to tell: the first iteration compiles, which is left out below
+        return
+    seconds = rows[-1].seconds - rows[0].seconds
+    evaluations = rows[-1].evaluations - rows[0].evaluations
+    # A home that cannot be written to is no reason to fail a run.
+    with contextlib.suppress(InputError):
+        costs = _read_costs() | {preset: float(f"{seconds / evaluations:.3g}")}
+        write_json(_costs_file(), costs)
+
+
+def _costs_file() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "qdenv" / "costs.json"
+
+
+def _read_costs() -> dict[str, float]:
+    try:
+        return read_json(_costs_file(), dict[str, float])
+    except InputError:  # nothing was measured yet
+        return {}
 
 
 def train(
@@ -129,7 +213,14 @@ def train(
     name = preset if isinstance(preset, str) else "run"
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     path = Path("runs") / f"{name}-{stamp}" if path is None else Path(path)
-    _check_folder(path)
+    if path.as_posix().startswith(PREFIX):
+        raise InputError(f"{path}: names that begin with {PREFIX} ship with qdenv: name a folder")
+    RunDirectory(path).demand_own()
+    for parent in (path, *path.parents):
+        if parent.exists() and not parent.is_dir():
+            raise InputError(f"{path}: {parent} is a file: name a folder")
+    if (path / "config.json").exists():
+        raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
     if scaled:
         say(f"for this size: {scaled}")
     cost, planner = describe_cost(name, config), planner_of(config)
@@ -142,20 +233,8 @@ def train(
     if pictures:
         plot_one(run)
     if (config.evaluation, config.algorithm) == (base.evaluation, base.algorithm):
-        remember(name, run.read_metrics())
+        remember_cost(name, run.read_metrics())
     return run
-
-
-def _check_folder(path: Path) -> None:
-    """Refuse a folder in which no run can begin."""
-    if path.as_posix().startswith(PREFIX):
-        raise InputError(f"{path}: names that begin with {PREFIX} ship with qdenv: name a folder")
-    RunDirectory(path).demand_own()
-    files = [place for place in (path, *path.parents) if place.exists() and not place.is_dir()]
-    if files:
-        raise InputError(f"{path}: {files[0]} is a file: name a folder")
-    if (path / "config.json").exists():
-        raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
 
 
 def resume(
@@ -182,8 +261,8 @@ def resume(
             another process is at work on it.
     """
     path = run.path if isinstance(run, RunDirectory) else Path(run)
-    if is_agent_run(path):
-        return resume_agent(path)
+    if (path / "checkpoint.npz").exists() and (path / "config.json").exists():  # an agent's
+        return train_agent(read_json(path / "config.json", TrainConfig), path, resume=True)
     opened = RunDirectory.open(path)
     opened.demand_own()
     total = opened.config.evaluations
@@ -198,3 +277,111 @@ def resume(
     if pictures:
         plot_one(done)
     return done
+
+
+_ZOO_PLANNERS = {"high": "high effort", "published": "PBS", "agent": "the agent"}
+ZooName: TypeAlias = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[DOMAIN[/NAME]]")]
+
+
+def zoo(name: ZooName = "", plot: Picture = None) -> Facts:
+    """List the trained generators that ship, with what their floor plans are worth.
+
+    Every command that takes a run takes zoo:DOMAIN/NAME as well.
+
+    Args:
+        name: only those of a domain, or all about one, like warehouse-even/best.
+        plot: picture of their layouts at the trained size to write; zoo.png unless named.
+
+    Raises:
+        InputError: there is no such domain or generator.
+    """
+    text = name.removeprefix(PREFIX)
+    found = [named(one).collection for one in ([text] if text else names())]
+    only = named(text) if "/" in text else None
+    picture = place(plot, "zoo.png", PICTURES)
+    if only:
+        say(*_describe_generator(only))
+    else:
+        for number, one in enumerate(found):
+            say(*[""] * (number > 0), *_describe_collection(one))
+    if picture:
+        from qdenv.view.layouts import Picture as Panel  # imports matplotlib
+        from qdenv.view.layouts import draw_sheet
+        from qdenv.view.style import save_figure
+
+        panels = []
+        for shipped in [Shipped(one, name) for one in found for name in one.generators]:
+            if only and shipped.name != only.name:
+                continue
+            run, sizes = RunDirectory.open(str(shipped)), shipped.generator.sizes
+            text_below = "\n".join(
+                f"{size.rows} x {size.cols}: {_figure(size.driven[0])}" for size in sizes
+            )
+            title = str(shipped).removeprefix(PREFIX) if len(found) > 1 else shipped.name
+            tiles, meanings = run.schema.tiles, run.schema.names
+            panels.append(Panel(run.best.layout, tiles, meanings, title, text_below))
+        save_figure(draw_sheet(panels), picture.path)
+        say(picture)
+    domains = [
+        to_json(one.domain, one.origin, [only.generator] if only else [*one.generators.values()])
+        for one in found
+    ]
+    return Facts({"domains": domains, "settings": {"name": text}})
+
+
+def _describe_collection(collection: Collection) -> list[str]:
+    """Put the generators of a domain into a table, a line each."""
+    generators, origin = list(collection.generators.values()), collection.origin
+    cases = [(size, row) for size in generators[0].sizes for row in size.driven]
+    columns = [f"{size.rows} x {size.cols}, {_ZOO_PLANNERS[row.planner]}" for size, row in cases]
+    lines = [["generator", *columns, "what it is"]]
+    for one in generators:
+        cells = [_figure(row) for size in one.sizes for row in size.driven]
+        lines.append([f"{PREFIX}{collection.domain}/{one.name}", *cells, one.about])
+    runs = [f"{column}: {_runs(row)}" for column, (_, row) in zip(columns, cases, strict=True)]
+    return [
+        f"{collection.domain}: from {_search(origin)}; {origin.counted}, "
+        "+- standard error, (share of the runs that succeed)",
+        "; ".join(runs),
+        *format_table(lines),
+    ]
+
+
+def _describe_generator(shipped: Shipped) -> list[str]:
+    """Describe one generator, line by line, and its layouts of all sizes."""
+    one, origin = shipped.generator, shipped.collection.origin
+    lines = [
+        f"{shipped}: {one.about}",
+        f"from         {_search(origin)}, begun {origin.created}",
+        f"elite        {','.join(map(str, one.cell))}, objective {one.objective:.4g}",
+    ]
+    for size in one.sizes:
+        numbers = "".join(f", {value} {name}" for name, value in size.numbers.items())
+        measures = "".join(f", {name} {value:.4g}" for name, value in size.measures.items())
+        repair = "" if size.repair == "none" else f", repair changed {size.changed} cells"
+        shape = f"{size.rows} x {size.cols}"
+        lines.append(f"{shape:12} {size.steps} steps of growth{numbers}{repair}{measures}")
+        for row in size.driven:
+            figure = f"{_figure(row)} {origin.counted}"
+            lines.append(f"             {_ZOO_PLANNERS[row.planner]}, {_runs(row)}: {figure}")
+    rows, cols = one.sizes[-1].rows, one.sizes[-1].cols
+    return [*lines, f"grow it      qdenv generate {shipped} --rows {rows} --cols {cols}"]
+
+
+def _search(origin: Origin) -> str:
+    """Describe in a clause the runs that the generators of a domain come from."""
+    further = f", {origin.further:,} more from its elites" if origin.further else ""
+    return (
+        f"{origin.evaluations:,} evaluations of {origin.run}, {origin.algorithm}, "
+        f"seed {origin.seed}{further}, qdenv {origin.qdenv}"
+    )
+
+
+def _runs(row: Driven) -> str:
+    agents = f"{row.agents} agent{'s' * (row.agents != 1)}"
+    return f"{agents}, {row.timesteps} timesteps, {row.runs} run{'s' * (row.runs != 1)}"
+
+
+def _figure(row: Driven) -> str:
+    error = "" if row.error is None else f" +- {row.error:.3f}"
+    return f"{row.mean:.3f}{error} ({row.success:.0%})"

@@ -1,12 +1,12 @@
-"""Operations that simulate layouts with several numbers of agents, or several layouts."""
+"""Studies: layouts with several numbers of agents, and how well a surrogate predicts elites."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -23,8 +23,7 @@ from qdenv.ops.options import (
     read_plan,
     stem_of,
 )
-from qdenv.ops.output import AUTO, PICTURES, Place, place, say
-from qdenv.ops.results import Table
+from qdenv.ops.output import AUTO, PICTURES, Table, place, say
 from qdenv.progress import Bar
 from qdenv.stats import Difference
 from qdenv.study import table as studies
@@ -33,12 +32,13 @@ from qdenv.study.plans import Plan
 from qdenv.study.recordings import FADING
 from qdenv.study.table import Peak, Row, differences, find_capacity, find_peak, write_rows
 from qdenv.types import InputError
+from qdenv.view.widths import PAGE
 
-if TYPE_CHECKING:  # imports the simulator
+if TYPE_CHECKING:  # imports jax
     pass
 
-# Numbers of agents unless given, on layouts for which 200 are usual.
-SWEEP, CLIMB = (50, 400, 50), (50, 1000, 50)  # first, last, step
+# Numbers of agents unless given, on layouts for which 200 are usual: first, last, step.
+SWEEP, CLIMB = (50, 400, 50), (50, 1000, 50)
 _MOST_WARNINGS = 3
 
 
@@ -58,7 +58,7 @@ def sweep(
             size for which more are known.
         out: CSV file to write; named after the layout unless given.
         plot: picture to write; beside the table unless given.
-        width: of the picture: column or page of a journal, or inches; page unless given.
+        width: of the picture in inches.
         **fleet: see `FleetOptions`.
 
     Returns:
@@ -67,14 +67,14 @@ def sweep(
     Raises:
         InputError: a number or a name is impossible, or a file cannot be read or written.
     """
-    case = _prepare([layout], agents, SWEEP, fleet, (out, f"{stem_of(layout)}_sweep.csv", plot))
+    study = _Study([layout], agents, SWEEP, fleet, out, f"{stem_of(layout)}_sweep", plot)
     with Bar("simulating") as bar:
-        rows = studies.compare(case.layouts, case.trial, _row_printer(case), bar)
+        rows = studies.compare(study.layouts, study.trial, study.show, bar)
     rows.sort(key=lambda row: row.agents)
     peak, worth = find_peak(rows), find_capacity(rows)
-    say(_describe_peak(peak, case.per_hour))
+    say(study.describe_peak(peak))
     say(f"worth it: up to {worth} agents each further one brings half an average one or more")
-    return _finish(case, rows, width, {"peak": peak._asdict(), "worth_it_up_to": worth})
+    return study.finish(rows, width, {"peak": peak._asdict(), "worth_it_up_to": worth})
 
 
 def compare(
@@ -93,7 +93,7 @@ def compare(
             layouts' size, unless given.
         out: CSV file to write; compare.csv unless given.
         plot: picture to write; beside the table unless given.
-        width: of the picture: column or page of a journal, or inches; page unless given.
+        width: of the picture in inches.
         **fleet: see `FleetOptions`.
 
     Returns:
@@ -102,18 +102,22 @@ def compare(
     Raises:
         InputError: no layout is given, they are of several domains, or a fleet cannot work there.
     """
-    case = _prepare(layouts, agents, (AGENTS, AGENTS, 1), fleet, (out, "compare.csv", plot))
+    study = _Study(layouts, agents, (AGENTS, AGENTS, 1), fleet, out, "compare", plot)
     with Bar("simulating") as bar:
-        rows = studies.compare(case.layouts, case.trial, _row_printer(case), bar)
+        rows = studies.compare(study.layouts, study.trial, study.show, bar)
     against, first = differences(rows), rows[0].layout
-    if len(case.layouts) > 1:
+    if len(study.layouts) > 1:
         say(f"against {first}, over all runs, with 95 % interval (Welch, Fieller):")
-    for row, one in zip(rows, against, strict=True):
+    for row, (percent, low, high, significant) in zip(rows, against, strict=True):
         if row.layout != first:
-            say(f"{row.layout}, {row.agents} agents: {_describe_difference(one)}")
+            sure = "significant" if significant else "may be chance"
+            interval = f"({low:+.1f} to {high:+.1f}), {sure}"
+            if np.isnan(low):
+                interval = "(too few runs for an interval)"
+            say(f"{row.layout}, {row.agents} agents: {percent:+.1f} % {interval}")
     names = [f"difference_{name}" for name in Difference._fields[:3]] + ["significant"]
     columns = dict(zip(names, zip(*against, strict=True), strict=True))
-    return _finish(case, rows, width, {}, columns)
+    return study.finish(rows, width, {}, columns)
 
 
 def scalability(
@@ -132,7 +136,7 @@ def scalability(
             more are known; those that do not fit are left out.
         out: CSV file to write; scalability.csv unless given.
         plot: picture to write; beside the table unless given.
-        width: of the picture: column or page of a journal, or inches; page unless given.
+        width: of the picture in inches.
         **fleet: see `FleetOptions`.
 
     Returns:
@@ -141,78 +145,141 @@ def scalability(
     Raises:
         InputError: no layout is given, they are of several domains, or a fleet cannot work there.
     """
-    case = _prepare(layouts, agents, CLIMB, fleet, (out, "scalability.csv", plot))
-    for name, layout in case.layouts.items():
-        studies.check_climb(name, layout, case.trial)
-    climbs = []
+    study = _Study(layouts, agents, CLIMB, fleet, out, "scalability", plot)
+    for name, layout in study.layouts.items():
+        studies.check_climb(name, layout, study.trial)
     with Bar("simulating") as bar:
-        show = _row_printer(case)
-        for name, layout in case.layouts.items():
-            climbs.append(studies.climb(name, layout, case.trial, show, bar))
+        climbs = [
+            studies.climb(name, layout, study.trial, study.show, bar)
+            for name, layout in study.layouts.items()
+        ]
     peaks = [find_peak(rows) for rows in climbs]
-    say(*(_describe_peak(peak, case.per_hour) for peak in peaks))
+    say(*map(study.describe_peak, peaks))
     facts = {"peaks": [peak._asdict() for peak in peaks]}
-    return _finish(case, [row for rows in climbs for row in rows], width, facts, peaks=peaks)
+    return study.finish([row for rows in climbs for row in rows], width, facts, peaks=peaks)
 
 
-class _Case(NamedTuple):
-    """A study of several runs, checked."""
+class _Study:
+    """A study of several runs: what is simulated, and what is logged, written and drawn of it."""
 
-    layouts: dict[str, np.ndarray]  # all layouts by name, int8 [H, W] each
-    trial: studies.Trial  # domain's tasks, numbers of agents, seeds
-    per_hour: float | None  # timesteps per hour; None where their length is not given
-    table: Place | None  # of the rows
-    picture: Place | None  # of the study
-    settings: dict[str, Any]  # for facts
-    description: list[str]  # lines about what is simulated
+    def __init__(
+        self,
+        layouts: Sequence[Any],
+        agents: Any,
+        default: tuple[int, ...],
+        fleet: Mapping[str, Any],
+        out: Any,
+        name: str,
+        plot: Any,
+    ) -> None:
+        """Check everything before anything is simulated.
 
+        Args:
+            layouts: layout files, or layouts of another form.
+            agents: a number of agents, or several; None for `default`.
+            default: first, last and step, on layouts for which 200 agents are usual.
+            fleet: the other options.
+            out: table to write.
+            name: of the table, unless `out` states another.
+            plot: picture to write.
+        """
+        options = Fleet(fleet)
+        stated = (agents,) if isinstance(agents, int) else tuple(agents or ())
+        options.config(max(stated, default=1))  # refuses what makes no simulation
+        self._table = place(out, f"{name}.csv", (".csv",), layouts)
+        self._picture = None
+        if plot not in (None, AUTO):
+            self._picture = place(plot, f"{name}.png", PICTURES, layouts)
+        elif self._table is not None:
+            self._picture = self._table.beside(".png")
+            if out == AUTO:  # it may replace no file that nobody named
+                self._picture = place(AUTO, self._picture.path.name, PICTURES)
+        plans = _read_plans(layouts, options.domain)
+        first, drawn = next(iter(plans.values())), [plan.layout for plan in plans.values()]
+        usual = usual_fleet(first.domain, drawn, max(stated, default=None), options.timesteps)
+        begin, end, step = (round(one * usual.agents / AGENTS) for one in default)
+        counts = stated or tuple(range(begin, end + 1, step))
+        config = options.config(max(counts), usual.timesteps)
+        self.layouts = {name: plan.layout for name, plan in plans.items()}
+        self.trial = studies.Trial(first.domain.simulator.tasks, config, counts, options.seeds)
+        self._per_hour = options.per_hour
+        self._settings = options.settings(usual.timesteps) | {
+            "agents": list(counts),
+            "layouts": dict(zip(plans, map(name_of, layouts), strict=True)),
+        }
+        written, steps = ",".join(map(str, counts)), {b - a for a, b in pairwise(counts)}
+        if len(counts) > 2 and len(steps) == 1:
+            written = f"{counts[0]}:{counts[-1]}:{steps.pop()}"
+        # Columns fit the names of the layouts.
+        self._width = max(6, *map(len, plans))
+        hour = "  tasks/hour" if self._per_hour else ""
+        head = "  size     agents  throughput (s.e.)  success (95 %)    mean of all"
+        lines = [options.describe(written, usual.timesteps, first), usual.said]
+        self._head = [*filter(None, lines), f"{'layout':{self._width}}{head}{hour}"]
 
-def _prepare(
-    layouts: Sequence[Any],
-    agents: Any,
-    default: tuple[int, ...],
-    fleet: Mapping[str, Any],
-    files: tuple[Any, str, Any],
-) -> _Case:
-    """Check everything before anything is simulated.
+    def show(self, row: Row) -> None:
+        """Log a row, the first one below a head."""
+        size, error = f"{row.rows}x{row.cols}", f"({row.standard_error:.3f})"
+        bounds = f"({row.success_low:.0%} to {row.success_high:.0%})"
+        tasks = f"  {row.mean_of_all * self._per_hour:10,.0f}" if self._per_hour else ""
+        say(
+            *self._head,
+            f"{row.layout:{self._width}}  {size:8} {row.agents:6}  {row.throughput:8.3f} {error:8} "
+            f" {row.success_rate:4.0%} {bounds:14} {row.mean_of_all:9.3f}{tasks}",
+        )
+        self._head = []
 
-    Args:
-        layouts: layout files, or layouts of another form.
-        agents: a number of agents, or several; None for `default`.
-        default: first, last and step of the numbers of agents, on layouts for which 200 are usual.
-        fleet: the other options.
-        files: the table, its default name, and the picture.
-    """
-    options, (out, default_name, plot) = Fleet(fleet), files
-    stated = (agents,) if isinstance(agents, int) else tuple(agents or ())
-    options.config(max(stated, default=1))  # refuses what makes no simulation
-    table = None if out is None else place(out, default_name, (".csv",), layouts)
-    picture = None
-    if plot not in (None, AUTO):
-        picture = place(plot, default_name, PICTURES, layouts)
-    elif table is not None:
-        named = out != AUTO
-        picture = table.beside(".png") if named else place(AUTO, f"{table.path.stem}.png", PICTURES)
-    plans = _read_plans(layouts, options.domain)
-    first, drawn = next(iter(plans.values())), [plan.layout for plan in plans.values()]
-    largest = max(stated, default=None)
-    usual, timesteps, note = usual_fleet(first.domain, drawn, largest, options.timesteps)
-    begin, end, step = (round(one * usual / AGENTS) for one in default)
-    counts = stated or tuple(range(begin, end + 1, step))
-    config = options.config(max(counts), timesteps)
-    trial = studies.Trial(first.domain.simulator.tasks, config, counts, options.seeds)
-    settings = options.settings(timesteps) | {"agents": list(counts)}
-    settings["layouts"] = dict(zip(plans, map(name_of, layouts), strict=True))
-    lines = [options.describe(_describe_counts(counts), timesteps, first), note]
-    return _Case(
-        {name: plan.layout for name, plan in plans.items()},
-        trial,
-        options.per_hour,
-        table,
-        picture,
-        settings,
-        [line for line in lines if line],
-    )
+    def describe_peak(self, peak: Peak) -> str:
+        """Return in a line how much a layout moves at most."""
+        per_hour = self._per_hour
+        hour = f" ({peak.throughput * per_hour:,.0f} per hour)" if per_hour else ""
+        end = "" if peak.dropped else ", still rising at the last number of agents: try more"
+        return (
+            f"{peak.layout}: peak {peak.throughput:.3f} tasks per timestep{hour} "
+            f"at {peak.agents} agents{end}"
+        )
+
+    def finish(
+        self,
+        rows: Sequence[Row],
+        width: float | None,
+        facts: Mapping[str, Any],
+        columns: Mapping[str, Sequence[Any]] | None = None,
+        peaks: Sequence[Peak] = (),
+    ) -> Table:
+        """Write the table and the picture, warn of jams that build up, collect the facts.
+
+        Args:
+            rows: of the table.
+            width: of the picture in inches.
+            facts: beyond the rows.
+            columns: of the table, beyond those of its rows.
+            peaks: to draw how layouts scale; without any, layouts are drawn side by side.
+        """
+        columns = dict(columns or {})
+        if self._per_hour:
+            columns["tasks_per_hour"] = [row.mean_of_all * self._per_hour for row in rows]
+        if self._table:
+            write_rows(self._table.path, rows, columns)
+        if self._picture:
+            from qdenv.view.studies import draw_comparison, draw_peaks  # imports matplotlib
+            from qdenv.view.style import save_figure
+
+            size = width or PAGE
+            figure = draw_peaks(rows, peaks, size) if peaks else draw_comparison(rows, size)
+            save_figure(figure, self._picture.path)
+        for row in [row for row in rows if row.fading > FADING][:_MOST_WARNINGS]:
+            say(
+                f"{row.layout}: with {row.agents} agents a jam builds up, throughput falls by "
+                f"{row.fading:.0%} with time: more timesteps show where that ends"
+            )
+        if written := ", ".join(str(one) for one in (self._table, self._picture) if one):
+            say(written)
+        lines = [
+            row._asdict() | {name: values[number] for name, values in columns.items()}
+            for number, row in enumerate(rows)
+        ]
+        return Table(rows, {**facts, "rows": lines, "settings": self._settings})
 
 
 def _read_plans(layouts: Sequence[Any], domain: str | None) -> dict[str, Plan]:
@@ -220,10 +287,9 @@ def _read_plans(layouts: Sequence[Any], domain: str | None) -> dict[str, Plan]:
     if not layouts:
         raise InputError("give at least one layout file")
     plans = [read_plan(layout, domain) for layout in layouts]
-    kinds = {plan.domain.name for plan in plans}
+    kinds = list(dict.fromkeys(plan.domain.name for plan in plans))
     if len(kinds) > 1:
-        names = " and ".join(dict.fromkeys(plan.domain.name for plan in plans))
-        raise InputError(f"these are layouts of {names}: put one domain side by side")
+        raise InputError(f"these are layouts of {' and '.join(kinds)}: put one domain side by side")
     brief, long = Counter(plan.name for plan in plans), Counter(map(name_of, layouts))
     named = {}
     for number, (plan, layout) in enumerate(zip(plans, layouts, strict=True), start=1):
@@ -233,93 +299,3 @@ def _read_plans(layouts: Sequence[Any], domain: str | None) -> dict[str, Plan]:
             name = own if isinstance(layout, str | Path) and long[own] == 1 else f"{name} {number}"
         named[name] = plan
     return named
-
-
-def _describe_counts(counts: Sequence[int]) -> str:
-    steps = {b - a for a, b in pairwise(counts)}
-    if len(counts) > 2 and len(steps) == 1:
-        return f"{counts[0]}:{counts[-1]}:{steps.pop()}"
-    return ",".join(map(str, counts))
-
-
-def _row_printer(case: _Case) -> Callable[[Row], None]:
-    """Log each row as it comes, below a head; columns fit the names."""
-    width = max(6, *(len(name) for name in case.layouts))
-    hour = "  tasks/hour" if case.per_hour else ""
-    head = f"{'layout':{width}}  size     agents  throughput (s.e.)  success (95 %)    mean of all"
-    lines = [*case.description, head + hour]
-
-    def show(row: Row) -> None:
-        size, error = f"{row.rows}x{row.cols}", f"({row.standard_error:.3f})"
-        bounds = f"({row.success_low:.0%} to {row.success_high:.0%})"
-        tasks = f"  {row.mean_of_all * case.per_hour:10,.0f}" if case.per_hour else ""
-        say(
-            *lines,
-            f"{row.layout:{width}}  {size:8} {row.agents:6}  {row.throughput:8.3f} {error:8} "
-            f" {row.success_rate:4.0%} {bounds:14} {row.mean_of_all:9.3f}{tasks}",
-        )
-        lines.clear()
-
-    return show
-
-
-def _finish(
-    case: _Case,
-    rows: Sequence[Row],
-    width: float | None,
-    facts: dict[str, Any],
-    columns: Mapping[str, Sequence[Any]] | None = None,
-    peaks: Sequence[Peak] = (),
-) -> Table:
-    """Write the table and the picture of a study, warn of jams that build up, collect the facts.
-
-    Args:
-        case: what was simulated.
-        rows: of the table.
-        width: of the picture in inches.
-        facts: beyond the rows.
-        columns: of the table, beyond those of its rows.
-        peaks: to draw how layouts scale; without any, layouts are drawn side by side.
-    """
-    columns = dict(columns or {})
-    if case.per_hour:
-        columns["tasks_per_hour"] = [row.mean_of_all * case.per_hour for row in rows]
-    if case.table:
-        write_rows(case.table.path, rows, columns)
-    if case.picture:
-        from qdenv.view.studies import draw_comparison, draw_peaks  # imports matplotlib
-        from qdenv.view.style import save_figure
-
-        size = {} if width is None else {"width": width}
-        figure = draw_peaks(rows, peaks, **size) if peaks else draw_comparison(rows, **size)
-        save_figure(figure, case.picture.path)
-    for row in [row for row in rows if row.fading > FADING][:_MOST_WARNINGS]:
-        say(
-            f"{row.layout}: with {row.agents} agents a jam builds up, throughput falls by "
-            f"{row.fading:.0%} with time: more timesteps show where that ends"
-        )
-    if case.table or case.picture:
-        say(", ".join(str(one) for one in (case.table, case.picture) if one))
-    lines = [
-        row._asdict() | {name: values[number] for name, values in columns.items()}
-        for number, row in enumerate(rows)
-    ]
-    return Table(rows, {**facts, "rows": lines, "settings": case.settings})
-
-
-def _describe_peak(peak: Peak, per_hour: float | None) -> str:
-    hour = f" ({peak.throughput * per_hour:,.0f} per hour)" if per_hour else ""
-    end = "" if peak.dropped else ", still rising at the last number of agents: try more"
-    return (
-        f"{peak.layout}: peak {peak.throughput:.3f} tasks per timestep{hour} "
-        f"at {peak.agents} agents{end}"
-    )
-
-
-def _describe_difference(difference: Difference) -> str:
-    """Describe how much more or less a layout moves, and whether that may be chance."""
-    percent, low, high, significant = difference
-    if np.isnan(low):
-        return f"{percent:+.1f} % (too few runs for an interval)"
-    sure = "significant" if significant else "may be chance"
-    return f"{percent:+.1f} % ({low:+.1f} to {high:+.1f}), {sure}"

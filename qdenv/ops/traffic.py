@@ -19,8 +19,7 @@ from qdenv.ops.options import (
     read_plan,
     stem_of,
 )
-from qdenv.ops.output import PICTURES, format_table, place, say
-from qdenv.ops.results import Facts
+from qdenv.ops.output import PICTURES, Facts, format_table, place, say
 from qdenv.progress import Bar
 from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.study import table as studies
@@ -50,7 +49,7 @@ def simulate_layout(
         verdict: simulate a few runs with fewer and with more agents as well, to find whether this
             number flows, is near capacity, past its peak or congested.
         plot: picture of where agents wait, drive and finish tasks, and of throughput over time.
-        width: of the picture: column or page of a journal, or inches; 10 inches unless given.
+        width: of the picture in inches.
         **fleet: see `FleetOptions`.
 
     Returns:
@@ -61,7 +60,7 @@ def simulate_layout(
     """
     if width and not plot:
         raise InputError(f"--width {width:g} is the picture's: add --plot")
-    picture = plot and place(plot, f"{stem_of(layout)}_traffic.png", PICTURES, [layout])
+    picture = place(plot, f"{stem_of(layout)}_traffic.png", PICTURES, [layout])
     options = Fleet(fleet)
     plan, name = read_plan(layout, options.domain), name_of(layout)
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
@@ -81,29 +80,32 @@ def simulate_layout(
             facts["tasks_per_hour"] = facts["mean_of_all"] * options.per_hour
         return facts
 
+    head = [options.describe(str(usual.agents), usual.timesteps, plan), usual.said]
     with studies.about(name), Bar("simulating") as bar:
-
-        def show_numbers(study: Study) -> None:
-            head = options.describe(str(config.agents), timesteps, plan)
-            say(head, *[note] * bool(note), *_numbers(facts_with(study)))
-
-        maps = audit or picture is not None
         study = examine(
-            plan, config, options.seeds, audit, maps, verdict, bar, on_runs=show_numbers
+            plan.layout,
+            tasks,
+            config,
+            options.seeds,
+            Wanted(audit, maps=audit or picture is not None, verdict=verdict),
+            bar,
+            # The numbers are logged before the runs that the verdict takes.
+            lambda study: say(*filter(None, head), *_numbers(facts_with(study))),
         )
-    facts = facts_with(study)
+    facts, judgement = facts_with(study), ""
     if "verdict" in facts:
+        judgement = f": {facts['verdict']}, {facts['verdict_reason']}"
         say(f"verdict      {facts['verdict']}: {facts['verdict_reason']}")
     say(*_jams(facts, plan))
     if picture:
         from qdenv.view.style import name_of as title_of  # imports matplotlib
         from qdenv.view.style import save_figure
         from qdenv.view.traffic import draw_traffic, scene_of
+        from qdenv.view.widths import SCREEN
 
-        judged = f": {facts['verdict']}, {facts['verdict_reason']}" if "verdict" in facts else ""
-        title = f"{title_of(plan.name)}, {facts['agents']} agents{judged}"
-        size = {} if width is None else {"width": width}
-        save_figure(draw_traffic(scene_of(plan, study, title, facts["stop"]), **size), picture.path)
+        title = f"{title_of(plan.name)}, {usual.agents} agents{judgement}"
+        scene = scene_of(plan, study, title, options.stop)
+        save_figure(draw_traffic(scene, width or SCREEN), picture.path)
         say(picture)
     return Facts(facts | {"settings": options.settings(timesteps)})
 
@@ -147,21 +149,12 @@ def _jams(facts: Mapping[str, Any], plan: Plan) -> list[str]:
     if not facts["worst_cells"]:
         return lines
     names = [plan.domain.names.get(tile, repr(tile)) for tile in plan.domain.tiles]
-    head = ("rank", "row", "column", "tile", "of all waiting", "an agent waits", "per visit")
-    rows = [
-        (
-            rank,
-            spot["row"],
-            spot["column"],
-            names[spot["tile"]],
-            f"{spot['share']:.2%}",
-            f"{spot['waiting']:.0%} of time",
-            f"{spot['wait_per_visit']:3.1f} steps",
-        )
-        for rank, spot in enumerate(facts["worst_cells"], 1)
-    ]
-    return [
-        *lines,
-        "the cells with the most waiting; rows and columns are counted from 0 at the top left:",
-        *format_table([head, *rows]),
-    ]
+    table = [("rank", "row", "column", "tile", "of all waiting", "an agent waits", "per visit")]
+    for rank, spot in enumerate(facts["worst_cells"], 1):
+        share, waiting = f"{spot['share']:.2%}", f"{spot['waiting']:.0%} of time"
+        cell = (str(rank), str(spot["row"]), str(spot["column"]), names[spot["tile"]])
+        table.append((*cell, share, waiting, f"{spot['wait_per_visit']:3.1f} steps"))
+    lines.append(
+        "the cells with the most waiting; rows and columns are counted from 0 at the top left:"
+    )
+    return lines + format_table(table)
