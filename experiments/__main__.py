@@ -23,7 +23,7 @@ from experiments.machines import at_work
 from experiments.pieces import RESULTS, Experiment, Folders
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_atomically
-from qdenv.ops.searches import format_duration
+from qdenv.ops.output import format_duration
 from qdenv.run.executors.base import Execution, ExecutorName
 from qdenv.types import InputError
 from qdenv.view.style import save_figure, styled

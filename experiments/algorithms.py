@@ -25,7 +25,7 @@ import qdenv
 from experiments.published import TABLE_4
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
-from qdenv.ops.searches import format_duration
+from qdenv.ops.output import format_duration
 from qdenv.run.config import RunConfig, choose_algorithm
 from qdenv.stats import margin, sample_of
 from qdenv.view.style import new_figure, save_figure, styled

@@ -28,12 +28,12 @@ from typing import Any
 # Public names by module. Each is imported when it is first used: `import qdenv` alone is instant.
 _NAMES = {
     # Operations, which are commands as well.
-    "qdenv.ops.agents": "train_agent evaluate_agent convert_agent",
+    "qdenv.ops.networks": "train_agent evaluate_agent convert_agent fit_surrogate",
     "qdenv.ops.layouts": "render check repair_layout human_layout tile_layout make_environment",
     "qdenv.ops.options": "read_plan",
     "qdenv.ops.output": "Layout",
     "qdenv.ops.pages": "replay explore report",
-    "qdenv.ops.runs": "plot generate_layout series export fit_surrogate",
+    "qdenv.ops.runs": "plot generate_layout series export",
     "qdenv.ops.searches": "presets train resume zoo",
     "qdenv.ops.studies": "sweep compare scalability",
     "qdenv.ops.traffic": "simulate_layout",

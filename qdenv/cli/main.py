@@ -50,10 +50,10 @@ COMMANDS = {
     "series": "qdenv.ops.runs:series",
     "explore": "qdenv.ops.pages:explore",
     "export": "qdenv.ops.runs:export",
-    "surrogate": "qdenv.ops.runs:fit_surrogate",
-    "train-agent": "qdenv.ops.agents:train_agent",
-    "evaluate-agent": "qdenv.ops.agents:evaluate_agent",
-    "convert-agent": "qdenv.ops.agents:convert_agent",
+    "surrogate": "qdenv.ops.networks:fit_surrogate",
+    "train-agent": "qdenv.ops.networks:train_agent",
+    "evaluate-agent": "qdenv.ops.networks:evaluate_agent",
+    "convert-agent": "qdenv.ops.networks:convert_agent",
     "completion": "qdenv.cli.completion:completion",
 }
 _PICTURE_OPTIONS = ("--plot", "--gif", "--mp4")  # options whose value may be left out

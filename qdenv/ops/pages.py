@@ -23,8 +23,7 @@ from qdenv.ops.options import (
     read_plan,
     stem_of,
 )
-from qdenv.ops.output import place, say
-from qdenv.ops.searches import format_duration
+from qdenv.ops.output import format_duration, place, say
 from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
 from qdenv.run.directory import RunDirectory

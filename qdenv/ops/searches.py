@@ -18,7 +18,7 @@ from qdenv.agent.settings import TrainConfig
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
 from qdenv.io.files import write_json
 from qdenv.io.records import read_json
-from qdenv.ops.agents import train_agent
+from qdenv.ops.networks import train_agent
 from qdenv.ops.options import OnCommandLine, Picture, PresetOptions, Run, option
 from qdenv.ops.output import PICTURES, Facts, format_duration, format_table, place, say
 from qdenv.ops.runs import plot_one

@@ -196,14 +196,15 @@ class _Study:
                 self._picture = place(AUTO, self._picture.path.name, PICTURES)
         plans = _read_plans(layouts, options.domain)
         first, drawn = next(iter(plans.values())), [plan.layout for plan in plans.values()]
-        usual = usual_fleet(first.domain, drawn, max(stated, default=None), options.timesteps)
-        begin, end, step = (round(one * usual.agents / AGENTS) for one in default)
+        largest = max(stated, default=None)
+        usual, timesteps, note = usual_fleet(first.domain, drawn, largest, options.timesteps)
+        begin, end, step = (round(one * usual / AGENTS) for one in default)
         counts = stated or tuple(range(begin, end + 1, step))
-        config = options.config(max(counts), usual.timesteps)
+        config = options.config(max(counts), timesteps)
         self.layouts = {name: plan.layout for name, plan in plans.items()}
         self.trial = studies.Trial(first.domain.simulator.tasks, config, counts, options.seeds)
         self._per_hour = options.per_hour
-        self._settings = options.settings(usual.timesteps) | {
+        self._settings = options.settings(timesteps) | {
             "agents": list(counts),
             "layouts": dict(zip(plans, map(name_of, layouts), strict=True)),
         }
@@ -214,7 +215,7 @@ class _Study:
         self._width = max(6, *map(len, plans))
         hour = "  tasks/hour" if self._per_hour else ""
         head = "  size     agents  throughput (s.e.)  success (95 %)    mean of all"
-        lines = [options.describe(written, usual.timesteps, first), usual.said]
+        lines = [options.describe(written, timesteps, first), note]
         self._head = [*filter(None, lines), f"{'layout':{self._width}}{head}{hour}"]
 
     def show(self, row: Row) -> None:

@@ -80,17 +80,19 @@ def simulate_layout(
             facts["tasks_per_hour"] = facts["mean_of_all"] * options.per_hour
         return facts
 
-    head = [options.describe(str(usual.agents), usual.timesteps, plan), usual.said]
+    maps = audit or picture is not None
+    head = [options.describe(str(agents), timesteps, plan), note]
     with studies.about(name), Bar("simulating") as bar:
         study = examine(
-            plan.layout,
-            tasks,
+            plan,
             config,
             options.seeds,
-            Wanted(audit, maps=audit or picture is not None, verdict=verdict),
+            audit,
+            maps,
+            verdict,
             bar,
             # The numbers are logged before the runs that the verdict takes.
-            lambda study: say(*filter(None, head), *_numbers(facts_with(study))),
+            on_runs=lambda study: say(*filter(None, head), *_numbers(facts_with(study))),
         )
     facts, judgement = facts_with(study), ""
     if "verdict" in facts:
@@ -103,7 +105,7 @@ def simulate_layout(
         from qdenv.view.traffic import draw_traffic, scene_of
         from qdenv.view.widths import SCREEN
 
-        title = f"{title_of(plan.name)}, {usual.agents} agents{judgement}"
+        title = f"{title_of(plan.name)}, {agents} agents{judgement}"
         scene = scene_of(plan, study, title, options.stop)
         save_figure(draw_traffic(scene, width or SCREEN), picture.path)
         say(picture)
