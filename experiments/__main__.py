@@ -24,7 +24,7 @@ from experiments.pieces import RESULTS, Experiment, Folders
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_atomically
 from qdenv.ops.output import format_duration
-from qdenv.run.executors.base import Execution, ExecutorName
+from qdenv.run.executors import Execution, ExecutorName
 from qdenv.types import InputError
 from qdenv.view.style import save_figure, styled
 

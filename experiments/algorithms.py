@@ -68,7 +68,7 @@ def run_of(config: RunConfig, path: Path) -> qdenv.RunDirectory:
 def entropies_of(run: qdenv.RunDirectory) -> np.ndarray:
     """Describe the entropy of a run's elites, float [3]; NaN where it is no measure."""
     found = [place for place, axis in enumerate(run.measures) if "entropy" in axis.name]
-    values = run.load_archive()["measures"][:, found].ravel()
+    values = run.archive.columns["measures"][:, found].ravel()
     if not len(values):
         return np.full(len(ENTROPY), np.nan)
     return np.array([values.mean(), values.min(), (values < 0.5).mean()])

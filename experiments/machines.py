@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from qdenv.run.executors.base import Execution, connected
+from qdenv.run.executors import Execution
 from qdenv.study.ledger import SimulateAll, handed_to, one_by_one
 
 
@@ -28,6 +28,6 @@ def at_work(execution: Execution) -> Iterator[Machines]:
     if execution.executor == "threads":
         yield HERE._replace(execution=execution)
         return
-    with connected(execution) as client:
+    with execution.connect() as client:
         address = client.scheduler_info()["address"]
         yield Machines(Execution("dask", scheduler=address), handed_to(client))

@@ -139,7 +139,7 @@ def summarise(run: RunDirectory, target: Path) -> None:
         run: with an archive.
         target: folder to write; what it held is replaced.
     """
-    columns = run.load_archive()
+    columns = run.archive.columns
     names = [measure.name for measure in run.measures]
     kept = {"cell": columns["index"], "objective": columns["objective"]}
     kept |= dict(zip(names, columns["measures"].T, strict=True))

@@ -27,6 +27,7 @@ from experiments.growing import Cell, Measuring, Workshop
 from experiments.zoo_rules import RULES, Rule
 from qdenv.cli.parser import run_program
 from qdenv.domains.base import DOMAINS
+from qdenv.io.arrays import write_arrays
 from qdenv.io.files import write_json
 from qdenv.io.records import read_json
 from qdenv.presets import PRESETS
@@ -123,7 +124,8 @@ def write(
         shutil.copyfile(run.path / name, folder / name)
     places = [int(np.ravel_multi_index(one.cell, archive.shape)) for one in found]
     rows = [int(np.flatnonzero(archive.columns["index"] == place)[0]) for place in places]
-    RunDirectory(folder).save_archive({name: one[rows] for name, one in archive.columns.items()})
+    columns = {name: one[rows] for name, one in archive.columns.items()}
+    write_arrays(folder / "archive.npz", columns, compressed=True)
     write_json(folder / TABLE, to_json(folder.name, origin, found))
 
 

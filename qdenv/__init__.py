@@ -45,7 +45,7 @@ _NAMES = {
     "qdenv.repair.audit": "audit",
     "qdenv.run.config": "RunConfig",
     "qdenv.run.directory": "RunDirectory",
-    "qdenv.run.loop": "make_experiment make_iteration",
+    "qdenv.run.experiment": "make_experiment make_iteration",
     "qdenv.settings": "EvaluationConfig",
     "qdenv.study.elites": "grow_elite",
     # Plug-ins: a domain, a planner, a generator, an algorithm.

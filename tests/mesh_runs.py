@@ -13,6 +13,7 @@ from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.generate import NcaConfig
 from qdenv.run import loop
 from qdenv.run.config import RunConfig
+from qdenv.run.experiment import make_experiment, make_iteration
 from qdenv.search.export import elites
 from qdenv.search.settings import CmaMaeConfig
 from qdenv.settings import EvaluationConfig
@@ -48,8 +49,8 @@ def make_runs(folder: Path) -> None:
     """Search both domains, and iterate the garden under jit, whole."""
     loop.train(FLEET, folder / "fleet", progress=False)
     loop.train(MAZE, folder / "maze", progress=False)
-    experiment = loop.make_experiment(replace(toy.CONFIG, seed=3))
-    iterate = jax.jit(loop.make_iteration(experiment))
+    experiment = make_experiment(replace(toy.CONFIG, seed=3))
+    iterate = jax.jit(make_iteration(experiment))
     state = experiment.algorithm.init(experiment.search_key)
     for number in (1, 2, 3):
         state = iterate(state, np.int32(number))

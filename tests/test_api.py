@@ -172,7 +172,7 @@ def test_train_takes_a_name_and_overrides(tmp_path):
 
 def test_an_archive_is_asked_by_cell_and_by_measures(run):
     archive = run.archive
-    columns = run.load_archive()
+    columns = run.archive.columns
     assert len(archive) == len(columns["index"]) > 4 and archive.shape == (10, 6)
     assert archive.coverage == len(archive) / 60
     assert archive.qd_score == pytest.approx(run.read_metrics()[-1].qd_score, rel=1e-5)

@@ -142,7 +142,7 @@ def run_config(name, tmp_path):
 def test_a_search_and_what_it_grows_keep_every_cell(name, tmp_path, capsys):
     drawing = DRAWINGS[name]
     run = loop.train(run_config(name, tmp_path), tmp_path / "run", progress=False)
-    archive = run.load_archive()
+    archive = run.archive.columns
     assert len(archive["repaired"]) > 0
     for layout in archive["repaired"]:
         assert holds(draw(layout, run.tiles), drawing)

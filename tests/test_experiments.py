@@ -111,7 +111,7 @@ def test_algorithms_averages_seeds_draws_and_goes_on(preset, tmp_path, capsys):
             # The 97.5 % point of Student's t with one degree of freedom is 12.706.
             margin = 12.7062 * pair.std(ddof=1) / np.sqrt(2)
             assert float(row[f"{metric}_margin"]) == pytest.approx(margin, rel=1e-4, abs=1e-6)
-        elites = [run.load_archive()["measures"][:, 1] for run in runs[row["algorithm"]]]
+        elites = [run.archive.columns["measures"][:, 1] for run in runs[row["algorithm"]]]
         lowest = np.mean([values.min() for values in elites])
         assert float(row["lowest_entropy"]) == pytest.approx(lowest, rel=1e-5)
         assert f"{row['algorithm']:11}  {float(row['qd_score']):.1f} +- " in said

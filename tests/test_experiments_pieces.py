@@ -60,7 +60,7 @@ def test_what_ships_is_redrawn_to_the_tables_that_ship(tmp_path):
 
 def test_a_summary_holds_the_numbers_of_the_archive(small_run, tmp_path):
     summarise(small_run, tmp_path / "kept")
-    kept, columns = read_summary(tmp_path / "kept"), small_run.load_archive()
+    kept, columns = read_summary(tmp_path / "kept"), small_run.archive.columns
     order = np.argsort(columns["index"])
     assert kept.config == small_run.config and kept.measures == small_run.measures
     assert kept.metrics == small_run.read_metrics() and kept.whole
@@ -107,7 +107,7 @@ def test_tables_and_pictures_of_archives_say_what_is_run_and_what_not(folders, s
     assert own[8] == "20,366 ± 653, 0.33" and float(own[9]) == round(last.qd_score / 20366, 2)
     absent = [line for line in lines if "not run" in line]
     assert len(absent) == len(TABLE_4) - 1
-    regular = (small_run.load_archive()["measures"][:, 1] < 0.5).sum()
+    regular = (small_run.archive.columns["measures"][:, 1] < 0.5).sum()
     row = [cell.strip() for cell in figure_16.draw(folders).lines[2].split("|")]
     assert row[1:6] == ["warehouse-even", "5", "6", str(round(25 * last.coverage)), str(regular)]
     for script in (figure_16, figure_20, figure_21):

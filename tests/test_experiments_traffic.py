@@ -32,13 +32,13 @@ from qdenv.domains.base import find_domain, make_domain
 from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.generate import GENERATORS
 from qdenv.grid import draw as draw_rows
+from qdenv.io.arrays import write_arrays
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
 from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, canvas_of
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
-from qdenv.run.manifest import archive_schema
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.simulate.maze.world import longest_path
 from qdenv.stats import wilson_interval
@@ -368,14 +368,15 @@ def test_a_runtime_is_that_of_the_repair_that_other_commands_make(folders, tmp_p
     )
     config = RunConfig(evaluation=evaluation, seed=1)
     domain = make_domain(evaluation.domain)
-    run = RunDirectory.create(tmp_path / "run", config, archive_schema(domain, domain.measures))
+    run = RunDirectory.create(tmp_path / "run", config, domain.measures)
     solution = np.random.default_rng(1).normal(
         0, 0.6, GENERATORS.make(evaluation.generator, canvas_of(domain)).size
     )
     layout = np.zeros((1, 11, 12), np.int8)
-    run.save_archive(
+    write_arrays(
+        run.path / "archive.npz",
         {"index": np.array([0]), "solution": solution[None].astype(np.float32), "repaired": layout}
-        | {"objective": np.ones(1, np.float32), "measures": np.array([[141.0, 0.01]])}
+        | {"objective": np.ones(1, np.float32), "measures": np.array([[141.0, 0.01]])},
     )
     monkeypatch.setattr(runtimes.RunDirectory, "open", lambda path: run)
     saved = SavedRuntime("warehouse-even", (14, 13), seeds=1)

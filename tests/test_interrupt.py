@@ -117,7 +117,7 @@ RUN = """
 import sys
 from qdenv import interrupt
 from qdenv.cli import main as cli
-from qdenv.run.publish import Publisher
+from qdenv.run.loop import Publisher
 
 interrupt.watch()
 Publisher.has_time = False

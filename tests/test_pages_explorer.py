@@ -36,7 +36,7 @@ def changed_run(run: RunDirectory, folder, manifest=None, config=None, columns=N
             change(content)
             (folder / name).write_text(json.dumps(content))
     if columns:
-        write_arrays(folder / "archive.npz", columns(run.load_archive()), compressed=True)
+        write_arrays(folder / "archive.npz", columns(run.archive.columns), compressed=True)
     return RunDirectory.open(folder)
 
 
@@ -97,7 +97,7 @@ def painted(layout, page):
 
 
 def test_every_layout_before_and_after_the_repair_is_the_archives(shown, small_run):
-    columns = small_run.load_archive()
+    columns = small_run.archive.columns
     for row in range(len(columns["index"])):
         script = f"layoutsOf({row}).then(({{repaired, drawn}}) => [[...repaired], [...drawn]])"
         repaired, drawn = shown.evaluate(script)
@@ -106,7 +106,7 @@ def test_every_layout_before_and_after_the_repair_is_the_archives(shown, small_r
 
 
 def test_every_elite_grows_frame_by_frame_into_what_the_run_drew(shown, small_run):
-    columns, config = small_run.load_archive(), small_run.config.evaluation
+    columns, config = small_run.archive.columns, small_run.config.evaluation
     domain = make_domain(config.domain)
     for row in range(len(columns["index"])):
         frames = shown.evaluate(f"growthOf({row}).then((frames) => frames.map((one) => [...one]))")
@@ -116,7 +116,7 @@ def test_every_elite_grows_frame_by_frame_into_what_the_run_drew(shown, small_ru
 
 
 def test_pointing_shows_an_elite_and_two_pins_stand_side_by_side(shown, small_run):
-    columns = small_run.load_archive()
+    columns = small_run.archive.columns
     best = int(columns["objective"].argmax())
     first, second = [row for row in range(len(columns["index"])) if row != best][:2]
     wait_for_card(shown, 0, best)
@@ -140,7 +140,7 @@ def test_pointing_shows_an_elite_and_two_pins_stand_side_by_side(shown, small_ru
 
 
 def test_the_table_holds_the_numbers_of_the_archive(shown, small_run):
-    columns = small_run.load_archive()
+    columns = small_run.archive.columns
     best, other = np.argsort(-columns["objective"])[:2].tolist()
     point(shown, other)
     wait_for_card(shown, 1, other)
@@ -165,7 +165,7 @@ def test_the_table_holds_the_numbers_of_the_archive(shown, small_run):
 
 
 def test_the_selector_colours_the_map_by_another_column(shown, small_run):
-    columns = small_run.load_archive()
+    columns = small_run.archive.columns
     offered = shown.eval_on_selector_all("#colour option", "all => all.map((one) => one.text)")
     assert offered[0] == "throughput [tasks per timestep]" and len(set(offered)) == len(offered)
 
@@ -337,7 +337,7 @@ def test_the_first_of_a_spread_lie_in_all_corners():
 
 def test_a_generator_that_tells_only_how_it_ends_grows_frame_by_frame_too(small_run, monkeypatch):
     config = small_run.config.evaluation
-    domain, solutions = make_domain(config.domain), small_run.load_archive()["solution"][:2]
+    domain, solutions = make_domain(config.domain), small_run.archive.columns["solution"][:2]
     steps, grow = make_grower(config, domain)
     whole = grow(solutions)
     from qdenv.generate import GENERATORS

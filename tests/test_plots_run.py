@@ -62,29 +62,29 @@ def maze(tmp_path_factory) -> RunDirectory:
 
 
 def test_the_best_maze_is_the_solvable_one_with_the_longest_way(maze):
-    columns = maze.load_archive()
+    columns = maze.archive.columns
     ways = [int(longest_path(layout).length) for layout in columns["repaired"]]
     assert len(ways) > 2 and max(ways) > min(ways)
     assert (columns["objective"] == 1).sum() > 1
     best = maze.best
     assert best.objective == 1
     assert int(longest_path(best.layout).length) == max(ways)
-    np.testing.assert_array_equal(maze.read_best_layout().layout, best.layout)
+    np.testing.assert_array_equal(maze.read_best_layout()[0], best.layout)
 
 
 def test_the_best_maze_is_drawn_with_the_simulators_start_and_goal(maze):
-    best = maze.read_best_layout()
-    course = longest_path(best.layout)
-    width = best.layout.shape[1]
-    assert best.marks == {
+    layout, marks = maze.read_best_layout()
+    course = longest_path(layout)
+    width = layout.shape[1]
+    assert marks == {
         "start": divmod(int(course.start), width),
         "goal": divmod(int(course.goal), width),
     }
     axes = Figure().add_subplot()
     axes.set_ylim(8.5, -0.5)
-    draw_marks(axes, best.marks)
+    draw_marks(axes, marks)
     drawn = {tuple(marker.get_offsets()[0]) for marker in axes.collections}
-    assert drawn == {(column, row) for row, column in best.marks.values()}
+    assert drawn == {(column, row) for row, column in marks.values()}
     assert {text.get_text() for text in axes.texts} == {"start", "goal"}
 
 

@@ -10,8 +10,10 @@ import toy
 from scipy import stats
 
 from qdenv.cli.main import run as qdenv
+from qdenv.io.files import write_csv
 from qdenv.run import loop
 from qdenv.run.directory import RunDirectory
+from qdenv.run.log import METRICS, Metrics
 from qdenv.study.groups import band_of, group_runs, tell_apart
 from qdenv.types import InputError, Measure
 from qdenv.view.runs import ArchivePanel, draw_archives, draw_progress
@@ -30,7 +32,7 @@ def runs(tmp_path_factory) -> list[RunDirectory]:
         copies.append(RunDirectory(folder / f"b{seed}"))
         copies[-1].write_config(replace(first.config, seed=seed))
         rows = [row._replace(qd_score=row.qd_score + seed) for row in first.read_metrics()]
-        copies[-1].write_metrics(rows[: len(rows) - seed + 1])
+        write_csv(copies[-1].path / METRICS, Metrics._fields, rows[: len(rows) - seed + 1])
     shutil.copytree(first.path, folder / "c")
     other = RunDirectory(folder / "c")
     evaluation = replace(first.config.evaluation, alpha=first.config.evaluation.alpha + 1)

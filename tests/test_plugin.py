@@ -90,7 +90,7 @@ def test_commands_know_the_domain_the_planner_and_the_algorithm(command, tmp_pat
     assert (domain["name"], domain["trees"]) == ("orchard", 9)
     assert domain["fleet"]["planner"] == {"name": "turns", "noise": 2.5}
     assert config["algorithm"] == {"name": "mutate-best", "batch": 6, "sigma": 0.5}
-    archive = RunDirectory.open(path).load_archive()
+    archive = RunDirectory.open(path).archive.columns
     assert len(archive["index"]) >= 1
     assert ((archive["repaired"] == 1).sum(axis=(1, 2)) == 9).all()
 

@@ -15,6 +15,7 @@ from search_harness import compiled, extras_of, score_of
 from qdenv.run import evaluate_async, loop
 from qdenv.run.directory import RunDirectory
 from qdenv.run.evaluate_async import AsyncEvaluation, begin_search
+from qdenv.run.experiment import make_experiment, make_iteration
 from qdenv.search.base import Algorithm
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.settings import CmaEsConfig, MapElitesConfig
@@ -156,4 +157,4 @@ def test_map_elites_asks_ahead_too(tmp_path):
 
 def test_one_iteration_as_one_function_asks_nothing_ahead():
     with pytest.raises(InputError, match="leave ahead at 0"):
-        loop.make_iteration(loop.make_experiment(SHORT))
+        make_iteration(make_experiment(SHORT))

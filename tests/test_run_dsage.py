@@ -32,7 +32,7 @@ def test_a_resumed_search_with_a_surrogate_equals_an_uninterrupted_one(name, tmp
     half = dataclasses.replace(config, evaluations=24)
     train(half, tmp_path / "half", progress=False)
     again = resume(tmp_path / "half", progress=False, evaluations=40)
-    expected, found = whole.load_archive(), again.load_archive()
+    expected, found = whole.archive.columns, again.archive.columns
     assert expected.keys() == found.keys() and len(expected["index"]) > 3
     for column in expected:
         np.testing.assert_array_equal(found[column], expected[column])
@@ -57,12 +57,12 @@ def test_damaged_notes_are_one_line_and_stop_no_run(damage, tmp_path, caplog):
     with pytest.raises(InputError, match=r"notes\.csv: cannot be read"):
         read_notes(tmp_path / NOTES)
     assert read_notes(tmp_path / NOTES, salvage=True) == []
-    assert "the notes so far are lost" in caplog.text
+    assert "what follows row 0 is lost" in caplog.text
 
 
 def test_elites_of_dsage_are_the_tiles_that_were_evaluated(tmp_path):
     run = train(dataclasses.replace(SEARCHES["dsage"], evaluations=32), tmp_path, progress=False)
-    archive = run.load_archive()
+    archive = run.archive.columns
     assert set(np.unique(archive["solution"])) <= {0.0, 1.0, 2.0}
     drawn = archive["solution"].reshape(-1, 5, 6)
     np.testing.assert_array_equal(archive["unrepaired"], drawn)

@@ -12,11 +12,11 @@ from conftest import SMALL
 from qdenv.cli.main import run as qdenv
 from qdenv.domains.base import find_domain
 from qdenv.repair import pool as pools
-from qdenv.run import loop
+from qdenv.run import executors, loop
 from qdenv.run.directory import RunDirectory
-from qdenv.run.executors import base, dask, layouts
-from qdenv.run.executors.base import Execution
+from qdenv.run.executors import Execution, dask, layouts
 from qdenv.run.executors.dask import ClusterExecutor, WrongWorkerError, versions
+from qdenv.run.experiment import make_experiment
 from qdenv.study.ledger import Case, complete, handed_to, read_runs
 from qdenv.types import InputError, RepairStatus
 
@@ -227,14 +227,14 @@ def test_contradictions_are_refused(given, said):
 
 
 def test_an_address_where_nobody_answers_is_refused(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(base, "_ANSWER", 1)
+    monkeypatch.setattr(executors, "_ANSWER", 1)
     execution = Execution("dask", scheduler="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match="start `dask scheduler`"):
         loop.train(whole.config, tmp_path / "run", False, execution)
 
 
 def test_a_repair_that_ran_out_of_memory_is_tried_again(whole, monkeypatch):
-    domain = loop.make_experiment(whole.config).pipeline.domain
+    domain = make_experiment(whole.config).pipeline.domain
     layout, tries, original = whole.best.layout, [], pools.repair_layout
 
     def short_of_memory(*given):

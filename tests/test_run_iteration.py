@@ -11,7 +11,7 @@ from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
 from qdenv.run.executors.layouts import Threads
-from qdenv.run.problem import observed
+from qdenv.run.experiment import observed
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.export import elites
 from qdenv.simulate.mapf.fleet import FleetConfig

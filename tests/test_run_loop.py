@@ -21,6 +21,7 @@ from qdenv.registry import Entry
 from qdenv.run import loop
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors.layouts import Threads
+from qdenv.run.experiment import make_experiment, make_iteration, observed
 from qdenv.search.export import elites
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.types import InputError, RepairStatus
@@ -56,9 +57,9 @@ def test_jitted_scan_and_pipelined_loop_give_the_same_archive(finished):
 
     DOMAINS.register("counted garden", Entry(CountedGarden, counted))
     evaluation = replace(toy.CONFIG.evaluation, domain=CountedGarden())
-    experiment = loop.make_experiment(replace(toy.CONFIG, evaluation=evaluation))
+    experiment = make_experiment(replace(toy.CONFIG, evaluation=evaluation))
     state = experiment.algorithm.init(experiment.search_key)
-    iterate = loop.make_iteration(experiment)
+    iterate = make_iteration(experiment)
     before = len(traces)
     whole = jax.jit(
         lambda state: jax.lax.scan(lambda s, i: (iterate(s, i), None), state, np.arange(1, 7))[0]
@@ -66,7 +67,7 @@ def test_jitted_scan_and_pipelined_loop_give_the_same_archive(finished):
     state = whole(state)
     whole(state)
     assert len(traces) == before + 1
-    assert same(elites(experiment.algorithm.archive(state)), finished.load_archive())
+    assert same(elites(experiment.algorithm.archive(state)), finished.archive.columns)
 
     evaluator = PipelinedEvaluator(experiment.pipeline, Threads(experiment.pipeline))
     before = len(traces)
@@ -77,7 +78,7 @@ def test_jitted_scan_and_pipelined_loop_give_the_same_archive(finished):
 
 
 def test_an_evaluation_does_not_depend_on_its_batch():
-    experiment = loop.make_experiment(toy.CONFIG)
+    experiment = make_experiment(toy.CONFIG)
     parameters = jax.random.normal(jax.random.key(3), (8, experiment.pipeline.solution_size))
     key = jax.random.key(4)
     whole = jax.jit(lambda some: evaluate(experiment.pipeline, some, key))(parameters)
@@ -101,7 +102,7 @@ def test_resumed_run_ends_at_the_same_bits(finished, tmp_path):
     config = replace(toy.CONFIG, evaluations=24)
     loop.train(config, tmp_path / "half", progress=False)
     resumed = loop.resume(tmp_path / "half", False, toy.CONFIG.evaluations)
-    assert same(resumed.load_archive(), finished.load_archive())
+    assert same(resumed.archive.columns, finished.archive.columns)
     without_time = [row._replace(seconds=0) for row in resumed.read_metrics()]
     assert without_time == [row._replace(seconds=0) for row in finished.read_metrics()]
 
@@ -147,7 +148,7 @@ def test_killed_run_resumes_to_the_same_bits(where, finished, tmp_path):
     for file in theirs:
         file.write_text("theirs")
     resumed = loop.resume(path, progress=False)
-    assert same(resumed.load_archive(), finished.load_archive())
+    assert same(resumed.archive.columns, finished.archive.columns)
     assert {file for file in path.rglob(".*") if file.name != ".lock"} == theirs
 
 
@@ -166,7 +167,7 @@ def test_metrics_have_the_promised_columns_and_grow(finished):
 
 
 def test_archive_keeps_layouts_that_obey_the_rules(finished):
-    archive = finished.load_archive()
+    archive = finished.archive.columns
     assert archive["unrepaired"].shape == archive["repaired"].shape == (len(archive["index"]), 5, 6)
     assert ((archive["repaired"] == 2).sum(axis=(1, 2)) == 3).all()
     np.testing.assert_allclose(archive["seen"].mean(axis=1), archive["objective"], rtol=1e-6)
@@ -183,7 +184,7 @@ def test_failed_evaluations_enter_nothing():
     config = replace(
         toy.CONFIG, evaluation=replace(toy.CONFIG.evaluation, domain=toy.GardenConfig(hedges=40))
     )
-    experiment = loop.make_experiment(config)
+    experiment = make_experiment(config)
     state = experiment.algorithm.init(experiment.search_key)
     solutions, state = experiment.algorithm.ask(state)
     pipeline = experiment.pipeline
@@ -191,7 +192,7 @@ def test_failed_evaluations_enter_nothing():
     assert (np.asarray(evaluation.status) == RepairStatus.IMPOSSIBLE).all()
     assert not np.asarray(evaluation.score.success).any()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(evaluation.score))
-    state = experiment.algorithm.tell(state, solutions, evaluation.score, loop.observed(evaluation))
+    state = experiment.algorithm.tell(state, solutions, evaluation.score, observed(evaluation))
     assert len(elites(experiment.algorithm.archive(state))["index"]) == 0
 
 
@@ -239,4 +240,4 @@ def test_a_full_disk_keeps_what_was_written(finished, tmp_path, monkeypatch):
     monkeypatch.undo()
     assert before == {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
     resumed = loop.resume(run.path, progress=False, evaluations=48)
-    assert same(resumed.load_archive(), finished.load_archive())
+    assert same(resumed.archive.columns, finished.archive.columns)

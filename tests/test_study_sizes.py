@@ -15,6 +15,7 @@ from qdenv.domains.base import KnownSize, find_domain, make_domain
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.generate import GENERATORS
+from qdenv.io.arrays import write_arrays
 from qdenv.io.layouts import read_layout, write_layout
 from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, canvas_of, make_pipeline
@@ -23,7 +24,6 @@ from qdenv.repair.pool import RepairPool
 from qdenv.repair.settings import RepairConfig
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
-from qdenv.run.manifest import archive_schema
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study import elites as sizes
 from qdenv.study.elites import grow_elite, grow_series, repair_grown
@@ -43,7 +43,7 @@ def make_run(path: Path, evaluation: EvaluationConfig = SMALL) -> RunDirectory:
     config = RunConfig(evaluation=evaluation, seed=7)
     domain = make_domain(evaluation.domain)
     measures = [measure._replace(cells=5) for measure in domain.measures]
-    run = RunDirectory.create(path, config, archive_schema(domain, measures))
+    run = RunDirectory.create(path, config, measures)
     size = GENERATORS.make(evaluation.generator, canvas_of(domain)).size
     solutions = np.random.default_rng(1).normal(0, 0.6, (3, size)).astype(np.float32)
     objective = np.array([1.0, 3.0, 2.0], np.float32)
@@ -51,7 +51,9 @@ def make_run(path: Path, evaluation: EvaluationConfig = SMALL) -> RunDirectory:
     lows, sides = np.array([(axis.low, (axis.high - axis.low) / 5) for axis in measures]).T
     values = lows + sides * (np.stack(np.unravel_index(cells, (5, 5)), 1) + 0.5)
     columns = {"index": cells, "solution": solutions, "objective": objective, "measures": values}
-    run.save_archive(columns | {"repaired": np.zeros((3, *domain.shape), np.int8)})
+    write_arrays(
+        run.path / "archive.npz", columns | {"repaired": np.zeros((3, *domain.shape), np.int8)}
+    )
     return run
 
 

@@ -15,8 +15,8 @@ from scipy import stats
 import qdenv
 from qdenv.cli.main import run as command
 from qdenv.domains.base import make_domain
+from qdenv.io.arrays import write_arrays
 from qdenv.run.directory import RunDirectory
-from qdenv.run.manifest import archive_schema
 from qdenv.study.surrogate import (
     FEWEST,
     Evaluated,
@@ -44,12 +44,13 @@ def save_run(path: Path, elites: int) -> RunDirectory:
     domain = make_domain(settings)
     cells = zip(domain.measures, (30, 8), strict=True)
     axes = [axis._replace(cells=count) for axis, count in cells]
-    run = RunDirectory.create(path, config, archive_schema(domain, axes))
+    run = RunDirectory.create(path, config, axes)
     rng = np.random.default_rng(0)
     share = rng.random((elites, 1, 1))
     drawn = np.where(rng.random((elites, *DRAWN)) < share, 1, 0).astype(np.int8)
     repaired = np.where(drawn == 0, 2, drawn).astype(np.int8)
-    run.save_archive(
+    write_arrays(
+        run.path / "archive.npz",
         {
             "index": rng.permutation(240)[:elites],
             "solution": rng.random((elites, 3)).astype(np.float32),
@@ -57,7 +58,7 @@ def save_run(path: Path, elites: int) -> RunDirectory:
             "measures": np.stack([(repaired == 2).sum((1, 2)), (drawn[:, 0] == 1).sum(1)], 1) * 1.0,
             "unrepaired": drawn,
             "repaired": repaired,
-        }
+        },
     )
     return run
 

@@ -14,7 +14,8 @@ import numpy as np
 import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, best_of, save, show
 from qdenv.generate import DirectConfig
-from qdenv.run.problem import archive_axes, problem_of
+from qdenv.run.config import archive_axes
+from qdenv.run.experiment import problem_of
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.settings import DsageConfig
 from qdenv.search.surrogate_samples import aspect_of, drawing_of

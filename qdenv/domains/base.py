@@ -187,6 +187,23 @@ class Domain:
         return self.shape[0] - 2 * self.margin[0], self.shape[1] - 2 * self.margin[1]
 
     @property
+    def area(self) -> int:
+        """The number of generated cells."""
+        rows, cols = self.generated_shape
+        return max(rows, 0) * max(cols, 0)
+
+    def limit_of(self, measure: Measure) -> float | None:
+        """Return what a measure cannot exceed in these layouts; None if nothing limits it."""
+        if measure.limit == "area":
+            return max(self.area, 1)
+        return getattr(self.config, measure.limit) if measure.limit else None
+
+    def mark_cells(self, layout: np.ndarray) -> dict[str, tuple[int, int]]:
+        """Find the cells (row, column) that pictures of a layout (int8 [H, W]) name."""
+        marks = self.marks(layout) if self.marks else {}
+        return {name: divmod(int(cell), layout.shape[1]) for name, cell in marks.items()}
+
+    @property
     def numbers(self) -> dict[str, int]:
         """The exact numbers of tiles that the settings demand, by the settings' names."""
         return {name: getattr(self.config, name) for name in self.counted}
@@ -205,12 +222,11 @@ class Domain:
         """
         stays = {} if (rows, cols) == self.shape else {"keep": ()}
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
-        area = max(empty.generated_shape[0], 0) * max(empty.generated_shape[1], 0)
-        own_area = self.generated_shape[0] * self.generated_shape[1]
         if min(self.generated_shape) < 1:
             rows, cols = self.shape
             raise InputError(f"{rows} x {cols}: {self.name} has no room inside its frame")
-        scaled = {name: round(number * area / own_area) for name, number in self.numbers.items()}
+        numbers_of_tiles = self.numbers.items()
+        scaled = {name: round(number * empty.area / self.area) for name, number in numbers_of_tiles}
         size = self.known_size(rows, cols)
         return empty.with_numbers(scaled | dict(size.numbers if size else {}) | dict(numbers or {}))
 

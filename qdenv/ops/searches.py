@@ -25,13 +25,13 @@ from qdenv.ops.runs import plot_one
 from qdenv.presets import PRESETS, find_preset
 from qdenv.run.config import RunConfig, planner_of, resolve
 from qdenv.run.directory import RunDirectory, find_start
-from qdenv.run.executors.base import Execution
+from qdenv.run.executors import Execution
 from qdenv.run.log import Metrics
 from qdenv.search.registry import ALGORITHMS
 from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.study.plans import keep_from
 from qdenv.types import InputError
-from qdenv.zoo import PREFIX, Collection, Driven, Origin, Shipped, named, names, to_json
+from qdenv.shipped import PREFIX, Collection, Driven, Origin, Shipped, named, names, to_json
 
 # CPU seconds of one evaluation, measured on two cores of a cloud machine. Those of DSAGE on the
 # paper's rows are reckoned from `python -m experiments.benchmarks surrogate`, for outer loops of

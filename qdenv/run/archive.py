@@ -5,23 +5,22 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from qdenv.domains.base import Domain
 from qdenv.io.arrays import Column, read_arrays
 from qdenv.io.files import damaged, write_atomically, write_csv
 from qdenv.io.layouts import write_layout
-from qdenv.run.manifest import ArchiveSchema
 from qdenv.search.axes import inner_edges
-from qdenv.types import InputError
+from qdenv.types import InputError, Measure
 
 if TYPE_CHECKING:
     import pandas
     import ribs.archives
 
-# Columns of every archive.
+# Columns of every archive. Their numbers come from the search, which never stores one that is not
+# finite: in a file, that is damage.
 _COLUMNS = {
     "index": Column("iu", 1),
     "solution": Column("iuf", 2, finite=True),
@@ -32,6 +31,17 @@ _REPAIRED = {"repaired": Column("iu", 3)}  # of the archive of a run: the layout
 # Those that it may have: the layouts before the repair, and how each simulation ended.
 _KNOWN = {"unrepaired": Column("iu", 3), "congested": Column("b", 2), "success": Column("b", 2)}
 Columns = Mapping[str, np.ndarray]
+
+
+class ArchiveSchema(NamedTuple):
+    """What the columns of a run's archive mean."""
+
+    measures: tuple[Measure, ...]  # the axes of the archive
+    tiles: str  # the alphabet of the layouts
+    names: Mapping[str, str]  # what pictures call the tiles, by their symbols
+    objective: str = "objective"  # what is maximised, with its unit
+    # the column that chooses among elites of equal objective; None for none
+    tie_break: str | None = None
 
 
 class Elite(NamedTuple):
@@ -59,11 +69,12 @@ class Elite(NamedTuple):
 
 
 def best_row(columns: Columns, tie_break: str | None) -> int:
-    """Find the row of the best elite; `tie_break` names the column that decides among equals.
+    """Find the row of the best elite of an archive that is not empty.
 
     Args:
-        columns: of an archive that is not empty.
-        tie_break: a number, or several per elite, whose mean counts; the larger is better.
+        columns: of the archive.
+        tie_break: the column that decides among equals: a number, or several per elite, whose mean
+            counts; the larger is better.
     """
     objective = columns["objective"]
     best = np.flatnonzero(objective == objective.max())
@@ -71,47 +82,6 @@ def best_row(columns: Columns, tie_break: str | None) -> int:
         return int(best[0])
     worth = columns[tie_break].astype(np.float64).reshape(len(objective), -1).mean(axis=1)
     return int(best[np.argmax(worth[best])])
-
-
-def read_columns(path: Path, schema: ArchiveSchema) -> dict[str, np.ndarray]:
-    """Read the archive of a run.
-
-    Raises:
-        InputError: it cannot be read; it is no archive over these measures: a column is missing or
-            of another length, a cell lies outside, or a tile means nothing.
-    """
-    columns = read_arrays(path, _COLUMNS | _REPAIRED, Column(), _KNOWN)
-    index, cells = columns["index"], math.prod(one.cells for one in schema.measures)
-    alike = all(column.ndim and len(column) == len(index) for column in columns.values())
-    inside = ((index >= 0) & (index < cells)).all() and len(np.unique(index)) == len(index)
-    if not (alike and inside and columns["measures"].shape[1] == len(schema.measures)):
-        raise damaged(path, "not over the measures of this run")
-    if len(index) and not all(column.size for column in columns.values()):
-        raise damaged(path, "a column holds nothing")
-    for name in columns.keys() & {"repaired", "unrepaired"}:
-        layouts, tiles = columns[name], len(schema.tiles)
-        if layouts.size and not 0 <= layouts.min() <= layouts.max() < tiles:
-            raise damaged(path, f"{name} holds tiles that this run does not know")
-        if layouts.shape != columns["repaired"].shape:
-            raise damaged(path, f"{name} has another size than repaired")
-    return columns
-
-
-class BestLayout(NamedTuple):
-    """The layout of the best elite."""
-
-    layout: np.ndarray  # int8 [H, W]
-    # cells (row, column) that pictures name, like a maze's start and goal
-    marks: dict[str, tuple[int, int]]
-
-
-def mark_cells(layout: np.ndarray, domain: Domain) -> dict[str, tuple[int, int]]:
-    """Find the cells (row, column) that pictures of a layout (int8 [H, W]) name."""
-    marks = domain.marks(layout) if domain.marks else {}
-    return {
-        name: (int(cell) // layout.shape[1], int(cell) % layout.shape[1])
-        for name, cell in marks.items()
-    }
 
 
 @dataclass(frozen=True, repr=False)
@@ -123,6 +93,32 @@ class SavedArchive:
     source: str  # the run, for messages
     # cells of named elites; one that is named "best" is the best, whatever its objective
     names: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def read(
+        cls, path: Path, schema: ArchiveSchema, source: str, names: Mapping[str, tuple[int, ...]]
+    ) -> Self:
+        """Read an archive.npz.
+
+        Raises:
+            InputError: it cannot be read; it is no archive over these measures: a column is missing
+                or of another length, a cell lies outside, or a tile means nothing.
+        """
+        columns = read_arrays(path, _COLUMNS | _REPAIRED, Column(), _KNOWN)
+        index, cells = columns["index"], math.prod(one.cells for one in schema.measures)
+        alike = all(column.ndim and len(column) == len(index) for column in columns.values())
+        inside = ((index >= 0) & (index < cells)).all() and len(np.unique(index)) == len(index)
+        if not (alike and inside and columns["measures"].shape[1] == len(schema.measures)):
+            raise damaged(path, "not over the measures of this run")
+        if len(index) and not all(column.size for column in columns.values()):
+            raise damaged(path, "a column holds nothing")
+        for name in columns.keys() & {"repaired", "unrepaired"}:
+            layouts, tiles = columns[name], len(schema.tiles)
+            if layouts.size and not 0 <= layouts.min() <= layouts.max() < tiles:
+                raise damaged(path, f"{name} holds tiles that this run does not know")
+            if layouts.shape != columns["repaired"].shape:
+                raise damaged(path, f"{name} has another size than repaired")
+        return cls(columns, schema, source, names)
 
     def __len__(self) -> int:
         """Count the elites."""
@@ -199,6 +195,7 @@ class SavedArchive:
         if point.shape != (len(axes),) or not np.isfinite(point).all():
             names = ", ".join(repr(axis.name) for axis in axes)
             raise InputError(f"measures {values}: give a number for each of {names}")
+        # In single precision, as the search assigned its elites to cells.
         along = [
             np.searchsorted(inner_edges(axis, np.dtype(np.float32)), np.float32(value), "right")
             for axis, value in zip(axes, point, strict=True)
@@ -226,15 +223,11 @@ class SavedArchive:
         return map(self._elite, range(len(self)))
 
     def table(self, solutions: bool = False) -> dict[str, np.ndarray]:
-        """Return the elites as columns of plain numbers and words.
+        """Return the elites as columns of numbers and text, without their layouts.
 
-        Args:
-            solutions: include the parameters, ``solution_0`` and so on.
-
-        Returns:
-            ``cell`` (like "12,40", as `elite` takes it), ``objective``, each measure by its name,
-            then what is saved beside the elites: one column per number, ``throughput_0`` and so on
-            where there is one per simulation. Layouts are left out.
+        ``cell`` (like "12,40", as `elite` takes it), ``objective``, each measure by its name, then
+        what is saved beside the elites: one column per number, ``throughput_0`` and so on where
+        there is one per simulation; with `solutions` also ``solution_0`` and so on.
         """
         columns: dict[str, np.ndarray] = {
             "cell": np.array([",".join(map(str, cell)) for cell in self.cells], dtype=object),
@@ -252,11 +245,7 @@ class SavedArchive:
         return columns
 
     def to_pandas(self, solutions: bool = False) -> "pandas.DataFrame":
-        """Make a pandas data frame of `table`, one row per elite.
-
-        Raises:
-            InputError: pandas is not installed.
-        """
+        """Make a pandas data frame of `table`; `InputError` if pandas is not installed."""
         try:
             import pandas
         except ImportError as error:
@@ -264,11 +253,7 @@ class SavedArchive:
         return pandas.DataFrame(self.table(solutions))
 
     def write_table(self, path: Path, solutions: bool = False) -> None:
-        """Write `table` as .csv, or .parquet by the path's ending.
-
-        Raises:
-            InputError: pandas or pyarrow is missing for Parquet, or the file cannot be written.
-        """
+        """Write `table` as .csv, or as .parquet if the path ends so, which needs pyarrow."""
         if path.suffix.lower() != ".parquet":
             table = self.table(solutions)
             # As numpy's numbers: Python's would show digits that single precision does not hold.
@@ -286,26 +271,14 @@ class SavedArchive:
         write_atomically(path, content.getvalue())
 
     def write_layouts(self, folder: Path, domain: str) -> None:
-        """Write a layout file for each elite, named by its cell: 12_40.json.
-
-        Args:
-            folder: for the files; made if need be.
-            domain: name of the run's domain, which the files state.
-
-        Raises:
-            InputError: the folder cannot be written to.
-        """
+        """Write each elite's layout of a domain of this name into a folder, as 12_40.json."""
         for elite in self.elites():
             details = {"objective": elite.objective, "measures": dict(elite.measures)}
             path = folder / f"{'_'.join(map(str, elite.cell))}.json"
             write_layout(path, elite.layout, self.schema.tiles, domain=domain, **details)
 
     def to_ribs(self) -> "ribs.archives.GridArchive":
-        """Make the same archive for pyribs, with its own names of fields.
-
-        Raises:
-            InputError: pyribs is not installed.
-        """
+        """Make the same archive for pyribs; `InputError` if that is not installed."""
         try:
             from ribs.archives import GridArchive
         except ImportError as error:

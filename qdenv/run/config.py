@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from annotated_types import Interval
 
-from qdenv.domains.base import DOMAINS, Domain, make_domain
+from qdenv.domains.base import DOMAINS, make_domain
 from qdenv.generate import GENERATORS
 from qdenv.io.files import damaged
 from qdenv.io.layouts import MAX_SIDE
@@ -22,7 +22,7 @@ from qdenv.search.axes import check_measures
 from qdenv.search.registry import ALGORITHMS
 from qdenv.settings import EvaluationConfig
 from qdenv.simulate.mapf.settings import PLANNERS, find_planner
-from qdenv.types import InputError, Measure, Rules
+from qdenv.types import InputError, Measure
 
 # Settings whose type is a choice, wherever a field of this name stands.
 _CHOICES = {
@@ -54,10 +54,9 @@ class RunConfig(Ranged):
 
 
 def config_to_json(config: RunConfig) -> dict[str, Any]:
-    """Resolve a configuration to JSON-ready values, each choice by its registered name.
+    """Turn a configuration into JSON-ready values, each choice by its registered name.
 
-    Raises:
-        InputError: the type of a setting is not registered.
+    Raises InputError if the type of a setting is not registered.
     """
     content: dict[str, Any] = unstructured(config, _CHOICES)
     return content
@@ -66,9 +65,7 @@ def config_to_json(config: RunConfig) -> dict[str, Any]:
 def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
     """Read what `config_to_json` wrote.
 
-    Raises:
-        InputError: a setting is unknown, missing or of the wrong type; the line names it and
-            `source`.
+    Raises InputError, which names `source`, if a setting is unknown, missing or of the wrong type.
     """
     if not isinstance(content.get("evaluation"), dict):
         raise damaged(source, "no configuration of a run: evaluation is missing")
@@ -76,11 +73,7 @@ def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
 
 
 def resolve(preset: RunConfig, overrides: Mapping[str, Any]) -> tuple[RunConfig, str]:
-    """Resolve a configuration: override a preset's settings, scale the others, check the result.
-
-    Args:
-        preset: whose numbers belong to its own size.
-        overrides: settings by name, as `override` takes them.
+    """Override a preset's settings by name, scale the others to the size, check the result.
 
     Returns:
         the configuration, and a list of what was scaled ("" for nothing).
@@ -120,11 +113,10 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
             continue
         if name in _CHOICES and isinstance(value, str):
             value = _CHOICES[name].config(value)
-        paths = [path for path in _field_paths(config) if path[-1] == name]
-        if "__" in name:
-            paths = [tuple(name.split("__"))]
+        every = list(_field_paths(config))
+        paths = [tuple(name.split("__"))] if "__" in name else [p for p in every if p[-1] == name]
         if not paths:
-            known = sorted({path[-1] for path in _field_paths(config)})
+            known = sorted({path[-1] for path in every})
             near = difflib.get_close_matches(name, known, 3) or known
             raise InputError(f"there is no setting {name!r}: did you mean {', '.join(near)}?")
         if len(paths) > 1:
@@ -138,7 +130,7 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
 
 
 def _field_paths(record: Any) -> Iterator[tuple[str, ...]]:
-    """Iterate over the settings in a record and its nested records, by the names on their way."""
+    """Iterate over the settings in a record and in nested ones, as the fields that lead there."""
     for field in dataclasses.fields(record):
         yield (field.name,)
         inner = getattr(record, field.name)
@@ -156,19 +148,13 @@ def _replaced(record: Any, values: Mapping[tuple[str, ...], Any]) -> Any:
 
 
 def choose_domain(config: RunConfig, name: str) -> RunConfig:
-    """Put another domain into a configuration, with what the old one states beyond its defaults.
-
-    Raises:
-        InputError: the name is unknown.
-    """
+    """Put another domain into a configuration, with what the old one states beyond its defaults."""
     old, kind = make_domain(config.evaluation.domain), DOMAINS.entry(name).config
     settings, defaults = old.config, type(old.config)()
-    known = {field.name for field in dataclasses.fields(kind)}
-    stated = {
-        field.name: getattr(settings, field.name)
-        for field in dataclasses.fields(settings)
-        if field.name in known and getattr(settings, field.name) != getattr(defaults, field.name)
-    }
+    shared = {field.name for field in dataclasses.fields(settings)}
+    shared &= {field.name for field in dataclasses.fields(kind)}
+    values = {name: getattr(settings, name) for name in shared}
+    stated = {name: one for name, one in values.items() if one != getattr(defaults, name)}
     new = make_domain(kind(**stated))
     # Ranges of the archive that were stated for other measures mean nothing here.
     alike = [one.name for one in old.measures] == [one.name for one in new.measures]
@@ -177,7 +163,7 @@ def choose_domain(config: RunConfig, name: str) -> RunConfig:
 
 
 def choose_planner(config: RunConfig, effort: str | None, planner: Any) -> RunConfig:
-    """Put another planner into a configuration; neither word given changes nothing.
+    """Put another planner into a configuration; with neither argument, nothing changes.
 
     Args:
         config: the configuration.
@@ -185,7 +171,7 @@ def choose_planner(config: RunConfig, effort: str | None, planner: Any) -> RunCo
         planner: a planner's name, or its settings.
 
     Raises:
-        InputError: a word is unknown, or no fleet drives in the domain.
+        InputError: a name is unknown, or no fleet drives in the domain.
     """
     if effort is None and planner is None:
         return config
@@ -199,23 +185,15 @@ def choose_planner(config: RunConfig, effort: str | None, planner: Any) -> RunCo
 
 def planner_of(config: RunConfig) -> Any:
     """Return the settings of the planner in a configuration; None if no fleet drives."""
-    fleet = config.evaluation.domain.fleet
-    return None if fleet is None else fleet.planner
+    return getattr(config.evaluation.domain.fleet, "planner", None)
 
 
 def choose_algorithm(config: RunConfig, algorithm: Any) -> RunConfig:
-    """Put an algorithm into a configuration, with the generator that it searches.
+    """Put an algorithm (its settings, or its name) into a configuration, with a generator for it.
 
-    Nothing of the old one is preserved: settings of one name, like learning rates, mean different
-    things. Most algorithms search whatever numbers a generator takes; one whose settings name an
-    ``encoding`` needs the generator of that name, which others cannot use.
-
-    Args:
-        config: the configuration.
-        algorithm: its settings, or its name, which stands for all its defaults.
-
-    Raises:
-        InputError: the name is unknown.
+    No setting of the old algorithm is preserved: those of one name, like learning rates, mean
+    different things. Most algorithms search whatever numbers a generator takes; one whose settings
+    name an ``encoding`` needs the generator of that name, which others cannot use.
     """
     if isinstance(algorithm, str):
         algorithm = ALGORITHMS.config(algorithm)
@@ -242,7 +220,7 @@ def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[R
     Returns:
         the configuration, and a list of what was scaled ("" for nothing).
     """
-    settings = config.evaluation.domain
+    before = settings = config.evaluation.domain
     old = make_domain(base.evaluation.domain)
     if type(settings) is not type(old.config):
         old = make_domain(replace(settings, rows=old.config.rows, cols=old.config.cols))
@@ -250,78 +228,54 @@ def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[R
     if old.shape == (settings.rows, settings.cols) and stated == {}:
         return config, ""
     new = old.resized(settings.rows, settings.cols, stated)
-    ratio = _area(new) / _area(old)
-    settings = replace(settings, **new.numbers)
     size = old.known_size(*new.shape)
-    settings = settings.scaled(ratio, size, given)
+    ratio = max(new.area, 1) / max(old.area, 1)
+    settings = replace(settings, **new.numbers).scaled(ratio, size, given)
     new = make_domain(settings)
+    changes = [
+        f"{value} {name}" for name, value in new.numbers.items() if getattr(before, name) != value
+    ]
+    if before.fleet != settings.fleet:
+        changes.append(f"{settings.fleet.agents} agents")
+    if before.horizon != settings.horizon:
+        changes.append(f"{settings.horizon} timesteps")
     generator = config.evaluation.generator
-    longer = max(new.shape[0] / old.shape[0], new.shape[1] / old.shape[1])
     if hasattr(generator, "steps") and "steps" not in given and new.shape != old.shape:
+        longer = max(new.shape[0] / old.shape[0], new.shape[1] / old.shape[1])
         steps = size.steps if size else max(1, round(generator.steps * longer))
-        generator = replace(generator, steps=steps)
+        if steps != generator.steps:
+            generator = replace(generator, steps=steps)
+            changes.append(f"{steps} steps of growth")
     archive = config.archive
     if "archive" not in given:
-        axes = config.archive or [(axis.low, axis.high, axis.cells) for axis in old.measures]
+        axes = archive or [axis[1:4] for axis in old.measures]
+        limits = [(old.limit_of(axis), new.limit_of(axis)) for axis in old.measures]
+        growths = [after / before if before and after else 1.0 for before, after in limits]
         archive = tuple(
-            (low * _growth(axis, old, new), high * _growth(axis, old, new), cells)
-            for axis, (low, high, cells) in zip(old.measures, axes, strict=True)
+            (low * growth, high * growth, cells)
+            for (low, high, cells), growth in zip(axes, growths, strict=True)
         )
-    evaluation = replace(config.evaluation, domain=settings, generator=generator)
-    scaled = replace(config, evaluation=evaluation, archive=archive)
-    return scaled, _describe_changes(config, scaled, new)
-
-
-def _limit_of(measure: Measure, domain: Domain) -> float | None:
-    """Return what a measure cannot exceed in layouts of a domain; None if nothing limits it."""
-    if not measure.limit:
-        return None
-    return _area(domain) if measure.limit == "area" else getattr(domain.config, measure.limit)
-
-
-def _area(domain: Domain) -> int:
-    rows, cols = domain.generated_shape
-    return max(rows * cols, 1)
-
-
-def _growth(measure: Measure, old: Domain, new: Domain) -> float:
-    before, after = _limit_of(measure, old), _limit_of(measure, new)
-    return after / before if before and after else 1.0
-
-
-def _describe_changes(before: RunConfig, after: RunConfig, domain: Domain) -> str:
-    old, new = before.evaluation, after.evaluation
-    texts = [
-        f"{value} {name}"
-        for name, value in domain.numbers.items()
-        if getattr(old.domain, name) != value
-    ]
-    if old.domain.fleet != new.domain.fleet:
-        texts.append(f"{new.domain.fleet.agents} agents")
-    if old.domain.horizon != new.domain.horizon:
-        texts.append(f"{new.domain.horizon} timesteps")
-    if old.generator != new.generator:  # only its steps scale
-        texts.append(f"{new.generator.steps} steps of growth")
-    if before.archive != after.archive:
-        texts += [
+    if archive != config.archive:
+        changes += [
             f"{axis.name} from {low:g} to {high:g}"
-            for axis, (low, high, _) in zip(domain.measures, after.archive, strict=True)
+            for axis, (low, high, _) in zip(new.measures, archive, strict=True)
             if axis.limit
         ]
-    return ", ".join(texts)
+    evaluation = replace(config.evaluation, domain=settings, generator=generator)
+    return replace(config, evaluation=evaluation, archive=archive), ", ".join(changes)
 
 
 def check(config: RunConfig) -> None:
-    """Refuse a search none of whose layouts could count; takes no compiler.
+    """Refuse a search none of whose layouts could count; nothing is compiled for that.
 
     Raises:
         InputError: no layout obeys the rules, the agents do not fit, or an axis of the archive
             lies where no layout of this size is.
     """
     settings = config.evaluation.domain
-    if not (1 <= settings.rows <= MAX_SIDE and 1 <= settings.cols <= MAX_SIDE):
-        size = f"{settings.rows} x {settings.cols}"
-        raise InputError(f"a layout of {size}: choose 1 to {MAX_SIDE} rows and columns")
+    rows, cols = settings.rows, settings.cols
+    if not (1 <= rows <= MAX_SIDE and 1 <= cols <= MAX_SIDE):
+        raise InputError(f"a layout of {rows} x {cols}: choose 1 to {MAX_SIDE} rows and columns")
     if config.seed < 0:  # `RunConfig` takes them, as old runs may have one
         raise InputError(f"seed {config.seed}: give 0 or more")
     domain = make_domain(settings)
@@ -329,55 +283,55 @@ def check(config: RunConfig) -> None:
         if number < 0:
             raise InputError(f"{number} {name}: give 0 or more")
     if min(domain.generated_shape) < 1:
-        rows, cols = domain.shape
-        raise InputError(f"{rows} x {cols} leaves no room inside the frame: ask for more")
-    if domain.rules is not None:
-        _check_rules(domain, domain.rules())
-    _check_axes(config, domain)
-
-
-def _check_rules(domain: Domain, rules: Rules) -> None:
-    rows, cols = domain.shape
-    reason = impossible(rules)
-    if reason:
+        raise InputError(f"{rows} x {cols} leaves no room inside the frame: give a larger size")
+    rules = domain.rules() if domain.rules else None
+    if rules and (reason := impossible(rules)):
         raise InputError(f"no layout of {rows} x {cols} obeys the rules: {reason}")
-    tasks, fleet = domain.simulator.tasks, domain.config.fleet
-    if tasks is None or fleet is None:
-        return
-    blocked = sum(
-        bound.low for bound in rules.counts if not set(bound.tiles) & set(tasks.traversable)
-    )
-    free = rows * cols - blocked
-    if fleet.agents > free:
-        raise InputError(
-            f"{fleet.agents} agents do not fit: layouts of {rows} x {cols} have at most {free} "
-            f"free cells; a quarter of that, {free // 4}, drives well"
-        )
+    tasks, fleet = domain.simulator.tasks, settings.fleet
+    if rules and tasks and fleet:
+        drivable = set(tasks.traversable)
+        blocked = sum(bound.low for bound in rules.counts if not drivable & set(bound.tiles))
+        free = rows * cols - blocked
+        if fleet.agents > free:
+            raise InputError(
+                f"{fleet.agents} agents do not fit: layouts of {rows} x {cols} have at most {free} "
+                f"free cells; a quarter of that, {free // 4}, drives well"
+            )
+    for axis in archive_axes(domain.measures, config.archive):
+        most = domain.limit_of(axis)
+        if (most is not None and axis.low >= most) or axis.high <= 0:
+            reach = "have more than 0" if most is None else f"reach 0 to {most:g}"
+            raise InputError(
+                f"axis {axis.name!r} runs from {axis.low:g} to {axis.high:g}, but layouts of "
+                f"{rows} x {cols} {reach}: leave --archive out, or give a range within"
+            )
 
 
-def _check_axes(config: RunConfig, domain: Domain) -> None:
-    measures = domain.measures
-    if config.archive and len(config.archive) != len(measures):
+def archive_axes(
+    measures: Sequence[Measure], ranges: Sequence[tuple[float, float, int]]
+) -> tuple[Measure, ...]:
+    """Give measures the configured ranges (low, high, cells); none keeps their own.
+
+    Raises:
+        InputError: a range is empty, or there are more or fewer than measures.
+    """
+    if ranges and len(ranges) != len(measures):
         names = " and ".join(axis.name for axis in measures)
         raise InputError(
-            f"{len(config.archive)} axes given: this archive has {len(measures)}, {names}; write "
+            f"{len(ranges)} axes given: this archive has {len(measures)}, {names}; write "
             f"--archive LOW HIGH CELLS for each of them, one after the other"
         )
-    ranges = config.archive or [axis[1:4] for axis in measures]
-    for axis, given in zip(measures, ranges, strict=True):
-        low, high, cells = given
-        if not low < high or cells < 1:
+    axes = tuple(measures)
+    if ranges:
+        axes = tuple(
+            axis._replace(low=low, high=high, cells=cells)
+            for axis, (low, high, cells) in zip(measures, ranges, strict=True)
+        )
+    for axis in axes:
+        if not axis.low < axis.high or axis.cells < 1:
             raise InputError(
-                f"axis {axis.name!r}: {low:g} to {high:g} in {cells} cells is empty: give LOW < "
-                "HIGH and at least one cell"
+                f"axis {axis.name!r}: {axis.low:g} to {axis.high:g} in {axis.cells} cells is "
+                "empty: give LOW < HIGH and at least one cell"
             )
-        most = _limit_of(axis, domain)
-        if (most is not None and low >= most) or high <= 0:
-            rows, cols = domain.shape
-            raise InputError(
-                f"axis {axis.name!r} runs from {low:g} to {high:g}, but layouts of {rows} x {cols} "
-                f"reach 0 to {most:g}: leave --archive out, or give a range within"
-            )
-    check_measures(
-        [axis._replace(cells=one[2]) for axis, one in zip(measures, ranges, strict=True)]
-    )
+    check_measures(axes)
+    return axes

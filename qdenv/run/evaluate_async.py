@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 
 from qdenv.pipeline import PipelinedEvaluator
-from qdenv.run.problem import observed
+from qdenv.run.experiment import observed
 from qdenv.search.base import Algorithm
 from qdenv.types import Array, Evaluation
 
@@ -48,25 +48,26 @@ class AsyncEvaluation:
         """Submit the populations that the search already holds.
 
         Args:
-            algorithm: as `search.growth.growing` gives it.
+            algorithm: as `search.base.growing` gives it.
             evaluator: of populations.
             key: iteration ``i`` is evaluated with ``fold_in(key, i)``, so a resumed run draws the
                 same.
             total: iterations of the run; later populations are drawn but not evaluated.
-            done: iterations that `search` was told of.
+            done: iterations that `search` has seen.
             search: to go on from.
         """
-        self.done = done  # iterations that the search was told of
+        self.done = done  # iterations that the search has seen
         self.search = search  # after them
         self._algorithm, self._evaluator, self._key, self._total = algorithm, evaluator, key, total
         self._asked = deque(search.asked)
         self._evaluations: deque[Callable[[], Evaluation]] = deque()
-        self._state = search.state  # asked once more than `search`, between `submit` and `collect`
+        # One population further than `search`, between `submit` and `collect`.
+        self._state = search.state
         for solutions in self._asked:
             self._begin(solutions)
 
     def submit(self) -> None:
-        """Ask for one more population and begin to evaluate it."""
+        """Draw one more population and begin to evaluate it."""
         solutions, self._state = jax.block_until_ready(self._algorithm.ask(self._state))
         self._asked.append(solutions)
         self._begin(solutions)
@@ -76,11 +77,11 @@ class AsyncEvaluation:
         return self._evaluations[0]()
 
     def collect(self, evaluation: Evaluation) -> None:
-        """Tell the search of the oldest population, whose evaluation `wait` returned."""
+        """Give the search the evaluation of the oldest population, which `wait` returned."""
         solutions = self._asked.popleft()
         self._evaluations.popleft()
-        told = solutions, evaluation.score, observed(evaluation)
-        self._state = self._algorithm.tell(self._state, *told)
+        scores = evaluation.score, observed(evaluation)
+        self._state = self._algorithm.tell(self._state, solutions, *scores)
         self.search = Search(self._state, tuple(self._asked))
         self.done += 1
 

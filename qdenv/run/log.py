@@ -2,9 +2,9 @@
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple, SupportsFloat
+from typing import NamedTuple, SupportsFloat, TypeVar
 
 import numpy as np
 
@@ -12,11 +12,10 @@ from qdenv.io.files import damaged, write_csv
 from qdenv.io.tables import parse_cell, read_rows, read_table
 from qdenv.types import Evaluation, InputError, RepairStatus
 
-_METRICS = "metrics.csv"
-NOTES = "notes.csv"
-_PLACE = {"iteration", "evaluations"}  # columns of every note
+METRICS, NOTES = "metrics.csv", "notes.csv"
 _LOG = logging.getLogger(__name__)
 Note = dict[str, float]  # numbers by name, like a surrogate's losses; NaN where there is none
+T = TypeVar("T")
 
 
 class Metrics(NamedTuple):
@@ -42,54 +41,43 @@ def read_metrics(path: Path, salvage: bool = False) -> list[Metrics]:
 
     Args:
         path: the file.
-        salvage: return the rows before the damage and log it, in place of refusing all.
+        salvage: return the rows before the damage and log it, in place of an error.
 
     Raises:
         InputError: the file is missing or damaged.
     """
-    rows = []
-    try:
-        # Without a success there is no best objective: it is infinite.
-        for row in read_table(path, Metrics, ("best_objective",)):
-            rows.append(row)
-    except InputError as error:
-        if not salvage:
-            raise
-        _LOG.warning("%s: what follows row %d is lost", error, len(rows))
-    return rows
+    # Without a success there is no best objective: it is infinite.
+    return _collect(read_table(path, Metrics, ("best_objective",)), salvage)
 
 
 def read_notes(path: Path, salvage: bool = False) -> list[Note]:
-    """Read notes.csv; an algorithm without notes has no such file.
+    """Read notes.csv likewise; an algorithm without notes has no such file."""
+    return _collect(_iterate_notes(path), salvage) if path.exists() else []
 
-    Args:
-        path: the file.
-        salvage: log damage and return no notes, in place of an error.
 
-    Raises:
-        InputError: the file is damaged.
-    """
-    if not path.exists():
-        return []
-    notes = []
+def _iterate_notes(path: Path) -> Iterator[Note]:
+    for number, row in enumerate(read_rows(path), start=1):
+        if not row.keys() >= {"iteration", "evaluations"}:
+            raise damaged(path, "one of the columns evaluations, iteration is missing")
+        try:
+            yield {
+                name: parse_cell(text, float, infinite=True) if text else math.nan
+                for name, text in row.items()
+            }
+        except ValueError as error:
+            raise damaged(path, f"row {number}: {error}") from error
+
+
+def _collect(rows: Iterable[T], salvage: bool) -> list[T]:
+    collected = []
     try:
-        for number, row in enumerate(read_rows(path), start=1):
-            if not row.keys() >= _PLACE:
-                raise damaged(path, f"one of the columns {', '.join(sorted(_PLACE))} is missing")
-            try:
-                note = {
-                    name: parse_cell(text, float, infinite=True) if text else math.nan
-                    for name, text in row.items()
-                }
-            except ValueError as error:
-                raise damaged(path, f"row {number}: {error}") from error
-            notes.append(note)
+        for row in rows:  # one by one: those before the damage count
+            collected.append(row)
     except InputError as error:
         if not salvage:
             raise
-        _LOG.warning("%s: the notes so far are lost", error)
-        return []
-    return notes
+        _LOG.warning("%s: what follows row %d is lost", error, len(collected))
+    return collected
 
 
 class Log:
@@ -98,7 +86,7 @@ class Log:
     def __init__(self, path: Path, done: int) -> None:
         """Read the rows up to iteration `done`; later iterations are repeated."""
         self._path = path
-        metrics = read_metrics(path / _METRICS, salvage=True)
+        metrics = read_metrics(path / METRICS, salvage=True)
         self._rows = [row for row in metrics if row.iteration <= done]
         notes = read_notes(path / NOTES, salvage=True)
         self._notes = [note for note in notes if note["iteration"] <= done]
@@ -106,8 +94,7 @@ class Log:
 
     def add(
         self,
-        done: int,
-        batch: int,
+        evaluations: int,
         summary: tuple[float, float, float],
         seconds: float,
         evaluation: Evaluation,
@@ -116,22 +103,22 @@ class Log:
         """Write the rows of an iteration.
 
         Args:
-            done: index of the iteration, from 1.
-            batch: evaluations of each.
+            evaluations: done in all.
             summary: QD-score, coverage and best objective.
-            seconds: that it took.
+            seconds: that the iteration took.
             evaluation: of its solutions.
             notes: the algorithm's own numbers.
         """
         self._seconds += seconds
         failed = np.asarray(evaluation.status) >= RepairStatus.IMPOSSIBLE
+        done = evaluations // len(failed)
         # A simulator whose runs cannot congest has no such field.
         congested = np.asarray(getattr(evaluation.runs, "congested", False))
         counts = int(failed.sum()), int(congested.sum())
-        row = Metrics(done, done * batch, *summary, round(self._seconds, 3), *counts)
+        row = Metrics(done, evaluations, *summary, round(self._seconds, 3), *counts)
         self._rows.append(row)
-        write_csv(self._path / _METRICS, Metrics._fields, self._rows)
-        place = {"iteration": float(done), "evaluations": float(done * batch)}
+        write_csv(self._path / METRICS, Metrics._fields, self._rows)
+        place = {"iteration": float(done), "evaluations": float(evaluations)}
         self._notes.append(place | {name: float(value) for name, value in notes.items()})
         if notes:
             table = [

@@ -7,81 +7,30 @@ import time
 from collections.abc import Callable
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
-import numpy as np
+import jax.numpy as jnp
 
 from qdenv.interrupt import advise, save_first, undisturbed
-from qdenv.pipeline import Pipeline, PipelinedEvaluator, evaluate, make_pipeline
+from qdenv.io.arrays import write_arrays
+from qdenv.io.layouts import write_layout
+from qdenv.pipeline import PipelinedEvaluator
 from qdenv.progress import Bar
-from qdenv.run.checkpoint import check_same_search, result_settings
+from qdenv.run.archive import best_row
+from qdenv.run.checkpoint import load_newest, save_newest
 from qdenv.run.config import RunConfig, check
-from qdenv.run.directory import RunDirectory, find_start, read_start
+from qdenv.run.directory import RunDirectory, find_start
 from qdenv.run.evaluate_async import AsyncEvaluation, Search, begin_search
-from qdenv.run.executors.base import Execution, open_evaluator
+from qdenv.run.executors import Execution
+from qdenv.run.experiment import Experiment, make_experiment
 from qdenv.run.log import Log
-from qdenv.run.manifest import archive_schema
-from qdenv.run.problem import archive_axes, observed, problem_of
-from qdenv.run.publish import Publisher
 from qdenv.search.base import Algorithm, growing, is_whole
-from qdenv.search.registry import make_algorithm
-from qdenv.types import InputError, Measure
+from qdenv.search.export import collector
+from qdenv.types import InputError
 
-
-class Experiment(NamedTuple):
-    """One run's parts, built from its configuration and nothing else."""
-
-    measures: tuple[Measure, ...]  # axes of the archive, with the configured ranges
-    pipeline: Pipeline  # the chain from parameters to evaluation, with its domain
-    algorithm: Algorithm  # the search
-    search_key: jax.Array  # key of the search's initial state
-    evaluation_key: jax.Array  # iteration ``i`` is evaluated with ``fold_in(evaluation_key, i)``
-
-    def settings(self, config: RunConfig) -> dict[str, Any]:
-        """List what decides the result, for checkpoints."""
-        return result_settings(config, self.measures, self.pipeline.domain.reads())
-
-
-def make_experiment(config: RunConfig, start: np.ndarray | None = None) -> Experiment:
-    """Build a run's parts.
-
-    Args:
-        config: the resolved configuration.
-        start: parameters from which the search begins, float [P]; what `config.start` names
-            unless given.
-
-    Raises:
-        InputError: a setting is impossible.
-    """
-    pipeline = make_pipeline(config.evaluation, repair_seed=config.seed)
-    measures = archive_axes(pipeline.domain.measures, config.archive)
-    search_key, evaluation_key = jax.random.split(jax.random.key(config.seed))
-    start = find_start(config) if start is None else start
-    algorithm = make_algorithm(config.algorithm, problem_of(pipeline, measures), start)
-    return Experiment(measures, pipeline, algorithm, search_key, evaluation_key)
-
-
-def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
-    """Make one whole iteration as one traceable function: (state, iteration) -> state.
-
-    Under `jax.jit` the repair is the only thing that leaves the device (where the planner's
-    backend is XLA); under `lax.scan` a run is one program. `train` runs the same iteration in
-    parts instead, so that repairs and simulations overlap.
-
-    Raises:
-        InputError: the algorithm asks ahead, which one iteration after the other cannot.
-    """
-    if experiment.algorithm.ahead:
-        raise InputError("a whole iteration as one function asks nothing ahead: leave ahead at 0")
-
-    def iterate(state: Any, iteration: jax.Array) -> Any:
-        solutions, state = experiment.algorithm.ask(state)
-        key = jax.random.fold_in(experiment.evaluation_key, iteration)
-        evaluation = evaluate(experiment.pipeline, solutions, key)
-        return experiment.algorithm.tell(state, solutions, evaluation.score, observed(evaluation))
-
-    return iterate
+_SAVING_SHARE = 0.03  # of a run's time, for checkpoints beyond those that its settings state
+_LONGEST = 240.0  # seconds without a checkpoint, whatever it costs: no more is ever lost
 
 
 def train(
@@ -107,8 +56,7 @@ def train(
     experiment = make_experiment(config, start)
     run = RunDirectory(Path(path))
     with run.locked():
-        schema = archive_schema(experiment.pipeline.domain, experiment.measures)
-        run = RunDirectory.create(path, config, schema, start)
+        run = RunDirectory.create(path, config, experiment.measures, start)
         return _run(experiment, config, run, progress, execution)
 
 
@@ -137,38 +85,8 @@ def resume(
             config = dataclasses.replace(config, evaluations=evaluations)
         # A domain may have other ranges today than when the run began.
         axes = config.archive or tuple(axis[1:4] for axis in run.measures)
-        experiment = make_experiment(dataclasses.replace(config, archive=axes), read_start(run))
+        experiment = make_experiment(dataclasses.replace(config, archive=axes), run.read_start())
         return _run(experiment, config, run, progress, execution)
-
-
-def _restore(
-    experiment: Experiment, config: RunConfig, run: RunDirectory, algorithm: Algorithm
-) -> tuple[int, Search]:
-    """Restore the newest checkpoint: (iterations, the search after them)."""
-    manifest, search = run.load_checkpoint(begin_search(algorithm, experiment.search_key))
-    # A checkpoint without settings is compared by the axes in the run's manifest.
-    axes = {"archive": [list(axis[1:4]) for axis in run.measures]}
-    check_same_search(experiment.settings(config), manifest.settings or axes, run.path)
-    if config != run.config:
-        done, batch = manifest.iteration, algorithm.batch_size
-        if -(-config.evaluations // batch) < done:
-            raise InputError(
-                f"{done * batch} evaluations are done already: ask for more than that, or leave "
-                "--evaluations out"
-            )
-        run.write_config(config)
-    return manifest.iteration, search
-
-
-def _announced(bar: Bar, what: str, function: Callable) -> Callable:
-    """Have the bar name a function while jax traces it, which is when it is compiled next."""
-
-    @wraps(function)
-    def traced(*arguments: Any) -> Any:
-        bar.wait_for(f"compiling and running the {what}")
-        return function(*arguments)
-
-    return traced
 
 
 def _run(
@@ -179,31 +97,47 @@ def _run(
     execution: Execution,
 ) -> RunDirectory:
     """Iterate until all evaluations are done, from the newest checkpoint."""
-    batch = experiment.algorithm.batch_size
+    batch, key = experiment.algorithm.batch_size, experiment.evaluation_key
     total = -(-config.evaluations // batch)
     advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
-    settings = experiment.settings(config)
-    with contextlib.ExitStack() as stack:
-        bar = Bar("", total * batch, progress, unit="eval")
-        algorithm, pipeline = experiment.algorithm, experiment.pipeline
-        ask, tell = (_announced(bar, "search", one) for one in (algorithm.ask, algorithm.tell))
-        algorithm = growing(algorithm._replace(ask=ask, tell=tell))
-        publisher = Publisher(run, experiment.pipeline.domain, experiment.measures, algorithm)
-        pipeline = pipeline._replace(
-            grow=_announced(bar, "generator and repair", pipeline.grow),
-            simulate=_announced(bar, "simulator", pipeline.simulate),
-            score=_announced(bar, "score", pipeline.score),
-        )
-        layouts = stack.enter_context(open_evaluator(execution, config, pipeline, bar.update))
-        evaluator = PipelinedEvaluator(pipeline, layouts)
+    bar = Bar("", total * batch, progress, unit="eval")
 
-        begun, search = _restore(experiment, config, run, algorithm)
+    def announced(what: str, function: Callable) -> Callable:
+        """Have the bar name a function while jax traces it, which is when it is compiled next."""
+
+        @wraps(function)
+        def traced(*arguments: Any) -> Any:
+            bar.wait_for(f"compiling and running the {what}")
+            return function(*arguments)
+
+        return traced
+
+    algorithm, pipeline = experiment.algorithm, experiment.pipeline
+    ask, tell = (announced("search", one) for one in (algorithm.ask, algorithm.tell))
+    algorithm = growing(algorithm._replace(ask=ask, tell=tell))
+    pipeline = pipeline._replace(
+        grow=announced("generator and repair", pipeline.grow),
+        simulate=announced("simulator", pipeline.simulate),
+        score=announced("score", pipeline.score),
+    )
+    publisher = Publisher(run, experiment, algorithm, experiment.settings(config))
+    with contextlib.ExitStack() as stack:
+        layouts = stack.enter_context(execution.open(config, pipeline, bar.update))
+        initial = begin_search(algorithm, experiment.search_key)
+        begun, search = load_newest(run.path, initial, publisher.settings)
+        if config != run.config:
+            if total < begun:
+                raise InputError(
+                    f"{begun * batch} evaluations are done already: give a larger number, or leave "
+                    "--evaluations out"
+                )
+            run.write_config(config)
         log = Log(run.path, begun)
         if begun >= total:
             publisher.publish(search)  # it may be older, where a run was killed at its very end
         bar.begin("", total * batch, begun * batch)
         stack.enter_context(bar)  # not before: a run that is refused shows its line alone
-        key = experiment.evaluation_key
+        evaluator = PipelinedEvaluator(pipeline, layouts)
         in_flight = AsyncEvaluation(algorithm, evaluator, key, total, begun, search)
         try:
             while in_flight.done < total:
@@ -216,15 +150,80 @@ def _run(
                     done, search = in_flight.done, in_flight.search
                     summary, spent = publisher.summary(search), time.perf_counter() - start
                     notes = algorithm.notes(search.state)
-                    row = log.add(done, batch, summary, spent, evaluation, notes)
-                    bar.note(str(row))
-                    save_first(partial(publisher.save, done, search, settings))
+                    bar.note(str(log.add(done * batch, summary, spent, evaluation, notes)))
+                    save_first(partial(publisher.save, done, search))
                     if done % config.checkpoint_every == 0 or done == total or publisher.has_time:
                         save_first(None)
-                        publisher.save(done, search, settings)
+                        publisher.save(done, search)
         except KeyboardInterrupt:  # in notebooks; programs end otherwise, see `interrupt`
             done, search = in_flight.done, in_flight.search
             if done > begun and publisher.saved != done and is_whole(search):
-                publisher.save(done, search, settings)
+                publisher.save(done, search)
             raise
     return run
+
+
+class Publisher:
+    """Writes a search into its run directory, except for the log."""
+
+    def __init__(
+        self,
+        run: RunDirectory,
+        experiment: Experiment,
+        algorithm: Algorithm,
+        settings: dict[str, Any],
+    ) -> None:
+        """Compile nothing yet."""
+        self._run, self._experiment, self.settings = run, experiment, settings
+        self.saved = 0  # iteration after which this process has saved the search
+        self._spent, self._last = 0.0, 0.0
+        self._begun = self._since = time.perf_counter()
+        self._collect = collector(algorithm)
+
+        def summarise(state: Any) -> tuple[jax.Array, jax.Array, int, jax.Array]:
+            archive = algorithm.archive(state)
+            best = jnp.where(archive.filled.any(), archive.objectives.max(), 0.0)
+            return archive.qd_score(), archive.filled.sum(), archive.filled.size, best
+
+        self._summarise = jax.jit(summarise)
+
+    def summary(self, search: Search) -> tuple[float, float, float]:
+        """Compute QD-score, coverage and best objective, and wait for them."""
+        qd_score, filled, cells, best = map(float, self._summarise(search.state))
+        return qd_score, filled / cells, best
+
+    @property
+    def has_time(self) -> bool:
+        """Whether saving would stay a small share of the time, or has waited too long."""
+        now = time.perf_counter()
+        cheap = self._spent + self._last <= _SAVING_SHARE * (now - self._begun)
+        return cheap or now - self._since > _LONGEST
+
+    def save(self, iteration: int, search: Search) -> None:
+        """Write a checkpoint, then the archive and its best layout."""
+        begun = time.perf_counter()
+        save_newest(self._run.path, iteration, search, self.settings)
+        self.publish(search)
+        self._since = time.perf_counter()
+        self._last = self._since - begun
+        self.saved, self._spent = iteration, self._spent + self._last
+
+    def publish(self, search: Search) -> None:
+        """Write the archive and its best layout."""
+        archive, domain = self._collect(search.state), self._experiment.pipeline.domain
+        write_arrays(self._run.path / "archive.npz", archive, compressed=True)
+        if len(archive["index"]) == 0:
+            return
+        row = best_row(archive, domain.tie_break)
+        layout = archive["repaired"][row]
+        measures = zip(self._experiment.measures, archive["measures"][row], strict=True)
+        details = {
+            **domain.details,
+            "objective": float(archive["objective"][row]),
+            "measures": {measure.name: float(value) for measure, value in measures},
+            "similarity": float(archive["similarity"][row]),
+        }
+        if domain.marks is not None:
+            marks = domain.mark_cells(layout)
+            details["marks"] = {name: list(cell) for name, cell in marks.items()}
+        write_layout(self._run.path / "best_layout.json", layout, domain.tiles, **details)

@@ -212,11 +212,11 @@ def plot_run(
     if notes:
         pictures.append(place / f"notes.{form}")
         save_figure(_draw_notes(notes), pictures[-1])
-    best = run.read_best_layout()
-    if best is not None:
+    if (best := run.read_best_layout()) is not None:
+        layout, marks = best
         pictures.append(place / f"best_layout.{form}")
-        axes = draw_layout(best.layout, meaning.tiles, names=meaning.names)
-        draw_marks(axes, best.marks)
+        axes = draw_layout(layout, meaning.tiles, names=meaning.names)
+        draw_marks(axes, marks)
         figure = axes.get_figure()
         assert isinstance(figure, Figure)
         save_figure(figure, pictures[-1], crop=True)
@@ -278,5 +278,5 @@ def plot_runs(
 
 def _objectives(run: RunDirectory) -> np.ndarray:
     """Read the objectives of all cells of a run's archive, float [C], NaN where empty."""
-    archive = run.load_archive()
+    archive = run.archive.columns
     return scatter_objectives(archive["index"], archive["objective"], run.measures)

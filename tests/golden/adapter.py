@@ -68,7 +68,7 @@ def search(preset: str, overrides: dict[str, Any]) -> tuple[dict[str, np.ndarray
     """Run a short search; return the columns of its archive and its last row of metrics."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         run = qdenv.train(preset, Path(folder) / "run", progress=False, **overrides)
-        return dict(run.load_archive()), run.read_metrics()[-1]._asdict()
+        return dict(run.archive.columns), run.read_metrics()[-1]._asdict()
 
 
 @contextlib.contextmanager

@@ -23,7 +23,7 @@ from pathlib import Path
 from time import monotonic, perf_counter
 from typing import TYPE_CHECKING, Any
 
-from qdenv.run.manifest import package_versions
+from qdenv.run.directory import package_versions
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _PACKAGES = ("jax", "jaxlib", "numpy", "numba", "highspy", "flax")
 _MAX_ERRORS = 3
 # Clusters kill workers for reasons of their own, so only many deaths are blamed on the task.
 _MAX_DEATHS = 10
-# Seconds without any answer, or SLOW times what a task takes, until copies are sent to others.
+# Seconds without any answer, or _SLOW times what a task takes, until copies are sent to others.
 PATIENCE = 30.0
 _SLOW = 5.0
 REMEMBERED = 100  # tasks whose duration says what one takes
@@ -61,10 +61,9 @@ def versions() -> str:
 
 
 def perform(required: str, work: Callable[..., Any], arguments: tuple) -> tuple[float, Any]:
-    """Perform a task on a worker and return its duration in seconds and its result.
+    """Perform a task on a worker; return its duration in seconds and its result.
 
-    Raises:
-        WrongWorkerError: this worker's `versions` are not those required.
+    Raises WrongWorkerError if this worker's `versions` are not those required.
     """
     if versions() != required:
         raise WrongWorkerError(versions())
@@ -96,12 +95,7 @@ class ClusterExecutor(Executor):
     def __init__(
         self, client: distributed.Client, on_done: Callable[[Task], None] = lambda task: None
     ) -> None:
-        """Send nothing yet.
-
-        Args:
-            client: of the cluster.
-            on_done: called, in a thread of the executor, before a result is set.
-        """
+        """Send nothing yet; the executor's thread calls `on_done` before a result is set."""
         self._client, self._on_done = client, on_done
         self._events: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
         self._pending: dict[Task, None] = {}  # in the order in which they were submitted

@@ -35,7 +35,8 @@ class Threads:
 
     Chunks of layouts are simulated (a compiled call releases the GIL) as soon as their repairs
     are ready: on a CPU one layout per chunk and one thread per core, on an accelerator one thread
-    that feeds larger chunks, for all of them where there are several.
+    that feeds larger chunks, for all of them where there are several. `progress` is called with
+    the number of layouts that were completed, by any thread.
     """
 
     def __init__(
@@ -44,13 +45,7 @@ class Threads:
         chunk: int | None = None,
         progress: Callable[[int], None] = lambda layouts: None,
     ) -> None:
-        """Compile nothing yet.
-
-        Args:
-            pipeline: the chain.
-            chunk: most layouts that are simulated per call.
-            progress: called with the number of layouts that were completed; by any thread.
-        """
+        """Compile nothing yet; `chunk` is the number of layouts that one call simulates at most."""
         self._pipeline, self._progress = pipeline, progress
         sharing = devices_for(pipeline.domain.simulator)
         self._chunk = chunk or sharing * devices.lanes(devices.ACCELERATOR_CHUNK)
@@ -61,8 +56,8 @@ class Threads:
 
     def __call__(self, unrepaired: np.ndarray, key: Array) -> list[Future[Outcomes]]:
         """Begin to repair and simulate int8 [B, H, W]; return the parts of the population."""
-        size = chunk_size(len(unrepaired), self._chunk)
-        chunks = np.arange(len(unrepaired), dtype=np.int32).reshape(-1, size)
+        count = len(unrepaired)
+        chunks = np.arange(count, dtype=np.int32).reshape(-1, chunk_size(count, self._chunk))
         # All repairs are submitted first, so that none waits for a simulation.
         repairs = [[_repair(self._pipeline, unrepaired[one]) for one in chunk] for chunk in chunks]
         return [
@@ -82,6 +77,7 @@ class Threads:
 
 
 def _repair(pipeline: Pipeline, layout: np.ndarray) -> Future[Repair]:
+    """Begin to repair a layout, where its domain has rules."""
     if pipeline.pool is not None:
         return pipeline.pool.submit(layout, pipeline.repair_seed)
     untouched: Future[Repair] = Future()
@@ -98,7 +94,8 @@ class Cluster:
     """Repair and simulate the layouts of a search on the workers of a cluster.
 
     A task is one layout, or a few that take no time. The results depend on the layout, its index
-    in the population and the key alone, not on the worker.
+    in the population and the key alone, not on the worker. `progress` is called with the number of
+    layouts that were completed.
     """
 
     def __init__(
@@ -107,13 +104,7 @@ class Cluster:
         config: RunConfig,
         progress: Callable[[int], None] = lambda layouts: None,
     ) -> None:
-        """Send nothing yet.
-
-        Args:
-            client: of the cluster.
-            config: of the run.
-            progress: called with the number of layouts that were completed.
-        """
+        """Send nothing yet."""
         self.executor = ClusterExecutor(client, self._note)
         self._progress = progress
         self._seconds: deque[float] = deque(maxlen=REMEMBERED)  # of recent layouts
@@ -122,27 +113,22 @@ class Cluster:
         self._settings = json.dumps(config_to_json(replace(config, evaluation=alone)))
 
     def __call__(self, unrepaired: np.ndarray, key: Array) -> list[Task]:
-        """Begin to repair and simulate int8 [B, H, W]; return the parts of the population."""
-        firsts = self._divide(len(unrepaired))
-        parts = zip(np.split(unrepaired, firsts[1:]), firsts, strict=True)
-        bits = np.asarray(jax.random.key_data(key))
-        submit, settings = self.executor.submit, self._settings
-        return [submit(_evaluate_layouts, settings, *part, bits) for part in parts]
+        """Begin to repair and simulate int8 [B, H, W]; return the parts of the population.
 
-    def _divide(self, layouts: int) -> list[int]:
-        """Divide a population into tasks, ever smaller ones, so that all workers end together.
-
-        Guided self-scheduling (Polychronopoulos and Kuck 1987): each is what is left, divided by
-        the workers, but no longer than `_LONGEST`. While the duration of a layout is unknown, each
-        is a task.
+        Tasks get ever smaller, so that all workers end together: guided self-scheduling
+        (Polychronopoulos and Kuck 1987). Each is what is left, divided by the workers, but no
+        longer than `_LONGEST`; while the duration of a layout is unknown, each is a task.
         """
         usual = statistics.median(self._seconds) if self._seconds else math.inf
         most = max(round(_LONGEST / usual), 1) if usual else 1
         workers = max(self.executor.workers, 2)
         firsts = [0]
-        while (left := layouts - firsts[-1]) > 1:
+        while (left := len(unrepaired) - firsts[-1]) > 1:
             firsts.append(firsts[-1] + min(math.ceil(left / workers), most))
-        return firsts
+        parts = zip(np.split(unrepaired, firsts[1:]), firsts, strict=True)
+        bits = np.asarray(jax.random.key_data(key))
+        submit, settings = self.executor.submit, self._settings
+        return [submit(_evaluate_layouts, settings, *part, bits) for part in parts]
 
     def _note(self, task: Task) -> None:
         """Count a completed task, and learn how long a layout takes."""

@@ -19,7 +19,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from qdenv import devices
-from qdenv.run.manifest import package_versions
+from qdenv.run.directory import package_versions
 from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.stats import Difference, Sample, difference
 from qdenv.study.groups import algorithm_name, group_runs

@@ -11,7 +11,6 @@ import numpy as np
 from qdenv.agent.evaluate import Success, default_horizon, evaluate_agent, run_alone
 from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
-from qdenv.run.archive import mark_cells
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.simulate.maze.world import WALL
 from qdenv.study.table import about
@@ -129,7 +128,7 @@ def _maze(one: Solved, place: int) -> dict[str, Any]:
     free = ~np.asarray(of_tiles(layout, domain.tiles[WALL], domain.tiles))
     plan, walks = draw_plan(layout, domain.tiles, domain.names), draw_walks(free, one.usage, MAP)
     for figure in (plan, walks):
-        draw_marks(figure.axes[0], mark_cells(layout, domain))
+        draw_marks(figure.axes[0], domain.mark_cells(layout))
     return {
         "name": one.subject.name,
         "title": f"{one.subject.name} ({one.subject.size} cells)",

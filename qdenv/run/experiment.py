@@ -1,0 +1,127 @@
+"""What a run searches: its pipeline, its axes, its algorithm, and what that algorithm observes."""
+
+import dataclasses
+import json
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qdenv.pipeline import Pipeline, evaluate, make_pipeline
+from qdenv.run.config import RunConfig, archive_axes, config_to_json
+from qdenv.run.directory import find_start
+from qdenv.search.base import Algorithm, Drawing, Problem
+from qdenv.search.registry import make_algorithm
+from qdenv.types import Array, Evaluation, InputError, Measure
+
+# Settings that decide how long a run takes or how far it goes, but none of its results.
+_WITHOUT_EFFECT = ("evaluations", "checkpoint_every", "workers", "backend")
+
+
+class Experiment(NamedTuple):
+    """One run's parts, built from its configuration and nothing else."""
+
+    measures: tuple[Measure, ...]  # axes of the archive, with the configured ranges
+    pipeline: Pipeline  # the chain from parameters to evaluation, with its domain
+    algorithm: Algorithm  # the search
+    search_key: jax.Array  # key of the search's initial state
+    evaluation_key: jax.Array  # iteration ``i`` is evaluated with ``fold_in(evaluation_key, i)``
+
+    def settings(self, config: RunConfig) -> dict[str, Any]:
+        """List what decides the result, by the names of config.json (``algorithm.sigma0``)."""
+        reads = self.pipeline.domain.reads()
+        settings: dict[str, Any] = {f"the {name} of checksum": reads[name] for name in reads}
+
+        def collect(content: dict[str, Any], prefix: str) -> None:
+            for name, value in content.items():
+                if isinstance(value, dict):
+                    collect(value, f"{prefix}{name}.")
+                elif name not in _WITHOUT_EFFECT:
+                    settings[f"{prefix}{name}"] = value
+
+        axes = tuple((float(axis.low), float(axis.high), axis.cells) for axis in self.measures)
+        content = config_to_json(dataclasses.replace(config, archive=axes))
+        collect(json.loads(json.dumps(content)), "")  # comparable with what a checkpoint holds
+        return settings
+
+
+def make_experiment(config: RunConfig, start: np.ndarray | None = None) -> Experiment:
+    """Build a run's parts.
+
+    Args:
+        config: the resolved configuration.
+        start: parameters from which the search begins, float [P]; what `config.start` names
+            unless given.
+
+    Raises:
+        InputError: a setting is impossible.
+    """
+    pipeline = make_pipeline(config.evaluation, repair_seed=config.seed)
+    measures = archive_axes(pipeline.domain.measures, config.archive)
+    search_key, evaluation_key = jax.random.split(jax.random.key(config.seed))
+    start = find_start(config) if start is None else start
+    algorithm = make_algorithm(config.algorithm, problem_of(pipeline, measures), start)
+    return Experiment(measures, pipeline, algorithm, search_key, evaluation_key)
+
+
+def problem_of(pipeline: Pipeline, measures: tuple[Measure, ...]) -> Problem:
+    """Make the search problem of a pipeline over these axes."""
+    domain = pipeline.domain
+    one = jax.ShapeDtypeStruct((1, pipeline.solution_size), np.float32)
+    columns = jax.eval_shape(
+        lambda solution, key: observed(evaluate(pipeline, solution, key)), one, jax.random.key(0)
+    )
+    usage = columns.pop("usage", None)  # observed, but not archived
+    drawing = Drawing(
+        lambda solutions: pipeline.grow(jnp.asarray(solutions)),
+        domain.shape,
+        len(domain.tiles),
+        pipeline.choices,
+        repairs=domain.rules is not None,
+        usage=usage is not None,
+    )
+    extras = {name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in columns.items()}
+    return Problem(pipeline.solution_size, measures, extras, drawing)
+
+
+def observed(evaluation: Evaluation) -> dict[str, Array]:
+    """Select what an algorithm observes of an evaluation beside its score, all of it archived.
+
+    Both layouts, similarity, repair status, and every number per run [B, S] of the simulator.
+    Where that draws a map of how cells are used, also ``usage``, which is not archived: the share
+    of agent-steps on each cell, float32 [B, H, W], averaged over the runs.
+    """
+    columns = {
+        name: leaf
+        for name, leaf in evaluation.runs._asdict().items()
+        # Where congestion ends a run, congested_at equals end_timestep.
+        if len(leaf.shape) == 2 and name != "congested_at"
+    }
+    for name in ("unrepaired", "repaired", "similarity", "status"):
+        columns[name] = getattr(evaluation, name)
+    usage = getattr(evaluation.runs, "usage", None)
+    return columns if usage is None else columns | {"usage": usage.mean(axis=1)}
+
+
+def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
+    """Make one whole iteration as one traceable function: (state, iteration) -> state.
+
+    Under `jax.jit` the repair is the only thing that leaves the device (where the planner's
+    backend is XLA); under `lax.scan` a run is one program. `train` runs the same iteration in
+    parts instead, so that repairs and simulations overlap.
+
+    Raises:
+        InputError: the algorithm draws populations ahead, which takes several at once.
+    """
+    if experiment.algorithm.ahead:
+        raise InputError("a whole iteration as one function asks nothing ahead: leave ahead at 0")
+
+    def iterate(state: Any, iteration: jax.Array) -> Any:
+        solutions, state = experiment.algorithm.ask(state)
+        key = jax.random.fold_in(experiment.evaluation_key, iteration)
+        evaluation = evaluate(experiment.pipeline, solutions, key)
+        return experiment.algorithm.tell(state, solutions, evaluation.score, observed(evaluation))
+
+    return iterate
