@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from qdenv.interrupt import advise, save_first, undisturbed
 from qdenv.io.arrays import write_arrays
 from qdenv.io.layouts import write_layout
-from qdenv.pipeline import PipelinedEvaluator
+from qdenv.pipeline import Pipeline, PipelinedEvaluator
 from qdenv.progress import Bar
 from qdenv.run.archive import best_row
 from qdenv.run.checkpoint import load_newest, save_newest
@@ -101,25 +101,8 @@ def _run(
     total = -(-config.evaluations // batch)
     advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
     bar = Bar("", total * batch, progress, unit="eval")
-
-    def announced(what: str, function: Callable) -> Callable:
-        """Have the bar name a function while jax traces it, which is when it is compiled next."""
-
-        @wraps(function)
-        def traced(*arguments: Any) -> Any:
-            bar.wait_for(f"compiling and running the {what}")
-            return function(*arguments)
-
-        return traced
-
-    algorithm, pipeline = experiment.algorithm, experiment.pipeline
-    ask, tell = (announced("search", one) for one in (algorithm.ask, algorithm.tell))
-    algorithm = growing(algorithm._replace(ask=ask, tell=tell))
-    pipeline = pipeline._replace(
-        grow=announced("generator and repair", pipeline.grow),
-        simulate=announced("simulator", pipeline.simulate),
-        score=announced("score", pipeline.score),
-    )
+    algorithm, pipeline = _announced(bar, experiment)
+    algorithm = growing(algorithm)
     publisher = Publisher(run, experiment, algorithm, experiment.settings(config))
     with contextlib.ExitStack() as stack:
         layouts = stack.enter_context(execution.open(config, pipeline, bar.update))
@@ -161,6 +144,30 @@ def _run(
                 publisher.save(done, search)
             raise
     return run
+
+
+def _announced(bar: Bar, experiment: Experiment) -> tuple[Algorithm, Pipeline]:
+    """Have the bar name each function while jax traces it, which is when it is compiled next."""
+
+    def announced(what: str, function: Callable) -> Callable:
+        @wraps(function)
+        def traced(*arguments: Any) -> Any:
+            bar.wait_for(f"compiling and running the {what}")
+            return function(*arguments)
+
+        return traced
+
+    algorithm, pipeline = experiment.algorithm, experiment.pipeline
+    return (
+        algorithm._replace(
+            ask=announced("search", algorithm.ask), tell=announced("search", algorithm.tell)
+        ),
+        pipeline._replace(
+            grow=announced("generator and repair", pipeline.grow),
+            simulate=announced("simulator", pipeline.simulate),
+            score=announced("score", pipeline.score),
+        ),
+    )
 
 
 class Publisher:
