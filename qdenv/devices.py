@@ -22,21 +22,13 @@ def on_cpu() -> bool:
 
 
 def check_backend(backend: str) -> None:
-    """Refuse what is no backend.
-
-    Raises:
-        InputError: `backend` is none.
-    """
+    """Raise InputError if `backend` is none."""
     if backend not in get_args(Backend):
         raise InputError(f"unknown backend {backend!r}: choose one of auto, xla, host")
 
 
 def runs_on_host(backend: Backend) -> bool:
-    """Resolve a planner's backend: whether it runs in compiled host code.
-
-    Raises:
-        InputError: `backend` is none.
-    """
+    """Resolve a planner's backend: return True if it runs in compiled host code."""
     check_backend(backend)
     return backend == "host" or (backend == "auto" and on_cpu())
 
@@ -47,10 +39,7 @@ def lanes(on_accelerator: int = _ACCELERATOR_LANES, on_host: int = 1) -> int:
 
 
 def count() -> int:
-    """Count the devices that share the work: all of this process, unless one was chosen.
-
-    `jax.default_device` chooses one.
-    """
+    """Count the devices that share the work: all of this process, or one `jax.default_device`."""
     chosen = getattr(jax.config, "jax_default_device")  # noqa: B009 (jax does not declare it)
     number: int = 1 if chosen else jax.local_device_count()
     return number

@@ -1,15 +1,13 @@
-"""The face of a generator: one flat parameter vector in, a drawing of tiles out.
+"""The interface of generators: one flat parameter vector in, a drawing of tiles out.
 
 A generator is chosen by the type of its settings: `GENERATORS.make(settings, canvas)`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
-
-import numpy as np
 
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveInt, Ranged
@@ -52,16 +50,6 @@ GENERATORS = Registry(
 )
 
 
-def check_kernels(sizes: Sequence[int]) -> None:
-    """Refuse kernels that are even or not positive: without a centre cell the drawing would drift.
-
-    Raises:
-        InputError: one is, or there is none.
-    """
-    if not sizes or any(size < 1 or size % 2 == 0 for size in sizes):
-        raise InputError(f"kernel sizes {tuple(sizes)} must be positive odd numbers")
-
-
 @dataclass(frozen=True)
 class NcaConfig(Ranged):
     """The numbers of a neural cellular automaton."""
@@ -71,9 +59,11 @@ class NcaConfig(Ranged):
     hidden: PositiveInt = 32  # channels of its hidden layers
 
     def __post_init__(self) -> None:
-        """Refuse what draws nothing."""
+        """Refuse kernels that are even: without a centre cell the drawing would drift."""
         super().__post_init__()
-        check_kernels(self.kernel_sizes)
+        sizes = self.kernel_sizes
+        if not sizes or any(size < 1 or size % 2 == 0 for size in sizes):
+            raise InputError(f"kernel sizes {tuple(sizes)} must be positive odd numbers")
 
 
 @dataclass(frozen=True)
@@ -90,22 +80,8 @@ def choose_tiles(cells: Array) -> jax.Array:
     return jnp.argmax(cells, axis=-1).astype(jnp.int8)
 
 
-def put_in_frame(tiles: Array, picture: np.ndarray, margin: tuple[int, int]) -> jax.Array:
-    """Put generated tiles into the middle of a fixed frame.
-
-    Args:
-        tiles: int8 [H - 2 dr, W - 2 dc].
-        picture: int8 [H, W], the frame; its inside is overwritten.
-        margin: (dr, dc), what the frame adds to each side.
-
-    Returns:
-        int8 [H, W].
-    """
-    return jax.lax.dynamic_update_slice(jnp.asarray(picture), tiles.astype(jnp.int8), margin)
-
-
 def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:
-    """Cut the generated area out of a framed layout, the inverse of `put_in_frame`."""
+    """Cut the generated area out of a layout whose frame adds (rows, columns) to each side."""
     rows, cols = layout.shape
     return layout[margin[0] : rows - margin[0], margin[1] : cols - margin[1]]
 
@@ -113,11 +89,11 @@ def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:
 def direct(config: DirectConfig, canvas: Canvas) -> Generator:
     """Make the generator whose parameters are the numbers of the tiles, row by row."""
     del config
-    shape, choices = (canvas.rows, canvas.cols), len(canvas.tiles)
+    choices = len(canvas.tiles)
 
     def read(solutions: jax.Array, steps: jax.Array | int) -> jax.Array:
         del steps
         tiles = jnp.clip(jnp.round(solutions), 0, choices - 1).astype(jnp.int8)
-        return tiles.reshape(-1, *shape)
+        return tiles.reshape(-1, canvas.rows, canvas.cols)
 
     return Generator(canvas.rows * canvas.cols, 0, read, choices)

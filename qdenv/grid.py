@@ -28,17 +28,14 @@ def move_steps(width: int) -> np.ndarray:
 
 
 def _library_of(values: Array) -> Any:
-    """Choose numpy for its own arrays, so that a question about a layout waits for no compiler."""
+    # numpy for its own arrays: checks of a layout wait for no compiler.
     return np if isinstance(values, np.ndarray) else jnp
 
 
 def shift(values: Array, move: tuple[int, int], fill: object = 0) -> Array:
-    """Look one move away from every cell: result[r, c] = values[r + dr, c + dc].
+    """Look one move (dr, dc) away from every cell of [H, W]: result[r, c] = values[r + dr, c + dc].
 
-    Args:
-        values: [H, W].
-        move: (dr, dc), each in -1..1.
-        fill: what lies outside the grid.
+    `fill` is what lies outside the grid.
     """
     rows, cols = values.shape
     padded = _library_of(values).pad(values, 1, constant_values=fill)
@@ -69,17 +66,9 @@ def count_components(mask: Array) -> jax.Array:
 
 
 def parse(rows: Sequence[str], tiles: str) -> np.ndarray:
-    """Turn drawn rows into a layout.
+    """Turn H rows of W symbols into a layout (int8 [H, W]); symbol ``tiles[k]`` is tile ``k``.
 
-    Args:
-        rows: H strings of W symbols.
-        tiles: the alphabet; symbol ``tiles[k]`` becomes tile ``k``.
-
-    Returns:
-        int8 [H, W].
-
-    Raises:
-        InputError: the drawing is empty or ragged, or holds a symbol outside the alphabet.
+    Raises InputError if the drawing is empty or ragged, or holds a symbol outside the alphabet.
     """
     if not rows or not rows[0]:
         raise InputError("the layout is empty: give at least one row of tiles")

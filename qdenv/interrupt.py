@@ -15,13 +15,12 @@ import sys
 import threading
 from collections.abc import Callable
 from types import FrameType
-from typing import NoReturn
 
 EXIT_CODE = 130  # what shells expect of a program ended by Ctrl-C
 _FLUSH_SECONDS = 0.3
 _LOOK_SECONDS = 0.05
 
-unfinished: set[str] = set()  # files under way, which are taken away
+unfinished: set[str] = set()  # files under way, which are deleted
 _way: list[str] = [""]  # how to go on
 _unsaved: list[Callable[[], None]] = []  # saves what is done, before the end
 undisturbed = threading.Lock()  # held by whoever changes what would be saved
@@ -31,10 +30,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 def watch(program: str = "qdenv") -> None:
     """Answer Ctrl-C and SIGTERM from now on; for programs, not for notebooks.
 
-    A second call changes nothing.
-
-    Args:
-        program: how it was called, to say how to call it again.
+    `program` is how it was called, to say how to call it again. A second call changes nothing.
     """
     if signal.getsignal(signal.SIGINT) is _ignore:
         return
@@ -49,8 +45,18 @@ def watch(program: str = "qdenv") -> None:
     def wait() -> None:
         with reader, writer:
             _await_signal(reader)
-            _save(reader)
-            _leave()
+            if _unsaved:
+                _save(reader)
+            with contextlib.suppress(OSError):
+                os.write(2, f"\n{last_words()}\n".encode())
+            # Whoever prints at this moment holds a lock: wait for it a little, not for ever.
+            flushing = threading.Thread(target=sys.stdout.flush, daemon=True)
+            flushing.start()
+            flushing.join(_FLUSH_SECONDS)
+            for path in list(unfinished):
+                with contextlib.suppress(OSError):
+                    os.unlink(path)
+            os._exit(EXIT_CODE)
 
     threading.Thread(target=wait, daemon=True, name="interrupt").start()
 
@@ -67,23 +73,21 @@ def _await_signal(reader: socket.socket) -> None:
 
 def _save(reader: socket.socket) -> None:
     """Save what is done; another signal ends this, too."""
-    if not _unsaved:
-        return
+
+    def save() -> None:
+        with undisturbed:
+            if _unsaved:  # else it was saved meanwhile
+                _unsaved[0]()
+
     with contextlib.suppress(OSError):
         os.write(2, b"\nqdenv: saving what is done; once more ends at once\n")
-    saving = threading.Thread(target=_save_undisturbed, daemon=True)
+    saving = threading.Thread(target=save, daemon=True)
     saving.start()
     reader.settimeout(_LOOK_SECONDS)
     while saving.is_alive():
         with contextlib.suppress(TimeoutError):
             _await_signal(reader)
             return
-
-
-def _save_undisturbed() -> None:
-    with undisturbed:
-        if _unsaved:  # else it was saved meanwhile
-            _unsaved[0]()
 
 
 def save_first(save: Callable[[], None] | None) -> None:
@@ -100,19 +104,5 @@ def advise(way: str) -> None:
 
 
 def last_words() -> str:
-    """Write the line of an interrupted command."""
+    """Return the line that an interrupted command ends with."""
     return f"qdenv: stopped; {_way[0]}" if _way[0] else "qdenv: stopped"
-
-
-def _leave() -> NoReturn:
-    """Say how to go on, take unfinished files away, and end the process."""
-    with contextlib.suppress(OSError):
-        os.write(2, f"\n{last_words()}\n".encode())
-    # Whoever prints at this moment holds a lock: wait for it a little, not for ever.
-    flushing = threading.Thread(target=sys.stdout.flush, daemon=True)
-    flushing.start()
-    flushing.join(_FLUSH_SECONDS)
-    for path in list(unfinished):
-        with contextlib.suppress(OSError):
-            os.unlink(path)
-    os._exit(EXIT_CODE)

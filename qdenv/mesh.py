@@ -80,15 +80,10 @@ def count_parts(layouts: int, seeds: int, devices: int) -> int:
     The busiest device shall have the fewest runs; among equals the fewest parts, because each
     computes once more what the runs of its layout have in common.
     """
-
-    def busiest(parts: int) -> int:
-        return -(-layouts * parts // devices) * -(-seeds // parts)
-
-    return min((one for one in range(1, devices + 1) if devices % one == 0), key=busiest)
+    divisors = (one for one in range(1, devices + 1) if devices % one == 0)
+    return min(divisors, key=lambda parts: -(-layouts * parts // devices) * -(-seeds // parts))
 
 
 def _filled(leaf: jax.Array, size: int) -> jax.Array:
     """Lengthen the leading axis with items from its beginning."""
-    if size == len(leaf):
-        return leaf
-    return leaf[np.arange(size) % len(leaf)]
+    return leaf if size == len(leaf) else leaf[np.arange(size) % len(leaf)]

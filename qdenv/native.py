@@ -14,7 +14,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
@@ -33,12 +33,22 @@ Scalar: TypeAlias = Any
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def compiled(function: Function) -> Function:
+def compiled(function: Function, forceinline: bool = False) -> Function:
     """Compile `function`, with a disk cache where there is a writable place for one."""
-    return _compile(function, forceinline=False)
+    folder = _cache_folder(function.__module__)
+    # numba reads its setting when a function is declared. A changed environment would reach other
+    # packages, and processes started from here that may run other sources.
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(folder or "")
+    try:
+        options = {"cache": folder is not None, "nogil": True, "forceinline": forceinline}
+        made: Function = numba.njit(**options)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    return made
 
 
-def kernel(function: Function) -> Function:
+def kernel(function: Function, forceinline: bool = False) -> Function:
     """Compile a function that borrows its arrays: it makes none, keeps none and returns none.
 
     numba counts references, atomically, whenever an array is taken out of a record or a record is
@@ -46,7 +56,12 @@ def kernel(function: Function) -> Function:
     the call ends, so nothing needs counting. A function that does make an array in spite of its
     promise is refused when it is compiled.
     """
-    return _borrowing(_compile(function, forceinline=False))
+    made: Any = compiled(function, forceinline)
+    # An inner option of numba, which a later version may drop: the kernels are then only slower.
+    options = getattr(getattr(made, "targetdescr", None), "options", None)
+    if hasattr(options, "_nrt"):
+        made.targetoptions["_nrt"] = False
+    return made
 
 
 def inlined(function: Function) -> Function:
@@ -54,7 +69,7 @@ def inlined(function: Function) -> Function:
 
     For the smallest steps: a call hands a record over word by word, seven for each of its arrays.
     """
-    return _borrowing(_compile(function, forceinline=True))
+    return kernel(function, forceinline=True)
 
 
 def formula(function: Function) -> Function:
@@ -66,26 +81,9 @@ def formula(function: Function) -> Function:
     return made
 
 
-def _borrowing(made: Any) -> Any:
-    """Switch the counting of references off."""
-    # An inner option of numba, which a later version may drop: the kernels are then only slower.
-    options = getattr(getattr(made, "targetdescr", None), "options", None)
-    if hasattr(options, "_nrt"):
-        made.targetoptions["_nrt"] = False
-    return made
-
-
 def shared(rule: Function) -> Function:
     """Let compiled functions call `rule`, which stays the plain Python function that it is."""
     made: Function = register_jitable(rule)
-    return made
-
-
-def _compile(function: Function, forceinline: bool) -> Function:
-    folder = _cache_folder(function.__module__)
-    with _numba_caches_in(folder):
-        options = {"cache": folder is not None, "nogil": True, "forceinline": forceinline}
-        made: Function = numba.njit(**options)(function)
     return made
 
 
@@ -95,8 +93,17 @@ def _cache_folder(module: str) -> Path | None:
 
     It lies in NUMBA_CACHE_DIR where that is set, else in the user's cache.
     """
+    # The files that the module is made of: its own and all those it imports of this package. A
+    # module of another package may use any of ours.
+    sources = set() if _source(module) else set(_PACKAGE.rglob("*.py"))
+    waiting = [module]
+    while waiting:
+        path = _source(waiting.pop())
+        if path is not None and path not in sources:
+            sources.add(path)
+            waiting += _imports(path)
     digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
-    for path in sorted(_sources_of(module)):
+    for path in sorted(sources):
         digest.update(str(path.relative_to(_PACKAGE)).encode())
         digest.update(path.read_bytes())
     home = Path(numba.config.CACHE_DIR or platformdirs.user_cache_path()) / "qdenv"
@@ -109,23 +116,6 @@ def _cache_folder(module: str) -> Path | None:
         return None
     _forget_old(home)
     return folder
-
-
-def _sources_of(module: str) -> frozenset[Path]:
-    """List the files of this package that `module` is made of: its own and all those it imports.
-
-    A module of another package may use any of ours.
-    """
-    if _source(module) is None:
-        return frozenset(_PACKAGE.rglob("*.py"))
-    found: set[Path] = set()
-    waiting = [module]
-    while waiting:
-        path = _source(waiting.pop())
-        if path is not None and path not in found:
-            found.add(path)
-            waiting += _imports(path)
-    return frozenset(found)
 
 
 def _source(module: str) -> Path | None:
@@ -156,18 +146,3 @@ def _forget_old(home: Path) -> None:
         by_age = sorted(home.iterdir(), key=lambda folder: folder.stat().st_mtime)
         for folder in by_age[:-MAX_FOLDERS]:
             shutil.rmtree(folder, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def _numba_caches_in(folder: Path | None) -> Iterator[None]:
-    """Tell numba where to cache what is declared meanwhile, and leave its own setting alone.
-
-    numba reads it when a function is declared. A changed environment would reach other packages,
-    and processes started from here that may run other sources.
-    """
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(folder or "")
-    try:
-        yield
-    finally:
-        numba.config.CACHE_DIR = before

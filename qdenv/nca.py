@@ -16,7 +16,7 @@ import numpy as np
 from flax import linen as nn
 from jax.flatten_util import ravel_pytree
 
-from qdenv.generate import Canvas, Generator, NcaConfig, check_kernels, choose_tiles
+from qdenv.generate import Canvas, Generator, NcaConfig, choose_tiles
 from qdenv.grid import parse
 from qdenv.types import Array, InputError
 
@@ -57,13 +57,7 @@ class Automaton(NamedTuple):
 def make_automaton(
     kinds: int, kernel_sizes: tuple[int, ...] = (3, 3, 3), hidden: int = 32
 ) -> Automaton:
-    """Build the automaton of an architecture; it works on canvases of any size.
-
-    Raises:
-        InputError: there is no layer, or a kernel is even or not positive (an even kernel has
-            no centre cell, so the drawing would drift).
-    """
-    check_kernels(kernel_sizes)
+    """Build the automaton of an architecture; it works on canvases of any size."""
     module = _NCA(kinds, tuple(kernel_sizes), hidden)
     canvas = jnp.zeros((1, 1, kinds))
     variables = jax.tree.map(
@@ -87,35 +81,18 @@ def grow_population(
 ) -> jax.Array:
     """Grow every solution from the same start canvas.
 
-    One solution after the other: its numbers then cannot depend on how many grow beside it, and
-    a convolution with its own weights per item is no faster batched on a CPU.
-
-    Args:
-        automaton: from `make_automaton`.
-        parameters: float32 [B, P].
-        start: float32 [H, W, K].
-        steps: NCA steps C.
-
-    Returns:
-        float32 [B, H, W, K].
+    Parameters are float32 [B, P], `start` is float32 [H, W, K], the result float32 [B, H, W, K].
     """
+    # One solution after the other: its numbers then cannot depend on how many grow beside it, and
+    # a convolution with its own weights per item is no faster batched on a CPU.
     return jax.lax.map(lambda one: automaton.grow(one, start, steps), parameters)
 
 
 def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> np.ndarray:
     """Draw the fixed start canvas: `block` in the middle of empty tiles, one-hot (Figure 9).
 
-    Args:
-        block: drawn rows of the block.
-        rows: rows H of the generated area.
-        cols: columns W of the generated area.
-        generated: symbols the NCA draws; the first one is the empty tile.
-
-    Returns:
-        float32 [H, W, K].
-
-    Raises:
-        InputError: the canvas is smaller than the block.
+    Returns float32 [rows, cols, K]; `generated` are the K symbols that the NCA draws, the empty
+    tile first. Raises InputError if the canvas is smaller than the block.
     """
     tiles = parse(block, generated)
     height, width = tiles.shape
@@ -131,11 +108,7 @@ def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> n
 
 
 def nca(config: NcaConfig, canvas: Canvas) -> Generator:
-    """Make the generator that grows a canvas from its seed block.
-
-    Raises:
-        InputError: the architecture is impossible, or the canvas smaller than the seed block.
-    """
+    """Make the generator that grows a canvas from its seed block, which must fit on it."""
     start = seed_canvas(canvas.seed_block, canvas.rows, canvas.cols, canvas.tiles)
     automaton = make_automaton(len(canvas.tiles), config.kernel_sizes, config.hidden)
 
@@ -143,15 +116,13 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
         return choose_tiles(grow_population(automaton, solutions, start, steps))
 
     def frames(solutions: jax.Array, steps: int) -> jax.Array:
-        def step(weights: jax.Array, cells: jax.Array) -> tuple[jax.Array, jax.Array]:
-            grown = automaton.grow(weights, cells, 1)
-            return grown, choose_tiles(grown)
-
         def one(weights: jax.Array) -> jax.Array:
+            def step(cells: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
+                grown = automaton.grow(weights, cells, 1)
+                return grown, choose_tiles(grown)
+
             first = jnp.asarray(start)
-            _, later = jax.lax.scan(
-                lambda cells, _: step(weights, cells), first, None, length=steps
-            )
+            _, later = jax.lax.scan(step, first, None, length=steps)
             return jnp.concatenate([choose_tiles(first)[None], later])
 
         return jax.lax.map(one, solutions)

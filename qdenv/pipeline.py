@@ -40,19 +40,14 @@ class Pipeline(NamedTuple):
 
 
 def canvas_of(domain: Domain) -> Canvas:
-    """Say what a generator of this domain draws on: the area inside the frame."""
+    """Return what a generator of this domain draws on: the area inside the frame."""
     return Canvas(*domain.generated_shape, domain.generated, domain.seed_block)
 
 
 def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
-    """Build the chain.
+    """Build the chain; other repair seeds give other, equally good repairs.
 
-    Args:
-        config: the numbers.
-        repair_seed: other seeds give other, equally good repairs.
-
-    Raises:
-        InputError: the canvas is too small, or the repair rules contradict each other.
+    Raises InputError if the canvas is too small, or the repair rules contradict each other.
     """
     domain = make_domain(config.domain)
     generator = GENERATORS.make(config.generator, canvas_of(domain))
@@ -80,9 +75,7 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
 
 def _grow_layouts(grow: Callable[[jax.Array], jax.Array], parameters: jax.Array) -> jax.Array:
     """Grow a population float32 [B, P], a share of it on each device (-> int8 [B, H, W])."""
-    if devices.count() == 1:
-        return grow(parameters)
-    return jnp.asarray(mesh.map_items(grow, parameters))
+    return grow(parameters) if devices.count() == 1 else mesh.map_items(grow, parameters)
 
 
 def _in_lanes(function: Callable, items: Any, lanes: int) -> Any:
@@ -143,15 +136,10 @@ def score_layout(
 
 
 def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evaluation:
-    """Evaluate a population; traceable, with the repair as a host callback.
+    """Evaluate a population float32 [B, P]; traceable, with the repair as a host callback.
 
-    Args:
-        pipeline: from `make_pipeline`.
-        parameters: float32 [B, P].
-        key: consumed; item ``i`` uses ``fold_in(key, i)``, so a shorter batch gives the same.
-
-    Returns:
-        `Evaluation` with leading axis B.
+    Consumes `key`: item ``i`` uses ``fold_in(key, i)``, so a shorter batch gives the same. The
+    result has a leading axis B.
     """
     unrepaired = _grow_layouts(pipeline.grow, parameters)
     if pipeline.pool is None:
@@ -185,16 +173,12 @@ LayoutEvaluator = Callable[[np.ndarray, Array], Sequence[Future[Outcomes]]]
 class PipelinedEvaluator:
     """Evaluate populations with repair and simulation overlapping, wherever they are done.
 
-    Several populations may be under way at once.
+    `evaluate_layouts` repairs and simulates, like `run.executors.layouts.Threads`. Several
+    populations may be under way at once.
     """
 
     def __init__(self, pipeline: Pipeline, evaluate_layouts: LayoutEvaluator) -> None:
-        """Compile nothing yet.
-
-        Args:
-            pipeline: the chain.
-            evaluate_layouts: repairs and simulates, like `run.executors.layouts.Threads`.
-        """
+        """Compile nothing yet."""
         self._evaluate_layouts = evaluate_layouts
         self._grow = jax.jit(partial(_grow_layouts, pipeline.grow))
         self._score = jax.jit(pipeline.score)

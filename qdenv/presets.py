@@ -115,9 +115,5 @@ PRESETS |= {
 
 
 def find_preset(name: str) -> RunConfig:
-    """Look a preset up by name.
-
-    Raises:
-        InputError: no preset has this name.
-    """
+    """Look a preset up by name, or raise InputError."""
     return look_up(PRESETS, name, "preset")

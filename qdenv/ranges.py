@@ -4,7 +4,6 @@ A record whose fields have such types derives from `Ranged`, which checks them w
 come from: a command line, a file, Python.
 """
 
-import inspect
 import math
 import operator
 from collections.abc import Iterator
@@ -38,26 +37,10 @@ class Ranged:
     """A record that refuses values outside the ranges of its fields."""
 
     def __post_init__(self) -> None:
-        """Check every field.
-
-        Raises:
-            InputError: a value is out of its range; the line names the field.
-        """
+        """Raise InputError, which names the field, if a value is out of its range."""
         record: Any = type(self)
         for name, kind in _ranged(record):
             check_range(name, getattr(self, name), kind)
-
-
-def check_arguments(arguments: inspect.BoundArguments) -> None:
-    """Check what a function is about to be called with, where its signature states ranges.
-
-    Raises:
-        InputError: a value is out of its range; the line names the argument.
-    """
-    for name, value in arguments.arguments.items():
-        kind = arguments.signature.parameters[name].annotation
-        if _has_range(kind):
-            check_range(name, value, kind)
 
 
 def check_range(name: str, value: Any, kind: Any) -> None:
@@ -71,12 +54,15 @@ def check_range(name: str, value: Any, kind: Any) -> None:
     Raises:
         InputError: it does.
     """
-    words = name.replace("_", "-")
+    label = name.replace("_", "-")
     for number, interval in _pairs(value, kind):
         if not isinstance(number, Real):
-            raise InputError(f"{words} must be a number, not {number!r}")
-        if wanted := _breach(number, interval):
-            raise InputError(f"{words} must be {wanted}, not {number}")
+            raise InputError(f"{label} must be a number, not {number!r}")
+        for bound, holds, words in _LIMITS:
+            limit = getattr(interval, bound)
+            if limit is not None and not holds(number, limit):
+                range_ = f"{words} {limit}" if math.isfinite(number) else "a finite number"
+                raise InputError(f"{label} must be {range_}, not {number}")
 
 
 @cache
@@ -107,12 +93,3 @@ def _pairs(value: Any, kind: Any) -> Iterator[tuple[Any, Interval]]:
     elif value is not None and not isinstance(value, str):
         # One of several types: at most one of ours has a range.
         yield from (pair for part in parts if _has_range(part) for pair in _pairs(value, part))
-
-
-def _breach(number: Any, interval: Interval) -> str | None:
-    """Say what a number had to be; None where it is in its range."""
-    for name, holds, words in _LIMITS:
-        limit = getattr(interval, name)
-        if limit is not None and not holds(number, limit):
-            return f"{words} {limit}" if math.isfinite(number) else "a finite number"
-    return None

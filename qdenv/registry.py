@@ -41,11 +41,9 @@ class Registry:
             group: entry points of installed packages that add choices, like "qdenv.planners".
             builtin: name -> ``module:attribute`` of an `Entry`.
         """
-        self._what = what
-        self._group = group
-        self._references = dict(builtin)
+        self._what, self._group = what, group
+        self._references, self._looked = dict(builtin), False
         self._entries: dict[str, Entry] = {}
-        self._looked = False
 
     def register(self, name: str, entry: Entry) -> None:
         """Add a choice, or replace the one of this name."""
@@ -53,35 +51,35 @@ class Registry:
 
     def names(self) -> tuple[str, ...]:
         """List the names: the package's own, then those of plug-ins."""
-        self._look_for_plugins()
+        if not self._looked:
+            self._looked = True
+            for point in metadata.entry_points(group=self._group):
+                self._references.setdefault(point.name, point.value)
         return tuple(dict.fromkeys((*self._references, *self._entries)))
 
     def entry(self, name: str) -> Entry:
         """Look a choice up by name.
 
-        Raises:
-            InputError: nothing has this name, or the plug-in behind it cannot be imported.
+        Raises InputError if nothing has this name, or the plug-in behind it cannot be imported.
         """
         if name not in self.names():
             raise InputError(f"unknown {self._what} {name!r}: {choices(name, self.names())}")
         if name not in self._entries:
-            self._entries[name] = self._load(name)
+            reference = self._references[name]
+            entry = self._import(name, reference)
+            if not isinstance(entry, Entry):
+                raise InputError(
+                    f"{self._what} {name!r}: {reference} is no qdenv.Entry(settings, make)"
+                )
+            self._entries[name] = entry
         return self._entries[name]
 
     def config(self, name: str) -> Any:
-        """Make the settings of a choice with all defaults.
-
-        Raises:
-            InputError: nothing has this name.
-        """
+        """Make the settings of the choice of this name, with all defaults."""
         return self.entry(name).config()
 
     def name_of(self, config: Any) -> str:
-        """Find the name under which the type of `config` is registered.
-
-        Raises:
-            InputError: the type is not registered.
-        """
+        """Find the name under which the type of `config` is registered, or raise InputError."""
         for name in self.names():
             try:
                 known = self.entry(name).config
@@ -94,24 +92,12 @@ class Registry:
             f"{', '.join(self.names())}"
         )
 
-    def has_loaded(self, kind: type) -> bool:
-        """Return True if the settings of a choice that was used before are of this type."""
-        return any(entry.config is kind for entry in self._entries.values())
-
     def make(self, config: Any, *details: Any) -> Any:
-        """Make what `config` chooses; `details` follow the settings as arguments of its maker.
-
-        Raises:
-            InputError: the type of `config` is not registered.
-        """
+        """Make what `config` chooses; `details` follow the settings as arguments of its maker."""
         return self._maker(config)(config, *details)
 
     def takes(self, config: Any, count: int) -> bool:
-        """Return True if the maker of what `config` chooses can be called with `count` arguments.
-
-        Raises:
-            InputError: the type of `config` is not registered.
-        """
+        """Return True if the maker of what `config` chooses takes `count` arguments."""
         try:
             inspect.signature(self._maker(config)).bind(*range(count))
         except TypeError:
@@ -122,21 +108,6 @@ class Registry:
         name = self.name_of(config)
         make = self.entry(name).make
         return self._import(name, make) if isinstance(make, str) else make
-
-    def _look_for_plugins(self) -> None:
-        if self._looked:
-            return
-        self._looked = True
-        for point in metadata.entry_points(group=self._group):
-            self._references.setdefault(point.name, point.value)
-
-    def _load(self, name: str) -> Entry:
-        found = self._import(name, self._references[name])
-        if not isinstance(found, Entry):
-            raise InputError(
-                f"{self._what} {name!r}: {self._references[name]} is no qdenv.Entry(settings, make)"
-            )
-        return found
 
     def _import(self, name: str, reference: str) -> Any:
         """Import what ``module:attribute`` names."""

@@ -45,15 +45,10 @@ def count(layout: Array, symbols: str, tiles: str) -> jax.Array:
 
 
 def similarity(unrepaired: Array, repaired: Array, weight: Array) -> jax.Array:
-    """Score how little the repair changed: Delta of the paper's section 4.
+    """Score how little the repair changed: Delta of the paper's section 4 (float32 in [0, 1]).
 
-    Args:
-        unrepaired: int8 [H, W].
-        repaired: int8 [H, W].
-        weight: float32 [H, W], p_i / max p of each cell, in [0, 1].
-
-    Returns:
-        float32 in [0, 1], the summed weight of the unchanged cells per cell.
+    The summed weight of the unchanged cells per cell; layouts are int8 [H, W], `weight` is
+    p_i / max p of each cell, float32 [H, W] in [0, 1].
     """
     chex.assert_equal_shape([unrepaired, repaired, weight])
     return ((unrepaired == repaired) * weight).mean(dtype=jnp.float32)
@@ -64,12 +59,7 @@ def mean_throughput(runs: Traffic) -> jax.Array:
 
     A run that congests ends early and counts with what it had finished, so a layout is paid for
     every run it spoils. Studies of single layouts report the mean of successful runs instead.
-
-    Args:
-        runs: `Traffic` with a leading axis S.
-
-    Returns:
-        float32, finished tasks per timestep.
+    `runs` has a leading axis S; the result is float32, finished tasks per timestep.
     """
     chex.assert_rank(runs.throughput, 1)
     return jnp.asarray(runs.throughput).mean()

@@ -59,13 +59,8 @@ def difference(ours: Sample, theirs: Sample) -> Difference:
     https://doi.org/10.2307/2332510), so that it excludes 0 % just where Welch's t-test finds the
     means different.
 
-    Args:
-        ours: the mean that is compared.
-        theirs: the mean that it is compared with.
-
-    Returns:
-        The difference; without an interval if either has fewer than two runs, or if `theirs` is so
-        uncertain that its mean might be 0.
+    There is no interval if either mean has fewer than two runs, or if `theirs` is so uncertain that
+    it might be 0.
     """
     from scipy.special import stdtrit  # late, as in `margin`
 
@@ -94,9 +89,6 @@ def wilson_interval(successes: int, runs: int) -> tuple[float, float]:
 
     The score interval of Wilson 1927, "Probable inference, the law of succession, and statistical
     inference", https://doi.org/10.1080/01621459.1927.10502953.
-
-    Raises:
-        InputError: no runs.
     """
     if runs < 1:
         raise InputError("a success rate needs at least one run")

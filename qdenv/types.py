@@ -61,11 +61,7 @@ def _printable(text: str) -> str:
 
 
 def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
-    """Look `name` up in a registry.
-
-    Raises:
-        InputError: nothing has this name; the line lists the choices.
-    """
+    """Look `name` up in a table, or raise InputError, which lists the choices."""
     if name not in table:
         raise InputError(f"unknown {what} {name!r}: {choices(name, table)}")
     return table[name]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from qdenv.domains.base import find_domain
-from qdenv.generate import choose_tiles, inside_frame
+from qdenv.generate import NcaConfig, choose_tiles, inside_frame
 from qdenv.grid import draw
 from qdenv.nca import grow_population, make_automaton, seed_canvas
 from qdenv.types import InputError
@@ -137,6 +137,6 @@ def test_warehouse_frame_is_drawn_around_the_generated_area():
 
 def test_bad_architectures_and_canvases_are_refused():
     with pytest.raises(InputError, match="odd"):
-        make_automaton(3, (3, 2))
+        NcaConfig(kernel_sizes=(3, 2))
     with pytest.raises(InputError, match="smaller than the seed block"):
         seed_canvas(("ee", "@@"), 1, 5, ".@e")

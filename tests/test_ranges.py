@@ -1,7 +1,6 @@
 """Ranges of settings: one check for all, and no number among the settings without one."""
 
 import dataclasses
-import inspect
 import math
 from typing import Annotated, Literal, get_type_hints
 
@@ -20,7 +19,6 @@ from qdenv.ranges import (
     Ranged,
     Seed,
     Share,
-    check_arguments,
     check_range,
 )
 from qdenv.repair.settings import RepairConfig
@@ -83,15 +81,6 @@ def test_a_record_checks_its_fields_however_it_is_made():
         Drive(robots=0)
     with pytest.raises(InputError, match="share must be at most 1, not 2"):
         dataclasses.replace(Drive(), share=2)
-
-
-def test_arguments_are_checked_where_a_signature_states_ranges():
-    def walk(steps: PositiveInt, where: str = "") -> None:
-        """Go nowhere."""
-
-    check_arguments(inspect.signature(walk).bind(3, where="home"))
-    with pytest.raises(InputError, match="steps must be at least 1, not 0"):
-        check_arguments(inspect.signature(walk).bind(0))
 
 
 CHOSEN = [

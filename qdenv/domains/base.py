@@ -1,8 +1,8 @@
-"""What the domains measure alike."""
+"""A domain: what is generated, repaired, simulated and measured, every number bound."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, Self
@@ -11,7 +11,6 @@ import numpy as np
 import tyro
 
 from qdenv import score
-from qdenv.domains.keep import kept_tiles
 from qdenv.generate import inside_frame
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Ranged
@@ -23,9 +22,8 @@ from qdenv.types import Array, InputError, Measure, Rules, TaskRule, Tile
 def environment_entropy(kinds: int, margin: tuple[int, int] = (0, 0)) -> Measure:
     """Make the axis of the environment entropy of the generated area (section 4 of the paper).
 
-    Args:
-        kinds: kinds of tile the generator can draw.
-        margin: rows and columns of the frame on each side.
+    `kinds` is the number of tiles that the generator can draw, `margin` that of rows and columns of
+    the frame on each side.
     """
 
     def value(layout: jax.Array, runs: Any) -> jax.Array:
@@ -38,9 +36,8 @@ def environment_entropy(kinds: int, margin: tuple[int, int] = (0, 0)) -> Measure
     return Measure("environment entropy", 0, 1, 100, value)
 
 
-def _weigh_alike(layout: Array) -> jax.Array:
-    """Weigh every cell 1 in the similarity (int8 [H, W] -> float32 [H, W])."""
-    return jnp.ones(layout.shape, jnp.float32)
+# In a drawing of cells that must stay: anything may be here, and what the plan beside it holds.
+FREE, SAME = "?", "!"
 
 
 class KnownSize(NamedTuple):
@@ -138,8 +135,11 @@ class Domain:
     # archive; the learning objective adds alpha times the similarity
     objective: Callable[[jax.Array, Any], jax.Array]
     measures: tuple[Measure, ...]  # axes of the archive
-    # unrepaired layout int8 [H, W] -> float32 [H, W], p_i / max p
-    similarity_weights: Callable[[Array], jax.Array] = _weigh_alike
+    # unrepaired layout int8 [H, W] -> float32 [H, W], p_i / max p: how much each cell counts in the
+    # similarity
+    similarity_weights: Callable[[Array], jax.Array] = lambda layout: jnp.ones(
+        layout.shape, jnp.float32
+    )
     # draws the hand-made layout int8 [H, W] of this size, the baseline of appendix D.2, or raises
     # `InputError` where nothing fits; None where people design none
     human: Callable[[], np.ndarray] | None = None
@@ -211,22 +211,16 @@ class Domain:
     def resized(self, rows: int, cols: int, numbers: Mapping[str, int] | None = None) -> Domain:
         """Make the same domain at another size; cells stay locked only if the size is the same.
 
-        Args:
-            rows: rows of the framed layout.
-            cols: columns of the framed layout.
-            numbers: exact numbers of tiles; the others are the known ones of the size, or scale
-                with the generated area.
-
-        Raises:
-            InputError: this domain's own size has no generated area to scale from.
+        Exact numbers of tiles that `numbers` leaves out are the known ones of the size, or scale
+        with the generated area. Raises InputError if this domain's own size has none.
         """
         stays = {} if (rows, cols) == self.shape else {"keep": ()}
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
         if min(self.generated_shape) < 1:
             rows, cols = self.shape
             raise InputError(f"{rows} x {cols}: {self.name} has no room inside its frame")
-        numbers_of_tiles = self.numbers.items()
-        scaled = {name: round(number * empty.area / self.area) for name, number in numbers_of_tiles}
+        area, own_area = empty.area, self.area
+        scaled = {name: round(one * area / own_area) for name, one in self.numbers.items()}
         size = self.known_size(rows, cols)
         return empty.with_numbers(scaled | dict(size.numbers if size else {}) | dict(numbers or {}))
 
@@ -237,9 +231,7 @@ class Domain:
     def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> Domain:
         """Make the same domain at the size of a layout (int8 [H, W]).
 
-        Args:
-            layout: whose size, and whose numbers of tiles where `numbers` leaves them out.
-            numbers: exact numbers of tiles.
+        Exact numbers of tiles that `numbers` leaves out are those of the layout.
         """
         own = {
             name: int((layout == self.tiles.index(symbol)).sum())
@@ -249,22 +241,11 @@ class Domain:
         return self.resized(rows, cols, own | dict(numbers or {}))
 
     def keeping(self, keep: tuple[str, ...]) -> Domain:
-        """Make the same domain with other cells that must stay as they are drawn.
-
-        Args:
-            keep: as in `DomainConfig`.
-
-        Raises:
-            InputError: the drawing has another shape, or a cell names no tile.
-        """
+        """Make the same domain with another drawing of cells that must stay, see `DomainConfig`."""
         return make_domain(replace(self.config, keep=keep))
 
     def with_numbers(self, numbers: Mapping[str, int]) -> Domain:
-        """Make the same domain with other exact numbers of tiles.
-
-        Raises:
-            InputError: a number is not this domain's, or is negative.
-        """
+        """Make the same domain with other exact numbers of tiles, which must be its own."""
         for name, number in numbers.items():
             if name not in self.counted:
                 raise InputError(f"{self.name} has no number of {name}: leave --{name} out")
@@ -278,15 +259,24 @@ def make_domain(config: Any) -> Domain:
     """Make the domain that `config` chooses, at the size it states.
 
     Equal settings give the same object, so that what was compiled for its functions is found
-    again; settings must be hashable therefore.
-
-    Raises:
-        InputError: the type of `config` is not registered, or the cells to keep are drawn wrong.
+    again; settings must be hashable therefore. Raises InputError if the type of `config` is not
+    registered, or the drawing of the cells to keep has another shape, or a cell names no tile.
     """
     domain: Domain = DOMAINS.make(config)
     if not config.keep:
         return domain
-    locked, make_rules = kept_tiles(config.keep, domain.tiles, domain.shape), domain.rules
+    check_shape(config.keep, domain.shape)
+    codes = {FREE: -1} | {symbol: kind for kind, symbol in enumerate(domain.tiles)}
+    for index, row in enumerate(config.keep):
+        for column, symbol in enumerate(row):
+            if symbol not in codes:
+                raise InputError(
+                    f"row {index}, column {column} of the cells to keep is {symbol!r}: "
+                    f"draw {FREE!r} or one of {' '.join(map(repr, domain.tiles))}"
+                )
+    # The tile that each cell must hold, -1 for any.
+    locked = np.array([[codes[symbol] for symbol in row] for row in config.keep], np.int8)
+    make_rules = domain.rules
 
     def frame(area: Array) -> jax.Array:
         return jnp.where(locked >= 0, locked, domain.frame(area))
@@ -303,9 +293,15 @@ def make_domain(config: Any) -> Domain:
 
 
 def find_domain(name: str) -> Domain:
-    """Make a domain with all its defaults by name.
-
-    Raises:
-        InputError: no domain has this name.
-    """
+    """Make a domain with all its defaults by name, or raise InputError."""
     return make_domain(DOMAINS.config(name))
+
+
+def check_shape(keep: Sequence[str], shape: tuple[int, int]) -> None:
+    """Refuse a drawing of cells to keep that is not of the layouts' shape."""
+    rows, cols = len(keep), max(map(len, keep), default=0)
+    if (rows, cols) != shape or any(len(row) != cols for row in keep):
+        raise InputError(
+            f"the cells to keep are drawn on {rows} x {cols}, the layout has "
+            f"{shape[0]} x {shape[1]}: draw them on the same shape, or ask for this one"
+        )

@@ -19,17 +19,8 @@ def shelf_blocks(rows: int, cols: int) -> list[str]:
     """Draw blocks of 1 x 10 shelves with endpoints above and below (Figures 10a, 14a).
 
     Lanes of one cell run between the blocks; the last block of a line is cut where the columns
-    end, rows that hold no full line stay empty.
-
-    Args:
-        rows: rows of the generated area.
-        cols: columns of the generated area.
-
-    Returns:
-        `rows` strings of `cols` symbols out of ``.@e``.
-
-    Raises:
-        InputError: no line of blocks fits.
+    end, rows that hold no full line stay empty. Returns `rows` strings of `cols` symbols out of
+    ``.@e``, or raises InputError if no line of blocks fits.
     """
     lines = (rows - 1) // _BAND
     if lines < 1 or cols < 1:
@@ -46,19 +37,10 @@ def shelf_blocks(rows: int, cols: int) -> list[str]:
 def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
     """Draw a hand-made factory: blocks of stations where it is small, single ones where large.
 
-    The kinds of station follow one another in row-major order, in numbers as near to `ratio` as
-    whole stations allow (appendix D.2).
-
-    Args:
-        rows: rows of the layout.
-        cols: columns of the layout.
-        ratio: wanted proportion of each kind of station, drawn as ``0``, ``1``, ...
-
-    Returns:
-        `rows` strings of `cols` symbols: digits, ``e`` and ``.``.
-
-    Raises:
-        InputError: too few stations fit to have one of each kind.
+    The kinds of station, drawn as ``0``, ``1``, ..., follow one another in row-major order, in
+    numbers as near to the proportions of `ratio` as whole stations allow (appendix D.2). Returns
+    `rows` strings of `cols` symbols: digits, ``e`` and ``.``; raises InputError if too few
+    stations fit to have one of each kind.
     """
     draw = station_blocks if min(rows, cols) < _STAND_ALONE_FROM else _stand_alone_stations
     picture = draw(rows, cols)
@@ -76,10 +58,8 @@ def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
 def station_blocks(rows: int, cols: int) -> np.ndarray:
     """Draw pairs of stations ringed by endpoints, with a lane around each ring (Figure 11a).
 
-    The last pairs are left out until the share of stations is that of the published design.
-
-    Returns:
-        symbols [rows, cols] out of ``.es``, where ``s`` is a station.
+    Symbols [rows, cols] out of ``.es``, where ``s`` is a station. The last pairs are left out until
+    the share of stations is that of the published design.
     """
     picture = np.full((rows, cols), ".")
     block = np.array([list("..ee.."), list(".esse."), list("..ee..")])
@@ -98,11 +78,7 @@ def station_blocks(rows: int, cols: int) -> np.ndarray:
 
 
 def _stand_alone_stations(rows: int, cols: int) -> np.ndarray:
-    """Draw single stations with endpoints above and below and a lane on each side (Figure 14b).
-
-    Returns:
-        symbols [rows, cols] out of ``.es``, where ``s`` is a station.
-    """
+    """Draw single stations with endpoints above and below and a lane on each side (Figure 14b)."""
     picture = np.full((rows, cols), ".")
     columns = slice(1, cols - 1, _SPACING[1])
     for row, symbol in ((0, "e"), (1, "s"), (2, "e")):

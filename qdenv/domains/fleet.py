@@ -32,12 +32,7 @@ class FleetDomainConfig(DomainConfig):
 
 
 def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
-    """Make the simulator of lifelong multi-agent path finding, whose runs are `Traffic`.
-
-    Args:
-        tasks: the agents' tasks.
-        config: number of agents, timesteps and planner.
-    """
+    """Make the simulator of lifelong multi-agent path finding, whose runs are `Traffic`."""
 
     # The simulation is imported when it first runs: it loads both compilers.
     def prepare(layout: Array) -> Any:

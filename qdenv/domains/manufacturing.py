@@ -53,18 +53,14 @@ def similarity_weights(layout: Array) -> jax.Array:
     return jnp.where(of_tiles(layout, _STATIONS, TILES), 1.0, 1.0 / _STATION_WEIGHT)
 
 
-def workstations(layout: jax.Array, runs: Traffic) -> jax.Array:
-    """Count the stations (-> float32)."""
-    del runs
-    return score.count(layout, _STATIONS, TILES)
-
-
-_STATION_COUNT = Measure("workstations", 0, 600, 100, workstations, "area")
-
-
 def manufacturing(config: ManufacturingConfig) -> Domain:
     """Make a factory of one size."""
     shape = (config.rows, config.cols)
+
+    def workstations(layout: jax.Array, runs: Traffic) -> jax.Array:
+        del runs
+        return score.count(layout, _STATIONS, TILES)
+
     cycle = tuple(
         beside_goal("e", station, stay, TILES)
         for station, stay in zip(_STATIONS, config.stays, strict=True)
@@ -81,7 +77,10 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         objective=throughput,
         objective_name=THROUGHPUT,
         similarity_weights=similarity_weights,
-        measures=(_STATION_COUNT, environment_entropy(len(TILES))),
+        measures=(
+            Measure("workstations", 0, 600, 100, workstations, "area"),
+            environment_entropy(len(TILES)),
+        ),
         # As many stations of each kind as agents stay there, so that none is a bottleneck.
         human=lambda: parse(designs.stations(*shape, config.stays), TILES),
         meanings=_MEANINGS,

@@ -73,7 +73,7 @@ def agent_weights(agent: str) -> policy.Weights:
 
 
 def checksum_of_agent(agent: str) -> str:
-    """Tell an agent from others by a checksum of its weights."""
+    """Return a checksum of an agent's weights."""
     digest = hashlib.blake2b(digest_size=6)
     for array in agent_weights(agent):
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -103,32 +103,24 @@ def _maze_simulator(config: MazeConfig) -> Simulator:
     )
 
 
-def walls(layout: jax.Array, runs: Episode) -> jax.Array:
-    """Count the walls inside the ring (-> float32)."""
-    del runs
-    return score.count(inside_frame(layout, _MARGIN), "X", world.TILES)
-
-
-def path_length(layout: jax.Array, runs: Episode) -> jax.Array:
-    """Average the agent's actions over its episodes (-> float32); failures count in full."""
-    del layout
-    return runs.length.mean(dtype=jnp.float32)
-
-
-def _start_and_goal(layout: np.ndarray) -> dict[str, int]:
-    """Name the cells between which the agent is sent; none in an unsolvable maze."""
-    course = world.longest_path(layout)
-    return {"start": int(course.start), "goal": int(course.goal)} if course.length else {}
-
-
-_WALL_COUNT = Measure("number of walls", 0, 256, 256, walls, "area")
-_LAYOUT_ENTROPY = environment_entropy(len(world.TILES), _MARGIN)
-_PATH_LENGTH = Measure("mean agent path length", 0, 648, 162, path_length, "timesteps")
-
-
 def maze(config: MazeConfig) -> Domain:
     """Make a maze of one size; the type of the settings chooses its first measure."""
-    first = _LAYOUT_ENTROPY if isinstance(config, EntropyMazeConfig) else _WALL_COUNT
+
+    def walls(layout: jax.Array, runs: Episode) -> jax.Array:
+        del runs
+        return score.count(inside_frame(layout, _MARGIN), "X", world.TILES)
+
+    def path_length(layout: jax.Array, runs: Episode) -> jax.Array:
+        del layout
+        return runs.length.mean(dtype=jnp.float32)  # an episode that fails counts in full
+
+    def start_and_goal(layout: np.ndarray) -> dict[str, int]:
+        course = world.longest_path(layout)
+        return {"start": int(course.start), "goal": int(course.goal)} if course.length else {}
+
+    first = Measure("number of walls", 0, 256, 256, walls, "area")
+    if isinstance(config, EntropyMazeConfig):
+        first = environment_entropy(len(world.TILES), _MARGIN)
     return Domain(
         config=config,
         tiles=world.TILES,
@@ -142,8 +134,11 @@ def maze(config: MazeConfig) -> Domain:
         objective_name="solvable [0 or 1]",
         # Nearly every maze is solvable; among those the one with the longest way shows most.
         tie_break="shortest",
-        marks=_start_and_goal,
-        measures=(first, _PATH_LENGTH),
+        marks=start_and_goal,
+        measures=(
+            first,
+            Measure("mean agent path length", 0, 648, 162, path_length, "timesteps"),
+        ),
         meanings=_MEANINGS,
         known=_SIZES,
         reads=lambda: {"agent": checksum_of_agent(config.agent)},

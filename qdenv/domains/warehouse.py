@@ -16,9 +16,9 @@ from qdenv import score
 from qdenv.domains import designs
 from qdenv.domains.base import Domain, KnownSize, environment_entropy
 from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
-from qdenv.generate import inside_frame, put_in_frame
+from qdenv.generate import inside_frame
 from qdenv.grid import parse
-from qdenv.lazy import jax
+from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveFloat
 from qdenv.registry import Entry
 from qdenv.simulate.mapf.goals import favour_left, tile_goal
@@ -51,11 +51,7 @@ _UNEVEN_SIZES = {(101, 102): _S_EVAL._replace(agents=1000)}
 
 
 def _border(rows: int, cols: int) -> np.ndarray:
-    """Draw the fixed frame around empty tiles (int8 [H, W]): workstations in the outer columns.
-
-    Raises:
-        InputError: there is no room for a workstation or for anything between the borders.
-    """
+    """Draw the fixed frame around empty tiles (int8 [H, W]): workstations in the outer columns."""
     if rows < 3 or cols <= 2 * _MARGIN[1]:
         raise InputError(
             f"a warehouse of {rows} x {cols} is too small: it needs at least 3 rows and 5 columns"
@@ -68,16 +64,8 @@ def _border(rows: int, cols: int) -> np.ndarray:
 def frame(tiles: Array) -> jax.Array:
     """Add two fixed columns on each side: workstations outside, a free lane inside."""
     rows, cols = tiles.shape
-    return put_in_frame(tiles, _border(rows, cols + 2 * _MARGIN[1]), _MARGIN)
-
-
-def design(rows: int, cols: int) -> np.ndarray:
-    """Draw the hand-made warehouse of `rows` x `cols`, frame included (int8 [rows, cols])."""
-    picture = _border(rows, cols)
-    inside_frame(picture, _MARGIN)[:] = parse(
-        designs.shelf_blocks(rows, cols - 2 * _MARGIN[1]), _TILES
-    )
-    return picture
+    border = jnp.asarray(_border(rows, cols + 2 * _MARGIN[1]))
+    return jax.lax.dynamic_update_slice(border, tiles.astype(jnp.int8), _MARGIN)
 
 
 @dataclass(frozen=True)
@@ -124,13 +112,15 @@ def components(layout: jax.Array, runs: Traffic) -> jax.Array:
 def warehouse(
     config: WarehouseConfig, known: Mapping[tuple[int, int], KnownSize] = _EVEN_SIZES
 ) -> Domain:
-    """Make a warehouse of one size.
-
-    Args:
-        config: its numbers.
-        known: sizes whose numbers are known.
-    """
+    """Make a warehouse of one size; `known` are the sizes whose numbers are known."""
     cycle = (tile_goal("e", _TILES), favour_left(tile_goal("w", _TILES), config.left_odds))
+
+    def human() -> np.ndarray:
+        layout = _border(config.rows, config.cols)
+        inside = inside_frame(layout, _MARGIN)
+        inside[:] = parse(designs.shelf_blocks(*inside.shape), _TILES)
+        return layout
+
     return Domain(
         config=config,
         tiles=_TILES,
@@ -146,7 +136,7 @@ def warehouse(
             Measure("connected shelf components", 140, 240, 100, components, "shelves"),
             environment_entropy(len(_GENERATED), _MARGIN),
         ),
-        human=lambda: design(config.rows, config.cols),
+        human=human,
         counted={"shelves": "@"},
         meanings=_MEANINGS,
         known=known,

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv.domains.base import DOMAINS, Domain, find_domain
-from qdenv.domains.keep import FREE, SAME, check_shape
+from qdenv.domains.base import DOMAINS, FREE, SAME, Domain, check_shape, find_domain
 from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing, respell, to_layout
 from qdenv.repair.rules import impossible
 from qdenv.types import InputError
