@@ -69,7 +69,6 @@ class _Schema(NamedTuple):
     schema: int
 
 
-_NUMBERS = Column()
 _ANY = Column("biufU")
 _NONE: Mapping[str, Column] = MappingProxyType({})
 
@@ -78,9 +77,8 @@ _NONE: Mapping[str, Column] = MappingProxyType({})
 def open_zip(path: Path | str) -> Iterator[zipfile.ZipFile]:
     """Open an archive whose members are plain, few, and of a sensible size in all.
 
-    Raises:
-        InputError: it cannot be read; `DamagedError` if it is not such an archive, or turns out to
-            be damaged while it is open.
+    Raises InputError if it cannot be read; `DamagedError` if it is not such an archive, or turns
+    out to be damaged while it is open.
     """
     try:
         with open(path, "rb") as stream:
@@ -145,16 +143,13 @@ def read_arrays(
     others: Column | None = _ANY,
     known: Mapping[str, Column] = _NONE,
 ) -> dict[str, np.ndarray]:
-    """Read an .npz file, without pickle.
+    """Read the arrays of an .npz file by name, without pickle.
 
     Args:
         path: the file.
         columns: arrays that must be there, by name.
         others: what further arrays must be; None: they are not read.
         known: what some further arrays must be, if they are there.
-
-    Returns:
-        arrays by name.
 
     Raises:
         InputError: it cannot be read, or is damaged; the line names the file and the array.
@@ -167,11 +162,20 @@ def read_arrays(
         for name, column in expected.items():  # all headers before any values
             if column is not None:
                 _check_header(archive, name, column, path)
-        return {
-            name: _read_values(archive, name, column.finite, path)
-            for name, column in expected.items()
-            if column is not None
-        }
+        arrays = {}
+        for name, column in expected.items():
+            if column is None:
+                continue
+            with archive.open(f"{name}.npy") as member:
+                values: np.ndarray = np.lib.format.read_array(
+                    member, allow_pickle=False, max_header_size=_MAX_HEADER
+                )
+                member.read(1)  # the end, where the checksum is compared
+            values = values.astype(values.dtype.newbyteorder("="), copy=False)
+            if column.finite and values.dtype.kind == "f" and not np.isfinite(values).all():
+                raise damaged(path, f"{name} holds numbers that are not finite")
+            arrays[name] = values
+        return arrays
 
 
 def _check_header(archive: zipfile.ZipFile, name: str, column: Column, path: Path | str) -> None:
@@ -197,37 +201,17 @@ def _check_header(archive: zipfile.ZipFile, name: str, column: Column, path: Pat
         raise damaged(path, f"{name} has {len(shape)} axes, not {column.ndim}")
 
 
-def _read_values(archive: zipfile.ZipFile, name: str, finite: bool, path: Path | str) -> np.ndarray:
-    with archive.open(f"{name}.npy") as member:
-        values: np.ndarray = np.lib.format.read_array(
-            member, allow_pickle=False, max_header_size=_MAX_HEADER
-        )
-        member.read(1)  # the end, where the checksum is compared
-    values = values.astype(values.dtype.newbyteorder("="), copy=False)
-    if finite and values.dtype.kind == "f" and not np.isfinite(values).all():
-        raise damaged(path, f"{name} holds numbers that are not finite")
-    return values
-
-
 def write_arrays(
     path: Path, arrays: Mapping[str, np.ndarray | Rows], compressed: bool = False
 ) -> None:
-    """Write named arrays as .npz, atomically; `Rows` become an array of their own.
-
-    Args:
-        path: the .npz file.
-        arrays: by name.
-        compressed: compress all but fractions: weights are noise, of which compressing saves a
-            fourteenth and takes eight times as long as all else.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write named arrays as .npz, atomically; `Rows` become an array of their own."""
 
     def write(file: BinaryIO) -> None:
         with zipfile.ZipFile(file, "w") as archive:
             for name, content in arrays.items():
                 entry = zipfile.ZipInfo(f"{name}.npy")
+                # Fractions are weights, which are noise: compressing them saves a fourteenth and
+                # takes eight times as long as all else.
                 if compressed and (isinstance(content, Rows) or content.dtype.kind != "f"):
                     entry.compress_type = zipfile.ZIP_DEFLATED
                 with archive.open(entry, "w", force_zip64=True) as member:
@@ -251,38 +235,22 @@ def _write_member(member: Any, content: np.ndarray | Rows) -> None:
 def write_state(
     path: Path, arrays: Mapping[str, np.ndarray | Rows], facts: Mapping[str, Any], member: str
 ) -> None:
-    """Write the arrays of a state and JSON-ready facts about it, atomically.
-
-    Args:
-        path: the .npz file.
-        arrays: by name.
-        facts: JSON-ready; ``schema`` is added.
-        member: name under which the facts are stored.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write the arrays of a state and, as `member`, JSON-ready facts about it, atomically."""
     text = json.dumps({"schema": SCHEMA, **facts})
     write_arrays(path, {**arrays, member: np.frombuffer(text.encode(), np.uint8)})
 
 
 def read_state(path: Path, member: str, kind: type[T]) -> tuple[dict[str, np.ndarray], T]:
-    """Read what `write_state` wrote: (arrays, facts).
+    """Read what `write_state` wrote: (arrays, facts); `kind` is the NamedTuple of the facts.
 
-    Args:
-        path: the .npz file.
-        member: name under which the facts are stored.
-        kind: NamedTuple of the facts that are needed.
-
-    Raises:
-        DamagedError: the file is damaged.
-        InputError: the file does not exist, or is of a newer schema.
+    Raises DamagedError if the file is damaged, InputError if it does not exist or is newer.
     """
     if not path.exists():
         raise InputError(f"there is no checkpoint {path}: nothing to resume")
-    arrays = read_arrays(path, {member: Column("u", 1)}, _NUMBERS)
+    arrays = read_arrays(path, {member: Column("u", 1)}, Column())
     place = f"{path}, {member}"
     content = parse_json(arrays.pop(member).tobytes().decode(errors="replace"), place)
+    # First of all: the rest of a newer one may be of another form.
     if structured(content, _Schema, place).schema > SCHEMA:
         raise InputError(f"{path} was written by a newer qdenv: please upgrade")
     return arrays, structured(content, kind, place)

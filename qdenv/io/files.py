@@ -24,17 +24,15 @@ TEMPORARY_PREFIX = ".qdenv-tmp-"
 MEGABYTE = 2**20
 MAX_TEXT = 64 * MEGABYTE  # bytes of a text file
 _UTF_16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_UMASK = os.umask(0)  # it can only be read by setting it
+os.umask(_UMASK)
 
 
 def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) -> None:
     """Write under a temporary name beside `path`, sync, rename: the old file lives until then.
 
-    Args:
-        path: the file to make or replace; its folder is made if need be.
-        content: the bytes, or a function that writes them to an open binary file.
-
-    Raises:
-        InputError: the place cannot be written to (read-only, full, not a folder).
+    `content` is the bytes, or a function that writes them to an open binary file; the folder is
+    made if need be. Raises InputError if the place cannot be written to.
     """
     if isinstance(content, bytes):
         data = content
@@ -51,7 +49,10 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) 
                 device.write(buffer.getvalue())
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        mode = _mode_of(path)
+        # mkstemp makes private files; results keep their permissions, or are ordinary ones.
+        mode = stat.S_IMODE(path.stat().st_mode) if path.is_file() else 0o666 & ~_UMASK
+        if path.is_file() and not mode & 0o222:
+            raise PermissionError(errno.EACCES, "the file is read-only")
         handle, temporary = tempfile.mkstemp(
             dir=path.parent, prefix=f"{TEMPORARY_PREFIX}{path.name}."
         )
@@ -74,52 +75,25 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) 
             unfinished.discard(temporary)
 
 
-def _mode_of(path: Path) -> int:
-    """Choose a file's permissions: those that it has, or an ordinary file's."""
-    if not path.is_file():
-        return 0o666 & ~_UMASK
-    mode = stat.S_IMODE(path.stat().st_mode)
-    if not mode & 0o222:
-        raise PermissionError(errno.EACCES, "the file is read-only")
-    return mode
-
-
 def sweep(folder: Path) -> None:
-    """Delete the temporary files that a killed process left in a folder, and nothing else.
-
-    Args:
-        folder: must be locked, so that no other process is writing there.
-    """
+    """Delete the temporary files that a killed process left in a folder, which must be locked."""
     for path in folder.glob(f"{TEMPORARY_PREFIX}*"):
         with contextlib.suppress(OSError):
             path.unlink()
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write JSON-ready values with one entry a line, atomically.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
+    """Write JSON-ready values with one entry a line, atomically."""
     write_atomically(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a table as CSV, atomically.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
+    """Write a table as CSV, atomically."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
     writer.writerows(rows)
     write_atomically(path, text.getvalue().encode())
-
-
-# mkstemp makes private files; results are ordinary ones. The mask can only be read by setting it.
-_UMASK = os.umask(0)
-os.umask(_UMASK)
 
 
 def tidy(value: Any) -> Any:
@@ -148,15 +122,7 @@ def unreadable(path: Path | str, error: OSError) -> InputError:
 
 
 def read_bytes(path: Path | str, max_bytes: int = MAX_TEXT) -> bytes:
-    """Read a whole file, or what a pipe gives.
-
-    Args:
-        path: the file.
-        max_bytes: largest size; no more is ever read.
-
-    Raises:
-        InputError: it cannot be read, or is bigger.
-    """
+    """Read a whole file, or what a pipe gives; `InputError` if it cannot be read, or is bigger."""
     try:
         with open(path, "rb") as file:
             content = file.read(max_bytes + 1)
@@ -172,13 +138,7 @@ def read_bytes(path: Path | str, max_bytes: int = MAX_TEXT) -> bytes:
 def read_text(path: Path | str, max_bytes: int = MAX_TEXT, what: str = "text") -> str:
     """Read a text file as UTF-8, or as the UTF-16 of Windows' shell.
 
-    Args:
-        path: the file, or a pipe.
-        max_bytes: largest size.
-        what: kind of file, for the message.
-
-    Raises:
-        InputError: it cannot be read, is bigger, or is no text.
+    Raises InputError, which calls it a `what` file, if it cannot be read, is bigger, or is no text.
     """
     content = read_bytes(path, max_bytes)
     try:

@@ -41,13 +41,11 @@ class Drawing(NamedTuple):
 def read_drawing(path: str | Path) -> Drawing:
     """Read a drawing; the ending of its name says how it is written.
 
-    A byte-order mark, any kind of line ending and blank lines around the drawing are fine.
-
-    Raises:
-        InputError: the file is missing, too big, or not what its ending says.
+    A byte-order mark, any kind of line ending and blank lines around the drawing are fine. Raises
+    InputError if the file is missing, too big, or not what its ending says.
     """
     ending = Path(path).suffix.lower()
-    read = _READERS.get(ending, _json)
+    read = {".txt": _text, ".csv": _csv, ".map": _moving_ai}.get(ending, _json)
     try:
         drawing = read(Path(path))
     except DamagedError as error:
@@ -55,46 +53,29 @@ def read_drawing(path: str | Path) -> Drawing:
             raise
         raise InputError(f"{error}: layouts end in {', '.join(ENDINGS)}") from error
     if any(drawing.rows):
-        _check_size(len(drawing.rows), max(map(len, drawing.rows)), path)
+        check_size(len(drawing.rows), max(map(len, drawing.rows)), f"{path}: ")
     return drawing
 
 
-def check_size(rows: int, cols: int) -> None:
-    """Refuse sizes that no layout may have.
-
-    Raises:
-        InputError: there are too many rows or columns, or less than one.
-    """
+def check_size(rows: int, cols: int, place: str = "") -> None:
+    """Raise InputError, which begins with `place`, for a size that no layout may have."""
     if max(rows, cols) > MAX_SIDE:
-        raise InputError(f"{rows} x {cols}: more than {MAX_SIDE} rows or columns are not supported")
+        reason = f"more than {MAX_SIDE} rows or columns are not supported"
+        raise InputError(f"{place}{rows} x {cols}: {reason}")
     if min(rows, cols) < 1:
-        raise InputError(f"{rows} x {cols}: give 1 row and 1 column or more")
-
-
-def _check_size(rows: int, cols: int, path: str | Path) -> None:
-    try:
-        check_size(rows, cols)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-def _trim(text: str) -> list[str]:
-    """Split text into lines, without the blank ones around them.
-
-    A line of blanks as wide as the widest line is a row: mazes draw empty cells like that.
-    """
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    width = max(map(len, lines))
-    drawn = [i for i, line in enumerate(lines) if line.strip() or 0 < len(line) == width]
-    return lines[drawn[0] : drawn[-1] + 1] if drawn else []
+        raise InputError(f"{place}{rows} x {cols}: give 1 row and 1 column or more")
 
 
 def _lines(path: Path, what: str) -> list[str]:
-    """Read the lines of a text file; there may be blank ones, but not without end."""
+    """Read the lines of a text file, without the blank ones around them."""
     text = read_text(path, _MAX_BYTES, what)
     if text.count("\n") + text.count("\r") > _MAX_LINES:
         raise damaged(path, f"more than {_MAX_LINES:,} lines, this is no layout file")
-    return _trim(text)
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    width = max(map(len, lines))
+    # A line of blanks as wide as the widest line is a row: mazes draw empty cells like that.
+    drawn = [i for i, line in enumerate(lines) if line.strip() or 0 < len(line) == width]
+    return lines[drawn[0] : drawn[-1] + 1] if drawn else []
 
 
 def _text(path: Path) -> Drawing:
@@ -125,28 +106,22 @@ def _csv(path: Path) -> Drawing:
         hint, *lines = lines
         delimiter = hint[4:5] if hint[4:5] in (*_DELIMITERS, "|") else delimiter
     if lines:
-        _check_size(len(lines), 1 + max(line.count(delimiter) for line in lines), path)
+        check_size(len(lines), 1 + max(line.count(delimiter) for line in lines), f"{path}: ")
     try:
         table = list(csv.reader(lines, delimiter=delimiter, strict=True))
     except csv.Error as error:
         raise damaged(path, f"not a CSV file: {error}") from error
     if all(len(line) == 1 for line in table):
         return Drawing([line[0] for line in table])
-    return Drawing(
-        [
-            "".join(_tile(cell, row, col, path) for col, cell in enumerate(line))
-            for row, line in enumerate(table)
-        ]
-    )
-
-
-def _tile(cell: str, row: int, col: int, path: Path) -> str:
-    """Read one cell of a table; an empty one is a blank."""
-    tile = cell.strip() or " "
-    if len(tile) > 1:
-        shown = cell if len(cell) < MAX_SIDE else f"{cell[:MAX_SIDE]}..."
-        raise damaged(path, f"{shown!r} at row {row}, column {col}: a cell holds one tile")
-    return tile
+    rows = []
+    for row, line in enumerate(table):
+        tiles = [cell.strip() or " " for cell in line]  # an empty cell is a blank
+        for col, (cell, tile) in enumerate(zip(line, tiles, strict=True)):
+            if len(tile) > 1:
+                shown = cell if len(cell) < MAX_SIDE else f"{cell[:MAX_SIDE]}..."
+                raise damaged(path, f"{shown!r} at row {row}, column {col}: a cell holds one tile")
+        rows.append("".join(tiles))
+    return Drawing(rows)
 
 
 def _moving_ai(path: Path) -> Drawing:
@@ -162,14 +137,11 @@ def _moving_ai(path: Path) -> Drawing:
     words = [line.split(maxsplit=2) for line in lines[:end]]
     head = dict(line for line in words if len(line) == 2)
     rows = [line.translate(_MOVING_AI) for line in lines[end + 1 :]]
-    found = {"height": len(rows), "width": max(map(len, rows), default=0)}
-    for name, number in found.items():
+    sizes = {"height": len(rows), "width": max(map(len, rows), default=0)}
+    for name, number in sizes.items():
         if head.get(name, str(number)) != str(number):
             raise damaged(path, f"the head says {name} {head[name]}, the map has {number}")
     return Drawing(rows)
-
-
-_READERS = {".txt": _text, ".csv": _csv, ".map": _moving_ai}
 
 
 _NO_MEANINGS: Mapping[str, Tile] = MappingProxyType({})
@@ -179,18 +151,10 @@ BLANKS = " ."  # empty cells, drawn either way
 def read_layout(
     path: str | Path, tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS
 ) -> np.ndarray:
-    """Read a layout.
+    """Read a layout (int8 [H, W]) from a .json, .txt, .csv or .map file.
 
-    Args:
-        path: a .json, .txt, .csv or .map file.
-        tiles: the domain's alphabet.
-        meanings: what its symbols mean, and what else draws them.
-
-    Returns:
-        int8 [H, W].
-
-    Raises:
-        InputError: the file is missing, too big, or holds no proper layout.
+    `tiles` is the domain's alphabet, `meanings` what its symbols mean, and what else draws them.
+    Raises InputError if the file is missing, too big, or holds no proper layout.
     """
     return to_layout(read_drawing(path).rows, path, tiles, meanings)
 
@@ -202,20 +166,10 @@ def to_layout(
     meanings: Mapping[str, Tile] = _NO_MEANINGS,
     whose: str = "this domain",
 ) -> np.ndarray:
-    """Turn the rows of a file into a layout.
+    """Turn the drawn rows of a file into a layout (int8 [H, W]), as `read_layout` does.
 
-    Args:
-        rows: as drawn.
-        path: the file, for messages.
-        tiles: the alphabet.
-        meanings: what its symbols mean, and what else draws them.
-        whose: name of the domain, for messages.
-
-    Returns:
-        int8 [H, W].
-
-    Raises:
-        InputError: the drawing is empty or ragged, or holds a symbol that means nothing.
+    Raises InputError, which names the file `path` and the domain `whose`, if the drawing is empty
+    or ragged, or holds a symbol that means nothing.
     """
     drawn = respell(rows, aliases(tiles, meanings))
     for index, row in enumerate(drawn):
@@ -253,7 +207,7 @@ def respell(rows: Sequence[str], table: Mapping[str, str]) -> list[str]:
 def endings_for(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> tuple[str, ...]:
     """List the endings of files that can hold every tile of an alphabet."""
     every = set(tiles) <= _on_map(tiles, meanings).keys()
-    return ENDINGS if every else tuple(ending for ending in ENDINGS if ending != ".map")
+    return tuple(ending for ending in ENDINGS if every or ending != ".map")
 
 
 def write_layout(
@@ -285,25 +239,19 @@ def write_layout(
         text = "\n".join(",".join(row) for row in rows)
     elif ending == ".map":
         head = f"type octile\nheight {len(rows)}\nwidth {len(rows[0])}\nmap\n"
-        text = head + "\n".join(_map_rows(rows, path, tiles, meanings))
+        table = _on_map(tiles, meanings)
+        used = "".join(rows)
+        lost = "".join(symbol for symbol in tiles if symbol not in table and symbol in used)
+        if lost:
+            raise InputError(
+                f"{path}: a .map tells open ground from obstacles only, this layout also has "
+                f"{alphabet(lost, meanings)}: write a .json, .txt or .csv"
+            )
+        text = head + "\n".join(respell(rows, table))
     else:
         size = {"n_row": len(rows), "n_col": len(rows[0])}
         text = json.dumps({**size, **details, "layout": rows}, indent=1)
     write_atomically(Path(path), f"{text}\n".encode())
-
-
-def _map_rows(
-    rows: Sequence[str], path: str | Path, tiles: str, meanings: Mapping[str, Tile]
-) -> list[str]:
-    """Draw rows as MovingAI does, or refuse where that would lose what a tile is."""
-    table = _on_map(tiles, meanings)
-    lost = "".join(symbol for symbol in tiles if symbol not in table and symbol in "".join(rows))
-    if lost:
-        raise InputError(
-            f"{path}: a .map tells open ground from obstacles only, this layout also has "
-            f"{alphabet(lost, meanings)}: write a .json, .txt or .csv"
-        )
-    return respell(rows, table)
 
 
 def _on_map(tiles: str, meanings: Mapping[str, Tile]) -> dict[str, str]:

@@ -37,16 +37,9 @@ T = TypeVar("T")
 
 
 def read_json(path: Path | str, kind: type[T], max_bytes: int = 32 * MEGABYTE) -> T:
-    """Read a JSON file.
+    """Read a JSON file as a record of type `kind`, see `structured`.
 
-    Args:
-        path: the file.
-        kind: type of the content: a NamedTuple, whose unknown fields are ignored, a dataclass or
-            ``dict[str, Any]``.
-        max_bytes: largest file that is read.
-
-    Raises:
-        InputError: it cannot be read, or is damaged; the line names the file and the field.
+    Raises InputError, which names the file and the field, if it cannot be read, or is damaged.
     """
     return structured(parse_json(read_text(path, max_bytes, "JSON"), path), kind, path)
 
@@ -54,9 +47,26 @@ def read_json(path: Path | str, kind: type[T], max_bytes: int = 32 * MEGABYTE) -
 def parse_json(text: str, source: Path | str) -> Any:
     """Parse JSON of limited depth and size; numbers are finite or infinite, never NaN.
 
-    Raises:
-        DamagedError: the text is not JSON, or beyond the limits; the line names `source`.
+    Raises DamagedError, which names `source`, if the text is not JSON, or beyond the limits.
     """
+
+    def parse_int(digits: str) -> int:
+        if len(digits) > _MAX_DIGITS:  # converting digits takes quadratic time
+            raise ValueError(f"a number of {len(digits)} digits")
+        return int(digits)
+
+    def parse_constant(name: str) -> float:
+        if name == "NaN":
+            raise ValueError("NaN is no number")
+        return float(name)
+
+    def parse_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        content = dict(pairs)
+        if len(content) < len(pairs):
+            ((twice, _),) = Counter(name for name, _ in pairs).most_common(1)
+            raise ValueError(f"{twice!r} is there twice")
+        return content
+
     # Before the parser runs, which allocates for every bracket.
     depth = values = 0
     for token in _TOKEN.finditer(text):
@@ -69,29 +79,14 @@ def parse_json(text: str, source: Path | str) -> Any:
             what = f"more than {_MAX_VALUES:,} values" if values > _MAX_VALUES else "too deep"
             raise damaged(source, f"not a JSON file of ours: {what}")
     try:
-        return json.loads(text, parse_int=_int, parse_constant=_constant, object_pairs_hook=_object)
+        return json.loads(
+            text,
+            parse_int=parse_int,
+            parse_constant=parse_constant,
+            object_pairs_hook=parse_object,
+        )
     except ValueError as error:
         raise damaged(source, f"not a JSON file: {error}") from error
-
-
-def _int(text: str) -> int:
-    if len(text) > _MAX_DIGITS:  # converting digits takes quadratic time
-        raise ValueError(f"a number of {len(text)} digits")
-    return int(text)
-
-
-def _constant(text: str) -> float:
-    if text == "NaN":
-        raise ValueError("NaN is no number")
-    return float(text)
-
-
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    content = dict(pairs)
-    if len(content) < len(pairs):
-        ((twice, _),) = Counter(name for name, _ in pairs).most_common(1)
-        raise ValueError(f"{twice!r} is there twice")
-    return content
 
 
 def structured(
@@ -124,11 +119,7 @@ def structured(
 
 
 def unstructured(record: Any, choices: Choices) -> Any:
-    """Turn a dataclass of dataclasses, tuples and plain values into what `structured` reads.
-
-    Raises:
-        InputError: the type of a field in `choices` is not registered.
-    """
+    """Turn a dataclass of dataclasses, tuples and plain values into what `structured` reads."""
     if not dataclasses.is_dataclass(record):
         return record
     content = {}
@@ -193,11 +184,8 @@ class _Reader:
 
     def read_plain(self, value: Any, kinds: tuple[type, ...], place: str) -> Any:
         kind = type(value)
-        if (
-            kind is int
-            and (int in kinds or float in kinds)
-            and not -_INT_LIMIT <= value < _INT_LIMIT
-        ):
+        numeric = int in kinds or float in kinds
+        if kind is int and numeric and not -_INT_LIMIT <= value < _INT_LIMIT:
             raise _wrong(place, f"must be a number that fits into 64 bits, not {_shown(value)}")
         if kind is int and int not in kinds and float in kinds:
             return float(value)
@@ -224,10 +212,8 @@ def _fields_of(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
 
 
 def _plain_kinds(kind: Any) -> tuple[type, ...]:
-    """List the types that an int, a union or a Literal allows.
-
-    Of a Literal the type is checked, not the word: it may name what a user has registered.
-    """
+    """List the types that an int, a union or a Literal allows."""
+    # Of a Literal the type is checked, not the word: it may name what a user has registered.
     if get_origin(kind) is Literal:
         return tuple({type(word) for word in get_args(kind)})
     if get_origin(kind) in (Union, UnionType):
@@ -237,9 +223,8 @@ def _plain_kinds(kind: Any) -> tuple[type, ...]:
 
 def _demand(value: Any, form: type[dict] | type[list], place: str) -> Any:
     if not isinstance(value, dict if form is dict else (list, tuple)):  # a word is no list
-        raise _wrong(
-            place, f"must be {'an object' if form is dict else 'a list'}, not {_shown(value)}"
-        )
+        name = "an object" if form is dict else "a list"
+        raise _wrong(place, f"must be {name}, not {_shown(value)}")
     return value
 
 

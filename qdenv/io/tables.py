@@ -17,17 +17,9 @@ T = TypeVar("T", bound=tuple)
 
 
 def read_rows(path: Path | str, max_bytes: int = MAX_TEXT) -> Iterator[dict[str, str]]:
-    """Read a CSV file with a head.
+    """Read a CSV file with a head; yield the cells of each row by the names of the columns.
 
-    Args:
-        path: the file.
-        max_bytes: largest size.
-
-    Yields:
-        the cells of a row by the names of the columns.
-
-    Raises:
-        InputError: it cannot be read, or is damaged; the rows before the damage come first.
+    Raises InputError if it cannot be read, or is damaged, after the rows before the damage.
     """
     rows = csv.reader(read_text(path, max_bytes, "CSV").splitlines(keepends=True), strict=True)
     number = 0
@@ -48,7 +40,7 @@ def read_rows(path: Path | str, max_bytes: int = MAX_TEXT) -> Iterator[dict[str,
 def read_table(
     path: Path | str, kind: type[T], infinite: Collection[str] = (), max_bytes: int = MAX_TEXT
 ) -> Iterator[T]:
-    """Read a CSV file with a record per row.
+    """Read a CSV file with a record per row; yield the records.
 
     Args:
         path: the file.
@@ -56,12 +48,8 @@ def read_table(
         infinite: names of the columns that may hold infinite numbers.
         max_bytes: largest size.
 
-    Yields:
-        the records.
-
     Raises:
-        InputError: it cannot be read, or is damaged: the line names row and column; the records
-            before the damage come first.
+        InputError: as `read_rows`; the line names row and column.
     """
     hints = get_type_hints(kind)
     optional: Collection[str] = getattr(kind, "_field_defaults")  # noqa: B009
@@ -80,15 +68,9 @@ def read_table(
 
 
 def parse_cell(text: str, kind: type, infinite: bool = False) -> Any:
-    """Turn the text of a cell into an int, a finite float, a bool or a str.
+    """Turn the text of a cell into an int, a float (finite, or not NaN), a bool or a str.
 
-    Args:
-        text: of the cell.
-        kind: what it must be.
-        infinite: whether a float may be infinite.
-
-    Raises:
-        ValueError: it is none.
+    Raises ValueError if it is none.
     """
     if kind is str:
         return text
