@@ -101,9 +101,8 @@ def measure(
     import jax
 
     from qdenv.generate import GENERATORS
-    from qdenv.pipeline import canvas_of
 
-    generator = GENERATORS.make(config.evaluation.generator, canvas_of(grown.domain))
+    generator = GENERATORS.make(config.evaluation.generator, grown.domain.canvas)
     begin = time.process_time()
     grow = jax.jit(lambda some: generator.grow(some, grown.steps)).lower(solution[None]).compile()
     compiled = time.process_time()

@@ -27,7 +27,7 @@ import tyro
 import qdenv
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
-from qdenv.run.checkpoint import load_newest
+from qdenv.run.checkpoint import Checkpoints
 from qdenv.search.base import growing
 from qdenv.study.surrogate import score_predictions, split_elites
 from qdenv.surrogate.samples import Ring, Samples
@@ -48,7 +48,7 @@ def remembered(run: qdenv.RunDirectory) -> tuple[Samples, Aspect, list[str]]:
     experiment = qdenv.make_experiment(run.config)
     domain = experiment.pipeline.domain
     initial = growing(experiment.algorithm).init(experiment.search_key)
-    _, state = load_newest(run.path, initial, {})
+    _, state = Checkpoints(run.path).load_newest(initial, {})
     if not hasattr(state, "ring"):
         raise qdenv.InputError(f"{run.path}: its algorithm has no surrogate: use `qdenv surrogate`")
     samples = jax.tree.map(

@@ -17,7 +17,7 @@ import numpy as np
 
 from qdenv import devices, mesh
 from qdenv.domains.base import Domain, Simulator, make_domain
-from qdenv.generate import GENERATORS, Canvas
+from qdenv.generate import GENERATORS
 from qdenv.repair.pool import RepairPool, repair_in_jit
 from qdenv.score import similarity
 from qdenv.settings import EvaluationConfig
@@ -39,18 +39,13 @@ class Pipeline(NamedTuple):
     score: Callable[[jax.Array, jax.Array, jax.Array, Any], Evaluation]
 
 
-def canvas_of(domain: Domain) -> Canvas:
-    """Return what a generator of this domain draws on: the area inside the frame."""
-    return Canvas(*domain.generated_shape, domain.generated, domain.seed_block)
-
-
 def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     """Build the chain; other repair seeds give other, equally good repairs.
 
     Raises InputError if the canvas is too small, or the repair rules contradict each other.
     """
     domain = make_domain(config.domain)
-    generator = GENERATORS.make(config.generator, canvas_of(domain))
+    generator = GENERATORS.make(config.generator, domain.canvas)
     pool = None if domain.rules is None else RepairPool(domain.rules(), config.repair)
 
     def grow(parameters: jax.Array) -> jax.Array:
@@ -78,16 +73,15 @@ def _grow_layouts(grow: Callable[[jax.Array], jax.Array], parameters: jax.Array)
     return grow(parameters) if devices.count() == 1 else mesh.map_items(grow, parameters)
 
 
-def _in_lanes(function: Callable, items: Any, lanes: int) -> Any:
-    """Map `function` over the leading axis of `items`, `lanes` at a time side by side."""
-    return jax.lax.map(function, items, batch_size=lanes if lanes > 1 else None)
-
-
 def simulate_layouts(
     simulator: Simulator, layouts: jax.Array, keys: jax.Array, simulations: int
 ) -> Any:
     """Simulate layouts [B, H, W], each `simulations` times from its own key of `keys` [B]."""
     runs = jax.vmap(lambda key: jax.random.split(key, simulations))(keys)
+
+    def in_lanes(function: Callable, items: Any, lanes: int) -> Any:
+        """Map over the leading axis, `lanes` items at a time side by side."""
+        return jax.lax.map(function, items, batch_size=lanes if lanes > 1 else None)
 
     def share(layouts: jax.Array, runs: jax.Array) -> Any:
         on_host = runs.shape[1] if simulator.layout_at_once else 1
@@ -96,18 +90,13 @@ def simulate_layouts(
         def one(item: tuple[jax.Array, jax.Array]) -> Any:
             layout, runs = item
             tables = simulator.prepare(layout)
-            return _in_lanes(lambda run: simulator.run(tables, run), runs, lanes)
+            return in_lanes(lambda run: simulator.run(tables, run), runs, lanes)
 
-        return _in_lanes(one, (layouts, runs), lanes // runs.shape[1])
+        return in_lanes(one, (layouts, runs), lanes // runs.shape[1])
 
-    if devices_for(simulator) == 1:
+    if simulator.num_devices == 1:
         return share(layouts, runs)
     return mesh.map_runs(share, layouts, runs)
-
-
-def devices_for(simulator: Simulator) -> int:
-    """Count the devices that share one call of the simulator."""
-    return 1 if devices.count() == 1 or simulator.on_host() else devices.count()
 
 
 def score_layout(

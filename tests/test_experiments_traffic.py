@@ -36,7 +36,7 @@ from qdenv.io.arrays import write_arrays
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
 from qdenv.nca import NcaConfig
-from qdenv.pipeline import EvaluationConfig, canvas_of
+from qdenv.pipeline import EvaluationConfig
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -370,7 +370,7 @@ def test_a_runtime_is_that_of_the_repair_that_other_commands_make(folders, tmp_p
     domain = make_domain(evaluation.domain)
     run = RunDirectory.create(tmp_path / "run", config, domain.measures)
     solution = np.random.default_rng(1).normal(
-        0, 0.6, GENERATORS.make(evaluation.generator, canvas_of(domain)).size
+        0, 0.6, GENERATORS.make(evaluation.generator, domain.canvas).size
     )
     layout = np.zeros((1, 11, 12), np.int8)
     write_arrays(

@@ -7,7 +7,6 @@ import pytest
 
 from qdenv.domains.base import find_domain
 from qdenv.generate import GENERATORS, Canvas, DirectConfig
-from qdenv.pipeline import canvas_of
 
 DOMAINS = ("warehouse-even", "warehouse-uneven", "manufacturing", "maze-walls", "maze-entropy")
 
@@ -15,7 +14,7 @@ DOMAINS = ("warehouse-even", "warehouse-uneven", "manufacturing", "maze-walls", 
 @pytest.mark.parametrize("name", DOMAINS)
 def test_exactly_the_tiles_of_a_solution_are_drawn_inside_the_frame(name):
     domain = find_domain(name)
-    generator = GENERATORS.make(DirectConfig(), canvas_of(domain))
+    generator = GENERATORS.make(DirectConfig(), domain.canvas)
     rows, cols = domain.generated_shape
     kinds = len(domain.generated)
     assert (generator.size, generator.choices, generator.steps) == (rows * cols, kinds, 0)

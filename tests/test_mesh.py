@@ -12,7 +12,6 @@ import pytest
 
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.mesh import count_parts
-from qdenv.pipeline import devices_for
 from qdenv.run.executors.layouts import chunk_size
 
 HERE = Path(__file__).parent
@@ -74,9 +73,9 @@ def test_runs_are_cut_so_that_the_busiest_device_has_the_fewest(
 def test_only_what_the_devices_compute_themselves_is_shared_out(monkeypatch):
     on_host = find_domain("warehouse-even").simulator
     by_xla = make_domain(mesh_runs.FLEET.evaluation.domain).simulator
-    assert devices_for(by_xla) == 1
+    assert by_xla.num_devices == 1
     monkeypatch.setattr("qdenv.devices.count", lambda: 8)
-    assert (devices_for(by_xla), devices_for(on_host)) == (8, 1)
+    assert (by_xla.num_devices, on_host.num_devices) == (8, 1)
 
 
 def test_chunks_are_equal_and_as_large_as_allowed():

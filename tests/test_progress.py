@@ -13,7 +13,7 @@ from qdenv.progress import Bar
 @pytest.fixture
 def quick(monkeypatch):
     """Show a bar after a hundredth of a second, and redraw it as often."""
-    for name in ("PATIENCE", "TICK", "FILE_TICK"):
+    for name in ("_PATIENCE", "_TICK", "_FILE_TICK"):
         monkeypatch.setattr(progress, name, 0.01)
 
 

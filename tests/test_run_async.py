@@ -14,7 +14,7 @@ from search_harness import compiled, extras_of, score_of
 
 from qdenv.run import evaluate_async, loop
 from qdenv.run.directory import RunDirectory
-from qdenv.run.evaluate_async import AsyncEvaluation, begin_search
+from qdenv.run.evaluate_async import AsyncEvaluation, Search
 from qdenv.run.experiment import make_experiment, make_iteration
 from qdenv.search.base import Algorithm
 from qdenv.search.cma_mae import CmaMaeConfig
@@ -69,7 +69,7 @@ def test_population_i_is_asked_when_all_up_to_i_minus_1_minus_ahead_are_told(ahe
     monkeypatch.setattr(evaluate_async, "observed", lambda evaluation: {})
     algorithm, log = scribe(ahead)
     evaluator, total = Shuffled(), 7
-    search = begin_search(algorithm, jax.random.key(0))
+    search = Search.begin(algorithm, jax.random.key(0))
     under_way = AsyncEvaluation(algorithm, evaluator, jax.random.key(1), total, 0, search)
     while under_way.done < total:
         under_way.submit()

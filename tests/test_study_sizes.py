@@ -18,7 +18,7 @@ from qdenv.generate import GENERATORS
 from qdenv.io.arrays import write_arrays
 from qdenv.io.layouts import read_layout, write_layout
 from qdenv.nca import NcaConfig
-from qdenv.pipeline import EvaluationConfig, canvas_of, make_pipeline
+from qdenv.pipeline import EvaluationConfig, make_pipeline
 from qdenv.repair.audit import audit
 from qdenv.repair.pool import RepairPool
 from qdenv.repair.settings import RepairConfig
@@ -44,7 +44,7 @@ def make_run(path: Path, evaluation: EvaluationConfig = SMALL) -> RunDirectory:
     domain = make_domain(evaluation.domain)
     measures = [measure._replace(cells=5) for measure in domain.measures]
     run = RunDirectory.create(path, config, measures)
-    size = GENERATORS.make(evaluation.generator, canvas_of(domain)).size
+    size = GENERATORS.make(evaluation.generator, domain.canvas).size
     solutions = np.random.default_rng(1).normal(0, 0.6, (3, size)).astype(np.float32)
     objective = np.array([1.0, 3.0, 2.0], np.float32)
     cells = np.array([7, 15, 19])

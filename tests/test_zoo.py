@@ -15,7 +15,6 @@ from qdenv.cli.main import run
 from qdenv.domains.base import make_domain
 from qdenv.generate import GENERATORS
 from qdenv.io.layouts import read_layout
-from qdenv.pipeline import canvas_of
 from qdenv.presets import PRESETS
 from qdenv.run.directory import RunDirectory
 from qdenv.score import entropy
@@ -91,7 +90,7 @@ def test_every_generator_draws_again_what_is_recorded(domain):
     run_ = RunDirectory.open(f"zoo:{domain}")
     archive, evaluation = run_.archive, run_.config.evaluation
     found = make_domain(evaluation.domain)
-    generator = GENERATORS.make(evaluation.generator, canvas_of(found))
+    generator = GENERATORS.make(evaluation.generator, found.canvas)
     weights = archive.columns["solution"]
     assert weights.shape[1] == generator.size
     steps = evaluation.generator.steps

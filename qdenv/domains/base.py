@@ -10,8 +10,8 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 import tyro
 
-from qdenv import score
-from qdenv.generate import inside_frame
+from qdenv import devices, score
+from qdenv.generate import Canvas, inside_frame
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Ranged
 from qdenv.registry import Registry
@@ -113,6 +113,11 @@ class Simulator(NamedTuple):
     # tells whether runs are computed by host code, which no other device can share
     on_host: Callable[[], bool] = lambda: False
 
+    @property
+    def num_devices(self) -> int:
+        """The number of devices that share one call."""
+        return 1 if devices.count() == 1 or self.on_host() else devices.count()
+
 
 @dataclass(frozen=True)
 class Domain:
@@ -185,6 +190,11 @@ class Domain:
     def generated_shape(self) -> tuple[int, int]:
         """Rows and columns of the generated area."""
         return self.shape[0] - 2 * self.margin[0], self.shape[1] - 2 * self.margin[1]
+
+    @property
+    def canvas(self) -> Canvas:
+        """What a generator draws on: the area inside the frame."""
+        return Canvas(*self.generated_shape, self.generated, self.seed_block)
 
     @property
     def area(self) -> int:

@@ -36,65 +36,65 @@ class Manifest(NamedTuple):
     settings: Mapping[str, Any] = {}  # what decides the run's result
 
 
-def save_newest(run: Path, iteration: int, state: Any, settings: dict[str, Any]) -> None:
-    """Write the state of a search after `iteration`, and delete all but the newest checkpoints.
+class Checkpoints:
+    """The checkpoints of a run; only the newest are kept."""
 
-    Args:
-        run: the run directory.
-        iteration: the last that is in `state`.
-        state: pytree of arrays.
-        settings: JSON-ready, what decides the run's result.
+    def __init__(self, run: Path) -> None:
+        """Read nothing yet; `run` is the run directory."""
+        self._run = run
 
-    Raises:
-        InputError: the file cannot be written.
-    """
-    target = run / "checkpoints" / f"{iteration:06d}.npz"
-    save_checkpoint(target, state, {"iteration": iteration, "settings": settings})
-    for old in _checkpoints(run)[:-_KEPT]:
-        old.unlink(missing_ok=True)
+    def save(self, iteration: int, state: Any, settings: dict[str, Any]) -> None:
+        """Write the state of a search after `iteration`, a pytree of arrays.
 
+        `settings`, JSON-ready, are what decides the run's result. Raises InputError if the file
+        cannot be written.
+        """
+        target = self._run / "checkpoints" / f"{iteration:06d}.npz"
+        save_checkpoint(target, state, {"iteration": iteration, "settings": settings})
+        for old in self._list()[:-_KEPT]:
+            old.unlink(missing_ok=True)
 
-def load_newest(run: Path, initial: Any, settings: Mapping[str, Any]) -> tuple[int, Any]:
-    """Load the newest undamaged checkpoint, with a warning where a newer one is damaged.
+    def load_newest(self, initial: Any, settings: Mapping[str, Any]) -> tuple[int, Any]:
+        """Load the newest undamaged checkpoint, with a warning where a newer one is damaged.
 
-    Args:
-        run: the run directory.
-        initial: state of a search that begins.
-        settings: what decides the run's result; only names that the checkpoint has, too, are
-            compared, as new versions add some.
+        Args:
+            initial: state of a search that begins.
+            settings: what decides the run's result; only names that the checkpoint has, too, are
+                compared, as new versions add some.
 
-    Returns:
-        (iteration, state); 0 and `initial` where none is saved.
+        Returns:
+            (iteration, state); 0 and `initial` where none is saved.
 
-    Raises:
-        InputError: all are damaged, or they are of another search, other settings or a newer qdenv.
-    """
-    saved = _checkpoints(run)
-    for path in reversed(saved):
-        try:
-            state, manifest = load_checkpoint(path, initial)
-        except DamagedError as error:
-            if path == saved[0]:
-                raise InputError(
-                    f"{error}: no checkpoint is whole, delete {path.parent} to begin anew"
-                ) from error
-            _LOG.warning("%s: going on from the checkpoint before it", error)
-            continue
-        for name, value in settings.items():
-            if manifest.settings.get(name, value) != value:
-                raise InputError(
-                    f"{run}: its checkpoint was made with {name} {manifest.settings[name]}, now it "
-                    f"is {value}: put that back, or train anew in another folder"
-                )
-        return manifest.iteration, state
-    return 0, initial
+        Raises:
+            InputError: all are damaged, or they are of another search, other settings or a newer
+                qdenv.
+        """
+        saved = self._list()
+        for path in reversed(saved):
+            try:
+                state, manifest = load_checkpoint(path, initial)
+            except DamagedError as error:
+                if path == saved[0]:
+                    raise InputError(
+                        f"{error}: no checkpoint is whole, delete {path.parent} to begin anew"
+                    ) from error
+                _LOG.warning("%s: going on from the checkpoint before it", error)
+                continue
+            for name, value in settings.items():
+                if manifest.settings.get(name, value) != value:
+                    raise InputError(
+                        f"{self._run}: its checkpoint was made with {name} "
+                        f"{manifest.settings[name]}, now it is {value}: put that back, or train "
+                        "anew in another folder"
+                    )
+            return manifest.iteration, state
+        return 0, initial
 
-
-def _checkpoints(run: Path) -> list[Path]:
-    """List the checkpoints, the newest last; files of other names are not ours."""
-    every = (run / "checkpoints").glob("*.npz")
-    ours = (path for path in every if re.fullmatch(r"[0-9]{6,9}", path.stem))
-    return sorted(ours, key=lambda path: int(path.stem))
+    def _list(self) -> list[Path]:
+        """List the checkpoints, the newest last; files of other names are not ours."""
+        every = (self._run / "checkpoints").glob("*.npz")
+        ours = (path for path in every if re.fullmatch(r"[0-9]{6,9}", path.stem))
+        return sorted(ours, key=lambda path: int(path.stem))
 
 
 def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:

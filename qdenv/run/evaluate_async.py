@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import jax
 
@@ -19,14 +19,14 @@ class Search(NamedTuple):
     # float [B, P] each, the populations in flight, the oldest first: `Algorithm.ahead` of them
     asked: tuple[Array, ...]
 
-
-def begin_search(algorithm: Algorithm, key: jax.Array) -> Search:
-    """Start a search with as many populations in flight as `algorithm.ahead` states."""
-    state, asked = algorithm.init(key), []
-    for _ in range(algorithm.ahead):
-        solutions, state = algorithm.ask(state)
-        asked.append(solutions)
-    return Search(state, tuple(asked))
+    @classmethod
+    def begin(cls, algorithm: Algorithm, key: jax.Array) -> Self:
+        """Start a search with as many populations in flight as `algorithm.ahead` states."""
+        state, asked = algorithm.init(key), []
+        for _ in range(algorithm.ahead):
+            solutions, state = algorithm.ask(state)
+            asked.append(solutions)
+        return cls(state, tuple(asked))
 
 
 class AsyncEvaluation:

@@ -51,7 +51,7 @@ def read_metrics(path: Path, salvage: bool = False) -> list[Metrics]:
 
 
 def read_notes(path: Path, salvage: bool = False) -> list[Note]:
-    """Read notes.csv likewise; an algorithm without notes has no such file."""
+    """Read notes.csv as `read_metrics` does; an algorithm without notes has no such file."""
     return _collect(_iterate_notes(path), salvage) if path.exists() else []
 
 

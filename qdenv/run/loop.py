@@ -18,10 +18,10 @@ from qdenv.io.layouts import write_layout
 from qdenv.pipeline import Pipeline, PipelinedEvaluator
 from qdenv.progress import Bar
 from qdenv.run.archive import best_row
-from qdenv.run.checkpoint import load_newest, save_newest
+from qdenv.run.checkpoint import Checkpoints
 from qdenv.run.config import RunConfig, check
 from qdenv.run.directory import RunDirectory, find_start
-from qdenv.run.evaluate_async import AsyncEvaluation, Search, begin_search
+from qdenv.run.evaluate_async import AsyncEvaluation, Search
 from qdenv.run.executors import Execution
 from qdenv.run.experiment import Experiment, make_experiment
 from qdenv.run.log import Log
@@ -106,8 +106,8 @@ def _run(
     publisher = Publisher(run, experiment, algorithm, experiment.settings(config))
     with contextlib.ExitStack() as stack:
         layouts = stack.enter_context(execution.open(config, pipeline, bar.update))
-        initial = begin_search(algorithm, experiment.search_key)
-        begun, search = load_newest(run.path, initial, publisher.settings)
+        initial = Search.begin(algorithm, experiment.search_key)
+        begun, search = publisher.checkpoints.load_newest(initial, publisher.settings)
         if config != run.config:
             if total < begun:
                 raise InputError(
@@ -182,6 +182,7 @@ class Publisher:
     ) -> None:
         """Compile nothing yet."""
         self._run, self._experiment, self.settings = run, experiment, settings
+        self.checkpoints = Checkpoints(run.path)
         self.saved = 0  # iteration after which this process has saved the search
         self._spent, self._last = 0.0, 0.0
         self._begun = self._since = time.perf_counter()
@@ -209,7 +210,7 @@ class Publisher:
     def save(self, iteration: int, search: Search) -> None:
         """Write a checkpoint, then the archive and its best layout."""
         begun = time.perf_counter()
-        save_newest(self._run.path, iteration, search, self.settings)
+        self.checkpoints.save(iteration, search, self.settings)
         self.publish(search)
         self._since = time.perf_counter()
         self._last = self._since - begun

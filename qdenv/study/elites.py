@@ -67,12 +67,6 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(rows), int(cols)
 
 
-def _generator_of(config: EvaluationConfig, domain: Domain) -> Any:
-    from qdenv.pipeline import canvas_of  # imports both compilers: refusals are faster without
-
-    return GENERATORS.make(config.generator, canvas_of(domain))
-
-
 def grow_series(
     config: EvaluationConfig, domain: Domain, solution: np.ndarray, steps: Sequence[int]
 ) -> list[np.ndarray]:
@@ -92,7 +86,7 @@ def grow_series(
             one of another architecture, or a number of steps is negative.
     """
     check_range("steps", tuple(steps), tuple[NonNegativeInt, ...])
-    generator = _generator_of(config, domain)
+    generator = GENERATORS.make(config.generator, domain.canvas)
     if generator.choices and solution.shape != (generator.size,):
         raise InputError(
             "this run searched tiles, not automata: its layouts have the size of the run alone"
@@ -139,7 +133,7 @@ def grow_elite(
     if keep is not None:
         domain = keep_from(keep, domain)
     if steps is None:
-        size, own = trained.known_size(rows, cols), _generator_of(config, trained).steps
+        size, own = trained.known_size(rows, cols), GENERATORS.make(config.generator, trained.canvas).steps
         # A larger canvas grows out of the same seed, at most a cell per step.
         longer = max(rows / trained.shape[0], cols / trained.shape[1], 1)
         steps = size.steps if size and own else round(own * longer)
@@ -261,7 +255,7 @@ def make_grower(config: EvaluationConfig, domain: Domain) -> tuple[int, Grower]:
         (steps C, float32 [B, P] -> framed layouts int8 [B, C + 1, H, W]); no steps where nothing
         grows. Another B is compiled again.
     """
-    generator = _generator_of(config, domain)
+    generator = GENERATORS.make(config.generator, domain.canvas)
     steps = generator.steps
 
     @jax.jit

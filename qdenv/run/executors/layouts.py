@@ -19,7 +19,7 @@ import numpy as np
 
 from qdenv import devices
 from qdenv.mesh import turn
-from qdenv.pipeline import Outcomes, Pipeline, devices_for, joined, make_pipeline, unrepaired_as_is
+from qdenv.pipeline import Outcomes, Pipeline, joined, make_pipeline, unrepaired_as_is
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
 from qdenv.run.executors.dask import REMEMBERED, ClusterExecutor, Task
 from qdenv.types import Array, Repair
@@ -47,7 +47,7 @@ class Threads:
     ) -> None:
         """Compile nothing yet; `chunk` is the number of layouts that one call simulates at most."""
         self._pipeline, self._progress = pipeline, progress
-        sharing = devices_for(pipeline.domain.simulator)
+        sharing = pipeline.domain.simulator.num_devices
         self._chunk = chunk or sharing * devices.lanes(devices.ACCELERATOR_CHUNK)
         self._simulate = jax.jit(pipeline.simulate)
         # Devices that share one call must get their calls in one order, or they wait for ever.
