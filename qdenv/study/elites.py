@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -133,7 +133,10 @@ def grow_elite(
     if keep is not None:
         domain = keep_from(keep, domain)
     if steps is None:
-        size, own = trained.known_size(rows, cols), GENERATORS.make(config.generator, trained.canvas).steps
+        size, own = (
+            trained.known_size(rows, cols),
+            GENERATORS.make(config.generator, trained.canvas).steps,
+        )
         # A larger canvas grows out of the same seed, at most a cell per step.
         longer = max(rows / trained.shape[0], cols / trained.shape[1], 1)
         steps = size.steps if size and own else round(own * longer)
