@@ -133,10 +133,8 @@ def grow_elite(
     if keep is not None:
         domain = keep_from(keep, domain)
     if steps is None:
-        size, own = (
-            trained.known_size(rows, cols),
-            GENERATORS.make(config.generator, trained.canvas).steps,
-        )
+        size = trained.known_size(rows, cols)
+        own = GENERATORS.make(config.generator, trained.canvas).steps
         # A larger canvas grows out of the same seed, at most a cell per step.
         longer = max(rows / trained.shape[0], cols / trained.shape[1], 1)
         steps = size.steps if size and own else round(own * longer)
