@@ -6,7 +6,7 @@ from experiments import zoo
 from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
 from qdenv.run.directory import RunDirectory
-from qdenv.zoo import PREFIX, USUAL, named, names
+from qdenv.shipped import PREFIX, USUAL, named, names
 
 SECONDS = 1200.0  # CPU seconds of choosing and measuring about ten
 GROWERS = ("nca", "nca-s")  # makers of layouts that are generators of the zoo

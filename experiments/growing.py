@@ -15,13 +15,13 @@ from qdenv.pipeline import simulate_layouts
 from qdenv.run.archive import SavedArchive
 from qdenv.run.config import scale
 from qdenv.run.directory import RunDirectory
+from qdenv.shipped import Driven, Grown
 from qdenv.stats import sample_of
 from qdenv.study import elites as sizes
 from qdenv.study.elites import grow_elite
 from qdenv.study.ledger import Case, complete
 from qdenv.study.options import parse_seeds
 from qdenv.types import InputError
-from qdenv.zoo import Driven, Grown
 
 Cell: TypeAlias = tuple[int, ...]
 Shape: TypeAlias = tuple[int, int]

@@ -7,7 +7,7 @@ from experiments.layouts import S_EVAL, S, SavedLayout
 from experiments.pieces import Folders
 from experiments.published import AGENTS, FLEETS
 from experiments.traffic import SavedTraffic
-from qdenv.zoo import USUAL, names
+from qdenv.shipped import USUAL, names
 
 MAKERS = ("cma-es", "nca")
 SIZES = {S: "S", S_EVAL: "S_eval"}

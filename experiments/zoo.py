@@ -34,8 +34,8 @@ from qdenv.presets import PRESETS
 from qdenv.run.archive import SavedArchive
 from qdenv.run.directory import RunDirectory
 from qdenv.search.registry import ALGORITHMS
+from qdenv.shipped import TABLE, USUAL, Generator, Origin, to_json
 from qdenv.types import InputError, look_up
-from qdenv.zoo import TABLE, USUAL, Generator, Origin, to_json
 
 ZOO = Path(__file__).parents[1] / "qdenv" / "zoo"
 FILES = ("config.json", "manifest.json", "metrics.csv")

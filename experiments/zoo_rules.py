@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from qdenv.zoo import USUAL
+from qdenv.shipped import USUAL
 
 ENTROPY, ACTIONS = "environment entropy", "mean agent path length"
 GOOD, SURE = ("objective", 0.5), ("success", 0.5)

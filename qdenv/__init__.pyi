@@ -13,17 +13,15 @@ from .domains.base import (
 from .domains.fleet import fleet_simulator
 from .generate import GENERATORS, Canvas, Generator, NcaConfig
 from .io.layouts import read_layout, write_layout
-from .ops.agents import convert_agent, evaluate_agent, train_agent
 from .ops.layouts import check, human_layout, make_environment, render, repair_layout, tile_layout
+from .ops.networks import convert_agent, evaluate_agent, fit_surrogate, train_agent
 from .ops.options import read_plan
+from .ops.output import Layout
 from .ops.pages import explore, replay, report
-from .ops.results import Layout
 from .ops.runs import export, generate_layout, plot, series
-from .ops.searches import presets, resume, train
+from .ops.searches import presets, resume, train, zoo
 from .ops.studies import compare, scalability, sweep
-from .ops.surrogates import fit_surrogate
 from .ops.traffic import simulate_layout
-from .ops.zoo import zoo
 from .pipeline import evaluate, make_pipeline
 from .presets import PRESETS, find_preset
 from .registry import Entry

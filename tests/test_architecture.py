@@ -47,18 +47,21 @@ ALLOWED = {
         "registry",
         "surrogate",
     },
-    "zoo": {"types", "io"},
+    "shipped": {"types", "io"},
     "presets": BASE | STAGES | {"domains", "search", "settings", "surrogate", "run.config"},
     "run": BASE
     | STAGES
     | PLUGS
     | {"search", "pipeline", "settings", "domains", "view.notebook"}
-    | {"mesh", "zoo"},
+    | {"mesh", "shipped"},
     "study": BASE
     | STAGES
     | PLUGS
     | {"agent", "domains", "pipeline", "settings", "surrogate", "run"},
-    "view": BASE | STAGES | PLUGS | {"agent", "domains", "search.registry", "study", "run", "zoo"},
+    "view": BASE
+    | STAGES
+    | PLUGS
+    | {"agent", "domains", "search.registry", "study", "run", "shipped"},
     "ops": BASE
     | STAGES
     | PLUGS
@@ -72,11 +75,11 @@ ALLOWED = {
         "study",
         "surrogate",
         "run",
-        "zoo",
+        "shipped",
     },
     "cli": BASE
     | PLUGS
-    | {"domains", "ops", "presets", "run", "search", "simulate", "study", "zoo"},
+    | {"domains", "ops", "presets", "run", "search", "simulate", "study", "shipped"},
     "__main__": {"cli", "interrupt"},
     "__init__": set(),  # names the public homes and imports each when it is asked for
 }

@@ -6,7 +6,7 @@ import subprocess
 import pytest
 
 from qdenv.cli.main import run
-from qdenv.zoo import names
+from qdenv.shipped import names
 
 # What a shell does when somebody presses the tab key after these words.
 ASK = """

@@ -19,9 +19,9 @@ from qdenv.presets import PRESETS
 from qdenv.run.directory import RunDirectory
 from qdenv.score import entropy
 from qdenv.search.registry import ALGORITHMS
+from qdenv.shipped import Generator, named, names
 from qdenv.study.elites import Grown, repair_grown
 from qdenv.types import InputError
-from qdenv.zoo import Generator, named, names
 
 ZOO = Path(qdenv.__file__).parent / "zoo"
 MOST_BYTES = 6_000_000

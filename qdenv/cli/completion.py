@@ -14,7 +14,7 @@ from qdenv.cli.parser import MARKERS, SPEC, command, completion_spec
 from qdenv.cli.rules import Choices, make_rules
 from qdenv.ops.output import say
 from qdenv.presets import PRESETS
-from qdenv.zoo import PREFIX, names
+from qdenv.shipped import PREFIX, names
 
 # Two corrections of tyro's script. Which words a colon does not part: ours as well (zoo:NAME).
 _WORDS = 'set(spec.get("subcommands", {}).keys())'

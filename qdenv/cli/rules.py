@@ -48,10 +48,10 @@ from qdenv.run.config import choose_algorithm, choose_domain, choose_planner, pl
 from qdenv.run.directory import RunDirectory
 from qdenv.search.registry import ALGORITHMS
 from qdenv.search.settings import check_strategy
+from qdenv.shipped import PREFIX
 from qdenv.simulate.mapf.settings import PLANNERS, find_planner
 from qdenv.study.plans import USUAL, read_plan
 from qdenv.types import InputError, choices
-from qdenv.zoo import PREFIX
 
 _PLANNER = "planner."  # begins the options of a planner: other settings may have the same names
 _WORKERS = "evaluation__repair__workers"  # which `Execution` has, too

@@ -33,11 +33,11 @@ from qdenv.ops.options import (
 from qdenv.ops.output import AUTO, PICTURES, Facts, Place, format_table, place, say
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged, Seed
+from qdenv.shipped import file_name
 from qdenv.study.options import find_surrogate
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import MAZES
 from qdenv.types import InputError
-from qdenv.zoo import file_name
 
 if TYPE_CHECKING:  # imports jax
     from qdenv.agent.evaluate import Comparison

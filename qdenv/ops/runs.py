@@ -36,12 +36,12 @@ from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
+from qdenv.shipped import file_name
 from qdenv.study.groups import CURVES, band_of, group_runs
 from qdenv.study.options import describe_growth
 from qdenv.study.plans import describe_changes, list_changes
 from qdenv.types import InputError, RepairStatus
 from qdenv.view.widths import PAGE
-from qdenv.zoo import file_name
 
 if TYPE_CHECKING:  # imports jax
     pass

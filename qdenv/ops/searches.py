@@ -28,10 +28,10 @@ from qdenv.run.directory import RunDirectory, find_start
 from qdenv.run.executors import Execution
 from qdenv.run.log import Metrics
 from qdenv.search.registry import ALGORITHMS
+from qdenv.shipped import PREFIX, Collection, Driven, Origin, Shipped, named, names, to_json
 from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.study.plans import keep_from
 from qdenv.types import InputError
-from qdenv.shipped import PREFIX, Collection, Driven, Origin, Shipped, named, names, to_json
 
 # CPU seconds of one evaluation, measured on two cores of a cloud machine. Those of DSAGE on the
 # paper's rows are reckoned from `python -m experiments.benchmarks surrogate`, for outer loops of

@@ -37,8 +37,8 @@ from qdenv.run.archive import ArchiveSchema, Elite, SavedArchive
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
 from qdenv.run.log import METRICS, Metrics, read_metrics
 from qdenv.search.axes import Axis, axes_of
+from qdenv.shipped import Shipped, find
 from qdenv.types import InputError, Measure
-from qdenv.zoo import Shipped, find
 
 _SCHEMA = 2  # of run directories; 1 was never released
 _PACKAGES = ("qdenv", "jax", "jaxlib", "numpy", "flax", "qdax", "evosax", "highspy", "numba")

@@ -12,10 +12,10 @@ import numpy as np
 from qdenv.domains.base import make_domain
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
+from qdenv.shipped import PREFIX, file_name
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
 from qdenv.view.page import FILTERS
-from qdenv.zoo import PREFIX, file_name
 
 _HAND_MADE = "hand-made"
 _SHOWN = "At the right is what people draw by hand at this size."

@@ -12,13 +12,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from qdenv.io.records import read_json
 from qdenv.types import look_up
 
+_HOME = Path(__file__).parent / "zoo"
 PREFIX = "zoo:"
 TABLE = "generators.json"
 USUAL = "best"  # the generator of a domain where none is named
@@ -117,12 +117,8 @@ class Shipped(NamedTuple):
 
 def names() -> dict[str, tuple[str, ...]]:
     """List the domains of the zoo, each with the names of its generators."""
-    found = sorted(path.parent for path in _home().glob(f"*/{TABLE}"))
+    found = sorted(path.parent for path in _HOME.glob(f"*/{TABLE}"))
     return {folder.name: tuple(read_collection(folder).generators) for folder in found}
-
-
-def _home() -> Path:
-    return Path(str(resources.files("qdenv.zoo")))
 
 
 def find(place: str | Path) -> Shipped | None:
@@ -141,7 +137,7 @@ def find(place: str | Path) -> Shipped | None:
     if text.startswith(PREFIX):
         return named(text.removeprefix(PREFIX))
     folder = Path(os.path.realpath(text))  # unlike Path.resolve, it never raises
-    if folder.parent != Path(os.path.realpath(_home())) or folder.name not in names():
+    if folder.parent != Path(os.path.realpath(_HOME)) or folder.name not in names():
         return None
     return named(folder.name)
 
@@ -160,7 +156,7 @@ def named(text: str) -> Shipped:
     """
     domain, _, name = text.partition("/")
     look_up(names(), domain, "domain of the zoo")
-    collection = read_collection(_home() / domain)
+    collection = read_collection(_HOME / domain)
     look_up(collection.generators, name or USUAL, f"generator of {domain}")
     return Shipped(collection, name or USUAL)
 
