@@ -7,3 +7,8 @@
 `pieces.py` says what a saved result is, `runs.py`, `layouts.py` and `traffic.py` what kinds there
 are, `published.py` what the paper found.
 """
+
+import os
+
+# Before any script imports numpy: experiments run one simulation or search per core.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

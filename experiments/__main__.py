@@ -1,9 +1,6 @@
 """List the paper's figures and tables, draw them from saved results, make what is missing."""
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
+import contextlib
 import shlex
 import sys
 from pathlib import Path
@@ -19,7 +16,6 @@ from functools import partial
 import tyro
 
 from experiments.catalogue import find, names
-from experiments.machines import at_work
 from experiments.pieces import RESULTS, Experiment, Folders
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_atomically
@@ -113,8 +109,12 @@ def main(
     chosen = chosen if experiments == ("all",) else list(experiments)
     if making is not None:
         interrupt.advise(f"`python -m experiments {shlex.join(sys.argv[1:])}` goes on")
-        with at_work(execution) as machines:
-            make(find(making), folders._replace(machines=machines))
+        with contextlib.ExitStack() as stack:
+            if executor != "threads":
+                client = stack.enter_context(execution.connect())
+                execution = Execution("dask", scheduler=client.scheduler_info()["address"])
+                folders = folders._replace(client=client)
+            make(find(making), folders._replace(execution=execution))
         chosen = [making, *chosen]
     if missing is not None:
         list_missing(find(missing), folders)

@@ -7,10 +7,6 @@ effort and under priority-based search by its published and its plain rule. Ever
 runs.csv and is not simulated again, so this can be stopped and started again.
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import sys
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -23,18 +19,20 @@ import tyro
 from scipy.stats import rankdata
 
 import qdenv
-from experiments.agreement_figure import Opinion, save_agreement
 from experiments.correlation import Agreement, agree, correlate
+from experiments.pieces import table
 from qdenv.cli.parser import run_program
 from qdenv.domains.base import make_domain
 from qdenv.io.files import write_csv
 from qdenv.study.ledger import Case, Run, complete
 from qdenv.study.options import parse_seeds
 from qdenv.study.plans import name_layouts, read_plan
+from qdenv.view.style import new_figure, save_figure, styled
 
 PAPER = "published"  # the planner that the others are compared with
 PLANNERS = ("low", "high", "plain", PAPER)
 PARTED = 6  # layouts listed of each planner
+LOOKS = {"high": ("#0072B2", "^"), "low": ("#E69F00", "o")}  # Okabe and Ito 2008
 
 
 class Subject(NamedTuple):
@@ -54,7 +52,7 @@ class Judged(NamedTuple):
     jams: dict[str, np.ndarray]  # by planner, how many runs of each layout congested, int [layouts]
 
     def flows(self, planner: str) -> np.ndarray:
-        """Tell which layouts never congest under a planner nor the paper's, bool [layouts]."""
+        """Return which layouts never congest under a planner and the paper's, bool [layouts]."""
         return self.jams[planner] + self.jams[PAPER] == 0
 
     def mean(self, planner: str) -> np.ndarray:
@@ -117,19 +115,21 @@ def compare(subjects: Sequence[Subject], judged: Judged) -> dict[tuple[str, str]
 
 def print_agreements(found: dict[tuple[str, str], Agreement]) -> None:
     """Print the correlations as a markdown table."""
-    print(f"| against {PAPER} | layouts | Spearman (95 %) | Kendall (95 %) | ratio |")
-    print("| --- | --- | --- | --- | --- |")
-    for (name, over), one in found.items():
-        cells = [
-            f"{value:.3f} ({low:.3f} to {high:.3f})"
-            for value, low, high in (one.spearman, one.kendall)
-        ]
-        ratio = f"{one.ratio:.4f} +- {one.ratio_error:.4f}"
-        print(f"| {name} | {one.layouts} {over} | {' | '.join(cells)} | {ratio} |")
+    head = (f"against {PAPER}", "layouts", "Spearman (95 %)", "Kendall (95 %)", "ratio")
+    rows = [
+        (
+            name,
+            f"{one.layouts} {over}",
+            *("{:.3f} ({:.3f} to {:.3f})".format(*each) for each in (one.spearman, one.kendall)),
+            f"{one.ratio:.4f} +- {one.ratio_error:.4f}",
+        )
+        for (name, over), one in found.items()
+    ]
+    print("\n".join(table(head, rows)))
 
 
 def print_jams(subjects: Sequence[Subject], judged: Judged) -> None:
-    """Say which layouts congest, and under whom."""
+    """Print which layouts congest, and under which planners."""
     runs = judged.throughput[PAPER].shape[1]
     for place, subject in enumerate(subjects):
         jams = {planner: judged.jams[planner][place] for planner in PLANNERS}
@@ -175,14 +175,44 @@ def write_table(
     write_csv(path, head, rows)
 
 
+@styled
 def draw(path: Path, subjects: Sequence[Subject], judged: Judged, title: str) -> None:
-    """Draw our planner's throughput over that of the paper's planner; files are named."""
-    opinions = {
-        f"{name} effort": Opinion(judged.mean(name), judged.flows(name)) for name in ("high", "low")
-    }
-    files = {at: one.name for at, one in enumerate(subjects) if np.isnan(one.objective)}
-    label = "throughput under priority-based search, published rule"
-    save_agreement(path, judged.mean(PAPER), opinions, files, title, label)
+    """Draw our planner's throughput over the paper's: all layouts, and a nearer look."""
+    theirs = judged.mean(PAPER)
+    ours = {name: (judged.mean(name), judged.flows(name)) for name in LOOKS}
+    figure = new_figure(10, 5.4)
+    whole, near = figure.subplots(1, 2)
+    for axes, heading in ((whole, "all layouts"), (near, "layouts that flow, from near by")):
+        for name, (mean, flows) in ours.items():
+            colour, marker = LOOKS[name]
+            look = {"s": 26, "marker": marker, "edgecolors": colour}
+            hollow = f"{name} effort, a run congests"
+            axes.scatter(theirs[flows], mean[flows], c=colour, label=f"{name} effort", **look)
+            axes.scatter(theirs[~flows], mean[~flows], c="none", label=hollow, **look)
+        axes.axline((0, 0), slope=1, color="grey", linewidth=0.8, zorder=0)
+        axes.spines[["top", "right"]].set_visible(False)
+        label = "throughput under priority-based search, published rule"
+        axes.set(title=heading, xlabel=label, aspect="equal")
+    means = np.array([theirs, *(mean for mean, _ in ours.values())])
+    end = 1.05 * means.max()
+    whole.set(xlim=(0, end), ylim=(0, end), ylabel="throughput [tasks / timestep]")
+    # Files are named. Below the diagonal is space: no planner is much worse than the paper's.
+    files = [place for place, one in enumerate(subjects) if np.isnan(one.objective)]
+    for number, place in enumerate(files, start=1):
+        spot = theirs[place], means[1:, place].min()
+        whole.annotate(str(number), spot, (4, -9), textcoords="offset points", fontsize=8)
+    key = "\n".join(f"{number}: {subjects[at].name}" for number, at in enumerate(files, start=1))
+    whole.text(0.98, 0.03, key, transform=whole.transAxes, ha="right", fontsize=8)
+    shown = means[:, np.all([flows for _, flows in ours.values()], axis=0)]
+    if shown.size:
+        # The worst layouts lie far below the others, which they would press into a corner.
+        least, most = np.quantile(shown, 0.1), shown.max()
+        margin = 0.05 * (most - least) + 0.01
+        near.set(xlim=(least - margin, most + margin), ylim=(least - margin, most + margin))
+    handles = whole.get_legend_handles_labels()
+    figure.legend(*handles, loc="outside lower center", ncols=4, frameon=False, fontsize="small")
+    figure.suptitle(title, fontsize="medium")
+    save_figure(figure, path)
 
 
 def main(

@@ -7,10 +7,6 @@ Every algorithm has its defaults. Each run has a folder of its own: finished one
 half-done ones go on, so this can be stopped and started again, with more seeds, too.
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import itertools
 import sys
 import time
@@ -23,11 +19,12 @@ import numpy as np
 
 import qdenv
 from experiments.published import TABLE_4
+from experiments.runs import whole_run
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
 from qdenv.ops.output import format_duration
-from qdenv.run.config import RunConfig, choose_algorithm
-from qdenv.stats import margin, sample_of
+from qdenv.run.config import choose_algorithm
+from qdenv.study.groups import band_of
 from qdenv.view.style import new_figure, save_figure, styled
 
 ALGORITHMS = ("cma-mae", "cma-me", "map-elites", "cma-es", "random", "dsage")
@@ -43,26 +40,6 @@ class Runs(NamedTuple):
     evaluations: np.ndarray  # int [N], where its metrics were taken
     metrics: np.ndarray  # float [seeds, N, 3], in the order of `METRICS`
     entropy: np.ndarray  # float [seeds, 3], over the elites, in the order of `ENTROPY`
-
-
-def run_of(config: RunConfig, path: Path) -> qdenv.RunDirectory:
-    """Read a finished run, or begin or continue one.
-
-    Raises:
-        InputError: the run was made with other settings or for more evaluations.
-    """
-    if not (path / "config.json").exists():
-        return qdenv.train(config, path)
-    run = qdenv.RunDirectory.open(path)
-    if replace(run.config, evaluations=config.evaluations) != config:
-        raise qdenv.InputError(
-            f"{path}: a run with other settings: remove it or choose another --out"
-        )
-    rows = run.read_metrics(salvage=True)
-    finished = rows and rows[-1].evaluations >= config.evaluations == run.config.evaluations
-    if finished and (path / "archive.npz").exists():
-        return run
-    return qdenv.resume(path, evaluations=config.evaluations)
 
 
 def entropies_of(run: qdenv.RunDirectory) -> np.ndarray:
@@ -83,20 +60,13 @@ def collect(runs: Iterable[qdenv.RunDirectory]) -> Runs:
     return Runs(evaluations, np.array(metrics), np.array([entropies_of(run) for run in runs]))
 
 
-def interval(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Average float [seeds, ...] and bound the means by half of their 95 % intervals."""
-    samples = [sample_of(column) for column in values.reshape(len(values), -1).T]
-    halves = np.array([margin(sample) for sample in samples])
-    return values.mean(axis=0), halves.reshape(values.shape[1:])
-
-
 def write_table(path: Path, found: dict[str, Runs]) -> None:
     """Write one row per algorithm: final means, half-widths of their intervals, entropies."""
     head = ["algorithm", "seeds", "evaluations"]
     head += [name for metric in METRICS for name in (metric, f"{metric}_margin")]
     rows = []
     for name, runs in found.items():
-        numbers = np.stack(interval(runs.metrics[:, -1]), axis=1).ravel()
+        numbers = np.stack(band_of(runs.metrics[:, -1]), axis=1).ravel()
         written = [f"{number:.6g}" for number in (*numbers, *runs.entropy.mean(axis=0))]
         rows.append((name, len(runs.metrics), runs.evaluations[-1], *written))
     write_csv(path, [*head, *ENTROPY], rows)
@@ -110,7 +80,7 @@ def print_table(found: dict[str, Runs], domain: str) -> None:
     head = "".join(f"{title:18}" for title in METRICS.values())
     print(f"algorithm    {head}entropy  lowest  share  Table 4: QD-score, coverage")
     for name, runs in found.items():
-        means, halves = interval(runs.metrics[:, -1])
+        means, halves = band_of(runs.metrics[:, -1])
         numbers = zip(means, halves, (1, 4, 3), strict=True)
         cells = [f"{mean:.{digits}f} +- {half:.{digits}f}" for mean, half, digits in numbers]
         mean, lowest, share = runs.entropy.mean(axis=0)
@@ -126,7 +96,7 @@ def draw(path: Path, found: dict[str, Runs], title: str) -> None:
     panels = figure.subplots(1, len(METRICS))
     for column, (axes, label) in enumerate(zip(panels, METRICS.values(), strict=True)):
         for (name, runs), colour, style in zip(found.items(), COLOURS, STYLES, strict=False):
-            mean, half = interval(runs.metrics[:, :, column])
+            mean, half = band_of(runs.metrics[:, :, column])
             axes.plot(runs.evaluations, mean, style, color=colour, label=name)
             half = np.nan_to_num(half)
             axes.fill_between(
@@ -164,7 +134,11 @@ def main(
     start = time.time()
     for done, (seed, name) in enumerate(todo, start=1):
         config = replace(choose_algorithm(base, name), seed=seed)
-        run = run_of(config, out / f"{preset}-{name}-{seed}")
+        path = out / f"{preset}-{name}-{seed}"
+        run = whole_run(config, path)
+        if run.config.evaluations > config.evaluations:
+            more = f"a run of {run.config.evaluations} evaluations"
+            raise qdenv.InputError(f"{path}: {more}: give a larger number")
         found[name].append(run)
         left = (time.time() - start) / done * (len(todo) - done)
         rest = f", about {format_duration(left)} left" if done < len(todo) else ""

@@ -1,6 +1,8 @@
 """The runs of Table 4 and Figures 16, 20, 21: which there are, and their archives as heat maps."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
 
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
@@ -24,7 +26,7 @@ DSAGE = SavedRun("dsage-laptop", evaluations=1000, row="warehouse-even-dsage")
 
 
 def runs_of(domain: str, algorithm: str) -> tuple[SavedRun, ...]:
-    """List the runs of one row of Table 4; further seeds count as soon as they are there."""
+    """List the runs of one row of Table 4."""
     if algorithm == "dsage":
         return (DSAGE,) if domain == "warehouse-even" else ()
     if algorithm not in COMPARED.get(domain, ALGORITHMS):
@@ -32,10 +34,17 @@ def runs_of(domain: str, algorithm: str) -> tuple[SavedRun, ...]:
     return (SavedRun(domain if algorithm == "cma-mae" else f"{domain}-{algorithm}"),)
 
 
-def seeds_of(run: SavedRun, folders: Folders) -> list[Summary]:
-    """Read a run and its further seeds, as many as are saved."""
-    every = (run._replace(seed=seed) for seed in range(run.seed, run.seed + 5))
-    return [found for one in every if (found := one.read(folders)) is not None]
+RUNS = tuple(run for domain in DOMAINS for name in ALGORITHMS for run in runs_of(domain, name))
+
+
+def read_all(folders: Folders) -> dict[str, dict[str, list[Summary]]]:
+    """Read the saved runs, further seeds as well, by domain and algorithm, as far as there are."""
+    found: dict[str, dict[str, list[Summary]]] = {}
+    for domain, name in product(DOMAINS, ALGORITHMS):
+        for run, seed in product(runs_of(domain, name), range(5)):
+            if (one := replace(run, seed=run.seed + seed).read(folders)) is not None:
+                found.setdefault(domain, {}).setdefault(name, []).append(one)
+    return found
 
 
 def draw_archive(axes: Axes, summary: Summary, title: str, scale: tuple[float, float]) -> AxesImage:
@@ -47,7 +56,7 @@ def draw_archive(axes: Axes, summary: Summary, title: str, scale: tuple[float, f
 
 
 def note(axes: Axes, text: str) -> None:
-    """Say in place of a picture why there is none."""
+    """Write in place of a picture why there is none."""
     axes.text(0.5, 0.5, text, ha="center", va="center", color="dimgray")
     axes.set_axis_off()
 

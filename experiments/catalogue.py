@@ -1,26 +1,24 @@
-"""All experiments by name, and the script of each."""
+"""All experiments by name: scripts that define an `EXPERIMENT`, and the figures of `panels`."""
 
 from importlib import import_module
 from pathlib import Path
 
+from experiments.panels import FIGURES
 from experiments.pieces import Experiment
 from qdenv.types import look_up
 
-_SCRIPTS = ("figure_*.py", "table_*.py", "maze_success.py", "runtimes.py")
-
 
 def names() -> list[str]:
-    """List the experiments: a script of that name each."""
+    """Return the names of the experiments."""
+    scripts = ("figure_*.py", "table_*.py", "maze_success.py", "runtimes.py")
     folder = Path(__file__).parent
-    return sorted(path.stem for pattern in _SCRIPTS for path in folder.glob(pattern))
+    return sorted([*FIGURES, *(path.stem for form in scripts for path in folder.glob(form))])
 
 
 def find(name: str) -> Experiment:
-    """Find an experiment.
-
-    Raises:
-        InputError: no experiment has this name.
-    """
+    """Find an experiment; raise InputError if none has this name."""
     look_up(dict.fromkeys(names()), name, "experiment")
+    if name in FIGURES:
+        return FIGURES[name]
     found: Experiment = import_module(f"experiments.{name}").EXPERIMENT
     return found

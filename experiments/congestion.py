@@ -11,12 +11,8 @@ and several can work at once, each with a file of its own. The paper's figures a
 name says whose layout it is: nca_a0, nca_a1, nca_a5, dsage, human or tiled.
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -28,6 +24,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
 import qdenv
+from experiments.pieces import table
 from experiments.published import TRAFFIC
 from experiments.traffic import moved_in, rate_of
 from qdenv.cli.parser import run_program
@@ -61,26 +58,17 @@ def paper_on(row: Outcome) -> str:
 
 
 def who(row: Outcome) -> str:
-    """Name who drove."""
+    """Return the name of the planner, and whether congestion ended runs."""
     return row.planner if row.stop else f"{row.planner}, going on"
 
 
-def lines_of(rows: Sequence[Outcome]) -> Iterator[str]:
-    """Write the table in markdown."""
-    yield f"| {' | '.join(HEAD)} |"
-    yield "| --- " * len(HEAD) + "|"
-    for row in rows:
-        jams = f"{row.jam_median:.0f} ({row.jam_least:.0f} to {row.jam_most:.0f})"
-        cells = [
-            f"{row.layout} ({row.domain})",
-            row.agents,
-            row.timesteps,
-            who(row),
-            rate_of(row),
-            moved_in(row),
-        ]
-        cells += [paper_on(row), f"{row.cpu_seconds:.2f}", "" if np.isnan(row.jam_median) else jams]
-        yield f"| {' | '.join(map(str, cells))} |"
+def cells_of(row: Outcome) -> tuple[object, ...]:
+    """Return a row of the table."""
+    case = f"{row.layout} ({row.domain})", row.agents, row.timesteps, who(row)
+    jams = f"{row.jam_median:.0f} ({row.jam_least:.0f} to {row.jam_most:.0f})"
+    jams = "" if np.isnan(row.jam_median) else jams
+    seconds = f"{row.cpu_seconds:.2f}"
+    return (*case, rate_of(row), moved_in(row), paper_on(row), seconds, jams)
 
 
 def plot(axes: Axes, rows: Sequence[Outcome]) -> None:
@@ -168,11 +156,11 @@ def main(
     rows = outcomes_of(run for path in files for run in read_runs(path))
     if not rows:
         raise qdenv.InputError("no runs: give layout files, or tables of runs with --read")
-    print("\n".join(lines_of(rows)))
-    table, picture = out.with_name(f"{out.stem}-table.csv"), out.with_suffix(".png")
-    write_csv(table, (*Outcome._fields, "paper"), [(*row, paper_on(row)) for row in rows])
+    print("\n".join(table(HEAD, [cells_of(row) for row in rows])))
+    csv, picture = out.with_name(f"{out.stem}-table.csv"), out.with_suffix(".png")
+    write_csv(csv, (*Outcome._fields, "paper"), [(*row, paper_on(row)) for row in rows])
     draw(picture, rows)
-    print(f"{out}, {table}, {picture}")
+    print(f"{out}, {csv}, {picture}")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from qdenv.stats import sample_of
 
@@ -30,13 +31,7 @@ class Agreement(NamedTuple):
 
 
 def agree(ours: np.ndarray, theirs: np.ndarray, seed: int = 0) -> Agreement:
-    """Compare two judges.
-
-    Args:
-        ours: float [layouts], what the one says of each.
-        theirs: float [layouts], what the other says.
-        seed: of the resampling.
-    """
+    """Compare two judges of the same layouts (float [layouts] each)."""
     moved = theirs > 0
     ratio = sample_of(ours[moved] / theirs[moved] if moved.any() else np.array([np.nan]))
     return Agreement(
@@ -52,16 +47,8 @@ def correlate(kind: str, ours: np.ndarray, theirs: np.ndarray, seed: int = 0) ->
     """Correlate the ranks that two judges give.
 
     The interval is bias-corrected and accelerated (Efron 1987, "Better bootstrap confidence
-    intervals", https://doi.org/10.1080/01621459.1987.10478410).
-
-    Args:
-        kind: "spearman" or "kendall".
-        ours: float [layouts].
-        theirs: float [layouts].
-        seed: of the resampling.
+    intervals", https://doi.org/10.1080/01621459.1987.10478410); `kind`: "spearman" or "kendall".
     """
-    from scipy import stats  # here: takes half a second, and who is refused need not wait
-
     if len(ours) < FEWEST:
         return Correlation(np.nan, np.nan, np.nan)
     measure = {"spearman": stats.spearmanr, "kendall": stats.kendalltau}[kind]

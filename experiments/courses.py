@@ -1,6 +1,7 @@
 """Saved courses: tasks finished over time and where agents were, added up over runs."""
 
 import json
+from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import NamedTuple
@@ -44,9 +45,11 @@ class Course(NamedTuple):
         return BIN * np.arange(1, len(self.tasks) + 1)
 
 
-class SavedCourse(NamedTuple):
+@dataclass(frozen=True)
+class SavedCourse(Piece):
     """Runs of one layout with one number of agents."""
 
+    kind = "courses"
     layout: SavedLayout  # which
     agents: int = 200  # how many
     timesteps: int = 5000  # horizon T, a multiple of `BIN`
@@ -55,13 +58,8 @@ class SavedCourse(NamedTuple):
     planner: str = "high"  # one of `ledger.DRIVERS`
 
     @property
-    def kind(self) -> str:
-        """Count it among these."""
-        return "courses"
-
-    @property
     def name(self) -> str:
-        """How lists call it."""
+        """Return its name in lists."""
         return f"course of {self.seeds} runs of {self.layout.stem}, {self.agents} agents"
 
     @property
@@ -74,7 +72,7 @@ class SavedCourse(NamedTuple):
         return folders.results / "courses" / f"{self.layout.stem}-{self.agents}.json"
 
     def case(self, folders: Folders) -> Case:
-        """Say what is simulated."""
+        """Return what is simulated."""
         made = self.layout.read(folders)
         numbers = (self.agents, self.timesteps, self.planner, self.stop)
         return Case(self.layout.stem, made.layout, made.domain, *numbers)
@@ -97,7 +95,7 @@ class SavedCourse(NamedTuple):
         )
 
     def done(self, folders: Folders) -> float:
-        """Say which share of the runs is saved."""
+        """Return which share of the runs is saved."""
         if self.layout.done(folders) and self.layout.read(folders).refused:
             return 1.0
         found = self.read(folders)

@@ -1,8 +1,8 @@
 """Figure 6: how an automaton grows a warehouse from the seed block in 50 steps."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,33 +18,25 @@ from qdenv.study.elites import grow_elite
 from qdenv.view.layouts import draw_frames
 
 
-class SavedGrowth(NamedTuple):
+@dataclass(frozen=True)
+class SavedGrowth(Piece):
     """How an automaton of the zoo grows a layout of its trained size."""
 
+    kind = "growths"
     domain: str  # whose best generator
     every: int = 10  # steps from one frame to the next
 
     @property
-    def kind(self) -> str:
-        """Count it among these."""
-        return "growths"
-
-    @property
     def name(self) -> str:
-        """How lists call it."""
+        """Return its name in lists."""
         return f"growth of {self.domain}"
-
-    @property
-    def needs(self) -> tuple[Piece, ...]:
-        """Nothing: the zoo is at hand."""
-        return ()
 
     def path(self, folders: Folders) -> Path:
         """Find its file."""
         return folders.results / "layouts" / f"{self.domain}-growth.json"
 
     def done(self, folders: Folders) -> float:
-        """Say whether it is saved, and of the generator that ships now."""
+        """Return 1 if it is saved and of the generator that ships now."""
         path = self.path(folders)
         said = json.loads(path.read_text())["origin"] if path.exists() else ""
         return float(said == best_of(self.domain))

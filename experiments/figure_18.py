@@ -71,7 +71,7 @@ def row_of(domain: str, shape: tuple[int, int], found: dict[tuple, Outcome]) -> 
 
 
 def sample_of_all(peak: Outcome) -> Sample:
-    """Take all runs of a peak, congested ones too."""
+    """Return the mean over all runs of a peak, congested ones too."""
     return Sample(peak.mean_of_all, peak.error_of_all, peak.runs)
 
 

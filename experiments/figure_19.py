@@ -5,6 +5,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 
+from experiments.archives import note
 from experiments.courses import SavedCourse
 from experiments.layouts import S_EVAL, SavedLayout
 from experiments.lines import LOOKS
@@ -52,8 +53,8 @@ def draw(folders: Folders) -> Drawn:
         label = "time on the cell, times an even spread over the free cells"
         figure.colorbar(drawn[0], ax=panels[1:], shrink=0.5, extend="max", label=label)
     rows = [row_of(domain, maker, folders) for domain, maker in LAYOUTS]
-    note = f"T = 5000; usage: share of all agents' time, mean of {MAPPED} runs"
-    return Drawn(figure, (*table(HEAD, rows), "", f"{note}, until they congest."))
+    said = f"T = 5000; usage: share of all agents' time, mean of {MAPPED} runs"
+    return Drawn(figure, (*table(HEAD, rows), "", f"{said}, until they congest."))
 
 
 def row_of(domain: str, maker: str, folders: Folders) -> tuple[object, ...]:
@@ -71,7 +72,7 @@ def row_of(domain: str, maker: str, folders: Folders) -> tuple[object, ...]:
 def show_layout(axes: Axes, layout: SavedLayout, folders: Folders) -> None:
     """Draw a layout, or say that it is not made yet."""
     if not layout.done(folders):
-        say_missing(axes, layout.stem)
+        note(axes, f"{layout.stem}\nnot made yet")
         return
     made = layout.read(folders)
     draw_layout(made.layout, made.domain.tiles, axes, made.domain.names)
@@ -82,7 +83,7 @@ def show_usage(axes: Axes, saved: SavedCourse, folders: Folders) -> None:
     """Draw where agents are over the obstacles, or say that it is not made yet."""
     found = saved.read(folders)
     if found is None:
-        say_missing(axes, f"usage of {saved.layout.stem}")
+        note(axes, f"usage of {saved.layout.stem}\nnot made yet")
         return
     made = saved.layout.read(folders)
     axes.imshow(made.free, cmap=ListedColormap(["#000000", "#ffffff"]), vmin=0, vmax=1)
@@ -92,12 +93,6 @@ def show_usage(axes: Axes, saved: SavedCourse, folders: Folders) -> None:
     maker = LOOKS[saved.layout.maker].label
     jams = f"{found.congested} of {found.runs} runs congest"
     axes.set_title(f"{maker}, {saved.agents} agents: {jams}", fontsize="small")
-
-
-def say_missing(axes: Axes, what: str) -> None:
-    """Leave a note where nothing can be drawn."""
-    axes.text(0.5, 0.5, f"{what}\nnot made yet", ha="center", va="center")
-    axes.set_axis_off()
 
 
 PIECES: tuple[Piece, ...] = (*RUNS.values(), *USAGE.values())

@@ -4,12 +4,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import EngFormatter
 
-from experiments.archives import ALGORITHMS, DOMAINS, runs_of, seeds_of
+from experiments.archives import ALGORITHMS, RUNS, read_all
 from experiments.pieces import Drawn, Experiment, Folders
 from experiments.published import TABLE_4
-from experiments.table_4 import RUNS
 from qdenv.run.log import Metrics
-from qdenv.stats import margin, sample_of
+from qdenv.study.groups import band_of
 from qdenv.view.style import new_figure
 
 METRICS = {"qd_score": "QD-score", "coverage": "coverage"}
@@ -20,30 +19,21 @@ def draw_curve(axes: Axes, runs: list[list[Metrics]], metric: str, name: str) ->
     colour, style = ALGORITHMS[name]
     length = min(map(len, runs))
     values = np.array([[getattr(row, metric) for row in rows[:length]] for rows in runs])
-    at, mean = [row.evaluations for row in runs[0][:length]], values.mean(axis=0)
+    at, (mean, half) = [row.evaluations for row in runs[0][:length]], band_of(values)
     axes.plot(at, mean, style, color=colour, label=f"{name} ({len(runs)})")
     if len(runs) > 1:
-        half = np.array([margin(sample_of(column)) for column in values.T])
         axes.fill_between(at, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0)
 
 
 def draw(folders: Folders) -> Drawn:
     """Draw a column of panels per domain that has runs."""
-    found = {
-        (domain, name): [
-            one.metrics for run in runs_of(domain, name) for one in seeds_of(run, folders)
-        ]
-        for domain in DOMAINS
-        for name in ALGORITHMS
-    }
-    domains = [domain for domain in DOMAINS if any(found[domain, name] for name in ALGORITHMS)]
-    figure = new_figure(1 + 3.3 * len(domains), 5.6, dpi=110)
-    panels = figure.subplots(len(METRICS), len(domains), squeeze=False)
+    found = read_all(folders)
+    figure = new_figure(1 + 3.3 * len(found), 5.6, dpi=110)
+    panels = figure.subplots(len(METRICS), len(found), squeeze=False)
     for metric, line in zip(METRICS, panels, strict=True):
-        for domain, axes in zip(domains, line, strict=True):
-            for name in ALGORITHMS:
-                if found[domain, name]:
-                    draw_curve(axes, found[domain, name], metric, name)
+        for (domain, runs), axes in zip(found.items(), line, strict=True):
+            for name, own in runs.items():
+                draw_curve(axes, [one.metrics for one in own], metric, name)
             end = axes.dataLim.x1
             for name, (colour, _) in ALGORITHMS.items():
                 if paper := TABLE_4.get((domain, name)):

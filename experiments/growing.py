@@ -46,12 +46,7 @@ class Workshop:
     """Grows elites of one run, and of those that began at them, and simulates their layouts."""
 
     def __init__(self, runs: Sequence[RunDirectory], measuring: Measuring, ledger: Path) -> None:
-        """Simulate nothing yet.
-
-        Args:
-            runs: whose elites; all but the first began at elites of it.
-            measuring: what is simulated.
-            ledger: CSV file that keeps every simulation of a fleet.
+        """Simulate nothing yet; all runs but the first began at elites of it.
 
         Raises:
             InputError: runs were evaluated in different ways.
@@ -106,8 +101,7 @@ class Workshop:
     def worth(self, cell: Cell) -> float:
         """Try a layout of the last size: what it moves, or how often the agent arrives.
 
-        Returns:
-            -1 where it cannot be repaired, congests, or cannot be solved.
+        -1 where it cannot be repaired, congests, or cannot be solved.
         """
         shape, timesteps = self.shapes[-1], self.measuring.trial_timesteps
         sized = self.grow(cell, shape)
@@ -120,7 +114,7 @@ class Workshop:
         return trial.mean if trial.success == 1 else -1.0
 
     def flows(self, cell: Cell) -> bool:
-        """Tell whether a layout of the last size that is worth anything flows under PBS, too."""
+        """Return True if a layout of the last size that is worth anything flows under PBS, too."""
         sized = self.grow(cell, self.shapes[-1])
         if sized is None or not self.fleet or self.measuring.pbs_seeds == NONE:
             return sized is not None
@@ -160,7 +154,7 @@ class Workshop:
     def drive(
         self, cell: Cell, layout: np.ndarray, plan: tuple[str, str], timesteps: int
     ) -> Driven:
-        """Simulate a fleet on a layout (int8 [H, W]); `plan` is the planner's word, and seeds."""
+        """Simulate a fleet on a layout (int8 [H, W]); `plan`: the planner's name, and seeds."""
         domain = self.at(layout.shape)
         agents = domain.config.fleet.agents
         name = f"{','.join(map(str, cell))} {layout.shape[0]}x{layout.shape[1]}"
@@ -172,7 +166,7 @@ class Workshop:
         return make_row(plan[0], agents, timesteps, values, float(flowed))
 
     def walk(self, layout: np.ndarray, shape: Shape) -> Driven:
-        """Send the agent through a maze (int8 [H, W])."""
+        """Evaluate the agent in a maze (int8 [H, W])."""
         domain, keys = self.at(shape), jax.random.split(jax.random.key(0), 1)
         simulator, episodes = domain.simulator, self.measuring.episodes
         if shape not in self._walks:

@@ -2,7 +2,7 @@
 
 import json
 import zlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -52,9 +52,11 @@ class Made(NamedTuple):
         return np.asarray(of_tiles(self.layout, tasks.traversable, tasks.tiles))
 
 
-class SavedLayout(NamedTuple):
+@dataclass(frozen=True)
+class SavedLayout(Piece):
     """A layout of one domain, maker and size."""
 
+    kind = "layouts"
     domain: str  # its name
     # "human", "tiled", "nca" (the zoo's best), "nca-s" (the zoo's that moves most at S), "random-0"
     # and so on (a random maze like the zoo's best), or the end of a preset's name: "a0", "a1",
@@ -68,13 +70,8 @@ class SavedLayout(NamedTuple):
         return "{}-{}-{}x{}".format(self.domain, self.maker, *self.shape)
 
     @property
-    def kind(self) -> str:
-        """Count it among these."""
-        return "layouts"
-
-    @property
     def name(self) -> str:
-        """How lists call it."""
+        """Return its name in lists."""
         return f"layout {self.stem}"
 
     @property
@@ -96,7 +93,7 @@ class SavedLayout(NamedTuple):
         return folders.results / "layouts" / f"{self.stem}.json"
 
     def done(self, folders: Folders) -> float:
-        """Say whether it is saved, and made from what it would be made from now."""
+        """Return 1 if it is saved, and made from what it would be made from now."""
         path = self.path(folders)
         if not path.exists():
             return 0.0
@@ -104,7 +101,7 @@ class SavedLayout(NamedTuple):
         return float(said == self.origin(folders))
 
     def origin(self, folders: Folders) -> str:
-        """Tell what it is made from, by a checksum; "" where it could be made from nothing else."""
+        """Return a checksum of what it is made from; "" if it could be made from nothing else."""
         if self.maker in GROWERS:
             return best_of(self.domain, self.maker)
         if self.like in self.needs:
@@ -112,7 +109,7 @@ class SavedLayout(NamedTuple):
         return ""
 
     def run(self) -> SavedRun:
-        """Name the run whose best elite draws it."""
+        """Return the run whose best elite draws it."""
         return SavedRun(f"{self.domain}-{self.maker}")
 
     def cost(self, folders: Folders) -> float:
@@ -195,12 +192,12 @@ def _read(path: Path, stamp: tuple[int, int], name: str, shape: tuple[int, int])
 
 
 def best_of(domain: str, maker: str = "nca") -> str:
-    """Tell the zoo's generator that draws for a maker from others, by a checksum."""
+    """Return a checksum of the zoo's generator that draws for a maker."""
     return checksum(open_generator(domain, maker).best.solution)
 
 
 def checksum(*arrays: Array) -> str:
-    """Tell arrays from others."""
+    """Return a checksum of arrays."""
     total = 0
     for array in arrays:
         total = zlib.crc32(np.asarray(array).tobytes(), total)

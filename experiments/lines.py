@@ -46,15 +46,7 @@ def new_panels(rows: int, columns: int, crown: Sequence[str]) -> tuple[Figure, n
 
 
 def draw_line(axes: Axes, places: Values, mean: Values, half: Values, maker: str) -> None:
-    """Draw a mean and its 95 % interval.
-
-    Args:
-        axes: where.
-        places: on the horizontal axis.
-        mean: at each place.
-        half: of the interval's width; NaN for none.
-        maker: one of `LOOKS`.
-    """
+    """Draw a mean over places and its 95 % interval, of half that width (NaN for none)."""
     look, mean, half = LOOKS[maker], np.asarray(mean), np.nan_to_num(half)
     few = look.marker if len(places) < 20 else ""
     axes.fill_between(places, mean - half, mean + half, color=look.colour, alpha=0.25, lw=0)
@@ -64,7 +56,7 @@ def draw_line(axes: Axes, places: Values, mean: Values, half: Values, maker: str
 
 
 def finish(figure: Figure, panels: np.ndarray) -> None:
-    """Name the lines once for all panels, and say where there are none yet."""
+    """Add one legend for all panels, and a note to those without lines."""
     named: dict[str, Artist] = {}
     for axes in panels.flat:
         handles, labels = axes.get_legend_handles_labels()

@@ -19,7 +19,7 @@ CURVE_RUNS = {S: RUNS, S_EVAL: 10}
 
 
 def own_agents(domain: str, shape: tuple[int, int]) -> int:
-    """Say how many agents the paper has, N_a."""
+    """Return the paper's number of agents, N_a."""
     return AGENTS[domain][list(SIZES).index(shape)]
 
 
@@ -31,13 +31,13 @@ def runs_at(
     planner: str = "high",
     runs: int = RUNS,
 ) -> SavedTraffic:
-    """Name runs of 5,000 timesteps with one number of agents."""
+    """Return runs of 5,000 timesteps with one number of agents."""
     layout = SavedLayout(domain, maker, shape)
     return SavedTraffic(f"makers-{domain}", layout, (agents,), seeds=runs, planner=planner)
 
 
 def curve(domain: str, maker: str, shape: tuple[int, int]) -> tuple[SavedTraffic, ...]:
-    """Name the runs of one curve: with N_a agents those of the table, with others fewer."""
+    """Return the runs of one curve: with N_a agents those of the table, with others fewer."""
     own = own_agents(domain, shape)
     return tuple(
         runs_at(domain, maker, shape, agents, runs=RUNS if agents == own else CURVE_RUNS[shape])
@@ -61,5 +61,5 @@ CURVES = {key: curve(*key) for key in product(FLEETS, MAKERS, SIZES)}
 
 
 def refusal_of(layout: SavedLayout, folders: Folders) -> str:
-    """Say why a layout could not be repaired; "" where it could, or is not made yet."""
+    """Return why a layout could not be repaired; "" if it could, or is not made yet."""
     return layout.read(folders).refused if layout.done(folders) else ""

@@ -1,6 +1,7 @@
 """How often the agent solves grown mazes and random ones like them, at both sizes (section 6)."""
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ from qdenv.simulate.maze.world import WALL
 from qdenv.stats import sample_of, wilson_interval
 
 GROWN = -1  # in place of a seed: the maze that the others take after
-TELL = 10  # mazes from one word on how far it is to the next
+TELL = 10  # mazes between two lines on the progress
 
 
 class Solved(NamedTuple):
@@ -35,21 +36,18 @@ class Solved(NamedTuple):
     cpu_seconds: float  # of drawing the maze and of all runs
 
 
-class SavedSuccess(NamedTuple):
+@dataclass(frozen=True)
+class SavedSuccess(Piece):
     """The shipped agent on a grown maze and on random ones like it."""
 
+    kind = "mazes"
     layout: SavedLayout  # the grown maze
     mazes: int = 100  # how many random ones
     runs: int = 100  # on each maze
 
     @property
-    def kind(self) -> str:
-        """Count it among these."""
-        return "mazes"
-
-    @property
     def name(self) -> str:
-        """How lists call it."""
+        """Return its name in lists."""
         return f"{self.runs} runs of {self.layout.stem} and of {self.mazes} random mazes like it"
 
     @property
@@ -74,7 +72,7 @@ class SavedSuccess(NamedTuple):
         ]
 
     def done(self, folders: Folders) -> float:
-        """Say which share of the mazes is saved."""
+        """Return which share of the mazes is saved."""
         return len(self.read(folders)) / (self.mazes + 1)
 
     def cost(self, folders: Folders) -> float:
@@ -86,7 +84,7 @@ class SavedSuccess(NamedTuple):
         return each * (self.mazes + 1 - len(known))
 
     def make(self, folders: Folders, say: Say) -> None:
-        """Let the agent loose in each maze; each is saved as it ends."""
+        """Evaluate the agent in each maze; each result is saved as it comes."""
         weights, grown = load_weights(), self.layout.read(folders).layout
         known = self.read(folders)
         for maze in sorted(set(range(GROWN, self.mazes)) - {row.maze for row in known}):
@@ -98,7 +96,7 @@ class SavedSuccess(NamedTuple):
 
 
 def solve(weights: Weights, grown: np.ndarray, maze: int, runs: int) -> Solved:
-    """Let the agent loose in a grown maze, or in a random one like it."""
+    """Evaluate the agent in a grown maze, or in a random one like it."""
     begin = time.process_time()
     inside = without_ring(grown) if maze == GROWN else random_like(grown, maze)
     result = evaluate_agent(weights, inside, max(maze, 0), runs)

@@ -6,10 +6,6 @@ Bends a chain of twelve links so that its tip reaches many different places whil
 bent as evenly as possible. Saves the archive as a table for pandas and as a picture.
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import sys
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Figures of layouts side by side, and what their repairs changed."""
+"""Figures 7, 10 to 15 and 23: layouts side by side, and what their repairs changed."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,7 +6,7 @@ from typing import NamedTuple
 from matplotlib.figure import Figure
 
 from experiments.archives import note
-from experiments.layouts import SavedLayout
+from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SavedLayout
 from experiments.pieces import Drawn, Experiment, Folders, table
 from qdenv.view.layouts import draw_layout
 from qdenv.view.style import new_figure
@@ -56,3 +56,60 @@ def draw_panels(panels: Sequence[Panel], folders: Folders) -> Figure:
     for place in axes[len(panels) :]:
         place.remove()
     return figure
+
+
+_PANELS: dict[str, tuple] = {
+    "figure_07": (
+        "example layouts of size S",
+        Panel("warehouse", SavedLayout("warehouse-even", "nca")),
+        Panel("manufacturing", SavedLayout("manufacturing", "nca")),
+        Panel("maze", SavedLayout("maze-walls", "nca", MAZE_S)),
+    ),
+    "figure_10": (
+        "warehouses of size S",
+        Panel("designed by hand", SavedLayout("warehouse-even", "human")),
+        Panel("even, alpha = 0", SavedLayout("warehouse-even", "a0")),
+        Panel("even, alpha = 1", SavedLayout("warehouse-even", "a1")),
+        Panel("even, alpha = 5", SavedLayout("warehouse-even", "nca")),
+        Panel("uneven, alpha = 0", SavedLayout("warehouse-uneven", "a0")),
+        Panel("uneven, alpha = 1", SavedLayout("warehouse-uneven", "a1")),
+        Panel("uneven, alpha = 5", SavedLayout("warehouse-uneven", "nca")),
+    ),
+    "figure_11": (
+        "factories of size S",
+        Panel("designed by hand", SavedLayout("manufacturing", "human")),
+        Panel("grown and repaired", SavedLayout("manufacturing", "nca")),
+        Panel("as it was grown", SavedLayout("manufacturing", "nca"), unrepaired=True),
+    ),
+    "figure_12": (
+        "grown warehouses of size S_eval",
+        Panel("even, alpha = 0", SavedLayout("warehouse-even", "a0", S_EVAL)),
+        Panel("even, alpha = 1", SavedLayout("warehouse-even", "a1", S_EVAL)),
+        Panel("even, alpha = 5", SavedLayout("warehouse-even", "nca", S_EVAL)),
+        Panel("uneven, alpha = 0", SavedLayout("warehouse-uneven", "a0", S_EVAL)),
+        Panel("uneven, alpha = 1", SavedLayout("warehouse-uneven", "a1", S_EVAL)),
+        Panel("uneven, alpha = 5", SavedLayout("warehouse-uneven", "nca", S_EVAL)),
+    ),
+    "figure_13": (
+        "a grown factory of size S_eval",
+        Panel("as it was grown", SavedLayout("manufacturing", "nca", S_EVAL), unrepaired=True),
+        Panel("repaired", SavedLayout("manufacturing", "nca", S_EVAL)),
+    ),
+    "figure_14": (
+        "layouts designed by hand, of size S_eval",
+        Panel("warehouse", SavedLayout("warehouse-even", "human", S_EVAL)),
+        Panel("factory", SavedLayout("manufacturing", "human", S_EVAL)),
+    ),
+    "figure_15": (
+        "random mazes like a grown one",
+        Panel("grown", SavedLayout("maze-walls", "nca", MAZE_S_EVAL)),
+        Panel("random", SavedLayout("maze-walls", "random-0", MAZE_S_EVAL)),
+        Panel("random", SavedLayout("maze-walls", "random-1", MAZE_S_EVAL)),
+    ),
+    "figure_23": (
+        "what CMA-ES' automata grow at size S_eval",
+        Panel("warehouse (even)", SavedLayout("warehouse-even", "cma-es", S_EVAL), unrepaired=True),
+        Panel("manufacturing", SavedLayout("manufacturing", "cma-es", S_EVAL), unrepaired=True),
+    ),
+}
+FIGURES = {name: panels_of(shows, panels) for name, (shows, *panels) in _PANELS.items()}

@@ -1,8 +1,8 @@
 """Saved peaks: with how many agents a layout moves the most, located within 5 %."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import count
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,9 +21,11 @@ RUNGS = range(-20, 80)  # of the ladder of numbers: BEGIN / 3 to more agents tha
 LIKELY, RUNS = 0.25, 14.0
 
 
-class SavedPeak(NamedTuple):
+@dataclass(frozen=True)
+class SavedPeak(Piece):
     """The peak of one layout (section E.3)."""
 
+    kind = "peaks"
     table: str  # the file in which the runs stand, which peaks share
     layout: SavedLayout  # which
     timesteps: int  # horizon T
@@ -31,13 +33,8 @@ class SavedPeak(NamedTuple):
     planner: str = "high"  # one of `ledger.DRIVERS`
 
     @property
-    def kind(self) -> str:
-        """Count it among these."""
-        return "peaks"
-
-    @property
     def name(self) -> str:
-        """How lists call it."""
+        """Return its name in lists."""
         return f"peak of {self.layout.stem}"
 
     @property
@@ -63,7 +60,7 @@ class SavedPeak(NamedTuple):
         return max(self.outcomes(folders), key=lambda row: row.mean_of_all, default=None)
 
     def agents_at(self, rung: int) -> int:
-        """Say how many agents drive on a rung of the ladder."""
+        """Return the number of agents on a rung of the ladder."""
         rows, cols = self.layout.shape
         return max(1, round(BEGIN * rows * cols * STEP**rung))
 
@@ -78,7 +75,7 @@ class SavedPeak(NamedTuple):
         return tuple(sorted({fitting[rung] for rung in next_rungs(known, max(fitting))}))
 
     def done(self, folders: Folders) -> float:
-        """Say which share of the work is done, so far as that can be known."""
+        """Return which share of the work is done, so far as that can be known."""
         if not self.layout.done(folders):
             return 0.0
         if not self.wanted(folders):
@@ -88,7 +85,7 @@ class SavedPeak(NamedTuple):
 
     @property
     def likely(self) -> float:
-        """Agents at the peak, reckoned from the size."""
+        """Agents at the peak, estimated from the size."""
         return LIKELY * float(np.prod(self.layout.shape))
 
     def cost(self, folders: Folders) -> float:
@@ -108,9 +105,7 @@ class SavedPeak(NamedTuple):
 def next_rungs(known: Mapping[int, float], last: int) -> list[int]:
     """List the rungs to try next: one on the way up, those around the top, or none.
 
-    Args:
-        known: throughput by rung.
-        last: the highest rung that fits.
+    `known`: throughput by rung; `last`: the highest rung that fits.
     """
     best, falls = -np.inf, 0
     for rung in count(0, COARSE):

@@ -4,11 +4,11 @@ import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol, TypeAlias, TypeVar, get_type_hints
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias, TypeVar, get_type_hints
 
 from matplotlib.figure import Figure
 
-from experiments.machines import HERE, Machines
+from qdenv.run.executors import Execution
 
 RESULTS = Path(__file__).parent / "results"
 Say: TypeAlias = Callable[[str], None]
@@ -16,30 +16,30 @@ Row = TypeVar("Row", bound=tuple)
 
 
 class Folders(NamedTuple):
-    """Where everything lies, and who makes what is missing."""
+    """Where everything is, and what makes the rest."""
 
     results: Path = RESULTS  # what is kept and ships
     runs: Path = Path("runs")  # whole run directories, with all weights: too large to ship
-    machines: Machines = HERE  # who searches and simulates
+    execution: Execution = Execution()  # where a search evaluates its layouts
+    client: Any = None  # of a cluster that simulates; None for this process
 
 
 class Piece(Protocol):
     """A saved result."""
 
-    @property
-    def kind(self) -> str:
-        """What pieces like it are, in the plural: lists count these."""
+    kind: ClassVar[str]  # of pieces like it, in the plural: lists count these
 
     @property
     def name(self) -> str:
-        """How lists call it."""
+        """Return its name in lists."""
 
     @property
     def needs(self) -> tuple["Piece", ...]:
-        """What it is made from."""
+        """Return what it is made from; nothing unless overridden."""
+        return ()
 
     def done(self, folders: Folders) -> float:
-        """Say which share of it is saved, 0 to 1."""
+        """Return the share of it that is saved, 0 to 1."""
 
     def cost(self, folders: Folders) -> float:
         """Estimate the CPU seconds that making the rest takes, without what it needs."""
@@ -47,7 +47,7 @@ class Piece(Protocol):
     def make(self, folders: Folders, say: Say) -> None:
         """Make the rest once what it needs is there, so that an interruption loses little.
 
-        `say` hears how far it is.
+        `say` is called with lines on the progress.
         """
 
 
@@ -83,7 +83,7 @@ class Experiment:
         return sorted(able, key=lambda piece: piece.cost(folders))
 
     def drawable(self, folders: Folders) -> bool:
-        """Tell whether anything is saved to draw from."""
+        """Return True if anything is saved to draw from."""
         return any(piece.done(folders) > 0 for piece in self.pieces)
 
 

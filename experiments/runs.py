@@ -2,7 +2,7 @@
 
 import csv
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +15,7 @@ from qdenv.io.files import write_csv
 from qdenv.ops.searches import estimate_seconds
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
+from qdenv.run.executors import Execution
 from qdenv.run.log import Metrics
 from qdenv.types import Measure
 from qdenv.view.archive import scatter_objectives
@@ -51,9 +52,11 @@ class Summary(NamedTuple):
         )
 
 
-class SavedRun(NamedTuple):
+@dataclass(frozen=True)
+class SavedRun(Piece):
     """A search, named after its preset and seed."""
 
+    kind = "searches"
     preset: str  # whose settings
     seed: int = 0  # of the search
     evaluations: int | None = None  # as many as the preset has unless given
@@ -65,19 +68,9 @@ class SavedRun(NamedTuple):
         return (self.row or self.preset) + (f"-seed{self.seed}" if self.seed else "")
 
     @property
-    def kind(self) -> str:
-        """Count it among these."""
-        return "searches"
-
-    @property
     def name(self) -> str:
-        """How lists call it."""
+        """Return its name in lists."""
         return f"run {self.folder}"
-
-    @property
-    def needs(self) -> tuple[Piece, ...]:
-        """Nothing: it begins by itself."""
-        return ()
 
     @property
     def config(self) -> RunConfig:
@@ -86,7 +79,7 @@ class SavedRun(NamedTuple):
         return replace(base, seed=self.seed, evaluations=self.evaluations or base.evaluations)
 
     def done(self, folders: Folders) -> float:
-        """Say which share of its evaluations is summarised."""
+        """Return which share of its evaluations is summarised."""
         found = self.read(folders)
         return min(found.last.evaluations / self.config.evaluations, 1.0) if found else 0.0
 
@@ -105,26 +98,8 @@ class SavedRun(NamedTuple):
         summarise(self.whole(folders, say), folders.results / "runs" / self.folder)
 
     def whole(self, folders: Folders, say: Say) -> RunDirectory:
-        """Open the finished run with all its weights; begin or continue it where need be.
-
-        Raises:
-            InputError: the folder holds a run with other settings.
-        """
-        path = folders.runs / self.folder
-        if not (path / "config.json").exists():
-            say(f"{path}: begins; an interruption loses minutes at most")
-            run = qdenv.train(self.config, path, execution=folders.machines.execution)
-        else:
-            run = RunDirectory.open(path)
-            found = replace(run.config, evaluations=self.config.evaluations)
-            if found != self.config:
-                raise qdenv.InputError(f"{path}: a run with other settings: move it away")
-            rows = run.read_metrics(salvage=True)
-            if not rows or rows[-1].evaluations < self.config.evaluations:
-                say(f"{path}: goes on")
-                total, execution = self.config.evaluations, folders.machines.execution
-                run = qdenv.resume(path, evaluations=total, execution=execution)
-        return run
+        """Return the finished run with all its weights; see `whole_run`."""
+        return whole_run(self.config, folders.runs / self.folder, say, folders.execution)
 
     def read(self, folders: Folders) -> Summary | None:
         """Read what is kept; None where nothing is."""
@@ -132,13 +107,33 @@ class SavedRun(NamedTuple):
         return read_summary(path) if (path / SUMMARY).exists() else None
 
 
-def summarise(run: RunDirectory, target: Path) -> None:
-    """Keep what figures need of a run.
+def whole_run(
+    config: RunConfig,
+    path: Path,
+    say: Say = lambda line: None,
+    execution: Execution | None = None,
+) -> RunDirectory:
+    """Return the finished run of a folder; begin or continue it where it is not.
 
-    Args:
-        run: with an archive.
-        target: folder to write; what it held is replaced.
+    Raises:
+        InputError: the folder holds a run with other settings.
     """
+    if not (path / "config.json").exists():
+        say(f"{path}: begins; an interruption loses minutes at most")
+        return qdenv.train(config, path, execution=execution)
+    run = RunDirectory.open(path)
+    if replace(run.config, evaluations=config.evaluations) != config:
+        raise qdenv.InputError(f"{path}: a run with other settings: move it away")
+    rows = run.read_metrics(salvage=True)
+    done = rows and rows[-1].evaluations >= config.evaluations
+    if done and (path / "archive.npz").exists():
+        return run
+    say(f"{path}: goes on")
+    return qdenv.resume(path, evaluations=config.evaluations, execution=execution)
+
+
+def summarise(run: RunDirectory, target: Path) -> None:
+    """Write what figures need of a run with an archive, in place of what the folder held."""
     columns = run.archive.columns
     names = [measure.name for measure in run.measures]
     kept = {"cell": columns["index"], "objective": columns["objective"]}

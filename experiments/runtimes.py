@@ -1,6 +1,7 @@
 """CPU seconds of growing and repairing layouts, by size (appendix C.4)."""
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,27 +34,19 @@ class Runtime(NamedTuple):
     origin: str  # of the generator, as `layouts.best_of` tells it
 
 
-class SavedRuntime(NamedTuple):
+@dataclass(frozen=True)
+class SavedRuntime(Piece):
     """Growing and repairing the best layout of the zoo at one size."""
 
+    kind = "runtimes"
     domain: str  # its name
     shape: tuple[int, int]  # rows and columns
     seeds: int = SEEDS  # how many repairs
 
     @property
-    def kind(self) -> str:
-        """Count it among these."""
-        return "runtimes"
-
-    @property
     def name(self) -> str:
-        """How lists call it."""
+        """Return its name in lists."""
         return "runtimes of {} at {}x{}".format(self.domain, *self.shape)
-
-    @property
-    def needs(self) -> tuple[Piece, ...]:
-        """Nothing: the zoo is at hand."""
-        return ()
 
     def path(self, folders: Folders) -> Path:
         """Find its file."""
@@ -67,7 +60,7 @@ class SavedRuntime(NamedTuple):
         return [row for row in read_rows(self.path(folders), Runtime) if row.origin == origin]
 
     def done(self, folders: Folders) -> float:
-        """Say which share of the repairs is saved."""
+        """Return which share of the repairs is saved."""
         return min(len(self.read(folders)) / self.seeds, 1.0)
 
     def cost(self, folders: Folders) -> float:

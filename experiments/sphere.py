@@ -27,10 +27,6 @@ of 10,000. Strategies that adapt more than a step size earlier, `sep` and `lm_ma
 no better layouts on the preset quick.
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import sys
 import time
 from pathlib import Path

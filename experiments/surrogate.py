@@ -9,10 +9,6 @@ surrogate (`dsage`, `cma-mae-screened`) remembers, elites or not, tile usage inc
 held out, drawn at random; the others are learnt from, all of them and fewer.
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import sys
 import time
 from collections.abc import Iterator

@@ -1,8 +1,10 @@
 """Table 4: QD-score and coverage of CMA-MAE, MAP-Elites and DSAGE, beside the paper's."""
 
+from itertools import product
+
 import numpy as np
 
-from experiments.archives import ALGORITHMS, DOMAINS, runs_of, seeds_of
+from experiments.archives import ALGORITHMS, DOMAINS, RUNS, read_all
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import TABLE_4
 from qdenv.stats import sample_of
@@ -22,32 +24,24 @@ def spread(values: list[float], form: str) -> str:
 
 def draw(folders: Folders) -> Drawn:
     """Average the final metrics of the runs that are saved."""
-    rows: list[tuple[object, ...]] = []
-    for domain in DOMAINS:
-        for algorithm in ALGORITHMS:
-            paper = TABLE_4.get((domain, algorithm))
-            last = [
-                one.last for run in runs_of(domain, algorithm) for one in seeds_of(run, folders)
-            ]
-            if not last:
-                if paper:
-                    rows.append((domain, algorithm, 0, *["not run"] * 4, paper, ""))
-                continue
+    found, rows = read_all(folders), []
+    for domain, algorithm in product(DOMAINS, ALGORITHMS):
+        paper = TABLE_4.get((domain, algorithm))
+        last = [one.last for one in found.get(domain, {}).get(algorithm, [])]
+        if last:
             made = sorted({f"{one.evaluations:,}" for one in last})
-            rows.append(
-                (
-                    *(domain, algorithm, len(last), ", ".join(made)),
-                    spread([one.qd_score for one in last], ",.0f"),
-                    spread([one.coverage for one in last], ".3f"),
-                    spread([one.best_objective for one in last], ".3f"),
-                    paper or "",
-                    f"{np.mean([one.qd_score for one in last]) / paper.qd_score:.2f}"
-                    if paper
-                    else "",
-                )
+            scores = [one.qd_score for one in last]
+            ratio = f"{np.mean(scores) / paper.qd_score:.2f}" if paper else ""
+            numbers = (
+                spread(scores, ",.0f"),
+                spread([one.coverage for one in last], ".3f"),
+                spread([one.best_objective for one in last], ".3f"),
             )
+            runs = (domain, algorithm, len(last), ", ".join(made))
+            rows.append((*runs, *numbers, paper or "", ratio))
+        elif paper:
+            rows.append((domain, algorithm, 0, *["not run"] * 4, paper, ""))
     return Drawn(None, table(HEAD, rows))
 
 
-RUNS = tuple(run for domain in DOMAINS for name in ALGORITHMS for run in runs_of(domain, name))
 EXPERIMENT = Experiment("QD-score and coverage of all algorithms", RUNS, draw)

@@ -1,8 +1,8 @@
 """Saved simulations: tables with a row per run, of some layouts with some numbers of agents."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from experiments.layouts import SavedLayout
 from experiments.pieces import Folders, Piece, Say
@@ -12,9 +12,11 @@ from qdenv.study.ledger import Case, Outcome, Run, complete, outcomes_of, read_r
 RATES = {"low": 1.3e-6, "high": 2.5e-6, "plain": 6e-6, "published": 5e-6}
 
 
-class SavedTraffic(NamedTuple):
+@dataclass(frozen=True)
+class SavedTraffic(Piece):
     """Simulations of one layout."""
 
+    kind = "simulations"
     table: str  # the file they stand in, which figures share
     layout: SavedLayout  # which
     agents: tuple[int, ...]  # numbers of them
@@ -24,13 +26,8 @@ class SavedTraffic(NamedTuple):
     stop: bool = True  # runs end where they congest
 
     @property
-    def kind(self) -> str:
-        """Count it among these."""
-        return "simulations"
-
-    @property
     def name(self) -> str:
-        """How lists call it."""
+        """Return its name in lists."""
         counts = ",".join(map(str, self.agents))
         return f"{self.seeds} runs of {self.layout.stem}, {counts} agents, {self.planner}"
 
@@ -66,7 +63,7 @@ class SavedTraffic(NamedTuple):
         return sorted(outcomes_of(self.read(folders)), key=lambda row: row.agents)
 
     def done(self, folders: Folders) -> float:
-        """Say which share of the runs is saved."""
+        """Return which share of the runs is saved."""
         if self.layout.done(folders) and not self.cases(folders):
             return 1.0
         return len(self.read(folders)) / (self.seeds * len(self.agents))
@@ -82,7 +79,7 @@ class SavedTraffic(NamedTuple):
     def make(self, folders: Folders, say: Say) -> None:
         """Simulate what is missing."""
         given = self.path(folders), self.cases(folders), range(self.seeds)
-        complete(*given, say=say, simulate_all=folders.machines.simulate_all)
+        complete(*given, say=say, client=folders.client)
 
 
 def rate(planner: str, known: Sequence[Run]) -> float:

@@ -7,11 +7,7 @@ with the separable evolution strategy. Finished runs are kept, so it can be stop
 """
 
 import itertools
-import os
 import sys
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -3,20 +3,17 @@
     python -m experiments.zoo runs/warehouse-even
     python -m experiments.zoo runs/warehouse-even --further runs/warehouse-even-further
 
-Each rule orders the elites of the run, and of runs that began at one of them; the first that nobody
-else has taken, and whose layout of the evaluation size can be repaired and flows, is chosen. The
-best is the one that is worth most at that size among a few (of fleets, from all over the archive),
-and flows there under priority-based search, too. Every simulation of a fleet is a row of a file and
-is not done again, so this can be stopped and started again.
+Each rule orders the elites of the run, and of runs that began at one of them; the first that no
+other rule has taken, and whose layout of the evaluation size can be repaired and flows, is chosen.
+The best is the one that is worth most at that size among a few (of fleets, from all over the
+archive), and flows there under priority-based search, too. Every simulation of a fleet is a row of
+a file and is not repeated, so this can be stopped and started again.
 """
-
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import shutil
 import sys
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,10 +31,9 @@ from qdenv.presets import PRESETS
 from qdenv.run.archive import SavedArchive
 from qdenv.run.directory import RunDirectory
 from qdenv.search.registry import ALGORITHMS
-from qdenv.shipped import TABLE, USUAL, Generator, Origin, to_json
+from qdenv.shipped import HOME, TABLE, USUAL, Collection, Generator, Origin
 from qdenv.types import InputError, look_up
 
-ZOO = Path(__file__).parents[1] / "qdenv" / "zoo"
 FILES = ("config.json", "manifest.json", "metrics.csv")
 
 
@@ -100,7 +96,7 @@ def choose(workshop: Workshop, rules: tuple[Rule, ...]) -> dict[Rule, Cell]:
 
 
 def origin_of(workshop: Workshop, domain: str) -> Origin:
-    """Say where generators come from."""
+    """Return the run that generators come from."""
     run, counted = workshop.run, "actions to the goal"
     if workshop.fleet:
         counted = "throughput [tasks per timestep]"
@@ -126,14 +122,14 @@ def write(
     rows = [int(np.flatnonzero(archive.columns["index"] == place)[0]) for place in places]
     columns = {name: one[rows] for name, one in archive.columns.items()}
     write_arrays(folder / "archive.npz", columns, compressed=True)
-    write_json(folder / TABLE, to_json(folder.name, origin, found))
+    write_json(folder / TABLE, asdict(Collection(folder.name, origin, tuple(found))))
 
 
 def main(
     run_dir: tyro.conf.Positional[Path],
     measuring: Annotated[Measuring, tyro.conf.arg(name="")] = Measuring(),  # noqa: B008 (frozen)
     ledger: Path | None = None,
-    out: Path = ZOO,
+    out: Path = HOME,
     further: tuple[Path, ...] = (),
 ) -> None:
     """Write the zoo of the run's domain.

@@ -49,13 +49,9 @@ def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]
 def in_mazes(
     thing: str, names: tuple[str, str], most: tuple[str, str], much: tuple[str, str]
 ) -> tuple[Rule, ...]:
-    """List the rules of mazes that differ in `thing`, and in how far the agent walks.
+    """List the rules of mazes that differ in a measure, and in how far the agent walks.
 
-    Args:
-        thing: a measure.
-        names: of generators with a lot and with little of it.
-        most: how people say the most of it, and the least.
-        much: how they say a lot of it, and little.
+    The pairs name generators with much and with little of it, its extremes, and much and little.
     """
     more, less = names
     far, near = (SURE, ("shortest", 0.2)), (SURE, ("-shortest", 0.3))

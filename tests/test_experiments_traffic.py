@@ -1,6 +1,7 @@
 """Experiments drawn from simulations: pieces that are made and resumed, tables by hand."""
 
 from collections import Counter
+from dataclasses import replace
 from itertools import pairwise
 
 import jax
@@ -156,7 +157,7 @@ def test_a_course_adds_up_its_runs_and_goes_on_where_it_was_left(folders, monkey
     usage = np.mean([run.usage for run in done.runs], axis=0)
     np.testing.assert_allclose(found.usage / 5, usage, atol=2e-6)
     assert found.congested == sum(bool(run.congested) for run in done.runs)
-    assert saved._replace(planner="low").done(folders) == 0  # other settings, other runs
+    assert replace(saved, planner="low").done(folders) == 0  # other settings, other runs
 
 
 # Tasks per timestep over agents: a peak at 100, and beyond it a jam.
@@ -273,7 +274,7 @@ def test_a_layout_that_cannot_be_repaired_is_saved_with_the_reason(folders, monk
 
 def test_figures_17_and_19_draw_what_is_there_and_say_what_is_not(folders, monkeypatch):
     saved = figure_17.COURSES["warehouse-even", "human"]
-    small = saved._replace(layout=HALL, agents=8, timesteps=500, seeds=2)
+    small = replace(saved, layout=HALL, agents=8, timesteps=500, seeds=2)
     monkeypatch.setitem(figure_17.COURSES, ("warehouse-even", "human"), small)
     monkeypatch.setitem(TRAFFIC, ("warehouse-even", "human", 8), "congests")
     HALL.make(folders, silent)
@@ -284,7 +285,7 @@ def test_figures_17_and_19_draw_what_is_there_and_say_what_is_not(folders, monke
     assert row[4:6] == [f"{mean[:2].mean():.2f}", f"{mean[-2:].mean():.2f}"]
     assert sum("not made yet" in line for line in drawn.lines) == 5
     usage = figure_19.USAGE["warehouse-even", "tiled"]
-    small = usage._replace(layout=HALL, agents=8, timesteps=500, seeds=2, stop=False)
+    small = replace(usage, layout=HALL, agents=8, timesteps=500, seeds=2, stop=False)
     monkeypatch.setitem(figure_19.USAGE, ("warehouse-even", "tiled"), small)
     drawn = figure_19.draw(folders)
     (image,) = (axes.images[1] for axes in drawn.figure.axes if len(axes.images) == 2)
@@ -325,7 +326,7 @@ def test_the_agent_is_measured_on_each_maze_once(folders, monkeypatch):
 
     monkeypatch.setattr(maze_success, "evaluate_agent", walk)
     monkeypatch.setattr(maze_success, "PIECES", (saved,))
-    saved._replace(mazes=1).make(folders, silent)
+    replace(saved, mazes=1).make(folders, silent)
     assert saved.done(folders) == 0.5
     before = saved.read(folders)
     saved.make(folders, silent)
@@ -334,7 +335,7 @@ def test_the_agent_is_measured_on_each_maze_once(folders, monkeypatch):
     assert {row.walls for row in rows} == {4}
     way = rows[0].shortest
     assert all(0.8 * way <= row.shortest <= 1.2 * way for row in rows)
-    assert saved._replace(runs=10).done(folders) == 0
+    assert replace(saved, runs=10).done(folders) == 0
     said = cells(maze_success.draw(folders).lines[2])
     low, high = wilson_interval(5, 20)
     assert said[1] == f"25% ({low:.0%} to {high:.0%})"

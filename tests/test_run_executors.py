@@ -17,7 +17,7 @@ from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution, dask, layouts
 from qdenv.run.executors.dask import ClusterExecutor, WrongWorkerError, versions
 from qdenv.run.experiment import make_experiment
-from qdenv.study.ledger import Case, complete, handed_to, read_runs
+from qdenv.study.ledger import Case, complete, read_runs
 from qdenv.types import InputError, RepairStatus
 
 distributed = pytest.importorskip("distributed")
@@ -151,8 +151,7 @@ def test_runs_of_a_study_are_the_same_on_a_cluster(local, tmp_path):
     cases = [Case("hall", plan, domain, agents, 40, "low") for agents in (3, 6)]
     here = complete(tmp_path / "here.csv", cases, range(3))
     with distributed.Client(local.scheduler_address) as client:
-        options = {"simulate_all": handed_to(client)}
-        there = complete(tmp_path / "there.csv", cases, range(3), **options)
+        there = complete(tmp_path / "there.csv", cases, range(3), client=client)
     assert len({run.throughput for run in here}) > 2
     assert [run._replace(cpu_seconds=0) for run in here] == [
         run._replace(cpu_seconds=0) for run in there

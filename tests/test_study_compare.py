@@ -14,6 +14,7 @@ from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.stats import wilson_interval
 from qdenv.study.engine import Simulated, run_seeds
+from qdenv.study.options import parse_counts
 from qdenv.study.plans import name_layouts
 from qdenv.study.table import Row, Trial, climb, compare, find_capacity, find_peak, write_rows
 from qdenv.types import InputError, Traffic
@@ -67,6 +68,14 @@ def test_rows_agree_with_the_runs_they_summarise(layouts):
             assert found.standard_error == pytest.approx(error)
 
 
+def test_one_agent_alone_takes_two_to_six_steps_from_goal_to_goal():
+    tiny = grid.parse(["w...e", ".@@..", "e...w"], WAREHOUSE.tiles)
+    trial = Trial(TASKS, FleetConfig(timesteps=40, planner=PibtConfig()), (1, 3, 6), SEEDS)
+    first, *others = compare({"tiny": tiny}, trial)
+    assert 40 / 6 - 1 <= 40 * first.throughput <= 20
+    assert [found.agents for found in others] == [3, 6]
+
+
 def test_a_climb_stops_at_the_first_drop(layouts, monkeypatch):
     throughput = {10: 1.0, 20: 1.9, 30: 2.4, 40: 2.3, 50: 9.0}
 
@@ -92,6 +101,8 @@ def test_numbers_that_do_not_fit_are_left_out(layouts):
     assert {found.agents for found in way} <= {12, 60}
     with pytest.raises(InputError, match="human: 500 agents do not fit"):
         climb("human", layouts["human"], Trial(TASKS, CONFIG, (500,), (0,)))
+    with pytest.raises(InputError, match=r"human: .*fewer agents"):
+        compare(layouts, Trial(TASKS, CONFIG, (500,), (0,)))
 
 
 def test_peaks_of_made_up_ways():
@@ -125,10 +136,11 @@ def test_progress_grows_to_the_whole_and_names_what_is_simulated(layouts):
 
 
 def test_the_table_holds_every_number(tmp_path):
-    rows = [row(50, 1.5), row(50, 2.5, "b")]
+    rows = [row(50, 1.5), row(50, 7.654321987, "b")]
     write_rows(tmp_path / "a.csv", rows, {"tasks_per_hour": [5400, 9000]})
     table = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
-    assert [(line["layout"], line["throughput"]) for line in table] == [("a", "1.5"), ("b", "2.5")]
+    found = [(line["layout"], line["throughput"]) for line in table]
+    assert found == [("a", "1.5"), ("b", "7.65432")]  # six digits
     assert [line["tasks_per_hour"] for line in table] == ["5400", "9000"]
     assert list(table[0]) == [*Row._fields, "tasks_per_hour"]
 
@@ -139,6 +151,29 @@ def test_agents_are_worth_it_while_each_further_one_brings_half_of_an_average_on
     assert find_capacity(rows) == 150
     assert find_capacity(rows[:2]) == 100
     assert find_capacity([row(50, 1.0), row(100, 1.2), row(150, 2.0)]) == 50
+
+
+def test_numbers_of_agents_are_read():
+    assert parse_counts("200") == (200,)
+    assert parse_counts("50,100") == (50, 100)
+    assert parse_counts("50:400:50") == tuple(range(50, 401, 50))
+    for text in ("", "many", "0", "10:5", "1:2:3:4", "5:10:0"):
+        with pytest.raises(InputError):
+            parse_counts(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1:99999999999", "choose a larger step"),
+        (f"1:{10**30}", "choose a larger step"),
+        ("1,1,1", "names a number twice"),
+        ("-5,10", "no number of agents above zero"),
+    ],
+)
+def test_numbers_that_make_no_study_are_refused_at_once(text, said):
+    with pytest.raises(InputError, match=said):
+        parse_counts(text)
 
 
 def test_commands_compare_and_climb(layouts, tmp_path, capsys):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from qdenv.stats import Sample, difference, margin, sample_of
+from qdenv.stats import Sample, difference, margin, sample_of, wilson_interval
 from qdenv.study.table import Row, differences
 
 NAN = float("nan")
@@ -60,6 +60,13 @@ def test_there_is_no_interval_where_nothing_can_be_said():
     assert difference(none, some).significant and difference(none, some).percent == -100
     assert np.isnan(difference(some, Sample(0.1, 0.2, 10)).high)
     assert difference(Sample(5.0, 0.0, 3), Sample(4.0, 0.0, 3)) == (25.0, 25.0, 25.0, True)
+
+
+def test_wilson_interval_agrees_with_published_values():
+    """The bounds for 8 of 10 and for 10 of 10 (Newcombe 1998, method 3)."""
+    np.testing.assert_allclose(wilson_interval(8, 10), (0.4902, 0.9433), atol=1e-4)
+    np.testing.assert_allclose(wilson_interval(10, 10), (0.7225, 1.0), atol=1e-4)
+    assert wilson_interval(0, 10)[0] == 0.0
 
 
 def test_rows_are_compared_with_the_first_layout_at_the_same_number_of_agents():

@@ -49,7 +49,7 @@ def stays_as_it_is() -> Iterator[None]:
 
 
 def generators_of(domain: str) -> list[Generator]:
-    return list(named(domain).collection.generators.values())
+    return list(named(domain).collection.generators)
 
 
 def test_all_of_it_is_smaller_than_six_megabytes():

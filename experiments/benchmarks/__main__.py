@@ -1,9 +1,5 @@
 """Run a benchmark: `python -m experiments.benchmarks NAME [OPTIONS] [--json FILE]`."""
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import importlib
 import sys
 

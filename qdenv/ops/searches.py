@@ -28,7 +28,7 @@ from qdenv.run.directory import RunDirectory, find_start
 from qdenv.run.executors import Execution
 from qdenv.run.log import Metrics
 from qdenv.search.registry import ALGORITHMS
-from qdenv.shipped import PREFIX, Collection, Driven, Origin, Shipped, named, names, to_json
+from qdenv.shipped import PREFIX, Collection, Driven, Origin, Shipped, named, names
 from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.study.plans import keep_from
 from qdenv.types import InputError
@@ -298,6 +298,8 @@ def zoo(name: ZooName = "", plot: Picture = None) -> Facts:
     text = name.removeprefix(PREFIX)
     found = [named(one).collection for one in ([text] if text else names())]
     only = named(text) if "/" in text else None
+    if only:
+        found = [dataclasses.replace(only.collection, generators=(only.generator,))]
     picture = place(plot, "zoo.png", PICTURES)
     if only:
         say(*_describe_generator(only))
@@ -310,28 +312,24 @@ def zoo(name: ZooName = "", plot: Picture = None) -> Facts:
         from qdenv.view.style import save_figure
 
         panels = []
-        for shipped in [Shipped(one, name) for one in found for name in one.generators]:
-            if only and shipped.name != only.name:
-                continue
+        for shipped in [Shipped(one, each) for one in found for each in one.generators]:
             run, sizes = RunDirectory.open(str(shipped)), shipped.generator.sizes
             text_below = "\n".join(
                 f"{size.rows} x {size.cols}: {_figure(size.driven[0])}" for size in sizes
             )
-            title = str(shipped).removeprefix(PREFIX) if len(found) > 1 else shipped.name
+            title = str(shipped).removeprefix(PREFIX) if len(found) > 1 else shipped.generator.name
             tiles, meanings = run.schema.tiles, run.schema.names
             panels.append(Panel(run.best.layout, tiles, meanings, title, text_below))
         save_figure(draw_sheet(panels), picture.path)
         say(picture)
-    domains = [
-        to_json(one.domain, one.origin, [only.generator] if only else [*one.generators.values()])
-        for one in found
-    ]
-    return Facts({"domains": domains, "settings": {"name": text}})
+    return Facts(
+        {"domains": [dataclasses.asdict(one) for one in found], "settings": {"name": text}}
+    )
 
 
 def _describe_collection(collection: Collection) -> list[str]:
     """Put the generators of a domain into a table, a line each."""
-    generators, origin = list(collection.generators.values()), collection.origin
+    generators, origin = collection.generators, collection.origin
     cases = [(size, row) for size in generators[0].sizes for row in size.driven]
     columns = [f"{size.rows} x {size.cols}, {_ZOO_PLANNERS[row.planner]}" for size, row in cases]
     lines = [["generator", *columns, "what it is"]]

@@ -70,16 +70,7 @@ def parse_size(text: str) -> tuple[int, int]:
 def grow_series(
     config: EvaluationConfig, domain: Domain, solution: np.ndarray, steps: Sequence[int]
 ) -> list[np.ndarray]:
-    """Grow one solution and return the framed layout after each number of steps (Figure 6).
-
-    Args:
-        config: whose generator.
-        domain: at the size to draw.
-        solution: float32 [P].
-        steps: numbers of steps.
-
-    Returns:
-        one unrepaired layout int8 [H, W] for each entry of `steps`.
+    """Grow a solution (float32 [P]) to framed layouts (int8 [H, W]), one for each number of steps.
 
     Raises:
         InputError: the canvas is smaller than the seed block or the frame, or the solution is
@@ -148,12 +139,6 @@ def repair_grown(
 ) -> Repair | None:
     """Repair a grown layout; None where its domain has no rules.
 
-    Args:
-        grown: the layout.
-        config: limits of the repair.
-        seed: other seeds give other, equally good repairs.
-        progress: called with each step and its completed share.
-
     Raises:
         InputError: no layout of this size obeys the rules, or none was found.
     """
@@ -196,18 +181,15 @@ def grow_sizes(
     numbers: Mapping[str, Sequence[int]] | None = None,
     seed: int | None = None,
 ) -> Iterator[Sized]:
-    """Grow one elite at several sizes and repair each layout.
+    """Grow one elite at several sizes (rows, columns), and yield each layout when it is repaired.
 
     Args:
         run: a run with an archive.
-        which: "best", or the archive cell's indices like "12,40".
+        which: as in `grow_elite`.
         sizes: rows and columns of each framed layout.
         steps: steps of growth for each size; as `grow_elite` chooses where empty.
         numbers: exact numbers of tiles for each size, by the settings' names.
         seed: of the repair; the run's own unless given.
-
-    Yields:
-        the layouts in the order of `sizes`, each as soon as it is repaired.
 
     Raises:
         InputError: there is no such elite, a size is impossible, or a list has another length
@@ -248,10 +230,6 @@ Grower = Callable[[np.ndarray], np.ndarray]
 def make_grower(config: EvaluationConfig, domain: Domain) -> tuple[int, Grower]:
     """Make the function that grows solutions at the trained size and keeps every step.
 
-    Args:
-        config: whose generator, and how many steps.
-        domain: at the trained size.
-
     Returns:
         (steps C, float32 [B, P] -> framed layouts int8 [B, C + 1, H, W]); no steps where nothing
         grows. Another B is compiled again.
@@ -279,11 +257,8 @@ def spread(cells: np.ndarray, first: int) -> Iterator[int]:
     intercluster distance", https://doi.org/10.1016/0304-3975(85)90224-5).
 
     Args:
-        cells: int [elites, M], where they lie.
+        cells: int [elites, M] of the archive; each of its rows is yielded once.
         first: row of the one to begin with.
-
-    Yields:
-        each row once.
     """
     points = cells.astype(np.int32)
     distance = np.full(len(points), np.iinfo(np.int32).max)
@@ -310,14 +285,7 @@ def tile_layout(domain: Domain, layout: np.ndarray) -> np.ndarray:
     """Repeat the generated area of a small layout until it fills a larger one (section E.4).
 
     The copies start in the upper left corner; those at the right and at the bottom are cut. The
-    frame is drawn again.
-
-    Args:
-        domain: at the larger size.
-        layout: int8 [h, w], framed.
-
-    Returns:
-        int8 [H, W], not repaired.
+    frame is drawn again; nothing is repaired. `domain` is at the larger size.
 
     Raises:
         InputError: the larger layout is smaller than the frame.
@@ -338,16 +306,10 @@ def tile(
     config: RepairConfig | None = None,
     seed: int = 0,
 ) -> Sized:
-    """Tile a small layout to a larger size and repair it: the baseline of section E.4.
+    """Tile a small layout (int8 [h, w], framed) to a larger shape and repair it (section E.4).
 
-    Args:
-        domain: whose rules, at any size.
-        layout: int8 [h, w], framed.
-        shape: rows and columns of the larger layout.
-        numbers: exact numbers of tiles by the settings' names; where left out those known of the
-            size, or else the small layout's, scaled with the area.
-        config: limits of the repair.
-        seed: other seeds give other, equally good repairs.
+    Numbers of tiles that are left out are those known of the size, or else the small layout's,
+    scaled with the area. The domain is at any size.
 
     Raises:
         InputError: the size is impossible, or no repair was found.

@@ -28,7 +28,7 @@ CURVES = {"qd_score": "QD-score", "coverage": "coverage", "best_objective": "bes
 class Group(NamedTuple):
     """Runs that differ in chance alone."""
 
-    label: str  # what tells them from other groups, in words
+    label: str  # the settings that differ from those of other groups
     runs: tuple[RunDirectory, ...]  # one or more
     evaluations: np.ndarray  # int [n], up to where all of them came
     curves: Mapping[str, np.ndarray]  # float [runs, n] each: what their metrics were then, by name

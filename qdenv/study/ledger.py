@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -84,18 +84,9 @@ class Run(NamedTuple):
         return self[:8]
 
 
-# Simulates cases, each from its seed, and gives the runs as they end, in any order.
-SimulateAll: TypeAlias = Callable[[Sequence[tuple[Case, int]]], Iterator[Run]]
-
-
 def read_runs(path: Path) -> list[Run]:
     """Read the runs of a file; raise InputError if there is none, or it is no table of runs."""
     return list(read_table(path, Run))
-
-
-def one_by_one(todo: Sequence[tuple[Case, int]]) -> Iterator[Run]:
-    """Simulate cases, each from its seed, one after the other."""
-    return (simulate(case, seed) for case, seed in todo)
 
 
 def complete(
@@ -104,7 +95,7 @@ def complete(
     seeds: Sequence[int],
     others: Sequence[Path] = (),
     say: Callable[[str], None] = lambda line: None,
-    simulate_all: SimulateAll = one_by_one,
+    client: Client | None = None,
 ) -> list[Run]:
     """Simulate what stands in no file yet and write each run down as it ends.
 
@@ -117,7 +108,7 @@ def complete(
         seeds: of each case.
         others: further files of runs; only read.
         say: called every half minute with a line on the progress.
-        simulate_all: simulates, in any order.
+        client: of a cluster whose workers simulate; in this process, one by one, unless given.
 
     Returns:
         the runs of all cases, case by case.
@@ -133,7 +124,7 @@ def complete(
     known = {run.key: run for file in files for run in read_runs(file)}
     todo = [(case, seed) for case in cases for seed in seeds if case.key(seed) not in known]
     last = time.time()
-    for done, run in enumerate(simulate_all(todo), start=1):
+    for done, run in enumerate(_simulate_all(todo, client), start=1):
         known[run.key] = run
         # Read again: another process may have written since.
         write_csv(path, Run._fields, [*(read_runs(path) if path.exists() else []), run])
@@ -148,6 +139,25 @@ def complete(
                 * run.congested
             )
     return [known[case.key(seed)] for case in cases for seed in seeds]
+
+
+def _simulate_all(todo: Sequence[tuple[Case, int]], client: Client | None) -> Iterator[Run]:
+    """Simulate cases, each from its seed, and yield the runs as they end."""
+    if client is None:
+        yield from (simulate(case, seed) for case, seed in todo)
+        return
+    executor = ClusterExecutor(client)
+    try:
+        # Functions cannot be sent, settings can.
+        cases = [case._replace(domain=case.domain.config) for case, _ in todo]
+        yield from executor.map(_simulate_elsewhere, cases, [seed for _, seed in todo])
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+def _simulate_elsewhere(case: Any, seed: int) -> Run:
+    """Simulate a `Case` that has the settings of its domain in place of the domain."""
+    return simulate(case._replace(domain=make_domain(case.domain)), seed)
 
 
 def simulate(case: Case, seed: int) -> Run:
@@ -172,9 +182,7 @@ def simulate(case: Case, seed: int) -> Run:
 def seconds_for(cases: Sequence[Case], runs: Sequence[Run]) -> float:
     """Estimate the CPU seconds of a run of each case from other runs, best of the same planner.
 
-    Args:
-        cases: to be simulated.
-        runs: at least one, unless there is no case; a run costs by its agents and timesteps.
+    A run costs by its agents and timesteps. At least one run, unless there is no case.
     """
     rates = {}
     for planner in {case.planner for case in cases}:
@@ -231,23 +239,3 @@ def _condense(runs: Sequence[Run]) -> Outcome:
         *(float(np.median(jams)), float(jams.min()), float(jams.max())),
         cpu_seconds=float(np.mean([run.cpu_seconds for run in runs])),
     )
-
-
-def handed_to(client: Client) -> SimulateAll:
-    """Return what simulates cases for `complete` on the workers of a cluster."""
-
-    def simulate_all(todo: Sequence[tuple[Case, int]]) -> Iterator[Run]:
-        executor = ClusterExecutor(client)
-        try:
-            # Functions cannot be sent, settings can.
-            cases = [case._replace(domain=case.domain.config) for case, _ in todo]
-            yield from executor.map(_simulate_elsewhere, cases, [seed for _, seed in todo])
-        finally:
-            executor.shutdown(cancel_futures=True)
-
-    return simulate_all
-
-
-def _simulate_elsewhere(case: Any, seed: int) -> Run:
-    """Simulate a `Case` that has the settings of its domain in place of the domain."""
-    return simulate(case._replace(domain=make_domain(case.domain)), seed)

@@ -129,10 +129,8 @@ def usual_fleet(
 def describe_growth(domain: Domain, shape: tuple[int, int], given: Collection[str]) -> str:
     """Describe which numbers a known size gives to a layout that is drawn for it; "" for none.
 
-    Args:
-        domain: at the size that the layout is made from.
-        shape: rows and columns of the layout.
-        given: names of what was stated, "steps" among them where nothing grows.
+    `domain` is at the size that the layout is made from; `given` holds the names of the numbers
+    that were stated, "steps" among them where nothing grows.
     """
     size = domain.known_size(*shape)
     if size is None:

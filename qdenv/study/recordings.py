@@ -113,11 +113,7 @@ def cells_with_half(maps: Maps) -> int:
 
 
 def throughput_over_time(runs: Sequence[Traffic], windows: int = 40) -> np.ndarray:
-    """Average finished tasks per timestep over equal windows of time.
-
-    Args:
-        runs: of one length T.
-        windows: how many at most; each is a whole number of timesteps.
+    """Average finished tasks per timestep over equal windows of whole timesteps.
 
     Returns:
         [3, n]: where each window ends, the mean over the runs, and its standard error (NaN for

@@ -75,11 +75,7 @@ def read_elites(run: RunDirectory) -> Evaluated:
 
 
 def split_elites(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split `count` elites at random.
-
-    Returns:
-        indices of the elites to learn from and of those held out, a fifth (int [.], ascending).
-    """
+    """Return the indices of the elites to learn from and of a fifth, held out (int, ascending)."""
     order = np.random.default_rng(seed).permutation(count)
     held = round(_HELD_OUT * count)
     return np.sort(order[held:]), np.sort(order[:held])
@@ -124,13 +120,8 @@ def try_surrogate(
     """Learn from four fifths of the elites and predict the others, once per seed.
 
     The networks are those of `make_surrogate` without the tile usage, which archives do not hold:
-    they predict the repaired layout from the drawn one, then objective and measures from that.
-
-    Args:
-        elites: of a run.
-        config: the surrogate's size and training.
-        seeds: one per split, of the split and of the networks' initial weights.
-        progress: called with the share of the work that is done.
+    they predict the repaired layout from the drawn one, then objective and measures from that. A
+    seed is that of the split and of the networks' initial weights.
     """
     shape = elites.drawn.shape[1], elites.drawn.shape[2]
     measures = elites.numbers.shape[1] - 1

@@ -131,12 +131,7 @@ def climb(
 ) -> list[Row]:
     """Add agents until the mean throughput over all runs drops (section E.3).
 
-    Args:
-        name: of the layout.
-        layout: int8 [H, W].
-        trial: the simulations; of its numbers of agents those that fit, in ascending order.
-        on_row: called with each row when it is finished.
-        progress: called with what is simulated; the share is -1, as the end is unknown.
+    Of the trial's numbers those that fit are tried, in ascending order.
 
     Returns:
         a row for each number of agents tried; `find_peak` reads them.
@@ -201,15 +196,9 @@ def summarise(
     cpu_seconds: float,
     stop: bool = True,
 ) -> Row:
-    """Condense the runs of one layout with one number of agents.
+    """Condense the runs of one layout with one number of agents, one per seed.
 
-    Args:
-        name: of the layout in tables.
-        layout: int8 [H, W].
-        agents: how many took part.
-        runs: one per seed.
-        cpu_seconds: of all of them together.
-        stop: congestion ended those that congested.
+    `cpu_seconds` are those of all of them together; `stop`: congestion ended those that congested.
     """
     # In the runs' single precision, as the numbers of saved tables are.
     every = np.array([run.throughput for run in runs])

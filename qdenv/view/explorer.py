@@ -366,8 +366,7 @@ def _named(run: RunDirectory, archive: SavedArchive) -> list[dict[str, Any]]:
     """List the elites that have names, the best or what was asked for first."""
     cells = {"best": archive.best.cell}
     if run.shipped is not None:
-        own = run.shipped.name
-        every = {one.name: one.cell for one in run.shipped.collection.generators.values()}
-        cells = {own: every[own]} | every
+        own, every = run.shipped.generator, run.shipped.collection.generators
+        cells = {one.name: one.cell for one in (own, *every)}
     found = {tuple(cell): row for row, cell in enumerate(archive.cells.tolist())}
     return [{"name": name, "row": found[cell]} for name, cell in cells.items() if cell in found]
