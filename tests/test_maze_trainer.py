@@ -16,7 +16,6 @@ from qdenv.agent import levels, ppo
 from qdenv.agent.train import (
     choose,
     load_state,
-    mean_weights,
     save_state,
     save_weights,
     train_agent,
@@ -84,8 +83,7 @@ def test_levels_are_solvable_and_half_are_longest_paths():
 def test_levels_of_many_sizes_keep_walls_and_horizon_in_proportion():
     config = levels.LevelConfig(size=9, smallest=4, most_walls=40, horizon=(121, 242))
     keys = jax.random.split(jax.random.key(2), 120)
-    sides = np.asarray(jax.vmap(lambda key: levels.draw_side(key, config))(keys))
-    assert set(sides.tolist()) == {4, 5, 6, 7, 8, 9}
+    sides = np.arange(120) % 6 + 4
     layouts = jax.vmap(lambda key, side: levels.draw_layout(key, config, side))(keys, sides)
     for layout, side in zip(np.asarray(layouts), sides, strict=True):
         assert layout[side:].all() and layout[:, side:].all()
@@ -97,8 +95,8 @@ def test_levels_of_many_sizes_keep_walls_and_horizon_in_proportion():
     assert set(sides.tolist()) == {4, 5, 6, 7, 8, 9}
     low = (sides + 2) ** 2
     assert ((low <= drawn.horizon) & (drawn.horizon <= 2 * low)).all()
-    fixed = jax.vmap(lambda key: levels.draw_side(key, replace(config, smallest=0)))(keys)
-    assert set(np.asarray(fixed).tolist()) == {9}
+    fixed = jax.vmap(lambda key: levels.draw_level(key, replace(empty, smallest=0)))(keys[:20])
+    assert ((np.asarray(fixed.kinds) != WALL).sum((1, 2)) == 81).all()
     with pytest.raises(InputError, match="in order"):
         replace(config, smallest=10)
 
@@ -314,11 +312,11 @@ def test_the_mean_of_the_last_agents_is_kept_unless_the_last_solves_more(tmp_pat
 
 
 def test_agents_of_different_sizes_have_no_mean(tmp_path):
-    paths = [tmp_path / f"{units}.npz" for units in (4, 5)]
-    for path, units in zip(paths, (4, 5), strict=True):
-        save_weights(draw_weights(jax.random.key(0), units, 3), path)
+    for units in (4, 5):
+        agent = draw_weights(jax.random.key(0), units, 3)
+        save_weights(agent, tmp_path / "agents" / f"{units}.npz")
     with pytest.raises(InputError, match=r"5\.npz: an agent of another size"):
-        mean_weights(paths)
+        choose(tmp_path, 2, lambda weights: {})
 
 
 @pytest.mark.parametrize(

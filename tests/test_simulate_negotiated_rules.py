@@ -7,41 +7,28 @@ import numba
 import numpy as np
 import pytest
 
-from qdenv.grid import NUM_MOVES
+from qdenv.grid import LEFT, UP
 from qdenv.simulate.mapf.negotiated import path_rules, rules
 
 CASES = 40
 SIDE, LEVELS = 21, 3
-# What each rule is given: sets, masks, truths, numbers from a range, or a constant.
-SET, MASK, TRUTH = "set", "mask", "truth"
+# What each rule is given: sets, truths, numbers from a range, or a constant.
+SET, TRUTH = "set", "truth"
 CELL, TIME, CODE = range(60 * 60), range(31), range(1 << path_rules.CODE_BITS)
-MOVES = (SET,) * NUM_MOVES
 GIVEN = {
     rules.move_plane: (range(-60, 61), 57),
     rules.opposite: (range(5),),
     rules.random_rank: (range(1 << 31), range(2)),
     rules.tie_break_of: (range(1 << 31),),
     rules.steps_conflict: (range(3),) * 4,
-    rules.is_swapped: (range(-1, 2),) * 2,
-    rules.conflicting_cells: (MOVES,),
-    rules.arrivals: (MOVES, MOVES, SET),
-    rules.count_conflict: (SET, SET, SET, MASK),
-    rules.continue_service: (SET, SET, MASK, MASK),
-    rules.begin_service: (SET, range(2)),
     rules.has_served: (SET, TIME),
-    rules.expandable: (SET, SET, MASK, SET),
     rules.goal_row: (CELL, CELL, 57, 10),
     rules.goal_column: (CELL, CELL, 57, 10),
     rules.is_visible: (range(-3, 25), range(-3, 25), SIDE),
     rules.ends_leg: (1, range(2)),
-    path_rules.cost_after_goal: (range(8192), range(21)),
-    path_rules.driving_cost: (range(8192), range(21), range(9999)),
-    path_rules.serving_cost: (range(21), TIME, range(9999)),
-    path_rules.f_cost: (range(9999), 2, range(65)),
     path_rules.driving_end: (1, 2, LEVELS, range(SIDE), range(SIDE), SIDE),
     path_rules.serving_end: (1, 2, LEVELS, TIME, SIDE),
     path_rules.unpack_end: (range(2 * LEVELS * (SIDE**2 + 32)), LEVELS, SIDE),
-    path_rules.end_key: (range(9999), CODE, CODE),
     rules.tie_break_of_round: (range(1 << 24), range(300)),
     path_rules.tie_breaker: (range(1 << 24),),
     path_rules.is_flipped: (range(1 << 24),),
@@ -49,25 +36,19 @@ GIVEN = {
     rules.penalty_index: (range(30), 13),
     path_rules.service_conflict: (range(3), TRUTH, TRUTH),
     path_rules.move_at: (3, range(2)),
-    path_rules.row_before: (range(SIDE), rules.UP),
-    path_rules.column_before: (range(SIDE), rules.LEFT),
+    path_rules.row_before: (range(SIDE), UP),
+    path_rules.column_before: (range(SIDE), LEFT),
     path_rules.is_predecessor: (TRUTH,) * 4,
 }
 
 
 def draw(rng: np.random.Generator, kind) -> tuple:
     """Draw an argument: arrays for jnp, and the same numbers one by one for numba."""
-    if kind is MOVES:
-        parts = [draw(rng, part) for part in kind]
-        return tuple(part[0] for part in parts), list(zip(*(p[1] for p in parts), strict=True))
     if isinstance(kind, int):
         return kind, [kind] * CASES
     if kind == SET:
         words = rng.integers(0, 1 << 30, CASES)
         return jnp.asarray(words, jnp.uint32), words.tolist()
-    if kind == MASK:
-        masks = -rng.integers(0, 2, CASES)
-        return jnp.asarray(masks & 0xFFFFFFFF, jnp.uint32), masks.tolist()
     if kind == TRUTH:
         truths = rng.integers(0, 2, CASES)
         return jnp.asarray(truths, bool), truths.tolist()
@@ -84,8 +65,6 @@ def test_traced_and_compiled_rules_agree(rule):
     drawn = [draw(np.random.default_rng(len(rule.__name__)), kind) for kind in GIVEN[rule]]
     arrays = [argument[0] for argument in drawn]
     if rule is rules.has_served:
-        arrays[1] = arrays[1].astype(jnp.uint32)
-    if rule is rules.begin_service:
         arrays[1] = arrays[1].astype(jnp.uint32)
     kernel = numba.njit(lambda *given: rule(*given))
     traced = [np.broadcast_to(np.asarray(part), CASES) for part in parts(rule(*arrays))]
@@ -114,39 +93,8 @@ def test_a_leg_begins_where_the_service_at_the_first_goal_ended():
                     assert bool(path_rules.is_entry(state, on_goal, served)) == expected
 
 
-def cells(drawing: str) -> int:
-    """Read a row of cells as a set; column 0 is the lowest bit."""
-    return sum(1 << column for column, cell in enumerate(drawing) if cell == "x")
-
-
-def test_going_against_a_reserved_move_is_a_swap_and_following_it_is_not():
+def test_a_move_has_one_against_it():
     assert [rules.opposite(move) for move in range(5)] == [0, 2, 1, 4, 3]
-    # Another agent goes from column 3 to column 2.
-    occupied, leaves_left = cells("..x....."), cells("...x....")
-    wait, right, left, _, _ = rules.conflicting_cells((occupied, 0, leaves_left, 0, 0))
-    assert wait == cells("..x.....")  # standing where it arrives
-    assert right == cells("..xx....")  # and going where it came from, past it
-    assert left == cells("..x.....")  # column 3 may be entered from behind it
-
-
-def test_one_timestep_on_a_row():
-    here = cells("...x....")
-    moved = (here, here << 1, here >> 1, 0, 0)
-    reserved = rules.conflicting_cells((cells("..x....."), 0, cells("...x...."), 0, 0))
-    clean, clashing = rules.arrivals(moved, reserved, cells("xxxx.xxx"))
-    assert clean == cells("...x....")  # the other one leaves; column 4 is a wall
-    assert clashing == cells("..x.....")
-
-
-def test_a_disturbed_service_counts_one_conflict_more_up_to_the_cap():
-    served = [0b101, 0b010, 0]  # timesteps served with 0, 1, 2 or more conflicts
-    after = [
-        rules.continue_service(served[c], served[c - 1] if c else 0, -1, -(c == 2))
-        for c in range(3)
-    ]
-    assert after == [0, 0b1010, 0b100]
-    calm = [rules.continue_service(served[c], 0, 0, -(c == 2)) for c in range(3)]
-    assert calm == [0b1010, 0b100, 0]
 
 
 def test_every_end_has_a_code_of_its_own_that_is_read_back():
@@ -172,12 +120,6 @@ def test_every_end_has_a_code_of_its_own_that_is_read_back():
     assert max(codes) <= path_rules.CODES
 
 
-def test_the_cheaper_end_wins_whatever_the_tie_breaker():
-    assert path_rules.end_key(7, 0, path_rules.CODES) < path_rules.end_key(
-        8, path_rules.CODES, path_rules.CODES
-    )
-
-
 def test_moves_are_tried_in_one_of_two_orders_each_its_own_inverse():
     orders = [[path_rules.move_at(rank, flipped) for rank in range(5)] for flipped in (0, 1)]
     assert orders == [[0, 1, 2, 3, 4], [0, 4, 3, 2, 1]]
@@ -198,10 +140,5 @@ def test_a_move_and_its_plane_belong_together():
     assert [(5 - row) * 9 + 5 - column for row, column in before] == changes
 
 
-def test_costs_count_quarters_of_timesteps():
-    after = path_rules.cost_after_goal(10, 2)
-    assert after == 48
-    assert path_rules.driving_cost(3, 5, after) == 4 * (3 + 5 + 10 + 2)
-    assert [path_rules.serving_cost(5, elapsed, after) for elapsed in (0, 3, 9)] == [68, 56, 48]
-    assert path_rules.f_cost(20, 3, 2) == 26
+def test_the_last_penalty_serves_all_further_attempts():
     assert [rules.penalty_index(attempt, 3) for attempt in range(5)] == [0, 1, 2, 2, 2]

@@ -29,7 +29,7 @@ from qdenv.simulate.mapf.negotiated.numba import reservations
 from qdenv.simulate.mapf.negotiated.numba.backtrack import trace
 from qdenv.simulate.mapf.negotiated.numba.search import Agent, find_path, make_arrays
 from qdenv.simulate.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
-from qdenv.simulate.mapf.negotiated.xla.observation import Planning, gather
+from qdenv.simulate.mapf.negotiated.xla.observation import gather
 from qdenv.simulate.mapf.negotiated.xla.reservations import (
     add_paths,
     around,
@@ -103,8 +103,8 @@ def state_of(case: Case, distance: jax.Array) -> AgentState:
 def search_in_xla(world, state, others, penalty, tie_break, levels):
     mask = jnp.ones(others.shape[1], bool)
     table = add_paths(empty(WINDOW, *SHAPE), others, mask, SHAPE)
-    who = Planning(jnp.array([0]), penalty[None], tie_break[None])
-    local = gather(world, state, table, pack(world.traversable), who)
+    walls = pack(world.traversable)
+    local = gather(world, state, table, walls, jnp.array([0]), penalty[None], tie_break[None])
     steps, cost = find_paths(local, levels)
     return state.position[0] + steps[0, :, 0] * SHAPE[1] + steps[1, :, 0], cost[0]
 

@@ -17,17 +17,9 @@ from matplotlib.figure import Figure
 import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, best_of, save, show
 from experiments.benchmarks.repair import grow_random, rules_at_size
-from qdenv.agent.convert import pad_units
-from qdenv.agent.evaluate import (
-    default_horizon,
-    random_layout,
-    random_mazes,
-    run_alone,
-    run_batch,
-    success_rates,
-)
+from qdenv.agent.evaluate import default_horizon, draw_mazes, run_alone, run_batch
 from qdenv.repair.recipe import repair_layout
-from qdenv.simulate.maze.policy import draw_weights, load_weights
+from qdenv.simulate.maze.policy import Weights, draw_weights, load_weights
 from qdenv.simulate.maze.world import longest_path
 from qdenv.study.elites import parse_size
 from qdenv.view.style import new_figure, save_figure
@@ -246,6 +238,29 @@ def draw(rows: list[Row], slopes: dict[str, float]) -> Figure:
     return figure
 
 
+def _layouts(seed: int, count: int, walls: int) -> np.ndarray:
+    """Draw random mazes (int8 [count, 16, 16])."""
+    return np.array([maze.layout for maze in draw_mazes(seed, count, (16, 16), walls)])
+
+
+def pad_units(weights: Weights, units: int) -> Weights:
+    """Add LSTM units that stay at zero: an agent of any size that decides as before."""
+    missing = units - weights.actor.shape[0]
+    more, rows = ((0, 0), (0, missing)), ((0, missing), (0, 0))
+
+    def gates(matrix: Any) -> jax.Array:
+        parts = [jnp.pad(part, more) for part in jnp.split(matrix, 4, axis=1)]
+        return jnp.concatenate(parts, axis=1)
+
+    return weights._replace(
+        gates_in=gates(weights.gates_in),
+        gates_back=jnp.pad(gates(weights.gates_back), rows),
+        gates_bias=gates(weights.gates_bias[None])[0],
+        actor=jnp.pad(weights.actor, rows),
+        critic=jnp.pad(weights.critic, rows),
+    )
+
+
 def maze(
     units: int = 256,
     mazes: int = 12,
@@ -275,8 +290,8 @@ def maze(
         "padded": pad_units(shipped, units),
         "shipped": shipped,
     }
-    batch = jnp.asarray(random_mazes(seed, mazes, 16, 16, 90))
-    big = jnp.asarray(random_layout(np.random.default_rng(seed), 64, 64, 1440))
+    batch = jnp.asarray(_layouts(seed, mazes, 90))
+    big = jnp.asarray(draw_mazes(seed, 1, (64, 64), 1440)[0].layout)
     episodes, horizon, big_horizon = 50, 648, default_horizon(big)
 
     def in_line(weights: Any, batch: jax.Array, key: jax.Array) -> Any:
@@ -287,6 +302,7 @@ def maze(
 
     together = jax.jit(partial(run_batch, episodes=episodes, horizon=horizon))
     one_by_one = jax.jit(in_line)
+    once = jax.jit(partial(run_alone, episodes=episodes, horizon=horizon))
     alone = jax.jit(partial(run_alone, episodes=100, horizon=big_horizon))
     paths = jax.jit(jax.vmap(longest_path))
 
@@ -302,7 +318,9 @@ def maze(
         yield {"per maze": "longest path", **best_of(repeats, partial(paths, batch), mazes)}
 
     def success(walls: int) -> Row:
-        rates = success_rates(shipped, random_mazes(seed + walls, 100, 16, 16, walls)).tolist()
+        layouts = _layouts(seed + walls, 100, walls)
+        runs = map(partial(once, shipped), layouts, jax.random.split(jax.random.key(0), 100))
+        rates = [int(run.success.sum()) / episodes for run in runs]
         return {"walls": walls, "mean": mean(rates), "error": stdev(rates) / 10, "min": min(rates)}
 
     tables = {"timings": show(f"mazes, {units} units", rows())}

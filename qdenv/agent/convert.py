@@ -13,20 +13,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qdenv.agent.train import save_weights
 from qdenv.io.arrays import open_zip
-from qdenv.simulate.maze.policy import (
-    FILTERS,
-    PATCHES,
-    Weights,
-    check_weights,
-    units_of,
-)
-from qdenv.types import Array, InputError
+from qdenv.simulate.maze.policy import FILTERS, PATCHES, Weights, check_weights
+from qdenv.types import InputError
 
 _MAX_MEMBER = 64 * 2**20  # bytes of one member; the published checkpoint has 2 MB in all
 _MAX_DESCRIPTION = 2**16  # bytes; the published checkpoint has a tenth of that
@@ -92,7 +84,7 @@ class _Unpickler(pickle._Unpickler):
         self.append(_Names())
 
     def load_build(self) -> None:
-        """Ignore attributes of a dictionary: they could shadow its methods."""
+        # Attributes of a dictionary are ignored: they could shadow its methods.
         self.stack.pop()
         if type(self.stack[-1]) is not _Names:
             raise InputError("refused: the checkpoint sets attributes")
@@ -108,12 +100,12 @@ def _cut(storage: Any, offset: Any, size: Any, stride: Any, *flags: Any) -> np.n
     if not isinstance(storage, np.ndarray) or type(size) is not tuple or type(stride) is not tuple:
         raise InputError("refused: the checkpoint builds a tensor from something else")
     numbers = (offset, *size, *stride)
-    if len(size) != len(stride) or len(size) > _MAX_AXES:
-        raise InputError("the checkpoint holds a tensor of impossible shape")
-    if any(type(one) is not int or not 0 <= one < 2**40 for one in numbers):
+    fits = len(size) == len(stride) and len(size) <= _MAX_AXES
+    if not fits or any(type(one) is not int or not 0 <= one < 2**40 for one in numbers):
         raise InputError("the checkpoint holds a tensor of impossible shape")
     steps = [step if count > 1 else 0 for count, step in zip(size, stride, strict=True)]
     last = offset + sum((count - 1) * step for count, step in zip(size, steps, strict=True))
+    # A stride of 0 repeats numbers: without the first test a file of one could fill the memory.
     if math.prod(size) > storage.size or (math.prod(size) and last >= storage.size):
         raise InputError("the checkpoint holds a tensor larger than its storage")
     if not math.prod(size):
@@ -123,10 +115,7 @@ def _cut(storage: Any, offset: Any, size: Any, stride: Any, *flags: Any) -> np.n
 
 
 def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
-    """Read the tensors of a `torch.save` zip; no code of the file is ever run.
-
-    Returns:
-        float32 arrays by name (a "model" or "state_dict" wrapper is opened).
+    """Read the tensors of a `torch.save` zip (float32, by name); no code of the file is ever run.
 
     Raises:
         InputError: missing, damaged, or asking for anything but float32 tensors.
@@ -136,10 +125,11 @@ def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
         raise InputError(f"there is no checkpoint {path}")
     try:
         with open_zip(path) as archive:
-            found = _described(archive)
+            found = _read_description(archive)
     except InputError as error:
-        said = str(error)
-        raise InputError(said if said.startswith(f"{path}: ") else f"{path}: {said}") from error
+        message = str(error)
+        whole = message if message.startswith(f"{path}: ") else f"{path}: {message}"
+        raise InputError(whole) from error
     if not isinstance(found, dict):
         raise InputError(f"{path} holds no dictionary of tensors")
     for wrapper in ("model", "state_dict"):
@@ -148,27 +138,30 @@ def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
     return {str(name): value for name, value in found.items() if isinstance(value, np.ndarray)}
 
 
-def _described(archive: zipfile.ZipFile) -> Any:
+def _read_description(archive: zipfile.ZipFile) -> Any:
     """Build what the one description in an archive describes."""
-    names = archive.namelist()
+    names, storages = archive.namelist(), {}
     roots = [name.removesuffix(_DESCRIPTION) for name in names if name.endswith(_DESCRIPTION)]
     if len(roots) != 1:
         raise InputError(f"no PyTorch checkpoint: it has no single {_DESCRIPTION}")
-    storages: dict[str, np.ndarray] = {}
+
+    def member(name: str) -> bytes:
+        if archive.getinfo(name).file_size > _MAX_MEMBER:
+            raise InputError(f"checkpoint member {name} is larger than {_MAX_MEMBER} bytes")
+        return archive.read(name)
 
     def load(key: str, count: int) -> np.ndarray:
         name = f"{roots[0]}data/{key}"
         if name not in names:
             raise InputError(f"storage {key} is missing: file damaged")
         if key not in storages:
-            storages[key] = np.frombuffer(_member(archive, name), np.uint8)
-        if storages[key].size != 4 * count:
-            raise InputError(
-                f"storage {key} has {storages[key].size} bytes, not {4 * count}: file damaged"
-            )
+            storages[key] = np.frombuffer(member(name), np.uint8)
+        size = storages[key].size
+        if size != 4 * count:
+            raise InputError(f"storage {key} has {size} bytes, not {4 * count}: file damaged")
         return storages[key].view("<f4")
 
-    description = _member(archive, f"{roots[0]}{_DESCRIPTION}")
+    description = member(f"{roots[0]}{_DESCRIPTION}")
     if len(description) > _MAX_DESCRIPTION:
         raise InputError("refused: the description is far too long")
     try:
@@ -177,12 +170,6 @@ def _described(archive: zipfile.ZipFile) -> Any:
         raise
     except Exception as error:  # whatever a damaged program does to the machine
         raise InputError(f"the description is damaged: {error}") from error
-
-
-def _member(archive: zipfile.ZipFile, name: str) -> bytes:
-    if archive.getinfo(name).file_size > _MAX_MEMBER:
-        raise InputError(f"checkpoint member {name} is larger than {_MAX_MEMBER} bytes")
-    return archive.read(name)
 
 
 def from_torch(tensors: dict[str, np.ndarray], source: str = "checkpoint") -> Weights:
@@ -212,10 +199,6 @@ def from_torch(tensors: dict[str, np.ndarray], source: str = "checkpoint") -> We
 def convert_agent(checkpoint: Path, out: Path) -> str:
     """Convert the published agent's checkpoint (`model_20000.tar`) into an .npz agent.
 
-    Args:
-        checkpoint: file written by `torch.save`.
-        out: the .npz to write.
-
     Returns:
         One line that says what was written.
 
@@ -226,31 +209,3 @@ def convert_agent(checkpoint: Path, out: Path) -> str:
     save_weights(weights, out)
     units, actions = weights.gates_back.shape[0], weights.logits.shape[1]
     return f"wrote {out}: {units} LSTM units, {actions} actions, {FILTERS * PATCHES**2} features"
-
-
-def pad_units(weights: Weights, units: int) -> Weights:
-    """Add LSTM units that stay at zero, so that the agent decides as before.
-
-    A trained agent of any size without training: what a benchmark of the cost needs.
-
-    Raises:
-        InputError: the agent has more units already.
-    """
-    own = units_of(weights)
-    if units < own:
-        raise InputError(f"the agent has {own} units: ask for as many or more")
-    more = ((0, 0), (0, units - own))
-
-    def gates(matrix: Array) -> jax.Array:
-        """Pad each of the four gates (float32 [n, 4 L])."""
-        parts = [jnp.pad(part, more) for part in jnp.split(matrix, 4, axis=1)]
-        return jnp.concatenate(parts, axis=1)
-
-    rows = ((0, units - own), (0, 0))
-    return weights._replace(
-        gates_in=gates(weights.gates_in),
-        gates_back=jnp.pad(gates(weights.gates_back), rows),
-        gates_bias=gates(weights.gates_bias[None])[0],
-        actor=jnp.pad(weights.actor, rows),
-        critic=jnp.pad(weights.critic, rows),
-    )

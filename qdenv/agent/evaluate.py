@@ -7,17 +7,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.simulate.maze.episode import (
-    Episode,
-    all_timesteps,
-    run_episode,
-    run_episodes,
-)
+from qdenv.simulate.maze.episode import Episode, run_episode, run_episodes
 from qdenv.simulate.maze.policy import Weights, prepare
 from qdenv.simulate.maze.published import reference_episodes
 from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.stats import standard_error, wilson_interval
 from qdenv.types import Array, InputError
+
+BAND = (0.8, 1.2)  # lengths of random mazes' paths, as shares of the given maze's
+_MOST_DRAWN = 100_000  # random mazes drawn before giving up
+
+# Called with what is being done and which share of it is done, as `Bar` is.
+Progress = Callable[[str, float], None]
 
 
 class Success(NamedTuple):
@@ -29,6 +30,28 @@ class Success(NamedTuple):
     runs: int
     mean_length: float  # actions, failures counted with the horizon
     shortest: int  # moves of the shortest path
+
+
+class Drawn(NamedTuple):
+    """A random maze."""
+
+    layout: np.ndarray  # int8 [H, W]
+    start: int  # cell
+    goal: int  # cell
+    shortest: int  # moves from start to goal
+
+
+class Comparison(NamedTuple):
+    """Success on random mazes that resemble one maze."""
+
+    walls: int  # of the given maze, inside its ring, and of every random one
+    given: Drawn  # the given maze without its ring
+    mazes: list[Drawn]  # the random mazes, without rings
+    horizon: int  # actions per episode
+    results: list[Success]  # of the agent on each of them
+    rates: list[float]  # success rates of all random mazes
+    mean: float  # of the rates
+    standard_error: float  # of the mean, over mazes
 
 
 def without_ring(layout: Array) -> np.ndarray:
@@ -45,10 +68,7 @@ def without_ring(layout: Array) -> np.ndarray:
 
 
 def default_horizon(layout: Array) -> int:
-    """Give the agent two actions per tile of the maze with its ring: 648 for 16x16.
-
-    The ring counts once, whether the layout draws it or not.
-    """
+    """Return two actions per tile of the maze with its ring, drawn or not: 648 for 16 x 16."""
     rows, cols = without_ring(layout).shape
     return 2 * (rows + 2) * (cols + 2)
 
@@ -56,23 +76,15 @@ def default_horizon(layout: Array) -> int:
 def run_batch(
     weights: Weights, layouts: Array, key: jax.Array, episodes: int, horizon: int
 ) -> Episode:
-    """Run every maze of a batch side by side; traceable.
+    """Run every maze of a batch (int8 [B, H, W]) side by side; traceable, consumes the key.
 
-    Args:
-        weights: the agent.
-        layouts: int8 [B, H, W].
-        key: consumed.
-        episodes: runs per maze.
-        horizon: actions after which a run fails.
-
-    Returns:
-        `Episode` with leading axes [B, episodes].
+    Returns `Episode` with leading axes [B, episodes].
     """
 
     def one(layout: Array, key: jax.Array) -> Episode:
         tables = prepare(weights, layout)
         keys = jax.random.split(key, episodes)
-        return jax.vmap(lambda k: run_episode(weights, tables, k, horizon, all_timesteps))(keys)
+        return jax.vmap(lambda k: run_episode(weights, tables, k, horizon))(keys)
 
     return jax.vmap(one)(layouts, jax.random.split(key, layouts.shape[0]))
 
@@ -80,13 +92,31 @@ def run_batch(
 def run_alone(
     weights: Weights, layout: Array, key: jax.Array, episodes: int, horizon: int
 ) -> Episode:
-    """Run one maze, dropping episodes that are over; traceable, arguments of `run_batch`."""
+    """Run one maze, dropping episodes that are over; traceable, consumes the key."""
     keys = jax.random.split(key, episodes)
     return run_episodes(weights, prepare(weights, layout), keys, horizon)
 
 
 _run_alone = jax.jit(run_alone, static_argnums=(3, 4))
 _run_published = jax.jit(reference_episodes, static_argnums=(3, 4))
+_longest_path = jax.jit(longest_path)
+
+
+def _measure(
+    weights: Weights,
+    layout: Array,
+    key: jax.Array,
+    runs: int,
+    horizon: int,
+    reference_batching: bool = False,
+) -> Success:
+    """Sum up the episodes of one maze; consumes the key."""
+    play = _run_published if reference_batching else _run_alone
+    episodes = play(weights, jnp.asarray(layout), key, runs, horizon)
+    successes = int(episodes.success.sum())
+    low, high = wilson_interval(successes, runs)
+    mean, shortest = float(episodes.length.mean()), int(episodes.shortest[0])
+    return Success(successes / runs, low, high, runs, mean, shortest)
 
 
 def evaluate_agent(
@@ -104,94 +134,19 @@ def evaluate_agent(
         layout: int8 [H, W], with or without a ring of walls.
         seed: of headings and actions.
         runs: independent episodes.
-        horizon: actions per episode; twice the tiles of the ringed maze by default.
+        horizon: actions per episode; `default_horizon` unless given.
         reference_batching: run the published loop with its quirks (`qdenv.simulate.maze.published`)
             instead of independent episodes.
 
     Raises:
         InputError: no runs, or a maze in which no two empty tiles touch.
     """
-    wilson_interval(0, runs)
+    wilson_interval(0, runs)  # refuses a number of runs below one before any work is done
     horizon, key = horizon or default_horizon(layout), jax.random.key(seed)
-    result = _run_one(weights, layout, key, runs, horizon, reference_batching)
+    result = _measure(weights, layout, key, runs, horizon, reference_batching)
     if result.shortest == 0:
         raise InputError("this maze has no two empty tiles that touch: nothing to solve")
     return result
-
-
-def _run_one(
-    weights: Weights,
-    layout: Array,
-    key: jax.Array,
-    runs: int,
-    horizon: int,
-    reference_batching: bool = False,
-) -> Success:
-    """Sum up the episodes of one maze (host side); consumes the key.
-
-    Args:
-        weights: the agent.
-        layout: int8 [H, W].
-        key: of headings and actions.
-        runs: episodes.
-        horizon: actions per episode.
-        reference_batching: run the published loop with its quirks.
-    """
-    play = _run_published if reference_batching else _run_alone
-    episodes = play(weights, jnp.asarray(layout), key, runs, horizon)
-    successes = int(episodes.success.sum())
-    low, high = wilson_interval(successes, runs)
-    mean, shortest = float(episodes.length.mean()), int(episodes.shortest[0])
-    return Success(successes / runs, low, high, runs, mean, shortest)
-
-
-def success_rates(
-    weights: Weights, layouts: Array, seed: int = 0, runs: int = 50, horizon: int | None = None
-) -> np.ndarray:
-    """Measure the success rate on each of some mazes of one size (host side).
-
-    Args:
-        weights: the agent.
-        layouts: int8 [B, H, W].
-        seed: of headings and actions.
-        runs: independent episodes per maze.
-        horizon: actions per episode; twice the tiles of the ringed maze by default.
-
-    Returns:
-        float [B].
-    """
-    horizon = horizon or default_horizon(layouts[0])
-    keys = jax.random.split(jax.random.key(seed), len(layouts))
-    return np.array(
-        [
-            _run_one(weights, layout, key, runs, horizon).rate
-            for layout, key in zip(layouts, keys, strict=True)
-        ]
-    )
-
-
-BAND = (0.8, 1.2)  # lengths of random mazes' paths, as shares of the given maze's
-
-# Told what is being done and which share of it is done, as `commands.waiting` is.
-Progress = Callable[[str, float], None]
-
-_longest_path = jax.jit(longest_path)
-
-
-def random_layout(rng: np.random.Generator, rows: int, cols: int, walls: int) -> np.ndarray:
-    """Put exactly `walls` walls on random tiles (int8 [rows, cols])."""
-    layout = np.zeros(rows * cols, np.int8)
-    layout[rng.permutation(rows * cols)[:walls]] = 1
-    return layout.reshape(rows, cols)
-
-
-class Drawn(NamedTuple):
-    """A random maze."""
-
-    layout: np.ndarray  # int8 [H, W]
-    start: int  # cell
-    goal: int  # cell
-    shortest: int  # moves from start to goal
 
 
 def draw_mazes(
@@ -200,19 +155,13 @@ def draw_mazes(
     shape: tuple[int, int],
     walls: int,
     accept: Callable[[int], bool] = lambda length: length > 0,
-    tries: int = 100_000,
+    tries: int = _MOST_DRAWN,
     progress: Progress = lambda doing, share: None,
 ) -> list[Drawn]:
-    """Draw random mazes whose longest shortest path is accepted (host side).
+    """Draw random mazes with exactly `walls` walls (host side).
 
-    Args:
-        seed: of the walls.
-        count: mazes wanted.
-        shape: rows and columns.
-        walls: walls of each.
-        accept: length of the longest shortest path -> keep it; by default every solvable maze.
-        tries: mazes drawn before giving up.
-        progress: called with the progress.
+    Only those are kept whose longest shortest path has an accepted length: by default every maze
+    that can be solved.
 
     Raises:
         InputError: `tries` mazes were not enough, or more walls than tiles.
@@ -225,7 +174,9 @@ def draw_mazes(
     for _ in range(tries):
         if len(kept) == count:
             break
-        layout = random_layout(rng, rows, cols, walls)
+        layout = np.zeros(rows * cols, np.int8)
+        layout[rng.permutation(rows * cols)[:walls]] = WALL
+        layout = layout.reshape(shape)
         course = _longest_path(layout)
         if accept(int(course.length)):
             kept.append(Drawn(layout, *map(int, course)))
@@ -235,49 +186,6 @@ def draw_mazes(
             f"only {len(kept)} of {tries} random mazes have such a path: widen the bounds"
         )
     return kept
-
-
-def random_mazes(
-    seed: int,
-    count: int,
-    rows: int,
-    cols: int,
-    walls: int,
-    accept: Callable[[int], bool] = lambda length: length > 0,
-    tries: int = 100_000,
-) -> np.ndarray:
-    """Draw random mazes as `draw_mazes` does -> int8 [count, rows, cols].
-
-    Raises:
-        InputError: `tries` mazes were not enough, or more walls than tiles.
-    """
-    drawn = draw_mazes(seed, count, (rows, cols), walls, accept, tries)
-    return np.array([maze.layout for maze in drawn], np.int8).reshape(count, rows, cols)
-
-
-class Comparison(NamedTuple):
-    """Success on random mazes that resemble one maze."""
-
-    walls: int  # of the given maze, inside its ring, and of every random one
-    given: Drawn  # the given maze without its ring
-    mazes: list[Drawn]  # the random mazes, without rings
-    horizon: int  # actions per episode
-    results: list[Success]  # of the agent on each of them
-
-    @property
-    def rates(self) -> list[float]:
-        """Success rates of all mazes."""
-        return [result.rate for result in self.results]
-
-    @property
-    def mean(self) -> float:
-        """Mean success rate."""
-        return float(np.mean(self.rates))
-
-    @property
-    def standard_error(self) -> float:
-        """Standard error of the mean, over mazes."""
-        return float(standard_error(self.rates))
 
 
 def compare_with_random(
@@ -295,10 +203,10 @@ def compare_with_random(
     Args:
         weights: the agent.
         layout: int8 [H, W], the maze to compare with, with or without a ring of walls.
-        mazes: random mazes.
+        mazes: number of random mazes.
         runs: independent episodes per maze.
         seed: of walls, headings and actions.
-        horizon: actions per episode; twice the tiles of the ringed maze by default.
+        horizon: actions per episode; `default_horizon` unless given.
         band: least and largest length of the longest shortest path, as shares of the given maze's.
         progress: called with the progress.
 
@@ -317,45 +225,8 @@ def compare_with_random(
     )
     results = []
     for maze, key in zip(drawn, jax.random.split(jax.random.key(seed), mazes), strict=True):
-        results.append(_run_one(weights, maze.layout, key, runs, horizon))
+        results.append(_measure(weights, maze.layout, key, runs, horizon))
         progress("solving random mazes", len(results) / mazes)
-    return Comparison(walls, given, drawn, horizon, results)
-
-
-class MazeSuccess(NamedTuple):
-    """The agent on a maze and on random ones like it, a row of the paper's comparison."""
-
-    rows: int  # of the maze, without its ring
-    cols: int  # of the maze, without its ring
-    own: Success  # success on the maze
-    others: Comparison  # success on random mazes
-
-
-def maze_success(
-    weights: Weights,
-    layout: Array,
-    runs: int = 100,
-    mazes: int = 100,
-    random_runs: int = 50,
-    seed: int = 0,
-    progress: Progress = lambda doing, share: None,
-) -> MazeSuccess:
-    """Measure the agent on a maze and on random mazes like it (host side).
-
-    Args:
-        weights: the agent.
-        layout: int8 [H, W], with or without a ring of walls.
-        runs: independent episodes on the maze.
-        mazes: random mazes.
-        random_runs: independent episodes on each of them.
-        seed: of walls, headings and actions.
-        progress: called with the progress.
-
-    Raises:
-        InputError: fewer than two random mazes, none to be found, or nothing to solve.
-    """
-    inside = without_ring(layout)
-    own = evaluate_agent(weights, inside, seed, runs)
-    others = compare_with_random(weights, inside, mazes, random_runs, seed, progress=progress)
-    rows, cols = inside.shape
-    return MazeSuccess(rows, cols, own, others)
+    rates = [result.rate for result in results]
+    error = float(standard_error(rates))
+    return Comparison(walls, given, drawn, horizon, results, rates, float(np.mean(rates)), error)

@@ -1,8 +1,6 @@
 """Levels for the maze agent to train on: random walls, textures, edits; start and goal pairs.
 
-Every level lies on one canvas of fixed size, small ones in its corner amid walls. Half of the pairs
-are the evaluation's own (the first pair of the longest shortest path), the others a random tile and
-a random tile it can reach.
+All levels have canvases of one size; small mazes lie in the first corner, amid walls.
 """
 
 from collections.abc import Callable
@@ -42,32 +40,12 @@ class Level(NamedTuple):
     longest: jax.Array  # bool, the pair is the longest path's
 
 
-def _walls(noise: jax.Array, count: jax.Array) -> jax.Array:
-    """Put `count` walls where the noise (float32 [n, n]) is largest -> int8 [n, n]."""
-    # The threshold lies above all noise for a count of 0.
-    thresholds = jnp.append(jnp.sort(noise.reshape(-1)), jnp.inf)
-    return (noise >= thresholds[noise.size - count]).astype(jnp.int8)
-
-
-def draw_side(key: jax.Array, config: LevelConfig) -> jax.Array:
-    """Draw the rows and columns of a maze (int32, consumes the key)."""
-    return jax.random.randint(key, (), config.smallest or config.size, config.size + 1)
-
-
 def draw_layout(key: jax.Array, config: LevelConfig, side: Array) -> jax.Array:
-    """Draw a layout of random walls, or of a noisy linear texture (consumes the key).
+    """Draw a layout of random walls, or of a noisy linear texture (int8 [size, size]).
 
     A texture repeats a random row of m values along a random lattice direction, which yields the
-    stripes, diagonals and dashes that generators like to grow.
-
-    Args:
-        key: consumed.
-        config: what levels look like.
-        side: int32, rows and columns of the maze, which lies in the first corner of a solid
-            layout.
-
-    Returns:
-        int8 [size, size].
+    stripes, diagonals and dashes that generators like to grow. The maze has `side` rows and columns
+    (int32) and lies in the first corner of a solid layout. Consumes the key.
     """
     n = config.size
     # One call for all random numbers: levels are drawn by the thousand.
@@ -78,10 +56,13 @@ def draw_layout(key: jax.Array, config: LevelConfig, side: Array) -> jax.Array:
     period = 3 + (period * (_LONGEST_PERIOD - 2)).astype(jnp.int32)
     down, right = (down * period).astype(jnp.int32), (right * period).astype(jnp.int32)
     texture = pattern[(down * row + right * col) % period] + (0.02 + 0.6 * rough) * noise
-    field = jnp.where(kind < config.textured, texture, noise)
     inside = (row < side) & (col < side)
+    field = jnp.where(inside, jnp.where(kind < config.textured, texture, noise), -1.0)
     most = config.most_walls * side**2 // n**2
-    layout = _walls(jnp.where(inside, field, -1.0), (amount * (most + 1)).astype(jnp.int32))
+    count = (amount * (most + 1)).astype(jnp.int32)
+    # Walls where the field is largest; the threshold lies above all of it for a count of 0.
+    thresholds = jnp.append(jnp.sort(field.reshape(-1)), jnp.inf)
+    layout = (field >= thresholds[field.size - count]).astype(jnp.int8)
     return jnp.where(inside, layout, WALL).astype(jnp.int8)
 
 
@@ -107,14 +88,8 @@ def far_pair(key: jax.Array, layout: jax.Array) -> Course:
 
     Two breadth-first searches in place of one from every tile (`world.longest_path`), which costs
     a second at 64 x 64. Exact where the maze is a tree; the search begins in the largest of the
-    components that a few random tiles lie in.
-
-    Args:
-        key: consumed.
-        layout: int8 [n, n].
-
-    Returns:
-        places by cell of the layout; a length of 0 where no two empty tiles touch.
+    components that a few random tiles lie in. The length is 0 where no two empty tiles touch.
+    Consumes the key.
     """
     n = layout.shape[1]
     kinds = jnp.pad(layout, REACH, constant_values=WALL)
@@ -140,36 +115,31 @@ def far_pair(key: jax.Array, layout: jax.Array) -> Course:
 
 
 def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax.Array) -> Level:
-    """Choose start and goal; a level without any pair gets one carved into its first corner."""
-    keys = jax.random.split(key)
-    large = layout.shape[0] > _LARGE
-    course = far_pair(keys[1], layout) if large else longest_path(layout)
+    """Choose start and goal: the longest path's, or a random tile and one that it can reach."""
+    keys, n = jax.random.split(key), layout.shape[1]
+    course = far_pair(keys[1], layout) if n > _LARGE else longest_path(layout)
+    # A maze in which no two tiles touch gets a pair carved into its first corner.
     broken = course.length < 1
-    carved = layout.at[0, :2].set(EMPTY)
-    layout = jnp.where(broken, carved, layout)
-    start = jnp.where(broken, 0, course.start)
-    goal = jnp.where(broken, 1, course.goal)
-    n = layout.shape[1]
-    far = canvas(layout, goal)
+    layout = jnp.where(broken, layout.at[0, :2].set(EMPTY), layout)
+    start, goal = jnp.where(broken, 0, course.start), jnp.where(broken, 1, course.goal)
+    far, place = canvas(layout, goal), on_canvas(goal, n)
     there = jnp.where(far == GOAL, EMPTY, far).reshape(-1)
-    place = on_canvas(goal, n)
-    gap = _distances(far, place)
     # A random pair lies in the component of the longest path, where a partner is sure to exist.
-    reachable = jnp.cumsum((gap < _UNSEEN) & (there == EMPTY))
+    reachable = jnp.cumsum((_distances(far, place) < _UNSEEN) & (there == EMPTY))
     rank = (jax.random.uniform(keys[0], (2,)) * reachable[-1]).astype(jnp.int32)
     one, two = jnp.searchsorted(reachable, rank, side="right")
     swap = ~longest & (one != two)
     place = jnp.where(swap, one, place)
     begin = jnp.where(swap, two, on_canvas(start, n)).astype(jnp.int32)
     kinds = there.at[place].set(GOAL).reshape(far.shape).astype(jnp.int8)
-    moves = _distances(kinds, place).astype(jnp.int16)
-    return Level(kinds, begin, moves, horizon, longest)
+    return Level(kinds, begin, _distances(kinds, place).astype(jnp.int16), horizon, longest)
 
 
 def draw_level(key: jax.Array, config: LevelConfig) -> Level:
     """Draw a new level (domain randomisation); consumes the key."""
     layout_key, pair_key, key = jax.random.split(key, 3)
-    side = draw_side(jax.random.fold_in(key, 1), config)
+    smallest = config.smallest or config.size
+    side = jax.random.randint(jax.random.fold_in(key, 1), (), smallest, config.size + 1)
     low, high = (steps * (side + 2) ** 2 // (config.size + 2) ** 2 for steps in config.horizon)
     span, kind = jax.random.uniform(key, (2,))
     horizon = low + (span * (high + 1 - low)).astype(jnp.int32)
@@ -182,9 +152,8 @@ def vary_level(key: jax.Array, level: Level, config: LevelConfig) -> Level:
 
     Parker-Holder et al. 2022, https://arxiv.org/abs/2203.01302.
     """
-    keys = jax.random.split(key, 2)
-    n = config.size
-    inner = level.kinds[4 : 4 + n, 4 : 4 + n]
+    keys, n = jax.random.split(key, 2), config.size
+    inner = level.kinds[REACH : REACH + n, REACH : REACH + n]
     layout = jnp.where(inner == WALL, WALL, EMPTY).astype(jnp.int8).reshape(-1)
     cells = jax.random.randint(keys[0], (config.edits,), 0, n * n)
     layout = layout.at[cells].set(1 - layout[cells]).reshape(n, n)
@@ -205,8 +174,8 @@ class Method(NamedTuple):
 
     # (key, buffer, replay probabilities [C], config) -> one new level; consumes the key
     propose: Callable[[jax.Array, LevelBuffer, jax.Array, LevelConfig], Level]
-    # new levels are tried without learning and enter by score (robust PLR); else each replaces the
-    # oldest level, and all levels are replayed alike
+    # new levels are tried without learning and enter by score (robust PLR,
+    # https://arxiv.org/abs/2110.02439); else each replaces the oldest, and all are replayed alike
     on_trial: bool
 
 
@@ -247,14 +216,11 @@ def new_buffer(key: jax.Array, size: int, config: LevelConfig) -> LevelBuffer:
 def replay_probabilities(
     buffer: LevelBuffer, update: jax.Array, method: Method, staleness: float = 0.3
 ) -> jax.Array:
-    """Weigh the levels for replay: evenly, or by score with a share for those long unseen.
+    """Weigh the levels for replay: evenly, or by score with a share for age (float32 [C], sum 1).
 
     The mixture P = (1 - staleness) P_score + staleness P_age of prioritized level replay, both
     parts in proportion (PLR ranks the scores): a score is only as good as the policy it was
     measured with, so old ones must be measured again.
-
-    Returns:
-        float32 [C], sums to 1.
     """
     if not method.on_trial:
         return jnp.full(buffer.score.shape, 1 / buffer.score.size)
@@ -273,15 +239,12 @@ def update_scores(
 ) -> LevelBuffer:
     """Score the levels that were just played by their mean positive advantage.
 
-    Args:
-        buffer: of C levels.
-        update: number of this update.
-        slot: int32 [...], place in the buffer of the level played at each step.
-        serial: int32 [...], its number; steps of levels that have left the buffer are ignored.
-        advantage: float32 [...].
+    Each step (any shape) has the slot of its level in the buffer, the level's serial number and its
+    advantage. Steps of levels that have left the buffer are ignored.
     """
     size = buffer.score.size
-    # Environments play on while their level is replaced: the serial tells, and slot C is nowhere.
+    # Environments play on while their level is replaced: the serial shows it, and slot C is out of
+    # bounds.
     slot = jnp.where(buffer.serial[slot] == serial, slot, size).reshape(-1)
     positive = jnp.maximum(advantage, 0).reshape(-1)
     total = jnp.zeros(size).at[slot].add(positive, mode="drop")
@@ -294,15 +257,7 @@ def update_scores(
 def insert(
     buffer: LevelBuffer, levels: Level, score: jax.Array, update: jax.Array, method: Method
 ) -> LevelBuffer:
-    """Take new levels in: on trial only where they beat the worst, else instead of the oldest.
-
-    Args:
-        buffer: of C levels.
-        levels: `Level` with a leading axis [n], n <= C.
-        score: float32 [n].
-        update: number of this update.
-        method: how the buffer is renewed.
-    """
+    """Take n <= C new levels in: on trial where they beat the worst, else instead of the oldest."""
     count = score.size
     rank = buffer.score if method.on_trial else buffer.serial.astype(jnp.float32)
     _, worst = jax.lax.top_k(-rank, count)

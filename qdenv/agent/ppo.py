@@ -1,7 +1,7 @@
-"""Let the agent play training levels side by side and record what it did."""
+"""PPO with a recurrent network: play levels side by side, estimate advantages, learn."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import chex
 import jax
@@ -22,6 +22,8 @@ from qdenv.simulate.maze.policy import (
 )
 from qdenv.simulate.maze.world import Pose, image, step, view
 
+_Learner: TypeAlias = tuple[Weights, optax.OptState]
+
 
 class Rewards(NamedTuple):
     """`RewardConfig` at one moment of the training."""
@@ -36,7 +38,7 @@ class EnvState(NamedTuple):
 
     level: Level
     slot: jax.Array  # int32, the level's place in the buffer
-    serial: jax.Array  # int32, tells whether the buffer still holds this level
+    serial: jax.Array  # int32, the level's number: does the buffer still hold it?
     pose: Pose
     memory: Memory
     visited: jax.Array  # bool, tiles trodden in this episode
@@ -64,28 +66,15 @@ def reset_env(
     weights: Weights, level: Level, slot: jax.Array, serial: jax.Array, heading: jax.Array
 ) -> EnvState:
     """Put the agent at the start of a level."""
-    return EnvState(
-        level=level,
-        slot=slot,
-        serial=serial,
-        pose=Pose(level.start, heading),
-        memory=blank_memory(weights),
-        visited=jnp.zeros(level.distance.shape, bool).at[level.start].set(True),
-        elapsed=jnp.int32(0),
-    )
+    visited = jnp.zeros(level.distance.shape, bool).at[level.start].set(True)
+    pose, memory = Pose(level.start, heading), blank_memory(weights)
+    return EnvState(level, slot, serial, pose, memory, visited, jnp.int32(0))
 
 
 def _step_env(
     weights: Weights, env: EnvState, draw: jax.Array, rewards: Rewards
 ) -> tuple[EnvState, Transition]:
-    """Act once in one environment, without starting over when the episode ends.
-
-    Args:
-        weights: the agent.
-        env: the environment.
-        draw: float32 in [0, 1), decides the action.
-        rewards: what is rewarded beside the goal.
-    """
+    """Act once, by a draw in [0, 1), without starting over when the episode ends."""
     level, heading = env.level, jnp.asarray(env.pose.heading)
     seen = view(level.kinds, env.pose.position, heading)
     facing = jax.nn.one_hot(heading, 4)
@@ -113,10 +102,8 @@ def _step_env(
 
 
 def _reward(env: EnvState, pose: Pose, success: jax.Array, rewards: Rewards) -> jax.Array:
-    """Reward the goal, the sooner the more, and first visits and progress as configured.
-
-    With a haste of 0.9 the goal's part is that of MiniGrid, 1 - 0.9 t / T, positive to the end.
-    """
+    """Reward the goal, the sooner the more, and first visits and progress as configured."""
+    # With a haste of 0.9 the goal's part is that of MiniGrid, 1 - 0.9 t / T, positive to the end.
     distance, here = env.level.distance, env.pose.position
     nearer = distance[here] - jnp.where(success, 0, distance[pose.position])
     new = ~env.visited[pose.position]
@@ -132,18 +119,11 @@ def collect(
     timesteps: int,
     rewards: Rewards,
 ) -> tuple[EnvState, Transition, jax.Array]:
-    """Let all environments act, each starting a new episode when one ends; consumes the key.
+    """Let E environments act for T timesteps, each starting again when an episode ends.
 
-    Args:
-        key: draws actions, levels and first headings.
-        weights: the agent.
-        envs: `EnvState` with a leading axis E.
-        next_level: (number in [0, 1), environment) -> level, slot of the buffer, serial.
-        timesteps: T.
-        rewards: what is rewarded beside the goal.
-
-    Returns:
-        envs, steps with leading axes [T, E], value of the last states float32 [E].
+    `next_level` gives (number in [0, 1), environment) -> level, slot of the buffer, serial number.
+    Returns the environments, their steps [T, E], and the value of the last states float32 [E].
+    Consumes the key, which draws actions, levels and first headings.
     """
     count = envs.elapsed.shape[0]
     everyone = jax.vmap(lambda env, draw: _step_env(weights, env, draw, rewards))
@@ -165,7 +145,7 @@ def collect(
         return envs, steps
 
     envs, steps = jax.lax.scan(one, envs, jax.random.split(key, timesteps))
-    # Learning needs the value of the states after the last step: one more step tells it.
+    # Learning needs the value of the states after the last step: one more step gives it.
     _, after = everyone(envs, jnp.zeros(count))
     return envs, steps, after.value
 
@@ -180,18 +160,12 @@ class Batch(NamedTuple):
     anchored: jax.Array  # float32 [T, E, N], log probabilities of the anchor; N is 0 without one
 
 
-class LearningLog(NamedTuple):
-    """What one pass of learning tells, float32 each."""
-
-    policy_entropy: jax.Array  # mean over steps, in nats
-    approx_kl: jax.Array  # estimate of the divergence of the new policy from the old one
-    value_loss: jax.Array  # mean squared error of the value
-
-
 def advantages(steps: Transition, last_value: jax.Array, config: PPOConfig) -> jax.Array:
-    """Estimate advantages backwards in time (GAE); steps [T, E] -> float32 [T, E]."""
+    """Estimate the advantages of steps [T, E], backwards in time (float32 [T, E]).
+
+    Generalized advantage estimation, Schulman et al. 2016, https://arxiv.org/abs/1506.02438.
+    """
     chex.assert_shape(last_value, steps.reward.shape[1:])
-    gae_lambda = config.trace
 
     def back(
         carry: tuple[jax.Array, jax.Array], now: Transition
@@ -199,7 +173,7 @@ def advantages(steps: Transition, last_value: jax.Array, config: PPOConfig) -> j
         next_advantage, next_value = carry
         alive = 1.0 - now.done
         td_error = now.reward + config.discount * alive * next_value - now.value
-        advantage = td_error + config.discount * gae_lambda * alive * next_advantage
+        advantage = td_error + config.discount * config.trace * alive * next_advantage
         return (advantage, now.value), advantage
 
     start = jnp.zeros_like(last_value), last_value
@@ -220,27 +194,31 @@ def unroll(weights: Weights, steps: Transition, memory: Memory) -> tuple[Memory,
     return jax.lax.scan(one, memory, (gates, steps.fresh))
 
 
-def loss(
-    weights: Weights, batch: Batch, config: PPOConfig, entropy: jax.Array, anchor: float = 0.0
-) -> tuple[jax.Array, LearningLog]:
-    """Compute the clipped surrogate loss of PPO, and numbers for the log."""
-    clip, critic = config.clip, config.critic
+def _loss(
+    weights: Weights, batch: Batch, config: PPOConfig, entropy: jax.Array, anchor: float
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Compute the clipped surrogate loss of PPO (https://arxiv.org/abs/1707.06347), and a log."""
     _, hidden = unroll(weights, batch.steps, batch.memory)
     log_probs = jax.nn.log_softmax(act(weights, hidden))
     taken = jnp.take_along_axis(log_probs, batch.steps.action[..., None], -1)[..., 0]
     log_ratio = taken - batch.steps.log_prob
     ratio = jnp.exp(log_ratio)
-    clipped = jnp.clip(ratio, 1 - clip, 1 + clip)
+    clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
     # The smaller of both: an action may lose its advantage without bound but gain only so much.
     surrogate = -jnp.minimum(ratio * batch.advantage, clipped * batch.advantage).mean()
-    value_loss = jnp.square(estimate_value(weights, hidden) - batch.returns).mean()
+    value_error = jnp.square(estimate_value(weights, hidden) - batch.returns).mean()
     policy_entropy = -(jnp.exp(log_probs) * log_probs).sum(-1).mean()
-    total = surrogate + critic * value_loss - entropy * policy_entropy
+    total = surrogate + config.critic * value_error - entropy * policy_entropy
     if anchor:
         known = batch.anchored
         total += anchor * (jnp.exp(known) * (known - log_probs)).sum(-1).mean()
-    # (r - 1) - log r is never negative and has the divergence as its mean.
-    return total, LearningLog(policy_entropy, ((ratio - 1) - log_ratio).mean(), value_loss)
+    # (r - 1) - log r is never negative and has the divergence from the old policy as its mean.
+    divergence = ((ratio - 1) - log_ratio).mean()
+    return total, {
+        "entropy": policy_entropy,
+        "divergence": divergence,
+        "value_error": value_error,
+    }
 
 
 def learn(
@@ -252,24 +230,22 @@ def learn(
     config: PPOConfig,
     entropy: jax.Array,
     anchor: float = 0.0,
-) -> tuple[Weights, optax.OptState, LearningLog]:
+) -> tuple[Weights, optax.OptState, dict[str, jax.Array]]:
     """Improve the weights on one rollout; consumes the key.
 
-    Returns:
-        weights, optimiser state, log (means over the minibatches).
+    Returns the weights, the optimiser's state, and for the log the means over the minibatches of
+    the policy's entropy (nats), its divergence from the old one and the value's squared error.
     """
     advantage = (batch.advantage - batch.advantage.mean()) / (batch.advantage.std() + 1e-8)
     batch = batch._replace(advantage=advantage)
 
-    def one(
-        carry: tuple[Weights, optax.OptState], envs: jax.Array
-    ) -> tuple[tuple[Weights, optax.OptState], LearningLog]:
+    def one(carry: _Learner, envs: jax.Array) -> tuple[_Learner, dict[str, jax.Array]]:
         weights, state = carry
         memory = jax.tree.map(lambda x: x[envs], batch.memory)
         columns = batch.steps, batch.advantage, batch.returns, batch.anchored
         steps, *others = jax.tree.map(lambda x: x[:, envs], columns)
         part = Batch(steps, memory, *others)
-        grads, log = jax.grad(loss, has_aux=True)(weights, part, config, entropy, anchor)
+        grads, log = jax.grad(_loss, has_aux=True)(weights, part, config, entropy, anchor)
         updates, state = optimiser.update(grads, state, weights)
         return (optax.apply_updates(weights, updates), state), log
 

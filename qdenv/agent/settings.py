@@ -115,5 +115,5 @@ class TrainConfig(Ranged):
 
     @property
     def updates(self) -> int:
-        """Count the updates of the whole run."""
+        """Number of updates of the whole run."""
         return -(-self.steps // (self.ppo.lanes * self.ppo.timesteps))

@@ -1,8 +1,8 @@
-"""Files of the trainer: weights and checkpoints."""
+"""A training run of the maze agent: its loop, log, checkpoint and weights."""
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import DTypeLike
 
-from qdenv.agent.evaluate import default_horizon, random_mazes, run_batch
+from qdenv.agent.evaluate import default_horizon, draw_mazes, run_batch
 from qdenv.agent.settings import TrainConfig
 from qdenv.agent.update import start, update
 from qdenv.io.arrays import read_state, write_arrays, write_state
@@ -21,6 +21,14 @@ from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.types import InputError
 
 _FACTS = "facts"
+_EXAM_WALLS = (60, 90)  # of the held-out mazes, in a maze of 16 x 16
+_EXAM_EPISODES = 8  # in each of them
+
+Progress = Callable[[int, dict[str, Any] | None], None]
+Examine = Callable[[Weights], dict[str, float]]
+
+_play = jax.jit(run_batch, static_argnums=(3, 4))
+_update = jax.jit(update, static_argnums=1)
 
 
 class Facts(NamedTuple):
@@ -40,78 +48,43 @@ def save_weights(weights: Weights, path: Path, dtype: DTypeLike = np.float32) ->
     write_arrays(path, arrays, compressed=True)
 
 
-def mean_weights(paths: Sequence[Path]) -> Weights:
-    """Average agents of one training, weight by weight (Izmailov et al. 2018).
-
-    Late agents of one training lie around a point that does better than they where mazes are
-    unlike those of the training.
-
-    Raises:
-        InputError: a file is missing, damaged, or of an agent of another size.
-    """
-    every = [load_weights(path) for path in paths]
-    for path, weights in zip(paths, every, strict=True):
-        if [part.shape for part in weights] != [part.shape for part in every[0]]:
-            raise InputError(f"{path}: an agent of another size than {paths[0]}")
-    return Weights(*(np.mean(parts, axis=0) for parts in zip(*every, strict=True)))
-
-
 def save_state(path: Path, state: Any, facts: dict[str, Any]) -> None:
-    """Write a pytree of arrays with JSON-ready facts beside it.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write a pytree of arrays with JSON-ready facts beside it."""
     leaves = jax.tree.leaves(state)
     write_state(path, {str(n): np.asarray(leaf) for n, leaf in enumerate(leaves)}, facts, _FACTS)
 
 
 def load_state(path: Path, like: Any) -> tuple[Any, Facts]:
-    """Read what `save_state` wrote, bit for bit.
-
-    Args:
-        path: the .npz file.
-        like: pytree of the same structure, shapes and dtypes.
-
-    Returns:
-        (state, facts).
+    """Read what `save_state` wrote, bit for bit, into the structure of the pytree `like`.
 
     Raises:
         InputError: missing, damaged, newer, or of a run with other sizes.
     """
     leaves, structure = jax.tree.flatten(like)
     arrays, facts = read_state(path, _FACTS, Facts)
-    wanted = {str(number): (leaf.shape, leaf.dtype) for number, leaf in enumerate(leaves)}
-    if {name: (leaf.shape, leaf.dtype) for name, leaf in arrays.items()} != wanted:
+    sizes = {str(number): (leaf.shape, leaf.dtype) for number, leaf in enumerate(leaves)}
+    if {name: (leaf.shape, leaf.dtype) for name, leaf in arrays.items()} != sizes:
         raise InputError(f"{path} belongs to a run with other sizes: keep units, lanes and bank")
-    return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in wanted]), facts
-
-
-Progress = Callable[[int, dict[str, Any] | None], None]
-Examine = Callable[[Weights], dict[str, float]]
-_EXAM_WALLS = (60, 90)
-_EXAM_EPISODES = 8
-
-
-_play = jax.jit(run_batch, static_argnums=(3, 4))
-_update = jax.jit(update, static_argnums=1)
+    return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in sizes]), facts
 
 
 def _exam(config: TrainConfig) -> Examine:
     """Prepare the held-out mazes: weights -> success rate for each number of walls."""
-    size = config.levels.size
-    share = [walls * size * size // 256 for walls in _EXAM_WALLS]
-    mazes = [random_mazes(12345 + walls, config.exam, size, size, walls) for walls in share]
-    horizon = default_horizon(mazes[0][0])
+    size, batches = config.levels.size, {}
+    for walls in _EXAM_WALLS:
+        # As many walls as in a maze of 16 x 16, in proportion to the area.
+        count = walls * size * size // 256
+        mazes = draw_mazes(12345 + count, config.exam, (size, size), count)
+        batches[f"exam_{walls}"] = np.array([maze.layout for maze in mazes])
+    horizon = default_horizon(next(iter(batches.values()))[0])
 
     def examine(weights: Weights) -> dict[str, float]:
         key = jax.random.key(99)
-        rates = [
-            _play(weights, jnp.asarray(batch), key, _EXAM_EPISODES, horizon).success.mean()
-            for batch in mazes
-        ]
         return {
-            f"exam_{walls}": float(rate) for walls, rate in zip(_EXAM_WALLS, rates, strict=True)
+            name: float(
+                _play(weights, jnp.asarray(batch), key, _EXAM_EPISODES, horizon).success.mean()
+            )
+            for name, batch in batches.items()
         }
 
     return examine
@@ -120,13 +93,23 @@ def _exam(config: TrainConfig) -> Examine:
 def choose(out: Path, average: int, examine: Examine) -> dict[str, float]:
     """Keep the mean of the last agents of a run, or the last alone where that solves more.
 
+    Late agents of one training lie around a point that does better than they where mazes are
+    unlike those of the training (Izmailov et al. 2018, https://arxiv.org/abs/1803.05407).
+
     Returns:
         the log's columns: success rates of the last agent, and of the mean.
+
+    Raises:
+        InputError: a file is damaged, or of an agent of another size.
     """
-    last = load_weights((kept := sorted((out / "agents").glob("*.npz"))[-average:])[-1])
-    mean = mean_weights(kept)
-    alone, together = examine(last), examine(mean)
-    better = mean if sum(together.values()) >= sum(alone.values()) else last
+    paths = sorted((out / "agents").glob("*.npz"))[-average:]
+    agents = [load_weights(path) for path in paths]
+    for path, weights in zip(paths, agents, strict=True):
+        if [part.shape for part in weights] != [part.shape for part in agents[0]]:
+            raise InputError(f"{path}: an agent of another size than {paths[0]}")
+    mean = Weights(*(np.mean(parts, axis=0) for parts in zip(*agents, strict=True)))
+    alone, together = examine(agents[-1]), examine(mean)
+    better = mean if sum(together.values()) >= sum(alone.values()) else agents[-1]
     save_weights(better, out / "agent.npz")
     return alone | {f"mean_{name}": rate for name, rate in together.items()}
 
@@ -145,12 +128,12 @@ def train_agent(
         config: the run.
         out: folder; gets config.json, curve.jsonl, checkpoint.npz, in agents/ the agent at every
             line of the log by its update, and agent.npz, the mean of the last of these.
-        resume: go on from the folder's checkpoint; `config` may ask for more steps or another
-            method, not for other sizes.
+        resume: go on from the folder's checkpoint; `config` may have more steps or another method,
+            but no other sizes.
         report_every: updates between two lines of the log, each with a checkpoint and an exam on
             held-out mazes.
         cpu_seconds: stop after about this many CPU seconds, ready to be resumed.
-        progress: told the number of updates done, and after some of them the new line of the log.
+        progress: called with the number of updates, and after some of them the log's new line.
 
     Returns:
         the weights' file, out/agent.npz.

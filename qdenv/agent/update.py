@@ -1,6 +1,5 @@
 """One update of the agent's training: propose levels, play, learn."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -20,9 +19,7 @@ from qdenv.agent.levels import (
 from qdenv.agent.ppo import (
     Batch,
     EnvState,
-    LearningLog,
     Rewards,
-    Transition,
     advantages,
     collect,
     learn,
@@ -61,18 +58,13 @@ class State(NamedTuple):
 
 
 _new_buffer = jax.jit(new_buffer, static_argnums=(1, 2))
+_reset_all = jax.vmap(reset_env, (None, 0, 0, 0, 0))
 
 
 def _optimiser(config: TrainConfig) -> optax.GradientTransformation:
     """Adam with a clipped gradient; the rate is set from outside so that `steps` may change."""
     adam = optax.inject_hyperparams(optax.adam)(learning_rate=config.rate, eps=1e-5)
     return optax.chain(optax.clip_by_global_norm(1.0), adam)
-
-
-def _with_rate(state: optax.OptState, rate: jax.Array) -> optax.OptState:
-    """Give the state of `_optimiser` another learning rate."""
-    clipping, adam = state
-    return clipping, adam._replace(hyperparams={**adam.hyperparams, "learning_rate": rate})
 
 
 def start(config: TrainConfig) -> State:
@@ -88,74 +80,53 @@ def start(config: TrainConfig) -> State:
         if any(a.shape != b.shape for a, b in zip(loaded, weights, strict=True)):
             raise InputError(f"{config.warm_start} has other units or actions than asked for")
         weights = Weights(*map(jnp.asarray, loaded))
-    buffer = _new_buffer(keys[1], config.bank, config.levels)
-    slot = jax.random.randint(keys[2], (config.ppo.lanes,), 0, config.bank)
-    heading = jax.random.randint(keys[3], (config.ppo.lanes,), 0, 4)
+    buffer, lanes = _new_buffer(keys[1], config.bank, config.levels), config.ppo.lanes
+    slot = jax.random.randint(keys[2], (lanes,), 0, config.bank)
+    heading = jax.random.randint(keys[3], (lanes,), 0, 4)
     level = jax.tree.map(lambda x: x[slot], buffer.level)
-    reset = jax.vmap(reset_env, (None, 0, 0, 0, 0))
-    envs = reset(weights, level, slot, buffer.serial[slot], heading)
-    optimiser = _optimiser(config).init(weights)
-    anchor = Anchor(weights, blank_memory(weights, (config.ppo.lanes,))) if config.anchor else None
-    key = jax.random.key_data(keys[4])
+    envs = _reset_all(weights, level, slot, buffer.serial[slot], heading)
+    anchor = Anchor(weights, blank_memory(weights, (lanes,))) if config.anchor else None
+    optimiser, key = _optimiser(config).init(weights), jax.random.key_data(keys[4])
     return State(weights, optimiser, envs, buffer, key, jnp.int32(0), anchor)
-
-
-class _Schedule(NamedTuple):
-    """What changes in the course of the training."""
-
-    learning_rate: jax.Array
-    entropy: jax.Array  # weight of the entropy bonus
-    rewards: Rewards
-
-
-def _schedule(config: TrainConfig, update: jax.Array) -> _Schedule:
-    done = jnp.minimum(update / config.updates, 1.0)
-    novelty: jax.Array | float = config.reward.novelty
-    if config.novelty_until < 1:
-        novelty = novelty * jnp.clip(2 - 2 * done / config.novelty_until, 0.0, 1.0)
-    rewards = Rewards(novelty, config.reward.progress, config.reward.haste)
-    return _Schedule(config.rate * (1 - 0.95 * done), config.entropy * (1 - 0.9 * done), rewards)
-
-
-def _score_unseen(
-    key: jax.Array, weights: Weights, levels: Level, config: TrainConfig, rewards: Rewards
-) -> jax.Array:
-    """Score new levels by one rollout without learning (float32 [fresh]); consumes the key."""
-    keys = jax.random.split(key)
-    number = jnp.arange(config.fresh)
-    heading = jax.random.randint(keys[0], (config.fresh,), 0, 4)
-    reset = jax.vmap(reset_env, (None, 0, 0, 0, 0))
-    envs = reset(weights, levels, number, number, heading)
-
-    def same_level(draw: jax.Array, env: jax.Array) -> tuple[Level, jax.Array, jax.Array]:
-        del draw
-        return jax.tree.map(lambda x: x[env], levels), env, env
-
-    _, steps, last_value = collect(
-        keys[1], weights, envs, same_level, config.ppo.timesteps, rewards
-    )
-    return jnp.maximum(advantages(steps, last_value, config.ppo), 0).mean(0)
 
 
 def _renew(
     key: jax.Array, state: State, config: TrainConfig, method: Method, rewards: Rewards
 ) -> LevelBuffer:
-    """Propose new levels, try them out if the method asks for it, let them in."""
-    keys = jax.random.split(key)
+    """Propose new levels and let them in, after a trial without learning if the method has one."""
+    keys, fresh = jax.random.split(key), config.fresh
     probabilities = replay_probabilities(state.buffer, state.update, method)
     levels = jax.vmap(lambda key: method.propose(key, state.buffer, probabilities, config.levels))(
-        jax.random.split(keys[0], config.fresh)
+        jax.random.split(keys[0], fresh)
     )
-    score = jnp.zeros(config.fresh)
+    score = jnp.zeros(fresh)
     if method.on_trial:
-        score = _score_unseen(keys[1], state.weights, levels, config, rewards)
+
+        def same_level(draw: jax.Array, env: jax.Array) -> tuple[Level, jax.Array, jax.Array]:
+            del draw
+            return jax.tree.map(lambda x: x[env], levels), env, env
+
+        trial, number = jax.random.split(keys[1]), jnp.arange(fresh)
+        heading = jax.random.randint(trial[0], (fresh,), 0, 4)
+        envs = _reset_all(state.weights, levels, number, number, heading)
+        _, steps, last_value = collect(
+            trial[1], state.weights, envs, same_level, config.ppo.timesteps, rewards
+        )
+        score = jnp.maximum(advantages(steps, last_value, config.ppo), 0).mean(0)
     return insert(state.buffer, levels, score, state.update, method)
 
 
-def _replayed(
-    buffer: LevelBuffer, probabilities: jax.Array
-) -> Callable[[jax.Array, jax.Array], tuple[Level, jax.Array, jax.Array]]:
-    """Make the function that draws the next level of an environment from the buffer."""
+def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Array]]:
+    """Renew the buffer, play its levels, learn; traceable. Returns also numbers for the log."""
+    method = look_up(METHODS, config.method, "method")
+    keys = jax.random.split(jax.random.wrap_key_data(state.key), 4)
+    done = jnp.minimum(state.update / config.updates, 1.0)  # share of the training
+    novelty: jax.Array | float = config.reward.novelty
+    if config.novelty_until < 1:
+        novelty = novelty * jnp.clip(2 - 2 * done / config.novelty_until, 0.0, 1.0)
+    rewards = Rewards(novelty, config.reward.progress, config.reward.haste)
+    buffer = _renew(keys[0], state, config, method, rewards)
+    probabilities = replay_probabilities(buffer, state.update, method)
     cumulative = jnp.cumsum(probabilities)
 
     def next_level(draw: jax.Array, env: jax.Array) -> tuple[Level, jax.Array, jax.Array]:
@@ -165,61 +136,37 @@ def _replayed(
         slot = jnp.minimum(slot, probabilities.size - 1)
         return jax.tree.map(lambda x: x[slot], buffer.level), slot, buffer.serial[slot]
 
-    return next_level
-
-
-def _metrics(steps: Transition, log: LearningLog, buffer: LevelBuffer) -> dict[str, jax.Array]:
-    """Sum an update up for the log."""
-    ended, longest = steps.done.sum(), (steps.done & steps.longest).sum()
-    return {
-        "success": steps.success.sum() / jnp.maximum(ended, 1),
-        "success_longest": (steps.success & steps.longest).sum() / jnp.maximum(longest, 1),
-        "entropy": log.policy_entropy,
-        "divergence": log.approx_kl,
-        "value_error": log.value_loss,
-        "bank_score": buffer.score.mean(),
-    }
-
-
-def _recall(anchor: Anchor | None, steps: Transition) -> tuple[Anchor | None, jax.Array]:
-    """Ask the anchor what it would have done at every step -> log probabilities [T, E, N]."""
-    if anchor is None:
-        return None, jnp.zeros((*steps.action.shape, 0))
-    memory, hidden = unroll(anchor.weights, steps, anchor.memory)
-    return anchor._replace(memory=memory), jax.nn.log_softmax(act(anchor.weights, hidden))
-
-
-def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Array]]:
-    """Renew the buffer, play its levels, learn; traceable.
-
-    Returns:
-        the new state, and numbers for the log.
-    """
-    method = look_up(METHODS, config.method, "method")
-    keys = jax.random.split(jax.random.wrap_key_data(state.key), 4)
-    now = _schedule(config, state.update)
-    buffer = _renew(keys[0], state, config, method, now.rewards)
-    next_level = _replayed(buffer, replay_probabilities(buffer, state.update, method))
     envs, steps, last_value = collect(
-        keys[1], state.weights, state.envs, next_level, config.ppo.timesteps, now.rewards
+        keys[1], state.weights, state.envs, next_level, config.ppo.timesteps, rewards
     )
     advantage = advantages(steps, last_value, config.ppo)
     if method.on_trial:
         buffer = update_scores(buffer, state.update, steps.slot, steps.serial, advantage)
-    anchor, anchored = _recall(state.anchor, steps)
-    returns = advantage + steps.value
-    batch = Batch(steps, state.envs.memory, advantage, returns, anchored)
-    optimiser = _with_rate(state.optimiser, now.learning_rate)
+    # What the anchor would have done at every step, as log probabilities [T, E, N].
+    anchor, anchored = state.anchor, jnp.zeros((*steps.action.shape, 0))
+    if anchor is not None:
+        memory, hidden = unroll(anchor.weights, steps, anchor.memory)
+        anchored = jax.nn.log_softmax(act(anchor.weights, hidden))
+        anchor = anchor._replace(memory=memory)
+    batch = Batch(steps, state.envs.memory, advantage, advantage + steps.value, anchored)
+    clipping, adam = state.optimiser
+    rate, entropy = config.rate * (1 - 0.95 * done), config.entropy * (1 - 0.9 * done)
+    adam = adam._replace(hyperparams={**adam.hyperparams, "learning_rate": rate})
     weights, optimiser, log = learn(
         keys[2],
         state.weights,
         _optimiser(config),
-        optimiser,
+        (clipping, adam),
         batch,
         config.ppo,
-        now.entropy,
+        entropy,
         config.anchor,
     )
-    key = jax.random.key_data(keys[3])
-    new = State(weights, optimiser, envs, buffer, key, state.update + 1, anchor)
-    return new, _metrics(steps, log, buffer)
+    key, ended = jax.random.key_data(keys[3]), steps.done.sum()
+    longest = (steps.done & steps.longest).sum()
+    log |= {
+        "success": steps.success.sum() / jnp.maximum(ended, 1),
+        "success_longest": (steps.success & steps.longest).sum() / jnp.maximum(longest, 1),
+        "bank_score": buffer.score.mean(),
+    }
+    return State(weights, optimiser, envs, buffer, key, state.update + 1, anchor), log

@@ -1,4 +1,4 @@
-"""The agents of one run: where they start, how they drive and serve, what their planner sees."""
+"""The agents of one run: where they start, how they drive and serve goals."""
 
 from typing import NamedTuple
 
@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.simulate.mapf import chance, tasks
-from qdenv.simulate.mapf.distances import Fields, measure_fields, no_fields, rows_of
-from qdenv.simulate.mapf.planner import AgentState, World, pad, unpad_grid
+from qdenv.simulate.mapf.distances import Fields
+from qdenv.simulate.mapf.planner import NOBODY, World, pad, steps_type, unpad_grid, unreachable
 
 
 class Fleet(NamedTuple):
@@ -23,40 +23,33 @@ class Fleet(NamedTuple):
     fields: Fields | None  # distances measured on demand; None where the world has a table of all
 
 
-def _draw_starts(world: World, active: jax.Array, seed: jax.Array) -> jax.Array:
-    """Draw distinct free cells for all agents in `active` (bool [A] -> int32 [A]).
+def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Fleet:
+    """Put the agents in `active` (bool [A]) on distinct random cells; draw their first goals.
 
-    Padding agents stand on cell 0, a wall.
+    The others, padding, stand on cell 0, a wall. `window` timesteps are planned ahead.
     """
     # Drawn on the layout without margin: a seed gives the same starts whichever planner drives.
-    free = unpad_grid(world.traversable, world.margin)
-    cols = free.shape[1]
-    bits = chance.draw_many(seed, free.size)
+    free, agents = unpad_grid(world.traversable, world.margin), active.shape[0]
+    bits = chance.draw_many(chance.draw(seed, chance.STARTS), free.size)
     rank = jnp.where(free.reshape(-1), (bits >> 1).astype(jnp.int32), -1)
-    rank, cells = jax.lax.top_k(rank, active.shape[0])
-    cells = pad(cells, cols, world.margin)
+    rank, cells = jax.lax.top_k(rank, agents)
+    cells = pad(cells, free.shape[1], world.margin)
     # Where the free cells do not suffice walls are drawn, too, and the run is not valid.
-    return jnp.where(active & (rank >= 0), cells, 0).astype(jnp.int32)
-
-
-def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Fleet:
-    """Put the agents on distinct random cells and draw their first goals.
-
-    Args:
-        world: where.
-        window: timesteps that are planned ahead.
-        active: bool [A], False for padding.
-        seed: of the run.
-    """
-    position = _draw_starts(world, active, chance.draw(seed, chance.STARTS))
+    position = jnp.where(active & (rank >= 0), cells, 0).astype(jnp.int32)
     zero = jnp.zeros(active.shape, jnp.int32)
     cycle = world.service_time.shape[0]
     goal = [
         tasks.draw_goals(world.goals, (zero + ahead) % cycle, chance.draw(seed, purpose))
         for ahead, purpose in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL))
     ]
-    still = jnp.broadcast_to(position, (window + 1, *active.shape))
-    fields = no_fields(world, active.shape[0]) if world.distance is None else None
+    still = jnp.broadcast_to(position, (window + 1, agents))
+    fields, size = None, world.traversable.size
+    if world.distance is None:
+        fields = Fields(
+            jnp.full((2 * agents, size), unreachable(size), steps_type(size)),
+            jnp.full((2, agents), NOBODY, jnp.int32),
+            jnp.zeros((agents,), bool),
+        )
     return Fleet(position, zero, jnp.stack(goal), zero, zero, zero, still, fields)
 
 
@@ -66,7 +59,7 @@ def drive(
     """Move every agent to `cell` (int32 [A]) and serve goals; returns who finished (bool [A])."""
     cycle = world.service_time.shape[0]
     service_time = world.service_time[fleet.kind]
-    # Where a goal was not known when all were planned, nobody was told to stay.
+    # An agent does not stay at a goal that its planner did not know.
     known = (fleet.legs < tasks.KNOWN) | (service_time == 0)
     on_goal = (cell == world.goals.cells[fleet.goal[0]]) & active & known
     remaining, finished = tasks.serve(fleet.remaining_service, on_goal, service_time)
@@ -80,36 +73,3 @@ def drive(
         age=jnp.where(finished, 0, fleet.age + 1),
         legs=fleet.legs + finished,
     ), finished
-
-
-def look_ahead(world: World, fleet: Fleet) -> Fleet:
-    """Measure the distances to goals that are new, where the world has no table of them."""
-    if fleet.fields is None:
-        return fleet
-    return fleet._replace(fields=measure_fields(world, fleet.fields, fleet.goal))
-
-
-def agent_state(world: World, fleet: Fleet, active: jax.Array) -> AgentState:
-    """Tell the planner what it needs to know, after `look_ahead`.
-
-    Raises:
-        ValueError: the world has neither a table of distances nor were any measured.
-    """
-    cycle = world.service_time.shape[0]
-    service_time = world.service_time[jnp.stack([fleet.kind, (fleet.kind + 1) % cycle])]
-    distance, row = world.distance, fleet.goal
-    if fleet.fields is not None:
-        distance, row = fleet.fields.distance, rows_of(fleet.fields)
-    if distance is None:
-        raise ValueError("there are no distances: prepare the world for this planner")
-    return AgentState(
-        position=fleet.position,
-        active=active,
-        goal=fleet.goal,
-        service_time=service_time,
-        remaining_service=fleet.remaining_service,
-        age=fleet.age,
-        previous=fleet.previous,
-        distance=distance,
-        row=row,
-    )

@@ -39,7 +39,7 @@ def audit(
         layout: int8 [H, W].
         rule: what the agents do.
         trajectory: the recorded run.
-        traffic: what the simulator reported of it.
+        traffic: the simulator's report of it.
         horizon: replanning period h, the length of the windows of the jam rule.
 
     Returns:
@@ -89,13 +89,7 @@ def replay_tasks(
     """Work out arrivals, services and finished tasks from positions and goals alone.
 
     The service rule is written a second time here on purpose: the audit trusts no code it checks.
-
-    Args:
-        layout: int8 [H, W].
-        rule: what the agents do.
-        trajectory: the run.
-        end: timesteps of it.
-        horizon: timesteps from one planning to the next.
+    All agents are planned again every `horizon` of the `end` timesteps.
 
     Returns:
         finished bool [end, A], working bool [end + 1, A] (serving after the step), messages.

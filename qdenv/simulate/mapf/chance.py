@@ -1,9 +1,8 @@
-"""Chance in a simulation: random bits as a rule, a function of a seed and a number.
+"""Chance in a simulation: random bits as a function of a seed and a number.
 
 Both backends run these functions as they stand: `jnp` traces them on uint32 arrays, numba compiles
 them on machine integers. So a whole run draws the same bits wherever it happens, in any order, and
-no stream has to be carried along. The mixing is "lowbias32" of C. Wellons' search for integer
-hashes of low bias (https://nullprogram.com/blog/2018/07/31/).
+no stream has to be carried along.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from qdenv.types import Array
 
 Bits = TypeVar("Bits", int, jax.Array, np.ndarray)  # 32 of them
 
-# Typed, as both backends take them without changing the type of what they meet.
+# Of numpy's type: both backends then compute in 32 bits.
 _MASK: Any = np.uint32(0xFFFFFFFF)
 _GOLDEN: Any = np.uint32(0x9E3779B9)  # added to a number, so that 0 is not drawn for 0
 _FIRST: Any = np.uint32(0x7FEB352D)
@@ -33,7 +32,10 @@ ORDER, TIES, RESORT = range(3)  # by a planner, of the seed of a window
 
 @shared
 def _scramble(bits: Bits) -> Bits:
-    """Mix 32 bits so that each depends on all."""
+    """Mix 32 bits so that each depends on all, by the hash "lowbias32" of C. Wellons.
+
+    https://nullprogram.com/blog/2018/07/31/
+    """
     bits = bits ^ (bits >> 16)
     bits = (bits * _FIRST) & _MASK
     bits = bits ^ (bits >> 15)

@@ -1,7 +1,7 @@
 """Shortest distances in XLA: from many goals to every cell at once, one bit per goal.
 
 Small layouts get a table of all goals; for large ones every agent has two rows, which are measured
-anew when it gets a new goal. `host.fields` measures them on the host.
+again when it gets a new goal. `host.distances` measures them on the host.
 """
 
 from typing import NamedTuple, TypeAlias
@@ -10,39 +10,24 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.grid import MOVES, shift
-from qdenv.simulate.mapf.planner import NOBODY, World, steps_type, unreachable
+from qdenv.simulate.mapf.planner import World, steps_type, unreachable
 
-Planes: TypeAlias = tuple[jax.Array, ...]
+_Planes: TypeAlias = tuple[jax.Array, ...]
+# A search between two epochs: uint32 [G / 32, H, W], one bit for each goal that reaches a cell;
+# [G, H * W], steps for which it was out of reach; whether the last epoch reached new cells.
+_Wave: TypeAlias = tuple[jax.Array, jax.Array, jax.Array]
 
 _PLANES = 4  # bits of the step counter that is unpacked once per epoch
 _WORD = 32
 _AT_ONCE = 8 * _WORD  # rows measured side by side
 
 
-class _Wave(NamedTuple):
-    """The breadth-first search between two epochs."""
-
-    reached: jax.Array  # uint32 [G / 32, H, W], one bit per goal
-    # [G, H * W], steps for which each cell has been out of reach, see `steps_type`
-    distance: jax.Array
-    grew: jax.Array  # bool, the last epoch reached new cells
-
-
-def _pack_goals(cells: jax.Array, used: jax.Array, shape: tuple[int, int]) -> jax.Array:
-    """Set bit ``g % 32`` of word ``g // 32`` at the cell of goal g (uint32 [G / 32, H, W])."""
-    count = cells.shape[0]
-    words = -(-count // _WORD)
-    slot = jnp.arange(count)
-    bit = jnp.where(used, jnp.uint32(1) << (slot % _WORD).astype(jnp.uint32), jnp.uint32(0))
-    empty = jnp.zeros((words, shape[0] * shape[1]), jnp.uint32)
-    return empty.at[slot // _WORD, cells].add(bit).reshape(words, *shape)
-
-
 def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) -> jax.Array:
     """Measure the way from every cell to every goal by breadth-first search.
 
     All goals spread at the same time, 32 to a word. How long a cell stayed out of reach is counted
-    in four bit planes that are added to the distances after every 15 steps.
+    in four bit planes that are added to the distances after every 15 steps: adding them at each
+    step would unpack all bits 15 times as often.
 
     Args:
         traversable: bool [H, W].
@@ -54,11 +39,15 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
         unused slots.
     """
     rows, cols = traversable.shape
-    count, steps = cells.shape[0], steps_type(traversable.size)
+    count, size, kind = cells.shape[0], rows * cols, steps_type(traversable.size)
     open_cells = jnp.where(traversable, jnp.uint32(0xFFFFFFFF), jnp.uint32(0))
-    start = _pack_goals(cells, used, (rows, cols)) & open_cells[None]
+    # Bit ``g % 32`` of word ``g // 32`` at the cell of goal g.
+    slot = jnp.arange(count)
+    bit = jnp.where(used, jnp.uint32(1) << (slot % _WORD).astype(jnp.uint32), jnp.uint32(0))
+    empty = jnp.zeros((-(-count // _WORD), size), jnp.uint32)
+    start = empty.at[slot // _WORD, cells].add(bit).reshape(-1, rows, cols) & open_cells[None]
 
-    def step(_: jax.Array, carry: tuple[jax.Array, Planes]) -> tuple[jax.Array, Planes]:
+    def step(_: jax.Array, carry: tuple[jax.Array, _Planes]) -> tuple[jax.Array, _Planes]:
         reached, planes = carry
         carry_bit, sums = ~reached, []
         for plane in planes:  # a ripple-carry counter, one bit plane after the other
@@ -71,19 +60,19 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
 
     def unpack(words: jax.Array) -> jax.Array:
         bits = (words[:, None] >> jnp.arange(_WORD, dtype=jnp.uint32)[None, :, None, None]) & 1
-        return bits.astype(steps).reshape(-1, rows * cols)[:count]
+        return bits.astype(kind).reshape(-1, size)[:count]
 
     def epoch(wave: _Wave) -> _Wave:
-        planes = (jnp.zeros_like(wave.reached),) * _PLANES
-        reached, planes = jax.lax.fori_loop(0, 2**_PLANES - 1, step, (wave.reached, planes))
-        distance = wave.distance
+        before, distance, _ = wave
+        planes = (jnp.zeros_like(before),) * _PLANES
+        reached, planes = jax.lax.fori_loop(0, 2**_PLANES - 1, step, (before, planes))
         for bit, plane in enumerate(planes):
             distance = distance + (unpack(plane) << bit)
-        return _Wave(reached, distance, (reached != wave.reached).any())
+        return reached, distance, (reached != before).any()
 
-    first = _Wave(start, jnp.zeros((count, rows * cols), steps), jnp.bool_(True))
-    wave = jax.lax.while_loop(lambda wave: wave.grew, epoch, first)
-    return jnp.where(unpack(wave.reached) == 1, wave.distance, steps(unreachable(rows * cols)))
+    first = (start, jnp.zeros((count, size), kind), jnp.bool_(True))
+    reached, distance, _ = jax.lax.while_loop(lambda wave: wave[2], epoch, first)
+    return jnp.where(unpack(reached) == 1, distance, kind(unreachable(size)))
 
 
 class Fields(NamedTuple):
@@ -95,16 +84,6 @@ class Fields(NamedTuple):
     # bool [A], whether the current goal is in the second of an agent's rows: what was the next goal
     # becomes the current one without a copy
     flipped: jax.Array
-
-
-def no_fields(world: World, agents: int) -> Fields:
-    """Make room for the fields of `agents`, none measured."""
-    cells = world.traversable.size
-    return Fields(
-        jnp.full((2 * agents, cells), unreachable(cells), steps_type(cells)),
-        jnp.full((2, agents), NOBODY, jnp.int32),
-        jnp.zeros((agents,), bool),
-    )
 
 
 def rows_of(fields: Fields) -> jax.Array:

@@ -2,7 +2,7 @@
 
 The rules are those of `qdenv.simulate`; who drives is up to the caller. `reset` and `step` can be
 jitted, vmapped over keys and scanned. Starts and goals are drawn as in `fleet.simulate`: the same
-key and the same moves give the same tasks.
+key and moves give the same tasks.
 
 **Actions** are int32 [A]: 0 right, 1 left, 2 down, 3 up, 4 wait. An action that the rules forbid
 becomes a wait, so no step ever breaks one:
@@ -74,9 +74,8 @@ Observe = Callable[[EnvironmentState], Any]
 
 
 def observe_plainly(state: EnvironmentState) -> Observation:
-    """Tell positions, goals, services and the time."""
-    goal, next_goal = state.goal
-    return Observation(state.position, goal, next_goal, state.remaining_service, state.time)
+    """Return positions, goals, services and the time."""
+    return Observation(state.position, *state.goal, state.remaining_service, state.time)
 
 
 class Environment:
@@ -100,14 +99,7 @@ class Environment:
         timesteps: int = 1000,
         observe: Observe = observe_plainly,
     ) -> None:
-        """Prepare a layout.
-
-        Args:
-            layout: int8 [H, W].
-            rule: what the robots do.
-            agents: how many there are.
-            timesteps: steps until `Timestep.last`.
-            observe: traceable; makes the observation of a state.
+        """Prepare a layout; `observe`, traceable, makes the observation of a state.
 
         Raises:
             InputError: the fleet could not work on this layout, or a number is below one.
@@ -121,7 +113,7 @@ class Environment:
         self._world = World(
             traversable=jnp.asarray(self.free),
             goals=tasks.goal_table(layout, rule, layout.size),
-            # Nobody plans here, so nobody asks how far it is.
+            # No planner needs to know how far it is.
             distance=jnp.zeros((0, layout.size), jnp.int16),
             service_time=jnp.asarray(service_times(rule)),
             valid=jnp.bool_(True),
@@ -130,34 +122,31 @@ class Environment:
         self._everyone = jnp.ones((agents,), bool)
 
     def reset(self, key: jax.Array) -> tuple[EnvironmentState, Timestep]:
-        """Begin a run.
-
-        Args:
-            key: consumed; decides starts and goals.
-        """
+        """Begin a run; the key is consumed and decides starts and goals."""
         seed = chance.seed_of(key)
         fleet = place(self._world, 0, self._everyone, seed)
-        state = self._state(fleet, jnp.int32(0), seed)
-        nothing = jnp.zeros((self.agents,), jnp.float32)
-        return state, self._timestep(state, nothing, ~self._everyone)
+        cells = self._world.goals.cells[fleet.goal]
+        state = EnvironmentState(fleet, cells, jnp.int32(0), seed)
+        nothing, last = jnp.zeros((self.agents,), jnp.float32), state.time >= self.timesteps
+        return state, Timestep(self._observe(state), nothing, ~self._everyone, last)
 
     def step(self, state: EnvironmentState, actions: Array) -> tuple[EnvironmentState, Timestep]:
         """Drive all robots by one step.
 
-        Args:
-            state: before the step.
-            actions: int32 [A], 0 right, 1 left, 2 down, 3 up, 4 wait; whatever else waits, too.
+        Actions are int32 [A], 0 right, 1 left, 2 down, 3 up, 4 wait; every other number waits, too.
         """
-        fleet = state.fleet
-        wanted = self.targets(fleet.position, jnp.asarray(actions))
-        cell = jnp.where(fleet.remaining_service > 0, fleet.position, wanted)
+        fleet, seed = state.fleet, state.seed
+        ahead = self.targets(fleet.position, jnp.asarray(actions))
+        cell = jnp.where(fleet.remaining_service > 0, fleet.position, ahead)
         cell = settle(fleet.position, cell, self.layout.size)
-        drawn = chance.draw(chance.draw(state.seed, chance.GOALS), state.time)
+        drawn = chance.draw(chance.draw(seed, chance.GOALS), state.time)
         refused = (cell == fleet.position) & (actions >= 0) & (actions < WAIT)
         fleet, finished = drive(self._world, fleet, cell, self._everyone, drawn)
-        fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))  # who drives here decides anew
-        after = self._state(fleet, state.time + 1, state.seed)
-        return after, self._timestep(after, finished.astype(jnp.float32), refused)
+        # Each step is a plan of its own: a stay never has to wait for the next one.
+        fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))
+        after = EnvironmentState(fleet, self._world.goals.cells[fleet.goal], state.time + 1, seed)
+        reward, last = finished.astype(jnp.float32), after.time >= self.timesteps
+        return after, Timestep(self._observe(after), reward, refused, last)
 
     def targets(self, position: jax.Array, actions: jax.Array) -> jax.Array:
         """Find the cells that actions lead to where no agent is in the way (int32 [A])."""
@@ -170,25 +159,13 @@ class Environment:
         target = jnp.where(inside, row * cols + col, position)
         return jnp.where(self._world.traversable.reshape(-1)[target], target, position)
 
-    def _state(self, fleet: Fleet, time: jax.Array, seed: jax.Array) -> EnvironmentState:
-        return EnvironmentState(fleet, self._world.goals.cells[fleet.goal], time, seed)
-
-    def _timestep(self, state: EnvironmentState, reward: jax.Array, refused: jax.Array) -> Timestep:
-        return Timestep(self._observe(state), reward, refused, state.time >= self.timesteps)
-
 
 def settle(position: jax.Array, wanted: jax.Array, cells: int) -> jax.Array:
-    """Turn moves that conflict into waits until none does.
+    """Turn moves that conflict into waits until none does (int32 [A]).
 
-    Every pass turns at least one move into a wait or is the last.
-
-    Args:
-        position: int32 [A], where the robots are; all different.
-        wanted: int32 [A], where they want to be: there, or on a neighbouring cell.
-        cells: number of cells of the layout.
-
-    Returns:
-        int32 [A], where they will be.
+    Robots at `position` (int32 [A], all different) would go to `wanted` (int32 [A], the same cell
+    or a neighbouring one) on a layout of `cells` cells. Every pass turns at least one move into a
+    wait or is the last.
     """
     everyone = jnp.arange(position.shape[0], dtype=jnp.int32)
     there = jnp.full((cells,), NOBODY, jnp.int32).at[position].set(everyone)[wanted]
@@ -199,7 +176,8 @@ def settle(position: jax.Array, wanted: jax.Array, cells: int) -> jax.Array:
         crowd = jnp.zeros((cells,), jnp.int32).at[cell].add(1)
         return (crowd[cell] > 1) & (cell != position)
 
-    def wait(cell: jax.Array) -> jax.Array:
-        return jnp.where(conflicts(cell), position, cell)
-
-    return jax.lax.while_loop(lambda cell: conflicts(cell).any(), wait, first)
+    return jax.lax.while_loop(
+        lambda cell: conflicts(cell).any(),
+        lambda cell: jnp.where(conflicts(cell), position, cell),
+        first,
+    )

@@ -7,7 +7,7 @@ the layout is traced, so all layouts of one size share one compiled program.
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TypeAlias
 
 import chex
 import jax
@@ -16,8 +16,8 @@ import numpy as np
 
 from qdenv.grid import of_tiles
 from qdenv.simulate.mapf import chance, tasks
-from qdenv.simulate.mapf.agents import Fleet, agent_state, drive, look_ahead, place
-from qdenv.simulate.mapf.distances import goal_distances
+from qdenv.simulate.mapf.agents import Fleet, drive, place
+from qdenv.simulate.mapf.distances import goal_distances, measure_fields, rows_of
 from qdenv.simulate.mapf.goals import service_times
 from qdenv.simulate.mapf.host.run import simulate_in_callback, simulate_into
 from qdenv.simulate.mapf.host.state import RunSettings
@@ -26,27 +26,21 @@ from qdenv.simulate.mapf.metrics import (
     Metrics,
     Outcome,
     Recording,
-    TrajectoryBuffer,
     accumulate,
-    empty_metrics,
-    is_congested,
     recording_of,
     summarise,
 )
-from qdenv.simulate.mapf.planner import World, pad, steps_type, unreachable
+from qdenv.simulate.mapf.planner import AgentState, World, pad, steps_type, unreachable
 from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.types import Array, InputError, TaskRule, Traffic
 
 _TABLE_BYTES = 1 << 27  # of a table of all distances; above, agents measure their own
 
+_Report: TypeAlias = tuple[Traffic, Recording | None]
+
 
 def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
-    """Build what all runs on one layout share: goals, distances, walls.
-
-    Args:
-        layout: int8 [H, W].
-        rule: what the agents do.
-        config: the numbers of the simulation.
+    """Build what all runs on one layout (int8 [H, W]) share: goals, distances, walls.
 
     Raises:
         InputError: the window, or a stay at a goal, is longer than the planner understands.
@@ -94,11 +88,26 @@ def _run_window(
     time: jax.Array,
 ) -> tuple[Fleet, Block]:
     """Plan the window that begins at `time` and drive its first steps."""
-    fleet = look_ahead(world, fleet)._replace(legs=jnp.zeros_like(fleet.legs))
-    state = agent_state(world, fleet, active)
-    key = chance.key_of(chance.draw(seed, chance.PLANS), time)
+    fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))
+    distance, row, cycle = world.distance, fleet.goal, world.service_time.shape[0]
+    if fleet.fields is not None:
+        fields = measure_fields(world, fleet.fields, fleet.goal)
+        fleet = fleet._replace(fields=fields)
+        distance, row = fields.distance, rows_of(fields)
     plan = config.make_planner().plan
-    assert plan is not None  # else runs are computed on the host
+    assert plan is not None and distance is not None  # else runs are computed on the host
+    state = AgentState(
+        position=fleet.position,
+        active=active,
+        goal=fleet.goal,
+        service_time=world.service_time[jnp.stack([fleet.kind, (fleet.kind + 1) % cycle])],
+        remaining_service=fleet.remaining_service,
+        age=fleet.age,
+        previous=fleet.previous,
+        distance=distance,
+        row=row,
+    )
+    key = chance.key_of(chance.draw(seed, chance.PLANS), time)
     paths = plan(world, state, config.horizon, key)
     chex.assert_shape(paths, (config.window + 1, config.agents))
     goals = chance.draw(seed, chance.GOALS)
@@ -115,27 +124,19 @@ def _run_window(
     return fleet._replace(previous=jnp.concatenate([paths[config.horizon :], last])), block
 
 
-class _Run(NamedTuple):
-    """A simulation under way."""
-
-    fleet: Fleet  # the agents now
-    metrics: Metrics  # what was counted so far
-    # what was recorded so far; without room where nothing shall be recorded
-    buffer: TrajectoryBuffer
-
-
 def blank_outcome(world: World, config: FleetConfig, keep: bool) -> Outcome:
-    """Make room for what a run leaves behind, all zeros.
-
-    Args:
-        world: where it runs.
-        config: the numbers.
-        keep: room for every step.
-    """
+    """Make room for what a run leaves behind, all zeros; `keep` makes room for every step."""
     windows = -(-config.timesteps // config.horizon) * config.horizon
     nowhere = jnp.zeros((config.agents,), jnp.int32)
-    buffer = TrajectoryBuffer.empty(nowhere, windows if keep else 0)
-    return Outcome(empty_metrics(world, windows), nowhere, buffer)
+    blank = jnp.zeros((windows if keep else 0, config.agents), jnp.int32)
+    metrics = Metrics(
+        time=jnp.int32(0),
+        congested_at=jnp.int32(0),
+        finished=jnp.zeros((windows,), jnp.int32),
+        visits=jnp.zeros((world.traversable.size,), jnp.int32),
+        moves=jnp.int32(0),
+    )
+    return Outcome(metrics, nowhere, nowhere, Block(blank, blank, blank.astype(bool), blank))
 
 
 def run_settings(config: FleetConfig, seed: int = 0) -> RunSettings:
@@ -154,29 +155,27 @@ def _run(
         like = jax.eval_shape(lambda: blank_outcome(world, config, keep))
         settings = run_settings(config)
         return simulate_in_callback(planner.host, world, seed, active.sum(), settings, like)
-    metrics, _, buffer = blank_outcome(world, config, keep)
-    fleet = place(world, config.window, active, seed)
+    first = place(world, config.window, active, seed)
+    metrics, _, _, room = blank_outcome(world, config, keep)
 
-    def going(run: _Run) -> jax.Array:
-        halted = (run.metrics.congested_at > 0) & config.stop_when_congested
-        return world.valid & (run.metrics.time < config.timesteps) & ~halted
+    def is_going(run: tuple[Fleet, Metrics, Block]) -> jax.Array:
+        metrics = run[1]
+        halted = (metrics.congested_at > 0) & config.stop_when_congested
+        return world.valid & (metrics.time < config.timesteps) & ~halted
 
-    def window(run: _Run) -> _Run:
-        fleet, metrics, buffer = run
-        at_work = active & going(run)  # a finished lane of a batch has nobody left to plan
+    def run_window(run: tuple[Fleet, Metrics, Block]) -> tuple[Fleet, Metrics, Block]:
+        fleet, metrics, kept = run
+        at_work = active & is_going(run)  # a finished lane of a batch has nobody left to plan
         after, block = _run_window(world, config, fleet, at_work, seed, metrics.time)
-        # A window that T cuts short is no window of the jam rule.
-        whole = metrics.time + config.horizon <= config.timesteps
-        jam = whole & is_congested(fleet.position, fleet.remaining_service, block, active)
-        buffer = buffer.store(block, metrics.time)
-        metrics = accumulate(metrics, fleet.position, block, active, config.timesteps)
-        first = jam & (metrics.congested_at == 0)
-        since = jnp.where(first, metrics.time, metrics.congested_at)
-        return _Run(after, metrics._replace(congested_at=since), buffer)
+        if keep:
+            begin = (metrics.time, 0)
+            kept = jax.tree.map(
+                lambda rows, part: jax.lax.dynamic_update_slice(rows, part, begin), kept, block
+            )
+        return after, accumulate(metrics, fleet, block, active, config.timesteps), kept
 
-    begin = _Run(fleet, metrics, buffer._replace(start=fleet.position))
-    last = jax.lax.while_loop(going, window, begin)
-    return Outcome(last.metrics, world.goals.cells[last.fleet.goal[0]], last.buffer)
+    fleet, metrics, kept = jax.lax.while_loop(is_going, run_window, (first, metrics, room))
+    return Outcome(metrics, world.goals.cells[fleet.goal[0]], first.position, kept)
 
 
 def _select_active_agents(
@@ -184,10 +183,10 @@ def _select_active_agents(
 ) -> tuple[World, jax.Array]:
     """Choose who takes part (bool [A]); without room for them the world is not valid."""
     chex.assert_rank(world.traversable, 2)
-    asked = jnp.asarray(config.agents if agents is None else agents)
-    chex.assert_rank(asked, 0)
-    room = (world.traversable.sum() >= asked) & (asked <= config.agents)
-    return replace(world, valid=world.valid & room), jnp.arange(config.agents) < asked
+    count = jnp.asarray(config.agents if agents is None else agents)
+    chex.assert_rank(count, 0)
+    room = (world.traversable.sum() >= count) & (count <= config.agents)
+    return replace(world, valid=world.valid & room), jnp.arange(config.agents) < count
 
 
 def simulate(
@@ -214,52 +213,40 @@ def record(
 ) -> tuple[Traffic, Recording]:
     """Run the same simulation as `simulate` and keep every step of it."""
     world, active = _select_active_agents(world, config, agents)
-    return report(world, config, _run(world, chance.seed_of(key), config, active, True), active)
-
-
-def report(
-    world: World, config: FleetConfig, outcome: Outcome, active: jax.Array
-) -> tuple[Traffic, Recording]:
-    """Turn what a recorded run left behind into the records that others read."""
+    outcome = _run(world, chance.seed_of(key), config, active, keep=True)
     recording = recording_of(outcome, active, world, config.timesteps)
     return summarise(world, outcome.metrics, active, config.timesteps), recording
 
 
 def compile_runs(
     world: World, config: FleetConfig, keep: bool
-) -> Callable[[World, int, int], tuple[Traffic, Recording | None]]:
+) -> Callable[[World, int, int], _Report]:
     """Compile whole runs on layouts of one size, (world, seed, agents) -> traffic and recording.
 
-    On the host only what turns the outcome into records is a program of XLA's: what XLA compiles
-    around a callback it forgets with the process. The worlds are of numpy arrays there.
-
-    Args:
-        world: from `prepare`, or its shapes.
-        config: the numbers.
-        keep: keep every step; else the recording is None.
+    The recording is None unless `keep`. On the host only what turns the outcome into records is a
+    program of XLA's: what XLA compiles around a callback it forgets with the process. The worlds
+    are of numpy arrays there.
     """
     host, count = config.make_planner().host, jax.ShapeDtypeStruct((), np.int32)
-
-    def finish(world: World, outcome: Outcome, agents: Array) -> tuple[Traffic, Recording | None]:
-        world, active = _select_active_agents(world, config, agents)
-        if keep:
-            return report(world, config, outcome, active)
-        return summarise(world, outcome.metrics, active, config.timesteps), None
-
     if host is None:
 
-        def whole(world: World, key: jax.Array, agents: Array) -> tuple[Traffic, Recording | None]:
-            able, active = _select_active_agents(world, config, agents)
-            outcome = _run(able, chance.seed_of(key), config, active, keep)
-            return finish(world, outcome, agents)
+        def whole(world: World, key: jax.Array, agents: Array) -> _Report:
+            if keep:
+                return record(world, key, config, agents)
+            return simulate(world, key, config, agents), None
 
         program = jax.jit(whole).lower(world, jax.random.key(0), count).compile()
         return lambda world, seed, agents: program(world, jax.random.key(seed), np.int32(agents))
 
+    def finish(world: World, outcome: Outcome, agents: Array) -> _Report:
+        world, active = _select_active_agents(world, config, agents)
+        recording = recording_of(outcome, active, world, config.timesteps) if keep else None
+        return summarise(world, outcome.metrics, active, config.timesteps), recording
+
     shapes = jax.eval_shape(lambda: blank_outcome(world, config, keep))
     program = jax.jit(finish).lower(world, shapes, count).compile()
 
-    def run(world: World, seed: int, agents: int) -> tuple[Traffic, Recording | None]:
+    def run(world: World, seed: int, agents: int) -> _Report:
         outcome = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
         # Too many agents for the layout: nobody drives, and the report calls that congested.
         if agents <= min(int(np.asarray(world.traversable).sum()), config.agents):

@@ -10,26 +10,16 @@ from qdenv.types import Array, Goal, InputError, TaskRule
 
 
 def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
-    """Make every cell that holds `symbol` a goal.
-
-    Args:
-        symbol: the tile agents drive onto.
-        tiles: the alphabet of the layouts.
-        stay: timesteps spent on the goal after arriving.
-    """
+    """Make every cell that holds `symbol` a goal, with a `stay` of timesteps after arriving."""
     return Goal(
         lambda layout: of_tiles(layout, symbol, tiles).astype(np.float32), stay, f"{symbol!r}"
     )
 
 
 def beside_goal(symbol: str, station: str, stay: int, tiles: str) -> Goal:
-    """Make every `symbol` cell beside a `station` a goal, once per station at its sides.
+    """Make every `symbol` cell beside a `station` a goal, once per station at its four sides.
 
-    Args:
-        symbol: the tile agents drive onto.
-        station: the tile that must lie at one of its four sides.
-        stay: timesteps spent on the goal after arriving.
-        tiles: the alphabet of the layouts.
+    Agents spend `stay` timesteps on the goal after arriving.
     """
 
     def weight(layout: Array) -> Array:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from qdenv.simulate.mapf.agents import Fleet
 from qdenv.simulate.mapf.planner import World, unpad, unpad_grid
 from qdenv.types import Traffic
 
@@ -39,58 +40,40 @@ class Recording(NamedTuple):
     active: jax.Array  # bool [A]
 
 
-def empty_metrics(world: World, timesteps: int) -> Metrics:
-    """Begin to count a run of `timesteps`, a multiple of the replanning period."""
-    return Metrics(
-        time=jnp.int32(0),
-        congested_at=jnp.int32(0),
-        finished=jnp.zeros((timesteps,), jnp.int32),
-        visits=jnp.zeros((world.traversable.size,), jnp.int32),
-        moves=jnp.int32(0),
-    )
+class Outcome(NamedTuple):
+    """What a run leaves behind."""
 
-
-def is_congested(
-    start: jax.Array, remaining_service: jax.Array, block: Block, active: jax.Array
-) -> jax.Array:
-    """Return whether more than half of the agents are stuck.
-
-    Stuck: the same cell at all timesteps of the window but the last, and never serving.
-
-    Args:
-        start: int32 [A], positions before the block.
-        remaining_service: int32 [A], before the block.
-        block: the driven steps.
-        active: bool [A].
-    """
-    path = jnp.concatenate([start[None], block.positions])[:-1]
-    remaining = jnp.concatenate([remaining_service[None], block.remaining_service])[:-1]
-    stuck = (path == path[:1]).all(0) & ~(remaining > 0).any(0) & active
-    return stuck.sum() > active.sum() // 2
+    metrics: Metrics  # what was counted
+    heading: jax.Array  # int32 [A], the goal cells at the end
+    start: jax.Array  # int32 [A], the first positions
+    block: Block  # every step, each [T, A]; without rows where nothing is recorded
 
 
 def accumulate(
-    metrics: Metrics, start: jax.Array, block: Block, active: jax.Array, timesteps: int
+    metrics: Metrics, fleet: Fleet, block: Block, active: jax.Array, timesteps: int
 ) -> Metrics:
-    """Count the driven steps; steps beyond `timesteps` and padding agents do not count.
+    """Count the driven steps of a window, and look for a jam.
 
-    Args:
-        metrics: counted so far.
-        start: int32 [A], positions before the block.
-        block: the driven steps.
-        active: bool [A].
-        timesteps: T of the run.
+    Steps beyond `timesteps` and padding agents do not count. More than half of the agents stuck
+    make a jam: on the same cell at all timesteps of the window but the last, and never serving.
+    `fleet` is that before the window, `active` bool [A].
     """
     horizon = block.positions.shape[0]
+    path = jnp.concatenate([fleet.position[None], block.positions])
+    remaining = jnp.concatenate([fleet.remaining_service[None], block.remaining_service])[:-1]
+    stuck = (path[:-1] == path[:1]).all(0) & ~(remaining > 0).any(0) & active
+    # A window that T cuts short is no window of the jam rule.
+    whole = metrics.time + horizon <= timesteps
+    first = whole & (stuck.sum() > active.sum() // 2) & (metrics.congested_at == 0)
     counts = (metrics.time + jnp.arange(horizon) < timesteps)[:, None] & active[None, :]
-    before = jnp.concatenate([start[None], block.positions[:-1]])
     finished = (block.finished & counts).sum(1, dtype=jnp.int32)
+    time = jnp.minimum(metrics.time + horizon, timesteps)
     return Metrics(
-        time=jnp.minimum(metrics.time + horizon, timesteps),
-        congested_at=metrics.congested_at,
+        time=time,
+        congested_at=jnp.where(first, time, metrics.congested_at),
         finished=jax.lax.dynamic_update_slice(metrics.finished, finished, (metrics.time,)),
         visits=metrics.visits.at[block.positions].add(counts.astype(jnp.int32)),
-        moves=metrics.moves + ((block.positions != before) & counts).sum(dtype=jnp.int32),
+        moves=metrics.moves + ((block.positions != path[:-1]) & counts).sum(dtype=jnp.int32),
     )
 
 
@@ -112,63 +95,23 @@ def summarise(world: World, metrics: Metrics, active: jax.Array, timesteps: int)
     )
 
 
-class TrajectoryBuffer(NamedTuple):
-    """All blocks of a run so far, and where the agents began."""
-
-    start: jax.Array  # int32 [A], the first positions
-    block: Block  # what happened, each [T, A]; T is rounded up to whole windows
-
-    @classmethod
-    def empty(cls, start: jax.Array, timesteps: int) -> "TrajectoryBuffer":
-        """Make room for `timesteps` steps of agents that begin at `start` (int32 [A]).
-
-        A buffer for 0 timesteps keeps nothing.
-        """
-        blank = jnp.zeros((timesteps, start.shape[0]), jnp.int32)
-        return cls(start, Block(blank, blank, blank.astype(bool), blank))
-
-    def store(self, block: Block, time: jax.Array) -> "TrajectoryBuffer":
-        """Write a block at its time."""
-        if self.block.positions.shape[0] == 0:
-            return self
-
-        def write(rows: jax.Array, part: jax.Array) -> jax.Array:
-            return jax.lax.dynamic_update_slice(rows, part, (time, 0))
-
-        return self._replace(block=jax.tree.map(write, self.block, block))
-
-
-class Outcome(NamedTuple):
-    """What a run leaves behind."""
-
-    metrics: Metrics  # what was counted
-    heading: jax.Array  # int32 [A], the goal cells at the end
-    buffer: TrajectoryBuffer  # what was recorded; without room where nothing was to be
-
-
 def recording_of(outcome: Outcome, active: jax.Array, world: World, timesteps: int) -> Recording:
-    """Cut the buffer to T steps and translate its positions; nothing moves after the end.
+    """Cut a recorded run to T steps and translate its positions; nothing moves after the end.
 
-    Args:
-        outcome: of the run.
-        active: bool [A]; an agent that takes no part is nowhere, all zeros.
-        world: where the agents drove.
-        timesteps: T of the run.
+    An agent that takes no part (`active`, bool [A]) is nowhere, all zeros.
     """
-    metrics, last_goal, buffer = outcome
+    metrics, heading, start, block = outcome
     cols = world.traversable.shape[1] - 2 * world.margin
-    last = jnp.maximum(metrics.time - 1, 0)
-    row = jnp.minimum(jnp.arange(timesteps), last)
+    row = jnp.minimum(jnp.arange(timesteps), jnp.maximum(metrics.time - 1, 0))
     driven = (jnp.arange(timesteps) < metrics.time)[:, None]
-    block = buffer.block
     # The last block may reach beyond T: then it knows the goals at T, else the fleet does.
     total = block.goals.shape[0]
     known = jnp.where(metrics.time == timesteps, total, metrics.time)
     time = jnp.arange(timesteps + 1)
     goals = block.goals[jnp.minimum(time, total - 1)]
-    goals = jnp.where((time < known)[:, None], goals, last_goal[None])
-    positions = jnp.concatenate([buffer.start[None], block.positions[row]])
-    remaining = jnp.concatenate([jnp.zeros_like(buffer.start)[None], block.remaining_service[row]])
+    goals = jnp.where((time < known)[:, None], goals, heading[None])
+    positions = jnp.concatenate([start[None], block.positions[row]])
+    remaining = jnp.concatenate([jnp.zeros_like(start)[None], block.remaining_service[row]])
     takes_part = active[None]
     return Recording(
         positions=jnp.where(takes_part, unpad(positions, cols, world.margin), 0),

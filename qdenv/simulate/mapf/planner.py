@@ -1,7 +1,7 @@
 """The interface of a planner: its input, its result and its limits; the padded grid it plans on.
 
 A planner gives every agent a path of `window` steps, of which the next `horizon` are driven before
-it is asked again (RHCR, Li et al. 2021, https://arxiv.org/abs/2005.07371). Those must obey the
+it plans again (RHCR, Li et al. 2021, https://arxiv.org/abs/2005.07371). Those must obey the
 movement rules (`qdenv.simulate`); the rest is a plan the planner gets back.
 
 A layout of `cols` columns, surrounded by `margin` walls on each side, makes the padded grid. Both
@@ -28,22 +28,18 @@ _UNREACHABLE_AFAR = 1 << 20  # likewise on larger ones, of a thousand rows and c
 
 
 def steps_type(cells: int) -> type[np.int16] | type[np.int32]:
-    """Choose the type of distances on a grid of this many cells: no way is longer than the grid."""
+    """Return the type of distances on a grid of this many cells: no way is longer than the grid."""
     return np.int16 if cells <= UNREACHABLE else np.int32
 
 
 def unreachable(cells: int) -> int:
-    """Give the number that stands for no way on a grid of this many cells, above all distances."""
+    """Return the number for no way on a grid of this many cells, above all distances."""
     return UNREACHABLE if cells <= UNREACHABLE else _UNREACHABLE_AFAR
 
 
 @flax.struct.dataclass
 class World:
-    """One layout made ready to be simulated, shared by all its runs.
-
-    The grid is surrounded by `margin` rows and columns of walls, so that planners look around
-    without testing for the border. Positions are ``row * width + column`` of this padded grid.
-    """
+    """One layout made ready to be simulated, shared by all its runs, on the padded grid."""
 
     traversable: jax.Array  # bool [H', W'], cells agents may drive on
     goals: GoalTable  # the goal table; its cells are positions of the padded grid
@@ -52,12 +48,13 @@ class World:
     distance: jax.Array | None
     service_time: jax.Array  # int32 [n], timesteps served at each kind of goal
     valid: jax.Array  # bool, agents and goals fit the layout
-    # rows and columns of walls on each side; compile-time
+    # rows and columns of walls on each side, so that planners look around without testing for the
+    # border; compile-time
     margin: int = flax.struct.field(pytree_node=False)
 
 
 class AgentState(NamedTuple):
-    """Where the agents are and where they want to go."""
+    """Where the agents are and where they go."""
 
     position: jax.Array  # int32 [A]. Padding agents are somewhere too, but do not count.
     active: jax.Array  # bool [A], False for padding
@@ -90,7 +87,7 @@ class Planner(NamedTuple):
     plan: Callable[[World, AgentState, int, jax.Array], jax.Array] | None
     max_window: int = 1000  # most timesteps it plans ahead
     max_service: int = 1000  # longest service at a goal that it understands
-    margin: int = 1  # rows and columns of walls it wants around the grid, at least 1
+    margin: int = 1  # rows and columns of walls that it needs around the grid, at least 1
     host: HostPlanner | None = None  # used instead of `plan` where there is one
 
     @property

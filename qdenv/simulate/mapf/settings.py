@@ -61,29 +61,23 @@ class FleetConfig(Ranged):
         PLANNERS.name_of(self.planner)
 
     def make_planner(self) -> Planner:
-        """Make the planner that the settings choose.
-
-        Raises:
-            InputError: no planner is registered for their type.
-        """
+        """Make the planner that the settings choose."""
         return PLANNERS.make(self.planner)
 
 
 OWN = "negotiated"  # the planner where none is named, and the only one with efforts
-_SILENT = "backend"  # a setting that decides no result: reports leave it out
 
 
 def find_planner(effort: str | None = None, planner: Any = "", usual: str = "high") -> Any:
-    """Choose a planner's settings.
+    """Choose a planner's settings by an effort, a planner's name, or the settings themselves.
 
     Args:
         effort: "low" or "high", of the negotiated planner; None for the usual one.
-        planner: name of a registered planner, which stands for its defaults, or the settings
-            themselves; "" for the negotiated one.
+        planner: the name of a registered planner stands for its defaults, "" for the negotiated.
         usual: the effort where none is given.
 
     Raises:
-        InputError: a word is unknown, settings are no planner's, or an effort is given with them
+        InputError: a name is unknown, settings are no planner's, or an effort is given with them
             or for another planner.
     """
     if isinstance(planner, str):
@@ -100,21 +94,22 @@ def find_planner(effort: str | None = None, planner: Any = "", usual: str = "hig
 def describe_planner(settings: Any) -> str:
     """Name a planner and its settings for reports, like "pbs, rule plain, nodes per agent 10".
 
-    The negotiated one by its effort, or the closest one, and what is other than there.
+    The negotiated one by its effort, or the closest one, and where it differs from that.
     """
-    name, said = PLANNERS.name_of(settings), asdict(settings)
-    words = [name]
+    name, values = PLANNERS.name_of(settings), asdict(settings)
+    parts = [name]
     if name == OWN:
         others = {
-            effort: {name: value for name, value in said.items() if value != asdict(known)[name]}
+            effort: {name: value for name, value in values.items() if value != asdict(known)[name]}
             for effort, known in EFFORTS.items()
         }
         effort = min(others, key=lambda effort: len(others[effort]))
-        words, said = [name, f"{effort} effort"], others[effort]
-    for key, value in said.items():
-        number = f"{value:g}" if isinstance(value, float) else value
-        words += [f"{key.replace('_', ' ')} {number}"] * (key != _SILENT)
-    return ", ".join(words)
+        parts, values = [name, f"{effort} effort"], others[effort]
+    for key, value in values.items():
+        if key != "backend":  # it changes no result
+            number = f"{value:g}" if isinstance(value, float) else value
+            parts.append(f"{key.replace('_', ' ')} {number}")
+    return ", ".join(parts)
 
 
 def record_planner(settings: Any) -> dict[str, Any]:

@@ -26,25 +26,20 @@ def goal_table(layout: Array, rule: TaskRule, capacity: int) -> GoalTable:
     """List the goals of `layout` (int8 [H, W]) in `capacity` slots."""
     weights = jnp.stack([goal.weight(layout).reshape(-1) for goal in rule.cycle])
     weights = weights.astype(jnp.float32)
-    wanted = (weights > 0).any(0)
-    cells = jnp.nonzero(wanted, size=capacity, fill_value=0)[0].astype(jnp.int32)
-    used = jnp.arange(capacity) < wanted.sum()
+    is_goal = (weights > 0).any(0)
+    cells = jnp.nonzero(is_goal, size=capacity, fill_value=0)[0].astype(jnp.int32)
+    used = jnp.arange(capacity) < is_goal.sum()
     cumulated = jnp.cumsum(jnp.where(used, weights[:, cells], 0.0), axis=1)
     total = cumulated[:, -1:]
-    complete = (total > 0).all() & (wanted.sum() <= capacity)
+    complete = (total > 0).all() & (is_goal.sum() <= capacity)
     return GoalTable(cells, used, cumulated / jnp.maximum(total, 1e-6), complete)
 
 
 def draw_goals(table: GoalTable, kinds: jax.Array, seed: jax.Array) -> jax.Array:
-    """Draw one goal slot per agent, independently and with the odds of its kind.
+    """Draw one goal slot per agent (int32 [A]), independently and with the odds of its kind.
 
-    Args:
-        table: goals of the layout.
-        kinds: int32 [A], index into the cycle.
-        seed: of the draw. Agent i's goal does not depend on the number of agents.
-
-    Returns:
-        int32 [A], slots of `table`.
+    `kinds` (int32 [A]) are indices into the cycle. Agent i's goal does not depend on the number of
+    agents.
     """
     values = chance.uniform(chance.draw_many(seed, kinds.shape[0]))
     per_kind = jax.vmap(lambda odds: jnp.searchsorted(odds, values, side="right"))(table.odds)
@@ -59,12 +54,12 @@ def serve(
     """Begin, continue and end services; the one place that has the rule, for both backends.
 
     An agent that reaches its goal while it drives begins to serve there. The task is finished
-    when nothing is left to serve, at once where a goal asks for no service.
+    when nothing is left to serve, at once where a goal has no service.
 
     Args:
         remaining_service: int32 [A], timesteps left to serve before the step; 0 while driving.
         on_goal: bool [A], the agent is on its goal after the step.
-        service_time: int32 [A], timesteps its goal asks for, at least 0.
+        service_time: int32 [A], timesteps to serve at its goal, at least 0.
 
     Returns:
         remaining_service after the step (int32 [A]), who finished a task (bool [A]).

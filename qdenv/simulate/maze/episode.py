@@ -1,6 +1,6 @@
 """The maze agent at work: one episode, many, and the trace of one.
 
-The 50 episodes of a layout are independent: each has its own first heading and its own actions.
+Episodes are independent: each draws its own first heading and its own actions.
 """
 
 from __future__ import annotations
@@ -27,12 +27,7 @@ class Episode(NamedTuple):
 
 
 def choose(logits: jax.Array, uniform: jax.Array) -> jax.Array:
-    """Draw an action from a categorical by inverting its distribution function.
-
-    Args:
-        logits: float32 [..., actions].
-        uniform: float32 [...] in [0, 1).
-    """
+    """Draw actions from logits (float32 [..., N]) and uniform numbers in [0, 1) (float32 [...])."""
     share = jnp.cumsum(jax.nn.softmax(logits), axis=-1)
     return (uniform[..., None] >= share[..., :-1]).sum(-1, dtype=jnp.int32)
 
@@ -54,43 +49,27 @@ Loop = Callable[[Body, EpisodeState, jax.Array], EpisodeState]
 
 def all_timesteps(body: Body, first: EpisodeState, draws: jax.Array) -> EpisodeState:
     """Step to T whatever happens: best for batches of mazes, where one always fails."""
-
-    def advance(now: EpisodeState, draw: jax.Array) -> tuple[EpisodeState, None]:
-        return body(now, draw), None
-
-    return jax.lax.scan(advance, first, draws)[0]
+    return jax.lax.scan(lambda now, draw: (body(now, draw), None), first, draws)[0]
 
 
 def until_done(body: Body, first: EpisodeState, draws: jax.Array) -> EpisodeState:
     """Stop when the episode is done: best for one maze at a time and for a large T."""
-    timesteps = draws.shape[0]
-
-    def advance(pair: tuple[jax.Array, EpisodeState]) -> tuple[jax.Array, EpisodeState]:
-        t, now = pair
-        return t + 1, body(now, draws[t])
-
-    def under_way(pair: tuple[jax.Array, EpisodeState]) -> jax.Array:
-        return (pair[0] < timesteps) & ~pair[1].done
-
-    return jax.lax.while_loop(under_way, advance, (jnp.int32(0), first))[1]
+    return jax.lax.while_loop(
+        lambda pair: (pair[0] < draws.shape[0]) & ~pair[1].done,
+        lambda pair: (pair[0] + 1, body(pair[1], draws[pair[0]])),
+        (jnp.int32(0), first),
+    )[1]
 
 
 def run_episode(
     weights: Weights, tables: Tables, key: jax.Array, timesteps: int, loop: Loop = all_timesteps
 ) -> Episode:
-    """Let the agent run from start to goal, sampling its actions.
+    """Let the agent run from start to goal, sampling its actions; consumes the key.
 
-    Both loops give the same episode for the same key, which is consumed.
-
-    Args:
-        weights: the agent.
-        tables: from `prepare`.
-        key: draws the first heading and all actions.
-        timesteps: T, actions after which the episode fails.
-        loop: `all_timesteps` or `until_done`.
+    The episode fails after `timesteps` actions. Both loops give the same episode for one key.
     """
     first, draws = _begin(weights, tables, key, timesteps)
-    last = loop(lambda now, draw: _act_once(weights, tables, now, draw), first, draws)
+    last = loop(partial(_act_once, weights, tables), first, draws)
     return _report(tables, last.success, last.length, last.actions)
 
 
@@ -101,19 +80,10 @@ def _report(tables: Tables, success: jax.Array, length: jax.Array, actions: jax.
 
 
 def run_episodes(weights: Weights, tables: Tables, keys: jax.Array, timesteps: int) -> Episode:
-    """Run many episodes of one maze as `run_episode` does, dropping those that are over.
+    """Run an episode of one maze for each of S keys, as `run_episode` does, dropping those over.
 
     Whenever half of the episodes are done, the others move together: a few long ones then cost
-    little. Widths are fixed at compile time, so this is traceable.
-
-    Args:
-        weights: the agent.
-        tables: from `prepare`.
-        keys: [S], consumed.
-        timesteps: T, actions after which an episode fails.
-
-    Returns:
-        `Episode` with leading axis [S].
+    little. Widths are fixed at compile time, so this is traceable. Consumes the keys.
     """
     now, draws = jax.vmap(lambda key: _begin(weights, tables, key, timesteps))(keys)
     place, t = jnp.arange(keys.shape[0]), jnp.int32(0)  # which episodes `now` holds
@@ -137,26 +107,20 @@ def _until_few(
     first: tuple[jax.Array, EpisodeState],
 ) -> tuple[jax.Array, EpisodeState]:
     """Act in all episodes until at most `rest` of them are under way, or T is reached."""
-
-    def under_way(pair: tuple[jax.Array, EpisodeState]) -> jax.Array:
-        return (pair[0] < draws.shape[1]) & ((~pair[1].done).sum() > rest)
-
-    def advance(pair: tuple[jax.Array, EpisodeState]) -> tuple[jax.Array, EpisodeState]:
-        t, now = pair
-        act_all = jax.vmap(lambda now, draw: _act_once(weights, tables, now, draw))
-        return t + 1, act_all(now, draws[:, t])
-
-    return jax.lax.while_loop(under_way, advance, first)
+    act_all = jax.vmap(partial(_act_once, weights, tables))
+    return jax.lax.while_loop(
+        lambda pair: (pair[0] < draws.shape[1]) & ((~pair[1].done).sum() > rest),
+        lambda pair: (pair[0] + 1, act_all(pair[1], draws[:, pair[0]])),
+        first,
+    )
 
 
 def trace_episode(
     weights: Weights, tables: Tables, key: jax.Array, timesteps: int
 ) -> tuple[Episode, Pose]:
-    """Run the episode that `run_episode` runs for this key and keep every pose.
+    """Run the episode that `run_episode` runs for this key and keep every pose [T + 1].
 
-    Returns:
-        the episode, and `Pose` with leading axis [T + 1]; what follows the episode's end
-        repeats its last pose (beside the goal, after a success).
+    After the episode's end its last pose is repeated (beside the goal, after a success).
     """
     first, draws = _begin(weights, tables, key, timesteps)
 
@@ -188,6 +152,7 @@ def _begin(
 
 
 def _act_once(weights: Weights, tables: Tables, now: EpisodeState, draw: jax.Array) -> EpisodeState:
+    """Act by a number drawn from [0, 1); an episode that is done stays as it is."""
     memory = recur(weights, tables.gates[now.state], now.memory)
     action = choose(act(weights, memory.hidden), draw)
     reached = (action == FORWARD) & tables.wins[now.state] & ~now.done

@@ -65,24 +65,10 @@ class Memory(NamedTuple):
     cell: Array  # float32 [..., L]
 
 
-def units_of(weights: Weights) -> int:
-    """Return the number of LSTM units L."""
-    return weights.gates_back.shape[0]
-
-
 def blank_memory(weights: Weights, batch: tuple[int, ...] = ()) -> Memory:
     """Make the memory with which an episode starts, zeros [*batch, L]."""
-    zeros = jnp.zeros((*batch, units_of(weights)), jnp.float32)
+    zeros = jnp.zeros((*batch, weights.gates_back.shape[0]), jnp.float32)
     return Memory(zeros, zeros)
-
-
-def _dense_kernel(kernel: Array) -> jax.Array:
-    """Write the valid convolution as one matrix [75, 144] (rows x, y, channel; columns o, x, y)."""
-    dense = jnp.zeros((VIEW, VIEW, CHANNELS, FILTERS, PATCHES, PATCHES), kernel.dtype)
-    for x in range(PATCHES):
-        for y in range(PATCHES):
-            dense = dense.at[x : x + WINDOW, y : y + WINDOW, :, :, x, y].set(kernel)
-    return dense.reshape(VIEW * VIEW * CHANNELS, FILTERS * PATCHES * PATCHES)
 
 
 def _trailing(bias: Array, axes: int) -> jax.Array:
@@ -96,18 +82,21 @@ def _affine(inputs: Array, kernel: Array, bias: Array) -> jax.Array:
 
 
 def encode(weights: Weights, image: Array, compass: Array) -> jax.Array:
-    """Turn observations into the input of the LSTM's gates.
+    """Turn observations into the input of the LSTM's gates (float32 [..., 4 L]).
 
     Args:
         weights: the agent.
         image: float32 [..., 5, 5, 3], indexed [x, y, channel].
         compass: float32 [..., 4], one-hot heading.
-
-    Returns:
-        float32 [..., 4 L].
     """
+    # The valid convolution as one matrix [75, 144]: rows x, y, channel, columns filter, x, y.
+    dense = jnp.zeros((VIEW, VIEW, CHANNELS, FILTERS, PATCHES, PATCHES), weights.kernel.dtype)
+    for x in range(PATCHES):
+        for y in range(PATCHES):
+            dense = dense.at[x : x + WINDOW, y : y + WINDOW, :, :, x, y].set(weights.kernel)
+    dense = dense.reshape(VIEW * VIEW * CHANNELS, FILTERS * PATCHES * PATCHES)
     flat = image.reshape(*image.shape[:-3], -1)
-    seen = _affine(flat, _dense_kernel(weights.kernel), jnp.repeat(weights.kernel_bias, PATCHES**2))
+    seen = _affine(flat, dense, jnp.repeat(weights.kernel_bias, PATCHES**2))
     facing = _affine(compass, weights.compass, weights.compass_bias)
     split = seen.shape[-1]
     gates = jax.nn.relu(seen) @ weights.gates_in[:split] + facing @ weights.gates_in[split:]
@@ -157,15 +146,15 @@ def shapes(units: int, actions: int) -> dict[str, tuple[int, ...]]:
 
 def draw_weights(key: jax.Array, units: int, actions: int) -> Weights:
     """Draw an untrained agent: orthogonal matrices, small logits; consumes the key."""
-    wanted = shapes(units, actions)
+    sizes = shapes(units, actions)
     # An actor that starts indifferent explores; the other gains keep the signals' variance.
     gains = {"kernel": 2**0.5, "gates_in": 1.4, "logits": 0.01}
-    keys = jax.random.split(key, len(wanted))
+    keys = jax.random.split(key, len(sizes))
     drawn = {
         name: jnp.zeros(shape, jnp.float32)
         if len(shape) == 1
         else jax.nn.initializers.orthogonal(gains.get(name, 1.0))(key, shape, jnp.float32)
-        for key, (name, shape) in zip(keys, wanted.items(), strict=True)
+        for key, (name, shape) in zip(keys, sizes.items(), strict=True)
     }
     remember = jnp.arange(4 * units) // units == 1  # a forget gate that starts open
     return Weights(**drawn)._replace(gates_bias=remember.astype(jnp.float32))
@@ -179,10 +168,10 @@ def check_weights(weights: Weights, source: str) -> Weights:
     """
     if weights.gates_back.ndim != 2 or weights.logits.ndim != 2:
         raise InputError(f"{source} is no agent: gates_back and logits must be matrices")
-    wanted = shapes(weights.gates_back.shape[0], weights.logits.shape[1])
+    sizes = shapes(weights.gates_back.shape[0], weights.logits.shape[1])
     if weights.logits.shape[1] < 3:
         raise InputError(f"{source} is no agent: it needs at least 3 actions")
-    for array, (name, shape) in zip(weights, wanted.items(), strict=True):
+    for array, (name, shape) in zip(weights, sizes.items(), strict=True):
         if array.shape != shape or not np.issubdtype(array.dtype, np.floating):
             raise InputError(
                 f"{source} is no agent: {name} is {array.dtype} {array.shape}, not float {shape}"
@@ -221,14 +210,10 @@ class Tables(NamedTuple):
 
 
 def prepare(weights: Weights, layout: Array) -> Tables:
-    """Compute once per layout what all its episodes share.
+    """Compute once per layout (int8 [H, W]) what all its episodes share.
 
     Within one maze the LSTM's input depends on cell and heading alone, so all 4 H W inputs are
     worked out here and only looked up later.
-
-    Args:
-        weights: the agent.
-        layout: int8 [H, W].
     """
     course = longest_path(layout)
     width = layout.shape[1]

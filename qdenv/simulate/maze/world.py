@@ -7,7 +7,7 @@ means the same with or without its ring of walls.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -39,23 +39,16 @@ class Pose(NamedTuple):
     heading: jax.Array  # int32, 0..3
 
 
-class _Meeting(NamedTuple):
-    """The breadth-first search from all sources at once."""
-
-    seen: jax.Array  # uint32 [H, W, words], sources that have reached each cell, one bit each
-    last: jax.Array  # uint32 [H, W, words], the bits that were new in the last round with any
-    length: jax.Array  # int32, rounds with new bits
-    grew: jax.Array  # bool, the last round had some
+# A search from all sources: uint32 [H, W, words] of the sources that have reached each cell, and of
+# those new in the last round with any; rounds; whether the last one had any.
+_Spread: TypeAlias = tuple["jax.Array", "jax.Array", "jax.Array", "jax.Array"]
 
 
 def longest_path(layout: Array) -> Course:
-    """Find the two empty tiles that lie farthest apart, over all components.
+    """Find the two empty tiles of a layout (int8 [H, W]) that lie farthest apart.
 
     All sources spread at once, one bit each, so the last pairs to meet are the farthest; of these
     the smallest start wins, then the smallest goal (the published tie rule).
-
-    Args:
-        layout: int8 [H, W].
     """
     rows, cols = layout.shape
     cells = rows * cols
@@ -65,17 +58,17 @@ def longest_path(layout: Array) -> Course:
     bits[index, index // 32] = np.uint32(1) << (index % 32).astype(np.uint32)
     own = jnp.where(free, bits.reshape(rows, cols, -1), np.uint32(0))
 
-    def expand(now: _Meeting) -> _Meeting:
-        near = now.seen
+    def expand(now: _Spread) -> _Spread:
+        seen, last, length, _ = now
+        near = seen
         for move in MOVES:
-            near = near | jax.vmap(lambda plane, m=move: shift(plane, m), 2, 2)(now.seen)
-        fresh = jnp.where(free, near, np.uint32(0)) & ~now.seen
+            near = near | jax.vmap(lambda plane, m=move: shift(plane, m), 2, 2)(seen)
+        fresh = jnp.where(free, near, np.uint32(0)) & ~seen
         grew = fresh.any()
-        last = jnp.where(grew, fresh, now.last)
-        return _Meeting(now.seen | fresh, last, now.length + grew, grew)
+        return seen | fresh, jnp.where(grew, fresh, last), length + grew, grew
 
-    first = _Meeting(own, jnp.zeros_like(own), jnp.int32(0), jnp.bool_(True))
-    _, last, length, _ = jax.lax.while_loop(lambda now: now.grew, expand, first)
+    first = (own, jnp.zeros_like(own), jnp.int32(0), jnp.bool_(True))
+    _, last, length, _ = jax.lax.while_loop(lambda now: now[3], expand, first)
     last = last.reshape(cells, -1)
     source = jnp.bitwise_or.reduce(last, axis=0)  # sources that met a partner in the last round
     shifts = jnp.arange(32, dtype=jnp.uint32)
@@ -91,41 +84,22 @@ def is_solvable(layout: Array) -> jax.Array:
 
 
 def canvas(layout: Array, goal: Array) -> jax.Array:
-    """Surround a layout with walls and mark its goal, so that every view can be read from it.
-
-    Returns:
-        int8 [H + 8, W + 8] of view kinds.
-    """
+    """Surround a layout with walls and mark its goal: int8 [H + 8, W + 8] of view kinds."""
     kinds = jnp.asarray(layout).reshape(-1).at[goal].set(GOAL).reshape(layout.shape)
     return jnp.pad(kinds, REACH, constant_values=WALL)
 
 
-def _view_offsets(width: int) -> np.ndarray:
-    """List how far each view cell lies from the agent on a canvas `width` wide.
+def view(kinds: Array, place: Array, heading: Array) -> jax.Array:
+    """Read what the agent sees from a flat index of a `canvas` (int8 [5, 5] of kinds, [x, y]).
 
-    Returns:
-        int32 [4, 5, 5], by heading, view x (to the agent's right), view y (4 is the agent's row).
+    x goes to the agent's right, y ahead of it to its own row, 4; walls hide nothing.
     """
     ahead = REACH - np.arange(5)[None, None, :, None]
     right = np.arange(5)[None, :, None, None] - 2
     facing = HEADINGS[:, None, None, :]
     sideways = HEADINGS[(np.arange(4) + 1) % 4][:, None, None, :]
-    step = ahead * facing + right * sideways
-    return (step[..., 0] * width + step[..., 1]).astype(np.int32)
-
-
-def view(kinds: Array, place: Array, heading: Array) -> jax.Array:
-    """Read what the agent sees; walls hide nothing.
-
-    Args:
-        kinds: int8 [H + 8, W + 8], a `canvas`.
-        place: int32, the agent's flat index on the canvas.
-        heading: int32.
-
-    Returns:
-        int8 [5, 5] of view kinds, indexed [x, y].
-    """
-    offsets = jnp.asarray(_view_offsets(kinds.shape[1]))
+    step = ahead * facing + right * sideways  # (rows, columns) by heading, x and y
+    offsets = jnp.asarray((step[..., 0] * kinds.shape[1] + step[..., 1]).astype(np.int32))
     return jnp.asarray(kinds).reshape(-1)[place + offsets[heading]]
 
 
@@ -146,15 +120,9 @@ def in_layout(place: jax.Array, width: int) -> jax.Array:
 
 
 def step(kinds: Array, pose: Pose, action: Array | int) -> tuple[Pose, jax.Array]:
-    """Act once.
+    """Act once on a `canvas`; `pose.position` is a flat index of it.
 
-    Args:
-        kinds: int8 [H + 8, W + 8], a `canvas`; `pose.position` is a flat index of it.
-        pose: where the agent is.
-        action: int32.
-
-    Returns:
-        The new pose and whether the goal is reached; the agent never stands on the goal.
+    Returns the new pose and whether the goal is reached; the agent never stands on the goal.
     """
     turn = jnp.where(action == TURN_RIGHT, 1, 0) - jnp.where(action == TURN_LEFT, 1, 0)
     strides = jnp.asarray(HEADINGS @ np.array([kinds.shape[1], 1]), jnp.int32)

@@ -57,10 +57,10 @@ def simulate_into(
         agents: number of agents.
         settings: of the run, its seed among them.
     """
-    run = make_run(world, settings, agents, outcome.buffer.block)
+    run = make_run(world, settings, agents, outcome.block)
     if world.valid:
         place_agents(run)
-        outcome.buffer.start[:agents] = run.agents.position
+        outcome.start[:agents] = run.agents.position
         with _under_way(run):
             run_to_the_end(planner, run, world.traversable.shape)
     metrics, counters = outcome.metrics, run.counters

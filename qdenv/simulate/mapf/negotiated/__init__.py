@@ -3,9 +3,9 @@
 How to read it:
 
 1. `planner` says what it does and where the ideas come from; `settings` has its numbers.
-2. `rules` and `path_rules` hold every rule of the search, once. What they are to compute, the best
-   path of one agent past the reservations of the others, is specified by the uniform-cost search
-   over all states in the tests (`tests/mapf_oracle.py`).
+2. `rules` and `path_rules` hold the rules that both backends share. What the search computes, the
+   best path of one agent past the reservations of the others, is specified by the uniform-cost
+   search over all states in the tests (`tests/mapf_oracle.py`).
 3. `numba` computes it for one agent at a time and is the easier half to read: `reservations`
    (who holds which cells), `search` (what an agent can reach, and the cheapest end), `backtrack`
    (the way there), `rounds` (who plans when, and who wins).
@@ -13,5 +13,5 @@ How to read it:
    `reservations` (and how they are packed in bits), `observation` (what an agent sees), `search`
    (what it can reach, the cheapest end and the way there), `rounds`.
 
-The backends hold memory layout and control flow only, and give the same paths to the bit.
+Both backends give the same paths to the bit.
 """

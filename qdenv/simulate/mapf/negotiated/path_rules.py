@@ -1,7 +1,4 @@
-"""The rules of a path, once: what its end costs, how ends are told apart, how it is read back.
-
-Plain operators for both backends, as in `rules`.
-"""
+"""The codes of the ends of paths, and how a path is read back; for both backends, as `rules`."""
 
 from typing import Generic, NamedTuple
 
@@ -27,51 +24,17 @@ class PathState(NamedTuple, Generic[Value]):
     elapsed: Value  # timesteps served here; -1 while driving
 
 
-# The cost and the code of an end.
-
-
-@shared
-def cost_after_goal(distance: Value, next_service: Value) -> Value:
-    """Price what follows the current goal: the way to the next one and the service there."""
-    return COST_UNIT * (distance + next_service)
-
-
-@shared
-def driving_cost(distance: Value, service_time: Value, after: Value) -> Value:
-    """Price what is left at the end of a window, on the way to a goal.
-
-    Args:
-        distance: steps still to go.
-        service_time: of that goal.
-        after: cost of what follows it; 0 on leg 1.
-    """
-    return COST_UNIT * distance + (COST_UNIT * service_time + after)
-
-
-@shared
-def serving_cost(service_time: Value, elapsed: Value, after: Value) -> Value:
-    """Price what is left at the end of a window, while serving for `elapsed` timesteps."""
-    left = service_time - elapsed
-    return COST_UNIT * left * (left > 0) + after
-
-
-@shared
-def f_cost(cost: Value, conflicts: int, penalty: Value) -> Value:
-    """Add the price of the conflicts on the way."""
-    return cost + conflicts * penalty
-
-
 @shared
 def driving_end(
     leg: int, conflicts: int, levels: int, row: Value, column: Value, side: int
 ) -> Value:
-    """Give the end of a path in a cell its code, below ``2 * levels * side**2``."""
+    """Return the code of an end in a cell, below ``2 * levels * side**2``."""
     return ((leg * levels + conflicts) * side + row) * side + column
 
 
 @shared
 def serving_end(leg: int, conflicts: int, levels: int, elapsed: Value, side: int) -> Value:
-    """Give the end of a path in service its code; they follow those of `driving_end`."""
+    """Return the code of an end in service; they follow those of `driving_end`."""
     return LEGS * levels * side * side + (leg * levels + conflicts) * SERVED_BITS + elapsed
 
 
@@ -85,15 +48,6 @@ def unpack_end(code: Value, levels: int, side: int) -> PathState[Value]:
     block, inside = code // size, code % size
     elapsed = serving * (inside + 1) - 1
     return PathState(block // levels, block % levels, inside // side, inside % side, elapsed)
-
-
-@shared
-def end_key(cost: Value, code: Value, tie_breaker: Value) -> Value:
-    """Pack cost and code into one number: the smallest is the best end, ties fall by chance."""
-    return (cost << CODE_BITS) | (code ^ tie_breaker)
-
-
-# Ties between ends.
 
 
 @shared
@@ -113,27 +67,25 @@ def is_flipped(tie_break: Value) -> Value:
 
 @shared
 def is_entry(state: PathState[Value], on_first_goal: Value, just_served: Value) -> Value:
-    """Return whether leg 1 began here, by ending the service at the current goal."""
+    """Return True where leg 1 began here, by ending the service at the current goal."""
     return (state.elapsed < 0) & (state.leg == 1) & on_first_goal & just_served
 
 
 @shared
 def service_conflict(conflicts: Value, disturbed: Value, fewer_served: Value) -> Value:
-    """Return whether the last timestep of a service added a conflict.
+    """Return True where the last timestep of a service added a conflict.
 
-    Args:
-        conflicts: after it.
-        disturbed: another agent has reserved the goal then.
-        fewer_served: a path with one conflict less served for one timestep less.
+    The goal was `disturbed` by another agent's reservation then, and a path with one conflict less
+    had served for one timestep less.
     """
     return (conflicts > 0) & disturbed & fewer_served
 
 
 @shared
 def move_at(rank: int, flipped: Value) -> Value:
-    """Name the move to try at each rank: waiting first, so a path drives early and waits late.
+    """Return the move to try at a rank, and the rank of a move: it is its own inverse.
 
-    Its own inverse: it also gives the rank of a move.
+    Waiting comes first, so that a path, which is read backwards, drives early and waits late.
     """
     return rank + (rank > 0) * (5 - 2 * rank) * flipped
 
@@ -152,12 +104,9 @@ def column_before(column: Value, move: int) -> Value:
 
 @shared
 def is_predecessor(same: Value, fewer: Value, conflicting: Value, cap: Value) -> Value:
-    """Return whether a path can have come from a cell.
+    """Return True where a path can have come from a cell.
 
-    Args:
-        same: paths go on from there with as many conflicts.
-        fewer: paths go on from there with one conflict less.
-        conflicting: the step conflicts.
-        cap: this is the last conflict level.
+    Paths go on from there with as many conflicts (`same`) or with one less (`fewer`); the step is
+    `conflicting`; `cap`, this is the last conflict level.
     """
     return (same & ((conflicting == 0) | cap)) | (fewer & conflicting)

@@ -29,60 +29,44 @@ from qdenv.simulate.mapf.negotiated.settings import (
     MAX_WINDOW,
     NegotiatedConfig,
 )
-from qdenv.simulate.mapf.negotiated.xla.rounds import PlanResult, negotiate, path_conflicts
+from qdenv.simulate.mapf.negotiated.xla.rounds import negotiate, path_conflicts
 from qdenv.simulate.mapf.pibt import planner as pibt
 from qdenv.simulate.mapf.planner import AgentState, Planner, World
 
 
 def negotiated(config: NegotiatedConfig) -> Planner:
     """Make the planner; both backends give the same paths to the bit."""
+    last_resort = pibt.wait if config.last_resort == "wait" else pibt.rollout
 
     def plan(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:
-        window, seed = state.previous.shape[0] - 1, chance.seed_of(key)
+        window, agents = state.previous.shape[0] - 1, state.position.shape[0]
         ahead = config.planned_ahead(window, horizon)
         near = state._replace(previous=state.previous[: ahead + 1])
+
+        def fall_back(_: None) -> jax.Array:
+            resort = last_resort(world, near, horizon, key)
+            conflicts = path_conflicts(result.paths[: horizon + 1], resort[: horizon + 1])
+            conflicts = conflicts & ~jnp.eye(agents, dtype=bool)
+            conflicts = conflicts & state.active[:, None] & state.active[None, :]
+
+            def widen(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+                falls, _ = carry
+                more = falls | (conflicts & falls[None, :]).any(1)
+                return more, (more != falls).any()
+
+            begin = (~result.is_reserved, jnp.bool_(True))
+            falls, _ = jax.lax.while_loop(lambda carry: carry[1], widen, begin)
+            paths = jnp.where(falls, resort, result.paths)
+            # Beyond the horizon the two kinds of path may conflict: forget that part.
+            beyond = jnp.arange(ahead + 1)[:, None] > horizon
+            return jnp.where(beyond, paths[horizon], paths)
+
         # Sets of cells broadcast over agents on purpose, also where a caller forbids it at large.
         with jax.numpy_rank_promotion("allow"):
-            result = negotiate(config, world, near, horizon, seed)
-            paths = _fall_back(config, world, near, horizon, result, key)
-        rest = jnp.broadcast_to(paths[-1], (window - ahead, paths.shape[1]))
+            result = negotiate(config, world, near, horizon, chance.seed_of(key))
+            paths = jax.lax.cond(result.is_reserved.all(), lambda _: result.paths, fall_back, None)
+        rest = jnp.broadcast_to(paths[-1], (window - ahead, agents))
         return jnp.concatenate([paths, rest])
 
     on_host = host_planner(config) if runs_on_host(config.backend) else None
     return Planner(plan, MAX_WINDOW, MAX_SERVICE, MARGIN, on_host)
-
-
-def _fall_back(
-    config: NegotiatedConfig,
-    world: World,
-    state: AgentState,
-    horizon: int,
-    result: PlanResult,
-    key: jax.Array,
-) -> jax.Array:
-    """Give agents without a reservation the last resort, and everybody in their way too."""
-
-    def joint_plan() -> jax.Array:
-        if config.last_resort == "wait":
-            return pibt.wait(world, state, horizon, key)
-        return pibt.rollout(world, state, horizon, key)
-
-    def mix(_: None) -> jax.Array:
-        resort = joint_plan()
-        conflicts = path_conflicts(result.paths[: horizon + 1], resort[: horizon + 1])
-        conflicts = conflicts & ~jnp.eye(conflicts.shape[0], dtype=bool)
-        conflicts = conflicts & state.active[:, None] & state.active[None, :]
-
-        def widen(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            falls, _ = carry
-            more = falls | (conflicts & falls[None, :]).any(1)
-            return more, (more != falls).any()
-
-        begin = (~result.is_reserved, jnp.bool_(True))
-        falls, _ = jax.lax.while_loop(lambda carry: carry[1], widen, begin)
-        paths = jnp.where(falls, resort, result.paths)
-        # Beyond the horizon the two kinds of path may conflict: forget that part.
-        beyond = jnp.arange(paths.shape[0])[:, None] > horizon
-        return jnp.where(beyond, paths[horizon], paths)
-
-    return jax.lax.cond(result.is_reserved.all(), lambda _: result.paths, mix, None)

@@ -6,10 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.grid import NUM_MOVES
-from qdenv.simulate.mapf.negotiated import path_rules, rules
-from qdenv.simulate.mapf.negotiated.xla.reservations import (
-    around,
-)
+from qdenv.simulate.mapf.negotiated import rules
+from qdenv.simulate.mapf.negotiated.path_rules import COST_UNIT
+from qdenv.simulate.mapf.negotiated.xla.reservations import around
 from qdenv.simulate.mapf.planner import AgentState, World
 
 
@@ -38,53 +37,52 @@ class LocalWindow(NamedTuple):
         """Rows and columns in sight (E)."""
         return self.traversable.shape[0]
 
-    @property
-    def middle(self) -> int:
-        """Row and column of the agent itself."""
-        return self.side // 2
-
-
-class Planning(NamedTuple):
-    """Who plans in one round."""
-
-    agent: jax.Array  # int32 [K]
-    penalty: jax.Array  # int32 [K], cost of a conflict
-    tie_break: jax.Array  # int32 [K], random bits that settle ties
-
 
 def gather(
-    world: World, state: AgentState, table: jax.Array, walls: jax.Array, who: Planning
+    world: World,
+    state: AgentState,
+    table: jax.Array,
+    walls: jax.Array,
+    agent: jax.Array,
+    penalty: jax.Array,
+    tie_break: jax.Array,
 ) -> LocalWindow:
-    """Cut out what agents see.
+    """Cut out what K agents see.
 
     Args:
         world: the layout.
         state: all agents; the length of its previous paths is the window.
         table: uint32, flat, the packed reservations (`empty`).
         walls: uint32 [H', words], the packed traversable cells.
-        who: the agents that look.
+        agent: int32 [K].
+        penalty: int32 [K], cost of a conflict.
+        tie_break: int32 [K], random bits that settle ties.
     """
-    width = world.traversable.shape[1]
+    width, size = world.traversable.shape[1], world.traversable.size
     window = state.previous.shape[0] - 1
     side = 2 * window + 1
-    position, rows = state.position[who.agent], state.row[:, who.agent]
-    service_time = state.service_time[:, who.agent]
-    cells = world.goals.cells[state.goal[:, who.agent]]
-    row = rules.goal_row(cells, position, width, window)
-    column = rules.goal_column(cells, position, width, window)
+    position, rows = state.position[agent], state.row[:, agent]
+    service_time = state.service_time[:, agent]
+    goals = world.goals.cells[state.goal[:, agent]]
+    row = rules.goal_row(goals, position, width, window)
+    column = rules.goal_column(goals, position, width, window)
     ends = jnp.stack([rules.ends_leg(leg, service_time[leg]) for leg in range(2)])
     seen = ends & rules.is_visible(row, column, side)
     # A goal out of sight keeps place (0, 0) and an empty set: no branch, and nothing ever arrives.
     row, column = jnp.where(seen, row, 0), jnp.where(seen, column, 0)
     bit = jnp.where(seen, jnp.uint32(1) << column.astype(jnp.uint32), 0)
     goal = jnp.where(jnp.arange(side)[:, None] == row[:, None], bit[:, None], 0)
-    after = path_rules.cost_after_goal(
-        state.distance[rows[1], cells[0]].astype(jnp.int32), service_time[1]
-    )
-    to_go = _distance_to_go(world, state.distance, position, rows, window)
+    # Once the current goal is done, the way to the next one and the service there are left.
+    onwards = state.distance[rows[1], goals[0]].astype(jnp.int32)
+    after = COST_UNIT * (onwards + service_time[1])
+    # Steps from every cell in sight to both goals.
+    step = jnp.arange(-window, window + 1)
+    cell = jnp.clip(position + (step[:, None] * width + step)[:, :, None], 0, size - 1)
+    distance = state.distance.reshape(-1)[rows[:, None, None] * size + cell].astype(jnp.int32)
+    shortest = COST_UNIT * (distance[0, window, window] + service_time[0]) + after
     # On the first leg the whole second one is still to come, whichever cell the window ends on.
     after_leg = jnp.stack([after, jnp.zeros_like(after)])
-    shortest = path_rules.driving_cost(to_go[0, window, window], service_time[0], after)
+    fixed = COST_UNIT * service_time + after_leg - shortest
     planes = table.reshape(-1, NUM_MOVES, *walls.shape)
     return LocalWindow(
         reserved=around(planes, position, width, window),
@@ -92,31 +90,11 @@ def gather(
         goal=goal.astype(jnp.uint32),
         goal_row=row,
         goal_column=column,
-        cost_to_go=path_rules.driving_cost(
-            to_go, service_time[:, None, None], (after_leg - shortest)[:, None, None]
-        ),
+        cost_to_go=COST_UNIT * distance + fixed[:, None, None],
         cost_after_goal=after,
         shortest=shortest,
         service_time=service_time,
-        remaining_service=state.remaining_service[who.agent],
-        penalty=who.penalty,
-        tie_break=who.tie_break,
+        remaining_service=state.remaining_service[agent],
+        penalty=penalty,
+        tie_break=tie_break,
     )
-
-
-def _distance_to_go(
-    world: World, distance: jax.Array, position: jax.Array, rows: jax.Array, window: int
-) -> jax.Array:
-    """Look up the steps from every cell in sight to both goals (int32 [2, E, E, K])."""
-    width, size = world.traversable.shape[1], world.traversable.size
-    step = jnp.arange(-window, window + 1)
-    cell = position + (step[:, None] * width + step)[:, :, None]
-    cell = jnp.clip(cell, 0, size - 1)
-    place = rows[:, None, None] * size + cell
-    return distance.reshape(-1)[place].astype(jnp.int32)
-
-
-def conflicting_cells(reserved: jax.Array) -> rules.ByMove[jax.Array]:
-    """Find where arriving by each move conflicts with the planes of one step (uint32 [5, ...])."""
-    cell, right, left, down, up = reserved
-    return rules.conflicting_cells((cell, right, left, down, up))

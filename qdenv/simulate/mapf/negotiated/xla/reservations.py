@@ -25,7 +25,7 @@ _COPIES = 3  # words that hold one cell
 
 
 def _words_per_row(width: int) -> int:
-    """Count the words of one row of `width` cells."""
+    """Return the number of words for a row of `width` cells."""
     return -(-width // _STRIDE)
 
 
@@ -47,14 +47,10 @@ def empty(window: int, rows: int, width: int) -> jax.Array:
 def add_paths(
     table: jax.Array, paths: jax.Array, mask: jax.Array, shape: tuple[int, int], sign: int = 1
 ) -> jax.Array:
-    """Add (or with ``sign=-1`` remove) the reservations of some paths.
+    """Add (or with ``sign=-1`` remove) the reservations of some paths to a table from `empty`.
 
-    Args:
-        table: from `empty`.
-        paths: int32 [window + 1, K], positions of the padded grid.
-        mask: bool [K], which of them.
-        shape: (H', W').
-        sign: 1 or -1.
+    `paths` are positions of the padded grid (H', W') (int32 [window + 1, K]), `mask` says which of
+    them count (bool [K], or [window, K] for single steps).
     """
     rows, width = shape
     words = _words_per_row(width)
@@ -84,16 +80,10 @@ def add_paths(
 
 
 def around(packed: jax.Array, position: jax.Array, width: int, reach: int) -> jax.Array:
-    """Cut the square of ``2 * reach + 1`` cells around every agent.
+    """Cut the square of ``2 * reach + 1`` cells around every agent (uint32 [..., side, K]).
 
-    Args:
-        packed: uint32 [..., H', words].
-        position: int32 [K].
-        width: W'.
-        reach: rows and columns to each side, at most 10.
-
-    Returns:
-        uint32 [..., 2 * reach + 1, K]: bit j of row i is the cell ``(i - reach, j - reach)`` away.
+    Bit j of row i is the cell ``(i - reach, j - reach)`` away from `position` (int32 [K]) in the
+    words of a grid of `width` columns (uint32 [..., H', words]). A word holds a reach of 10.
     """
     words = _words_per_row(width)
     row, column = position // width, position % width - reach
@@ -121,57 +111,23 @@ class Reservations(NamedTuple):
         return self.reserved_steps == self.paths.shape[0] - 1
 
 
-class Accepted(NamedTuple):
-    """New paths that do not conflict with one another."""
-
-    agent: jax.Array  # int32 [K]
-    paths: jax.Array  # int32 [window + 1, K]
-    mask: jax.Array  # bool [K], which of them count
-
-
-def no_reservations(state: AgentState, shape: Shape) -> Reservations:
-    """Begin without any; padding agents count as if they had their path."""
-    window = state.previous.shape[0] - 1
-    return Reservations(
-        table=empty(window, *shape),
-        owner=jnp.full((window + 1, shape[0] * shape[1]), NOBODY, jnp.int32),
-        paths=jnp.broadcast_to(state.position, state.previous.shape),
-        reserved_steps=jnp.where(state.active, 0, window),
-    )
-
-
-def remember(
-    reservations: Reservations, state: AgentState, shape: Shape, steps: int
-) -> Reservations:
+def begin(state: AgentState, shape: Shape, steps: int) -> Reservations:
     """Reserve the first steps of everybody's previous path until they plan themselves.
 
-    They bind no agent, but tell whom to avoid where avoiding costs nothing.
+    They bind no agent, but show whom to avoid where avoiding costs nothing. Padding agents count
+    as if they had their path.
     """
-    count = state.position.shape[0]
     time = jnp.arange(state.previous.shape[0])[:, None]
+    window, cells = state.previous.shape[0] - 1, shape[0] * shape[1]
     live = (time <= steps) & state.active
-    place = jnp.where(live, state.previous, reservations.owner.shape[1])
-    agents = jnp.broadcast_to(jnp.arange(count), place.shape)
+    place = jnp.where(live, state.previous, cells)
+    agents = jnp.broadcast_to(jnp.arange(state.position.shape[0]), place.shape)
+    owner = jnp.full((window + 1, cells), NOBODY, jnp.int32)
     return Reservations(
-        table=add_paths(reservations.table, state.previous, live[1:], shape),
-        owner=reservations.owner.at[time, place].set(agents, mode="drop"),
+        table=add_paths(empty(window, *shape), state.previous, live[1:], shape),
+        owner=owner.at[time, place].set(agents, mode="drop"),
         paths=state.previous,
-        reserved_steps=jnp.where(state.active, steps, reservations.reserved_steps),
-    )
-
-
-def reserve(reservations: Reservations, shape: Shape, accepted: Accepted) -> Reservations:
-    """Reserve accepted paths, which conflict with no reservation any more."""
-    count, (agent, paths, mask) = reservations.reserved_steps.shape[0], accepted
-    time = jnp.arange(paths.shape[0])[:, None]
-    place = jnp.where(mask, paths, reservations.owner.shape[1])
-    winners = jnp.where(mask, agent, count)
-    owners = jnp.broadcast_to(agent, paths.shape)
-    return Reservations(
-        table=add_paths(reservations.table, paths, mask, shape),
-        owner=reservations.owner.at[time, place].set(owners, mode="drop"),
-        paths=reservations.paths.at[:, winners].set(paths, mode="drop"),
-        reserved_steps=reservations.reserved_steps.at[winners].set(paths.shape[0] - 1, mode="drop"),
+        reserved_steps=jnp.where(state.active, steps, window),
     )
 
 
@@ -190,26 +146,36 @@ def release(reservations: Reservations, shape: Shape, agents: jax.Array) -> Rese
     )
 
 
-def evict(reservations: Reservations, shape: Shape, accepted: Accepted) -> Reservations:
-    """Release the agents whose reservations accepted paths drive over, a few at a time."""
-    count, lanes = reservations.reserved_steps.shape[0], accepted.agent.shape[0]
+def accept(
+    reservations: Reservations, shape: Shape, agent: jax.Array, paths: jax.Array, mask: jax.Array
+) -> Reservations:
+    """Reserve new paths and release the agents whose reservations they drive over.
 
-    def some(carry: tuple[Reservations, jax.Array]) -> tuple[Reservations, jax.Array]:
+    The paths (int32 [window + 1, K]) of `agent` (int32 [K]) do not conflict with one another;
+    `mask` (bool [K]) says which of them count.
+    """
+    count, lanes = reservations.reserved_steps.shape[0], agent.shape[0]
+    time, owner = jnp.arange(paths.shape[0])[:, None], reservations.owner
+    met, ahead = owner[time[1:], paths[1:]], owner[time[:-1], paths[1:]]
+    # A swap: whoever is ahead before the step is behind after it.
+    swapped = (ahead != NOBODY) & (owner[time[1:], paths[:-1]] == ahead)
+    losers = jnp.stack([met, jnp.where(swapped, ahead, NOBODY)])
+    losers = jnp.where(mask & (losers != NOBODY), losers, count).reshape(-1)
+    losers = jnp.zeros((count,), bool).at[losers].set(True, mode="drop")
+
+    def release_some(carry: tuple[Reservations, jax.Array]) -> tuple[Reservations, jax.Array]:
         reservations, losers = carry
         agents = jnp.nonzero(losers, size=lanes, fill_value=count)[0]
         return release(reservations, shape, agents), losers.at[agents].set(False, mode="drop")
 
-    losers = _find_losers(reservations, accepted)
-    return jax.lax.while_loop(lambda carry: carry[1].any(), some, (reservations, losers))[0]
-
-
-def _find_losers(reservations: Reservations, accepted: Accepted) -> jax.Array:
-    """Mark the agents whose reservations accepted paths drive over (bool [A])."""
-    count, (_, paths, mask) = reservations.reserved_steps.shape[0], accepted
-    time = jnp.arange(paths.shape[0])[:, None]
-    met = reservations.owner[time[1:], paths[1:]]
-    ahead = reservations.owner[time[:-1], paths[1:]]
-    swapped = rules.is_swapped(ahead, reservations.owner[time[1:], paths[:-1]])
-    losers = jnp.stack([met, jnp.where(swapped, ahead, NOBODY)])
-    losers = jnp.where(mask & (losers != NOBODY), losers, count).reshape(-1)
-    return jnp.zeros((count,), bool).at[losers].set(True, mode="drop")
+    # All releases before all entries: a bit has one owner, so it must be free when it is set.
+    taken = (reservations, losers)
+    free, _ = jax.lax.while_loop(lambda carry: carry[1].any(), release_some, taken)
+    place = jnp.where(mask, paths, owner.shape[1])
+    winners = jnp.where(mask, agent, count)
+    return Reservations(
+        table=add_paths(free.table, paths, mask, shape),
+        owner=free.owner.at[time, place].set(jnp.broadcast_to(agent, paths.shape), mode="drop"),
+        paths=free.paths.at[:, winners].set(paths, mode="drop"),
+        reserved_steps=free.reserved_steps.at[winners].set(paths.shape[0] - 1, mode="drop"),
+    )

@@ -2,10 +2,10 @@
 
 Every set of cells is a square of bits around the agent, one word per row. Which cells can be
 reached at time t + 1 follows from those at time t by shifting words. The sets are kept apart by
-leg and by the number of conflicts (`rules`).
+leg and by the number of conflicts (`rules`); a *mask* is a word that is all ones or empty.
 
 Only the end of a path has a cost: the steps still to go from there, plus a penalty per conflict.
-The path itself is read off backwards by asking which neighbour was expandable one step before.
+The path itself is read off backwards: which neighbour was expandable one step before?
 
 While an agent serves at a goal it is in no set; bit e of `served` says that a path exists by which
 it has been serving for e timesteps.
@@ -19,9 +19,23 @@ import jax.numpy as jnp
 from qdenv.grid import NUM_MOVES
 from qdenv.simulate.mapf.negotiated import path_rules, rules
 from qdenv.simulate.mapf.negotiated.path_rules import PathState
-from qdenv.simulate.mapf.negotiated.xla.observation import LocalWindow, conflicting_cells
+from qdenv.simulate.mapf.negotiated.xla.observation import LocalWindow
+
+_ALL = 0xFFFFFFFF  # the mask that holds
 
 PathStates: TypeAlias = PathState[jax.Array]  # of K paths
+
+
+class ReachableSet(NamedTuple):
+    """What can be reached at one timestep; the axes are conflicts (L levels), leg, row, agent.
+
+    The order matters for speed: whole levels and rows move as blocks, agents lie side by side.
+    """
+
+    cells: jax.Array  # uint32 [L, 2, E, K], reached by driving, goals included
+    served: jax.Array  # uint32 [L, 2, K], bit e: serving for e timesteps
+    # uint32 [L, 2, 1, K], mask: on leg 1, service at the current goal just ended
+    just_served: jax.Array
 
 
 class History(NamedTuple):
@@ -34,15 +48,119 @@ class History(NamedTuple):
     served_after: jax.Array  # uint32 [L, 2, K], the same at t + 1
 
 
-def _end_state(local: LocalWindow, code: jax.Array, levels: int) -> PathStates:
-    """Find the end of the path that the search chose."""
-    state = path_rules.unpack_end(code, levels, local.side)
-    agent = jnp.arange(code.shape[0])
-    serving = state.elapsed >= 0
-    return state._replace(
-        row=jnp.where(serving, local.goal_row[state.leg, agent], state.row),
-        column=jnp.where(serving, local.goal_column[state.leg, agent], state.column),
-    )
+def _expandable(local: LocalWindow, reached: ReachableSet) -> jax.Array:
+    """List the cells that paths go on from (uint32 [L, 2, E, K]).
+
+    A goal is left only after service, on the next leg.
+    """
+    return (reached.cells & ~local.goal) | (reached.just_served & local.goal[:1])
+
+
+def _conflicting_cells(reserved: jax.Array) -> tuple[jax.Array, ...]:
+    """Find the cells where arriving by each move conflicts, from the planes of a step [5, ...].
+
+    Wherever another agent arrives, and against the move by which it left a cell: that is a swap.
+    """
+    cell, right, left, down, up = reserved
+    return cell, cell | left, cell | right, cell | up, cell | down
+
+
+def _by_conflicts(clean: jax.Array, conflicting: jax.Array) -> jax.Array:
+    """Give each conflict level (axis 0) its set after a step with a further conflict or without.
+
+    Paths with one conflict more come from the level below; the last level keeps its own.
+    """
+    levels = clean.shape[0]
+    cap = (jnp.arange(levels) == levels - 1).reshape(-1, *[1] * (clean.ndim - 1))
+    below = jnp.concatenate([jnp.zeros_like(conflicting[:1]), conflicting[:-1]])
+    return clean | below | jnp.where(cap, conflicting, 0)
+
+
+def _start(local: LocalWindow, levels: int) -> ReachableSet:
+    """Set what is reached before the first step: the middle, or the service under way."""
+    agents, side = local.penalty.shape[0], local.side
+    middle, driving = side // 2, local.remaining_service == 0
+    here = jnp.where(driving, jnp.uint32(1 << middle), 0)
+    elapsed = (local.service_time[0] - local.remaining_service).astype(jnp.uint32)
+    cells = jnp.zeros((levels, 2, side, agents), jnp.uint32).at[0, 0, middle].set(here)
+    served = jnp.zeros((levels, 2, agents), jnp.uint32)
+    served = served.at[0, 0].set(jnp.where(driving, 0, jnp.uint32(1) << elapsed))
+    # Standing on the goal is not arriving: the path leaves it like any other cell.
+    on_goal = driving & ((local.goal[0, middle] >> middle) & 1 == 1)
+    just_served = jnp.zeros((levels, 2, 1, agents), jnp.uint32)
+    just_served = just_served.at[0, 0, 0].set(jnp.where(on_goal, jnp.uint32(_ALL), 0))
+    return ReachableSet(cells, served, just_served)
+
+
+def _advance(
+    local: LocalWindow, reached: ReachableSet, reserved: jax.Array, disturbed: jax.Array
+) -> ReachableSet:
+    """Take one timestep past its reservations (uint32 [5, E, K]): drive, arrive, serve.
+
+    `disturbed` (uint32 [2, K]) is the mask of goals that another agent has reserved.
+    """
+    here = _expandable(local, reached)
+    edge = jnp.zeros_like(here[:, :, :1])
+    down = jnp.concatenate([edge, here[:, :, :-1]], axis=2)
+    up = jnp.concatenate([here[:, :, 1:], edge], axis=2)
+    clean, conflicting = jnp.zeros_like(here), jnp.zeros_like(here)
+    moved = (here, here << 1, here >> 1, down, up)
+    for arriving, taken in zip(moved, _conflicting_cells(reserved), strict=True):
+        clean, conflicting = clean | (arriving & ~taken), conflicting | (arriving & taken)
+    cells = _by_conflicts(clean & local.traversable, conflicting & local.traversable)
+    longer = reached.served << 1
+    served = _by_conflicts(longer & ~disturbed, longer & disturbed)
+    level, leg, agent = jnp.ogrid[: cells.shape[0], :2, : cells.shape[-1]]
+    on_goal = cells[level, leg, local.goal_row, agent] & local.goal[leg, local.goal_row, agent]
+    served = served | ((on_goal >> local.goal_column.astype(jnp.uint32)) & 1)
+    done = rules.has_served(served[:, 0], local.service_time[0].astype(jnp.uint32))
+    just_served = jnp.stack([jnp.zeros_like(done), -done], axis=1)[:, :, None]
+    return ReachableSet(cells, served, just_served)
+
+
+def _cheapest_end(
+    local: LocalWindow, cells: jax.Array, served: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Choose where to be after the window (cost and code, both int32 [K]).
+
+    `cells` (uint32 [L, 2, E, K]) are expandable at the end, `served` is uint32 [L, 2, K] then.
+    """
+    levels, side = cells.shape[0], local.side
+    row, column = jnp.arange(side)[:, None, None], jnp.arange(side)[:, None]
+    elapsed = jnp.arange(path_rules.SERVED_BITS)[:, None]
+    tie = path_rules.tie_breaker(local.tie_break)
+    best = jnp.full(tie.shape, path_rules.INFEASIBLE, jnp.int32)
+
+    def cheapest(
+        best: jax.Array, is_here: jax.Array, cost: jax.Array, code: jax.Array
+    ) -> jax.Array:
+        # Cost and code in one number: the smallest is the best end, ties fall by chance.
+        key = (cost << path_rules.CODE_BITS) | (code ^ tie)
+        key = jnp.where(is_here, key, path_rules.INFEASIBLE)
+        return jnp.minimum(best, key.min(tuple(range(key.ndim - 1))))
+
+    for leg in range(2):
+        after = (1 - leg) * local.cost_after_goal - local.shortest
+        left = jnp.maximum(local.service_time[leg] - elapsed, 0)
+        service_cost = path_rules.COST_UNIT * left + after
+        for conflicts in range(levels):
+            price = conflicts * local.penalty
+            is_here = (cells[conflicts, leg][:, None] >> column.astype(jnp.uint32)) & 1 == 1
+            code = path_rules.driving_end(leg, conflicts, levels, row, column, side)
+            best = cheapest(best, is_here, local.cost_to_go[leg] + price, code)
+            is_here = rules.has_served(served[conflicts, leg], elapsed.astype(jnp.uint32)) == 1
+            code = path_rules.serving_end(leg, conflicts, levels, elapsed, side)
+            best = cheapest(best, is_here, service_cost + price, code)
+    found = best < path_rules.INFEASIBLE
+    code = jnp.where(found, (best ^ tie) & path_rules.CODES, 0)
+    cost = (best >> path_rules.CODE_BITS) + local.shortest
+    return jnp.where(found, cost, path_rules.INFEASIBLE), code
+
+
+def _is_in(words: jax.Array, column: jax.Array, side: int) -> jax.Array:
+    """Return True where a word (uint32 [K]) has the bit of its column; never beyond the border."""
+    inside = (column >= 0) & (column < side)
+    return inside & ((words >> jnp.clip(column, 0, 31).astype(jnp.uint32)) & 1 == 1)
 
 
 def _predecessor(local: LocalWindow, state: PathStates, step: History) -> PathStates:
@@ -58,20 +176,7 @@ def _predecessor(local: LocalWindow, state: PathStates, step: History) -> PathSt
         leg=jnp.where(entered, 0, state.leg),
         elapsed=jnp.where(entered, service_time, state.elapsed),
     )
-    serving = state.elapsed > 0
-    before = (_serve_before(local, state, step), _drive_before(local, state, step))
-    return PathState(*(jnp.where(serving, one, other) for one, other in zip(*before, strict=True)))
-
-
-def _is_in(words: jax.Array, column: jax.Array, side: int) -> jax.Array:
-    """Return whether each word (uint32 [K]) has the bit of its column; none beyond the border."""
-    inside = (column >= 0) & (column < side)
-    return inside & ((words >> jnp.clip(column, 0, 31).astype(jnp.uint32)) & 1 == 1)
-
-
-def _serve_before(local: LocalWindow, state: PathStates, step: History) -> PathStates:
-    """Serve for one timestep less."""
-    agent = jnp.arange(state.leg.shape[0])
+    # Served for one timestep less.
     fewer = jnp.maximum(state.conflicts - 1, 0)
     elapsed = jnp.maximum(state.elapsed - 1, 0).astype(jnp.uint32)
     conflict = path_rules.service_conflict(
@@ -79,7 +184,9 @@ def _serve_before(local: LocalWindow, state: PathStates, step: History) -> PathS
         _is_in(step.reserved[0, state.row, agent], state.column, local.side),
         rules.has_served(step.served[fewer, state.leg, agent], elapsed) == 1,
     )
-    return state._replace(conflicts=state.conflicts - conflict, elapsed=state.elapsed - 1)
+    served = state._replace(conflicts=state.conflicts - conflict, elapsed=state.elapsed - 1)
+    drove, serving = _drive_before(local, state, step), state.elapsed > 0
+    return PathState(*(jnp.where(serving, a, b) for a, b in zip(served, drove, strict=True)))
 
 
 def _drive_before(local: LocalWindow, state: PathStates, step: History) -> PathStates:
@@ -91,7 +198,7 @@ def _drive_before(local: LocalWindow, state: PathStates, step: History) -> PathS
     flipped = path_rules.is_flipped(local.tie_break)
     conflicts, row, column = state.conflicts, state.row, state.column
     best_rank = jnp.full_like(state.leg, NUM_MOVES)
-    for move, words in enumerate(conflicting_cells(step.reserved[:, state.row, agent])):
+    for move, words in enumerate(_conflicting_cells(step.reserved[:, state.row, agent])):
         i, j = path_rules.row_before(state.row, move), path_rules.column_before(state.column, move)
         inside = jnp.clip(i, 0, side - 1)
         same = step.expandable[state.conflicts, state.leg, inside, agent]
@@ -108,139 +215,14 @@ def _drive_before(local: LocalWindow, state: PathStates, step: History) -> PathS
     return PathState(state.leg, conflicts, row, column, jnp.full_like(state.elapsed, -1))
 
 
-_ALL = 0xFFFFFFFF  # the mask that holds
-
-
-class ReachableSet(NamedTuple):
-    """What can be reached at one timestep; the axes are conflicts (L levels), leg, row, agent.
-
-    The order matters for speed: whole levels and rows move as blocks, agents lie side by side.
-    """
-
-    cells: jax.Array  # uint32 [L, 2, E, K], reached by driving, goals included
-    served: jax.Array  # uint32 [L, 2, K], bit e: serving for e timesteps
-    # uint32 [L, 2, 1, K], mask: on leg 1, service at the current goal just ended
-    just_served: jax.Array
-
-
-def _from_fewer(sets: jax.Array) -> jax.Array:
-    """Give every conflict level (axis 0) the set of the level below; the first gets nothing."""
-    return jnp.concatenate([jnp.zeros_like(sets[:1]), sets[:-1]])
-
-
-def _cap_of(sets: jax.Array) -> jax.Array:
-    """Make the mask of the last conflict level (uint32 [L, 1, ...], as many axes as `sets`)."""
-    levels = sets.shape[0]
-    cap = jnp.where(jnp.arange(levels) == levels - 1, jnp.uint32(_ALL), jnp.uint32(0))
-    return cap.reshape(-1, *[1] * (sets.ndim - 1))
-
-
-def expandable(local: LocalWindow, reached: ReachableSet) -> jax.Array:
-    """List the cells that paths go on from (uint32 [L, 2, E, K])."""
-    return rules.expandable(reached.cells, local.goal, reached.just_served, local.goal[:1])
-
-
-def _serve(
-    local: LocalWindow, cells: jax.Array, served: jax.Array, disturbed: jax.Array
-) -> ReachableSet:
-    """Let the agents at their goals begin, continue or end their service.
-
-    Args:
-        local: what the agents see.
-        cells: uint32 [L, 2, E, K], cells just reached.
-        served: uint32 [L, 2, K], service until one timestep ago.
-        disturbed: uint32 [2, K], mask: another agent has reserved the goal now.
-    """
-    levels, agents = cells.shape[0], cells.shape[-1]
-    served = rules.continue_service(served, _from_fewer(served), disturbed, _cap_of(served))
-    level, leg, agent = jnp.ogrid[:levels, :2, :agents]
-    on_goal = cells[level, leg, local.goal_row, agent] & local.goal[leg, local.goal_row, agent]
-    arrived = (on_goal >> local.goal_column.astype(jnp.uint32)) & 1
-    served = rules.begin_service(served, arrived)
-    done = rules.has_served(served[:, 0], local.service_time[0].astype(jnp.uint32))
-    just_served = jnp.stack([jnp.zeros_like(done), -done], axis=1)[:, :, None]
-    return ReachableSet(cells, served, just_served)
-
-
-def _advance(
-    local: LocalWindow, reached: ReachableSet, reserved: jax.Array, disturbed: jax.Array
-) -> ReachableSet:
-    """Take one timestep past the reservations of that step (uint32 [5, E, K])."""
-    here = expandable(local, reached)
-    edge = jnp.zeros_like(here[:, :, :1])
-    down = jnp.concatenate([edge, here[:, :, :-1]], axis=2)
-    up = jnp.concatenate([here[:, :, 1:], edge], axis=2)
-    clean, clashing = rules.arrivals(
-        (here, here << 1, here >> 1, down, up), conflicting_cells(reserved), local.traversable
-    )
-    cells = rules.count_conflict(clean, clashing, _from_fewer(clashing), _cap_of(clashing))
-    return _serve(local, cells, reached.served, disturbed)
-
-
-def start(local: LocalWindow, levels: int) -> ReachableSet:
-    """Set what is reached before the first step: the middle, or the service under way."""
-    agents, side, middle = local.penalty.shape[0], local.side, local.middle
-    driving = local.remaining_service == 0
-    here = jnp.where(driving, jnp.uint32(1 << middle), 0)
-    elapsed = (local.service_time[0] - local.remaining_service).astype(jnp.uint32)
-    cells = jnp.zeros((levels, 2, side, agents), jnp.uint32).at[0, 0, middle].set(here)
-    served = jnp.zeros((levels, 2, agents), jnp.uint32)
-    served = served.at[0, 0].set(jnp.where(driving, 0, jnp.uint32(1) << elapsed))
-    # Standing on the goal is not arriving: the path leaves it like any other cell.
-    on_goal = driving & ((local.goal[0, middle] >> middle) & 1 == 1)
-    just_served = jnp.zeros((levels, 2, 1, agents), jnp.uint32)
-    just_served = just_served.at[0, 0, 0].set(jnp.where(on_goal, jnp.uint32(_ALL), 0))
-    return ReachableSet(cells, served, just_served)
-
-
-def _cheapest_end(
-    local: LocalWindow, cells: jax.Array, served: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Choose where to be after the window (cost and code, both int32 [K]).
-
-    Args:
-        local: what the agents see.
-        cells: uint32 [L, 2, E, K], expandable at the end.
-        served: uint32 [L, 2, K], at the end.
-    """
-    levels, side = cells.shape[0], local.side
-    row, column = jnp.arange(side)[:, None, None], jnp.arange(side)[:, None]
-    elapsed = jnp.arange(path_rules.SERVED_BITS)[:, None]
-    tie = path_rules.tie_breaker(local.tie_break)
-    best = jnp.full(tie.shape, path_rules.INFEASIBLE, jnp.int32)
-    for leg in range(2):
-        after = (1 - leg) * local.cost_after_goal - local.shortest
-        service_cost = path_rules.serving_cost(local.service_time[leg], elapsed, after)
-        for conflicts in range(levels):
-            cost = path_rules.f_cost(local.cost_to_go[leg], conflicts, local.penalty)
-            code = path_rules.driving_end(leg, conflicts, levels, row, column, side)
-            is_here = (cells[conflicts, leg][:, None] >> column.astype(jnp.uint32)) & 1 == 1
-            key = jnp.where(is_here, path_rules.end_key(cost, code, tie), path_rules.INFEASIBLE)
-            best = jnp.minimum(best, key.min((0, 1)))
-            cost = path_rules.f_cost(service_cost, conflicts, local.penalty)
-            code = path_rules.serving_end(leg, conflicts, levels, elapsed, side)
-            is_here = rules.has_served(served[conflicts, leg], elapsed.astype(jnp.uint32)) == 1
-            key = jnp.where(is_here, path_rules.end_key(cost, code, tie), path_rules.INFEASIBLE)
-            best = jnp.minimum(best, key.min(0))
-    found = best < path_rules.INFEASIBLE
-    code = jnp.where(found, (best ^ tie) & path_rules.CODES, 0)
-    cost = (best >> path_rules.CODE_BITS) + local.shortest
-    return jnp.where(found, cost, path_rules.INFEASIBLE), code
-
-
 def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
-    """Find the best path of every agent in `local`.
-
-    Args:
-        local: what K agents see.
-        levels: how finely conflicts are counted; 1 for not at all.
+    """Find the best path of every agent in `local`, counting conflicts in `levels` levels.
 
     Returns:
         rows and columns relative to the start, int32 [2, window + 1, K], and the cost int32 [K]
         from the end of the window on (`INFEASIBLE` where nothing can be reached).
     """
-    agent = jnp.arange(local.penalty.shape[0])
-    leg = jnp.arange(2)[:, None]
+    agent, leg = jnp.arange(local.penalty.shape[0]), jnp.arange(2)[:, None]
     # Is either goal reserved, at each timestep?
     at_goal = (
         local.reserved[:, 0][:, local.goal_row, agent] & local.goal[leg, local.goal_row, agent]
@@ -250,20 +232,23 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
     def forward(
         reached: ReachableSet, inputs: tuple[jax.Array, jax.Array]
     ) -> tuple[ReachableSet, tuple[jax.Array, jax.Array]]:
-        return _advance(local, reached, *inputs), (expandable(local, reached), reached.served)
+        return _advance(local, reached, *inputs), (_expandable(local, reached), reached.served)
 
-    last, (cells, served) = jax.lax.scan(forward, start(local, levels), (local.reserved, disturbed))
-    cost, code = _cheapest_end(local, expandable(local, last), last.served)
-    history = History(
-        reserved=local.reserved,
-        expandable=cells,
-        served=served,
-        served_after=jnp.concatenate([served[1:], last.served[None]]),
+    begin = _start(local, levels)
+    last, (cells, served) = jax.lax.scan(forward, begin, (local.reserved, disturbed))
+    cost, code = _cheapest_end(local, _expandable(local, last), last.served)
+    served_after = jnp.concatenate([served[1:], last.served[None]])
+    end = path_rules.unpack_end(code, levels, local.side)
+    serving = end.elapsed >= 0
+    end = end._replace(
+        row=jnp.where(serving, local.goal_row[end.leg, agent], end.row),
+        column=jnp.where(serving, local.goal_column[end.leg, agent], end.column),
     )
 
     def backward(state: PathStates, step: History) -> tuple[PathStates, jax.Array]:
         return _predecessor(local, state, step), jnp.stack([state.row, state.column])
 
-    first, path = jax.lax.scan(backward, _end_state(local, code, levels), history, reverse=True)
-    begin = jnp.stack([first.row, first.column])
-    return jnp.concatenate([begin[None], path]).swapaxes(0, 1) - local.middle, cost
+    history = History(local.reserved, cells, served, served_after)
+    first, path = jax.lax.scan(backward, end, history, reverse=True)
+    path = jnp.concatenate([jnp.stack([first.row, first.column])[None], path])
+    return path.swapaxes(0, 1) - local.side // 2, cost
