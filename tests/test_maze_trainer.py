@@ -16,7 +16,6 @@ from qdenv.agent import levels, ppo
 from qdenv.agent.train import (
     choose,
     load_state,
-    save_state,
     save_weights,
     train_agent,
 )
@@ -253,9 +252,8 @@ def test_a_checkpoint_holds_the_anchor_the_run_began_with(tmp_path):
     first = draw_weights(jax.random.key(6), 4, 3)
     save_weights(first, tmp_path / "first.npz")
     config = replace(CONFIG, method="dr", warm_start=str(tmp_path / "first.npz"), anchor=0.5)
-    state, _ = jax.jit(update, static_argnums=1)(start(config), config)
-    save_state(tmp_path / "state.npz", state, {})
-    state, _ = load_state(tmp_path / "state.npz", start(config))
+    train_agent(config, tmp_path / "run", report_every=1, cpu_seconds=0)
+    state, _ = load_state(tmp_path / "run/checkpoint.npz", start(config))
     chex.assert_trees_all_equal(state.anchor.weights, first)
     assert np.abs(state.anchor.memory.hidden).max() > 0
     assert (state.weights.actor != first.actor).any()

@@ -129,14 +129,9 @@ def evaluate_agent(
 ) -> Success:
     """Measure how often the agent reaches the goal of one maze of any size (host side).
 
-    Args:
-        weights: the agent.
-        layout: int8 [H, W], with or without a ring of walls.
-        seed: of headings and actions.
-        runs: independent episodes.
-        horizon: actions per episode; `default_horizon` unless given.
-        reference_batching: run the published loop with its quirks (`qdenv.simulate.maze.published`)
-            instead of independent episodes.
+    The maze (int8 [H, W]) may have a ring of walls. Each of the independent runs ends after
+    `horizon` actions, `default_horizon` unless given. With `reference_batching` the published loop
+    with its quirks runs instead (`qdenv.simulate.maze.published`).
 
     Raises:
         InputError: no runs, or a maze in which no two empty tiles touch.
@@ -204,9 +199,9 @@ def compare_with_random(
         weights: the agent.
         layout: int8 [H, W], the maze to compare with, with or without a ring of walls.
         mazes: number of random mazes.
-        runs: independent episodes per maze.
+        runs: independent episodes per maze, each of at most `horizon` actions.
         seed: of walls, headings and actions.
-        horizon: actions per episode; `default_horizon` unless given.
+        horizon: `default_horizon` unless given.
         band: least and largest length of the longest shortest path, as shares of the given maze's.
         progress: called with the progress.
 

@@ -231,11 +231,7 @@ def replay_probabilities(
 
 
 def update_scores(
-    buffer: LevelBuffer,
-    update: jax.Array,
-    slot: jax.Array,
-    serial: jax.Array,
-    advantage: jax.Array,
+    buffer: LevelBuffer, update: jax.Array, slot: jax.Array, serial: jax.Array, advantage: jax.Array
 ) -> LevelBuffer:
     """Score the levels that were just played by their mean positive advantage.
 

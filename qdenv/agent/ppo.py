@@ -214,11 +214,7 @@ def _loss(
         total += anchor * (jnp.exp(known) * (known - log_probs)).sum(-1).mean()
     # (r - 1) - log r is never negative and has the divergence from the old policy as its mean.
     divergence = ((ratio - 1) - log_ratio).mean()
-    return total, {
-        "entropy": policy_entropy,
-        "divergence": divergence,
-        "value_error": value_error,
-    }
+    return total, {"entropy": policy_entropy, "divergence": divergence, "value_error": value_error}
 
 
 def learn(

@@ -48,14 +48,8 @@ def save_weights(weights: Weights, path: Path, dtype: DTypeLike = np.float32) ->
     write_arrays(path, arrays, compressed=True)
 
 
-def save_state(path: Path, state: Any, facts: dict[str, Any]) -> None:
-    """Write a pytree of arrays with JSON-ready facts beside it."""
-    leaves = jax.tree.leaves(state)
-    write_state(path, {str(n): np.asarray(leaf) for n, leaf in enumerate(leaves)}, facts, _FACTS)
-
-
 def load_state(path: Path, like: Any) -> tuple[Any, Facts]:
-    """Read what `save_state` wrote, bit for bit, into the structure of the pytree `like`.
+    """Read a checkpoint, bit for bit, into the structure of the pytree `like`.
 
     Raises:
         InputError: missing, damaged, newer, or of a run with other sizes.
@@ -130,8 +124,7 @@ def train_agent(
             line of the log by its update, and agent.npz, the mean of the last of these.
         resume: go on from the folder's checkpoint; `config` may have more steps or another method,
             but no other sizes.
-        report_every: updates between two lines of the log, each with a checkpoint and an exam on
-            held-out mazes.
+        report_every: updates between two lines of the log, each with a checkpoint and an exam.
         cpu_seconds: stop after about this many CPU seconds, ready to be resumed.
         progress: called with the number of updates, and after some of them the log's new line.
 
@@ -172,7 +165,8 @@ def train_agent(
         }
         logs = []
         # The log comes last: a run killed in between misses a line of it and repeats none.
-        save_state(checkpoint, state, {"cpu_seconds": spent})
+        leaves = {str(n): np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(state))}
+        write_state(checkpoint, leaves, {"cpu_seconds": spent}, _FACTS)
         save_weights(state.weights, out / "agents" / f"{done:06}.npz")
         row |= choose(out, config.average, examine)
         with (out / "curve.jsonl").open("a") as log:

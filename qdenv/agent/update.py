@@ -16,16 +16,7 @@ from qdenv.agent.levels import (
     replay_probabilities,
     update_scores,
 )
-from qdenv.agent.ppo import (
-    Batch,
-    EnvState,
-    Rewards,
-    advantages,
-    collect,
-    learn,
-    reset_env,
-    unroll,
-)
+from qdenv.agent.ppo import Batch, EnvState, Rewards, advantages, collect, learn, reset_env, unroll
 from qdenv.agent.settings import TrainConfig
 from qdenv.simulate.maze.policy import (
     Memory,

@@ -1,7 +1,7 @@
 """An independent check of a recorded run: plain numpy, no code shared with the simulator.
 
-It walks through the trajectory once and works out by itself what must have happened: who arrived,
-who served, which tasks were finished, when the traffic jammed. Everything that disagrees is named.
+It walks through the trajectory once and works out by itself what must have happened: arrivals,
+services, finished tasks, jams. Everything that disagrees is named.
 """
 
 from typing import NamedTuple
@@ -33,24 +33,36 @@ def trajectory_of(recording: Recording) -> Trajectory:
 def audit(
     layout: np.ndarray, rule: TaskRule, trajectory: Trajectory, traffic: Traffic, horizon: int = 5
 ) -> list[str]:
-    """Find everything a run did against the rules.
+    """Find everything that a run on a layout (int8 [H, W]), and its report, did against the rules.
 
-    Args:
-        layout: int8 [H, W].
-        rule: what the agents do.
-        trajectory: the recorded run.
-        traffic: the simulator's report of it.
-        horizon: replanning period h, the length of the windows of the jam rule.
-
-    Returns:
-        messages, each with the timestep and an agent; empty when all is well.
+    All agents are planned again every `horizon` timesteps, the windows of the jam rule. Returns
+    messages, each with the timestep and an agent; none when all is well.
     """
-    layout = np.asarray(layout)
-    end = int(traffic.end_timestep)
+    layout, end = np.asarray(layout), int(traffic.end_timestep)
     positions = trajectory.positions[: end + 1].astype(np.int64)
     broken = check_moves(layout, rule, positions)
     finished, working, messages = replay_tasks(layout, rule, trajectory, end, horizon)
-    return broken + messages + _check_report(layout, positions, finished, working, traffic, horizon)
+    broken += messages
+    # The reported figures against figures counted again; they are float32.
+    timesteps = len(np.asarray(traffic.finished))
+    counts = np.zeros(timesteps, int)
+    counts[:end] = finished.sum(1)
+    if not np.array_equal(counts, np.asarray(traffic.finished)):
+        broken.append("finished tasks per timestep are miscounted")
+    if abs(float(traffic.throughput) - counts.sum() / timesteps) > 1e-5:
+        broken.append("throughput is not finished tasks over T")
+    visits = np.bincount(positions[1:].reshape(-1), minlength=layout.size).reshape(layout.shape)
+    if not np.allclose(np.asarray(traffic.usage), visits / visits.sum(), atol=1e-6):
+        broken.append("tile usage is miscounted")
+    moves = (positions[1:] != positions[:-1]).mean()
+    if abs(float(traffic.waiting) - (1 - moves)) > 1e-5:
+        broken.append("the share of waiting is miscounted")
+    jams = jammed_windows(positions, working, horizon)
+    if bool(traffic.congested) != bool(jams):
+        broken.append(f"jams at {jams}, but congested is {bool(traffic.congested)}")
+    elif jams[:1] != [int(traffic.congested_at)][: len(jams)]:
+        broken.append(f"jams at {jams}, but congested at {int(traffic.congested_at)}")
+    return broken
 
 
 def check_moves(layout: np.ndarray, rule: TaskRule, positions: np.ndarray) -> list[str]:
@@ -109,10 +121,9 @@ def replay_tasks(
         if not proper.all():
             broken.append(f"t={time}: agent {np.argmin(proper)} heads for a goal of another kind")
         serving = remaining > 0
-        if (serving & (cell != goal)).any():
-            broken.append(
-                f"t={time}: agent {np.argmax(serving & (cell != goal))} cuts a stay short"
-            )
+        left = serving & (cell != goal)
+        if left.any():
+            broken.append(f"t={time}: agent {np.argmax(left)} cuts a stay short")
         # A third goal since the last planning was unknown then: a stay there has to wait.
         known = (legs < 2) | (service_time[kind] == 0)
         arrived = ~serving & (cell == goal) & known
@@ -128,37 +139,6 @@ def replay_tasks(
     if wrong.any():
         broken.append(_at("has a task credited wrongly", wrong))
     return finished, working, broken
-
-
-def _check_report(
-    layout: np.ndarray,
-    positions: np.ndarray,
-    finished: np.ndarray,
-    working: np.ndarray,
-    traffic: Traffic,
-    horizon: int,
-) -> list[str]:
-    """Compare the reported figures with figures counted again."""
-    broken = []
-    timesteps = len(np.asarray(traffic.finished))
-    counts = np.zeros(timesteps, int)
-    counts[: len(finished)] = finished.sum(1)
-    if not np.array_equal(counts, np.asarray(traffic.finished)):
-        broken.append("finished tasks per timestep are miscounted")
-    if abs(float(traffic.throughput) - counts.sum() / timesteps) > 1e-5:
-        broken.append("throughput is not finished tasks over T")
-    visits = np.bincount(positions[1:].reshape(-1), minlength=layout.size).reshape(layout.shape)
-    if not np.allclose(np.asarray(traffic.usage), visits / visits.sum(), atol=1e-6):
-        broken.append("tile usage is miscounted")
-    moves = (positions[1:] != positions[:-1]).mean()
-    if abs(float(traffic.waiting) - (1 - moves)) > 1e-5:
-        broken.append("the share of waiting is miscounted")
-    jams = jammed_windows(positions, working, horizon)
-    if bool(traffic.congested) != bool(jams):
-        broken.append(f"jams at {jams}, but congested is {bool(traffic.congested)}")
-    elif jams[:1] != [int(traffic.congested_at)][: len(jams)]:
-        broken.append(f"jams at {jams}, but congested at {int(traffic.congested_at)}")
-    return broken
 
 
 def jammed_windows(positions: np.ndarray, working: np.ndarray, horizon: int) -> list[int]:

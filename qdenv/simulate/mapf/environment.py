@@ -79,16 +79,10 @@ def observe_plainly(state: EnvironmentState) -> Observation:
 
 
 class Environment:
-    """A fleet on one layout.
+    """A fleet of `agents` robots (A) on one layout; the last step is that at `timesteps`."""
 
-    Attributes:
-        layout: int8 [H, W].
-        free: bool [H, W], cells robots may drive on.
-        agents: number of robots A.
-        actions: number of actions, 5.
-        timesteps: steps until `Timestep.last`.
-    """
-
+    layout: np.ndarray  # int8 [H, W]
+    free: np.ndarray  # bool [H, W], cells robots may drive on
     actions = len(MOVES) + 1
 
     def __init__(

@@ -79,11 +79,7 @@ class NegotiatedConfig(Ranged):
 # these cost throughput on either: their agents plan without knowing of one another.
 HIGH = NegotiatedConfig()
 LOW = NegotiatedConfig(
-    lookahead=7,
-    lanes=8,
-    rounds=4.0,
-    conflict_levels=3,
-    penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0),
+    lookahead=7, lanes=8, rounds=4.0, conflict_levels=3, penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0)
 )
 EFFORTS = {"low": LOW, "high": HIGH}
 NEGOTIATED = Entry(NegotiatedConfig, "qdenv.simulate.mapf.negotiated.planner:negotiated")
