@@ -6,49 +6,33 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from qdenv.agent.levels import (
-    METHODS,
-    Level,
-    LevelBuffer,
-    Method,
-    insert,
-    new_buffer,
-    replay_probabilities,
-    update_scores,
-)
+from qdenv.agent import levels
 from qdenv.agent.ppo import Batch, EnvState, Rewards, advantages, collect, learn, reset_env, unroll
 from qdenv.agent.settings import TrainConfig
-from qdenv.simulate.maze.policy import (
-    Memory,
-    Weights,
-    act,
-    blank_memory,
-    draw_weights,
-    load_weights,
-)
+from qdenv.simulate.maze import policy
 from qdenv.types import InputError, look_up
 
 
 class Anchor(NamedTuple):
     """The policy to stay near, and its own memory of what the environments have seen."""
 
-    weights: Weights
-    memory: Memory  # [E, L]
+    weights: policy.Weights
+    memory: policy.Memory  # [E, L]
 
 
 class State(NamedTuple):
     """Everything a training run carries from update to update."""
 
-    weights: Weights
+    weights: policy.Weights
     optimiser: optax.OptState
     envs: EnvState  # leading axis E
-    buffer: LevelBuffer
+    buffer: levels.LevelBuffer
     key: jax.Array  # raw key data, uint32 [2]
     update: jax.Array  # int32
     anchor: Anchor | None = None
 
 
-_new_buffer = jax.jit(new_buffer, static_argnums=(1, 2))
+_new_buffer = jax.jit(levels.new_buffer, static_argnums=(1, 2))
 _reset_all = jax.vmap(reset_env, (None, 0, 0, 0, 0))
 
 
@@ -65,51 +49,53 @@ def start(config: TrainConfig) -> State:
         InputError: impossible numbers, or a warm start of another architecture.
     """
     keys = jax.random.split(jax.random.key(config.seed), 5)
-    weights = draw_weights(keys[0], config.units, config.actions)
+    weights = policy.draw_weights(keys[0], config.units, config.actions)
     if config.warm_start:
-        loaded = load_weights(config.warm_start)
+        loaded = policy.load_weights(config.warm_start)
         if any(a.shape != b.shape for a, b in zip(loaded, weights, strict=True)):
             raise InputError(f"{config.warm_start} has other units or actions than asked for")
-        weights = Weights(*map(jnp.asarray, loaded))
+        weights = policy.Weights(*map(jnp.asarray, loaded))
     buffer, lanes = _new_buffer(keys[1], config.bank, config.levels), config.ppo.lanes
     slot = jax.random.randint(keys[2], (lanes,), 0, config.bank)
     heading = jax.random.randint(keys[3], (lanes,), 0, 4)
     level = jax.tree.map(lambda x: x[slot], buffer.level)
     envs = _reset_all(weights, level, slot, buffer.serial[slot], heading)
-    anchor = Anchor(weights, blank_memory(weights, (lanes,))) if config.anchor else None
+    anchor = Anchor(weights, policy.blank_memory(weights, (lanes,))) if config.anchor else None
     optimiser, key = _optimiser(config).init(weights), jax.random.key_data(keys[4])
     return State(weights, optimiser, envs, buffer, key, jnp.int32(0), anchor)
 
 
 def _renew(
-    key: jax.Array, state: State, config: TrainConfig, method: Method, rewards: Rewards
-) -> LevelBuffer:
+    key: jax.Array, state: State, config: TrainConfig, method: levels.Method, rewards: Rewards
+) -> levels.LevelBuffer:
     """Propose new levels and let them in, after a trial without learning if the method has one."""
     keys, fresh = jax.random.split(key), config.fresh
-    probabilities = replay_probabilities(state.buffer, state.update, method)
-    levels = jax.vmap(lambda key: method.propose(key, state.buffer, probabilities, config.levels))(
-        jax.random.split(keys[0], fresh)
-    )
+    probabilities = levels.replay_probabilities(state.buffer, state.update, method)
+    proposed = jax.vmap(
+        lambda key: method.propose(key, state.buffer, probabilities, config.levels)
+    )(jax.random.split(keys[0], fresh))
     score = jnp.zeros(fresh)
     if method.on_trial:
 
-        def same_level(draw: jax.Array, env: jax.Array) -> tuple[Level, jax.Array, jax.Array]:
+        def same_level(
+            draw: jax.Array, env: jax.Array
+        ) -> tuple[levels.Level, jax.Array, jax.Array]:
             del draw
-            return jax.tree.map(lambda x: x[env], levels), env, env
+            return jax.tree.map(lambda x: x[env], proposed), env, env
 
         trial, number = jax.random.split(keys[1]), jnp.arange(fresh)
         heading = jax.random.randint(trial[0], (fresh,), 0, 4)
-        envs = _reset_all(state.weights, levels, number, number, heading)
+        envs = _reset_all(state.weights, proposed, number, number, heading)
         _, steps, last_value = collect(
             trial[1], state.weights, envs, same_level, config.ppo.timesteps, rewards
         )
         score = jnp.maximum(advantages(steps, last_value, config.ppo), 0).mean(0)
-    return insert(state.buffer, levels, score, state.update, method)
+    return levels.insert(state.buffer, proposed, score, state.update, method)
 
 
 def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Array]]:
     """Renew the buffer, play its levels, learn; traceable. Returns also numbers for the log."""
-    method = look_up(METHODS, config.method, "method")
+    method = look_up(levels.METHODS, config.method, "method")
     keys = jax.random.split(jax.random.wrap_key_data(state.key), 4)
     done = jnp.minimum(state.update / config.updates, 1.0)  # share of the training
     novelty: jax.Array | float = config.reward.novelty
@@ -117,10 +103,10 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Arra
         novelty = novelty * jnp.clip(2 - 2 * done / config.novelty_until, 0.0, 1.0)
     rewards = Rewards(novelty, config.reward.progress, config.reward.haste)
     buffer = _renew(keys[0], state, config, method, rewards)
-    probabilities = replay_probabilities(buffer, state.update, method)
+    probabilities = levels.replay_probabilities(buffer, state.update, method)
     cumulative = jnp.cumsum(probabilities)
 
-    def next_level(draw: jax.Array, env: jax.Array) -> tuple[Level, jax.Array, jax.Array]:
+    def next_level(draw: jax.Array, env: jax.Array) -> tuple[levels.Level, jax.Array, jax.Array]:
         del env
         # Inverse transform sampling; the sum may miss 1 by a rounding, the slot the last level.
         slot = jnp.searchsorted(cumulative, draw * cumulative[-1], side="right")
@@ -132,12 +118,12 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Arra
     )
     advantage = advantages(steps, last_value, config.ppo)
     if method.on_trial:
-        buffer = update_scores(buffer, state.update, steps.slot, steps.serial, advantage)
+        buffer = levels.update_scores(buffer, state.update, steps.slot, steps.serial, advantage)
     # What the anchor would have done at every step, as log probabilities [T, E, N].
     anchor, anchored = state.anchor, jnp.zeros((*steps.action.shape, 0))
     if anchor is not None:
         memory, hidden = unroll(anchor.weights, steps, anchor.memory)
-        anchored = jax.nn.log_softmax(act(anchor.weights, hidden))
+        anchored = jax.nn.log_softmax(policy.act(anchor.weights, hidden))
         anchor = anchor._replace(memory=memory)
     batch = Batch(steps, state.envs.memory, advantage, advantage + steps.value, anchored)
     clipping, adam = state.optimiser
