@@ -9,7 +9,7 @@ import numpy as np
 
 from qdenv.registry import Entry
 from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.audit import audit, trajectory_of
+from qdenv.simulate.mapf.audit import audit
 from qdenv.simulate.mapf.goals import check_playable, tile_goal
 from qdenv.simulate.mapf.planner import Planner
 from qdenv.simulate.mapf.settings import PLANNERS
@@ -58,7 +58,7 @@ def run_audited(
     prepare, run = programs
     key, count = jax.random.key(seed), jnp.int32(agents)
     traffic, recording = jax.tree.map(np.asarray, run(prepare(jnp.asarray(layout)), key, count))
-    assert audit(layout, rule, trajectory_of(recording), traffic, config.horizon) == []
+    assert audit(layout, rule, recording, traffic, config.horizon) == []
     return traffic, int(traffic.end_timestep) * agents
 
 

@@ -17,7 +17,7 @@ from qdenv.repair.anneal.loop import anneal
 from qdenv.repair.audit import audit
 from qdenv.repair.rules import Facts
 from qdenv.score import similarity
-from qdenv.simulate.mapf import goals, tasks
+from qdenv.simulate.mapf import tasks
 
 DOMAIN = find_domain("manufacturing")
 GOOD = ["..e..", ".e0e.", "..e..", "e1.2e", ".e.e."]
@@ -92,7 +92,7 @@ def test_goals_are_endpoints_weighed_by_their_stations():
     layout = np.random.default_rng(5).integers(0, 5, (8, 9)).astype(np.int8)
     for kind, goal in enumerate(DOMAIN.simulator.tasks.cycle):
         np.testing.assert_array_equal(goal.weight(layout), oracle_weights(layout, kind))
-    assert goals.service_times(DOMAIN.simulator.tasks).tolist() == [2, 5, 10]
+    assert [goal.stay for goal in DOMAIN.simulator.tasks.cycle] == [2, 5, 10]
 
 
 def test_an_endpoint_between_two_stations_is_drawn_twice_as_often():

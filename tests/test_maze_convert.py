@@ -84,8 +84,7 @@ def test_a_checkpoint_is_converted_bit_for_bit(tmp_path, tensors, wrapper):
     assert found.keys() == tensors.keys()
     for name in tensors:
         np.testing.assert_array_equal(found[name], tensors[name])
-    said = convert_agent(path, tmp_path / "agent.npz")
-    assert "16 LSTM units, 7 actions" in said
+    convert_agent(path, tmp_path / "agent.npz")
     jax.tree.map(
         np.testing.assert_array_equal, load_weights(tmp_path / "agent.npz"), from_torch(tensors)
     )

@@ -10,7 +10,7 @@ from fleet_runs import PLAIN, TILES, StandConfig, programs, random_layout, run_a
 
 from qdenv.grid import parse
 from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.audit import audit, trajectory_of
+from qdenv.simulate.mapf.audit import audit
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 
 
@@ -33,10 +33,9 @@ def test_a_run_that_goes_on_says_when_it_congested_first(planner):
     numbers = run(prepare(layout), jax.random.key(0), jnp.int32(agents))
     traffic, recording = jax.tree.map(np.asarray, numbers)
     assert traffic.congested and traffic.end_timestep == 300 > traffic.congested_at > 0
-    steps = trajectory_of(recording)
-    assert audit(HALL, PLAIN, steps, traffic) == []
+    assert audit(HALL, PLAIN, recording, traffic) == []
     late = traffic._replace(congested_at=traffic.congested_at + 5)
-    (found,) = audit(HALL, PLAIN, steps, late)
+    (found,) = audit(HALL, PLAIN, recording, late)
     assert found.endswith(f"but congested at {traffic.congested_at + 5}")
     stopping = programs(PLAIN, replace(config, stop_when_congested=True))[1]
     ended, _ = stopping(prepare(layout), jax.random.key(0), jnp.int32(agents))

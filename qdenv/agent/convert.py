@@ -17,7 +17,7 @@ import numpy as np
 
 from qdenv.agent.train import save_weights
 from qdenv.io.arrays import open_zip
-from qdenv.simulate.maze.policy import FILTERS, PATCHES, Weights, check_weights
+from qdenv.simulate.maze.policy import Weights, check_weights
 from qdenv.types import InputError
 
 _MAX_MEMBER = 64 * 2**20  # bytes of one member; the published checkpoint has 2 MB in all
@@ -196,16 +196,10 @@ def from_torch(tensors: dict[str, np.ndarray], source: str = "checkpoint") -> We
     return check_weights(Weights(**named, gates_bias=first + second), source)
 
 
-def convert_agent(checkpoint: Path, out: Path) -> str:
+def convert_agent(checkpoint: Path, out: Path) -> None:
     """Convert the published agent's checkpoint (`model_20000.tar`) into an .npz agent.
-
-    Returns:
-        One line that says what was written.
 
     Raises:
         InputError: the file is missing, damaged, hostile, or another network.
     """
-    weights = from_torch(read_checkpoint(checkpoint), str(checkpoint))
-    save_weights(weights, out)
-    units, actions = weights.gates_back.shape[0], weights.logits.shape[1]
-    return f"wrote {out}: {units} LSTM units, {actions} actions, {FILTERS * PATCHES**2} features"
+    save_weights(from_torch(read_checkpoint(checkpoint), str(checkpoint)), out)

@@ -15,7 +15,6 @@ from qdenv.stats import standard_error, wilson_interval
 from qdenv.types import Array, InputError
 
 BAND = (0.8, 1.2)  # lengths of random mazes' paths, as shares of the given maze's
-_MOST_DRAWN = 100_000  # random mazes drawn before giving up
 
 # Called with what is being done and which share of it is done, as `Bar` is.
 Progress = Callable[[str, float], None]
@@ -150,7 +149,7 @@ def draw_mazes(
     shape: tuple[int, int],
     walls: int,
     accept: Callable[[int], bool] = lambda length: length > 0,
-    tries: int = _MOST_DRAWN,
+    tries: int = 100_000,
     progress: Progress = lambda doing, share: None,
 ) -> list[Drawn]:
     """Draw random mazes with exactly `walls` walls (host side).

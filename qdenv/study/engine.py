@@ -13,7 +13,7 @@ import numpy as np
 from qdenv import devices
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.audit import audit, trajectory_of
+from qdenv.simulate.mapf.audit import audit
 from qdenv.simulate.mapf.host.run import steps_under_way
 from qdenv.simulate.mapf.metrics import Recording
 from qdenv.study.options import fleet_tasks
@@ -139,7 +139,7 @@ def auditor(layout: np.ndarray, tasks: TaskRule, config: fleet.FleetConfig) -> R
     """Make a reader that lists a run's violations of the rules, with its seed."""
 
     def read(seed: int, run: Traffic, recording: Recording) -> list[str]:
-        violations = audit(layout, tasks, trajectory_of(recording), run, config.horizon)
+        violations = audit(layout, tasks, recording, run, config.horizon)
         return [f"seed {seed}: {one}" for one in violations]
 
     return read

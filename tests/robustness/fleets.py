@@ -15,7 +15,7 @@ import numpy as np
 import qdenv
 from qdenv.repair.recipe import repair_layout
 from qdenv.repair.settings import RepairConfig
-from qdenv.simulate.mapf.audit import audit, trajectory_of
+from qdenv.simulate.mapf.audit import audit
 from qdenv.simulate.mapf.goals import check_playable
 from qdenv.simulate.mapf.metrics import Recording
 from qdenv.simulate.mapf.negotiated.settings import HIGH, LOW
@@ -117,7 +117,7 @@ def simulate(
     config = qdenv.FleetConfig(AGENTS, TIMESTEPS, window, horizon, planner, False)
 
     def read(seed: int, run: Traffic, recording: Recording) -> tuple[Traffic, list[str], str]:
-        broken = audit(layout, tasks, trajectory_of(recording), run, horizon)
+        broken = audit(layout, tasks, recording, run, horizon)
         content = hashlib.blake2b(digest_size=16)
         for leaf in jax.tree.leaves((run, recording)):
             content.update(np.ascontiguousarray(leaf).tobytes())

@@ -20,18 +20,8 @@ class Trajectory(NamedTuple):
     finished: np.ndarray  # bool [T, A], tasks the simulator says the step finished
 
 
-def trajectory_of(recording: Recording) -> Trajectory:
-    """Take what the audit needs from a `Recording`, without padding agents."""
-    active = np.asarray(recording.active)
-    return Trajectory(
-        np.asarray(recording.positions)[:, active],
-        np.asarray(recording.goals)[:, active],
-        np.asarray(recording.finished)[:, active],
-    )
-
-
 def audit(
-    layout: np.ndarray, rule: TaskRule, trajectory: Trajectory, traffic: Traffic, horizon: int = 5
+    layout: np.ndarray, rule: TaskRule, recording: Recording, traffic: Traffic, horizon: int = 5
 ) -> list[str]:
     """Find everything that a run on a layout (int8 [H, W]), and its report, did against the rules.
 
@@ -39,6 +29,8 @@ def audit(
     messages, each with the timestep and an agent; none when all is well.
     """
     layout, end = np.asarray(layout), int(traffic.end_timestep)
+    driven = recording.positions, recording.goals, recording.finished
+    trajectory = Trajectory(*(np.asarray(part)[:, np.asarray(recording.active)] for part in driven))
     positions = trajectory.positions[: end + 1].astype(np.int64)
     broken = check_moves(layout, rule, positions)
     finished, working, messages = replay_tasks(layout, rule, trajectory, end, horizon)

@@ -25,7 +25,7 @@ import numpy as np
 from qdenv.grid import MOVES, of_tiles
 from qdenv.simulate.mapf import chance, tasks
 from qdenv.simulate.mapf.agents import Fleet, drive, place
-from qdenv.simulate.mapf.goals import check_playable, service_times
+from qdenv.simulate.mapf.goals import check_playable
 from qdenv.simulate.mapf.planner import NOBODY, World
 from qdenv.types import Array, InputError, TaskRule
 
@@ -109,7 +109,7 @@ class Environment:
             goals=tasks.goal_table(layout, rule, layout.size),
             # No planner needs to know how far it is.
             distance=jnp.zeros((0, layout.size), jnp.int16),
-            service_time=jnp.asarray(service_times(rule)),
+            service_time=jnp.array([goal.stay for goal in rule.cycle], jnp.int32),
             valid=jnp.bool_(True),
             margin=0,
         )

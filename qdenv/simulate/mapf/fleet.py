@@ -18,7 +18,6 @@ from qdenv.grid import of_tiles
 from qdenv.simulate.mapf import chance, tasks
 from qdenv.simulate.mapf.agents import Fleet, drive, place
 from qdenv.simulate.mapf.distances import goal_distances, measure_fields, rows_of
-from qdenv.simulate.mapf.goals import service_times
 from qdenv.simulate.mapf.host.run import simulate_in_callback, simulate_into
 from qdenv.simulate.mapf.host.state import RunSettings
 from qdenv.simulate.mapf.metrics import (
@@ -47,7 +46,8 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     """
     chex.assert_rank(layout, 2)
     chex.assert_type(layout, int)
-    planner, service_time = config.make_planner(), service_times(rule)
+    planner = config.make_planner()
+    service_time = np.array([goal.stay for goal in rule.cycle], np.int32)
     if config.window > planner.max_window:
         raise InputError(
             f"the planner {PLANNERS.name_of(config.planner)!r} plans at most {planner.max_window} "

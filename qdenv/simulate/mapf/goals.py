@@ -40,11 +40,6 @@ def favour_left(goal: Goal, odds: float) -> Goal:
     return goal._replace(weight=weight)
 
 
-def service_times(rule: TaskRule) -> np.ndarray:
-    """List the timesteps served at each kind of goal (int32 [n])."""
-    return np.array([goal.stay for goal in rule.cycle], dtype=np.int32)
-
-
 def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:
     """Refuse a layout (int8 [H, W]) on which the fleet could not work.
 
