@@ -20,6 +20,7 @@ from qdenv.agent.train import (
     train_agent,
 )
 from qdenv.agent.update import TrainConfig, start, update
+from qdenv.simulate.maze import policy
 from qdenv.simulate.maze.policy import Memory, draw_weights, load_weights
 from qdenv.simulate.maze.world import GOAL, WALL
 from qdenv.types import InputError
@@ -158,10 +159,10 @@ def test_advantages_agree_with_the_definition(recorded):
 def test_replay_repeats_what_was_played_and_rewards_are_right(recorded):
     state, steps, _ = recorded
     _, hidden = ppo.unroll(state.weights, steps, state.envs.memory)
-    logs = jax.nn.log_softmax(ppo.act(state.weights, hidden))
+    logs = jax.nn.log_softmax(policy.act(state.weights, hidden))
     taken = jnp.take_along_axis(logs, steps.action[..., None], -1)[..., 0]
     np.testing.assert_allclose(taken, steps.log_prob, atol=1e-5)
-    np.testing.assert_allclose(ppo.estimate_value(state.weights, hidden), steps.value, atol=1e-5)
+    np.testing.assert_allclose(policy.estimate_value(state.weights, hidden), steps.value, atol=1e-5)
     won = np.asarray(steps.success)
     reward = np.asarray(steps.reward)
     assert won.any() and (reward[won] >= 0.1).all()
@@ -181,7 +182,7 @@ def test_learning_raises_the_odds_of_rewarded_actions(recorded):
         )
     )(state.weights)  # fmt: skip
     _, hidden = ppo.unroll(weights, steps, state.envs.memory)
-    forward = jax.nn.softmax(ppo.act(weights, hidden))[..., 2]
+    forward = jax.nn.softmax(policy.act(weights, hidden))[..., 2]
     assert float(forward.mean()) > 0.34
     chex.assert_tree_all_finite((weights, log))
 
@@ -198,12 +199,12 @@ def test_an_anchor_pulls_the_policy_back(recorded):
     _, second = unroll(anchor, halves[1], memory)
     _, hidden = unroll(anchor, steps, blank)
     np.testing.assert_allclose(jnp.concatenate([first, second]), hidden, atol=1e-6)
-    known = jax.nn.log_softmax(ppo.act(anchor, hidden))
+    known = jax.nn.log_softmax(policy.act(anchor, hidden))
 
     @jax.jit
     def divergence(weights):
         _, hidden = ppo.unroll(weights, steps, state.envs.memory)
-        found = jax.nn.log_softmax(ppo.act(weights, hidden))
+        found = jax.nn.log_softmax(policy.act(weights, hidden))
         return (jnp.exp(known) * (known - found)).sum(-1).mean()
 
     # Without any advantage nothing but the anchor moves the policy, and 0 moves it not at all.

@@ -29,7 +29,6 @@ from qdenv.simulate.mapf.negotiated.numba import reservations
 from qdenv.simulate.mapf.negotiated.numba.backtrack import trace
 from qdenv.simulate.mapf.negotiated.numba.search import Agent, find_path, make_arrays
 from qdenv.simulate.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
-from qdenv.simulate.mapf.negotiated.xla.observation import gather
 from qdenv.simulate.mapf.negotiated.xla.reservations import (
     add_paths,
     around,
@@ -37,7 +36,7 @@ from qdenv.simulate.mapf.negotiated.xla.reservations import (
     pack,
 )
 from qdenv.simulate.mapf.negotiated.xla.rounds import choose
-from qdenv.simulate.mapf.negotiated.xla.search import find_paths
+from qdenv.simulate.mapf.negotiated.xla.search import find_paths, gather
 from qdenv.simulate.mapf.planner import UNREACHABLE, AgentState, World
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.simulate.mapf.tasks import GoalTable

@@ -10,18 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.agent.settings import LevelConfig
-from qdenv.simulate.maze.world import (
-    EMPTY,
-    GOAL,
-    HEADINGS,
-    REACH,
-    WALL,
-    Course,
-    canvas,
-    in_layout,
-    longest_path,
-    on_canvas,
-)
+from qdenv.simulate.maze import world
+from qdenv.simulate.maze.world import EMPTY, GOAL, HEADINGS, REACH, WALL
 from qdenv.types import Array
 
 _LONGEST_PERIOD = 12  # of textures
@@ -83,7 +73,7 @@ def _distances(kinds: jax.Array, goal: jax.Array) -> jax.Array:
     return jax.lax.while_loop(lambda carry: carry[1], relax, (far, jnp.bool_(True)))[0]
 
 
-def far_pair(key: jax.Array, layout: jax.Array) -> Course:
+def far_pair(key: jax.Array, layout: jax.Array) -> world.Course:
     """Find two tiles about as far apart as any: the farthest one from the farthest one.
 
     Two breadth-first searches in place of one from every tile (`world.longest_path`), which costs
@@ -111,18 +101,20 @@ def far_pair(key: jax.Array, layout: jax.Array) -> Course:
     gap = _distances(kinds, one)
     two = farthest(gap)
     length = jnp.where(useful[-1] > 0, gap[two], 0)
-    return Course(in_layout(jnp.minimum(one, two), n), in_layout(jnp.maximum(one, two), n), length)
+    return world.Course(
+        world.in_layout(jnp.minimum(one, two), n), world.in_layout(jnp.maximum(one, two), n), length
+    )
 
 
 def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax.Array) -> Level:
     """Choose start and goal: the longest path's, or a random tile and one that it can reach."""
     keys, n = jax.random.split(key), layout.shape[1]
-    course = far_pair(keys[1], layout) if n > _LARGE else longest_path(layout)
+    course = far_pair(keys[1], layout) if n > _LARGE else world.longest_path(layout)
     # A maze in which no two tiles touch gets a pair carved into its first corner.
     broken = course.length < 1
     layout = jnp.where(broken, layout.at[0, :2].set(EMPTY), layout)
     start, goal = jnp.where(broken, 0, course.start), jnp.where(broken, 1, course.goal)
-    far, place = canvas(layout, goal), on_canvas(goal, n)
+    far, place = world.canvas(layout, goal), world.on_canvas(goal, n)
     there = jnp.where(far == GOAL, EMPTY, far).reshape(-1)
     # A random pair lies in the component of the longest path, where a partner is sure to exist.
     reachable = jnp.cumsum((_distances(far, place) < _UNSEEN) & (there == EMPTY))
@@ -130,7 +122,7 @@ def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax
     one, two = jnp.searchsorted(reachable, rank, side="right")
     swap = ~longest & (one != two)
     place = jnp.where(swap, one, place)
-    begin = jnp.where(swap, two, on_canvas(start, n)).astype(jnp.int32)
+    begin = jnp.where(swap, two, world.on_canvas(start, n)).astype(jnp.int32)
     kinds = there.at[place].set(GOAL).reshape(far.shape).astype(jnp.int8)
     return Level(kinds, begin, _distances(kinds, place).astype(jnp.int16), horizon, longest)
 

@@ -10,16 +10,9 @@ import optax
 
 from qdenv.agent.levels import Level
 from qdenv.agent.settings import PPOConfig
+from qdenv.simulate.maze import policy
 from qdenv.simulate.maze.episode import choose
-from qdenv.simulate.maze.policy import (
-    Memory,
-    Weights,
-    act,
-    blank_memory,
-    encode,
-    estimate_value,
-    recur,
-)
+from qdenv.simulate.maze.policy import Memory, Weights
 from qdenv.simulate.maze.world import Pose, image, step, view
 
 _Learner: TypeAlias = tuple[Weights, optax.OptState]
@@ -67,7 +60,7 @@ def reset_env(
 ) -> EnvState:
     """Put the agent at the start of a level."""
     visited = jnp.zeros(level.distance.shape, bool).at[level.start].set(True)
-    pose, memory = Pose(level.start, heading), blank_memory(weights)
+    pose, memory = Pose(level.start, heading), policy.blank_memory(weights)
     return EnvState(level, slot, serial, pose, memory, visited, jnp.int32(0))
 
 
@@ -78,8 +71,8 @@ def _step_env(
     level, heading = env.level, jnp.asarray(env.pose.heading)
     seen = view(level.kinds, env.pose.position, heading)
     facing = jax.nn.one_hot(heading, 4)
-    memory = recur(weights, encode(weights, image(seen), facing), env.memory)
-    logits = act(weights, memory.hidden)
+    memory = policy.recur(weights, policy.encode(weights, image(seen), facing), env.memory)
+    logits = policy.act(weights, memory.hidden)
     action = choose(logits, draw)
     pose, success = step(level.kinds, env.pose, action)
     elapsed = env.elapsed + 1
@@ -89,7 +82,7 @@ def _step_env(
         fresh=env.elapsed == 0,
         action=action,
         log_prob=jax.nn.log_softmax(logits)[action],
-        value=estimate_value(weights, memory.hidden),
+        value=policy.estimate_value(weights, memory.hidden),
         reward=_reward(env, pose, success, rewards),
         done=success | (elapsed >= level.horizon),
         success=success,
@@ -183,12 +176,12 @@ def advantages(steps: Transition, last_value: jax.Array, config: PPOConfig) -> j
 def unroll(weights: Weights, steps: Transition, memory: Memory) -> tuple[Memory, jax.Array]:
     """Run the network over recorded steps [T, E] -> last memory, hidden states [T, E, L]."""
     # All observations are known: only the recurrence itself has to wait for the step before.
-    gates = encode(weights, image(steps.view), jax.nn.one_hot(steps.heading, 4))
+    gates = policy.encode(weights, image(steps.view), jax.nn.one_hot(steps.heading, 4))
 
     def one(memory: Memory, now: tuple[jax.Array, jax.Array]) -> tuple[Memory, jax.Array]:
         gates, fresh = now
         keep = 1.0 - fresh[:, None]
-        memory = recur(weights, gates, Memory(memory.hidden * keep, memory.cell * keep))
+        memory = policy.recur(weights, gates, Memory(memory.hidden * keep, memory.cell * keep))
         return memory, jnp.asarray(memory.hidden)
 
     return jax.lax.scan(one, memory, (gates, steps.fresh))
@@ -199,14 +192,14 @@ def _loss(
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Compute the clipped surrogate loss of PPO (https://arxiv.org/abs/1707.06347), and a log."""
     _, hidden = unroll(weights, batch.steps, batch.memory)
-    log_probs = jax.nn.log_softmax(act(weights, hidden))
+    log_probs = jax.nn.log_softmax(policy.act(weights, hidden))
     taken = jnp.take_along_axis(log_probs, batch.steps.action[..., None], -1)[..., 0]
     log_ratio = taken - batch.steps.log_prob
     ratio = jnp.exp(log_ratio)
     clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
     # The smaller of both: an action may lose its advantage without bound but gain only so much.
     surrogate = -jnp.minimum(ratio * batch.advantage, clipped * batch.advantage).mean()
-    value_error = jnp.square(estimate_value(weights, hidden) - batch.returns).mean()
+    value_error = jnp.square(policy.estimate_value(weights, hidden) - batch.returns).mean()
     policy_entropy = -(jnp.exp(log_probs) * log_probs).sum(-1).mean()
     total = surrogate + config.critic * value_error - entropy * policy_entropy
     if anchor:

@@ -65,12 +65,6 @@ def seed_of(key: jax.Array) -> jax.Array:
     return functools.reduce(draw, words.reshape(-1).astype(jnp.uint32))
 
 
-def key_of(seed: jax.Array, number: jax.Array) -> jax.Array:
-    """Make a key for `jax.random` whose `seed_of` is ``mix(seed, number)``."""
-    words = jnp.stack([jnp.asarray(word).astype(jnp.uint32) for word in (seed, number)])
-    return jax.random.wrap_key_data(words, impl="threefry2x32")
-
-
 def draw_many(seed: jax.Array, count: int) -> jax.Array:
     """Draw the bits of the numbers below `count` (uint32 [count])."""
     return draw(seed, jnp.arange(count))

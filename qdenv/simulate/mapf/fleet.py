@@ -107,7 +107,9 @@ def _run_window(
         distance=distance,
         row=row,
     )
-    key = chance.key_of(chance.draw(seed, chance.PLANS), time)
+    # A key whose `chance.seed_of` is the host's seed of a window, mix(mix(seed, PLANS), time).
+    words = jnp.stack([chance.draw(seed, chance.PLANS), time.astype(jnp.uint32)])
+    key = jax.random.wrap_key_data(words, impl="threefry2x32")
     paths = plan(world, state, config.horizon, key)
     chex.assert_shape(paths, (config.window + 1, config.agents))
     goals = chance.draw(seed, chance.GOALS)

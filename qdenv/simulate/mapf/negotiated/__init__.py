@@ -10,8 +10,8 @@ How to read it:
    (who holds which cells), `search` (what an agent can reach, and the cheapest end), `backtrack`
    (the way there), `rounds` (who plans when, and who wins).
 4. `xla` does the same for several agents side by side, without a branch or a host callback:
-   `reservations` (and how they are packed in bits), `observation` (what an agent sees), `search`
-   (what it can reach, the cheapest end and the way there), `rounds`.
+   `reservations` (and how they are packed in bits), `search` (what an agent sees and can reach,
+   the cheapest end and the way there), `rounds`.
 
 Both backends give the same paths to the bit.
 """

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.negotiated import path_rules, rules
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
-from qdenv.simulate.mapf.negotiated.xla.observation import gather
 from qdenv.simulate.mapf.negotiated.xla.reservations import (
     Reservations,
     accept,
@@ -19,7 +18,7 @@ from qdenv.simulate.mapf.negotiated.xla.reservations import (
     pack,
     release,
 )
-from qdenv.simulate.mapf.negotiated.xla.search import find_paths
+from qdenv.simulate.mapf.negotiated.xla.search import find_paths, gather
 from qdenv.simulate.mapf.planner import AgentState, World
 
 # Between two rounds: the reservations, how often each agent has planned in this window (int32 [A]),
