@@ -14,7 +14,7 @@ MISTAKES = {
     "experiments --missing": "--missing needs a value (`python -m experiments --help`",
     "experiments --make table_6": "unknown experiment 'table_6'",
     "experiments --executer dask": "did you mean --executor?",
-    "experiments.sphere --seeds many": "--seeds must be a whole number, not 'many'",
+    "experiments.sphere --seeds many": "--seeds must be an integer, not 'many'",
     "experiments.own_objective --algorithm magic": "unknown algorithm 'magic'",
     "experiments.zoo nowhere": "nowhere: ",
     "experiments.benchmarks maze --unit 3": "unknown option --unit",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Sequence
 from typing import Any, Literal
 
 import tyro
@@ -50,7 +49,10 @@ def _with_names(spec: dict[str, Any]) -> dict[str, Any]:
     commands: dict[str, Any] = {}
     for name, one in spec["subcommands"].items():
         for option in one["options"]:
-            _add_choices(option)
+            # Complete an option's names where its help begins with them, like {low,high}.
+            begin, brace, _ = option["description"].partition("}")
+            if brace and begin[:1] == "{" and "," in begin and option["type"] != "choice":
+                option |= {"type": "choice", "choices": begin[1:].split(",")}
         first, _, second = name.partition(" ")
         if second:
             empty = {"description": first, "options": [], "subcommands": {}, "frontier_groups": []}
@@ -59,20 +61,9 @@ def _with_names(spec: dict[str, Any]) -> dict[str, Any]:
             commands[name] = one
     shipped = [f"{domain}/{name}" for domain, known in names().items() for name in known]
     words = [f"{PREFIX}{name}" for name in shipped]
-    _add_words(commands["train"], list(PRESETS))
-    _add_words(commands["zoo"], [*names(), *shipped])
-    for name in _RUNS:
-        _add_words(commands[name], words)
+    listed = {"train": list(PRESETS), "zoo": [*names(), *shipped], **dict.fromkeys(_RUNS, words)}
+    for name, known in listed.items():
+        # The same options follow each name that the command takes.
+        follow = {**commands[name], "description": "name"}
+        commands[name]["subcommands"] = dict.fromkeys(known, follow)
     return spec | {"subcommands": commands, "words": words}
-
-
-def _add_words(command: dict[str, Any], known: Sequence[str]) -> None:
-    """Complete names where a command takes one; the same options follow each of them."""
-    command["subcommands"] = {name: {**command, "description": "name"} for name in known}
-
-
-def _add_choices(option: dict[str, Any]) -> None:
-    """Complete an option's names where its help begins with them, like {low,high}."""
-    begin, brace, _ = option["description"].partition("}")
-    if brace and begin[:1] == "{" and "," in begin and option["type"] != "choice":
-        option |= {"type": "choice", "choices": begin[1:].split(",")}

@@ -56,14 +56,10 @@ COMMANDS = {
     "convert-agent": "qdenv.ops.networks:convert_agent",
     "completion": "qdenv.cli.completion:completion",
 }
-_PICTURE_OPTIONS = ("--plot", "--gif", "--mp4")  # options whose value may be left out
 
 
 def run(words: list[str]) -> int:
-    """Run one command and return its exit code.
-
-    Args:
-        words: what follows `qdenv` on the command line.
+    """Run one command, given by what follows `qdenv` on the command line; return its exit code.
 
     Raises:
         SystemExit: help of a command was requested, and printed.
@@ -78,10 +74,14 @@ def run(words: list[str]) -> int:
     try:
         if name in COMMANDS:
             return _run_command(name, rest)
-        if name in ("", "-h", "--help"):
-            print(_overview())
-            return 0
-        return _refuse(_unknown(name))
+        if name not in ("", "-h", "--help"):
+            print(f"qdenv: {_unknown(name)}", file=sys.stderr)
+            return 2
+        width = min(shutil.get_terminal_size().columns, 100) - 2
+        print("usage: qdenv COMMAND ..., qdenv COMMAND --help, qdenv --version\n")
+        for name in COMMANDS:
+            text = f"{name:15} {summary_of(name)}"
+            print(textwrap.fill(text, width, initial_indent="  ", subsequent_indent=" " * 18))
     except KeyboardInterrupt:
         print(last_words(), file=sys.stderr)
         return EXIT_CODE
@@ -96,12 +96,8 @@ def _version() -> str:
     return metadata.version("qdenv")
 
 
-def _refuse(message: object) -> int:
-    print(f"qdenv: {message}", file=sys.stderr)
-    return 2
-
-
 def _unknown(name: str) -> str:
+    """Return what is wrong with a name that is no command."""
     if name.startswith("-"):
         return f"give a command before {name}: `qdenv --help` lists them"
     if longer := [known for known in COMMANDS if known.startswith(f"{name} ")]:
@@ -109,16 +105,6 @@ def _unknown(name: str) -> str:
     close = difflib.get_close_matches(name, COMMANDS, 1)
     guess = f"did you mean `qdenv {close[0]}`?" if close else "`qdenv --help` lists the commands"
     return f"unknown command {name!r}: {guess}"
-
-
-def _overview() -> str:
-    """Return the help of the program: every command with the first line of its docstring."""
-    width = min(shutil.get_terminal_size().columns, 100) - 2
-    lines = ["usage: qdenv COMMAND ..., qdenv COMMAND --help, qdenv --version", ""]
-    for name in COMMANDS:
-        text = f"{name:15} {summary_of(name)}"
-        lines += textwrap.wrap(text, width, initial_indent="  ", subsequent_indent=" " * 18)
-    return "\n".join(lines)
 
 
 def summary_of(command: str) -> str:
@@ -138,55 +124,52 @@ def load(name: str) -> Any:
     return getattr(importlib.import_module(module), function)
 
 
-def _run_command(name: str, words: list[str]) -> int:
-    from qdenv.types import InputError  # imports numpy: not for help
-
-    try:
-        return _call(name, words)
-    except InputError as error:
-        return _refuse(error)
-    except OSError as error:  # no file can have such a name
-        if error.errno != errno.ENAMETOOLONG:
-            raise
-        return _refuse(InputError(f"{str(error.filename)[:99]}...: too long for a file's name"))
-
-
-def _call(name: str, words: list[str]) -> int:
-    """Parse a command line, run the operation and write its facts."""
+def _run_command(name: str, typed: list[str]) -> int:
+    """Parse a command line, run the operation and write its facts; return the exit code."""
+    # They import numpy and the parser: not for help.
     from qdenv.cli.parser import command, parse
-    from qdenv.cli.rules import Choices, make_rules
+    from qdenv.cli.rules import Choices, flat, make_rules
     from qdenv.ops.output import AUTO, UnsolvedError, place
     from qdenv.types import InputError
 
-    operation, program, typed = load(name), f"qdenv {name}", words
-    words = _with_names(words)
-    chosen, rest = parse(Choices, words, program, partly=True)
-    stated = parse(command(operation), words, program, make_rules(chosen, rest))
-    arguments, facts_file = stated.arguments, stated.json
-    if "out" in arguments.signature.parameters:  # in Python nothing is written unless named
-        arguments.arguments["out"] = arguments.arguments.get("out") or AUTO
-    if "again" in arguments.signature.parameters:
-        arguments.arguments["again"] = shlex.join([*program.split(), *typed])
-    if isinstance(layouts := arguments.arguments.get("layouts"), tuple):  # named twice, it is one
-        arguments.arguments["layouts"] = tuple(dict.fromkeys(layouts))
-    to_stdout = facts_file == Path("-")
-    if facts_file is not None and not to_stdout:
-        files = [path for path in _flat(arguments.arguments) if isinstance(path, Path)]
-        if facts_file in files:
-            raise InputError(f"{facts_file}: named twice: give the facts a file of their own")
-        place(facts_file, "facts.json", inputs=files)  # refuses what cannot be written
     try:
-        with contextlib.ExitStack() as stack:
-            if to_stdout:  # nothing else is written there
-                stack.enter_context(contextlib.redirect_stdout(sys.stderr))
-            stack.enter_context(_printing())
-            result = operation(*arguments.args, **arguments.kwargs)
-    except UnsolvedError as error:
-        _write_facts(facts_file, name, error.facts)
-        raise
-    facts = result if isinstance(result, dict) else getattr(result, "facts", {})
-    _write_facts(facts_file, name, facts)
-    return getattr(result, "exit_code", 0)
+        operation, program, words = load(name), f"qdenv {name}", _name_pictures(typed)
+        chosen, rest = parse(Choices, words, program, partly=True)
+        stated = parse(command(operation), words, program, make_rules(chosen, rest))
+        bound, facts_file = stated.arguments, stated.json
+        arguments, known = bound.arguments, bound.signature.parameters
+        if "out" in known:  # in Python nothing is written unless named
+            arguments["out"] = arguments.get("out") or AUTO
+        if "again" in known:
+            arguments["again"] = shlex.join([*program.split(), *typed])
+        if isinstance(layouts := arguments.get("layouts"), tuple):  # named twice, it is one
+            arguments["layouts"] = tuple(dict.fromkeys(layouts))
+        to_stdout = facts_file == Path("-")
+        if facts_file is not None and not to_stdout:
+            files = [path for path in flat(arguments) if isinstance(path, Path)]
+            if facts_file in files:
+                raise InputError(f"{facts_file}: named twice: give the facts a file of their own")
+            place(facts_file, "facts.json", inputs=files)  # refuses what cannot be written
+        try:
+            with contextlib.ExitStack() as stack:
+                if to_stdout:  # nothing else is written there
+                    stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+                stack.enter_context(_printing())
+                result = operation(*bound.args, **bound.kwargs)
+        except UnsolvedError as error:
+            _write_facts(facts_file, name, error.facts)
+            raise
+        facts = result if isinstance(result, dict) else getattr(result, "facts", {})
+        _write_facts(facts_file, name, facts)
+        return getattr(result, "exit_code", 0)
+    except InputError as error:
+        message = str(error)
+    except OSError as error:  # no file can have such a name
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        message = f"{str(error.filename)[:99]}...: too long for a file's name"
+    print(f"qdenv: {message}", file=sys.stderr)
+    return 2
 
 
 def _write_facts(path: Path | None, command: str, facts: Mapping[str, Any]) -> None:
@@ -228,7 +211,7 @@ def _printing() -> Iterator[None]:
         log.propagate = True
 
 
-def _with_names(words: list[str]) -> list[str]:
+def _name_pictures(words: list[str]) -> list[str]:
     """Name the picture of ``--plot`` and its like where no name follows: the operation chooses it.
 
     A layout may follow: `simulate --plot plan.txt`.
@@ -240,20 +223,10 @@ def _with_names(words: list[str]) -> list[str]:
     named: list[str] = []
     for word, following in itertools.pairwise([*words, "-"]):
         named.append(word)
-        if word in _PICTURE_OPTIONS and Path(following).suffix.lower() not in endings:
-            named += [str(AUTO)] * (following != str(AUTO))
+        optional = word in ("--plot", "--gif", "--mp4")
+        if optional and following != str(AUTO) and Path(following).suffix.lower() not in endings:
+            named.append(str(AUTO))
     return named
-
-
-def _flat(value: Any) -> Iterator[Any]:
-    """List the values in nested lists and dictionaries."""
-    if isinstance(value, dict):
-        value = list(value.values())
-    if isinstance(value, list | tuple):
-        for one in value:
-            yield from _flat(one)
-    else:
-        yield value
 
 
 def main() -> None:

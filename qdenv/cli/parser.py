@@ -13,10 +13,12 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints, is_typeddict
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 import tyro
 from tyro import _errors as events
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from qdenv import interrupt
 from qdenv.ops.options import CommandDefault
@@ -25,10 +27,6 @@ from qdenv.types import InputError
 
 MARKERS = (tyro.conf.AvoidSubcommands,)
 SPEC = "COMPLETION_SPEC = "  # begins the line of tyro's completion script with all options
-_CONVERSIONS = {
-    "invalid literal for int()": "a whole number",
-    "could not convert string to float": "a number",
-}
 _JSON = tyro.conf.arg(metavar="FILE", help="file of the facts to write; - is standard output")
 
 
@@ -41,13 +39,14 @@ def parse(
         target: the type or the function.
         words: the command line after the name of the program.
         program: how it is called, like "qdenv simulate".
-        rules: for types of our own, see `qdenv.cli.rules`.
+        rules: for types of our own, see `qdenv.cli.rules`; those for numbers unless given.
         partly: return the words that it does not know as well, in place of refusing them.
 
     Raises:
         InputError: the words make no sense.
         SystemExit: help was requested, and printed.
     """
+    rules = rules or number_rules()
 
     def refuse(event: Any) -> None:
         if message := _message(event, target, rules):
@@ -84,9 +83,6 @@ def _message(event: Any, target: Any, rules: Any) -> str:
         name = _name_of(event.argument)
         if message.startswith("must be"):
             return f"{name} {message}{listed}"
-        for start, kind in _CONVERSIONS.items():  # Python's own words
-            if message.startswith(start):
-                return f"{name} must be {kind}, not {message.rpartition(': ')[2]}{listed}"
         if "parse" in message or "type matching" in message:  # tyro's own words
             return f"{name} does not have the form {event.argument.lowered.metavar}{listed}"
         return message
@@ -111,25 +107,49 @@ def _name_of(argument: Any) -> str:
 
 def _close_option(word: str, target: Any, rules: Any) -> str | None:
     """Return the option that may have been meant; one whose last part is equal comes first."""
-    spec = completion_spec(_completion_script(target, "bash", rules))
-    known = [name for option in spec["options"] for name in option["flags"]]
+    with contextlib.redirect_stdout(io.StringIO()) as script, contextlib.suppress(SystemExit):
+        parse(target, ["--tyro-print-completion", "bash"], "qdenv", rules)
+    options = completion_spec(script.getvalue())["options"]
+    known = [name for option in options for name in option["flags"]]
     alike = [name for name in known if name.rpartition(".")[2] == word.lstrip("-")]
     return next(iter(alike + difflib.get_close_matches(word, known, 1)), None)
 
 
-def _completion_script(target: Any, shell: str, rules: Any = None) -> str:
-    """Return tyro's completion script for a program."""
-    script = io.StringIO()
-    with contextlib.redirect_stdout(script), contextlib.suppress(SystemExit):
-        parse(target, ["--tyro-print-completion", shell], "qdenv", rules)
-    return script.getvalue()
-
-
 def completion_spec(script: str) -> dict[str, Any]:
-    """Return the description of all options in a completion script."""
+    """Return the description of all options in tyro's completion script for a program."""
     lines = [line for line in script.splitlines() if line.startswith(SPEC)]
     spec: dict[str, Any] = ast.literal_eval(lines[0].removeprefix(SPEC))
     return spec
+
+
+def number_rules() -> ConstructorRegistry:
+    """Make the rules by which numbers are read: a mistake is refused in plain words."""
+    rules = ConstructorRegistry()
+    rules.primitive_rule(_number_rule)
+    return rules
+
+
+def _number_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+    parts = get_args(info.type) if get_origin(info.type) in (Union, UnionType) else (info.type,)
+    kinds = [get_args(one)[0] if get_origin(one) is Annotated else one for one in parts]
+    kind = next((one for one in kinds if one is not type(None)), None)
+    if kind not in (int, float) or len(kinds) > 2:
+        return None
+
+    def read(words: list[str]) -> Any:
+        try:
+            return kind(words[0])
+        except ValueError:
+            noun = "an integer" if kind is int else "a number"
+            raise ValueError(f"must be {noun}, not {words[0]!r}") from None
+
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=kind.__name__.upper(),
+        instance_from_str=read,
+        is_instance=lambda value: isinstance(value, kind),
+        str_from_instance=lambda value: [str(value)],
+    )
 
 
 def _description(target: Any) -> str:
@@ -158,8 +178,7 @@ def command(operation: Callable) -> Any:
         for mark in getattr(hints.get(name), "__metadata__", ()):
             if isinstance(mark, CommandDefault):
                 parameters[name] = parameters[name].replace(default=mark.value)
-    stated: Any = bind
-    stated.__signature__ = signature.replace(parameters=[*parameters.values()])
+    bind.__signature__ = signature.replace(parameters=[*parameters.values()])  # type: ignore[attr-defined]
     fields: list[Any] = [
         ("arguments", Annotated[Any, tyro.conf.arg(name="", constructor=bind)]),
         ("json", Annotated[Path | None, _JSON], None),
@@ -170,11 +189,7 @@ def command(operation: Callable) -> Any:
 
 
 def _check_ranges(function: Callable, arguments: inspect.BoundArguments) -> None:
-    """Check arguments against the ranges in the types of a function.
-
-    Raises:
-        InputError: a value is out of its range.
-    """
+    """Raise InputError if an argument is out of the range that its type states."""
     hints = get_type_hints(function, include_extras=True)
     for name, value in arguments.arguments.items():
         (record,) = get_args(hints[name])[:1] or (None,)
@@ -192,7 +207,7 @@ def run_program(function: Callable, program: str, words: Sequence[str] | None = 
     Args:
         function: its arguments are the options.
         program: how it is called, like "python -m experiments.benchmarks maze".
-        words: what follows that on the command line; what this process was given unless set.
+        words: what follows that on the command line; that of this process unless given.
     """
 
     @functools.wraps(function)
