@@ -41,6 +41,7 @@ from qdenv.ops.options import (
     open_run,
 )
 from qdenv.registry import Registry
+from qdenv.shipped import PREFIX
 from qdenv.simulate.mapf.settings import PLANNERS, find_planner
 from qdenv.study.plans import USUAL, read_plan
 from qdenv.types import InputError, choices
