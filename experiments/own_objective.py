@@ -17,7 +17,8 @@ from qdenv.search.base import Problem
 from qdenv.search.export import save_csv
 from qdenv.search.registry import ALGORITHMS, make_algorithm
 from qdenv.types import Measure, Score
-from qdenv.view.archive import save_heatmap
+from qdenv.view.archive import draw_archive
+from qdenv.view.style import new_figure, save_figure
 
 LINKS = 12
 MEASURES = (Measure("tip x", -LINKS, LINKS, 60), Measure("tip y", -LINKS, LINKS, 60))
@@ -53,7 +54,8 @@ def main(
     archive = search.archive(state)
     print(f"{algorithm}: QD-score {archive.qd_score():.1f}, coverage {archive.coverage:.1%}")
     save_csv(archive, out.with_suffix(".csv"))
-    save_heatmap(out.with_suffix(".png"), archive.objectives, MEASURES, "bent chain")
+    figure = draw_archive(new_figure(6, 4.8), archive.objectives, MEASURES, "bent chain")
+    save_figure(figure, out.with_suffix(".png"))
 
 
 if __name__ == "__main__":

@@ -47,9 +47,8 @@ class Summary(NamedTuple):
     @property
     def objectives(self) -> np.ndarray:
         """The objectives of all cells, float [C], NaN where empty."""
-        return scatter_objectives(
-            self.elites["cell"].astype(int), self.elites["objective"], self.measures
-        )
+        columns = {"index": self.elites["cell"].astype(int), "objective": self.elites["objective"]}
+        return scatter_objectives(columns, self.measures)
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,8 @@ from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.settings import Strategy
 from qdenv.stats import standard_error
 from qdenv.types import Array, Measure, Score
-from qdenv.view.archive import save_heatmap
+from qdenv.view.archive import draw_archive
+from qdenv.view.style import new_figure, save_figure
 
 BOUND = 5.12  # where the measures begin to fold back
 SHIFT = 0.4 * BOUND  # of the optimum
@@ -116,7 +117,8 @@ def main(
         f"{mean[0]:.2f} ± {error[0]:.2f}, coverage {mean[1]:.2f} ± {error[1]:.2f} %"
     )
     if picture:
-        save_heatmap(picture, archive.objectives, archive.measures, "sphere")
+        figure = draw_archive(new_figure(6, 4.8), archive.objectives, archive.measures, "sphere")
+        save_figure(figure, picture)
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ ALLOWED = {
     "run": BASE
     | STAGES
     | PLUGS
-    | {"search", "pipeline", "settings", "domains", "view.notebook"}
+    | {"search", "pipeline", "settings", "domains", "view.archive", "view.layouts"}
     | {"mesh", "shipped"},
     "study": BASE
     | STAGES

@@ -24,9 +24,8 @@ from qdenv.io.layouts import read_layout
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.stats import wilson_interval
 from qdenv.types import InputError
-from qdenv.view.film import MARKS
-from qdenv.view.layouts import COLOURS
-from qdenv.view.maze import draw_mazes as draw_panels
+from qdenv.view.layouts import COLOURS, MARKS
+from qdenv.view.layouts import draw_mazes as draw_panels
 from qdenv.view.style import save_figure
 
 

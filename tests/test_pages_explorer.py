@@ -42,7 +42,7 @@ def changed_run(run: RunDirectory, folder, manifest=None, config=None, columns=N
 
 def explored(run: RunDirectory, folder, growth=None):
     """Make a page of a run; give its file."""
-    return make_explorer(run, growth)[0].save(folder / "explorer.html")
+    return make_explorer(run, growth).save(folder / "explorer.html")
 
 
 @pytest.fixture(scope="module")

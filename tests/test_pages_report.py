@@ -15,11 +15,12 @@ from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.layouts import write_layout
 from qdenv.study.elites import human_layout
+from qdenv.study.plans import read_plan
 from qdenv.types import InputError
-from qdenv.view.page import FILTERS
-from qdenv.view.report.build import listed, name_seeds, to_svg
-from qdenv.view.report.fleet import around
-from qdenv.view.report.subjects import find_rival, read_subjects
+from qdenv.view.page import listed
+from qdenv.view.report_fleet import counts_around
+from qdenv.view.report_subjects import Subject, find_rival
+from qdenv.view.style import to_svg
 
 QUICK = ["--planner", "pibt", "--timesteps", "120", "--seeds", "4"]
 WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
@@ -99,8 +100,13 @@ def test_the_page_shows_these_numbers_and_complains_of_nothing(folder, facts):
         headings = shown.evaluate("[...document.querySelectorAll('h2')].map(h => h.innerText)")
         throughput, success = cells(shown, "throughput"), cells(shown, "success")
         against, waiting = cells(shown, "against-0"), cells(shown, "waiting-0")
-        answer = shown.inner_text("p.answer")
-    assert headings == HEADINGS
+        answer, question = shown.inner_text("p.answer"), shown.inner_text("p.plain")
+        aligned = shown.evaluate(
+            "[...document.querySelectorAll('#throughput tbody tr:first-child td')]"
+            ".map(cell => getComputedStyle(cell).textAlign)"
+        )
+    assert headings == HEADINGS and "4 simulated runs (seeds 0 to 3)" in question
+    assert aligned == ["left", *["right"] * 4]
     for row, line, rate in zip(sweep, throughput, success, strict=False):
         assert line[:3] == ["plan", str(row["agents"]), f"{row['mean_of_all']:.3f}"]
         assert line[4] == f"{row['error_of_all']:.3f}"
@@ -156,7 +162,8 @@ def test_one_run_has_no_interval_and_says_none(folder):
         assert {(line[3], line[4]) for line in cells(shown, "throughput")} == {("", "")}
         assert {line[4] for line in cells(shown, "against-0")} == {""}
         assert shown.evaluate("facts.layouts.plan.standard_error") is None
-        assert "nan" not in shown.inner_text("main").lower()
+        text = shown.inner_text("main")
+    assert "nan" not in text.lower() and "of one run (seed 7)" in text
 
 
 def test_a_maze_has_the_agents_success_as_evaluate_agent_says_it(folder, capsys):
@@ -186,32 +193,32 @@ def test_a_run_shows_its_archive_and_reports_on_its_best_layout(small_run, tmp_p
 
 
 def test_the_hand_made_rival_says_where_its_numbers_differ(folder):
-    subjects = read_subjects([folder / "plan.json", folder / "hand-made.json"])
-    plan, human = subjects
+    plans = [read_plan(folder / name) for name in ("plan.json", "hand-made.json", "maze.txt")]
+    plan, human, maze = (Subject(one.name, one.name, one) for one in plans)
+    subjects = [plan, human]
     rival = find_rival(plan, subjects)
-    assert rival.name == "hand-made" and np.array_equal(rival.layout, human.layout)
-    shelves = [int((one.layout == 1).sum()) for one in (human, plan)]
+    assert rival.name == "hand-made" and np.array_equal(rival.layout, human.plan.layout)
+    shelves = [int((one.plan.layout == 1).sum()) for one in subjects[::-1]]
     assert "It holds {} shelves where this one has {}".format(*shelves) in rival.about
     assert find_rival(human, subjects).layout is None
-    maze = read_subjects([folder / "maze.txt"])
-    assert "Nobody designs layouts of maze-walls by hand" in find_rival(maze[0], maze).about
+    assert "Nobody designs layouts of maze-walls by hand" in find_rival(maze, [maze]).about
 
 
 def test_layouts_and_runs_are_of_one_domain_and_named_once(folder):
     with pytest.raises(InputError, match="report on one domain at a time"):
-        read_subjects([folder / "plan.json", folder / "maze.txt"])
+        qdenv.report([folder / "plan.json", folder / "maze.txt"])
     with pytest.raises(InputError, match="name each layout and run once"):
-        read_subjects([folder / "plan.json"] * 2)
+        qdenv.report([folder / "plan.json"] * 2)
     with pytest.raises(InputError, match="at least one layout file or run"):
-        read_subjects([])
-    names = [one.name for one in read_subjects(["zoo:maze-walls/best", "zoo:maze-walls/open"])]
-    assert names == ["maze-walls/best", "maze-walls/open"]
+        qdenv.report([])
+    page = qdenv.report(["zoo:maze-walls/best", "zoo:maze-walls/open"], timesteps=5)
+    assert list(page.facts["layouts"]) == ["maze-walls/best", "maze-walls/open"]
 
 
 def test_numbers_of_robots_are_chosen_around_the_one_in_question():
-    assert around(200, 948) == (100, 150, 200, 250, 300)
-    assert around(200, 210) == (100, 150, 200, 210)
-    assert around(1, 9) == (1, 2) and around(2, 9) == (1, 2, 3)
+    assert counts_around(200, 948) == (100, 150, 200, 250, 300)
+    assert counts_around(200, 210) == (100, 150, 200, 210)
+    assert counts_around(1, 9) == (1, 2) and counts_around(2, 9) == (1, 2, 3)
 
 
 def test_figures_keep_their_names_apart_and_their_text_as_text():
@@ -223,14 +230,8 @@ def test_figures_keep_their_names_apart_and_their_text_as_text():
     assert other.count("#other-") == other.count("#") - other.count(": #")
 
 
-def test_lists_and_seeds_read_as_people_say_them():
+def test_lists_read_as_sentences():
     assert listed(["a"]) == "a" and listed(["a", "b", "c"]) == "a, b and c"
-    assert name_seeds((0, 1, 2)) == "seeds 0 to 2" and name_seeds((3,)) == "seed 3"
-    assert name_seeds((3, 5)) == "seeds 3 and 5"
-
-
-def test_columns_of_numbers_are_known():
-    assert FILTERS["numeric_columns"]([("x", "1.5"), ("y", "")]) == [False, True]
 
 
 def test_without_a_page_library_nothing_is_simulated(folder, monkeypatch, capsys):

@@ -15,11 +15,11 @@ from qdenv.study.groups import CURVES, Group
 from qdenv.study.recordings import Maps, Spot
 from qdenv.study.table import Peak, Row
 from qdenv.types import InputError, Measure
+from qdenv.view import COLUMN, PAGE, parse_width
 from qdenv.view.runs import draw_archives, draw_progress
 from qdenv.view.studies import draw_comparison, draw_over_agents, draw_peaks
-from qdenv.view.style import PALETTE, WARNING, name_of, new_figure, save_figure, styled
+from qdenv.view.style import PALETTE, WARNING, format_name, new_figure, save_figure, styled
 from qdenv.view.traffic import LINE, Scene, draw_panel, draw_traffic
-from qdenv.view.widths import COLUMN, PAGE, parse_width
 
 RNG = np.random.default_rng(0)
 NAMES = ("warehouse_human", "warehouse_even_nca_a5", "my_plan")
@@ -59,9 +59,7 @@ def every(monkeypatch):
     """Draw each picture at a width."""
     monkeypatch.setattr(Group, "title", property(lambda group: f"{group.label} (seeds 0, 1)"))
     axes = (Measure("connected shelf components", 0, 4, 4), Measure("entropy", 0, 1, 3))
-    from qdenv.view.runs import ArchivePanel
-
-    shown = [ArchivePanel(f"MAP-Elites (seed {seed})", RNG.random(12), axes) for seed in range(4)]
+    shown = [(f"MAP-Elites (seed {seed})", RNG.random(12), axes) for seed in range(4)]
     return {
         "comparison": lambda width: draw_comparison(rows(), width),
         "bars": lambda width: draw_comparison(rows((200,)), width),
@@ -164,9 +162,9 @@ def test_widths_are_read_in_words_and_inches():
 
 
 def test_names_of_layouts_are_words_and_long_paths_are_cut():
-    assert name_of("warehouse_human") == "warehouse human"
-    assert name_of("_") == "_"
-    cut = name_of("/a/very/long/path/to/some/folder/with/plan.json")
+    assert format_name("warehouse_human") == "warehouse human"
+    assert format_name("_") == "_"
+    cut = format_name("/a/very/long/path/to/some/folder/with/plan.json")
     assert cut.startswith("...") and cut.endswith("with/plan.json") and len(cut) == 31
 
 

@@ -12,10 +12,10 @@ from qdenv.grid import parse
 from qdenv.view.layouts import (
     CHANGED,
     COLOURS,
+    draw_difference,
     draw_frames,
     draw_layout,
-    save_difference,
-    save_layout,
+    draw_plan,
 )
 from qdenv.view.style import save_figure
 
@@ -43,23 +43,21 @@ def test_the_legend_counts_the_tiles_that_are_there():
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
 def test_saving_writes_one_file_and_leaves_no_state(tmp_path, ending):
     backend = matplotlib.get_backend()
-    save_layout(tmp_path / f"layout.{ending}", LAYOUT, ".@ew")
+    save_figure(draw_plan(LAYOUT, ".@ew"), tmp_path / f"layout.{ending}", crop=True)
     assert [path.name for path in tmp_path.iterdir()] == [f"layout.{ending}"]
     assert not Gcf.figs and matplotlib.get_backend() == backend
 
 
 def test_the_difference_frames_what_changed(tmp_path):
-    after = LAYOUT.copy()
-    save_difference(tmp_path / "none.png", LAYOUT, after, ".@ew")
-    after[2, 1] = 2
-    save_difference(tmp_path / "one.png", LAYOUT, after, ".@ew")
-
-    def framed(name):
-        pixels = imread(tmp_path / name)[..., :3]
+    def framed(after):
+        save_figure(draw_difference(LAYOUT, after, ".@ew"), tmp_path / "d.png", crop=True)
+        pixels = imread(tmp_path / "d.png")[..., :3]
         return (np.abs(pixels - to_rgb(CHANGED)).max(-1) < 0.02).sum()
 
-    assert framed("none.png") == 0
-    assert framed("one.png") >= 4
+    after = LAYOUT.copy()
+    assert framed(after) == 0
+    after[2, 1] = 2
+    assert framed(after) >= 4
 
 
 def test_a_series_has_a_panel_per_number_of_steps_and_at_most_six_in_a_row(tmp_path):

@@ -8,7 +8,8 @@ from PIL import Image
 
 from qdenv.study.recordings import Motion
 from qdenv.types import InputError
-from qdenv.view.film import KINDS, MARKS, MOST, TITLE, WARMTH, floor_colours, save_film
+from qdenv.view.film import KINDS, MOST, TITLE, WARMTH, floor_colours, save_film
+from qdenv.view.layouts import MARKS
 
 TILES = ".@ew"
 LAYOUT = np.zeros((4, 6), np.int8)

@@ -17,7 +17,8 @@ from qdenv.run.directory import RunDirectory
 from qdenv.simulate.maze.world import longest_path
 from qdenv.types import Measure
 from qdenv.view.archive import draw_archive, scatter_objectives
-from qdenv.view.runs import draw_marks, plot_run
+from qdenv.view.layouts import draw_marks
+from qdenv.view.runs import plot_run
 
 GRID = (Measure("x", 0, 4, 4), Measure("y", 0, 3, 3))
 
@@ -30,11 +31,11 @@ def words(figure: Figure) -> str:
 
 
 def test_the_colour_bar_says_what_it_shows_and_a_single_value_has_none():
-    figure = Figure()
-    draw_archive(figure, scatter_objectives([0, 5], [1.0, 2.0], GRID), GRID, label="speed [m/s]")
+    columns = {"index": [0, 5], "objective": [1.0, 2.0]}
+    figure = draw_archive(Figure(), scatter_objectives(columns, GRID), GRID, label="speed [m/s]")
     assert len(figure.axes) == 2 and "speed [m/s]" in words(figure)
-    figure = Figure()
-    draw_archive(figure, scatter_objectives([0, 5], [1.0, 1.0], GRID), GRID, label="solvable")
+    columns["objective"] = [1.0, 1.0]
+    figure = draw_archive(Figure(), scatter_objectives(columns, GRID), GRID, label="solvable")
     assert len(figure.axes) == 1 and "solvable: 1 in every filled cell" in words(figure)
 
 

@@ -16,7 +16,7 @@ from qdenv.run.directory import RunDirectory
 from qdenv.run.log import METRICS, Metrics
 from qdenv.study.groups import band_of, group_runs, tell_apart
 from qdenv.types import InputError, Measure
-from qdenv.view.runs import ArchivePanel, draw_archives, draw_progress
+from qdenv.view.runs import draw_archives, draw_progress
 
 GRID = (Measure("x", 0, 4, 4), Measure("y", 0, 3, 3))
 
@@ -94,7 +94,7 @@ def test_progress_has_a_line_per_group_and_a_band_for_several_runs(runs):
 
 def test_archives_share_one_colour_scale_and_one_bar():
     values = {"a": np.linspace(1, 2, 12), "b": np.full(12, np.nan), "c": np.linspace(5, 9, 12)}
-    shown = [ArchivePanel(title, objectives, GRID) for title, objectives in values.items()]
+    shown = [(title, objectives, GRID) for title, objectives in values.items()]
     figure = draw_archives(shown, "petals")
     images = [axes.images[0] for axes in figure.axes[:3]]
     assert {image.get_clim() for image in images} == {(1.0, 9.0)}

@@ -194,9 +194,11 @@ def repair_layout(
         made.save(target.path)
         say(target)
     if picture:
-        from qdenv.view.layouts import save_difference  # imports matplotlib
+        from qdenv.view.layouts import draw_difference  # imports matplotlib
+        from qdenv.view.style import save_figure
 
-        save_difference(picture.path, plan.layout, repaired, fitted.tiles, fitted.names)
+        figure = draw_difference(plan.layout, repaired, fitted.tiles, fitted.names)
+        save_figure(figure, picture.path, crop=True)
         say(picture)
     return made
 

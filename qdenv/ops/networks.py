@@ -214,7 +214,7 @@ def _report_random(
     }
     if table is None:
         return facts
-    from qdenv.view.maze import draw_mazes  # imports matplotlib
+    from qdenv.view.layouts import draw_mazes  # imports matplotlib
     from qdenv.view.style import save_figure
 
     folder, picture, rows = table.beside(""), table.beside(".png"), []

@@ -25,7 +25,7 @@ from qdenv.study.options import TIMESTEPS, parse_counts, parse_seeds
 from qdenv.study.plans import Plan
 from qdenv.study.plans import read_plan as read_file
 from qdenv.types import InputError
-from qdenv.view.widths import parse_width
+from qdenv.view import parse_width
 
 if TYPE_CHECKING:
     from qdenv.run.directory import RunDirectory

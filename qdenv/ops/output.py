@@ -151,9 +151,11 @@ class Layout:
 
     def draw(self, path: str | Path) -> Path:
         """Draw the layout as a picture, PNG, SVG or PDF by the ending of its name."""
-        from qdenv.view.layouts import save_layout  # imports matplotlib
+        from qdenv.view.layouts import draw_plan  # imports matplotlib
+        from qdenv.view.style import save_figure
 
-        save_layout(path, self.layout, self.domain.tiles, self.domain.names)
+        figure = draw_plan(self.layout, self.domain.tiles, self.domain.names)
+        save_figure(figure, path, crop=True)
         return Path(path)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
@@ -167,7 +169,7 @@ class Layout:
         return f"Layout({rows} x {cols} of {self.domain.name}{facts})"
 
     def _repr_html_(self) -> str:
-        from qdenv.view.notebook import layout_html  # imports matplotlib
+        from qdenv.view.layouts import layout_html  # imports matplotlib
 
         picture = layout_html(self.layout, self.domain.tiles, self.domain.names)
         return picture + _table_html([_plain(self.facts)])

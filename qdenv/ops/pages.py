@@ -34,12 +34,11 @@ from qdenv.study.plans import Plan
 from qdenv.study.recordings import MAZES, Motion
 from qdenv.study.table import Row
 from qdenv.types import InputError
-from qdenv.view.page import Page, demand
-from qdenv.view.report.subjects import Subject, distinct, is_run, subject_of_run
+from qdenv.view.page import Page, require_package
+from qdenv.view.report_subjects import Subject, distinct, is_run, subject_of_run
 
 if TYPE_CHECKING:  # imports the simulator
-    from qdenv.view.report.build import Report
-    from qdenv.view.report.fleet import Asked
+    from qdenv.view.report_fleet import FleetRequest
 
 _LONG = 20.0  # seconds from which on an estimate of the time is logged
 
@@ -108,13 +107,13 @@ def replay(
     stem = stem_of(layout)
     target = place(out, f"{stem}_replay.html", (".html",), [layout])
     if films.mp4:
-        demand("films", "imageio-ffmpeg")
+        require_package("films", "imageio-ffmpeg")
     endings = {".gif": films.gif, ".mp4": films.mp4}
     drawn = [
         place(path, f"{stem}_replay{ending}", (ending,), [layout])
         for ending, path in endings.items()
     ]
-    demand("pages", "jinja2")
+    require_package("pages", "jinja2")
     options = Fleet(fleet)
     plan = read_plan(layout, options.domain)
     if plan.domain.name in MAZES:
@@ -221,15 +220,15 @@ def explore(run: Run, growth: NonNegativeInt | None = None, out: Out = None) -> 
     from qdenv.view.explorer import make_explorer  # imports jax
 
     with Bar("growing") as bar:
-        page, facts = make_explorer(opened, growth, bar)
+        page = make_explorer(opened, growth, bar)
     if target:
         page.save(target.path)
         say(
-            f"{target}: {facts['elites']} elites, {facts['growth']} of them grow, "
-            f"{facts['megabytes']:.1f} MB"
+            f"{target}: {page.facts['elites']} elites, {page.facts['growth']} of them grow, "
+            f"{page.facts['megabytes']:.1f} MB"
         )
     settings = {"run": str(run), "growth": growth}
-    return dataclasses.replace(page, facts={**facts, "settings": settings})
+    return dataclasses.replace(page, facts={**page.facts, "settings": settings})
 
 
 def report(
@@ -256,7 +255,7 @@ def report(
     Raises:
         InputError: something cannot be read, a fleet cannot work there, or a package is missing.
     """
-    demand("pages", "jinja2")
+    require_package("pages", "jinja2")
     given = list(sources) if isinstance(sources, list | tuple) else [sources]
     files = [one for one in given if isinstance(one, str | Path) and Path(one).is_file()]
     target = place(out, "report.html", (".html",), files)
@@ -272,44 +271,42 @@ def report(
     if subjects[0].plan.domain.simulator.tasks is None:
         if counts:
             raise InputError("no fleet drives in mazes: leave --agents out")
-        from qdenv.view.report.mazes import maze_report, solve
+        from qdenv.view.report_maze import report_mazes
 
         with Bar("solving mazes") as bar:
-            made = maze_report(solve(subjects, options.timesteps, bar), again)
+            page = report_mazes(subjects, options.timesteps, again, bar)
     else:
         # This imports the simulator: refusals are faster without it.
-        from qdenv.view.report.fleet import ask
+        from qdenv.view.report_fleet import make_request
 
-        asked = ask(subjects, counts, options.timesteps, options.config, options.seeds)
-        made = _report_fleets(asked._replace(per_hour=options.per_hour), again)
+        steps, hour = options.timesteps, options.per_hour
+        request = make_request(subjects, counts, steps, options.config, options.seeds, hour)
+        page = _report_fleet(request, again)
     if target:
-        made.page.save(target.path)
+        page.save(target.path)
         say(f"{target}: {target.path.stat().st_size / 1e6:.1f} MB")
     settings = options.settings(options.timesteps) | {"sources": [str(one) for one in given]}
-    return dataclasses.replace(made.page, facts={**made.facts, "settings": settings})
+    return dataclasses.replace(page, facts={**page.facts, "settings": settings})
 
 
-def _report_fleets(asked: Asked, again: str) -> Report:
+def _report_fleet(request: FleetRequest, again: str) -> Page:
     """Simulate, log how long that will take, and make the page."""
-    from qdenv.view.report.build import fleet_report
-    from qdenv.view.report.fleet import seconds_for, study
+    from qdenv.view.report_fleet import estimate_seconds, report_fleet
 
     first = True
     with Bar("simulating") as bar:
 
         def show(row: Row) -> None:
             nonlocal first
-            rest = seconds_for(asked, row, devices.threads())
+            rest = estimate_seconds(request, row, devices.threads())
             if first and rest > _LONG:
                 say(f"this takes about {format_duration(rest)} in all (an estimate)")
             first = False
             rate = f"{row.success_rate:.0%} never congested"
             say(f"{row.layout}, {row.agents} agents: {row.mean_of_all:.3f}, {rate}")
 
-        found = study(asked, show, bar)
-        bar.begin("drawing the page")
-        made = fleet_report(found, again)
-    for one, result in zip(asked.subjects, found.studies, strict=True):
-        assert result.verdict is not None
-        say(f"{one.name}, {found.agents} agents: {result.verdict.word}, {result.verdict.reason}")
-    return made
+        page = report_fleet(request, again, show, bar)
+    for name, one in page.facts["layouts"].items():
+        agents = page.facts["agents"]
+        say(f"{name}, {agents} agents: {one['verdict']}, {one['verdict_reason']}")
+    return page

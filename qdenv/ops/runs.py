@@ -41,7 +41,7 @@ from qdenv.study.groups import CURVES, band_of, group_runs
 from qdenv.study.options import describe_growth
 from qdenv.study.plans import describe_changes, list_changes
 from qdenv.types import InputError, RepairStatus
-from qdenv.view.widths import PAGE
+from qdenv.view import PAGE
 
 if TYPE_CHECKING:  # imports jax
     pass

@@ -307,8 +307,7 @@ def zoo(name: ZooName = "", plot: Picture = None) -> Facts:
         for number, one in enumerate(found):
             say(*[""] * (number > 0), *_describe_collection(one))
     if picture:
-        from qdenv.view.layouts import Picture as Panel  # imports matplotlib
-        from qdenv.view.layouts import draw_sheet
+        from qdenv.view.layouts import draw_sheet  # imports matplotlib
         from qdenv.view.style import save_figure
 
         panels = []
@@ -318,8 +317,7 @@ def zoo(name: ZooName = "", plot: Picture = None) -> Facts:
                 f"{size.rows} x {size.cols}: {_figure(size.driven[0])}" for size in sizes
             )
             title = str(shipped).removeprefix(PREFIX) if len(found) > 1 else shipped.generator.name
-            tiles, meanings = run.schema.tiles, run.schema.names
-            panels.append(Panel(run.best.layout, tiles, meanings, title, text_below))
+            panels.append((run.best.layout, run.schema.tiles, title, text_below))
         save_figure(draw_sheet(panels), picture.path)
         say(picture)
     return Facts(

@@ -32,7 +32,7 @@ from qdenv.study.plans import Plan
 from qdenv.study.recordings import FADING
 from qdenv.study.table import Peak, Row, differences, find_capacity, find_peak, write_rows
 from qdenv.types import InputError
-from qdenv.view.widths import PAGE
+from qdenv.view import PAGE
 
 if TYPE_CHECKING:  # imports jax
     pass

@@ -100,13 +100,12 @@ def simulate_layout(
         say(f"verdict      {facts['verdict']}: {facts['verdict_reason']}")
     say(*_jams(facts, plan))
     if picture:
-        from qdenv.view.style import name_of as title_of  # imports matplotlib
-        from qdenv.view.style import save_figure
-        from qdenv.view.traffic import draw_traffic, scene_of
-        from qdenv.view.widths import SCREEN
+        from qdenv.view import SCREEN
+        from qdenv.view.style import format_name, save_figure  # imports matplotlib
+        from qdenv.view.traffic import draw_traffic, make_scene
 
-        title = f"{title_of(plan.name)}, {agents} agents{judgement}"
-        scene = scene_of(plan, study, title, options.stop)
+        title = f"{format_name(plan.name)}, {agents} agents{judgement}"
+        scene = make_scene(plan, study, title, options.stop)
         save_figure(draw_traffic(scene, width or SCREEN), picture.path)
         say(picture)
     return Facts(facts | {"settings": options.settings(timesteps)})

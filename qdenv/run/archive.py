@@ -63,7 +63,7 @@ class Elite(NamedTuple):
     def _repr_html_(self) -> str:
         """Draw the layout under the numbers, for notebooks."""
         # Only here: matplotlib takes half a second to import.
-        from qdenv.view.notebook import layout_html
+        from qdenv.view.layouts import layout_html
 
         return f"<p>{self!r}</p>{layout_html(self.layout, self.schema.tiles, self.schema.names)}"
 
@@ -311,8 +311,7 @@ class SavedArchive:
     def _repr_html_(self) -> str:
         """Draw the heat map under the numbers, for notebooks."""
         # Only here: matplotlib takes half a second to import.
-        from qdenv.view.notebook import archive_html
+        from qdenv.view.archive import archive_html
 
-        index, objective = self.columns["index"], self.columns["objective"]
-        picture = archive_html(index, objective, self.schema.measures, self.schema.objective)
+        picture = archive_html(self.columns, self.schema.measures, self.schema.objective)
         return f"<p>{self!r}</p>{picture}"

@@ -1,1 +1,25 @@
-"""Pictures, films and HTML pages, from saved results only."""
+"""Pictures, films and pages, from saved results only; this file imports no matplotlib."""
+
+from qdenv.types import InputError
+
+COLUMN, PAGE = 3.5, 7.2  # inches, as journals of two columns have them
+SCREEN = 10.0  # inches of several floor plans side by side, unless a width is given
+_NARROWEST, _WIDEST = 2.0, 40.0  # inches
+
+
+def parse_width(text: str) -> float:
+    """Read a picture's width in inches: "column", "page" or a number of inches.
+
+    Raises:
+        InputError: it is none of the three, or nothing could be read at that width.
+    """
+    try:
+        inches = {"column": COLUMN, "page": PAGE}.get(text) or float(text)
+    except ValueError:
+        inches = 0.0
+    if not _NARROWEST <= inches <= _WIDEST:
+        raise InputError(
+            f"width {text!r}: write column ({COLUMN} inches), page ({PAGE}), or a number of "
+            f"inches from {_NARROWEST:g} to {_WIDEST:g}"
+        )
+    return inches

@@ -1,7 +1,6 @@
-"""The heat map of an archive: one coloured cell per elite."""
+"""The heat map of an archive, one coloured cell per elite; predictions of its numbers."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,45 +10,16 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
 from qdenv.types import InputError, Measure
-from qdenv.view.style import new_figure, save_figure, styled
+from qdenv.view.style import new_figure, styled, to_html
 
 COLOURS = "viridis"
-_EMPTY = "#f2f2f2"
 WIDTH, TALL = 6.0, 0.8  # inches of a picture, and its height as a share of that
 
 
-def objective_grid(objectives: ArrayLike, measures: Sequence[Measure]) -> np.ndarray:
-    """Lay the objectives of all cells [C] out as a grid [cells_0, cells_1], NaN where empty.
-
-    Args:
-        objectives: float [C], row-major, not finite where a cell is empty.
-        measures: one or two.
-
-    Raises:
-        InputError: there are more than two measures, or the number of cells differs.
-    """
-    if len(measures) not in (1, 2):
-        raise InputError(f"a heat map shows one or two measures, not {len(measures)}")
-    shape = tuple(int(axis.cells) for axis in measures)
-    values = np.asarray(objectives, dtype=float).reshape(-1)
-    if values.size != np.prod(shape):
-        raise InputError(f"{values.size} objectives do not fill a grid of {shape} cells")
-    grid = np.where(np.isfinite(values), values, np.nan).reshape(shape)
-    return grid if len(shape) == 2 else grid[:, None]
-
-
-def scatter_objectives(
-    index: ArrayLike, objective: ArrayLike, measures: Sequence[Measure]
-) -> np.ndarray:
-    """Turn saved elites into the objectives of all cells, float [C], NaN where empty.
-
-    Args:
-        index: int [elites], their cells.
-        objective: float [elites].
-        measures: the axes of the archive.
-    """
+def scatter_objectives(columns: Mapping[str, ArrayLike], measures: Sequence[Measure]) -> np.ndarray:
+    """Return the objectives of all cells of a saved archive, float [C], NaN where empty."""
     objectives = np.full(int(np.prod([axis.cells for axis in measures])), np.nan)
-    objectives[np.asarray(index)] = np.asarray(objective)
+    objectives[np.asarray(columns["index"])] = np.asarray(columns["objective"])
     return objectives
 
 
@@ -60,21 +30,25 @@ def draw_heatmap(
     low: float | None = None,
     high: float | None = None,
 ) -> AxesImage:
-    """Draw the heat map into matplotlib `axes`; give the image, for a colour bar.
+    """Draw the heat map of one or two measures, and return the image, for a colour bar.
 
-    The first measure runs to the right, the second upwards.
+    The first measure runs to the right, the second upwards. The objectives are float [C],
+    row-major, not finite where a cell is empty; `low` and `high` are those of the darkest and the
+    brightest colour, the least and the greatest by default.
 
-    Args:
-        axes: matplotlib axes.
-        objectives: float [C], row-major, not finite where a cell is empty.
-        measures: one or two.
-        low: objective of the darkest colour; the least by default.
-        high: objective of the brightest colour; the greatest by default.
+    Raises:
+        InputError: there are more than two measures, or the number of cells differs.
     """
-    grid = objective_grid(objectives, measures)
+    if len(measures) not in (1, 2):
+        raise InputError(f"a heat map shows one or two measures, not {len(measures)}")
+    shape = tuple(int(axis.cells) for axis in measures)
+    values = np.asarray(objectives, dtype=float).reshape(-1)
+    if values.size != np.prod(shape):
+        raise InputError(f"{values.size} objectives do not fill a grid of {shape} cells")
+    grid = np.where(np.isfinite(values), values, np.nan).reshape(shape[0], -1)
     first, second = measures[0], measures[1] if len(measures) == 2 else None
     bottom, top = (second.low, second.high) if second else (0.0, 1.0)
-    filled = np.isfinite(grid).any()
+    filled = np.isfinite(grid).any()  # else matplotlib has no range of colours
     image = axes.imshow(
         grid.T,
         origin="lower",
@@ -85,7 +59,7 @@ def draw_heatmap(
         vmin=low if low is not None or filled else 0,
         vmax=high if high is not None or filled else 1,
     )
-    axes.set_facecolor(_EMPTY)
+    axes.set_facecolor("#f2f2f2")  # of empty cells
     axes.set_xlabel(first.name)
     if second:
         axes.set_ylabel(second.name)
@@ -101,99 +75,57 @@ def draw_archive(
     measures: Sequence[Measure],
     title: str = "",
     label: str = "objective",
-    low: float | None = None,
-    high: float | None = None,
-) -> None:
-    """Draw a heat map with its colour bar and heading into an empty figure.
+) -> Figure:
+    """Draw a heat map into an empty figure, with its colour bar and the share of filled cells.
 
-    Args:
-        figure: where.
-        objectives: float [C], row-major, not finite where a cell is empty.
-        measures: one or two.
-        title: printed above, beside the share of filled cells.
-        label: what the colours mean.
-        low: objective of the darkest colour.
-        high: objective of the brightest colour.
-
-    Raises:
-        InputError: the objectives do not fit the grid.
+    `label` is what the colours mean; the rest, and the errors, are those of `draw_heatmap`.
     """
     axes = figure.add_subplot()
-    image = draw_heatmap(axes, objectives, measures, low, high)
-    axes.set_title(describe_filling(objectives, title), fontsize="medium")
+    image = draw_heatmap(axes, objectives, measures)
     values = np.asarray(objectives, dtype=float)
-    values = values[np.isfinite(values)]
-    if low is None and high is None and len(values) and values.min() == values.max():
+    filled = np.isfinite(values)
+    share = f"{filled.mean():.1%} of {filled.size:,} cells filled"
+    axes.set_title(f"{title} ({share})" if title else share, fontsize="medium")
+    values = values[filled]
+    if len(values) and values.min() == values.max():
         # A scale of one colour says nothing; matplotlib would invent a range around it.
-        said = f"{label}: {values[0]:g} in every filled cell"
         red, green, blue, _ = (float(part) for part in image.to_rgba(values[0]))
-        patch = Patch(facecolor=(red, green, blue), label=said)
+        text = f"{label}: {values[0]:g} in every filled cell"
+        patch = Patch(facecolor=(red, green, blue), label=text)
         figure.legend(handles=[patch], loc="outside lower center", frameon=False)
     else:
         figure.colorbar(image, ax=axes, label=label)
+    return figure
 
 
-def save_heatmap(
-    path: str | Path,
-    objectives: ArrayLike,
-    measures: Sequence[Measure],
-    title: str = "",
-    label: str = "objective",
-    width: float = WIDTH,
-) -> None:
-    """Save the heat map of an archive as an image, atomically.
-
-    Args:
-        path: where; the suffix decides the format (png, pdf, svg). The other arguments, and what
-            may go wrong, are those of `draw_archive`.
-        objectives: float [C], row-major, not finite where a cell is empty.
-        measures: one or two.
-        title: printed above, beside the share of filled cells.
-        label: what the colours mean.
-        width: in inches.
-
-    Raises:
-        InputError: the objectives do not fit the grid, or the place cannot be written to.
-    """
-    figure = new_figure(width, TALL * width)
-    draw_archive(figure, objectives, measures, title, label)
-    save_figure(figure, path)
-
-
-def describe_filling(objectives: ArrayLike, title: str = "") -> str:
-    """Write the heading of a heat map: the title, and the share of filled cells."""
-    filled = np.isfinite(np.asarray(objectives, dtype=float))
-    share = f"{filled.mean():.1%} of {filled.size:,} cells filled"
-    return f"{title} ({share})" if title else share
-
-
-_SIDE = 3.4  # inches of a panel
-_ROOM = 0.04  # of a panel's range, beyond the outermost points
-_POINT_COLOUR = "#0072b2"
-_LINE_COLOUR = "#b5432d"
+def archive_html(columns: Mapping[str, ArrayLike], measures: Sequence[Measure], label: str) -> str:
+    """Return the heat map of a saved archive for a notebook; "" for more than two measures."""
+    if len(measures) > 2:
+        return ""
+    figure, objectives = new_figure(WIDTH, TALL * WIDTH), scatter_objectives(columns, measures)
+    return to_html(draw_archive(figure, objectives, measures, label=label))
 
 
 @styled
 def draw_predictions(
     panels: Mapping[str, tuple[np.ndarray, np.ndarray, str]], title: str
 ) -> Figure:
-    """Draw a panel for each number: every held-out elite, and the diagonal of perfect predictions.
+    """Draw predicted over true numbers of held-out elites, and the diagonal.
 
-    Args:
-        panels: by the label of the number: true values, predicted values, what the title says.
-        title: of the figure.
+    A panel has the label of its number, true values, predicted values (float [n]) and its title.
     """
-    figure = new_figure(_SIDE * len(panels), _SIDE + 0.45)
-    every: Sequence[Axes] = figure.subplots(1, len(panels), squeeze=False)[0]
-    for axes, (label, (truth, predicted, said)) in zip(every, panels.items(), strict=True):
+    side = 3.4  # inches
+    figure = new_figure(side * len(panels), side + 0.45)
+    row: Sequence[Axes] = figure.subplots(1, len(panels), squeeze=False)[0]
+    for axes, (label, (truth, predicted, heading)) in zip(row, panels.items(), strict=True):
         both = np.concatenate([truth, predicted])
-        room = _ROOM * max(float(np.ptp(both)), 1e-6)
-        ends = (both.min() - room, both.max() + room)
-        axes.plot(ends, ends, color=_LINE_COLOUR, linewidth=1, zorder=1)
-        axes.scatter(truth, predicted, s=9, alpha=0.5, color=_POINT_COLOUR, linewidths=0, zorder=2)
+        margin = 0.04 * max(float(np.ptp(both)), 1e-6)  # beyond the outermost points
+        ends = (both.min() - margin, both.max() + margin)
+        axes.plot(ends, ends, color="#b5432d", linewidth=1, zorder=1)
+        axes.scatter(truth, predicted, s=9, alpha=0.5, color="#0072b2", linewidths=0, zorder=2)
         axes.set(xlim=ends, ylim=ends, aspect="equal", xlabel=f"true {label}")
-        axes.set_title(said, fontsize=9)
+        axes.set_title(heading, fontsize=9)
         axes.grid(alpha=0.3)
-    every[0].set_ylabel("predicted")
+    row[0].set_ylabel("predicted")
     figure.suptitle(title, fontsize=10)
     return figure

@@ -1,9 +1,10 @@
-"""Pictures of layouts: one colour per tile, and what a repair changed."""
+"""Pictures of layouts: one colour per tile, marked cells, what a repair changed, many at once."""
+
+from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from qdenv.types import Array
-from qdenv.view.style import SCREEN_DPI, new_figure, save_figure, styled
+from qdenv.view.style import SCREEN_DPI, new_figure, styled, to_html
+
+if TYPE_CHECKING:
+    from qdenv.agent.evaluate import Drawn
 
 # Told apart by colour-blind eyes too, within each alphabet (tests measure it).
 COLOURS = {
@@ -27,13 +31,25 @@ COLOURS = {
     " ": "#ffffff",
 }
 UNKNOWN = "#b39ddb"  # tiles of a user's own domain
-_LINES = "#d9d9d9"
-CHANGED = "#e8108c"
+CHANGED = "#e8108c"  # frames of cells that a repair changed
+# What films and pages draw over the tiles, told apart by colour-blind eyes, too.
+MARKS = {
+    "driving": "#1c4e9a",
+    "waiting": "#c62f1d",
+    "serving": "#00796b",
+    "goal": "#00796b",
+    "way": "#d6338a",
+    "agent": "#f2b705",
+    "start": "#3c6fb0",
+    "reached": "#2e9e5b",
+    "ink": "#1b1b1b",
+}
+_NAMED = "#e8590c"  # cells with a name beside them
+
 _CELL = 0.16  # inches per cell, so that tiles are told apart at a glance
-SMALLEST, LARGEST = 4.5, 12.0  # inches of the longer side of one layout
+_SMALLEST, _LARGEST = 4.5, 12.0  # inches of the longer side of one layout
 _FINE = 60  # rows or columns beyond which lines would hide the tiles
 _LABELS = (1, 2, 5, 10, 20, 50, 100, 200)  # rows from one numbered row to the next
-_LETTER = 0.52  # of a letter's height: its width
 _NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
@@ -41,48 +57,34 @@ _NO_NAMES: Mapping[str, str] = MappingProxyType({})
 def draw_layout(
     layout: Array, tiles: str, ax: Axes | None = None, names: Mapping[str, str] = _NO_NAMES
 ) -> Axes:
-    """Draw a layout with a legend of the tiles it holds.
+    """Draw a layout (int8 [H, W]) with a legend that counts its tiles.
 
-    Args:
-        layout: int8 [H, W].
-        tiles: the alphabet.
-        ax: where to draw; a new figure unless given.
-        names: how the legend calls the tiles, by their symbols.
-
-    Returns:
-        The axes; their figure is registered nowhere and vanishes with them.
+    `tiles` is the alphabet, `names` what the legend calls its symbols. The axes are `ax`, or those
+    of a new figure, which is registered nowhere and vanishes with them.
     """
     layout = np.asarray(layout)
-    ax = _new_figure(layout.shape, 1).axes[0] if ax is None else ax
-    colours = ListedColormap([COLOURS.get(tile, UNKNOWN) for tile in tiles])
-    ax.imshow(layout, cmap=colours, vmin=-0.5, vmax=len(tiles) - 0.5, interpolation="nearest")
+    ax = _new_figure(layout.shape, 1)[0].axes[0] if ax is None else ax
+    colours = [COLOURS.get(tile, UNKNOWN) for tile in tiles]
+    # Half a kind at each end: kind k is the middle of its colour.
+    ends = {"vmin": -0.5, "vmax": len(tiles) - 0.5}
+    ax.imshow(layout, cmap=ListedColormap(colours), interpolation="nearest", **ends)
     ax.spines[:].set_visible(True)
     rows, cols = layout.shape
     if max(rows, cols) <= _FINE:
         ax.set_xticks(np.arange(cols + 1) - 0.5, minor=True)
         ax.set_yticks(np.arange(rows + 1) - 0.5, minor=True)
-        ax.grid(which="minor", color=_LINES, linewidth=0.4, alpha=1)  # on black shelves, too
+        ax.grid(which="minor", color="#d9d9d9", linewidth=0.4, alpha=1)  # seen on black shelves
     ax.tick_params(which="both", length=0, labelbottom=False, labelleft=False)
-    counts = [int((layout == kind).sum()) for kind in range(len(tiles))]
-    handles = [
-        Patch(
-            facecolor=COLOURS.get(tile, UNKNOWN),
-            edgecolor="#999999",
-            label=f"{names.get(tile, repr(tile))}: {count} cell{'s' * (count != 1)}",
-        )
-        for tile, count in zip(tiles, counts, strict=True)
-        if count
-    ]
-    _add_legend(ax, handles)
-    return ax
-
-
-def _add_legend(ax: Axes, handles: list[Patch]) -> None:
-    """Put a legend under a layout, in letters that grow with it and as wide as it is."""
+    handles = []
+    for kind, (tile, colour) in enumerate(zip(tiles, colours, strict=True)):
+        if count := int((layout == kind).sum()):
+            label = f"{names.get(tile, repr(tile))}: {count} cell{'s' * (count != 1)}"
+            handles.append(Patch(facecolor=colour, edgecolor="#999999", label=label))
+    # Below the layout, in letters that grow with it and in as many columns as its width holds.
     inches = ax.get_window_extent().width / ax.figure.dpi
     points = float(np.clip(1.6 * inches, 8, 14))
     longest = max(len(str(handle.get_label())) for handle in handles)
-    entry = (longest * _LETTER + 3) * points / 72
+    entry = (longest * 0.52 + 3) * points / 72  # inches: a letter is half as wide as high
     ax.legend(
         handles=handles,
         loc="upper center",
@@ -93,48 +95,44 @@ def _add_legend(ax: Axes, handles: list[Patch]) -> None:
         handlelength=1.0,
         columnspacing=1.2,
     )
+    return ax
 
 
-def save_layout(
-    path: str | Path, layout: Array, tiles: str, names: Mapping[str, str] = _NO_NAMES
-) -> None:
-    """Save a picture of `layout` (int8 [H, W]); the ending of `path` chooses the format.
-
-    Rows and columns are numbered from 0, as messages number them; `names` are the legend's.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
-    save_figure(draw_plan(layout, tiles, names), path, crop=True)
+def layout_html(layout: np.ndarray, tiles: str, names: Mapping[str, str]) -> str:
+    """Return a picture of a layout for a notebook."""
+    axes = draw_layout(layout, tiles, names=names)  # their figure lives no longer than they do
+    figure = axes.get_figure()
+    assert isinstance(figure, Figure)
+    return to_html(figure)
 
 
 @styled
 def draw_plan(layout: Array, tiles: str, names: Mapping[str, str] = _NO_NAMES) -> Figure:
-    """Draw a layout as `save_layout` does, to be cropped to what is drawn."""
-    figure = _new_figure(np.shape(layout), 1)
+    """Draw a layout with its rows and columns numbered from 0, as messages number them.
+
+    The figure is to be cropped when it is saved.
+    """
+    figure, _ = _new_figure(np.shape(layout), 1)
     _number_cells(draw_layout(layout, tiles, figure.axes[0], names))
     return figure
 
 
 @styled
-def save_difference(
-    path: str | Path, before: Array, after: Array, tiles: str, names: Mapping[str, str] = _NO_NAMES
-) -> None:
-    """Save `before` and `after` (int8 [H, W]) side by side, every changed cell framed.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
+def draw_difference(
+    before: Array, after: Array, tiles: str, names: Mapping[str, str] = _NO_NAMES
+) -> Figure:
+    """Draw two layouts (int8 [H, W]) side by side like `draw_plan`, every changed cell framed."""
     before, after = np.asarray(before), np.asarray(after)
-    figure = _new_figure(before.shape, 2)
+    figure, inches = _new_figure(before.shape, 2)
     changed = np.argwhere(before != after)
-    for ax, layout, title in zip(figure.axes, (before, after), ("before", "after"), strict=True):
+    titles = ("before", f"after, {len(changed)} cells changed")
+    for ax, layout, title in zip(figure.axes, (before, after), titles, strict=True):
         _number_cells(draw_layout(layout, tiles, ax, names))
-        ax.set_title(f"{title}, {len(changed)} cells changed" if title == "after" else title)
-        row, col = changed.T if len(changed) else (np.zeros(0), np.zeros(0))
-        side = 0.85 * 72 * _scale(before.shape, 2)
-        ax.scatter(col, row, s=side**2, marker="s", facecolors="none", edgecolors=CHANGED, lw=1.2)
-    save_figure(figure, path, crop=True)
+        ax.set_title(title)
+        size = (0.85 * 72 * inches) ** 2  # points²: a frame is a little smaller than its cell
+        frame = {"marker": "s", "facecolors": "none", "edgecolors": CHANGED, "linewidths": 1.2}
+        ax.scatter(changed[:, 1], changed[:, 0], s=size, **frame)
+    return figure
 
 
 def _number_cells(ax: Axes) -> None:
@@ -146,68 +144,85 @@ def _number_cells(ax: Axes) -> None:
     ax.tick_params(which="major", labeltop=True, labelleft=True, labelsize=8, labelcolor="#666666")
 
 
-def draw_frames(layouts: Sequence[Array], steps: Sequence[int], tiles: str) -> Figure:
-    """Draw how one layout grows, a panel for each number of NCA steps (Figure 6).
-
-    Args:
-        layouts: int8 [H, W] each, after the given numbers of steps.
-        steps: numbers of NCA steps.
-        tiles: the alphabet.
-    """
-    panels = [
-        Picture(layout, tiles, _NO_NAMES, f"{number} steps", "")
-        for layout, number in zip(layouts, steps, strict=True)
-    ]
-    return draw_sheet(panels, 6, 2.9)  # six side by side as in Figure 6
-
-
-class Picture(NamedTuple):
-    """One layout of a sheet."""
-
-    layout: Array  # int8 [H, W]
-    tiles: str  # its alphabet
-    names: Mapping[str, str]  # how the legend calls the tiles
-    title: str  # above it
-    note: str  # below it
-
-
-@styled
-def draw_sheet(pictures: Sequence[Picture], across: int = 5, width: float = 2.6) -> Figure:
-    """Draw layouts side by side.
-
-    Args:
-        pictures: at least one.
-        across: the most in a row.
-        width: of a layout in inches.
-    """
-    across = min(len(pictures), across)
-    down = -(-len(pictures) // across)
-    tallest = max(one.layout.shape[0] / one.layout.shape[1] for one in pictures)
-    figure = new_figure(width * across, (width * tallest + 0.6) * down, dpi=SCREEN_DPI)
-    panels = figure.subplots(down, across, squeeze=False).ravel()
-    for axes, one in zip(panels, pictures, strict=False):
-        draw_layout(one.layout, one.tiles, axes, one.names)
-        axes.get_legend().remove()
-        axes.set_title(one.title, fontsize=9)
-        axes.set_xlabel(one.note, fontsize=7)
-    for axes in panels[len(pictures) :]:
-        axes.set_axis_off()
-    return figure
-
-
-def _scale(shape: tuple[int, ...], panels: int = 1) -> float:
-    """Inches per cell of layouts of this shape, so many side by side."""
+def _new_figure(shape: tuple[int, ...], panels: int) -> tuple[Figure, float]:
+    """Make `panels` axes of square cells side by side; return the figure and a cell's inches."""
     longest = max(shape)
-    return float(np.clip(_CELL * longest, SMALLEST, LARGEST / np.sqrt(panels))) / longest
-
-
-def _new_figure(shape: tuple[int, ...], panels: int) -> Figure:
-    """Make a figure with `panels` axes side by side, sized so that cells are square."""
-    rows, cols = (side * _scale(shape, panels) for side in shape)
+    inches = float(np.clip(_CELL * longest, _SMALLEST, _LARGEST / np.sqrt(panels))) / longest
+    rows, cols = (side * inches for side in shape)
     gap = 0.45
     figure = new_figure(panels * (cols + gap), rows + 0.9, arrange=False, dpi=SCREEN_DPI)
     width, height = figure.get_size_inches()
     for panel in range(panels):
         left = (panel * (cols + gap) + gap) / width
-        figure.add_axes((left, 0.45 / height, cols / width, rows / height))
+        figure.add_axes((left, gap / height, cols / width, rows / height))
+    return figure, inches
+
+
+def draw_marks(axes: Axes, marks: Mapping[str, tuple[int, int]]) -> None:
+    """Mark named cells (row, column) on a drawn layout, with their names beside them."""
+    rows, _ = np.array(axes.get_ylim())
+    for name, (row, column) in marks.items():
+        sign = {"start": "o", "goal": "*"}.get(name, "s")
+        look = {"color": _NAMED, "marker": sign, "edgecolors": "white", "lw": 0.6}
+        axes.scatter(column, row, s=42, **look)
+        above = row > rows / 2  # where there is space for the name
+        axes.annotate(
+            name,
+            (column, row),
+            xytext=(0, 6 if above else -6),
+            textcoords="offset points",
+            ha="center",
+            va="bottom" if above else "top",
+            fontsize=7,
+            color=_NAMED,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85},
+        )
+
+
+@styled
+def draw_sheet(
+    pictures: Sequence[tuple[Array, str, str, str]], across: int = 5, width: float = 2.6
+) -> Figure:
+    """Draw layouts side by side, at most `across` in a row, each `width` inches wide.
+
+    A picture is a layout (int8 [H, W]), its alphabet, its title and a note below it.
+    """
+    across = min(len(pictures), across)
+    down = -(-len(pictures) // across)
+    tallest = max(layout.shape[0] / layout.shape[1] for layout, *_ in pictures)
+    figure = new_figure(width * across, (width * tallest + 0.6) * down, dpi=SCREEN_DPI)
+    panels = figure.subplots(down, across, squeeze=False).ravel()
+    for axes, (layout, tiles, title, note) in zip(panels, pictures, strict=False):
+        draw_layout(layout, tiles, axes).get_legend().remove()
+        axes.set_title(title, fontsize=9)
+        axes.set_xlabel(note, fontsize=7)
+    for axes in panels[len(pictures) :]:
+        axes.set_axis_off()
+    return figure
+
+
+def draw_frames(layouts: Sequence[Array], steps: Sequence[int], tiles: str) -> Figure:
+    """Draw how a layout grows, a panel for each number of NCA steps (Figure 6)."""
+    numbered = zip(layouts, steps, strict=True)
+    panels = [(layout, tiles, f"{number} steps", "") for layout, number in numbered]
+    return draw_sheet(panels, across=6, width=2.9)  # six side by side, as in the paper
+
+
+@styled
+def draw_mazes(mazes: Sequence[Drawn], titles: Sequence[str]) -> Figure:
+    """Draw a panel for each maze, its start blue and its goal green (Figure 15)."""
+    across, side = min(len(mazes), 6), 2.3  # inches
+    down = -(-len(mazes) // across)
+    figure = new_figure(side * across, (side + 0.25) * down)
+    panels = figure.subplots(down, across, squeeze=False).ravel()
+    colours = ListedColormap([COLOURS[" "], COLOURS["X"], MARKS["start"], MARKS["reached"]])
+    for ax, maze, title in zip(panels, mazes, titles, strict=False):
+        kinds = maze.layout.copy()
+        kinds.flat[[maze.start, maze.goal]] = 2, 3
+        ax.imshow(kinds, cmap=colours, vmin=-0.5, vmax=3.5, interpolation="nearest")
+        ax.set_title(title, fontsize=7)
+        ax.set(xticks=[], yticks=[])
+        ax.spines[:].set_visible(True)
+    for ax in panels[len(mazes) :]:
+        ax.set_axis_off()
     return figure

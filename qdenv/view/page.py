@@ -1,7 +1,7 @@
 """One self-contained HTML page: a template, scripts, facts and packed arrays in a single file.
 
-A page opens from a disk and inside of a notebook, and asks no network for anything. Large arrays
-travel as gzip in base64; `scripts/page.js` unpacks them when they are first needed.
+A page opens from a disk and inside of a notebook, without any network. Large arrays travel as gzip
+in base64; `scripts/page.js` unpacks them when they are first needed.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import gzip
 import html
-import re
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources, util
@@ -24,10 +24,10 @@ from qdenv.study.table import Row
 from qdenv.types import InputError
 
 _HEIGHT = 760  # pixels of a page inside of a notebook
-_LEVEL = 9  # of gzip: pages are written once and sent around
 
 
-def _listed(values: Sequence[Any]) -> str:
+def listed(values: Sequence[Any]) -> str:
+    """Write a list in a sentence: "a, b and c"."""
     words = [str(value) for value in values]
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
@@ -41,17 +41,12 @@ def _interval(row: Row, digits: int) -> str:
 
 
 # How templates write numbers and lists.
-FILTERS: dict[str, Callable[..., Any]] = {
-    "listed": _listed,  # a, b and c
+_FILTERS: dict[str, Callable[..., Any]] = {
+    "listed": listed,
     "fixed": lambda value, digits=0: f"{value:,.{digits}f}",
     "percent": lambda value, digits=0: f"{value:.{digits}%}",
     "interval": _interval,
-    # of a `Difference`
-    "percent_range": lambda apart: f"{apart.low:+.1f} to {apart.high:+.1f} %",
-    # of a table: whether each holds numbers, which are set right
-    "numeric_columns": lambda rows: [
-        all(re.match(r"[-+]?\d|$", cell) for cell in column) for column in zip(*rows, strict=True)
-    ],
+    "percent_range": lambda apart: f"{apart.low:+.1f} to {apart.high:+.1f} %",  # of a `Difference`
 }
 
 
@@ -73,11 +68,11 @@ class Page:
         return Path(path)
 
     def __repr__(self) -> str:
-        """Say what it shows and how large it is."""
+        """Show the title and the size."""
         return f"Page({self.title!r}, {len(self.html.encode()) / 1e6:.1f} MB)"
 
     def _repr_html_(self) -> str:
-        """Show it in a frame of its own, so that its style and the notebook's do not mix."""
+        """Show the page in a frame, so that its style and the notebook's do not mix."""
         style = f"width:100%;height:{_HEIGHT}px;border:0"
         return f'<iframe srcdoc="{html.escape(self.html)}" style="{style}"></iframe>'
 
@@ -88,7 +83,7 @@ def make_page(
     scripts: Sequence[str] = (),
     facts: Mapping[str, Any] | None = None,
     packed: Mapping[str, np.ndarray | bytes | str] | None = None,
-    **words: Any,
+    **content: Any,
 ) -> Page:
     """Fill a template.
 
@@ -98,7 +93,7 @@ def make_page(
         scripts: names of files in `scripts` without their endings, in order, after ``page``.
         facts: JSON-ready values, or numpy's, see `files.tidy`; scripts read them as ``facts``.
         packed: arrays and bytes by name; scripts await ``unpack(name)``. Text is what `pack` made.
-        **words: whatever the template itself asks for.
+        **content: the variables of the template.
 
     Raises:
         InputError: jinja2 is not installed.
@@ -116,43 +111,41 @@ def make_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(FILTERS, one_line=lambda text: Markup(" ".join(text.split())))
+    environment.filters.update(_FILTERS, one_line=lambda text: Markup(" ".join(text.split())))
+    environment.tests["nan"] = math.isnan
     whole = environment.get_template(f"{template}.html").render(
         title=title,
         style=(home / "templates" / "page.css").read_text(),
         scripts=[(home / "scripts" / f"{name}.js").read_text() for name in ("page", *scripts)],
         facts=tidy(facts or {}),
-        packed={name: pack(content) for name, content in (packed or {}).items()},
-        **words,
+        packed={name: pack(values) for name, values in (packed or {}).items()},
+        **content,
     )
-    return Page(title, whole)
+    return Page(title, whole, facts or {})
 
 
 def pack(content: np.ndarray | bytes | str) -> str:
     """Turn bytes or an array (row-major, in its own byte order) into gzip in base64.
 
-    What is packed already stays as it is.
+    Text is packed already, and returned as it is.
     """
     if isinstance(content, str):
         return content
     raw = content if isinstance(content, bytes) else np.ascontiguousarray(content).tobytes()
-    return base64.b64encode(gzip.compress(raw, _LEVEL, mtime=0)).decode()
+    # The highest level: pages are written once and sent around. No time: equal pages are equal.
+    return base64.b64encode(gzip.compress(raw, 9, mtime=0)).decode()
 
 
-def demand(what: str, package: str) -> None:
-    """Refuse before any work what a package of the extra `viz` is needed for.
-
-    Args:
-        what: in the plural, like "pages".
-        package: as pip knows it.
+def require_package(what: str, package: str) -> None:
+    """Refuse `what` ("pages") before any work, unless a package of the extra `viz` is installed.
 
     Raises:
-        InputError: it is not installed.
+        InputError: it is not.
     """
     if util.find_spec(package.replace("-", "_")) is None:
         raise missing(what, package)
 
 
 def missing(what: str, package: str) -> InputError:
-    """Say which package of the extra `viz` is needed for something."""
+    """Make the error for a package of the extra `viz` that is not installed."""
     return InputError(f"{what} need {package}: pip install 'qdenv[viz]'")

@@ -2,8 +2,7 @@
 
 A robot moves by at most one cell in a timestep, so its path is a start and one of five moves for
 each step, three of which fit a byte; its goals are the first one and a new one for each finished
-task.
-`scripts/replay_film.js` undoes this.
+task. `scripts/replay_film.js` decodes this.
 """
 
 from __future__ import annotations
@@ -17,11 +16,10 @@ from qdenv.grid import DOWN, LEFT, RIGHT, UP, WAIT
 from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import Motion, throughput_over_time
-from qdenv.types import InputError, TaskRule, Traffic
+from qdenv.types import InputError, Traffic
 from qdenv.view.page import Page, make_page
 
-_SCRIPTS = ("film", "view", "ground", "marks", "robots", "chart", "panel", "controls", "start")
-_DIGITS = np.array([25, 5, 1], np.uint8)
+_SCRIPTS = "film view ground marks robots chart panel controls start"
 
 
 def make_replay(
@@ -33,15 +31,16 @@ def make_replay(
         plan: where it took place.
         motion: what moved.
         traffic: what the simulator counted; None in a maze.
-        about: lines below the title: who drove, and what came of it.
+        about: lines below the title, of `about_fleet` or `about_episode`.
 
     Raises:
         InputError: jinja2 is not installed, or a planner let a robot jump.
     """
     # Only here: matplotlib takes half a second to import.
-    from qdenv.view import film as frames
+    from qdenv.view import film
+    from qdenv.view.layouts import MARKS
 
-    colours = frames.floor_colours(plan.domain.tiles)
+    colours = film.floor_colours(plan.domain.tiles)
     rows, cols = plan.layout.shape
     tasks = plan.domain.simulator.tasks
     free = tasks.traversable if tasks else " "
@@ -52,9 +51,9 @@ def make_replay(
         "steps": motion.steps,
         "free": [tile in free for tile in plan.domain.tiles],
         "colours": colours,
-        "marks": frames.MARKS,
-        "warmth": frames.WARMTH,
-        "jam": [frames.JAM_FROM, frames.JAM_STEP],
+        "marks": MARKS,
+        "warmth": film.WARMTH,
+        "jam": [film.JAM_FROM, film.JAM_STEP],
         "congested": motion.congested,
         "shortest": motion.shortest,
         "ends": [],
@@ -69,14 +68,14 @@ def make_replay(
     return make_page(
         "replay",
         f"Replay of {plan.name}",
-        [f"replay_{name}" for name in _SCRIPTS],
+        [f"replay_{name}" for name in _SCRIPTS.split()],
         facts,
         {"tiles": plan.layout.astype(np.uint8), **encode(motion, cols)},
         name=plan.name,
         about=about,
         maze=motion.headings is not None,
-        marks=_marks(tasks),
-        jam=frames.JAM_FROM,
+        serves=tasks is not None and any(goal.stay for goal in tasks.cycle),
+        jam=film.JAM_FROM,
         agents=motion.positions.shape[1],
         steps=motion.steps,
         tiles=[(names.get(tile, tile), colours[kind]) for kind, tile in used],
@@ -86,14 +85,14 @@ def make_replay(
 def about_fleet(
     plan: Plan, config: FleetConfig, seed: int, motion: Motion, traffic: Traffic
 ) -> list[str]:
-    """Say in lines who drove, and what came of it."""
+    """Describe a run in two lines: its settings and its outcome."""
     rows, cols = plan.layout.shape
     planner = describe_planner(config.planner)
     tasks, waits = int(motion.finished.sum()), motion.waits
     jam = ""
     if motion.congested:
-        went = "and went on" if motion.steps == motion.timesteps else "which ended the run"
-        jam = f"; congested at {int(traffic.congested_at)}, {went}"
+        after = "and went on" if motion.steps == motion.timesteps else "which ended the run"
+        jam = f"; congested at {int(traffic.congested_at)}, {after}"
     return [
         f"{config.agents:,} robots on {rows} x {cols}, {motion.timesteps:,} timesteps, "
         f"seed {seed}; planner: {planner}",
@@ -103,21 +102,12 @@ def about_fleet(
 
 
 def about_episode(motion: Motion, seed: int) -> list[str]:
-    """Say in a line what became of a walk through a maze."""
+    """Describe a walk through a maze in a line."""
     end = "reached" if motion.finished.any() else "not reached"
     return [
         f"goal {end} after {motion.steps:,} actions of at most {motion.timesteps:,}, shortest path "
         f"{motion.shortest} moves, seed {seed}"
     ]
-
-
-def _marks(tasks: TaskRule | None) -> list[tuple[str, str]]:
-    """List what is drawn over the tiles, and what it stands for; robots where there are tasks."""
-    if tasks is None:
-        return [("agent", "agent"), ("goal", "goal"), ("start", "start")]
-    served = [("serving", "is served")] if any(goal.stay for goal in tasks.cycle) else []
-    robots = [("driving", "drives"), ("waiting", "waits"), *served]
-    return [*robots, ("jam", "jam"), ("goal", "goal")]
 
 
 def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
@@ -141,15 +131,15 @@ def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
         step, agent = np.argwhere(moves == 255)[0]
         raise InputError(f"robot {agent} moves by more than one cell after timestep {step}")
     whole = np.pad(moves, ((0, -len(moves) % 3), (0, 0)))
+    digits = whole.T.reshape(motion.finished.shape[1], -1, 3)
     agents, times = np.nonzero(motion.finished.T)
+    headings = np.zeros(0) if motion.headings is None else motion.headings
     return {
         "starts": motion.positions[0].astype("<u4"),
-        "moves": (whole.T.reshape(motion.finished.shape[1], -1, 3) @ _DIGITS).astype(np.uint8),
+        "moves": (digits @ np.array([25, 5, 1], np.uint8)).astype(np.uint8),
         "goals": motion.goals[0].astype("<u4"),
         "counts": motion.finished.sum(0).astype("<u4"),
         "times": (times + 1).astype("<u4"),
         "next": motion.goals[times + 1, agents].astype("<u4"),
-        "headings": np.zeros(0, np.uint8)
-        if motion.headings is None
-        else motion.headings.astype(np.uint8),
+        "headings": headings.astype(np.uint8),
     }

@@ -1,73 +1,60 @@
 """Pictures of studies: layouts side by side over numbers of agents, and up to their peaks."""
 
-from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from qdenv.stats import Difference, Sample, margin
+from qdenv.stats import Sample, margin
 from qdenv.study.table import Peak, Row, differences
+from qdenv.view import PAGE
 from qdenv.view.style import (
+    ABREAST,
     GREY,
     MARKERS,
     PALETTE,
     SMALL,
     WARNING,
     add_legend,
-    name_of,
+    format_name,
     new_figure,
     styled,
 )
-from qdenv.view.widths import PAGE
 
 _THROUGHPUT = "throughput [tasks / timestep]"
-_SUCCESS = "never congested"
-_MEANING = "error bars: standard error over {runs} runs above, 95 % Wilson interval below"
-_AGAINST = "\nper cent: against the first layout, over all runs, with 95 % interval"
-_SPREAD = 0.02  # of the axis: how far lines that would hide one another are moved apart
-_BAR_COLOUR = "#cfd8e3"
-_TALL = 0.66  # of the width: the height of layouts side by side
-_FLAT = 0.48  # of the width: the height of one panel alone
-_LOWEST = 4.0  # inches of its height
-_ABREAST = 5.0  # inches from which two panels stand side by side
 
 
 @styled
 def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
     """Draw layouts side by side: throughput of successful runs above, success rates below.
 
-    A line per layout over numbers of agents (Figure 22); bars where there is only
-    one number of agents.
-
-    Args:
-        rows: of all layouts.
-        width: in inches.
+    A line per layout over numbers of agents (Figure 22); bars if there is only one number.
     """
-    figure = new_figure(width, max(_TALL * width, _LOWEST))
+    figure = new_figure(width, max(0.66 * width, 4.0))
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     layouts = _by_layout(rows)
-    names = [own[0].layout for own in layouts]
-    bars, against = len({row.agents for row in rows}) == 1, differences(rows)
-    if bars:
+    meaning = f"error bars: standard error over {rows[0].runs} runs above, "
+    meaning += "95 % Wilson interval below"
+    if len({row.agents for row in rows}) == 1:
+        _draw_bars(above, rows)
         for place, own in enumerate(layouts):
-            _draw_bar(above, place, own[0], against[rows.index(own[0])])
-            _draw_points(below, [place], own, _success_of, place)
-    else:
-        _draw_lines(above, rows, _successful_throughput_of)
-        _draw_lines(below, rows, _success_of, _SPREAD)
-    if bars:
-        below.set_xticks(range(len(names)), map(name_of, names), rotation=20, ha="right")
+            _draw_points(below, [place], own, "success", place)
+        names = [format_name(own[0].layout) for own in layouts]
+        below.set_xticks(range(len(names)), names, rotation=20, ha="right")
         above.set_title(f"{rows[0].agents} agents, {rows[0].runs} runs each")
+        if len(names) > 1:
+            meaning += "\nper cent: against the first layout, over all runs, with 95 % interval"
     else:
+        _draw_lines(above, rows, "smooth")
+        _draw_lines(below, rows, "success")
         below.set_xlabel("agents")
         add_legend(figure, *above.get_legend_handles_labels())
     above.set(ylabel=_THROUGHPUT, ylim=(0, None))
     _set_rates(below)
-    meaning = _MEANING.format(runs=rows[0].runs) + (_AGAINST if bars and len(names) > 1 else "")
-    if width < _ABREAST:
+    if width < ABREAST:
         meaning = meaning.replace(" above, ", " above,\n").replace(", over all", ",\nover all")
     figure.supxlabel(meaning, fontsize=SMALL, color=GREY)
     for axes in (above, below):
@@ -75,81 +62,32 @@ def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
     return figure
 
 
-def _draw_bar(axes: Axes, place: int, row: Row, against: Difference) -> None:
-    """Draw one layout's throughput as a bar with its standard error, and the numbers in it."""
-    congested = np.isnan(row.throughput)  # no run to average over
-    height, error = np.nan_to_num([row.throughput, row.standard_error])
-    axes.bar([place], [height], 0.6, yerr=error, color=_look(place)["color"])
-    text = "every run congested" if congested else f"{row.throughput:.2f}"
-    if not congested and not np.isnan(against.low):
-        text += f"\n{against.percent:+.1f} %\n({against.low:+.1f} to {against.high:+.1f})"
-    colour = "black" if congested else "white"
-    axes.annotate(text, (place, height / 2), ha="center", va="center", color=colour, fontsize=SMALL)
-
-
-def _look(place: int) -> dict[str, Any]:
-    return {"color": PALETTE[place % len(PALETTE)], "marker": MARKERS[place % len(MARKERS)]}
-
-
-# Values [n] of the rows of a layout, and half the length of their error bars, [n] or [2, n].
-_Measured: TypeAlias = Callable[[Sequence[Row]], tuple[Sequence[float], np.ndarray]]
-
-
-def _successful_throughput_of(rows: Sequence[Row]) -> tuple[Sequence[float], np.ndarray]:
-    """Return the throughput of runs that never congested, with standard errors."""
-    errors = np.nan_to_num([row.standard_error for row in rows])
-    return [row.throughput for row in rows], errors
-
-
-def _mean_throughput_of(rows: Sequence[Row]) -> tuple[Sequence[float], np.ndarray]:
-    """Return the throughput of all runs, with 95 % intervals (Student's t)."""
-    halves = [margin(Sample(row.mean_of_all, row.error_of_all, row.runs)) for row in rows]
-    return [row.mean_of_all for row in rows], np.nan_to_num(halves)
-
-
-def _success_of(rows: Sequence[Row]) -> tuple[Sequence[float], np.ndarray]:
-    """Return the share of runs that never congested, with 95 % Wilson intervals."""
-    ends = [
-        (row.success_rate - row.success_low, row.success_high - row.success_rate) for row in rows
-    ]
-    # Rounding may put an end of the interval a hair beyond the rate, which matplotlib refuses.
-    return [row.success_rate for row in rows], np.maximum(np.transpose(ends), 0)
-
-
-def _draw_lines(axes: Axes, rows: Sequence[Row], measured: _Measured, spread: float = 0.0) -> None:
-    """Draw a line per layout over agents; `spread` moves lines apart that would hide another."""
-    layouts, most = _by_layout(rows), max(row.agents for row in rows)
-    for place, own in enumerate(layouts):
-        moved = (place - (len(layouts) - 1) / 2) * spread * most
-        _draw_points(axes, [row.agents + moved for row in own], own, measured, place)
-    axes.set_xlim(0, 1.05 * most)
-
-
-def _draw_points(
-    axes: Axes, places: Sequence[float], rows: Sequence[Row], measured: _Measured, place: int
-) -> None:
-    """Draw points with error bars in the look of the layout at this place."""
-    label = name_of(rows[0].layout)
-    axes.errorbar(places, *measured(rows), label=label, elinewidth=0.8, **_look(place))
+def _draw_bars(axes: Axes, rows: Sequence[Row]) -> None:
+    """Draw each layout's throughput as a bar with its standard error, and the numbers in it."""
+    for place, (row, against) in enumerate(zip(rows, differences(rows), strict=True)):
+        congested = np.isnan(row.throughput)  # no run to average over
+        height, error = np.nan_to_num([row.throughput, row.standard_error])
+        axes.bar([place], [height], 0.6, yerr=error, color=PALETTE[place % len(PALETTE)])
+        text = "every run congested" if congested else f"{row.throughput:.2f}"
+        if not congested and not np.isnan(against.low):
+            text += f"\n{against.percent:+.1f} %\n({against.low:+.1f} to {against.high:+.1f})"
+        look: Any = {"ha": "center", "va": "center", "fontsize": SMALL}
+        axes.annotate(text, (place, height / 2), color="black" if congested else "white", **look)
 
 
 @styled
 def draw_over_agents(rows: Sequence[Row], success: bool = False, width: float = PAGE) -> Figure:
-    """Draw throughput or success rates of layouts over agents, with 95 % intervals.
+    """Draw the mean throughput of all runs over agents, with 95 % intervals (Student's t).
 
-    Args:
-        rows: of all layouts.
-        success: draw the share of runs that never congested (Wilson), in place of the mean
-            throughput of all runs (Student's t).
-        width: in inches.
+    Or, with `success`, the share of runs that never congested (Wilson).
     """
-    figure = new_figure(width, _FLAT * width)
+    figure = new_figure(width, 0.48 * width)
     axes = figure.subplots()
     if success:
-        _draw_lines(axes, rows, _success_of, _SPREAD)
+        _draw_lines(axes, rows, "success")
         _set_rates(axes)
     else:
-        _draw_lines(axes, rows, _mean_throughput_of)
+        _draw_lines(axes, rows, "mean")
         axes.set(ylabel=_THROUGHPUT, ylim=(0, None))
     axes.set(xlabel="robots")
     axes.grid()
@@ -158,8 +96,49 @@ def draw_over_agents(rows: Sequence[Row], success: bool = False, width: float = 
     return figure
 
 
+def _draw_lines(axes: Axes, rows: Sequence[Row], kind: str) -> None:
+    """Draw a line per layout over agents; `kind` as in `_draw_points`."""
+    layouts, most = _by_layout(rows), max(row.agents for row in rows)
+    # Success rates are often all 1: lines that would hide one another are moved apart.
+    spread = 0.02 * most if kind == "success" else 0.0
+    for place, own in enumerate(layouts):
+        moved = (place - (len(layouts) - 1) / 2) * spread
+        _draw_points(axes, [row.agents + moved for row in own], own, kind, place)
+    axes.set_xlim(0, 1.05 * most)
+
+
+def _draw_points(
+    axes: Axes, places: Sequence[float], rows: Sequence[Row], kind: str, number: int
+) -> None:
+    """Draw points with error bars in the look of the layout of this number.
+
+    Kinds are "smooth" (throughput of runs that never congested, with standard errors), "mean"
+    (throughput of all runs, with 95 % intervals) and "success" (rates, with 95 % intervals).
+    """
+    if kind == "smooth":
+        values = [row.throughput for row in rows]
+        errors = np.nan_to_num([row.standard_error for row in rows])
+    elif kind == "mean":
+        values = [row.mean_of_all for row in rows]
+        samples = [Sample(row.mean_of_all, row.error_of_all, row.runs) for row in rows]
+        errors = np.nan_to_num([margin(sample) for sample in samples])
+    else:
+        values = [row.success_rate for row in rows]
+        low = [row.success_rate - row.success_low for row in rows]
+        high = [row.success_high - row.success_rate for row in rows]
+        # Rounding may put an end of the interval a hair beyond the rate, which matplotlib refuses.
+        errors = np.maximum([low, high], 0)
+    label, look = format_name(rows[0].layout), _look(number)
+    axes.errorbar(places, values, errors, label=label, elinewidth=0.8, **look)
+
+
+def _look(number: int) -> dict[str, Any]:
+    """Return colour and marker of a layout."""
+    return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
+
+
 def _set_rates(axes: Axes) -> None:
-    axes.set(ylabel=_SUCCESS, ylim=(-0.05, 1.05))
+    axes.set(ylabel="never congested", ylim=(-0.05, 1.05))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
@@ -172,19 +151,16 @@ def _by_layout(rows: Sequence[Row]) -> list[list[Row]]:
 def draw_peaks(rows: Sequence[Row], peaks: Sequence[Peak], width: float = PAGE) -> Figure:
     """Draw how layouts scale (Figure 18): throughput over agents, and the peaks over sizes.
 
-    Args:
-        rows: of all layouts.
-        peaks: one of each layout.
-        width: in inches; on narrow paper one panel stands below the other.
+    There is one peak for each layout; on narrow paper one panel stands below the other.
     """
-    abreast = width >= _ABREAST
+    abreast = width >= ABREAST
     figure = new_figure(width, 0.48 * width if abreast else 1.6 * width)
     left, right = figure.subplots(*((1, 2) if abreast else (2, 1)))
     for place, peak in enumerate(peaks):
         own = [row for row in rows if row.layout == peak.layout]
         agents, means = [row.agents for row in own], [row.mean_of_all for row in own]
         look = _look(place)
-        left.plot(agents, means, label=name_of(peak.layout), **look)
+        left.plot(agents, means, label=format_name(peak.layout), **look)
         left.plot(peak.agents, peak.throughput, **look | {"marker": "*", "markersize": 11})
     left.set(xlabel="agents", ylabel=f"mean {_THROUGHPUT}", ylim=(0, None), xlim=(0, None))
     left.set_title(f"all of {rows[0].runs} runs each; a star is a peak")
@@ -192,9 +168,9 @@ def draw_peaks(rows: Sequence[Row], peaks: Sequence[Peak], width: float = PAGE) 
     add_legend(figure, *left.get_legend_handles_labels())
     ordered = sorted(peaks, key=lambda peak: peak.rows * peak.cols)
     places = range(len(ordered))
-    right.bar(places, [peak.agents for peak in ordered], 0.6, color=_BAR_COLOUR)
+    right.bar(places, [peak.agents for peak in ordered], 0.6, color="#cfd8e3")
     right.set_ylabel("agents at the peak (bars)")
-    labels = [f"{name_of(peak.layout)}\n{peak.rows}x{peak.cols}" for peak in ordered]
+    labels = [f"{format_name(peak.layout)}\n{peak.rows}x{peak.cols}" for peak in ordered]
     right.set_xticks(places, labels, rotation=30, ha="right")
     twin = right.twinx()
     twin.plot(places, [peak.throughput for peak in ordered], "o-", color=WARNING)

@@ -1,9 +1,12 @@
-"""Figures without a window system: one style for screen and paper, and the one way to save them.
+"""Figures without a window system: one style for screen and paper, and what a figure becomes.
 
-Letters keep their size at every width, as journals want it; what does not fit side by side stands
-one below the other. Legends stand outside of what they explain.
+Letters keep their size at every width, as journals demand; what does not fit side by side is
+stacked. Legends stand outside of what they explain.
 """
 
+import base64
+import io
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,23 +15,23 @@ from cycler import cycler
 from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
-from matplotlib.legend import Legend
 
 from qdenv.io.files import write_atomically
 
 _DPI = 220  # journals ask for 200 at least
 SCREEN_DPI = 150  # of pictures that are larger than paper
+_NOTEBOOK_DPI = 80  # of pictures that are read beside text
 
 # Okabe and Ito 2008, without the yellow that is lost on white: told apart by colour-blind eyes.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000", "#56b4e9", "#e69f00")
 MARKERS = "osD^vPX"
-DASHES = ("-", "--", ":", "-.")  # of lines beyond the colours
 GREY = "#6b7280"
 WARNING = "#d55e00"
 
 _LETTERS = 8  # points
 SMALL = 7  # of numbers along axes
 _KEYS = 7.5  # of legends
+ABREAST = 5.0  # inches of a figure from which its panels stand side by side
 # Typed by matplotlib as literals of its own.
 _STYLE: Any = {
     "font.size": _LETTERS,
@@ -54,22 +57,19 @@ _STYLE: Any = {
     "image.composite_image": False,
 }
 # TrueType in PDF, which journals ask for and editors of pictures read; text stays text in SVG.
-FONTS: Any = {
+_FONTS: Any = {
     "pdf.fonttype": 42,
     "ps.fonttype": 42,
     "svg.fonttype": "none",
-    "svg.hashsalt": "qdenv",
+    "svg.hashsalt": "qdenv",  # the same figure gets the same identifiers
 }
-_LETTER = 0.56  # of a letter's height: its width
-_LONGEST = 28  # letters of a layout's name; those of long paths are cut at the left
-_KEY = 3.5  # letters that a legend's key and the gap behind it take
 
 # Draws in the style of this module and leaves the session's own as it is: `@styled`.
 styled = rc_context(_STYLE)
 
 
 class _StyledFigure(Figure):
-    """A figure in the style of this module: ticks, made only when it is drawn, read it then."""
+    """A figure in this style: ticks, made only when it is drawn, read the style then."""
 
     def draw(self, renderer: Any) -> None:
         """Draw with this style, whatever the style of the session is."""
@@ -78,34 +78,30 @@ class _StyledFigure(Figure):
 
 
 def new_figure(width: float, height: float, arrange: bool = True, dpi: int = _DPI) -> Figure:
-    """Make an empty figure, for functions that are `styled`.
+    """Make an empty figure of this size (inches), for functions that are `styled`.
 
-    Built without pyplot, which would keep every figure alive and pick a window system.
-
-    Args:
-        width: in inches, on paper.
-        height: in inches.
-        arrange: let matplotlib place the axes so that no labels overlap; else by hand.
-        dpi: pixels per inch.
+    Made without pyplot, which would keep every figure alive and pick a window system. With
+    `arrange`, matplotlib places the axes so that no labels overlap; else the caller does.
     """
     figure = _StyledFigure(figsize=(width, height), dpi=dpi)
     figure.set_layout_engine("constrained" if arrange else "none")
     return figure
 
 
-def name_of(layout: str) -> str:
-    """Write a layout's name as words: ``warehouse_human`` is "warehouse human"."""
-    words = layout.replace("_", " ").strip() or layout
-    return words if len(words) <= _LONGEST else f"...{words[-_LONGEST:]}"
+def format_name(layout: str) -> str:
+    """Write a layout's name for a legend: ``warehouse_human`` is "warehouse human"."""
+    name = layout.replace("_", " ").strip() or layout
+    return name if len(name) <= 28 else f"...{name[-28:]}"  # the end of a path says most
 
 
-def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str]) -> Legend | None:
-    """Put a legend above all axes of a figure, where it covers nothing; None for no entries."""
+def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str]) -> None:
+    """Put a legend above all axes of a figure, where it covers nothing."""
     if not handles:
-        return None
-    entry = (max(map(len, labels)) * _LETTER + _KEY) * _KEYS / 72  # inches
+        return
+    # A letter is about 0.56 of its height wide; the key and the gap behind it take 3.5 letters.
+    entry = (max(map(len, labels)) * 0.56 + 3.5) * _KEYS / 72  # inches
     rows = -(-len(handles) // max(1, int(figure.get_figwidth() / entry)))
-    return figure.legend(
+    figure.legend(
         handles,
         labels,
         loc="outside upper center",  # matplotlib's stubs lack it
@@ -118,10 +114,8 @@ def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str])
 def save_figure(figure: Figure, path: str | Path, crop: bool = False) -> None:
     """Write a figure in one step: a reader never sees half a file.
 
-    Args:
-        figure: what to write.
-        path: where; the ending chooses the format (png, pdf, svg), png without one.
-        crop: cut the picture to what is drawn, labels outside the figure included.
+    The ending of `path` decides the format (png, pdf, svg), png without one; `crop` cuts the
+    picture to what is drawn, labels outside the figure included.
 
     Raises:
         InputError: the place cannot be written to.
@@ -129,5 +123,25 @@ def save_figure(figure: Figure, path: str | Path, crop: bool = False) -> None:
     target = Path(path)
     form = target.suffix.lstrip(".") or "png"
     box = "tight" if crop else None
-    with rc_context(FONTS):
+    with rc_context(_FONTS):
         write_atomically(target, lambda file: figure.savefig(file, format=form, bbox_inches=box))
+
+
+def to_svg(figure: Figure, name: str, crop: bool = False) -> str:
+    """Return a figure as an SVG element; `name` begins its identifiers, unique within a page."""
+    content = io.StringIO()
+    box = "tight" if crop else None
+    with rc_context(_FONTS):
+        figure.savefig(content, format="svg", bbox_inches=box, metadata={"Date": None})
+    svg = content.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r'\bid="', f'id="{name}-', svg)
+    svg = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", svg)
+    return re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+
+
+def to_html(figure: Figure) -> str:
+    """Return a figure as an <img> element that holds its pixels, for notebooks."""
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=_NOTEBOOK_DPI, bbox_inches="tight")
+    return f'<img src="data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}">'

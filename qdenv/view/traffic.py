@@ -1,8 +1,8 @@
-"""The picture of a fleet's traffic: where agents drive, wait and work, and how it goes on."""
+"""Pictures of traffic: where a fleet drives, waits and works, and where a maze's agent walks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,24 +15,18 @@ from matplotlib.ticker import PercentFormatter
 
 from qdenv.grid import of_tiles
 from qdenv.study.recordings import Maps, Spot, throughput_over_time, worst_cells
-from qdenv.view.style import PALETTE, WARNING, new_figure, styled
-from qdenv.view.widths import SCREEN
+from qdenv.view import SCREEN
+from qdenv.view.style import ABREAST, PALETTE, WARNING, add_legend, new_figure, styled
 
 if TYPE_CHECKING:
     from qdenv.study.plans import Plan
     from qdenv.study.traffic import Study
 
-_WALL = "#5f6368"
-_FLOOR = "#ffffff"
 LINE = PALETTE[0]
-_PLACE = (1.03, 0.05, 0.04, 0.9)  # of a colour bar, in shares of its map: left, bottom, size
-BESIDE = 1.2  # inches of a colour bar, its labels, and those of the rows
-TITLES = 0.75  # inches above and below a map
-_ABREAST = 5.0  # inches from which two panels stand side by side
-_TALL = 0.5  # of the width: the height of throughput over time alone
-_COLOURS = {"usage": "Blues", "waiting": "Reds", "finished": "Greens"}
-_LETTERS_PER_INCH = 13  # of a title
-_KEY = 6.5  # points of a rank, and of a cell that has room for it
+_BESIDE = 1.2  # inches of a colour bar, its labels, and those of the rows
+_TITLES = 0.75  # inches above and below a map
+_COLOURS = {"waiting": "Reds", "usage": "Blues", "finished": "Greens"}
+_KEY = 6.5  # points of a rank, and of a cell that it fits into
 
 
 class Scene(NamedTuple):
@@ -45,19 +39,12 @@ class Scene(NamedTuple):
     over_time: np.ndarray
     jams: Sequence[int]  # timesteps at which runs congested
     title: str  # of the whole picture
-    runs: int  # how many there were
+    runs: int  # number of runs
     stop: bool = True  # congestion ended those that congested
 
 
-def scene_of(plan: Plan, study: Study, title: str, stop: bool = True) -> Scene:
-    """Make the scene of a study that looked at where agents wait.
-
-    Args:
-        plan: the layout, of a domain in which a fleet drives.
-        study: with maps.
-        title: of the whole picture.
-        stop: congestion ended those that congested.
-    """
+def make_scene(plan: Plan, study: Study, title: str, stop: bool = True) -> Scene:
+    """Make the scene of a study with maps, on a layout of a domain in which a fleet drives."""
     tasks, runs = plan.domain.simulator.tasks, study.done.runs
     assert tasks is not None and study.maps is not None
     return Scene(
@@ -76,77 +63,104 @@ def scene_of(plan: Plan, study: Study, title: str, stop: bool = True) -> Scene:
 def draw_traffic(scene: Scene, width: float = SCREEN) -> Figure:
     """Draw the floor plan three times and the throughput over time.
 
-    Rows and columns are numbered as in the table of the worst cells, from 0 at the top left.
-
-    Args:
-        scene: what is drawn.
-        width: in inches; on narrow paper one panel stands below the other.
+    Rows and columns are numbered as in the table of the worst cells, from 0 at the top left; on
+    narrow paper one panel stands below the other.
     """
-    across = 2 if width >= _ABREAST else 1
-    tall = _tallness(scene)
-    height = len(_PANELS) // across * ((width / across - BESIDE) * tall + TITLES) + 0.3
-    figure = new_figure(width, height)
-    figure.suptitle("\n".join(wrap(scene.title, int(_LETTERS_PER_INCH * width))))
-    every = figure.subplots(len(_PANELS) // across, across).ravel()
-    for axes, draw in zip(every, _PANELS.values(), strict=True):
-        draw(axes, scene)
-    every[-1].set_box_aspect(tall)
+    across = 2 if width >= ABREAST else 1
+    tall = _aspect(scene)
+    kinds = (*_COLOURS, "time")
+    down = len(kinds) // across
+    figure = new_figure(width, down * ((width / across - _BESIDE) * tall + _TITLES) + 0.3)
+    figure.suptitle("\n".join(wrap(scene.title, int(13 * width))))  # 13 letters fit an inch
+    panels = figure.subplots(down, across).ravel()
+    for axes, kind in zip(panels, kinds, strict=True):
+        _draw_panel(axes, scene, kind)
+    panels[-1].set_box_aspect(tall)
     return figure
 
 
 @styled
 def draw_panel(scene: Scene, kind: str, width: float) -> Figure:
     """Draw one of the four panels alone: "waiting", "usage", "finished" or "time"."""
-    time = kind == "time"
-    height = _TALL * width if time else (width - BESIDE) * _tallness(scene) + TITLES
-    figure = new_figure(width, height)
+    high = 0.5 * width if kind == "time" else (width - _BESIDE) * _aspect(scene) + _TITLES
+    figure = new_figure(width, high)
     axes = figure.subplots()
-    _PANELS[kind](axes, scene)
-    axes.set_title("")  # whatever stands around it says so
+    _draw_panel(axes, scene, kind)
+    axes.set_title("")  # the caption around it says so
     return figure
 
 
-def _tallness(scene: Scene) -> float:
+def _aspect(scene: Scene) -> float:
+    """Return the height of a map as a share of its width, within what a page can hold."""
     rows, cols = scene.free.shape
     return float(np.clip(rows / cols, 0.4, 1.6))
 
 
-def _draw_waiting(axes: Axes, scene: Scene) -> None:
-    """Draw the share of time in which one waits on each cell, and number the worst cells."""
+def _draw_panel(axes: Axes, scene: Scene, kind: str) -> None:
+    """Draw one map, or throughput over time."""
     maps = scene.maps
-    label = "share of time in which one waits here"
-    title = f"where agents wait: {maps.waiting_share:.1%} of their time"
-    draw_map(axes, scene.free, maps.waiting, "waiting", label, title)
-    _number_worst(axes, scene)
+    if kind == "time":
+        _draw_time(axes, scene)
+    elif kind == "usage":
+        label = "share of time in which one is here"
+        _draw_map(axes, scene.free, maps.usage, kind, label, "where agents are")
+    elif kind == "finished":
+        title = f"where tasks are finished: {maps.finished.sum():.2f} a timestep"
+        _draw_map(axes, scene.free, maps.finished, kind, "tasks per timestep here", title)
+    else:
+        label = "share of time in which one waits here"
+        title = f"where agents wait: {maps.waiting_share:.1%} of their time"
+        _draw_map(axes, scene.free, maps.waiting, kind, label, title)
+        _number_worst(axes, scene)
 
 
-def _draw_usage(axes: Axes, scene: Scene) -> None:
-    """Draw the share of time in which an agent is on each cell."""
-    label = "share of time in which one is here"
-    draw_map(axes, scene.free, scene.maps.usage, "usage", label, "where agents are")
-
-
-def _draw_finished(axes: Axes, scene: Scene) -> None:
-    """Draw how many tasks are finished on each cell."""
-    finished = scene.maps.finished
-    title = f"where tasks are finished: {finished.sum():.2f} a timestep"
-    draw_map(axes, scene.free, finished, "finished", "tasks per timestep here", title)
-
-
-def draw_map(
-    axes: Axes, free: np.ndarray, values: np.ndarray, kind: str, label: str, title: str = ""
-) -> None:
-    """Draw one number per cell over the walls, with a colour bar; cells without any stay white.
+@styled
+def draw_walks(free: np.ndarray, usage: np.ndarray, width: float) -> Figure:
+    """Draw where the agent of a maze walks.
 
     Args:
-        axes: where.
         free: bool [H, W].
-        values: float [H, W].
-        kind: "usage" or "waiting", shares that are written in per cent, or "finished".
-        label: of the colour bar.
-        title: above.
+        usage: float [H, W], share of its actions that it takes on each cell.
+        width: in inches.
     """
-    axes.imshow(free, cmap=ListedColormap([_WALL, _FLOOR]), vmin=0, vmax=1)
+    rows, cols = free.shape
+    figure = new_figure(width, (width - _BESIDE) * rows / cols + _TITLES)
+    _draw_map(figure.subplots(), free, usage, "usage", "share of the actions taken here")
+    return figure
+
+
+@styled
+def draw_arrivals(arrivals: Mapping[str, np.ndarray], most: int, width: float) -> Figure:
+    """Draw the share of a maze's episodes that have reached the goal over the actions taken.
+
+    Args:
+        arrivals: by the maze's name: float [episodes], actions to the goal, NaN for none.
+        most: actions after which an episode fails.
+        width: in inches.
+    """
+    figure = new_figure(width, 0.48 * width)
+    axes = figure.subplots()
+    for place, (name, actions) in enumerate(arrivals.items()):
+        reached = np.sort(actions[np.isfinite(actions)])
+        steps = np.concatenate([[0], reached, [most]])
+        share = np.concatenate([[0], np.arange(1, len(reached) + 1), [len(reached)]]) / len(actions)
+        axes.step(steps, share, where="post", label=name, color=PALETTE[place % len(PALETTE)])
+    axes.set(xlabel="actions", ylabel="episodes at the goal", xlim=(0, most), ylim=(0, 1.02))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.grid()
+    if len(arrivals) > 1:
+        add_legend(figure, *axes.get_legend_handles_labels())
+    return figure
+
+
+def _draw_map(
+    axes: Axes, free: np.ndarray, values: np.ndarray, kind: str, label: str, title: str = ""
+) -> None:
+    """Draw a number per cell (float [H, W]) over the walls, with a colour bar; zeros stay white.
+
+    `kind` is "usage" or "waiting", shares that are written in per cent, or "finished".
+    """
+    axes.imshow(free, cmap=ListedColormap(["#5f6368", "#ffffff"]), vmin=0, vmax=1)
     shown = np.ma.masked_where(values <= 0, values)
     # One extreme cell must not wash out all others; the bar's tip says that there is more.
     top = float(np.quantile(values[values > 0], 0.995)) if (values > 0).any() else 1.0
@@ -156,7 +170,8 @@ def draw_map(
     axes.set(xlabel="column", ylabel="row")
     assert axes.figure is not None
     extend = "max" if values.max() > top else "neither"
-    bar = axes.figure.colorbar(image, cax=axes.inset_axes(_PLACE), extend=extend)
+    beside = axes.inset_axes((1.03, 0.05, 0.04, 0.9))  # shares of the map: left, bottom, size
+    bar = axes.figure.colorbar(image, cax=beside, extend=extend)
     bar.set_label(label)
     bar.outline.set_linewidth(0.4)
     if kind != "finished":
@@ -164,11 +179,11 @@ def draw_map(
 
 
 def _number_worst(axes: Axes, scene: Scene) -> None:
-    """Mark the worst cells, with their rank where there is room for it."""
+    """Mark the worst cells, with their rank where it fits."""
     specification = axes.get_subplotspec()
     assert isinstance(axes.figure, Figure) and specification is not None
-    inches = axes.figure.get_figwidth() / specification.get_gridspec().ncols - BESIDE
-    side = 72 * inches / max(scene.free.shape)
+    inches = axes.figure.get_figwidth() / specification.get_gridspec().ncols - _BESIDE
+    side = 72 * inches / max(scene.free.shape)  # points of a cell
     for rank, spot in enumerate(scene.worst, 1):
         place = (spot.column, spot.row)
         axes.plot(*place, "s", markersize=max(0.9 * side, 3), mfc="none", mec="black", mew=0.7)
@@ -189,19 +204,10 @@ def _draw_time(axes: Axes, scene: Scene) -> None:
         axes.fill_between(steps, low, high, step="post", alpha=0.25, lw=0, color=LINE, label=label)
     for place, jam in enumerate(scene.jams):
         after = "ended" if scene.stop else "went on"
-        word = f"{len(scene.jams)} of {scene.runs} runs congested, and {after}"
-        axes.axvline(jam, color=WARNING, linestyle=":", label=None if place else word)
+        label = f"{len(scene.jams)} of {scene.runs} runs congested, and {after}"
+        axes.axvline(jam, color=WARNING, linestyle=":", label=None if place else label)
     axes.set(xlabel="timestep", ylabel="throughput [tasks / timestep]")
     axes.set(xlim=(0, ends[-1]), ylim=(0, None), title="finished tasks over time")
     axes.grid()
     # Below the panel: inside, it would cover the line.
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=4.2)
-
-
-# What draws each panel, in reading order.
-_PANELS: dict[str, Callable[[Axes, Scene], None]] = {
-    "waiting": _draw_waiting,
-    "usage": _draw_usage,
-    "finished": _draw_finished,
-    "time": _draw_time,
-}

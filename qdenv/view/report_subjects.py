@@ -1,0 +1,115 @@
+"""What a report is about: floor plans, given as files or as the best of a run, and their rival."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv.domains.base import Domain, make_domain
+from qdenv.run.archive import Elite
+from qdenv.run.directory import RunDirectory
+from qdenv.shipped import PREFIX, file_name
+from qdenv.study.plans import Plan
+from qdenv.types import InputError
+from qdenv.view.page import listed
+
+
+class Subject(NamedTuple):
+    """A floor plan that is reported on."""
+
+    name: str  # how the page calls it
+    source: str  # the file or run that it comes from, as the command line names it
+    plan: Plan  # the layout and its domain
+    run: RunDirectory | None = None  # the run whose best elite it is; None for a file
+    elite: Elite | None = None  # that elite
+
+
+class Rival(NamedTuple):
+    """The layout that people draw by hand, to compare with."""
+
+    name: str  # how the page calls it
+    layout: np.ndarray | None  # int8 [H, W]; None if there is none
+    about: str  # what it is, or why there is none
+
+
+def is_run(source: str | Path) -> bool:
+    """Return True if a source names a run, False for a layout file."""
+    return str(source).startswith(PREFIX) or Path(source).is_dir()
+
+
+def subject_of_run(run: RunDirectory) -> Subject:
+    """Make a subject of the best elite of a run.
+
+    Raises:
+        InputError: it has none.
+    """
+    elite, domain = run.best, make_domain(run.config.evaluation.domain)
+    name = str(run.shipped).removeprefix(PREFIX) if run.shipped else file_name(run.path)
+    plan = Plan(name, np.asarray(elite.layout), domain, assumed=False)
+    return Subject(name, str(run), plan, run, elite)
+
+
+def distinct(subjects: Sequence[Subject]) -> list[Subject]:
+    """Check that all are of one domain, and rename those of the same name after their source.
+
+    Raises:
+        InputError: there is none, or they are of several domains, or one is named twice.
+    """
+    if not subjects:
+        raise InputError("give at least one layout file or run")
+    kinds = list(dict.fromkeys(one.plan.domain.name for one in subjects))
+    if len(kinds) > 1:
+        raise InputError(f"these are of {' and '.join(kinds)}: report on one domain at a time")
+    counts = Counter(one.name for one in subjects)
+    named = [one if counts[one.name] == 1 else one._replace(name=one.source) for one in subjects]
+    if len({one.name for one in named}) < len(named):
+        raise InputError(f"{named[0].source}: name each layout and run once")
+    return named
+
+
+def describe_contents(layout: np.ndarray, domain: Domain) -> str:
+    """Write the size of a layout (int8 [H, W]) and its numbers of tiles."""
+    rows, cols = layout.shape
+    counts = [f"{number:,} {name}" for name, number in domain.fitted(layout).numbers.items()]
+    return f"{rows} x {cols} cells" + (f" with {listed(counts)}" if counts else "")
+
+
+def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival:
+    """Draw what people design by hand at the size of a layout, and describe how it compares.
+
+    Args:
+        subject: whose rival.
+        subjects: all layouts of the report, among which the rival itself may be.
+    """
+    domain, layout = subject.plan.domain, subject.plan.layout
+    rows, cols = layout.shape
+    size = f"{rows} x {cols}"
+    if domain.human is None:
+        return Rival("", None, f"Nobody designs layouts of {domain.name} by hand.")
+    from qdenv.study.elites import human_layout  # imports both compilers
+
+    try:
+        human = human_layout(domain.resized(rows, cols))
+    except InputError as error:
+        return Rival("", None, f"Nobody draws {size} by hand: {error}.")
+    if np.array_equal(human, layout):
+        return Rival("", None, f"This is the very layout that people draw by hand at {size}.")
+    same = [one.name for one in subjects if np.array_equal(one.plan.layout, human)]
+    sizes = {one.plan.layout.shape for one in subjects}
+    name = same[0] if same else "hand-made" if len(sizes) == 1 else f"hand-made {size}"
+    own, theirs = domain.fitted(layout).numbers, domain.fitted(human).numbers
+    if own == theirs:
+        contents = f"Both hold {', '.join(f'{number} {kind}' for kind, number in own.items())}."
+    else:
+        differ = [
+            f"{theirs[kind]} {kind} where this one has {number}"
+            for kind, number in own.items()
+            if number != theirs[kind]
+        ]
+        contents = f"It holds {', '.join(differ)}: the design leaves no choice of that."
+    about = f"At the right is what people draw by hand at this size. {contents}"
+    return Rival(name, human, about)
