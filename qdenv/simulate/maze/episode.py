@@ -70,13 +70,13 @@ def run_episode(
     """
     first, draws = _begin(weights, tables, key, timesteps)
     last = loop(partial(_act_once, weights, tables), first, draws)
-    return _report(tables, last.success, last.length, last.actions)
+    return _report(tables, last)
 
 
-def _report(tables: Tables, success: jax.Array, length: jax.Array, actions: jax.Array) -> Episode:
-    """Write what became of an episode."""
-    usage = actions / jnp.maximum(length, 1)
-    return Episode(success, length, tables.course.length, usage.reshape(tables.layout.shape))
+def _report(tables: Tables, last: EpisodeState) -> Episode:
+    """Sum up an episode that has ended."""
+    usage = (last.actions / jnp.maximum(last.length, 1)).reshape(tables.layout.shape)
+    return Episode(last.success, last.length, tables.course.length, usage)
 
 
 def run_episodes(weights: Weights, tables: Tables, keys: jax.Array, timesteps: int) -> Episode:
@@ -87,16 +87,14 @@ def run_episodes(weights: Weights, tables: Tables, keys: jax.Array, timesteps: i
     """
     now, draws = jax.vmap(lambda key: _begin(weights, tables, key, timesteps))(keys)
     place, t = jnp.arange(keys.shape[0]), jnp.int32(0)  # which episodes `now` holds
-    success, length, actions = now.success, now.length, now.actions
+    last = now
     while place.size:
         rest = place.size // 2 if place.size >= _FEWEST else 0
         t, now = _until_few(weights, tables, draws[place], rest, (t, now))
-        success = success.at[place].set(now.success)
-        length = length.at[place].set(now.length)
-        actions = actions.at[place].set(now.actions)
+        last = jax.tree.map(lambda x, part, place=place: x.at[place].set(part), last, now)
         keep = jnp.argsort(now.done)[:rest]  # those under way come first
         place, now = jax.tree.map(lambda x, keep=keep: x[keep], (place, now))
-    return jax.vmap(partial(_report, tables))(success, length, actions)
+    return jax.vmap(partial(_report, tables))(last)
 
 
 def _until_few(
@@ -130,8 +128,7 @@ def trace_episode(
 
     last, states = jax.lax.scan(body, first, draws)
     states = jnp.concatenate([first.state[None], states])
-    episode = _report(tables, last.success, last.length, last.actions)
-    return episode, Pose(states // 4, states % 4)
+    return _report(tables, last), Pose(states // 4, states % 4)
 
 
 def _begin(
