@@ -62,7 +62,7 @@ the run, also where it ended early.
 **Jams.** All agents are planned again every h = 5 timesteps (the horizon). After each such window
 an agent is stuck if its cell was the same at the window's first five timesteps (the last move is
 not looked at) and it was not serving. If more than half of the agents are stuck, the run is
-congested and ends, unless it was told to go on.
+congested and ends, or goes on where that is configured.
 
     jam: two of three agents are stuck
     ab.c  ab.c  abc.  ab.c  ab.c  .abc

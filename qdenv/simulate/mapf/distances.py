@@ -100,12 +100,12 @@ def measure_fields(world: World, fields: Fields, goal: jax.Array) -> Fields:
     fields = fields._replace(
         flipped=fields.flipped ^ ((first[0] != goal[0]) & (first[1] == goal[0]))
     )
-    wanted = jnp.zeros((count,), jnp.int32).at[rows_of(fields)].set(goal)
+    current = jnp.zeros((count,), jnp.int32).at[rows_of(fields)].set(goal)
 
     def measure(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         distance, measured = carry
-        row = jnp.nonzero(measured != wanted, size=min(_AT_ONCE, count), fill_value=count)[0]
-        slot = wanted[jnp.minimum(row, count - 1)]
+        row = jnp.nonzero(measured != current, size=min(_AT_ONCE, count), fill_value=count)[0]
+        slot = current[jnp.minimum(row, count - 1)]
         cells = world.goals.cells[slot]
         used = (row < count) & world.goals.used[slot] & world.traversable.reshape(-1)[cells]
         steps = goal_distances(world.traversable, cells, used)
@@ -114,6 +114,6 @@ def measure_fields(world: World, fields: Fields, goal: jax.Array) -> Fields:
 
     begin = fields.distance, fields.goal.reshape(-1)
     distance, measured = jax.lax.while_loop(
-        lambda carry: (carry[1] != wanted).any(), measure, begin
+        lambda carry: (carry[1] != current).any(), measure, begin
     )
     return fields._replace(distance=distance, goal=measured.reshape(2, -1))

@@ -9,7 +9,7 @@ becomes a wait, so no step ever breaks one:
 
 * a move off the layout or into an obstacle, and any move while serving at a goal;
 * both moves of two robots that would swap cells;
-* all moves of robots that want one cell, or the cell of a robot that waits.
+* all moves of robots to one cell, or the cell of a robot that waits.
 
 A robot that must wait keeps its cell, which may make others wait in turn. Following and cycles are
 allowed.
@@ -52,7 +52,7 @@ class EnvironmentState(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """What a learner sees unless it brings a function of its own."""
+    """What a learner sees unless it brings another function."""
 
     position: jax.Array  # int32 [A], cells
     goal: jax.Array  # int32 [A], cells
@@ -66,7 +66,7 @@ class Timestep(NamedTuple):
 
     observation: Any  # what the environment's `observe` made of the state
     reward: jax.Array  # float32 [A], tasks that each robot finished, 0 or 1
-    refused: jax.Array  # bool [A], whose move became a wait
+    refused: jax.Array  # bool [A], the robot's move became a wait
     last: jax.Array  # bool, the horizon is reached; steps beyond it are possible
 
 
@@ -136,7 +136,7 @@ class Environment:
         drawn = chance.draw(chance.draw(seed, chance.GOALS), state.time)
         refused = (cell == fleet.position) & (actions >= 0) & (actions < WAIT)
         fleet, finished = drive(self._world, fleet, cell, self._everyone, drawn)
-        # Each step is a plan of its own: a stay never has to wait for the next one.
+        # Each step is a new plan: a stay never has to wait for the next one.
         fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))
         after = EnvironmentState(fleet, self._world.goals.cells[fleet.goal], state.time + 1, seed)
         reward, last = finished.astype(jnp.float32), after.time >= self.timesteps
@@ -154,17 +154,17 @@ class Environment:
         return jnp.where(self._world.traversable.reshape(-1)[target], target, position)
 
 
-def settle(position: jax.Array, wanted: jax.Array, cells: int) -> jax.Array:
+def settle(position: jax.Array, ahead: jax.Array, cells: int) -> jax.Array:
     """Turn moves that conflict into waits until none does (int32 [A]).
 
-    Robots at `position` (int32 [A], all different) would go to `wanted` (int32 [A], the same cell
+    Robots at `position` (int32 [A], all different) would go to `ahead` (int32 [A], the same cell
     or a neighbouring one) on a layout of `cells` cells. Every pass turns at least one move into a
     wait or is the last.
     """
     everyone = jnp.arange(position.shape[0], dtype=jnp.int32)
-    there = jnp.full((cells,), NOBODY, jnp.int32).at[position].set(everyone)[wanted]
-    swaps = (there != NOBODY) & (there != everyone) & (wanted[there] == position)
-    first = jnp.where(swaps, position, wanted)
+    there = jnp.full((cells,), NOBODY, jnp.int32).at[position].set(everyone)[ahead]
+    swaps = (there != NOBODY) & (there != everyone) & (ahead[there] == position)
+    first = jnp.where(swaps, position, ahead)
 
     def conflicts(cell: jax.Array) -> jax.Array:
         crowd = jnp.zeros((cells,), jnp.int32).at[cell].add(1)

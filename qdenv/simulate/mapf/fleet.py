@@ -151,7 +151,7 @@ def run_settings(config: FleetConfig, seed: int = 0) -> RunSettings:
 def _run(
     world: World, seed: jax.Array, config: FleetConfig, active: jax.Array, keep: bool
 ) -> Outcome:
-    """Simulate until T or congestion, keeping every step if asked."""
+    """Simulate until T or congestion, keeping every step if `keep`."""
     planner = config.make_planner()
     if planner.host is not None:
         like = jax.eval_shape(lambda: blank_outcome(world, config, keep))
@@ -167,7 +167,7 @@ def _run(
 
     def run_window(run: tuple[Fleet, Metrics, Block]) -> tuple[Fleet, Metrics, Block]:
         fleet, metrics, kept = run
-        at_work = active & is_going(run)  # a finished lane of a batch has nobody left to plan
+        at_work = active & is_going(run)  # a finished lane of a batch has no agents left to plan
         after, block = _run_window(world, config, fleet, at_work, seed, metrics.time)
         if keep:
             begin = (metrics.time, 0)
@@ -250,7 +250,7 @@ def compile_runs(
 
     def run(world: World, seed: int, agents: int) -> _Report:
         outcome = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
-        # Too many agents for the layout: nobody drives, and the report calls that congested.
+        # Too many agents for the layout: none drives, and the report calls that congested.
         if agents <= min(int(np.asarray(world.traversable).sum()), config.agents):
             settings = run_settings(config, int(chance.seed_of(jax.random.key(seed))))
             simulate_into(outcome, host, world, agents, settings)

@@ -1,4 +1,4 @@
-"""What is counted and kept while a fleet drives: tasks, cell usage, jams, whole recordings."""
+"""What is counted and recorded while a fleet drives: tasks, cell usage, jams, whole recordings."""
 
 from typing import NamedTuple
 

@@ -22,9 +22,9 @@ from qdenv.native import shared
 from qdenv.simulate.mapf.tasks import GoalTable
 from qdenv.types import Array
 
-NOBODY = -1  # stands where an agent's number could stand
-UNREACHABLE = 32_000  # steps to where no way leads, on grids of at most so many cells
-_UNREACHABLE_AFAR = 1 << 20  # likewise on larger ones, of a thousand rows and columns at most
+NOBODY = -1  # in place of an agent's number
+UNREACHABLE = 32_000  # steps to where no way leads, on grids of at most this many cells
+_UNREACHABLE_AFAR = 1 << 20  # the same on larger ones, of a thousand rows and columns at most
 
 
 def steps_type(cells: int) -> type[np.int16] | type[np.int32]:

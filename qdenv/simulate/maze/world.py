@@ -34,7 +34,7 @@ class Course(NamedTuple):
 class Pose(NamedTuple):
     """Where the agent is."""
 
-    # int32, cell of the layout, or flat index of its `canvas` where that is said
+    # int32, cell of the layout, or flat index of its `canvas` in `step` and in training
     position: jax.Array
     heading: jax.Array  # int32, 0..3
 

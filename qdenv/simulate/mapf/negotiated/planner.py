@@ -3,8 +3,8 @@
 A set of agents holds reservations that never conflict. Round after round, a few agents without a
 reservation plan against it. A path may drive over reservations, at a penalty for each: if that is
 cheaper than stepping aside, the path is taken and the owners lose their reservations and plan
-again. The penalty grows with every attempt of an agent within the window. So at first everybody
-asks for the shortest way, and then whoever can step aside most cheaply does.
+again. The penalty grows with every attempt of an agent within the window. So at first all agents
+take the shortest way, and then those step aside that can do so most cheaply.
 
 This is negotiated congestion, as routers of circuits do it (PathFinder, McMurchie & Ebeling 1995,
 https://doi.org/10.1145/201310.201328), with reservations as soft obstacles (SIPPS in MAPF-LNS2, Li

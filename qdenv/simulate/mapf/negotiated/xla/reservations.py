@@ -112,7 +112,7 @@ class Reservations(NamedTuple):
 
 
 def begin(state: AgentState, shape: Shape, steps: int) -> Reservations:
-    """Reserve the first steps of everybody's previous path until they plan themselves.
+    """Reserve the first steps of all previous paths until their agents plan.
 
     They bind no agent, but show whom to avoid where avoiding costs nothing. Padding agents count
     as if they had their path.
@@ -132,7 +132,7 @@ def begin(state: AgentState, shape: Shape, steps: int) -> Reservations:
 
 
 def release(reservations: Reservations, shape: Shape, agents: jax.Array) -> Reservations:
-    """Remove what some agents have reserved (int32 [K], A for nobody)."""
+    """Remove what some agents have reserved (int32 [K], A for none)."""
     count = reservations.reserved_steps.shape[0]
     time = jnp.arange(reservations.paths.shape[0])[:, None]
     safe = jnp.minimum(agents, count - 1)
@@ -157,7 +157,7 @@ def accept(
     count, lanes = reservations.reserved_steps.shape[0], agent.shape[0]
     time, owner = jnp.arange(paths.shape[0])[:, None], reservations.owner
     met, ahead = owner[time[1:], paths[1:]], owner[time[:-1], paths[1:]]
-    # A swap: whoever is ahead before the step is behind after it.
+    # A swap: the agent ahead before the step is behind after it.
     swapped = (ahead != NOBODY) & (owner[time[1:], paths[:-1]] == ahead)
     losers = jnp.stack([met, jnp.where(swapped, ahead, NOBODY)])
     losers = jnp.where(mask & (losers != NOBODY), losers, count).reshape(-1)

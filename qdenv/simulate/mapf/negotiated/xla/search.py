@@ -1,7 +1,7 @@
 """The best path of one agent through a window, given what the others have reserved.
 
 Every set of cells is a square of bits around the agent, one word per row. Which cells can be
-reached at time t + 1 follows from those at time t by shifting words. The sets are kept apart by
+reached at time t + 1 follows from those at time t by shifting words. The sets are separate by
 leg and by the number of conflicts (`rules`); a *mask* is a word that is all ones or empty.
 
 Only the end of a path has a cost: the steps still to go from there, plus a penalty per conflict.
@@ -34,7 +34,7 @@ class LocalWindow(NamedTuple):
     traversable: jax.Array  # uint32 [E, K], cells without walls
     goal: jax.Array  # uint32 [2, E, K], the current and the next goal, where they end a leg
     goal_row: jax.Array  # int32 [2, K], their rows in sight (0 where out of sight)
-    goal_column: jax.Array  # int32 [2, K], likewise
+    goal_column: jax.Array  # int32 [2, K], their columns
     # int32 [2, E, E, K], cost of what is left from each cell on, per leg, less `shortest`
     cost_to_go: jax.Array
     cost_after_goal: jax.Array  # int32 [K], cost of what is left once the current goal is done
