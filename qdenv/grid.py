@@ -28,7 +28,7 @@ def move_steps(width: int) -> np.ndarray:
 
 
 def _library_of(values: Array) -> Any:
-    # numpy for its own arrays: checks of a layout wait for no compiler.
+    # Numpy for its own arrays: to check a layout, no compiler is imported.
     return np if isinstance(values, np.ndarray) else jnp
 
 

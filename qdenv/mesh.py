@@ -22,13 +22,9 @@ turn = threading.Lock()
 def map_items(function: Callable[..., Any], *items: Any) -> Any:
     """Apply a function to batches of items, an equal share on each device; traceable.
 
-    Args:
-        function: shares of the batches -> results, each item's from that item alone; traceable,
-            without host callbacks.
-        items: trees of arrays with leading axis B; what the devices do not divide is filled up.
-
-    Returns:
-        The results, with leading axis B, whole on every device.
+    The function, traceable and without host callbacks, turns shares of the batches (trees of
+    arrays with leading axis B) into results, each item's from that item alone. What the devices do
+    not divide is filled up. The results, with leading axis B, are whole on every device.
     """
     devices = jax.local_devices()
     mesh = Mesh(np.asarray(devices), (_AXIS,))
@@ -52,14 +48,8 @@ def map_items(function: Callable[..., Any], *items: Any) -> Any:
 def map_runs(function: Callable[..., Any], layouts: jax.Array, runs: jax.Array) -> Any:
     """Apply a function to layouts and their runs, so that few layouts use all devices as well.
 
-    Args:
-        function: (layouts [b, H, W], runs [b, s]) -> results with leading axes b, s; as in
-            `map_items`.
-        layouts: int8 [B, H, W].
-        runs: [B, S], what the runs of each layout draw from.
-
-    Returns:
-        The results, with leading axes B, S.
+    The function is that of `map_items`: (layouts [b, H, W], runs [b, s]) -> results with leading
+    axes b, s. `layouts` is int8 [B, H, W], `runs` [B, S] what the runs of each layout draw from.
     """
     count, seeds = runs.shape
     parts = count_parts(count, seeds, jax.local_device_count())

@@ -46,10 +46,9 @@ class Bar:
             unit: of `total`, of which the number and the rate are shown; such a bar appears at
                 once and stays at the end. Unless given only the share is shown.
         """
-        self._terminal = sys.stderr.isatty()
-        self._shown = self._terminal if shown is None else shown
-        self._unit = unit
+        self._terminal, self._unit = sys.stderr.isatty(), unit
         self._bar: Any = None
+        self._shown = self._terminal if shown is None else shown
         self._ended = threading.Event()
         self._compiling: list[str] = []
         self.begin(step, total)
@@ -136,11 +135,8 @@ class Bar:
                 unit=self._unit or "it",
             )
         bar, waiting = self._bar, self._waiting
-        status = f"{waiting[0]}: {time.time() - waiting[1]:.0f} s" if waiting else self._note
-        notes = [
-            status,
-            *(f"compiling {room}, once on this machine" for room in self._compiling[-1:]),
-        ]
+        notes = [f"{waiting[0]}: {time.time() - waiting[1]:.0f} s" if waiting else self._note]
+        notes += [f"compiling {folder}, once on this machine" for folder in self._compiling[-1:]]
         if not self._unit:
             bar.bar_format = _COUNTED if self._total and self._done > 0 else _UNCOUNTED
         bar.total, bar.n = self._total or None, min(self._done, self._total)

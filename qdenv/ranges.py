@@ -44,15 +44,9 @@ class Ranged:
 
 
 def check_range(name: str, value: Any, kind: Any) -> None:
-    """Refuse a value that lies outside the ranges of a type.
+    """Raise InputError if a value (a number, None, or a tuple) lies outside the ranges of its type.
 
-    Args:
-        name: how the message calls it.
-        value: a number, None, or a tuple of numbers.
-        kind: its type; `Annotated` with `annotated_types.Interval` where it has a range.
-
-    Raises:
-        InputError: it does.
+    Where the type has a range, it is `Annotated` with an `annotated_types.Interval`.
     """
     label = name.replace("_", "-")
     for number, interval in _pairs(value, kind):

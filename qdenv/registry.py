@@ -37,7 +37,7 @@ class Registry:
         """Import nothing yet.
 
         Args:
-            what: how messages call a choice, like "planner".
+            what: a choice as messages call it, like "planner".
             group: entry points of installed packages that add choices, like "qdenv.planners".
             builtin: name -> ``module:attribute`` of an `Entry`.
         """

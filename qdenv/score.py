@@ -6,21 +6,15 @@ import math
 
 from qdenv.grid import count_components, of_tiles
 from qdenv.lazy import chex, jax, jnp
-from qdenv.types import Array, Traffic
+from qdenv.types import Array
 
 
 def entropy(area: Array, kinds: int) -> jax.Array:
     """Measure how irregular a layout is: Shannon entropy of its 2x2 patterns.
 
     The logarithm's base is the number of possible patterns, ``kinds ** 4``, so the result lies
-    in [0, 1] (environment entropy, section 4 of the paper).
-
-    Args:
-        area: int8 [h, w], the generated area; tiles below `kinds`.
-        kinds: kinds of tile the generator can draw.
-
-    Returns:
-        float32; 0 for an area without a 2x2 window.
+    in [0, 1] (environment entropy, section 4 of the paper). The generated area is int8 [h, w], of
+    tiles below `kinds`; the result is float32, 0 for an area without a 2x2 window.
     """
     chex.assert_rank(area, 2)
     tiles = area.astype(jnp.int32)
@@ -52,14 +46,3 @@ def similarity(unrepaired: Array, repaired: Array, weight: Array) -> jax.Array:
     """
     chex.assert_equal_shape([unrepaired, repaired, weight])
     return ((unrepaired == repaired) * weight).mean(dtype=jnp.float32)
-
-
-def mean_throughput(runs: Traffic) -> jax.Array:
-    """Average the throughput over *all* runs, congested ones too: the search's objective f_res.
-
-    A run that congests ends early and counts with what it had finished, so a layout is paid for
-    every run it spoils. Studies of single layouts report the mean of successful runs instead.
-    `runs` has a leading axis S; the result is float32, finished tasks per timestep.
-    """
-    chex.assert_rank(runs.throughput, 1)
-    return jnp.asarray(runs.throughput).mean()

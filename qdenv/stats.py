@@ -51,7 +51,7 @@ def margin(sample: Sample) -> float:
 
 
 def difference(ours: Sample, theirs: Sample) -> Difference:
-    """Bound the ratio of two means of independent runs.
+    """Compare two means of independent runs: the first in per cent of the second.
 
     The runs of two layouts share seeds, but a seed means other starts and goals on another layout:
     nothing is paired. The ratio has Fieller's interval (1954, "Some problems in interval

@@ -9,7 +9,8 @@ import toy
 from matplotlib.figure import Figure
 from PIL import Image
 
-from qdenv.domains.base import find_domain
+from qdenv.domains.base import find_domain, make_domain
+from qdenv.grid import parse
 from qdenv.presets import PRESETS
 from qdenv.run import loop
 from qdenv.run.archive import best_row
@@ -70,11 +71,15 @@ def test_the_best_maze_is_the_solvable_one_with_the_longest_way(maze):
     best = maze.best
     assert best.objective == 1
     assert int(longest_path(best.layout).length) == max(ways)
-    np.testing.assert_array_equal(maze.read_best_layout()[0], best.layout)
+    saved = json.loads((maze.path / "best_layout.json").read_text())
+    np.testing.assert_array_equal(parse(saved["layout"], maze.tiles), best.layout)
 
 
 def test_the_best_maze_is_drawn_with_the_simulators_start_and_goal(maze):
-    layout, marks = maze.read_best_layout()
+    layout = maze.best.layout
+    marks = make_domain(maze.config.evaluation.domain).mark_cells(layout)
+    saved = json.loads((maze.path / "best_layout.json").read_text())
+    assert saved["marks"] == {name: list(cell) for name, cell in marks.items()}
     course = longest_path(layout)
     width = layout.shape[1]
     assert marks == {

@@ -312,8 +312,6 @@ FILES = {
         b"", b"{}", b"[" * 100_000, b'{"evaluation": {}}', b'{"evaluation": {}, "algorithm": 3}',
         b'{"evaluation": {"domain": {"name": []}}}', b'{"evaluation": {"domain": "moon"}}',
     ],
-    "best_layout.json": [b"", b"{}", b'{"layout": 3}', b"\xff",
-        b'{"layout": ["..."], "marks": {"x": 1e999}}', b'{"layout": ["\x1b[31m"]}'],
     "metrics.csv": [b"", b"iteration\nmany\n", b'a,"' + b"x" * 200_000, None,
         b"iteration,evaluations,qd_score,coverage,best_objective,seconds\n1,8,nan,0.1,0.7,3\n"],
 }  # fmt: skip

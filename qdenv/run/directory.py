@@ -28,7 +28,6 @@ import numpy as np
 
 from qdenv.domains.base import make_domain
 from qdenv.generate import GENERATORS
-from qdenv.grid import parse
 from qdenv.io.arrays import Column, read_arrays, write_arrays
 from qdenv.io.files import damaged, sweep, write_csv, write_json
 from qdenv.io.records import read_json
@@ -58,13 +57,6 @@ class _Manifest(NamedTuple):
     tile_names: Mapping[str, str] = {}
     objective: str = "objective"
     tie_break: str | None = None
-
-
-class _BestLayout(NamedTuple):
-    """What is read of best_layout.json."""
-
-    layout: list[str]
-    marks: Mapping[str, tuple[int, int]] = {}
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -233,27 +225,6 @@ class RunDirectory:
     def read_metrics(self, salvage: bool = False) -> list[Metrics]:
         """Read metrics.csv as `log.read_metrics` does."""
         return read_metrics(self.path / METRICS, salvage)
-
-    def read_best_layout(self) -> tuple[np.ndarray, dict[str, tuple[int, int]]] | None:
-        """Read best_layout.json; None where no layout succeeded yet.
-
-        Returns:
-            the layout (int8 [H, W]), and the cells (row, column) that pictures name.
-
-        Raises:
-            InputError: the file is damaged.
-        """
-        if self.shipped is not None:
-            layout = self.best.layout
-            return layout, make_domain(self.config.evaluation.domain).mark_cells(layout)
-        path = self.path / "best_layout.json"
-        if not path.exists():
-            return None
-        content = read_json(path, _BestLayout)
-        try:
-            return parse(content.layout, self.tiles), dict(content.marks)
-        except InputError as error:
-            raise damaged(path, error) from error
 
     def read_start(self) -> np.ndarray | None:
         """Read the parameters from which the search began, float [P]; None for zeros.

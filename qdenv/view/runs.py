@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter, StrMethodFormatter
 
+from qdenv.domains.base import make_domain
 from qdenv.run.directory import RunDirectory
 from qdenv.run.log import NOTES, Note, read_notes
 from qdenv.study.groups import CURVES, Group, band_of, group_runs
@@ -178,11 +179,11 @@ def plot_run(
     if notes := read_notes(run.path / NOTES):
         pictures.append(place / f"notes.{form}")
         save_figure(_draw_notes(notes), pictures[-1])
-    if (best := run.read_best_layout()) is not None:
-        layout, marks = best
+    if len(archive := run.archive):
+        layout, domain = archive.best.layout, make_domain(run.config.evaluation.domain)
         pictures.append(place / f"best_layout.{form}")
         axes = draw_layout(layout, schema.tiles, names=schema.names)
-        draw_marks(axes, marks)
+        draw_marks(axes, domain.mark_cells(layout))
         figure = axes.get_figure()
         assert isinstance(figure, Figure)
         save_figure(figure, pictures[-1], crop=True)
