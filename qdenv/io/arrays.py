@@ -96,24 +96,20 @@ def open_zip(path: Path | str) -> Iterator[zipfile.ZipFile]:
 
 def _check_directory(stream: BinaryIO, source: Path | str) -> None:
     """Refuse an archive whose list of members is too long: zipfile would read all of it."""
-
-    def read_at(place: int, count: int) -> bytes:
-        stream.seek(place)
-        return stream.read(count)
-
     size = stream.seek(0, os.SEEK_END)
-    end = read_at(max(0, size - 22), 22)
+    stream.seek(max(0, size - 42))
+    tail = stream.read().rjust(42, b"\0")
+    locator, end = tail[:20], tail[20:]
     # A comment would follow: none of our archives has one, and it could hide another end.
-    if len(end) < 22 or end[:4] != b"PK\5\6" or end[20:] != b"\0\0":
-        raise damaged(source, "no archive, or its end is missing")
+    whole = end.startswith(b"PK\5\6") and end.endswith(b"\0\0")
     (directory,) = struct.unpack("<L", end[12:16])
-    locator = read_at(max(0, size - 42), 20)
-    if locator[:4] == b"PK\6\7":  # a long archive, whose true end comes before
-        place = struct.unpack("<Q", locator[8:16])[0]
-        long_end = read_at(place, 56) if place < size else b""
-        if len(long_end) < 56 or long_end[:4] != b"PK\6\6":
-            raise damaged(source, "no archive, or its end is missing")
+    if whole and locator.startswith(b"PK\6\7"):  # a long archive, whose true end comes before
+        stream.seek(min(struct.unpack("<Q", locator[8:16])[0], size))
+        long_end = stream.read(56).ljust(56, b"\0")
+        whole = long_end.startswith(b"PK\6\6")
         (directory,) = struct.unpack("<Q", long_end[40:48])
+    if not whole:
+        raise damaged(source, "no archive, or its end is missing")
     if directory > _MAX_DIRECTORY:
         raise damaged(source, "too many members")
     stream.seek(0)

@@ -218,18 +218,11 @@ def write_layout(
     /,
     **details: Any,
 ) -> None:
-    """Write a layout atomically; the ending of the name says how.
+    """Write a layout (int8 [H, W]) atomically as .txt, .csv, .map or else JSON, by its ending.
 
-    Args:
-        path: a .json, .txt, .csv or .map file; JSON unless the ending is one of the others.
-        layout: int8 [H, W].
-        tiles: its alphabet.
-        meanings: what the symbols mean; a map needs to know what is an obstacle.
-        details: JSON-ready facts beside the rows; the other files do not hold them.
-
-    Raises:
-        InputError: no layout may be so large, a map would lose tiles, or the place cannot be
-            written to.
+    A map needs the `meanings` of the symbols: what is an obstacle. `details` are JSON-ready facts
+    beside the rows, which JSON alone holds. Raises InputError if no layout may be so large, a map
+    would lose tiles, or the place cannot be written to.
     """
     rows, ending = draw(layout, tiles), Path(path).suffix.lower()
     check_size(len(rows), len(rows[0]))

@@ -62,7 +62,7 @@ class Elite(NamedTuple):
 
     def _repr_html_(self) -> str:
         """Draw the layout under the numbers, for notebooks."""
-        # Only here: matplotlib takes half a second to import.
+        # Here: matplotlib takes half a second to import.
         from qdenv.view.layouts import layout_html
 
         return f"<p>{self!r}</p>{layout_html(self.layout, self.schema.tiles, self.schema.names)}"
@@ -71,10 +71,8 @@ class Elite(NamedTuple):
 def best_row(columns: Columns, tie_break: str | None) -> int:
     """Find the row of the best elite of an archive that is not empty.
 
-    Args:
-        columns: of the archive.
-        tie_break: the column that decides among equals: a number, or several per elite, whose mean
-            counts; the larger is better.
+    `tie_break` names the column that decides among equals: a number, or several per elite, whose
+    mean counts; the larger is better.
     """
     objective = columns["objective"]
     best = np.flatnonzero(objective == objective.max())
@@ -98,11 +96,10 @@ class SavedArchive:
     def read(
         cls, path: Path, schema: ArchiveSchema, source: str, names: Mapping[str, tuple[int, ...]]
     ) -> Self:
-        """Read an archive.npz.
+        """Read an archive.npz, or raise InputError.
 
-        Raises:
-            InputError: it cannot be read; it is no archive over these measures: a column is missing
-                or of another length, a cell lies outside, or a tile means nothing.
+        It may be no archive over these measures: a column is missing or of another length, a cell
+        lies outside, or a tile means nothing.
         """
         columns = read_arrays(path, _COLUMNS | _REPAIRED, Column(), _KNOWN)
         index, cells = columns["index"], math.prod(one.cells for one in schema.measures)
@@ -152,15 +149,11 @@ class SavedArchive:
     def elite(
         self, which: str | Sequence[int] = "best", measures: Sequence[float] | None = None
     ) -> Elite:
-        """Find an elite.
+        """Find an elite: "best" or another name, or a cell, "12,40" or (12, 40).
 
-        Args:
-            which: "best" or another name, or a cell: "12,40" or (12, 40).
-            measures: a value for each measure, in place of `which`: the elite of their cell, or
-                else the nearest one, where every axis counts as equally long.
-
-        Raises:
-            InputError: there is no elite at all or none in that cell, or the request is malformed.
+        With a value for each measure in place of `which`: the elite of their cell, or else the
+        nearest one, where every axis counts as equally long. Raises InputError if there is no elite
+        at all or none in that cell, or the request is malformed.
         """
         if len(self) == 0:
             raise InputError(f"{self.source}: the archive is empty, no solution succeeded yet")
@@ -310,7 +303,7 @@ class SavedArchive:
 
     def _repr_html_(self) -> str:
         """Draw the heat map under the numbers, for notebooks."""
-        # Only here: matplotlib takes half a second to import.
+        # Here: matplotlib takes half a second to import.
         from qdenv.view.archive import archive_html
 
         picture = archive_html(self.columns, self.schema.measures, self.schema.objective)

@@ -57,17 +57,9 @@ class Checkpoints:
     def load_newest(self, initial: Any, settings: Mapping[str, Any]) -> tuple[int, Any]:
         """Load the newest undamaged checkpoint, with a warning where a newer one is damaged.
 
-        Args:
-            initial: state of a search that begins.
-            settings: what decides the run's result; only names that the checkpoint has, too, are
-                compared, as new versions add some.
-
-        Returns:
-            (iteration, state); 0 and `initial` where none is saved.
-
-        Raises:
-            InputError: all are damaged, or they are of another search, other settings or a newer
-                qdenv.
+        Returns (iteration, state); 0 and `initial`, the state of a search that begins, where none
+        is saved. Raises InputError if all are damaged, or they are of another search, other
+        `settings` or a newer qdenv.
         """
         saved = self._list()
         for path in reversed(saved):
@@ -81,6 +73,7 @@ class Checkpoints:
                 _LOG.warning("%s: going on from the checkpoint before it", error)
                 continue
             for name, value in settings.items():
+                # Only names in both are compared, as new versions add some.
                 if manifest.settings.get(name, value) != value:
                     raise InputError(
                         f"{self._run}: its checkpoint was made with {name} "
@@ -115,18 +108,11 @@ def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
 
 
 def load_checkpoint(path: Path, initial: Any) -> tuple[Any, Manifest]:
-    """Read a checkpoint back, bit for bit.
+    """Read a checkpoint back, bit for bit: (state, manifest).
 
-    Args:
-        path: the .npz file.
-        initial: an initial state of the same search; stores of solutions may have other lengths.
-
-    Returns:
-        (state, manifest).
-
-    Raises:
-        DamagedError: the file is damaged.
-        InputError: it is of a newer schema, or of another configuration.
+    `initial` is an initial state of the same search; stores of solutions may have other lengths.
+    Raises DamagedError if the file is damaged, InputError if it is of a newer schema, or of another
+    configuration.
     """
     arrays, manifest = read_state(path, _MANIFEST, Manifest)
     if manifest.iteration < 0:

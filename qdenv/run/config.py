@@ -25,12 +25,7 @@ from qdenv.simulate.mapf.settings import PLANNERS, find_planner
 from qdenv.types import InputError, Measure
 
 # Settings whose type is a choice, wherever a field of this name stands.
-_CHOICES = {
-    "domain": DOMAINS,
-    "generator": GENERATORS,
-    "planner": PLANNERS,
-    "algorithm": ALGORITHMS,
-}
+_CHOICES = dict(domain=DOMAINS, generator=GENERATORS, planner=PLANNERS, algorithm=ALGORITHMS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,11 +70,8 @@ def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
 def resolve(preset: RunConfig, overrides: Mapping[str, Any]) -> tuple[RunConfig, str]:
     """Override a preset's settings by name, scale the others to the size, check the result.
 
-    Returns:
-        the configuration, and a list of what was scaled ("" for nothing).
-
-    Raises:
-        InputError: a name is unknown, a setting is impossible, or no layout could count.
+    Returns the configuration, and a list of what was scaled ("" for nothing). Raises InputError if
+    a name is unknown, a setting is impossible, or no layout could count.
     """
     # A planner's settings may be named like others, which are scaled.
     names = {name.rpartition("__")[2] for name in overrides if "planner__" not in name}
@@ -91,15 +83,11 @@ def resolve(preset: RunConfig, overrides: Mapping[str, Any]) -> tuple[RunConfig,
 def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
     """Replace settings of a configuration by name, wherever they are nested.
 
-    Args:
-        config: the configuration.
-        settings: values by name, or by the fields that lead to one, joined by two underscores
-            (``evaluation__repair__gap``); a name of a domain, planner, generator or algorithm
-            stands for its settings, with all its defaults but for what the domain shares with the
-            old one. ``effort`` is that of the negotiated planner.
-
-    Raises:
-        InputError: nothing or more than one thing has this name, or the value is impossible.
+    Settings are values by name, or by the fields that lead to one, joined by two underscores
+    (``evaluation__repair__gap``). The name of a domain, planner, generator or algorithm stands for
+    its settings, with all its defaults but for what the domain shares with the old one; ``effort``
+    is that of the negotiated planner. Raises InputError if nothing or more than one thing has this
+    name, or the value is impossible.
     """
     values: dict[tuple[str, ...], Any] = {}
     # Choices first: which other names there are depends on them.
@@ -163,15 +151,10 @@ def choose_domain(config: RunConfig, name: str) -> RunConfig:
 
 
 def choose_planner(config: RunConfig, effort: str | None, planner: Any) -> RunConfig:
-    """Put another planner into a configuration; with neither argument, nothing changes.
+    """Put another planner (its name, or its settings) into a configuration.
 
-    Args:
-        config: the configuration.
-        effort: of the negotiated planner; low unless given.
-        planner: a planner's name, or its settings.
-
-    Raises:
-        InputError: a name is unknown, or no fleet drives in the domain.
+    `effort` is that of the negotiated planner, low unless given; with neither, nothing changes.
+    Raises InputError if a name is unknown, or no fleet drives in the domain.
     """
     if effort is None and planner is None:
         return config
@@ -213,7 +196,7 @@ def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[R
     first three are what it knows.
 
     Args:
-        config: the configuration, of whatever size.
+        config: the configuration, of any size.
         base: the one it was made from, whose numbers belong to its own size.
         given: names of the settings that were stated and stay.
 
@@ -268,9 +251,8 @@ def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[R
 def check(config: RunConfig) -> None:
     """Refuse a search none of whose layouts could count; nothing is compiled for that.
 
-    Raises:
-        InputError: no layout obeys the rules, the agents do not fit, or an axis of the archive
-            lies where no layout of this size is.
+    Raises InputError if no layout obeys the rules, the agents do not fit, or an axis of the archive
+    lies where no layout of this size is.
     """
     settings = config.evaluation.domain
     rows, cols = settings.rows, settings.cols
@@ -310,11 +292,7 @@ def check(config: RunConfig) -> None:
 def archive_axes(
     measures: Sequence[Measure], ranges: Sequence[tuple[float, float, int]]
 ) -> tuple[Measure, ...]:
-    """Give measures the configured ranges (low, high, cells); none keeps their own.
-
-    Raises:
-        InputError: a range is empty, or there are more or fewer than measures.
-    """
+    """Give measures the configured ranges (low, high, cells), or their own where there are none."""
     if ranges and len(ranges) != len(measures):
         names = " and ".join(axis.name for axis in measures)
         raise InputError(

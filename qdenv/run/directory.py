@@ -77,16 +77,10 @@ class RunDirectory:
         measures: Sequence[Measure],
         start: np.ndarray | None = None,
     ) -> RunDirectory:
-        """Start a run's folder, which is made if need be.
+        """Start a run's folder, which is made if need be, or raise InputError if it holds one.
 
-        Args:
-            path: the folder.
-            config: the resolved configuration.
-            measures: axes of the archive.
-            start: parameters from which the search begins, float [P]; None for zeros.
-
-        Raises:
-            InputError: there is a run already, or the place cannot be written to.
+        `config` is resolved; `measures` are the axes of the archive, `start` the parameters from
+        which the search begins, float [P], or None for zeros.
         """
         run = cls(Path(path))
         if (run.path / "config.json").exists():
@@ -138,13 +132,10 @@ class RunDirectory:
         """Keep every other process from writing here; the folder is made if need be.
 
         The system frees the lock when this process ends, however it ends. What a process that was
-        killed left half written is deleted.
-
-        Raises:
-            InputError: another process is at work here, the place cannot be written to, or it
-                ships with the package.
+        killed left half written is deleted. Raises InputError if another process is at work here,
+        the place cannot be written to, or it ships with the package.
         """
-        # Only here: it imports asyncio, a good part of what `check` takes altogether.
+        # Here: it imports asyncio, a good part of what `check` takes altogether.
         import filelock
 
         self.demand_own()
@@ -276,8 +267,7 @@ def package_versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
 def find_start(config: RunConfig) -> np.ndarray | None:
     """Find the generator that `config.start` names: its parameters, float [P]; None for zeros.
 
-    Raises:
-        InputError: there is no such run or elite, or its generator is of another kind.
+    Raises InputError if there is no such run or elite, or its generator is of another kind.
     """
     if not config.start:
         return None

@@ -47,17 +47,11 @@ class AsyncEvaluation:
     ) -> None:
         """Submit the populations that the search already holds.
 
-        Args:
-            algorithm: as `search.base.growing` gives it.
-            evaluator: of populations.
-            key: iteration ``i`` is evaluated with ``fold_in(key, i)``, so a resumed run draws the
-                same.
-            total: iterations of the run; later populations are drawn but not evaluated.
-            done: iterations that `search` has seen.
-            search: to go on from.
+        Iteration ``i`` is evaluated with ``fold_in(key, i)``, so a resumed run draws the same.
+        `total` is the number of iterations of the run: later populations are drawn but not
+        evaluated. `done` is the number of those that `search` has seen.
         """
-        self.done = done  # iterations that the search has seen
-        self.search = search  # after them
+        self.done, self.search = done, search
         self._algorithm, self._evaluator, self._key, self._total = algorithm, evaluator, key, total
         self._asked = deque(search.asked)
         self._evaluations: deque[Callable[[], Evaluation]] = deque()

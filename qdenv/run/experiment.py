@@ -48,15 +48,10 @@ class Experiment(NamedTuple):
 
 
 def make_experiment(config: RunConfig, start: np.ndarray | None = None) -> Experiment:
-    """Build a run's parts.
+    """Build a run's parts, or raise InputError if a setting is impossible.
 
-    Args:
-        config: the resolved configuration.
-        start: parameters from which the search begins, float [P]; what `config.start` names
-            unless given.
-
-    Raises:
-        InputError: a setting is impossible.
+    `start` are the parameters from which the search begins, float [P]: what `config.start` names
+    unless given.
     """
     pipeline = make_pipeline(config.evaluation, repair_seed=config.seed)
     measures = archive_axes(pipeline.domain.measures, config.archive)

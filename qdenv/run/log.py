@@ -39,12 +39,7 @@ class Metrics(NamedTuple):
 def read_metrics(path: Path, salvage: bool = False) -> list[Metrics]:
     """Read metrics.csv; missing columns that have defaults take them.
 
-    Args:
-        path: the file.
-        salvage: return the rows before the damage and log it, in place of an error.
-
-    Raises:
-        InputError: the file is missing or damaged.
+    With `salvage`, the rows before a damage are returned and it is logged, in place of an error.
     """
     # Without a success there is no best objective: it is infinite.
     return _collect(read_table(path, Metrics, ("best_objective",)), salvage)
@@ -100,14 +95,9 @@ class Log:
         evaluation: Evaluation,
         notes: Mapping[str, SupportsFloat],
     ) -> Metrics:
-        """Write the rows of an iteration.
+        """Write the rows of an iteration that took `seconds`, after `evaluations` in all.
 
-        Args:
-            evaluations: done in all.
-            summary: QD-score, coverage and best objective.
-            seconds: that the iteration took.
-            evaluation: of its solutions.
-            notes: the algorithm's own numbers.
+        `summary` is QD-score, coverage and best objective, `notes` the algorithm's own numbers.
         """
         self._seconds += seconds
         failed = np.asarray(evaluation.status) >= RepairStatus.IMPOSSIBLE

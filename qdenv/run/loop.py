@@ -68,11 +68,7 @@ def resume(
 ) -> RunDirectory:
     """Continue a run from its newest checkpoint, to the same archive bit for bit.
 
-    Args:
-        path: the run directory.
-        progress: show a progress bar.
-        evaluations: a new total, to go on beyond the configured one.
-        execution: where layouts are repaired and simulated.
+    `evaluations` is a new total, to go on beyond the configured one; the others are as for `train`.
 
     Raises:
         InputError: there is no run, it was written by a newer version or with other settings,

@@ -53,13 +53,8 @@ class Execution(Ranged):
     ) -> Iterator[LayoutEvaluator]:
         """Yield what repairs and simulates the layouts of a run; it ends with the context.
 
-        Args:
-            config: of the run.
-            pipeline: its chain.
-            progress: called with the number of layouts that were completed.
-
-        Raises:
-            InputError: nothing answers at the scheduler's address, or no worker joins.
+        `progress` is called with the number of layouts that were completed. Raises InputError if
+        nothing answers at the scheduler's address, or no worker joins.
         """
         from qdenv.run.executors.layouts import Cluster, Threads  # imports both compilers
 

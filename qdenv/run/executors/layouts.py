@@ -146,13 +146,10 @@ def _chain(settings: str) -> tuple[Pipeline, Callable]:
 
 
 def _evaluate_layouts(settings: str, layouts: np.ndarray, first: int, key: np.ndarray) -> Outcomes:
-    """Repair and simulate layouts, one by one; what a worker does.
+    """Repair and simulate layouts (int8 [n, H, W]), one by one; what a worker does.
 
-    Args:
-        settings: a whole `RunConfig` as JSON.
-        layouts: int8 [n, H, W], unrepaired.
-        first: index of the first of them in its population.
-        key: uint32, the data of the population's key.
+    `settings` is a whole `RunConfig` as JSON, `first` the index of the first layout in its
+    population, `key` (uint32) the data of the population's key.
     """
     pipeline, simulate = _chain(settings)
     whole = jax.random.wrap_key_data(jax.numpy.asarray(key))
