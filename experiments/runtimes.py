@@ -78,6 +78,7 @@ class SavedRuntime(Piece):
         # A process loads what was compiled before when it repairs first, which is no repair's work.
         finish(grown, run.config.evaluation.repair, seed=0)
         while (seed := len(known := self.read(folders))) < self.seeds:
+            assert grown.elite is not None
             row = measure(grown, grown.elite.solution, run.config, seed, best_of(self.domain))
             write_csv(self.path(folders), Runtime._fields, [*known, row])
             say(f"{self.name}: {seed + 1} of {self.seeds}, repair {row.repair_seconds:.1f} s")

@@ -29,7 +29,7 @@ def final(config: RunConfig, path: Path, evaluations: int) -> list[float]:
     else:
         run = RunDirectory.open(path)
         if run.read_metrics()[-1].evaluations < evaluations:
-            run = qdenv.resume(path)
+            qdenv.resume(path)
     last = [row for row in run.read_metrics() if row.evaluations <= evaluations][-1]
     if last.evaluations < evaluations:
         raise qdenv.InputError(f"{path}: a run of {last.evaluations} evaluations; remove it")

@@ -1,46 +1,82 @@
 # The public names by module: for type checkers, and for __init__.py, which imports each when it is
 # first used.
 
-from .domains.base import (
-    DOMAINS,
-    Domain,
-    DomainConfig,
-    KnownSize,
-    Simulator,
-    find_domain,
-    make_domain,
-)
-from .domains.fleet import fleet_simulator
-from .generate import GENERATORS, Canvas, Generator, NcaConfig
-from .io.layouts import read_layout, write_layout
-from .ops.layouts import check, human_layout, make_environment, render, repair_layout, tile_layout
-from .ops.networks import convert_agent, evaluate_agent, fit_surrogate, train_agent
-from .ops.options import read_plan
-from .ops.output import Layout
-from .ops.pages import explore, replay, report
-from .ops.runs import export, generate_layout, plot, series
-from .ops.searches import presets, resume, train, zoo
-from .ops.studies import compare, scalability, sweep
-from .ops.traffic import simulate_layout
-from .pipeline import evaluate, make_pipeline
-from .presets import PRESETS, find_preset
-from .registry import Entry
-from .repair.audit import audit
-from .run.config import RunConfig
-from .run.directory import RunDirectory
-from .run.experiment import make_experiment, make_iteration
-from .search.archive import GridArchive
-from .search.base import Algorithm, Problem
-from .search.registry import ALGORITHMS
-from .settings import EvaluationConfig
-from .simulate.mapf.goals import beside_goal, tile_goal
-from .simulate.mapf.negotiated.settings import NegotiatedConfig
-from .simulate.mapf.pbs.settings import PbsConfig
-from .simulate.mapf.pibt.settings import PibtConfig
-from .simulate.mapf.planner import AgentState, Planner, World
-from .simulate.mapf.settings import PLANNERS, FleetConfig
-from .study.elites import grow_elite
-from .types import Adjacency, Count, Goal, InputError, Measure, Rules, Score, TaskRule, Traffic
-from .view.runs import plot_run
+from .domains.base import DOMAINS as DOMAINS
+from .domains.base import Domain as Domain
+from .domains.base import DomainConfig as DomainConfig
+from .domains.base import KnownSize as KnownSize
+from .domains.base import Simulator as Simulator
+from .domains.base import find_domain as find_domain
+from .domains.base import make_domain as make_domain
+from .domains.fleet import fleet_simulator as fleet_simulator
+from .generate import GENERATORS as GENERATORS
+from .generate import Canvas as Canvas
+from .generate import Generator as Generator
+from .generate import NcaConfig as NcaConfig
+from .io.layouts import read_layout as read_layout
+from .io.layouts import write_layout as write_layout
+from .ops.layouts import check as check
+from .ops.layouts import human_layout as human_layout
+from .ops.layouts import make_environment as make_environment
+from .ops.layouts import render as render
+from .ops.layouts import repair_layout as repair_layout
+from .ops.layouts import tile_layout as tile_layout
+from .ops.networks import convert_agent as convert_agent
+from .ops.networks import evaluate_agent as evaluate_agent
+from .ops.networks import fit_surrogate as fit_surrogate
+from .ops.networks import train_agent as train_agent
+from .ops.options import read_plan as read_plan
+from .ops.output import Layout as Layout
+from .ops.pages import explore as explore
+from .ops.pages import replay as replay
+from .ops.pages import report as report
+from .ops.runs import export as export
+from .ops.runs import generate_layout as generate_layout
+from .ops.runs import plot as plot
+from .ops.runs import series as series
+from .ops.searches import presets as presets
+from .ops.searches import resume as resume
+from .ops.searches import train as train
+from .ops.searches import zoo as zoo
+from .ops.studies import compare as compare
+from .ops.studies import scalability as scalability
+from .ops.studies import sweep as sweep
+from .ops.traffic import simulate_layout as simulate_layout
+from .pipeline import evaluate as evaluate
+from .pipeline import make_pipeline as make_pipeline
+from .presets import PRESETS as PRESETS
+from .presets import find_preset as find_preset
+from .registry import Entry as Entry
+from .repair.audit import audit as audit
+from .run.config import RunConfig as RunConfig
+from .run.directory import RunDirectory as RunDirectory
+from .run.experiment import make_experiment as make_experiment
+from .run.experiment import make_iteration as make_iteration
+from .search.archive import GridArchive as GridArchive
+from .search.base import Algorithm as Algorithm
+from .search.base import Problem as Problem
+from .search.registry import ALGORITHMS as ALGORITHMS
+from .settings import EvaluationConfig as EvaluationConfig
+from .simulate.mapf.goals import beside_goal as beside_goal
+from .simulate.mapf.goals import tile_goal as tile_goal
+from .simulate.mapf.negotiated.settings import NegotiatedConfig as NegotiatedConfig
+from .simulate.mapf.pbs.settings import PbsConfig as PbsConfig
+from .simulate.mapf.pibt.settings import PibtConfig as PibtConfig
+from .simulate.mapf.planner import AgentState as AgentState
+from .simulate.mapf.planner import Planner as Planner
+from .simulate.mapf.planner import World as World
+from .simulate.mapf.settings import PLANNERS as PLANNERS
+from .simulate.mapf.settings import FleetConfig as FleetConfig
+from .study.elites import grow_elite as grow_elite
+from .types import Adjacency as Adjacency
+from .types import Count as Count
+from .types import Goal as Goal
+from .types import InputError as InputError
+from .types import Measure as Measure
+from .types import Rules as Rules
+from .types import Score as Score
+from .types import TaskRule as TaskRule
+from .types import Traffic as Traffic
+from .view.runs import plot_run as plot_run
 
 __version__: str

@@ -118,6 +118,7 @@ def repair_population(kind: str, count: int) -> Row:
     """Repair a population of random automata's layouts in one call, on all cores."""
     layouts = grow_random(kind, count, seed=1)
     pool = qdenv.make_pipeline(qdenv.EvaluationConfig(qdenv.find_domain(kind).config)).pool
+    assert pool is not None
     with pool, Stopwatch() as watch:
         repairs = pool.repair(layouts)
     failed = int((repairs.status >= RepairStatus.IMPOSSIBLE).sum())
@@ -125,9 +126,11 @@ def repair_population(kind: str, count: int) -> Row:
     return row | watch.per(count)
 
 
-def rules_at_size(kind: str, shape: tuple[int, ...] = SIZE) -> Rules:
+def rules_at_size(kind: str, shape: tuple[int, int] = SIZE) -> Rules:
     """Return the rules of a domain at one size."""
-    return qdenv.find_domain(kind).resized(*shape).rules()
+    rules = qdenv.find_domain(kind).resized(*shape).rules
+    assert rules is not None
+    return rules()
 
 
 def one_tile_layouts() -> Iterator[Group]:

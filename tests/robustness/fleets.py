@@ -48,7 +48,9 @@ PLANNERS: dict[str, Planning] = {
 def tasks_of(rule: str) -> TaskRule:
     """Return the tasks of a rule; programs are cached by this record."""
     if rule in DOMAINS:
-        return qdenv.find_domain(rule).resized(*DOMAIN_SHAPE).simulator.tasks
+        tasks = qdenv.find_domain(rule).resized(*DOMAIN_SHAPE).simulator.tasks
+        assert tasks is not None
+        return tasks
     goals = (qdenv.tile_goal("ew"[i % 2], TILES, stay) for i, stay in enumerate(STAYS[rule]))
     return TaskRule(TILES, ".ew", tuple(goals))
 
@@ -58,6 +60,7 @@ def draw_layout(rng: np.random.Generator, rule: str) -> np.ndarray:
     while True:
         if rule in DOMAINS:
             domain = qdenv.find_domain(rule).resized(*DOMAIN_SHAPE)
+            assert domain.rules is not None
             odds = rng.dirichlet(np.ones(len(domain.generated)))
             inside = rng.choice(len(domain.generated), domain.generated_shape, p=odds)
             layout, seed = domain.frame(inside.astype(np.int8)), int(rng.integers(1 << 30))

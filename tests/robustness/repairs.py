@@ -41,7 +41,9 @@ def draw_task(rng: np.random.Generator) -> Task:
     frame = 0 if kind == "manufacturing" else 4
     rows, cols = (int(rng.integers(3, rng.choice([6, 10, 18]))) for _ in range(2))
     shape = (33, 36) if rng.random() < LARGE else (rows, cols + frame + 1)
-    rules = draw_rules(rng, qdenv.find_domain(kind).resized(*shape).rules(), DOMAINS[kind])
+    own_rules = qdenv.find_domain(kind).resized(*shape).rules
+    assert own_rules is not None
+    rules = draw_rules(rng, own_rules(), DOMAINS[kind])
     odds = rng.dirichlet(np.ones(len(rules.tiles)))
     layout = rng.choice(len(rules.tiles), shape, p=odds)
     fixed = rules.allowed.sum(-1) == 1
