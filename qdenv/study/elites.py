@@ -266,7 +266,7 @@ def spread(cells: np.ndarray, first: int) -> Iterator[int]:
     for _ in range(len(points)):
         yield row
         np.minimum(distance, ((points - points[row]) ** 2).sum(axis=1), out=distance)
-        distance[row] = -1
+        distance[row] = -1  # never the farthest again
         row = int(distance.argmax())
 
 

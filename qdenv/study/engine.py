@@ -121,6 +121,7 @@ class _Program:
         return traffic, recording
 
 
+# A study of several sizes and capacities compiles each program once.
 @functools.lru_cache(maxsize=32)
 def _program(
     tasks: TaskRule, config: fleet.FleetConfig, shape: tuple[int, int], record: bool

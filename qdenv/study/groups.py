@@ -132,6 +132,7 @@ def _group(label: str, runs: Sequence[RunDirectory]) -> Group:
     lines: dict[str, list[np.ndarray]] = {name: [] for name in CURVES}
     for rows in metrics:
         done = [row.evaluations for row in rows]
+        # The last row that a run had written by then: batches may differ.
         last = np.maximum(np.searchsorted(done, evaluations, side="right") - 1, 0)
         for name, curves in lines.items():
             curves.append(np.array([getattr(row, name) for row in rows])[last])

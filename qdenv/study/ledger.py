@@ -170,6 +170,7 @@ def simulate(case: Case, seed: int) -> Run:
     tasks = case.domain.simulator.tasks
     done = run_seeds(case.tiles, tasks, config, [seed], case.agents, threads=1)
     (run,) = done.runs
+    # Rounded as the file holds it: a run that is read equals the one that was made.
     return Run(
         *case.key(seed),
         throughput=float(f"{run.throughput:.6g}"),

@@ -41,7 +41,7 @@ def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
         raise InputError(f"seeds {text!r}: write 10 for ten seeds, 3,5,9 for these, 7, for one")
     if len(set(numbers)) < len(numbers):
         raise InputError(f"seeds {text!r} names a seed twice, which tells nothing new")
-    if "," in text:
+    if "," in text:  # a comma makes it a list: "7," is the seed 7, "7" are seven seeds
         return tuple(numbers)
     if not 1 <= numbers[0] <= _MOST_SEEDS:
         raise InputError(f"seeds {text!r}: simulate at least one seed, and at most {_MOST_SEEDS:,}")
@@ -58,6 +58,7 @@ def parse_counts(text: str) -> tuple[int, ...]:
     try:
         if ":" in text:
             first, last, *step = (int(part) for part in text.split(":"))
+            # Cut before it is listed: 1:99999999999 must be refused at once.
             counts = range(first, last + 1, *step)[: _MOST_COUNTS + 1]
         else:
             counts = [int(part) for part in text.split(",")]

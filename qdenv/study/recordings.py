@@ -77,6 +77,7 @@ def map_run(shape: tuple[int, int], run: Traffic, recording: Recording) -> Maps:
         usage=count(after.reshape(-1)),
         waiting=count(after[still & (after != goals)]),
         visits=count(np.concatenate([positions[0], after[~still]])),
+        # Per timestep of all of T, as throughput is: a run that congests finishes nothing more.
         finished=count(after[finished]) * end / len(np.asarray(run.finished)),
         agents=float(active.sum()),
     )
@@ -90,6 +91,7 @@ def average(maps: Sequence[Maps]) -> Maps:
 def worst_cells(layout: np.ndarray, maps: Maps, most: int = 10) -> list[Spot]:
     """List the cells of a layout (int8 [H, W]) with the most waiting, the worst first."""
     waiting, total = maps.waiting.reshape(-1), maps.waiting.sum()
+    # Stable: of equal cells the first ones of the layout, on every machine.
     worst = np.argsort(-waiting, kind="stable")[:most]
     visits, tiles = maps.visits.reshape(-1), np.asarray(layout).reshape(-1)
     return [

@@ -76,6 +76,8 @@ def read_elites(run: RunDirectory) -> Evaluated:
 
 def split_elites(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the indices of the elites to learn from and of a fifth, held out (int, ascending)."""
+    # At random, not by cells: neighbours in an archive are alike, and no whole region may be
+    # unknown to the surrogate.
     order = np.random.default_rng(seed).permutation(count)
     held = round(_HELD_OUT * count)
     return np.sort(order[held:]), np.sort(order[:held])

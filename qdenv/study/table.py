@@ -142,6 +142,7 @@ def climb(
     fitting = check_climb(name, layout, trial)
     rows: list[Row] = []
     for count in fitting:
+        # No program is larger than the layout needs: its tables grow with its agents.
         config = replace(trial.config, agents=min(choose_capacity(count), fitting[-1]))
 
         def report(doing: str, share: float, note: str, count: int = count) -> None:
@@ -227,6 +228,7 @@ def summarise(
 def find_peak(rows: Sequence[Row]) -> Peak:
     """Find the peak of one layout's rows, sorted by agents."""
     means = [row.mean_of_all for row in rows]
+    # The first of equal ones: fewer agents that move as much are better.
     top = int(np.argmax(means))
     at = rows[top]
     dropped = top < len(rows) - 1
