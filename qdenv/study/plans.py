@@ -82,14 +82,14 @@ def read_plan(path: str | Path, domain: str | None = None) -> Plan:
 
 def _guess_domain(symbols: set[str]) -> Domain:
     """Find the domain whose tiles have these symbols, or else other symbols for the same tiles."""
-    domains = []
-    for name in dict.fromkeys((USUAL, *DOMAINS.names())):
-        with contextlib.suppress(InputError):  # somebody else's broken plug-in
-            domains.append(find_domain(name))
-    tiles = [set(domain.tiles) for domain in domains]
-    tiles += [{*one.tiles, *aliases(one.tiles, one.meanings)} for one in domains]
-    fitting = (one for one, known in zip(domains * 2, tiles, strict=True) if symbols <= known)
-    return next(fitting, domains[0])
+    for others in (False, True):
+        for name in dict.fromkeys((USUAL, *DOMAINS.names())):
+            with contextlib.suppress(InputError):  # somebody else's broken plug-in
+                domain = find_domain(name)
+                known = aliases(domain.tiles, domain.meanings) if others else ()
+                if symbols <= {*domain.tiles, *known}:
+                    return domain
+    return find_domain(USUAL)
 
 
 def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:
