@@ -17,6 +17,7 @@ from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
 from qdenv.run.log import Metrics
+from qdenv.run.loop import resume
 from qdenv.types import Measure
 from qdenv.view.archive import scatter_objectives
 
@@ -110,7 +111,7 @@ def whole_run(
     config: RunConfig,
     path: Path,
     say: Say = lambda line: None,
-    execution: Execution | None = None,
+    execution: Execution = Execution(),  # noqa: B008 (frozen)
 ) -> RunDirectory:
     """Return the finished run of a folder; begin or continue it where it is not.
 
@@ -128,7 +129,7 @@ def whole_run(
     if done and (path / "archive.npz").exists():
         return run
     say(f"{path}: goes on")
-    return qdenv.resume(path, evaluations=config.evaluations, execution=execution)
+    return resume(path, evaluations=config.evaluations, execution=execution)
 
 
 def summarise(run: RunDirectory, target: Path) -> None:

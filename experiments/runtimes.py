@@ -75,6 +75,7 @@ class SavedRuntime(Piece):
         """Grow and repair once per seed; each is saved as it ends."""
         run = RunDirectory.open(f"zoo:{self.domain}/best")
         grown = grow_elite(run, "best", self.shape)
+        assert grown.elite is not None
         # A process loads what was compiled before when it repairs first, which is no repair's work.
         finish(grown, run.config.evaluation.repair, seed=0)
         while (seed := len(known := self.read(folders))) < self.seeds:

@@ -24,7 +24,8 @@ def spread(values: list[float], form: str) -> str:
 
 def draw(folders: Folders) -> Drawn:
     """Average the final metrics of the runs that are saved."""
-    found, rows = read_all(folders), []
+    rows: list[tuple[object, ...]] = []
+    found = read_all(folders)
     for domain, algorithm in product(DOMAINS, ALGORITHMS):
         paper = TABLE_4.get((domain, algorithm))
         last = [one.last for one in found.get(domain, {}).get(algorithm, [])]

@@ -186,12 +186,7 @@ def scale(
         assert domain.rules is not None
         repair = repair_layout(layout, domain.rules(), 0, config.repair)
         agents = max(round(density * layout.size), 1)
-        options: dict[str, Any] = {
-            "domain": domain.name,
-            "seeds": (0,),
-            "effort": effort,
-            "stop": False,
-        }
+        options: Row = {"domain": domain.name, "seeds": (0,), "effort": effort, "stop": False}
         simulate = partial(qdenv.simulate_layout, np.asarray(repair.layout), agents, **options)
         first = simulate(timesteps=WINDOW)["cpu_seconds_per_run"]
         whole = simulate(timesteps=timesteps, audit=audit)

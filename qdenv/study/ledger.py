@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -34,6 +34,7 @@ DRIVERS: Mapping[str, Any] = {
     "plain": PbsConfig(rule="plain"),
 }
 _PAUSE = 30.0  # seconds between two lines on the progress
+_Key: TypeAlias = tuple[str, str, int, int, str, bool, str, int]  # the first fields of a `Run`
 
 
 class Case(NamedTuple):
@@ -47,7 +48,7 @@ class Case(NamedTuple):
     planner: str  # one of `DRIVERS`
     stop: bool = True  # end a run where it congests
 
-    def key(self, seed: int) -> tuple:
+    def key(self, seed: int) -> _Key:
         """Return the fields of `Run` that tell the run of a seed from all others."""
         drawn = f"{zlib.crc32(self.tiles.astype(np.int8).tobytes()):08x}"
         numbers = (self.agents, self.timesteps, self.planner, self.stop)
@@ -79,7 +80,7 @@ class Run(NamedTuple):
     cpu_seconds: float  # of driving, without preparing and compiling
 
     @property
-    def key(self) -> tuple:
+    def key(self) -> _Key:
         """Layout to seed, which tell it from all other runs, as `Case.key` does."""
         return self[:8]
 

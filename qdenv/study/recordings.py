@@ -192,9 +192,9 @@ def record_fleet(
     def read(seed: int, run: Traffic, recording: Recording) -> Motion:
         end = int(run.end_timestep)
         return Motion(
-            positions=recording.positions[: end + 1],
-            goals=recording.goals[: end + 1],
-            finished=recording.finished[:end],
+            positions=np.asarray(recording.positions)[: end + 1],
+            goals=np.asarray(recording.goals)[: end + 1],
+            finished=np.asarray(recording.finished)[:end],
             congested=_congested(recording, end, config.horizon),
             timesteps=config.timesteps,
         )
