@@ -11,18 +11,7 @@ import tyro
 from qdenv.domains.base import DOMAINS, Domain, find_domain
 from qdenv.io.files import tidy
 from qdenv.io.layouts import aliases, check_size
-from qdenv.ops.options import (
-    DOMAIN_NAMES,
-    DomainName,
-    Number,
-    Out,
-    Picture,
-    RepairSeed,
-    Source,
-    name_of,
-    read_plan,
-    stem_of,
-)
+from qdenv.ops import options as args
 from qdenv.ops.output import (
     PICTURES,
     Layout,
@@ -48,7 +37,7 @@ if TYPE_CHECKING:
 Polish = Literal["none", "quick", "full"]
 
 
-def render(layout: Source, out: Out = None, domain: DomainName = None) -> Layout:
+def render(layout: args.Source, out: args.Out = None, domain: args.DomainName = None) -> Layout:
     """Draw a layout as a picture: PNG, SVG or PDF.
 
     Args:
@@ -62,9 +51,9 @@ def render(layout: Source, out: Out = None, domain: DomainName = None) -> Layout
     Raises:
         InputError: it is no layout, or the place cannot be written to.
     """
-    plan = read_plan(layout, domain)
+    plan = args.read_plan(layout, domain)
     drawn = Layout(plan.layout, plan.domain)
-    if target := place(out, f"{stem_of(layout)}.png", PICTURES, [layout]):
+    if target := place(out, f"{args.stem_of(layout)}.png", PICTURES, [layout]):
         drawn.draw(target.path)
         rows, cols = plan.layout.shape
         say(f"{target}: {rows} x {cols}, {plan.whose}")
@@ -80,7 +69,10 @@ class Broken(NamedTuple):
 
 
 def check(
-    layout: Source, domain: DomainName = None, keep: Path | None = None, **numbers: Number
+    layout: args.Source,
+    domain: args.DomainName = None,
+    keep: Path | None = None,
+    **numbers: args.Number,
 ) -> Table:
     """Check a layout against its domain's rules: exit code 0, or 1 and what is broken.
 
@@ -96,7 +88,7 @@ def check(
     Raises:
         InputError: it is no layout, or `keep` is no drawing of its shape.
     """
-    plan, name = read_plan(layout, domain), name_of(layout)
+    plan, name = args.read_plan(layout, domain), args.name_of(layout)
     fitted = plan.fitted(numbers, keep)
     rules: Any = fitted.rules() if fitted.rules else None
     found = audit(plan.layout, rules) if rules else []
@@ -121,14 +113,14 @@ def check(
 
 
 def repair_layout(
-    layout: Source,
-    domain: DomainName = None,
+    layout: args.Source,
+    domain: args.DomainName = None,
     keep: Path | None = None,
-    seed: RepairSeed = 0,
+    seed: args.RepairSeed = 0,
     polish: Polish = "full",
-    out: Out = None,
-    plot: Annotated[Picture, tyro.conf.arg(aliases=("--diff",))] = None,
-    **numbers: Number,
+    out: args.Out = None,
+    plot: Annotated[args.Picture, tyro.conf.arg(aliases=("--diff",))] = None,
+    **numbers: args.Number,
 ) -> Layout:
     """Repair a layout: the closest one that obeys every rule of its domain.
 
@@ -149,14 +141,14 @@ def repair_layout(
         InputError: the domain has no rules, they contradict each other, or no feasible layout was
             found.
     """
-    plan, name = read_plan(layout, domain), name_of(layout)
+    plan, name = args.read_plan(layout, domain), args.name_of(layout)
     fitted = plan.fitted(numbers, keep)
     if fitted.rules is None:
         raise InputError(f"{name}: layouts of {fitted.name} have no rules: nothing to repair")
     rules: Rules = fitted.rules()
     if reason := impossible(rules):
         raise InputError(f"{name}: no repair exists: {reason}")
-    inputs, default = [layout, keep], f"{stem_of(layout)}_repaired.json"
+    inputs, default = [layout, keep], f"{args.stem_of(layout)}_repaired.json"
     target = place_layout(out, default, fitted, inputs)
     beside = target.path if target else Path(default)
     picture = place(plot, str(beside.with_suffix(PICTURES[0])), PICTURES, inputs)
@@ -206,8 +198,8 @@ def repair_layout(
 def human_layout(
     rows: int,
     cols: int,
-    domain: Annotated[str, tyro.conf.arg(metavar=DOMAIN_NAMES)] = USUAL,
-    out: Out = None,
+    domain: Annotated[str, tyro.conf.arg(metavar=args.DOMAIN_NAMES)] = USUAL,
+    out: args.Out = None,
 ) -> Layout:
     """Draw a layout as people design it by hand, at any size.
 
@@ -243,14 +235,14 @@ def human_layout(
 
 
 def tile_layout(
-    layout: Source,
+    layout: args.Source,
     rows: int,
     cols: int,
-    domain: DomainName = None,
-    seed: RepairSeed = 0,
+    domain: args.DomainName = None,
+    seed: args.RepairSeed = 0,
     polish: Polish = "quick",
-    out: Out = None,
-    **numbers: Number,
+    out: args.Out = None,
+    **numbers: args.Number,
 ) -> Layout:
     """Repeat a small layout until it fills a larger one, and repair that (section E.4).
 
@@ -272,17 +264,17 @@ def tile_layout(
     check_size(rows, cols)
     from qdenv.study import elites as sizes  # imports jax
 
-    plan = read_plan(layout, domain)
+    plan = args.read_plan(layout, domain)
     if rows < plan.layout.shape[0] or cols < plan.layout.shape[1]:
         size = "{} x {}".format(*plan.layout.shape)
         raise InputError(f"{rows} x {cols} is smaller than the layout it repeats, {size}")
     found, config = plan.domain, RepairConfig(polish=polish)
-    target = place_layout(out, f"{stem_of(layout)}_tiled.json", found, [layout])
+    target = place_layout(out, f"{args.stem_of(layout)}_tiled.json", found, [layout])
     tiled = sizes.tile(found, plan.layout, (rows, cols), numbers, config, seed)
     say(*filter(None, [describe_growth(found, (rows, cols), ["steps", *numbers])]))
     details = sizes.details(tiled) | {
         "domain": found.name,
-        "tiled_from": Path(name_of(layout)).name,
+        "tiled_from": Path(args.name_of(layout)).name,
     }
     made = Layout(tiled.layout, found, details, details)
     if target:
@@ -290,7 +282,7 @@ def tile_layout(
     return made
 
 
-def layout_symbols(domain: DomainName = None) -> None:
+def layout_symbols(domain: args.DomainName = None) -> None:
     """List the symbols of layout files: what each means in each domain.
 
     Args:
@@ -320,7 +312,7 @@ def list_symbols(domain: Domain) -> list[tuple[str, ...]]:
 
 
 def make_environment(
-    layout: Source,
+    layout: args.Source,
     agents: int = 50,
     timesteps: int = 1000,
     domain: str | None = None,
@@ -340,7 +332,7 @@ def make_environment(
     """
     from qdenv.simulate.mapf.environment import Environment, observe_plainly  # imports jax
 
-    plan = read_plan(layout, domain)
+    plan = args.read_plan(layout, domain)
     tasks = plan.domain.simulator.tasks
     if tasks is None:
         raise InputError(f"no fleet drives in {plan.domain.name}")

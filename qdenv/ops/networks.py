@@ -17,19 +17,7 @@ from qdenv.agent.settings import TrainConfig
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
 from qdenv.io.records import read_json
-from qdenv.ops.options import (
-    Out,
-    Picture,
-    Run,
-    Seeds,
-    Source,
-    SurrogateOptions,
-    list_seeds,
-    name_of,
-    open_run,
-    read_plan,
-    stem_of,
-)
+from qdenv.ops import options as args
 from qdenv.ops.output import AUTO, PICTURES, Facts, Place, format_table, place, say
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged, Seed
@@ -61,9 +49,6 @@ def train_agent(
         resume: go on from the folder's checkpoint; `qdenv resume FOLDER` does the same.
         report_every: updates between two lines of the log.
         cpu_seconds: stop after about as many CPU seconds, ready to be resumed.
-
-    Returns:
-        the file of the agent.
 
     Raises:
         InputError: there is a run in the folder already, or none to resume.
@@ -116,11 +101,11 @@ class EpisodeOptions(Ranged):
 
 
 def evaluate_agent(
-    layout: Source,
+    layout: args.Source,
     episodes: Annotated[EpisodeOptions, tyro.conf.arg(name="")] = EpisodeOptions(),
     random_mazes: int = 0,
-    out: Out = None,
-    gif: Picture = None,
+    out: args.Out = None,
+    gif: args.Picture = None,
 ) -> Facts:
     """Let the agent solve a maze many times: success rate with its 95 % interval.
 
@@ -142,13 +127,13 @@ def evaluate_agent(
         )
     if out not in (None, AUTO) and not random_mazes:
         raise InputError("--out is for the table of random mazes: add --random-mazes 100")
-    plan = read_plan(layout)
+    plan = args.read_plan(layout)
     if plan.domain.name not in MAZES:
         raise InputError(f"{layout}: a layout of {plan.domain.name}, the agent walks in mazes")
     if random_mazes and episodes.reference_batching:
         raise InputError("--reference-batching is for one maze: leave --random-mazes out")
     picture = place(gif, "episode.gif", (".gif",), [layout])
-    table = place(out, f"{stem_of(layout)}_random.csv", (".csv",), [layout])
+    table = place(out, f"{args.stem_of(layout)}_random.csv", (".csv",), [layout])
     if not random_mazes:
         table = None
     elif table and table.beside("").path.is_file():
@@ -160,7 +145,7 @@ def evaluate_agent(
 
     maze, weights, seed = plan.layout, load_weights(episodes.agent), episodes.seed
     steps, runs = episodes.timesteps or default_horizon(maze), episodes.runs
-    name = name_of(layout)
+    name = args.name_of(layout)
     with Bar(f"solving {name} {runs} times"):
         result = measure_success(weights, maze, seed, runs, steps, episodes.reference_batching)
     facts = result._asdict()
@@ -237,7 +222,7 @@ def _report_random(
     return facts | {"table": table.path}
 
 
-def convert_agent(checkpoint: tyro.conf.Positional[Path], out: Out = None) -> Path:
+def convert_agent(checkpoint: tyro.conf.Positional[Path], out: args.Out = None) -> Path:
     """Convert the published agent's checkpoint (model_20000.tar) into an agent of ours.
 
     Args:
@@ -257,11 +242,11 @@ def convert_agent(checkpoint: tyro.conf.Positional[Path], out: Out = None) -> Pa
 
 
 def fit_surrogate(
-    run: Run,
-    seeds: Seeds = 3,
-    out: Out = None,
-    plot: Picture = None,
-    **options: Unpack[SurrogateOptions],
+    run: args.Run,
+    seeds: args.Seeds = 3,
+    out: args.Out = None,
+    plot: args.Picture = None,
+    **options: Unpack[args.SurrogateOptions],
 ) -> Facts:
     """Predict a run's elites by a surrogate: how much of throughput and measures it can tell.
 
@@ -280,13 +265,13 @@ def fit_surrogate(
         InputError: there are too few elites, or a setting is impossible.
     """
     numbers: dict[str, Any] = {"size": "small", **options}
-    config, chosen = find_surrogate(numbers.pop("size"), numbers), list_seeds(seeds)
+    config, chosen = find_surrogate(numbers.pop("size"), numbers), args.list_seeds(seeds)
     name = file_name(Path(str(run)))
     table = place(out, f"{name}_surrogate.csv", (".csv",))
     picture = table and table.beside(".png")
     if plot not in (None, AUTO):
         picture = place(plot, "surrogate.png", PICTURES)
-    opened = open_run(run)
+    opened = args.open_run(run)
     _ = opened.archive  # refuses a folder without one
     # This imports jax: refusals are faster without it.
     from qdenv.study.surrogate import read_elites, scores_to_dict, try_surrogate

@@ -9,20 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, Unpack
 import tyro
 
 from qdenv import devices
-from qdenv.ops.options import (
-    Counts,
-    Fleet,
-    FleetOptions,
-    Out,
-    Picture,
-    Run,
-    RunOptions,
-    Source,
-    name_of,
-    open_run,
-    read_plan,
-    stem_of,
-)
+from qdenv.ops import options as args
 from qdenv.ops.output import format_duration, place, say
 from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
@@ -55,8 +42,8 @@ Subjects: TypeAlias = Annotated[
 class FilmOptions(Ranged):
     """Films beside the page, for where no page can be opened."""
 
-    gif: Picture = None  # draw an animated GIF
-    mp4: Picture = None  # draw a film
+    gif: args.Picture = None  # draw an animated GIF
+    mp4: args.Picture = None  # draw a film
     first: NonNegativeInt = 0  # timestep at which films begin
     # timestep at which they end; unless given the end of the run, in a GIF of robots 100 after the
     # first
@@ -80,12 +67,12 @@ class FilmOptions(Ranged):
 
 
 def replay(
-    layout: Source,
+    layout: args.Source,
     agents: int | None = None,
     seed: Seed = 0,
     films: Annotated[FilmOptions, tyro.conf.arg(name="")] = FilmOptions(),
-    out: Out = None,
-    **fleet: Unpack[RunOptions],
+    out: args.Out = None,
+    **fleet: Unpack[args.RunOptions],
 ) -> Page:
     """Replay one run in a browser: robots, goals, jams, tile usage; in a maze, the agent's way.
 
@@ -97,14 +84,11 @@ def replay(
         out: page to write (.html), one file that needs no network; LAYOUT_replay.html unless given.
         **fleet: see `RunOptions`.
 
-    Returns:
-        the page, which a notebook shows; ``page.save("replay.html")`` writes it.
-
     Raises:
         InputError: a name is unknown, the fleet cannot work on this layout, or a package is
             missing.
     """
-    stem = stem_of(layout)
+    stem = args.stem_of(layout)
     target = place(out, f"{stem}_replay.html", (".html",), [layout])
     if films.mp4:
         require_package("films", "imageio-ffmpeg")
@@ -114,8 +98,8 @@ def replay(
         for ending, path in endings.items()
     ]
     require_package("pages", "jinja2")
-    options = Fleet(fleet)
-    plan = read_plan(layout, options.domain)
+    options = args.Fleet(fleet)
+    plan = args.read_plan(layout, options.domain)
     if plan.domain.name in MAZES:
         if agents is not None:
             raise InputError("one agent walks in a maze: leave --agents out")
@@ -142,7 +126,7 @@ def replay(
         facts[ending[1:]] = film.path
     facts["megabytes"] = len(page.html.encode()) / 1e6
     facts["settings"] = {
-        "layout": name_of(layout),
+        "layout": args.name_of(layout),
         "domain": plan.domain.name,
         "seed": seed,
         "timesteps": motion.timesteps,
@@ -151,7 +135,7 @@ def replay(
 
 
 def _replay_fleet(
-    plan: Plan, agents: int | None, options: Fleet, seed: int, films: FilmOptions
+    plan: Plan, agents: int | None, options: args.Fleet, seed: int, films: FilmOptions
 ) -> tuple[Page, Motion, dict[str, Any]]:
     """Simulate a fleet once and make its page."""
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
@@ -199,7 +183,7 @@ def _replay_episode(
     return make_replay(plan, motion, None, about), motion, facts
 
 
-def explore(run: Run, growth: NonNegativeInt | None = None, out: Out = None) -> Page:
+def explore(run: args.Run, growth: NonNegativeInt | None = None, out: args.Out = None) -> Page:
     """Make a page on which a run's archive can be touched: layouts, numbers, growth.
 
     One file that opens in a browser, from disk, without a network.
@@ -210,13 +194,10 @@ def explore(run: Run, growth: NonNegativeInt | None = None, out: Out = None) -> 
             as fit into 12 MB.
         out: page to write; explorer.html unless given.
 
-    Returns:
-        the page, which a notebook shows; ``page.save("explorer.html")`` writes it.
-
     Raises:
         InputError: there is no elite, there are more than two measures, or a package is missing.
     """
-    opened, target = open_run(run), place(out, "explorer.html", (".html",))
+    opened, target = args.open_run(run), place(out, "explorer.html", (".html",))
     from qdenv.view.explorer import make_explorer  # imports jax
 
     with Bar("growing") as bar:
@@ -233,10 +214,10 @@ def explore(run: Run, growth: NonNegativeInt | None = None, out: Out = None) -> 
 
 def report(
     sources: Subjects,
-    agents: Counts = None,
-    out: Out = None,
+    agents: args.Counts = None,
+    out: args.Out = None,
     again: tyro.conf.Suppress[str] = "",
-    **fleet: Unpack[FleetOptions],
+    **fleet: Unpack[args.FleetOptions],
 ) -> Page:
     """Make a page to send or print: what floor plans move, where robots wait, how sure that is.
 
@@ -249,9 +230,6 @@ def report(
         again: the command line that makes the page again, which it shows.
         **fleet: see `FleetOptions`.
 
-    Returns:
-        the page, which a notebook shows; ``page.save("report.html")`` writes it.
-
     Raises:
         InputError: something cannot be read, a fleet cannot work there, or a package is missing.
     """
@@ -260,13 +238,13 @@ def report(
     files = [one for one in given if isinstance(one, str | Path) and Path(one).is_file()]
     target = place(out, "report.html", (".html",), files)
     counts = (agents,) if isinstance(agents, int) else tuple(agents or ())
-    options, subjects = Fleet(fleet), []
+    options, subjects = args.Fleet(fleet), []
     for one in given:
         if isinstance(one, RunDirectory) or (isinstance(one, str | Path) and is_run(one)):
-            subjects.append(subject_of_run(open_run(one)))
+            subjects.append(subject_of_run(args.open_run(one)))
         else:
-            plan = read_plan(one, options.domain)
-            subjects.append(Subject(plan.name, name_of(one), plan))
+            plan = args.read_plan(one, options.domain)
+            subjects.append(Subject(plan.name, args.name_of(one), plan))
     subjects = distinct(subjects)
     if subjects[0].plan.domain.simulator.tasks is None:
         if counts:

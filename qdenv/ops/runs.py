@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -12,16 +12,8 @@ import tyro
 from qdenv.domains.base import DOMAINS, make_domain
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import check_size
+from qdenv.ops import options as args
 from qdenv.ops.layouts import human_layout
-from qdenv.ops.options import (
-    Number,
-    Numbers,
-    Out,
-    Run,
-    Runs,
-    Width,
-    open_run,
-)
 from qdenv.ops.output import (
     AUTO,
     Layout,
@@ -43,15 +35,12 @@ from qdenv.study.plans import describe_changes, list_changes
 from qdenv.types import InputError, RepairStatus
 from qdenv.view import PAGE
 
-if TYPE_CHECKING:  # imports jax
-    pass
-
 
 def plot(
-    runs: Runs,
-    out: Out = None,
+    runs: args.Runs,
+    out: args.Out = None,
     form: Annotated[Literal["png", "svg", "pdf"], tyro.conf.arg(name="format")] = "png",
-    width: Width = None,
+    width: args.Width = None,
 ) -> list[Path]:
     """Draw a run's archive, progress and best layout again, or several runs side by side.
 
@@ -63,15 +52,12 @@ def plot(
         form: of the pictures.
         width: of the pictures in inches.
 
-    Returns:
-        the pictures.
-
     Raises:
         InputError: there is no run, or nothing to draw yet.
     """
     if not runs:
         raise InputError("give at least one folder of a run")
-    opened, folder = [open_run(run) for run in runs], None
+    opened, folder = [args.open_run(run) for run in runs], None
     if len(opened) > 1:
         folder = place_folder(out or AUTO, "plots")
     elif opened[0].shipped or out not in (None, AUTO):
@@ -129,14 +115,14 @@ class GrowthOptions(Ranged):
 
 
 def generate_layout(
-    run: Run,
+    run: args.Run,
     rows: int | None = None,
     cols: int | None = None,
     elite: Annotated[Any, tyro.conf.arg(metavar="NAME|CELL", constructor=str)] = "best",
     repair: bool = True,
     growth: Annotated[GrowthOptions, tyro.conf.arg(name="")] = GrowthOptions(),
-    out: Out = None,
-    **numbers: Number,
+    out: args.Out = None,
+    **numbers: args.Number,
 ) -> Layout:
     """Grow an elite of a run at any size and repair it.
 
@@ -162,7 +148,7 @@ def generate_layout(
     stated = {name: numbers.pop(name) for name in ("steps", "seed") if name in numbers}
     growth = dataclasses.replace(growth, **stated)
     check_size(1 if rows is None else rows, 1 if cols is None else cols)
-    opened, found = open_run(run), elite
+    opened, found = args.open_run(run), elite
     if not isinstance(elite, Elite):
         found = opened.archive.elite(elite, growth.measures or None)
     # This imports jax: refusals are faster without it.
@@ -208,14 +194,14 @@ def generate_layout(
 
 
 def series(
-    run: Run,
+    run: args.Run,
     elite: str = "best",
     sizes: tuple[str, ...] = (),
     steps: tuple[int, ...] = (),
     seed: Annotated[int | None, tyro.conf.arg(aliases=("--repair-seed",))] = None,
     human: bool = False,
-    out: Out = None,
-    **numbers: Numbers,
+    out: args.Out = None,
+    **numbers: args.Numbers,
 ) -> list[Layout]:
     """Grow one elite at many sizes: those of Figure 18 unless others are given.
 
@@ -234,7 +220,7 @@ def series(
     Raises:
         InputError: there is no such elite, or no layout of a size obeys the rules.
     """
-    opened = open_run(run)
+    opened = args.open_run(run)
     domain = make_domain(opened.config.evaluation.domain)
     from qdenv.study import elites as studies  # imports jax
 
@@ -263,7 +249,7 @@ def series(
 
 
 def export(
-    run: Run, out: Out = None, layouts: Path | None = None, solutions: bool = False
+    run: args.Run, out: args.Out = None, layouts: Path | None = None, solutions: bool = False
 ) -> list[Path]:
     """Write the elites of a run as a table, and all their layouts.
 
@@ -276,13 +262,10 @@ def export(
         layouts: folder to write a layout file for each elite into, named by its cell.
         solutions: add the parameters of the generators to the table.
 
-    Returns:
-        what was written.
-
     Raises:
         InputError: there is no run, a name is impossible, or a package is missing.
     """
-    opened, written = open_run(run), []
+    opened, written = args.open_run(run), []
     archive = opened.archive
     if table := place(out, f"{file_name(Path(str(run)))}_elites.csv", (".csv", ".parquet")):
         archive.write_table(table.path, solutions)

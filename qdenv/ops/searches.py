@@ -18,8 +18,8 @@ from qdenv.agent.settings import TrainConfig
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
 from qdenv.io.files import write_json
 from qdenv.io.records import read_json
+from qdenv.ops import options as args
 from qdenv.ops.networks import train_agent
-from qdenv.ops.options import OnCommandLine, Picture, PresetOptions, Run, option
 from qdenv.ops.output import PICTURES, Facts, format_duration, format_table, place, say
 from qdenv.ops.runs import plot_one
 from qdenv.presets import PRESETS, find_preset
@@ -69,8 +69,8 @@ Preset: TypeAlias = Annotated[
 ]
 Folder: TypeAlias = Annotated[
     str | Path | None,
+    args.option("FOLDER", Path),
     tyro.conf.arg(name="out", aliases=("--run-dir",)),
-    option("FOLDER", Path),
 ]
 
 
@@ -175,8 +175,8 @@ def train(
     progress: bool = True,
     execution: Annotated[Execution, tyro.conf.arg(name="")] = Execution(),  # noqa: B008 (frozen)
     keep: Path | None = None,
-    pictures: tyro.conf.Suppress[OnCommandLine] = False,
-    **settings: Annotated[Any, PresetOptions],
+    pictures: tyro.conf.Suppress[args.OnCommandLine] = False,
+    **settings: Annotated[Any, args.PresetOptions],
 ) -> RunDirectory:
     """Search generators of floor plans: a preset, any setting of which can be overridden.
 
@@ -192,9 +192,6 @@ def train(
             planners, generators and algorithms may be named, or given as settings:
             planner="pbs", planner=PbsConfig(rule="plain"). What is not stated follows the size:
             numbers of tiles, agents, steps and axes.
-
-    Returns:
-        the run.
 
     Raises:
         InputError: a name is unknown, a setting is impossible, or the folder holds a run already.
@@ -238,11 +235,11 @@ def train(
 
 
 def resume(
-    run: Run,
+    run: args.Run,
     progress: bool = True,
     evaluations: int | None = None,
     execution: Annotated[Execution, tyro.conf.arg(name="")] = Execution(),  # noqa: B008 (frozen)
-    pictures: tyro.conf.Suppress[OnCommandLine] = False,
+    pictures: tyro.conf.Suppress[args.OnCommandLine] = False,
 ) -> RunDirectory | Path:
     """Continue a run where it stopped, of a search or of an agent's training.
 
@@ -252,9 +249,6 @@ def resume(
         evaluations: a new total, to go on beyond the configured one.
         execution: where layouts are repaired and simulated; the result is the same everywhere.
         pictures: draw the run when it ends, as the command does.
-
-    Returns:
-        the run, or the trained agent's file.
 
     Raises:
         InputError: there is no run, it was written by a newer version or with other settings, or
@@ -283,7 +277,7 @@ _ZOO_PLANNERS = {"high": "high effort", "published": "PBS", "agent": "the agent"
 ZooName: TypeAlias = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[DOMAIN[/NAME]]")]
 
 
-def zoo(name: ZooName = "", plot: Picture = None) -> Facts:
+def zoo(name: ZooName = "", plot: args.Picture = None) -> Facts:
     """List the trained generators that ship, with what their floor plans are worth.
 
     Every command that takes a run takes zoo:DOMAIN/NAME as well.

@@ -6,23 +6,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
-from qdenv.ops.options import (
-    Counts,
-    Fleet,
-    FleetOptions,
-    Out,
-    Picture,
-    Source,
-    Sources,
-    Width,
-    name_of,
-    read_plan,
-    stem_of,
-)
+from qdenv.ops import options as args
 from qdenv.ops.output import AUTO, PICTURES, Table, place, say
 from qdenv.progress import Bar
 from qdenv.stats import Difference
@@ -34,21 +22,18 @@ from qdenv.study.table import Peak, Row, differences, find_capacity, find_peak, 
 from qdenv.types import InputError
 from qdenv.view import PAGE
 
-if TYPE_CHECKING:  # imports jax
-    pass
-
 # Numbers of agents unless given, on layouts for which 200 are usual: first, last, step.
 SWEEP, CLIMB = (50, 400, 50), (50, 1000, 50)
 _MOST_WARNINGS = 3
 
 
 def sweep(
-    layout: Source,
-    agents: Counts = None,
-    out: Out = None,
-    plot: Picture = None,
-    width: Width = None,
-    **fleet: Unpack[FleetOptions],
+    layout: args.Source,
+    agents: args.Counts = None,
+    out: args.Out = None,
+    plot: args.Picture = None,
+    width: args.Width = None,
+    **fleet: Unpack[args.FleetOptions],
 ) -> Table:
     """Simulate a layout with more and more agents: throughput, its peak, and how many are worth it.
 
@@ -67,7 +52,7 @@ def sweep(
     Raises:
         InputError: a number or a name is impossible, or a file cannot be read or written.
     """
-    study = _Study([layout], agents, SWEEP, fleet, out, f"{stem_of(layout)}_sweep", plot)
+    study = _Study([layout], agents, SWEEP, fleet, out, f"{args.stem_of(layout)}_sweep", plot)
     with Bar("simulating") as bar:
         rows = studies.compare(study.layouts, study.trial, study.show, bar)
     rows.sort(key=lambda row: row.agents)
@@ -78,12 +63,12 @@ def sweep(
 
 
 def compare(
-    layouts: Sources,
-    agents: Counts = None,
-    out: Out = None,
-    plot: Picture = None,
-    width: Width = None,
-    **fleet: Unpack[FleetOptions],
+    layouts: args.Sources,
+    agents: args.Counts = None,
+    out: args.Out = None,
+    plot: args.Picture = None,
+    width: args.Width = None,
+    **fleet: Unpack[args.FleetOptions],
 ) -> Table:
     """Put layouts side by side: throughput, success rate, and how surely they differ in per cent.
 
@@ -121,12 +106,12 @@ def compare(
 
 
 def scalability(
-    layouts: Sources,
-    agents: Counts = None,
-    out: Out = None,
-    plot: Picture = None,
-    width: Width = None,
-    **fleet: Unpack[FleetOptions],
+    layouts: args.Sources,
+    agents: args.Counts = None,
+    out: args.Out = None,
+    plot: args.Picture = None,
+    width: args.Width = None,
+    **fleet: Unpack[args.FleetOptions],
 ) -> Table:
     """Add agents until the mean throughput drops; report the peak and where it is.
 
@@ -183,7 +168,7 @@ class _Study:
             name: of the table, unless `out` states another.
             plot: picture to write.
         """
-        options = Fleet(fleet)
+        options = args.Fleet(fleet)
         stated = (agents,) if isinstance(agents, int) else tuple(agents or ())
         options.config(max(stated, default=1))  # refuses what makes no simulation
         self._table = place(out, f"{name}.csv", (".csv",), layouts)
@@ -206,7 +191,7 @@ class _Study:
         self._per_hour = options.per_hour
         self._settings = options.settings(timesteps) | {
             "agents": list(counts),
-            "layouts": dict(zip(plans, map(name_of, layouts), strict=True)),
+            "layouts": dict(zip(plans, map(args.name_of, layouts), strict=True)),
         }
         written, steps = ",".join(map(str, counts)), {b - a for a, b in pairwise(counts)}
         if len(counts) > 2 and len(steps) == 1:
@@ -287,16 +272,16 @@ def _read_plans(layouts: Sequence[Any], domain: str | None) -> dict[str, Plan]:
     """Read layouts of one domain, by names: briefly where that tells them apart."""
     if not layouts:
         raise InputError("give at least one layout file")
-    plans = [read_plan(layout, domain) for layout in layouts]
+    plans = [args.read_plan(layout, domain) for layout in layouts]
     kinds = list(dict.fromkeys(plan.domain.name for plan in plans))
     if len(kinds) > 1:
         raise InputError(f"these are layouts of {' and '.join(kinds)}: put one domain side by side")
-    brief, long = Counter(plan.name for plan in plans), Counter(map(name_of, layouts))
+    brief, long = Counter(plan.name for plan in plans), Counter(map(args.name_of, layouts))
     named = {}
     for number, (plan, layout) in enumerate(zip(plans, layouts, strict=True), start=1):
         name = plan.name
         if brief[name] > 1:
-            own = name_of(layout)
+            own = args.name_of(layout)
             name = own if isinstance(layout, str | Path) and long[own] == 1 else f"{name} {number}"
         named[name] = plan
     return named

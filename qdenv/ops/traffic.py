@@ -8,17 +8,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from qdenv.grid import of_tiles
-from qdenv.ops.options import (
-    Fleet,
-    FleetOptions,
-    OnCommandLine,
-    Picture,
-    Source,
-    Width,
-    name_of,
-    read_plan,
-    stem_of,
-)
+from qdenv.ops import options as args
 from qdenv.ops.output import PICTURES, Facts, format_table, place, say
 from qdenv.progress import Bar
 from qdenv.simulate.mapf.settings import describe_planner
@@ -32,13 +22,13 @@ if TYPE_CHECKING:  # imports the simulator
 
 
 def simulate_layout(
-    layout: Source,
+    layout: args.Source,
     agents: int | None = None,
-    audit: OnCommandLine = False,
-    verdict: OnCommandLine = False,
-    plot: Picture = None,
-    width: Width = None,
-    **fleet: Unpack[FleetOptions],
+    audit: args.OnCommandLine = False,
+    verdict: args.OnCommandLine = False,
+    plot: args.Picture = None,
+    width: args.Width = None,
+    **fleet: Unpack[args.FleetOptions],
 ) -> Facts:
     """Simulate a fleet on a layout: its throughput, where it jams, whether more agents would help.
 
@@ -60,9 +50,9 @@ def simulate_layout(
     """
     if width and not plot:
         raise InputError(f"--width {width:g} is the picture's: add --plot")
-    picture = place(plot, f"{stem_of(layout)}_traffic.png", PICTURES, [layout])
-    options = Fleet(fleet)
-    plan, name = read_plan(layout, options.domain), name_of(layout)
+    picture = place(plot, f"{args.stem_of(layout)}_traffic.png", PICTURES, [layout])
+    options = args.Fleet(fleet)
+    plan, name = args.read_plan(layout, options.domain), args.name_of(layout)
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     with studies.about(name):
         fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
