@@ -13,8 +13,8 @@ import jax
 import numpy as np
 
 from qdenv.cli.parser import run_program
+from qdenv.run.archive import ArchiveSchema, SavedArchive
 from qdenv.search.base import Problem
-from qdenv.search.export import save_csv
 from qdenv.search.registry import ALGORITHMS, make_algorithm
 from qdenv.types import Measure, Score
 from qdenv.view.archive import draw_archive
@@ -53,7 +53,8 @@ def main(
         state = tell(state, solutions, Score(objective, objective, tip, success), {"tip": tip})
     archive = search.archive(state)
     print(f"{algorithm}: QD-score {archive.qd_score():.1f}, coverage {archive.coverage:.1%}")
-    save_csv(archive, out.with_suffix(".csv"))
+    table = SavedArchive(archive.elites(), ArchiveSchema(MEASURES, "", {}), str(out))
+    table.write_table(out.with_suffix(".csv"), solutions=True)
     figure = draw_archive(new_figure(6, 4.8), archive.objectives, MEASURES, "bent chain")
     save_figure(figure, out.with_suffix(".png"))
 

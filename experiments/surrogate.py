@@ -45,11 +45,10 @@ def remembered(run: qdenv.RunDirectory) -> tuple[Samples, Aspect, list[str]]:
     domain = experiment.pipeline.domain
     initial = growing(experiment.algorithm).init(experiment.search_key)
     _, state = Checkpoints(run.path).load_newest(initial, {})
-    if not hasattr(state, "ring"):
+    if not hasattr(state, "model"):
         raise qdenv.InputError(f"{run.path}: its algorithm has no surrogate: use `qdenv surrogate`")
-    samples = jax.tree.map(
-        lambda leaf: np.asarray(leaf)[: int(state.ring.known)], state.ring.samples
-    )
+    ring = state.model.ring
+    samples = jax.tree.map(lambda leaf: np.asarray(leaf)[: int(ring.known)], ring.samples)
     measures = [axis.name for axis in experiment.measures]
     usage = bool(samples.usage.any())
     aspect = Aspect(domain.shape, len(domain.tiles), len(measures), domain.rules is not None, usage)

@@ -14,7 +14,6 @@ from qdenv.generate import NcaConfig
 from qdenv.run import loop
 from qdenv.run.config import RunConfig
 from qdenv.run.experiment import make_experiment, make_iteration
-from qdenv.search.export import elites
 from qdenv.search.settings import CmaMaeConfig
 from qdenv.settings import EvaluationConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
@@ -54,7 +53,7 @@ def make_runs(folder: Path) -> None:
     state = experiment.algorithm.init(experiment.search_key)
     for number in (1, 2, 3):
         state = iterate(state, np.int32(number))
-    np.savez(folder / "garden.npz", **elites(experiment.algorithm.archive(state)))
+    np.savez(folder / "garden.npz", **experiment.algorithm.archive(state).elites())
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from qdenv.search.base import Algorithm, Drawing, Problem
+from qdenv.search.base import Algorithm, Encoding, Problem
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.registry import ALGORITHMS, make_algorithm
 from qdenv.search.settings import DsageConfig, ScreenedConfig
@@ -19,7 +19,7 @@ GRID = (Measure("x", -1, 1, 8), Measure("y", -1, 1, 9))
 QUICK = {"xla_backend_optimization_level": 0}  # these searches compile longer than they run
 EXTRAS = {"layout": np.zeros((2, 3), np.int8), "runs": np.zeros(4, np.float32)}
 # What algorithms that look at solutions see: 3 x 4 tiles of three kinds.
-TILES = Drawing(
+TILES = Encoding(
     draw=lambda solutions: solutions.astype(np.int8).reshape(-1, 3, 4),
     shape=(3, 4),
     kinds=3,

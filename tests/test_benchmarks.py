@@ -77,8 +77,8 @@ def test_an_outer_loop_is_estimated_from_iterations_and_steps():
 )
 def test_a_preset_decides_what_is_searched(preset, shape, kinds, repairs, size):
     problem = search.search_problem(preset)
-    drawing = problem.drawing
-    assert (drawing.shape, drawing.kinds, drawing.repairs) == (shape, kinds, repairs)
+    encoding = problem.encoding
+    assert (encoding.shape, encoding.kinds, encoding.repairs) == (shape, kinds, repairs)
     assert problem.solution_dim == size and len(problem.measures) == 2
 
 

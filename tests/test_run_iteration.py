@@ -13,7 +13,6 @@ from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
 from qdenv.run.executors.layouts import Threads
 from qdenv.run.experiment import observed
 from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.search.export import elites
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.negotiated.settings import LOW
 
@@ -63,7 +62,7 @@ def test_one_program_in_xla_finds_what_the_pipelined_loop_on_the_host_finds(in_x
     iterate = qdenv.make_iteration(in_xla)
     numbers = np.arange(1, ITERATIONS + 1)
     run = jax.jit(lambda state: jax.lax.scan(lambda s, i: (iterate(s, i), None), state, numbers)[0])
-    together = elites(in_xla.algorithm.archive(run(state)))
+    together = in_xla.algorithm.archive(run(state)).elites()
 
     on_host = experiment("host")
     evaluator = PipelinedEvaluator(on_host.pipeline, Threads(on_host.pipeline))
@@ -73,7 +72,7 @@ def test_one_program_in_xla_finds_what_the_pipelined_loop_on_the_host_finds(in_x
         key = jax.random.fold_in(on_host.evaluation_key, number)
         evaluation = evaluator(solutions, key)
         state = tell(state, solutions, evaluation.score, observed(evaluation))
-    apart = elites(on_host.algorithm.archive(state))
+    apart = on_host.algorithm.archive(state).elites()
     assert len(apart["index"]) >= 1
     assert apart.keys() == together.keys()
     for name, values in apart.items():

@@ -22,7 +22,6 @@ from qdenv.run import loop
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors.layouts import Threads
 from qdenv.run.experiment import make_experiment, make_iteration, observed
-from qdenv.search.export import elites
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.types import InputError, RepairStatus
 
@@ -67,7 +66,7 @@ def test_jitted_scan_and_pipelined_loop_give_the_same_archive(finished):
     state = whole(state)
     whole(state)
     assert len(traces) == before + 1
-    assert same(elites(experiment.algorithm.archive(state)), finished.archive.columns)
+    assert same(experiment.algorithm.archive(state).elites(), finished.archive.columns)
 
     evaluator = PipelinedEvaluator(experiment.pipeline, Threads(experiment.pipeline))
     before = len(traces)
@@ -193,7 +192,7 @@ def test_failed_evaluations_enter_nothing():
     assert not np.asarray(evaluation.score.success).any()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(evaluation.score))
     state = experiment.algorithm.tell(state, solutions, evaluation.score, observed(evaluation))
-    assert len(elites(experiment.algorithm.archive(state))["index"]) == 0
+    assert len(experiment.algorithm.archive(state).elites()["index"]) == 0
 
 
 def test_metrics_count_failed_repairs(tmp_path, monkeypatch):

@@ -8,10 +8,13 @@ from qdax.core.emitters.repertoire_selectors.uniform_selector import UniformSele
 from qdax.utils.metrics import default_qd_metrics
 
 from qdenv.search.archive import GridArchive
-from qdenv.search.axes import cell_index
 from qdenv.types import InputError, Measure
 
 GRID = (Measure("x", -1, 1, 4), Measure("y", 0, 3, 3))
+
+
+def blank(*measures):
+    return GridArchive.empty(np.zeros(1, np.float32), measures)
 
 
 def pyribs_cells(measures, axes):
@@ -59,7 +62,7 @@ def add(archive, objective, measures, success=True, **extras):
 )
 def test_every_integer_falls_where_pyribs_puts_it(axis):
     integers = np.arange(axis.low - 50, axis.high + 50, dtype=np.float32)[:, None]
-    got = jax.jit(lambda m: cell_index(m, (axis,)))(integers)
+    got = jax.jit(blank(axis).cells_of)(integers)
     np.testing.assert_array_equal(got, pyribs_cells(integers, (axis,)))
 
 
@@ -69,13 +72,13 @@ def test_random_measures_in_float32_fall_where_pyribs_puts_them():
     measures = rng.uniform((-0.1, -9), (1.1, 700), (200_000, 2)).astype(np.float32)
     edges = np.arange(101, dtype=np.float32) / 100  # and right on the edges
     measures[:101, 0] = edges
-    got = jax.jit(lambda m: cell_index(m, axes))(measures)
+    got = jax.jit(blank(*axes).cells_of)(measures)
     np.testing.assert_array_equal(got, pyribs_cells(measures, axes))
 
 
 def test_huge_and_infinite_measures_land_on_the_rim():
     measures = np.array([[1e30, -1e30], [np.inf, -np.inf], [-np.inf, np.inf]], np.float32)
-    assert cell_index(measures, GRID).tolist() == [9, 9, 2]
+    assert blank(*GRID).cells_of(measures).tolist() == [9, 9, 2]
 
 
 @pytest.mark.parametrize(
@@ -180,7 +183,6 @@ def test_scores_and_samples_of_an_empty_archive_are_defined():
     numbers = archive.qd_score(), archive.coverage, archive.best
     assert [float(number) for number in numbers] == [0, 0, 0]
     key = jax.random.key(0)
-    assert archive.sample_cells(key, 4).tolist() == [0, 0, 0, 0]
     assert archive.sample_solutions(key, 2, jnp.full(3, 7.0)).tolist() == [[7.0] * 3] * 2
 
 

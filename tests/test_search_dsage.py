@@ -10,7 +10,7 @@ import pytest
 from search_harness import QUICK, Compiled
 
 from qdenv.search import base
-from qdenv.search.base import Drawing, Problem
+from qdenv.search.base import Encoding, Problem
 from qdenv.search.dsage import dsage
 from qdenv.search.settings import DsageConfig
 from qdenv.surrogate.settings import SurrogateConfig
@@ -21,14 +21,14 @@ BATCH = 8
 COUNTS = (Measure("ones", 0, 36, 12), Measure("twos", 0, 36, 12))
 
 
-def drawing(rows, cols, **stages):
+def encoding(rows, cols, **stages):
     def draw(solutions):
         return jnp.asarray(solutions, jnp.int8).reshape(-1, rows, cols)
 
-    return Drawing(draw, (rows, cols), KINDS, KINDS, **stages)
+    return Encoding(draw, (rows, cols), KINDS, KINDS, **stages)
 
 
-TOY = Problem(SIDE**2, COUNTS, {"runs": np.zeros(2, np.float32)}, drawing(SIDE, SIDE))
+TOY = Problem(SIDE**2, COUNTS, {"runs": np.zeros(2, np.float32)}, encoding(SIDE, SIDE))
 CONFIG = DsageConfig(
     batch=BATCH,
     initial=2 * BATCH,
@@ -161,9 +161,9 @@ def test_what_failed_rows_hold_teaches_nothing():
     # Which row was last written for which cell may differ where no elite lies.
     assert_same(one._replace(archives=0), other._replace(archives=0))
     assert_same(search.algorithm.archive(one), search.algorithm.archive(other))
-    assert int(one.ring.known) == 4 * (~failed).sum() and int(one.fitted.fits) > 0
-    told = np.asarray(one.ring.samples.numbers)[: int(one.ring.known), 1]
-    truth = score_of(np.asarray(one.ring.samples.drawn)[: int(one.ring.known)])
+    assert int(one.model.ring.known) == 4 * (~failed).sum() and int(one.model.fitted.fits) > 0
+    told = np.asarray(one.model.ring.samples.numbers)[: int(one.model.ring.known), 1]
+    truth = score_of(np.asarray(one.model.ring.samples.drawn)[: int(one.model.ring.known)])
     np.testing.assert_allclose(told, truth.result_objective, atol=1e-6)
 
 
@@ -174,14 +174,14 @@ def test_when_all_evaluations_fail_it_goes_on_with_random_tiles():
     for _ in range(6):
         before = np.asarray(state.queue)
         state = iterate(search, state, lambda score: score._replace(success=nothing))
-        assert int(state.ring.known) == int(state.fitted.fits) == 0
+        assert int(state.model.ring.known) == int(state.model.fitted.fits) == 0
         assert int(state.waiting) % BATCH == 0
-        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state.fitted))
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state.model.fitted))
     assert (np.asarray(state.queue) != before).any()
     notes = search.algorithm.notes(state)
     assert all(np.isnan(value) for name, value in notes.items() if name != "fits")
     state = iterate(search, iterate(search, state))
-    assert int(state.fitted.fits) > 0 and search.algorithm.archive(state).filled.any()
+    assert int(state.model.fitted.fits) > 0 and search.algorithm.archive(state).filled.any()
 
 
 def test_a_store_that_grows_changes_nothing(monkeypatch):
@@ -227,8 +227,8 @@ ODD = {
 def test_searches_of_odd_sizes_end_and_stay_finite(name):
     config, shape, cells, stages = ODD[name]
     measures = tuple(Measure(f"m{i}", 0, 1, count) for i, count in enumerate(cells))
-    seen = drawing(*shape, **dict.fromkeys(stages, True))
-    problem = Problem(int(np.prod(shape)), measures, None, seen)
+    tiles = encoding(*shape, **dict.fromkeys(stages, True))
+    problem = Problem(int(np.prod(shape)), measures, None, tiles)
     config = replace(config, surrogate=SMALLEST)
     search = compiled(config, problem)
     state = search.init(jax.random.key(0))
@@ -245,7 +245,7 @@ def test_searches_of_odd_sizes_end_and_stay_finite(name):
         state = search.tell(state, solutions, Score(objective, objective, axes, success), extras)
         for leaf in jax.tree.leaves(state._replace(archives=0)):
             assert np.isfinite(leaf).all()
-    assert int(state.fitted.fits) >= 1 and int(state.ring.known) == 1
+    assert int(state.model.fitted.fits) >= 1 and int(state.model.ring.known) == 1
     assert search.algorithm.archive(state).filled.any()
     assert sorted(search.traced) == ["ask", "init", "tell"]
 
@@ -253,9 +253,9 @@ def test_searches_of_odd_sizes_end_and_stay_finite(name):
 def test_what_has_no_tiles_or_a_start_is_refused():
     for choices in (0, 1):
         with pytest.raises(InputError, match="its generator is direct"):
-            dsage(CONFIG, TOY._replace(drawing=TOY.drawing._replace(choices=choices)))
-    with pytest.raises(InputError, match="has none"):
-        dsage(CONFIG, TOY._replace(drawing=None))
+            dsage(CONFIG, TOY._replace(encoding=TOY.encoding._replace(choices=choices)))
+    with pytest.raises(InputError, match="encode none"):
+        dsage(CONFIG, TOY._replace(encoding=None))
     with pytest.raises(InputError, match="leave the start out"):
         dsage(CONFIG, TOY, np.zeros(SIDE**2))
     with pytest.raises(InputError, match="give 2 numbers of blocks"):

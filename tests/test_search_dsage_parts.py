@@ -11,8 +11,7 @@ from search_harness import QUICK
 
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Problem
-from qdenv.search.settings import DsageConfig
-from qdenv.search.surrogate_search import (
+from qdenv.search.dsage import (
     block_of_cells,
     blocks_along,
     choose_waiting,
@@ -21,6 +20,7 @@ from qdenv.search.surrogate_search import (
     random_tiles,
     search_surrogate,
 )
+from qdenv.search.settings import DsageConfig
 from qdenv.types import InputError, Measure, Score
 
 

@@ -11,7 +11,7 @@ import pytest
 from qdenv.search.archive import GridArchive
 from qdenv.search.emitters import RANKERS, SELECTIONS, EmittersState, make_emitters, restart_rule
 from qdenv.search.strategies import make_strategy
-from qdenv.search.strategies.base import State
+from qdenv.search.strategies.base import StrategyState
 from qdenv.search.strategies.cma_es import refresh_gap
 from qdenv.types import Measure
 
@@ -122,7 +122,7 @@ def test_emitters_rank_select_and_restart_as_pyribs(name, ranker, selection, res
     restarts, iterations = jnp.zeros(count, jnp.int32), jnp.int32(0)
     for index in range(steps - 1):
         fields = (jnp.asarray(recorded[field][index]) for field in ("mean", "sigma", "path"))
-        state = EmittersState(State(None, None, None, *fields), None, iterations, restarts)
+        state = EmittersState(StrategyState(None, None, None, *fields), None, iterations, restarts)
         rows = (recorded[field][index] for field in ("solutions", "objective", "measures"))
         archive, state = step(archive, state, *rows)
         restarts, iterations = state.restarts, state.iterations

@@ -8,9 +8,8 @@ from search_harness import CONFIGS, EXTRAS, GRID, PROBLEM, extras_of, score_of
 
 from qdenv.search import base
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Problem, StoredArchive
+from qdenv.search.base import Problem, StoredArchive, collector
 from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.search.export import collector, elites
 from qdenv.search.map_elites import MapElitesConfig
 from qdenv.search.registry import make_algorithm
 from qdenv.search.store import ROW, Store
@@ -77,7 +76,7 @@ def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
         strict=True,
     ):
         np.testing.assert_array_equal(one, other)
-    columns, expected = collector(found_by)(small), elites(algorithm.archive(full))
+    columns, expected = collector(found_by)(small), algorithm.archive(full).elites()
     assert columns.keys() == expected.keys() and len(columns["index"]) > 3
     for column, values in expected.items():
         assert columns[column].tobytes() == values.tobytes() and values.ndim == columns[column].ndim

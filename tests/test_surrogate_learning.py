@@ -14,9 +14,9 @@ from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.surrogate.surrogate import (
     STAGES,
     Aspect,
+    Learner,
     errors,
     learn,
-    make_learner,
     make_surrogate,
     stages_of,
 )
@@ -164,7 +164,8 @@ def test_a_sample_is_seen_as_often_as_any_other_by_the_last_minibatch_too():
     numbers = jnp.arange(7.0)[:, None]
     blank = jnp.zeros((7, 1, 1))
     ring = Ring.empty(9, (1, 1), 1).add(Samples(blank, blank, blank, numbers), jnp.ones(7, bool))
-    learner = make_learner({"params": jnp.ones(2)}, optimiser)
+    params = jnp.ones(2)
+    learner = Learner({"params": params, "batch_stats": {}}, optimiser.init(params))
     _, value = learn(loss, learner, optimiser, ring, 3, 2, jax.random.key(0))
     jax.effects_barrier()
     assert len(seen) == 6 and float(value) < 2

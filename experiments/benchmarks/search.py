@@ -17,12 +17,11 @@ from qdenv.generate import DirectConfig
 from qdenv.run.config import archive_axes
 from qdenv.run.experiment import problem_of
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
+from qdenv.search.dsage import search_surrogate
+from qdenv.search.model import make_model
 from qdenv.search.settings import DsageConfig
-from qdenv.search.surrogate_samples import aspect_of, drawing_of
-from qdenv.search.surrogate_search import search_surrogate
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
-from qdenv.surrogate.surrogate import make_surrogate, stages_of
 
 GRID = (qdenv.Measure("x", -1, 1, 100), qdenv.Measure("y", -1, 1, 100))
 MAZE = (qdenv.Measure("walls", 0, 256, 256), qdenv.Measure("path length", 0, 648, 162))
@@ -179,36 +178,32 @@ def surrogate(
         json: file of the result.
     """
     problem = search_problem(preset)
-    drawing = drawing_of(problem, "dsage")
-    aspect = aspect_of(problem, drawing)
     count = MINIBATCH * rounds
     config = replace(SURROGATES[size], samples=count, epochs=1, minibatch=MINIBATCH)
-    model = make_surrogate(config, aspect)
-    fitted = jax.jit(model.init)(jax.random.key(0))
-    ring = random_samples(count, aspect, model.heads)
+    model = make_model(config, problem, "dsage")
+    encoding, networks = model.encoding, model.surrogate
+    fitted = jax.jit(networks.init)(jax.random.key(0))
+    ring = random_samples(count, encoding, networks.heads)
 
     @jax.jit
     def iterate(fitted: Any) -> Any:
-        def predict(solutions: jax.Array) -> Any:
-            return model.predict(fitted, drawing.draw(solutions.astype(jnp.float32))).score
-
-        inner = DsageConfig(inner_iterations=rounds)
-        return search_surrogate(inner, problem, drawing.choices, predict, jax.random.key(1))
+        inner, predict = DsageConfig(inner_iterations=rounds), partial(model.predict, fitted)
+        return search_surrogate(inner, problem, encoding.choices, predict, jax.random.key(1))
 
     @partial(jax.jit, static_argnums=0)
     def train(name: str, fitted: Any, ring: Any) -> Any:
-        return model.fit_part(fitted, ring, jax.random.key(2), name, 0, 1)[0].learners[name]
+        return networks.fit_part(fitted, ring, jax.random.key(2), name, 0, 1)[0].learners[name]
 
     def rows() -> Iterator[Row]:
         timing = best_of(repeats, partial(iterate, fitted), rounds)
         yield {"loop": "inner iteration", "weights": None, **timing}
-        for name in stages_of(aspect):
-            leaves = jax.tree.leaves(fitted.learners[name].variables["params"])
+        for name, learner in fitted.learners.items():
+            leaves = jax.tree.leaves(learner.variables["params"])
             timing = best_of(repeats, partial(train, name, fitted, ring), rounds)
             weights = sum(leaf.size for leaf in leaves)
             yield {"loop": f"training step, {name}", "weights": weights, **timing}
 
-    timings = show(f"{size} surrogate, {preset}, {aspect.shape}", rows())
+    timings = show(f"{size} surrogate, {preset}, {encoding.shape}", rows())
     hours = outer_loop_hours(timings, inner_iterations, epochs, samples)
     title = f"outer loop: {inner_iterations:,} inner iterations, {epochs} x {samples:,} samples"
     return save(json, timings=timings, outer_loop=show(title, [hours]))
@@ -221,15 +216,15 @@ def search_problem(preset: str) -> Any:
     return problem_of(pipeline, archive_axes(pipeline.domain.measures, config.archive))
 
 
-def random_samples(count: int, aspect: Any, heads: int) -> Any:
+def random_samples(count: int, encoding: Any, heads: int) -> Any:
     """Fill a buffer with random layouts, maps of usage that sum to 1, and targets."""
     rng = np.random.default_rng(0)
-    maps = rng.integers(0, aspect.kinds, (count, *aspect.shape)).astype(np.int8)
+    maps = rng.integers(0, encoding.kinds, (count, *encoding.shape)).astype(np.int8)
     usage = rng.random(maps.shape).astype(np.float32)
     usage /= usage.sum(axis=(1, 2), keepdims=True)
     targets = rng.normal(size=(count, heads)).astype(np.float32)
     samples = Samples(*map(jnp.asarray, (maps, maps, usage, targets)))
-    return Ring.empty(count, aspect.shape, heads).add(samples, jnp.ones(count, bool))
+    return Ring.empty(count, encoding.shape, heads).add(samples, jnp.ones(count, bool))
 
 
 def outer_loop_hours(timings: list[Row], inner_iterations: int, epochs: int, samples: int) -> Row:

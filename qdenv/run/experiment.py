@@ -12,7 +12,7 @@ import numpy as np
 from qdenv.pipeline import Pipeline, evaluate, make_pipeline
 from qdenv.run.config import RunConfig, archive_axes, config_to_json
 from qdenv.run.directory import find_start
-from qdenv.search.base import Algorithm, Drawing, Problem
+from qdenv.search.base import Algorithm, Encoding, Problem
 from qdenv.search.registry import make_algorithm
 from qdenv.types import Array, Evaluation, InputError, Measure
 
@@ -69,7 +69,7 @@ def problem_of(pipeline: Pipeline, measures: tuple[Measure, ...]) -> Problem:
         lambda solution, key: observed(evaluate(pipeline, solution, key)), one, jax.random.key(0)
     )
     usage = columns.pop("usage", None)  # observed, but not archived
-    drawing = Drawing(
+    encoding = Encoding(
         lambda solutions: pipeline.grow(jnp.asarray(solutions)),
         domain.shape,
         len(domain.tiles),
@@ -78,7 +78,7 @@ def problem_of(pipeline: Pipeline, measures: tuple[Measure, ...]) -> Problem:
         usage=usage is not None,
     )
     extras = {name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in columns.items()}
-    return Problem(pipeline.solution_size, measures, extras, drawing)
+    return Problem(pipeline.solution_size, measures, extras, encoding)
 
 
 def observed(evaluation: Evaluation) -> dict[str, Array]:

@@ -25,8 +25,7 @@ from qdenv.run.evaluate_async import AsyncEvaluation, Search
 from qdenv.run.executors import Execution
 from qdenv.run.experiment import Experiment, make_experiment
 from qdenv.run.log import Log
-from qdenv.search.base import Algorithm, growing, is_whole
-from qdenv.search.export import collector
+from qdenv.search.base import Algorithm, collector, growing, is_whole
 from qdenv.types import InputError
 
 _SAVING_SHARE = 0.03  # of a run's time, for checkpoints beyond those that its settings state

@@ -1,21 +1,18 @@
 """The search: archives, evolution strategies and quality-diversity algorithms.
 
-    axes                measures to cells
-    archive             the grid archive, elitist or soft (a qdax repertoire)
-    store               the solutions of several archives, each once
-    base                `Algorithm`: init, ask, tell; the archives of a search; compiled with stores
-                        that grow
-    strategies/         evolution strategies: evosax algorithms, ours and evosax' own
-    emitters            strategies that an archive ranks, and that restart from its elites
-    cma_mae             CMA-MAE, CMA-ME, CMA-ES
-    map_elites          MAP-Elites, random search
-    dsage               the search of tiles on a surrogate, its outer loop
-    surrogate_search    its inner loop
-    screening           CMA-MAE whose offspring a surrogate screens
-    surrogate_samples   what a surrogate learns from
-    registry            algorithms by name
-    qdax_emitter        CMA-MAE for qdax' own driver
-    export              archives as tables and files
+    axes            measures to cells
+    archive         the grid archive, elitist or soft (a qdax repertoire)
+    store           the solutions of several archives, each once
+    base            `Algorithm`: init, ask, tell; the archives of a search; compiled for the host
+    strategies/     evolution strategies: evosax algorithms, ours and evosax' own
+    emitters        strategies that an archive ranks, and that restart from its elites
+    cma_mae         CMA-MAE, CMA-ME, CMA-ES
+    map_elites      MAP-Elites, random search
+    model           the surrogate of a search
+    dsage           the search of tiles on a surrogate
+    screening       CMA-MAE whose offspring a surrogate screens
+    registry        algorithms by name
+    qdax_emitter    CMA-MAE for qdax' own driver
 
 Nothing here knows what a layout is.
 """

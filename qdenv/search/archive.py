@@ -13,9 +13,10 @@ import chex
 import flax.struct
 import jax
 import jax.numpy as jnp
+import numpy as np
 from qdax.core.containers.mapelites_repertoire import MapElitesRepertoire
 
-from qdenv.search.axes import cell_index, check_measures, grid_centroids
+from qdenv.search.axes import check_measures, inner_edges
 from qdenv.search.settings import check_rates
 from qdenv.types import Array, InputError, Measure
 
@@ -76,8 +77,13 @@ class GridArchive(MapElitesRepertoire):
         """
         axes = check_measures(measures)
         extras = dict(extras or {})
-        cells = math.prod(axis.cells for axis in axes)
-        centroids = grid_centroids(axes)
+        centres = [
+            axis.low + (np.arange(axis.cells) + 0.5) * (axis.high - axis.low) / axis.cells
+            for axis in axes
+        ]
+        grid = np.stack(np.meshgrid(*centres, indexing="ij"), axis=-1).reshape(-1, len(axes))
+        centroids = jnp.asarray(grid, jnp.result_type(float))
+        cells = len(grid)
         thresholds = None
         if learning_rate is not None:
             check_rates(learning_rate, threshold_min)
@@ -97,6 +103,32 @@ class GridArchive(MapElitesRepertoire):
             thresholds=thresholds,
             learning_rate=1.0 if learning_rate is None else float(learning_rate),
             threshold_min=float(threshold_min),
+        )
+
+    @classmethod
+    def from_elites(cls, columns: Mapping[str, np.ndarray], measures: Sequence[Measure]) -> Self:
+        """Make an elitist archive of the columns of `elites`, like those of a run's archive.npz.
+
+        Raises:
+            InputError: the columns do not belong to an archive over these measures.
+        """
+        rows = {name: values for name, values in columns.items() if name != "threshold"}
+        index, solution, objective, places = (
+            rows.pop(name) for name in ("index", "solution", "objective", "measures")
+        )
+        like = jax.tree.map(
+            lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), (solution, rows)
+        )
+        blank = cls.empty(like[0], measures, like[1])
+        inside = 0 <= index.min(initial=0) <= index.max(initial=0) < len(blank.fitnesses)
+        alike = all(len(values) == len(index) for values in (solution, objective, places))
+        if not (inside and alike and places.shape[1:] == (len(measures),)):
+            raise InputError("the columns are those of an archive over other measures")
+        return blank.replace(
+            genotypes=blank.genotypes.at[index].set(solution),
+            fitnesses=blank.fitnesses.at[index, 0].set(objective),
+            descriptors=blank.descriptors.at[index].set(places),
+            extra_scores=_put(blank.extra_scores, index, rows),
         )
 
     @classmethod
@@ -126,8 +158,18 @@ class GridArchive(MapElitesRepertoire):
         return archive.add(genotypes, descriptors, fitnesses, extras)
 
     def cells_of(self, measures: Array) -> jax.Array:
-        """Find the cells of measures [..., M] -> int32 [...]; outside values go to the rim."""
-        return cell_index(measures, self.measures)
+        """Find the cells of measures [..., M] -> int32 [...], row-major.
+
+        Values outside an axis go to its first or last cell, NaN to the first.
+        """
+        index = jnp.zeros(measures.shape[:-1], jnp.int32)
+        for position, axis in enumerate(self.measures):
+            values = measures[..., position]
+            edges = inner_edges(axis, np.dtype(values.dtype)).reshape(*[1] * values.ndim, -1)
+            # Counting the edges at or below a value clips it to the grid and puts NaN first.
+            along = (values[..., None] >= edges).sum(axis=-1, dtype=jnp.int32)
+            index = index * axis.cells + along
+        return index
 
     def threshold_of(self, cells: jax.Array) -> jax.Array:
         """Look up what a solution must exceed to enter each of `cells` (int32 [B] -> [B])."""
@@ -144,18 +186,9 @@ class GridArchive(MapElitesRepertoire):
         """Add a batch at once: every solution is judged against the archive before the batch.
 
         The winner of a cell is the best accepted solution, the first one on a tie (pyribs'
-        ``GridArchive.add``). Rows that failed, or whose objective or measures are not finite,
-        enter nothing.
-
-        Args:
-            solutions: pytree of [B, ...].
-            objective: float [B].
-            measures: float [B, M].
-            extras: dict of arrays [B, ...]; must hold the keys declared at construction.
-            success: bool [B].
-
-        Returns:
-            The new archive and the `Insertion` of each row.
+        ``GridArchive.add``). Rows that failed (`success`, bool [B]), or whose objective [B] or
+        measures [B, M] are not finite, enter nothing. The `extras` [B, ...] must hold the keys
+        declared at construction.
 
         Raises:
             InputError: a declared extra is missing (when tracing, not inside jit).
@@ -181,13 +214,16 @@ class GridArchive(MapElitesRepertoire):
         value = objective - jnp.where(jnp.isneginf(threshold), 0, threshold)
 
         # Every row was judged against the archive before the batch, so the order of the rows
-        # decides nothing but ties; only the winners are written.
-        same_cell = cells[:, None] == cells[None, :]
-        winner = _first_of_best(objective, accepted, same_cell)
+        # decides nothing but ties, which go to the first; only the winners are written. They are
+        # found by pairs of rows: scatters to equal targets land in no defined order.
+        rows = jnp.arange(len(objective))
+        rivals = (cells[:, None] == cells[None, :]) & accepted[None, :]
+        above = objective[None, :] > objective[:, None]
+        tied_before = (objective[None, :] == objective[:, None]) & (rows[None, :] < rows[:, None])
+        winner = accepted & ~(rivals & (above | tied_before)).any(axis=1)
         target = jnp.where(winner, cells, self.fitnesses.shape[0])  # others: out of bounds
         archive = self
         if self.thresholds is not None:
-            rivals = same_cell & accepted[None, :]
             raised = _annealed(threshold, objective, rivals, self.learning_rate, self.threshold_min)
             archive = self.replace(thresholds=_put(self.thresholds, target, raised))
         archive = archive.replace(
@@ -238,28 +274,54 @@ class GridArchive(MapElitesRepertoire):
         """Return the cell of the best elite, int32; the first on a tie, 0 when empty."""
         return jnp.argmax(self.objectives).astype(jnp.int32)
 
-    def sample_cells(self, key: jax.Array, count: int) -> jax.Array:
-        """Draw filled cells uniformly with replacement, int32 [count]; 0 when there is none.
+    def sample_solutions(self, key: jax.Array, count: int, fallback: Any) -> Any:
+        """Draw elites uniformly with replacement: their solutions, pytree of [count, ...].
 
-        Consumes `key`.
+        Copies of `fallback` where the archive is empty. Consumes `key`.
         """
         # The r-th filled cell is where the running count first exceeds r: uniform without a list
         # of filled cells, whose length would not be static.
         ranks = jnp.cumsum(self.filled)
         draws = jax.random.randint(key, (count,), 0, jnp.maximum(ranks[-1], 1))
         cells = jnp.searchsorted(ranks, draws, side="right")
-        return jnp.where(ranks[-1] > 0, cells, 0).astype(jnp.int32)
-
-    def sample_solutions(self, key: jax.Array, count: int, fallback: Any) -> Any:
-        """Draw elites' solutions, pytree of [count, ...]; copies of `fallback` when empty.
-
-        Consumes `key`.
-        """
-        cells = self.sample_cells(key, count)
+        cells = jnp.where(ranks[-1] > 0, cells, 0).astype(jnp.int32)
         some = self.filled.any()
         return jax.tree.map(
             lambda stored, other: jnp.where(some, stored[cells], other), self.genotypes, fallback
         )
+
+    def columns(self) -> dict[str, jax.Array]:
+        """Return the archive as arrays over all cells, by the names that files hold.
+
+        Returns:
+            ``solution``, ``objective``, ``measures``, for a soft archive ``threshold``, and one
+            more column for every extra.
+
+        Raises:
+            InputError: the solutions are no single array [C, P], or an extra takes a column's name.
+        """
+        if not hasattr(self.genotypes, "shape"):
+            raise InputError("only an archive whose solutions are one array [C, P] can be exported")
+        columns = {
+            "solution": self.genotypes,
+            "objective": self.objectives,
+            "measures": self.descriptors,
+        }
+        if self.thresholds is not None:
+            columns["threshold"] = self.thresholds
+        taken = {*columns, "index", "threshold"} & self.extra_scores.keys()
+        if taken:
+            raise InputError(f"rename the extra {sorted(taken)[0]!r}: an archive has that field")
+        return {**columns, **self.extra_scores}
+
+    def elites(self) -> dict[str, np.ndarray]:
+        """Return the filled cells as numpy arrays with a leading axis of elites.
+
+        They are ``index`` (int64, the cells) and the `columns`: what a run's archive.npz holds.
+        """
+        index = np.flatnonzero(self.filled)
+        columns = {name: np.asarray(column)[index] for name, column in self.columns().items()}
+        return {"index": index} | columns
 
 
 def _annealed(
@@ -276,15 +338,8 @@ def _annealed(
     this form, which no order of the batch can change (pyribs'). With threshold_min = -inf
     (CMA-ME) the threshold is the best accepted objective.
 
-    Args:
-        threshold: float [B], of each row's cell.
-        objective: float [B].
-        rivals: bool [B, B], the accepted rows in each row's cell.
-        learning_rate: a.
-        threshold_min: of an empty cell.
-
-    Returns:
-        float [B], right in the rows of winners.
+    `threshold`, of each row's cell, and `objective` are float [B]; `rivals` (bool [B, B]) are the
+    accepted rows in each row's cell. The result, float [B], is right in the rows of winners.
     """
     if threshold_min == -math.inf:
         return objective
@@ -298,16 +353,6 @@ def _annealed(
     mean = jnp.clip(total / count, -largest / whole, largest / whole) * whole
     ratio = jnp.asarray(1 - learning_rate, objective.dtype) ** count
     return jnp.clip(ratio * threshold + mean * (1 - ratio), -largest, largest)
-
-
-def _first_of_best(objective: jax.Array, candidates: jax.Array, same_cell: jax.Array) -> jax.Array:
-    """Mark the best candidate (bool [B]) of each cell (bool [B, B]), the first on a tie."""
-    index = jnp.arange(objective.shape[0])
-    above = objective[None, :] > objective[:, None]
-    tied_before = (objective[None, :] == objective[:, None]) & (index[None, :] < index[:, None])
-    # Pairs of rows instead of a scatter: scatters of equal targets land in no defined order.
-    beaten = (same_cell & candidates[None, :] & (above | tied_before)).any(axis=1)
-    return candidates & ~beaten
 
 
 def _put(stored: Any, target: jax.Array, rows: Any) -> Any:

@@ -11,15 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.io.files import damaged
-from qdenv.lazy import jax, jnp
-from qdenv.types import Array, InputError, Measure
+from qdenv.types import InputError, Measure
 
 _MOST_CELLS = 1_000_000  # each holds two layouts: of size S 2.4 GB in all
 _EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
 
 
 class Axis(NamedTuple):
-    """One axis of an archive as a file writes it."""
+    """One axis of an archive as a file holds it."""
 
     name: str
     low: float
@@ -28,11 +27,7 @@ class Axis(NamedTuple):
 
 
 def axes_of(written: Sequence[Axis], source: Path | str) -> tuple[Measure, ...]:
-    """Make the axes that a file writes.
-
-    Raises:
-        DamagedError: they are none, as in `check_measures`; the line names `source`.
-    """
+    """Make the axes that a file holds; raise DamagedError, naming `source`, if they are unfit."""
     try:
         return check_measures([Measure(*axis) for axis in written])
     except InputError as error:
@@ -73,29 +68,3 @@ def inner_edges(axis: Measure, dtype: np.dtype) -> np.ndarray:
     edges = exact.astype(dtype)
     # Rounded up, so that comparing in `dtype` decides as comparing in float64 would.
     return np.where(edges < exact, np.nextafter(edges, dtype.type(np.inf)), edges)
-
-
-def grid_centroids(measures: Sequence[Measure]) -> jax.Array:
-    """Compute the centres of all cells, float [C, M], the last measure varying fastest."""
-    centres = [
-        axis.low + (np.arange(axis.cells) + 0.5) * (axis.high - axis.low) / axis.cells
-        for axis in check_measures(measures)
-    ]
-    grid = np.meshgrid(*centres, indexing="ij")
-    return jnp.asarray(np.stack([axis.ravel() for axis in grid], axis=-1), jnp.result_type(float))
-
-
-def cell_index(measures: Array, axes: tuple[Measure, ...]) -> jax.Array:
-    """Find the cells of measures [..., M] -> int32 [...], row-major.
-
-    Values outside an axis go to its first or last cell, NaN to the first.
-    """
-    index = jnp.zeros(measures.shape[:-1], jnp.int32)
-    for position, axis in enumerate(axes):
-        values = measures[..., position]
-        edges = inner_edges(axis, np.dtype(values.dtype))
-        # Counting the edges at or below a value clips it to the grid and puts NaN first.
-        edges = edges.reshape(*[1] * values.ndim, -1)
-        along = (values[..., None] >= edges).sum(axis=-1, dtype=jnp.int32)
-        index = index * axis.cells + along
-    return index

@@ -13,18 +13,18 @@ from qdenv.search.store import ROW, Store, is_store, stores_in
 from qdenv.types import Array, InputError, Measure, Score
 
 _FIRST_ROWS = 1024  # of a store that grows; it doubles when need be, so a search compiles few times
+_COLLECTED_AT_ONCE = 1024  # elites: enough that calls cost little, few beside the archive's cells
 
 
-class Drawing(NamedTuple):
-    """What solutions look like, for algorithms that look at them."""
+class Encoding(NamedTuple):
+    """How solutions encode layouts, for algorithms that look at layouts."""
 
     draw: Callable[[Array], jax.Array]  # float [B, P] -> int8 [B, H, W], traceable
     shape: tuple[int, int]  # rows H and columns W
     kinds: int  # kinds of tile K
     choices: int = 0  # how many tiles each parameter may name; 0 where parameters are real numbers
-    # what is drawn is changed before it is scored; `tell` receives "repaired"
-    repairs: bool = False
-    usage: bool = False  # `tell` receives "usage", the share of agent-steps on each cell
+    repairs: bool = False  # layouts are changed before they are scored; `tell` has "repaired"
+    usage: bool = False  # `tell` has "usage", the share of agent-steps on each cell
 
 
 class Problem(NamedTuple):
@@ -34,8 +34,7 @@ class Problem(NamedTuple):
     measures: Sequence[Measure]  # axes of the archives
     # one example of what the result archive stores beside each elite
     extras: Mapping[str, Any] | None = None
-    # what solutions look like; None where they are nothing but numbers
-    drawing: Drawing | None = None
+    encoding: Encoding | None = None  # None where solutions are nothing but numbers
 
 
 class StoredArchive(NamedTuple):
@@ -56,16 +55,9 @@ class StoredArchive(NamedTuple):
         batch: int,
         thresholds: tuple[float, float] | None = None,
     ) -> Self:
-        """Make archives without elites.
+        """Make archives without elites for solutions like `solution` (float [P]).
 
-        Args:
-            problem: with the axes, and what is stored beside each elite.
-            solution: one example, float [P].
-            batch: solutions of every iteration.
-            thresholds: learning rate and minimum of the learning archive; None makes none.
-
-        Raises:
-            InputError: the measures make no grid, or the two numbers do not go together.
+        `thresholds` are learning rate and minimum of the learning archive; None makes none.
         """
         result, learning = GridArchive.empty(ROW, problem.measures, problem.extras), None
         if thresholds:
@@ -76,11 +68,10 @@ class StoredArchive(NamedTuple):
     def add(
         self, solutions: jax.Array, score: Score, extras: Mapping[str, Array]
     ) -> tuple[Self, Insertion]:
-        """Add a batch, as `received` returns it, to all archives.
+        """Add a batch, as `check_batch` returns it, to all archives.
 
-        Returns:
-            the archives, and how the learning archive (the result archive where there is none)
-            received each row.
+        Returns them, and how the learning archive (the result archive where there is none) received
+        each row.
         """
         rows = self.store.free_rows(len(solutions))
         measures, success = score.measures, score.success
@@ -130,12 +121,8 @@ class Algorithm(NamedTuple):
     ahead: int = 0
 
 
-def received(solutions: Array, score: Score) -> tuple[jax.Array, Score]:
-    """Check the arguments of `tell`; only rows an algorithm may learn from stay a success.
-
-    Args:
-        solutions: float [B, P].
-        score: `Score` with a leading axis B; rows that hold anything not finite count as failed.
+def check_batch(solutions: Array, score: Score) -> tuple[jax.Array, Score]:
+    """Check the arguments of `tell`; rows that hold anything not finite count as failed.
 
     Raises:
         AssertionError: a shape is wrong (when tracing).
@@ -158,11 +145,7 @@ def received(solutions: Array, score: Score) -> tuple[jax.Array, Score]:
 
 
 def start_solution(x0: Array | None, solution_dim: int) -> jax.Array:
-    """Return the solution the search starts from, float [P]: `x0`, or zeros where it is None.
-
-    Raises:
-        InputError: the dimension is not positive, or `x0` has another shape or is not finite.
-    """
+    """Return the solution the search starts from, float [P]: `x0`, or zeros where it is None."""
     if solution_dim < 1:
         raise InputError(f"a solution needs at least one parameter, not {solution_dim}")
     if x0 is None:
@@ -184,20 +167,35 @@ def growing(algorithm: Algorithm) -> Algorithm:
     Every `Store` in the state starts small and doubles before a batch might not fit, up to the
     size at which it always does. The results are those of `algorithm` bit for bit.
 
-    Args:
-        algorithm: pure functions whose shapes never change.
-
     Returns:
         the same search as jitted functions (`archive` is left as it is). `tell` consumes the state
         that it is given, `ask` leaves it whole and copies no archive and no store.
     """
-    full = [
-        len(store.used) for store in stores_in(jax.eval_shape(algorithm.init, jax.random.key(0)))
-    ]
+    shapes = jax.eval_shape(algorithm.init, jax.random.key(0))
+    full = [len(store.used) for store in stores_in(shapes)]
     changed: list[int] = []  # leaves of the state that `ask` changes, known once it is traced
+
+    def resize(state: Any, sizes: list[int]) -> Any:
+        """Resize the stores in a state; those that have their size already are not copied."""
+        left = iter(sizes)
+
+        def fit(node: Any) -> Any:
+            if not is_store(node):
+                return node
+            rows = next(left)
+            return node if rows == len(node.used) else node.resized(rows)
+
+        return jax.tree.map(fit, state, is_leaf=is_store)
+
+    @jax.jit
+    def init(key: jax.Array) -> Any:
+        # XLA makes no more of the zeros of an empty store than the rows that are left of them.
+        sizes = [min(rows, max(_FIRST_ROWS, 1 + algorithm.batch_size)) for rows in full]
+        return resize(algorithm.init(key), sizes)
 
     @jax.jit
     def ask_for_changes(state: Any) -> tuple[jax.Array, list[jax.Array]]:
+        # A jitted function copies whatever it returns: leaves that stay the same are left out.
         solutions, after = algorithm.ask(state)
         pairs = list(zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True))
         changed[:] = [number for number, (old, new) in enumerate(pairs) if new is not old]
@@ -210,26 +208,18 @@ def growing(algorithm: Algorithm) -> Algorithm:
             leaves[number] = leaf
         return solutions, jax.tree.unflatten(structure, leaves)
 
-    tell = jax.jit(algorithm.tell, donate_argnums=0)
+    jitted_tell = jax.jit(algorithm.tell, donate_argnums=0)
 
-    @jax.jit
-    def init(key: jax.Array) -> Any:
-        # XLA makes no more of the zeros of an empty store than the rows that are left of them.
-        sizes = [min(rows, max(_FIRST_ROWS, 1 + algorithm.batch_size)) for rows in full]
-        return _resized(algorithm.init(key), sizes)
-
-    def resize_and_tell(
-        state: Any, solutions: Array, score: Score, extras: Mapping[str, Array]
-    ) -> Any:
+    def tell(state: Any, solutions: Array, score: Score, extras: Mapping[str, Array]) -> Any:
         sizes = []
         for store, most in zip(stores_in(state), full, strict=True):
             rows, needed = len(store.used), int(store.used.sum()) + len(solutions)
             while rows < min(needed, most):
                 rows = min(2 * rows, most)
             sizes.append(rows)
-        return tell(_resized(state, sizes), solutions, score, extras)
+        return jitted_tell(resize(state, sizes), solutions, score, extras)
 
-    return algorithm._replace(init=init, ask=ask, tell=resize_and_tell)
+    return algorithm._replace(init=init, ask=ask, tell=tell)
 
 
 def is_whole(state: Any) -> bool:
@@ -238,14 +228,34 @@ def is_whole(state: Any) -> bool:
     return not any(array.is_deleted() for array in arrays)
 
 
-def _resized(state: Any, sizes: list[int]) -> Any:
-    """Resize the stores in a state; those that have their size already are not copied."""
-    left = iter(sizes)
+def collector(algorithm: Algorithm) -> Callable[[Any], dict[str, np.ndarray]]:
+    """Make the function state -> `GridArchive.elites` of the result archive, for large searches.
 
-    def fit(node: Any) -> Any:
-        if not is_store(node):
-            return node
-        rows = next(left)
-        return node if rows == len(node.used) else node.resized(rows)
+    On the way no archive is made that holds a solution for every cell.
+    """
 
-    return jax.tree.map(fit, state, is_leaf=is_store)
+    @jax.jit
+    def filled(state: Any) -> jax.Array:
+        return algorithm.archive(state).filled
+
+    @jax.jit
+    def take(state: Any, cells: jax.Array) -> dict[str, jax.Array]:
+        # XLA fuses both look-ups, the cell's row and the row's solution, into one.
+        return jax.tree.map(lambda leaf: leaf[cells], algorithm.archive(state)).columns()
+
+    def collect(state: Any) -> dict[str, np.ndarray]:
+        index = np.flatnonzero(filled(state))
+        columns = {
+            name: np.empty((len(index), *column.shape[1:]), column.dtype)
+            for name, column in jax.eval_shape(take, state, index).items()
+        }
+        for start in range(0, len(index), _COLLECTED_AT_ONCE):
+            part = index[start : start + _COLLECTED_AT_ONCE]
+            # Filled up to one shape, so that one program is compiled for all parts.
+            cells = np.zeros(_COLLECTED_AT_ONCE, np.int32)
+            cells[: len(part)] = part
+            for name, column in take(state, cells).items():
+                columns[name][start : start + len(part)] = np.asarray(column)[: len(part)]
+        return {"index": index} | columns
+
+    return collect

@@ -15,8 +15,8 @@ from qdenv.search.base import (
     Algorithm,
     Problem,
     StoredArchive,
+    check_batch,
     plain_key,
-    received,
     start_solution,
 )
 from qdenv.search.emitters import (
@@ -43,11 +43,7 @@ class CmaMaeState(NamedTuple):
 
 
 def emitters_of(config: CmaMaeConfig, start: jax.Array) -> Emitters:
-    """Make the emitters a config describes, all starting at `start` (float [P]).
-
-    Raises:
-        InputError: a setting is out of range or unknown.
-    """
+    """Make the emitters a config describes, all starting at `start` (float [P])."""
     group = make_emitters(
         *make_strategy(config.strategy, start.shape[0], config.batch, config.sigma0),
         start,
@@ -63,12 +59,8 @@ def cma_mae(config: CmaMaeConfig, problem: Problem, x0: Array | None = None) -> 
     """Make CMA-MAE (Fontaine and Nikolaidis 2023), as pyribs' scheduler runs it.
 
     All E * b rows enter both archives as one batch; then every emitter ranks its own rows by
-    how the learning archive received them, and restarts from an elite of that archive.
-
-    Args:
-        config: the settings.
-        problem: what is searched.
-        x0: where all emitters start, float [P]; zeros where None.
+    how the learning archive received them, and restarts from an elite of that archive. All start at
+    `x0` (float [P]; zeros where None).
 
     Raises:
         InputError: a setting is out of range or unknown.
@@ -91,7 +83,7 @@ def cma_mae(config: CmaMaeConfig, problem: Problem, x0: Array | None = None) -> 
     def tell(
         state: CmaMaeState, solutions: Array, score: Score, extras: Mapping[str, Array]
     ) -> CmaMaeState:
-        solutions, score = received(solutions, score)
+        solutions, score = check_batch(solutions, score)
         key, tell_key = jax.random.split(state.key)
         archives, insertion = state.archives.add(solutions, score, extras)
         # Rows are ranked against the archive before the batch, but restarts draw from the archive
@@ -107,10 +99,7 @@ def cma_mae(config: CmaMaeConfig, problem: Problem, x0: Array | None = None) -> 
 def cma_es(config: CmaEsConfig, problem: Problem, x0: Array | None = None) -> Algorithm:
     """Make CMA-ES: emitters that rank by the objective and recombine the better half.
 
-    Args:
-        config: the settings.
-        problem: what is searched; the measures steer nothing here.
-        x0: where all strategies start, float [P]; zeros where None.
+    The measures steer nothing here. All start at `x0` (float [P]; zeros where None).
 
     Raises:
         InputError: a setting is out of range or unknown.

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from qdenv.search.archive import GridArchive, Insertion
 from qdenv.search.base import StoredArchive
-from qdenv.search.strategies.base import SMALLEST_STEP
+from qdenv.search.strategies.base import SMALLEST_STEP, Strategy
 from qdenv.types import InputError
 
 _FLAT = 1e-12  # best and worst ranking values closer than this restart the emitter (pyribs)
@@ -59,11 +59,9 @@ class Emitters(NamedTuple):
 
 
 def rank(keys: tuple[jax.Array, ...], usable: jax.Array) -> jax.Array:
-    """Order rows best first (int32 [b]); unusable rows come last, ties are reversed (pyribs).
+    """Order rows best first (int32 [b]) by keys [b], the most important first.
 
-    Args:
-        keys: arrays [b], the most important first.
-        usable: bool [b].
+    Rows that are not `usable` (bool [b]) come last, ties are reversed (pyribs).
     """
     return jnp.flip(jnp.lexsort((*reversed(keys), usable)))
 
@@ -106,25 +104,50 @@ class Member(NamedTuple):
 def make_member(strategy: Any, params: Any) -> Member:
     """Drive an evosax algorithm by ranks.
 
-    Where its parameters have `num_elites`, as ours do, the emitter decides how many of the best
-    are recombined, and failed rows have a fitness of NaN. Any other algorithm has its own number
-    of parents: it is fed only if there are any, and failed rows rank last and stand at the mean,
-    where they pull nowhere.
+    Of ours the emitter decides how many of the best are recombined, and failed rows have a fitness
+    of NaN. Any other algorithm has its own number of parents: it is fed only if there are any, and
+    failed rows rank last and stand at the mean, where they pull nowhere.
     """
-    has_parents = hasattr(params, "num_elites")
     batch = strategy.population_size
 
+    def ranks(order: jax.Array, dtype: Any) -> jax.Array:
+        """Rank rows as evosax does, which minimises: the best has rank 0."""
+        return jnp.zeros(batch, dtype).at[order].set(jnp.arange(batch))
+
+    if isinstance(strategy, Strategy):
+
+        def init_ours(mean: jax.Array, key: jax.Array) -> tuple:
+            # The best so far and its fitness serve optimisation alone: ranks of two generations do
+            # not compare, and the archive has the best. Checkpoints do not hold these fields.
+            blank = {"best_solution": None, "best_fitness": None, "generation_counter": None}
+            return strategy.init(key, mean, params).replace(**blank), None
+
+        def ask_ours(state: Any, key: jax.Array) -> tuple:
+            return *strategy._ask(key, state, params), None
+
+        def tell_ours(
+            state: Any,
+            key: jax.Array,
+            solutions: jax.Array,
+            order: jax.Array,
+            usable: jax.Array,
+            parents: jax.Array,
+        ) -> Any:
+            fitness = jnp.where(usable, ranks(order, solutions.dtype), jnp.nan)
+            now = params.replace(num_elites=parents)
+            return strategy._tell(key, solutions, fitness, state, now)
+
+        return Member(init_ours, ask_ours, tell_ours, strategy.is_degenerate)
+
+    def strong(leaf: Any) -> jax.Array:
+        """Fix the dtype of a leaf: a Python number in a state would be traced twice."""
+        return jnp.asarray(leaf, jnp.asarray(leaf).dtype)
+
     def init(mean: jax.Array, key: jax.Array) -> tuple:
-        state = strategy.init(key, mean, params)
-        if has_parents:
-            return _without_best(state), None
-        state = state.replace(best_solution=mean)  # evosax puts NaN there
-        return jax.tree.map(_strong, state), key
+        state = strategy.init(key, mean, params).replace(best_solution=mean)  # evosax puts NaN
+        return jax.tree.map(strong, state), key
 
     def ask(state: Any, key: jax.Array) -> tuple:
-        if has_parents:
-            solutions, state = strategy.ask(key, _with_best(state), params)
-            return solutions, _without_best(state), None
         ask_key, tell_key = jax.random.split(key)
         with jax.numpy_rank_promotion("allow"):  # evosax adds vectors to matrices
             solutions, state = strategy.ask(ask_key, state, params)
@@ -138,44 +161,18 @@ def make_member(strategy: Any, params: Any) -> Member:
         usable: jax.Array,
         parents: jax.Array,
     ) -> Any:
-        # evosax minimises: the best has rank 0.
-        ranks = jnp.zeros(batch, solutions.dtype).at[order].set(jnp.arange(batch))
-        if has_parents:
-            ranks = jnp.where(usable, ranks, jnp.nan)
-            now = params.replace(num_elites=parents)
-            state, _ = strategy.tell(key, solutions, ranks, _with_best(state), now)
-            return _without_best(state)
         rows = jnp.where(usable[:, None], solutions, state.mean[None])
         with jax.numpy_rank_promotion("allow"):
-            changed, _ = strategy.tell(key, rows, ranks, state, params)
-        keep = lambda new, old: _strong(jnp.where(parents > 0, new, old))  # noqa: E731
-        return jax.tree.map(keep, changed, state)
+            changed, _ = strategy.tell(key, rows, ranks(order, solutions.dtype), state, params)
+        choose = lambda new, old: strong(jnp.where(parents > 0, new, old))  # noqa: E731
+        return jax.tree.map(choose, changed, state)
 
     def is_degenerate(state: Any) -> jax.Array:
-        if hasattr(strategy, "is_degenerate"):
-            return strategy.is_degenerate(state)
         step = jnp.asarray(state.std).max()
         healthy = (step >= SMALLEST_STEP) & jnp.isfinite(step)
         return ~(healthy & jnp.isfinite(state.mean).all())
 
     return Member(init, ask, tell, is_degenerate)
-
-
-def _without_best(state: Any) -> Any:
-    """Drop what evosax remembers for optimisation alone: ranks of two generations do not compare.
-
-    The archive has the best. Nothing computes these fields, and checkpoints do not hold them.
-    """
-    return state.replace(best_solution=None, best_fitness=None, generation_counter=None)
-
-
-def _with_best(state: Any) -> Any:
-    return state.replace(best_solution=state.mean, best_fitness=jnp.inf, generation_counter=0)
-
-
-def _strong(leaf: Any) -> jax.Array:
-    """Fix the dtype of a leaf: a Python number in a state would be traced twice."""
-    return jnp.asarray(leaf, jnp.asarray(leaf).dtype)
 
 
 def make_emitters(
@@ -189,18 +186,9 @@ def make_emitters(
 ) -> Emitters:
     """Join E copies of a strategy, each adapting to its own b rows of every batch.
 
-    Each emitter ranks its rows, recombines the best, and restarts from a random elite (from `x0`
-    while the archive is empty) when the rule says so, when its rows all rank the same or when its
-    distribution is degenerate.
-
-    Args:
-        strategy: an evosax algorithm over a distribution, with population size b.
-        params: its parameters.
-        x0: where all start, float [P].
-        emitters: E.
-        ranker: what rows are sorted by.
-        selection: how many are recombined.
-        restart: when an emitter restarts.
+    All start at `x0` (float [P]). Each emitter ranks its rows, recombines the best, and restarts
+    from a random elite (from `x0` while the archive is empty) when the rule says so, when its rows
+    all rank the same or when its distribution is degenerate.
     """
     member, batch = make_member(strategy, params), strategy.population_size
 
@@ -254,10 +242,10 @@ def make_emitters(
         again = spent | restart(accepted, iterations)
         means = archive.sample_solutions(elite_key, emitters, x0)
 
-        def renew(old: Any) -> Any:
-            def pick(one: jax.Array, other: jax.Array) -> jax.Array:
-                return jnp.where(again.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+        def pick(new: jax.Array, old: jax.Array) -> jax.Array:
+            return jnp.where(again.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
+        def renew(old: Any) -> Any:
             return jax.tree.map(pick, fresh(means, fresh_key), old)
 
         # Restarts are rare and a fresh full covariance matrix is not free: most iterations skip it.
@@ -281,10 +269,6 @@ def make_groups(emitters: Emitters, groups: int) -> Emitters:
     A group draws again only after its last population was scored, so each adapts to its own
     solutions as it would alone, and up to G populations are evaluated at once. All share one
     archive.
-
-    Args:
-        emitters: of one group.
-        groups: G; 1 gives `emitters` as they are.
     """
     if groups == 1:
         return emitters

@@ -15,8 +15,8 @@ from qdenv.search.base import (
     Algorithm,
     Problem,
     StoredArchive,
+    check_batch,
     plain_key,
-    received,
     start_solution,
 )
 from qdenv.search.settings import MapElitesConfig, RandomSearchConfig
@@ -34,15 +34,7 @@ def map_elites(config: MapElitesConfig, problem: Problem, x0: Array | None = Non
     """Make MAP-Elites (Mouret and Clune 2015) with Iso+LineDD (Vassiliades and Mouret 2018).
 
     A child is x_i + sigma_iso N(0, I) + sigma_line (x_j - x_i) N(0, 1) of two random elites;
-    while there are none, both parents are `x0`.
-
-    Args:
-        config: the settings.
-        problem: what is searched.
-        x0: the parent while there is none, float [P]; zeros where None.
-
-    Raises:
-        InputError: a setting is out of range.
+    while there are none, both parents are `x0` (float [P]; zeros where None).
     """
     start = start_solution(x0, problem.solution_dim)
     batch_size = config.emitters * config.batch
@@ -62,16 +54,7 @@ def map_elites(config: MapElitesConfig, problem: Problem, x0: Array | None = Non
 def random_search(
     config: RandomSearchConfig, problem: Problem, x0: Array | None = None
 ) -> Algorithm:
-    """Make random search: every solution is drawn from N(x0, sigma^2 I).
-
-    Args:
-        config: the settings.
-        problem: what is searched.
-        x0: the centre, float [P]; zeros where None.
-
-    Raises:
-        InputError: a setting is out of range.
-    """
+    """Make random search: every solution is drawn from N(x0, sigma^2 I); x0 is zeros where None."""
     start = start_solution(x0, problem.solution_dim)
     empty = lambda: StoredArchive.empty(problem, start, config.batch)  # noqa: E731
 
@@ -94,7 +77,7 @@ def _passive(
     def tell(
         state: MapElitesState, solutions: Array, score: Score, extras: Mapping[str, Array]
     ) -> MapElitesState:
-        archives, _ = state.archives.add(*received(solutions, score), extras)
+        archives, _ = state.archives.add(*check_batch(solutions, score), extras)
         return state._replace(archives=archives)
 
     return Algorithm(

@@ -1,8 +1,4 @@
-"""CMA-MAE as a qdax emitter, which qdax' `MAPElites` loop drives to the archive of our own loop.
-
-qdax (https://github.com/adaptive-intelligent-robotics/QDax) ships no types: what its driver passes
-is `Any`.
-"""
+"""CMA-MAE as an emitter of qdax, https://github.com/adaptive-intelligent-robotics/QDax."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,7 +8,7 @@ import jax.numpy as jnp
 from qdax.core.emitters.emitter import Emitter, EmitterState
 
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import plain_key, received, start_solution
+from qdenv.search.base import check_batch, plain_key, start_solution
 from qdenv.search.cma_mae import emitters_of
 from qdenv.search.emitters import EmittersState, GroupsState
 from qdenv.search.settings import CmaMaeConfig
@@ -36,8 +32,7 @@ class CmaMaeEmitter(Emitter):
 
     CMA-MAE needs no first population. Begin with an empty one, ``driver.init(jnp.zeros((0, P)),
     None, key)`` with `GridArchive.init` as the driver's repertoire: then the loop is that of
-    `qdenv.search.cma_mae.cma_mae` for the key that the driver passes on. The emitter draws by that
-    key alone: keys that the driver passes later are not used.
+    `cma_mae` for the key that the driver passes on. Keys that it passes later are not used.
     """
 
     def __init__(
@@ -78,11 +73,9 @@ class CmaMaeEmitter(Emitter):
     def emit(
         self, repertoire: Any, emitter_state: CmaMaeEmitterState, key: jax.Array
     ) -> tuple[jax.Array, dict[str, Any]]:
-        """Sample a batch, float [B, P].
-
-        An emitter of qdax cannot change its state here, so the changed one travels with the batch
-        as extra information and comes back in `state_update`.
-        """
+        """Sample a batch, float [B, P]."""
+        # An emitter of qdax cannot change its state here: the changed one travels with the batch
+        # as extra information and comes back in `state_update`.
         key, ask_key = jax.random.split(emitter_state.key)
         solutions, emitters = self._emitters.ask(emitter_state.emitters, ask_key)
         return solutions, {"emitters": emitters, "key": key}
@@ -101,7 +94,7 @@ class CmaMaeEmitter(Emitter):
         fitness = jnp.reshape(fitnesses, -1)
         objective = jnp.reshape(extra_scores.get("learning_fitness", fitness), -1)
         success = jnp.ones_like(fitness, bool)
-        solutions, score = received(genotypes, Score(objective, fitness, descriptors, success))
+        solutions, score = check_batch(genotypes, Score(objective, fitness, descriptors, success))
         learning, insertion = emitter_state.learning.insert(
             solutions, score.objective, score.measures, None, score.success
         )

@@ -26,12 +26,7 @@ ALGORITHMS = Registry(
 
 
 def make_algorithm(config: Any, problem: "Problem", x0: Any = None) -> "Algorithm":
-    """Make the algorithm that `config` chooses.
-
-    Args:
-        config: settings of a registered algorithm, like `CmaMaeConfig`.
-        problem: what is searched.
-        x0: where the search begins, float [P]; wherever the algorithm begins where None.
+    """Make the algorithm that `config` chooses, beginning at x0 (float [P]) unless that is None.
 
     Raises:
         InputError: no algorithm is registered for this type of config, it takes no x0, or a

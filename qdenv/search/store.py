@@ -28,13 +28,8 @@ class Store(NamedTuple):
 
     @classmethod
     def empty(cls, solution: jax.Array, batch: int, *archives: "GridArchive") -> Self:
-        """Make a store that always has free rows for a batch.
-
-        Args:
-            solution: one example, float [P].
-            batch: solutions of every iteration.
-            archives: those that will refer to it; each has at most one row for each of its cells.
-        """
+        """Make a store of solutions like `solution` (float [P]) with free rows for every batch."""
+        # An archive refers to at most one row for each of its cells.
         rows = 1 + batch + sum(math.prod(axis.cells for axis in a.measures) for a in archives)
         blank = jnp.zeros((rows, *solution.shape), solution.dtype)
         return cls(jnp.zeros(rows, jnp.int32), jnp.arange(rows) == 0, blank)
@@ -49,11 +44,8 @@ class Store(NamedTuple):
     ) -> Self:
         """Write the solutions that an archive took in, and free rows that no archive refers to.
 
-        Args:
-            rows: int32 [B], from `free_rows`.
-            solutions: float [B, P].
-            cells: int32 [B].
-            archives: all that refer to this store, after the batch.
+        `rows` (int32 [B]) come from `free_rows`, `cells` are int32 [B]; `archives` are all that
+        refer to this store, after the batch.
         """
         written_for = self.cells.at[rows].set(cells)
         index = jnp.arange(len(self.used))

@@ -14,7 +14,7 @@ LAYOUT = ("NHWC", "HWIO", "NHWC")
 
 
 def _pad(kernel: int, stride: int) -> int:
-    """Give the zeros on each side that keep the size, or divide it by the stride."""
+    """Return the zeros on each side that keep the size, or divide it by the stride."""
     return (kernel - stride + 1) // 2
 
 
@@ -28,16 +28,12 @@ def _plain(maps: jax.Array, kernel: jax.Array, stride: int, around: int) -> jax.
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
 def convolve(maps: jax.Array, kernel: jax.Array, stride: int) -> jax.Array:
-    """Convolve float32 [B, H, W, C] with a square kernel [k, k, C, F].
+    """Convolve float32 [B, H, W, C] with a square kernel [k, k, C, F], k odd.
 
-    In a compiled loop XLA has no fast code on CPUs for the gradients: 7 to 40 times slower than
-    outside of one. Here that by the kernel is one product of matrices, and that by the maps a
-    convolution, too.
-
-    Args:
-        maps: of any size; of odd sides with a stride of 2 the last row and column count, too.
-        kernel: of odd width with a stride of 1, of width 4 with a stride of 2.
-        stride: 1 or 2.
+    A stride of 2, with a kernel of width 4, halves the sides; the last row and column of odd sides
+    count, too. In a compiled loop XLA has no fast code on CPUs for the gradients: 7 to 40 times
+    slower than outside of one. Here the gradient by the kernel is one product of matrices, that by
+    the maps another convolution.
 
     Returns:
         float32 [B, H // stride, W // stride, F].
@@ -50,53 +46,38 @@ def convolve(maps: jax.Array, kernel: jax.Array, stride: int) -> jax.Array:
     return _plain(maps, kernel, stride, _pad(size, stride))
 
 
-def _forward(
-    maps: jax.Array, kernel: jax.Array, stride: int
-) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-    return convolve(maps, kernel, stride), (maps, kernel)
-
-
 def _backward(
-    stride: int, kept: tuple[jax.Array, jax.Array], gradient: jax.Array
+    stride: int, inputs: tuple[jax.Array, jax.Array], gradient: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    maps, kernel = kept
-    by_maps = _by_maps(stride, maps.shape, kernel, gradient)
-    return by_maps, _by_kernel(stride, maps, kernel, gradient)
-
-
-def _by_maps(
-    stride: int, shape: tuple[int, ...], kernel: jax.Array, gradient: jax.Array
-) -> jax.Array:
-    """Convolve the gradient with the kernel turned around, once for each place in a stride."""
-    size, (_, rows, cols, channels) = kernel.shape[0], shape
+    """Compute the gradients by the maps and by the kernel."""
+    maps, kernel = inputs
+    (_, rows, cols, channels), size = maps.shape, kernel.shape[0]
     many, around = size // stride, _pad(size, stride)
-    # Cells of one parity are reached by every second row and column of the kernel alone.
+    # By the maps: the gradient convolved with the kernel turned around, once for each place in a
+    # stride, because cells of one parity are reached by every second row and column of the kernel
+    # alone.
     parts = kernel.reshape(many, stride, many, stride, channels, -1)[::-1, :, ::-1]
     turned = parts.transpose(0, 2, 5, 1, 3, 4).reshape(many, many, -1, stride**2 * channels)
     wide = _plain(gradient, turned, 1, many - 1)
     apart = wide.reshape(*wide.shape[:3], stride, stride, channels).transpose(0, 1, 3, 2, 4, 5)
     whole = apart.reshape(len(gradient), stride * wide.shape[1], stride * wide.shape[2], channels)
-    return whole[:, around : around + rows, around : around + cols]
-
-
-def _by_kernel(stride: int, maps: jax.Array, kernel: jax.Array, gradient: jax.Array) -> jax.Array:
-    """Multiply the gradient with what each weight of the kernel was multiplied with."""
-    size, around = kernel.shape[0], _pad(kernel.shape[0], stride)
-    rows, cols = gradient.shape[1:3]
+    by_maps = whole[:, around : around + rows, around : around + cols]
+    # By the kernel: the gradient times the cells that each weight was multiplied with.
     padded = jnp.pad(maps, ((0, 0), (around, around), (around, around), (0, 0)))
-    seen = [
-        padded[
-            :, i : i + stride * (rows - 1) + 1 : stride, j : j + stride * (cols - 1) + 1 : stride
-        ]
+    down, right = (stride * (side - 1) + 1 for side in gradient.shape[1:3])
+    windows = [
+        padded[:, i : i + down : stride, j : j + right : stride]
         for i in range(size)
         for j in range(size)
     ]
-    columns = jnp.concatenate(seen, axis=-1).reshape(-1, size * size * maps.shape[-1])
+    columns = jnp.concatenate(windows, axis=-1).reshape(-1, size * size * channels)
     by_kernel = columns.T @ gradient.reshape(-1, gradient.shape[-1])
-    return by_kernel.reshape(kernel.shape)
+    return by_maps, by_kernel.reshape(kernel.shape)
 
 
-convolve.defvjp(_forward, _backward)
+convolve.defvjp(
+    lambda maps, kernel, stride: (convolve(maps, kernel, stride), (maps, kernel)), _backward
+)
 
 
 class _Convolution(nn.Module):
@@ -168,7 +149,7 @@ class ScorePredictor(nn.Module):
 
 def fill_up(maps: jax.Array) -> jax.Array:
     """Add zeros below and right of maps [B, H, W, K] up to a square whose side is a power of 2."""
-    longest = max(*maps.shape[1:3], 2 * _SMALLEST)
-    side = 1 << (longest - 1).bit_length()
     rows, cols = maps.shape[1:3]
+    longest = max(rows, cols, 2 * _SMALLEST)
+    side = 1 << (longest - 1).bit_length()
     return jnp.pad(maps, ((0, 0), (0, side - rows), (0, side - cols), (0, 0)))

@@ -40,11 +40,8 @@ class Ring(NamedTuple):
         return jnp.minimum(self.added, self.samples.numbers.shape[0])
 
     def add(self, batch: Samples, valid: jax.Array) -> Self:
-        """Add the samples of a batch [B, ...] that are `valid` (bool [B]), over the oldest.
-
-        Samples whose usage or numbers are not finite are left out: no network would recover from
-        them.
-        """
+        """Add the samples of a batch [B, ...] that are `valid` (bool [B]), over the oldest."""
+        # No network would recover from a sample that is not finite.
         valid &= jnp.isfinite(batch.usage).all(axis=(1, 2))
         valid &= jnp.isfinite(batch.numbers).all(axis=-1)
         size = self.samples.numbers.shape[0]
@@ -61,10 +58,9 @@ class Ring(NamedTuple):
 
 
 def spread_of(numbers: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute mean and variance of the rows of numbers [N, heads] that are `valid` (bool [N]).
+    """Compute mean and variance (float32 [heads]) of the `valid` rows (bool [N]) of [N, heads].
 
-    Returns:
-        both float32 [heads]; zeros where no row is valid.
+    Both are zeros where no row is valid.
     """
     # Counted from one of the rows: numbers that never vary have a variance of exactly zero.
     origin = jnp.where(valid.any(), numbers[jnp.argmax(valid)], 0.0)
@@ -76,9 +72,7 @@ def spread_of(numbers: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Arra
 
 
 def shuffled(key: jax.Array, size: int, count: jax.Array) -> jax.Array:
-    """Order the first `count` of `size` samples at random (int32 [size]; the rest follow).
-
-    Consumes `key`.
-    """
+    """Order the first `count` of `size` samples at random (int32 [size]); consumes `key`."""
+    # Draws are below 1: samples beyond `count` come last.
     draws = jax.random.uniform(key, (size,))
     return jnp.argsort(jnp.where(jnp.arange(size) < count, draws, 2.0)).astype(jnp.int32)

@@ -1,4 +1,4 @@
-"""The surrogate as a record of functions: init, fit, predict; its losses, its learning, its report.
+"""The surrogate as a record of functions: init, fit, predict; its losses and its learning.
 
 Three networks in a row, each learnt while those before it stand still (the surrogate of Zhang et
 al. 2023, after Bhatt et al. 2022, https://arxiv.org/abs/2206.04199): the repaired map from the
@@ -6,7 +6,7 @@ drawn one, the tile usage from that, objective and measures from both. What a do
 a repair or a usage map, is left out.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -16,13 +16,7 @@ import optax
 from qdenv.surrogate.networks import MapPredictor, ScorePredictor
 from qdenv.surrogate.samples import Ring, Samples, shuffled, spread_of
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.types import InputError, Measure, Score
-
-
-def map_loss(logits: jax.Array, tiles: jax.Array) -> jax.Array:
-    """Average the cross entropy of tiles int8 [B, H, W] under logits [B, H, W, K]."""
-    # The gradient of looking a label up is a scatter: XLA takes seconds to compile it, and warns.
-    return optax.softmax_cross_entropy(logits, jax.nn.one_hot(tiles, logits.shape[-1])).mean()
+from qdenv.types import InputError, Score
 
 
 def usage_loss(predicted: jax.Array, usage: jax.Array, kind: str) -> jax.Array:
@@ -40,11 +34,6 @@ def usage_loss(predicted: jax.Array, usage: jax.Array, kind: str) -> jax.Array:
     return jnp.square(flat - share * flat.shape[-1]).mean()
 
 
-def score_loss(predicted: jax.Array, target: jax.Array, weights: jax.Array) -> jax.Array:
-    """Average the weighted squared errors of numbers [B, heads] over batch and heads."""
-    return (jnp.square(predicted - target) * weights[None]).mean()
-
-
 class Learner(NamedTuple):
     """One network that learns."""
 
@@ -54,12 +43,6 @@ class Learner(NamedTuple):
 
 # (variables, samples) -> (loss float32, running statistics after it)
 Loss = Callable[[Any, Samples], tuple[jax.Array, Any]]
-
-
-def make_learner(variables: Any, optimiser: optax.GradientTransformation) -> Learner:
-    """Begin to learn with fresh moments."""
-    # A network without running statistics has none to change, but the same form as the others.
-    return Learner({"batch_stats": {}, **variables}, optimiser.init(variables["params"]))
 
 
 def learn(
@@ -74,17 +57,9 @@ def learn(
 ) -> tuple[Learner, jax.Array]:
     """Fit one network to all samples of a ring; traceable, with loops over epochs and steps.
 
-    The last minibatch of an epoch is filled up with the epoch's first samples.
-
-    Args:
-        loss: what is made small.
-        learner: the network; without samples it stays as it is.
-        optimiser: Adam.
-        ring: the samples.
-        minibatch: samples per step.
-        epochs: passes over the samples.
-        key: consumed.
-        first: epoch to begin with: where a fit is cut in pieces makes no difference.
+    The last minibatch of an epoch is filled up with the epoch's first samples. Epochs are counted
+    from `first`, so that a fit may be cut in pieces. Without samples the network stays as it is.
+    Consumes `key`.
 
     Returns:
         the network, and the mean loss of its last epoch.
@@ -92,32 +67,28 @@ def learn(
     size, count = ring.samples.numbers.shape[0], ring.known
     steps = (count + minibatch - 1) // minibatch
 
-    def step(learner: Learner, batch: Samples) -> tuple[Learner, jax.Array]:
-        def of_weights(params: Any) -> tuple[jax.Array, Any]:
-            return loss({**learner.variables, "params": params}, batch)
-
-        params = learner.variables["params"]
-        (value, stats), slope = jax.value_and_grad(of_weights, has_aux=True)(params)
-        change, moments = optimiser.update(slope, learner.moments, params)
-        new = {"params": optax.apply_updates(params, change), "batch_stats": stats}
-        return Learner({**learner.variables, **new}, moments), value
-
     def epoch(number: jax.Array, now: tuple[Learner, jax.Array]) -> tuple[Learner, jax.Array]:
         order = shuffled(jax.random.fold_in(key, number), size, count)
 
-        def once(i: jax.Array, now: tuple[Learner, jax.Array]) -> tuple[Learner, jax.Array]:
-            learner, total = now
+        def step(i: jax.Array, now: tuple[Learner, jax.Array]) -> tuple[Learner, jax.Array]:
+            (variables, moments), total = now
             rows = order[(i * minibatch + jnp.arange(minibatch)) % jnp.maximum(count, 1)]
-            learner, value = step(learner, jax.tree.map(lambda leaf: leaf[rows], ring.samples))
-            return learner, total + value
+            batch = jax.tree.map(lambda leaf: leaf[rows], ring.samples)
+            (value, stats), slope = jax.value_and_grad(
+                lambda params: loss({**variables, "params": params}, batch), has_aux=True
+            )(variables["params"])
+            change, moments = optimiser.update(slope, moments, variables["params"])
+            params = optax.apply_updates(variables["params"], change)
+            variables = {**variables, "params": params, "batch_stats": stats}
+            return Learner(variables, moments), total + value
 
-        learner, total = jax.lax.fori_loop(0, steps, once, (now[0], jnp.float32(0)))
+        learner, total = jax.lax.fori_loop(0, steps, step, (now[0], jnp.float32(0)))
         return learner, total / jnp.maximum(steps, 1)
 
     return jax.lax.fori_loop(first, epochs, epoch, (learner, jnp.float32(0)))
 
 
-STAGES = ("repair", "usage", "score")
+STAGES = ("repair", "usage", "score")  # the networks, in the order in which they learn
 
 
 class Aspect(NamedTuple):
@@ -134,14 +105,6 @@ def stages_of(aspect: Aspect) -> list[str]:
     """List the networks of a surrogate, in the order in which they learn."""
     present = {"repair": aspect.repairs, "usage": aspect.usage, "score": True}
     return [name for name in STAGES if present[name]]
-
-
-class _Chain(NamedTuple):
-    """The networks in a row, fixed while they learn."""
-
-    config: SurrogateConfig
-    aspect: Aspect
-    networks: dict[str, Any]  # Flax modules by the names of `STAGES`
 
 
 class Fitted(NamedTuple):
@@ -176,6 +139,65 @@ class Surrogate(NamedTuple):
     heads: int  # numbers predicted of a layout: objective, result objective, measures
 
 
+class _Chain(NamedTuple):
+    """The networks in a row, fixed while they learn."""
+
+    config: SurrogateConfig
+    aspect: Aspect
+    networks: dict[str, Any]  # Flax modules by the names of `STAGES`
+
+    def inputs(self, learners: dict[str, Learner], drawn: jax.Array) -> dict[str, jax.Array]:
+        """Compute the maps that each network takes, up to the first that is not made yet."""
+        aspect = self.aspect
+
+        def output(name: str, maps: jax.Array) -> jax.Array:
+            return self.networks[name].apply(learners[name].variables, maps, False)
+
+        tiles = jax.nn.one_hot(drawn, aspect.kinds)
+        maps = {"repair": tiles}
+        if aspect.repairs:
+            if "repair" not in learners:
+                return maps
+            tiles = output("repair", tiles)
+        maps["usage"] = tiles
+        # The score network sees tiles that are decided, as the simulator does, not their odds.
+        decided = jax.nn.one_hot(tiles.argmax(axis=-1), aspect.kinds)
+        if not aspect.usage:
+            return maps | {"score": decided}
+        if "usage" not in learners:
+            return maps
+        usage = output("usage", tiles)
+        if self.config.usage_loss == "kl":
+            # A distribution over the cells, in units of an even one.
+            flat = usage.reshape(len(usage), -1)
+            usage = (jax.nn.softmax(flat, axis=-1) * flat.shape[-1]).reshape(usage.shape)
+        return maps | {"score": jnp.concatenate([decided, usage], axis=-1)}
+
+    def loss(
+        self, name: str, learners: dict[str, Learner], scale: tuple[jax.Array, jax.Array]
+    ) -> Loss:
+        """Make the loss of one network; those before it stand still."""
+
+        def loss(variables: Any, batch: Samples) -> tuple[jax.Array, Any]:
+            maps = self.inputs(learners, batch.drawn)[name]
+            result, changed = self.networks[name].apply(
+                variables, maps, True, mutable=["batch_stats"]
+            )
+            stats = changed.get("batch_stats", {})
+            if name == "repair":
+                # The gradient of looking a label up is a scatter: XLA takes seconds to compile
+                # it, and warns.
+                labels = jax.nn.one_hot(batch.repaired, self.aspect.kinds)
+                return optax.softmax_cross_entropy(result, labels).mean(), stats
+            if name == "usage":
+                return usage_loss(result[..., 0], batch.usage, self.config.usage_loss), stats
+            target = (batch.numbers - scale[0][None]) / scale[1][None]
+            weights = jnp.asarray(self.config.weights or (1.0,) * target.shape[-1])
+            return (jnp.square(result - target) * weights[None]).mean(), stats
+
+        return loss
+
+
 def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
     """Make the surrogate of layouts of one shape.
 
@@ -200,16 +222,18 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
         learners: dict[str, Learner] = {}
         blank = jnp.zeros((1, *aspect.shape), jnp.int8)
         for number, name in enumerate(stages):
-            maps = _inputs(chain, learners, blank)[name]
+            maps = chain.inputs(learners, blank)[name]
             variables = networks[name].init(jax.random.fold_in(key, number), maps, False)
-            learners[name] = make_learner(variables, optimiser)
+            # A network without running statistics has the same form as the others.
+            variables = {"batch_stats": {}, **variables}
+            learners[name] = Learner(variables, optimiser.init(variables["params"]))
         return Fitted(learners, jnp.zeros(heads), jnp.ones(heads), jnp.int32(0))
 
     def fit_part(
         fitted: Fitted, ring: Ring, key: jax.Array, name: str, first: Any, last: Any
     ) -> tuple[Fitted, jax.Array]:
         scale = _scale(ring) if config.standardise else (fitted.centre, fitted.spread)
-        loss = _loss(chain, name, fitted.learners, scale)
+        loss = chain.loss(name, fitted.learners, scale)
         learner, key = fitted.learners[name], jax.random.fold_in(key, stages.index(name))
         learner, mean = learn(loss, learner, optimiser, ring, config.minibatch, last, key, first)
         return Fitted({**fitted.learners, name: learner}, *scale, fitted.fits), mean
@@ -221,63 +245,16 @@ def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
         return fitted._replace(fits=fitted.fits + (ring.known > 0)), losses
 
     def predict(fitted: Fitted, drawn: jax.Array) -> Prediction:
-        seen = _inputs(chain, fitted.learners, drawn)
-        heads = networks["score"].apply(fitted.learners["score"].variables, seen["score"], False)
-        numbers = heads * fitted.spread[None] + fitted.centre[None]
+        maps = chain.inputs(fitted.learners, drawn)
+        result = networks["score"].apply(fitted.learners["score"].variables, maps["score"], False)
+        numbers = result * fitted.spread[None] + fitted.centre[None]
         success = jnp.isfinite(numbers).all(axis=-1)
         score = Score(numbers[:, 0], numbers[:, 1], numbers[:, 2:], success)
-        repaired = seen["usage"].argmax(axis=-1).astype(jnp.int8)
-        usage = seen["score"][..., aspect.kinds] if aspect.usage else jnp.zeros(drawn.shape)
+        repaired = maps["usage"].argmax(axis=-1).astype(jnp.int8)
+        usage = maps["score"][..., aspect.kinds] if aspect.usage else jnp.zeros(drawn.shape)
         return Prediction(score, repaired, usage)
 
     return Surrogate(init, fit, fit_part, predict, heads)
-
-
-def _inputs(chain: _Chain, learners: dict[str, Learner], drawn: jax.Array) -> dict[str, jax.Array]:
-    """Compute what each network is given, by those before it; stops where one is not made yet."""
-    config, aspect = chain.config, chain.aspect
-
-    def output(name: str, maps: jax.Array) -> jax.Array:
-        return chain.networks[name].apply(learners[name].variables, maps, False)
-
-    tiles = jax.nn.one_hot(drawn, aspect.kinds)
-    seen = {"repair": tiles}
-    if aspect.repairs:
-        if "repair" not in learners:
-            return seen
-        tiles = output("repair", tiles)
-    seen["usage"] = tiles
-    chosen = jax.nn.one_hot(tiles.argmax(axis=-1), aspect.kinds)
-    if not aspect.usage:
-        return seen | {"score": chosen}
-    if "usage" not in learners:
-        return seen
-    used = output("usage", tiles)
-    if config.usage_loss == "kl":
-        # A distribution over the cells, in units of an even one.
-        flat = used.reshape(len(used), -1)
-        used = (jax.nn.softmax(flat, axis=-1) * flat.shape[-1]).reshape(used.shape)
-    return seen | {"score": jnp.concatenate([chosen, used], axis=-1)}
-
-
-def _loss(
-    chain: _Chain, name: str, learners: dict[str, Learner], scale: tuple[jax.Array, jax.Array]
-) -> Loss:
-    """Make the loss of one network; those before it stand still."""
-
-    def loss(variables: Any, batch: Samples) -> tuple[jax.Array, Any]:
-        maps = _inputs(chain, learners, batch.drawn)[name]
-        result, changed = chain.networks[name].apply(variables, maps, True, mutable=["batch_stats"])
-        stats = changed.get("batch_stats", {})
-        if name == "repair":
-            return map_loss(result, batch.repaired), stats
-        if name == "usage":
-            return usage_loss(result[..., 0], batch.usage, chain.config.usage_loss), stats
-        target = (batch.numbers - scale[0][None]) / scale[1][None]
-        weights = jnp.asarray(chain.config.weights or (1.0,) * target.shape[-1])
-        return score_loss(result, target, weights), stats
-
-    return loss
 
 
 def _scale(ring: Ring) -> tuple[jax.Array, jax.Array]:
@@ -288,59 +265,6 @@ def _scale(ring: Ring) -> tuple[jax.Array, jax.Array]:
     numbers, known = ring.samples.numbers, jnp.arange(len(ring.samples.numbers)) < ring.known
     centre, variance = spread_of(numbers, known)
     return centre, jnp.where(variance > 0, jnp.sqrt(variance), 1.0)
-
-
-class Report(NamedTuple):
-    """Losses and errors, as measured last."""
-
-    # float32 of each network, the mean of its last epoch; NaN before the first fit
-    losses: dict[str, jax.Array]
-    # float32 [heads], root mean squared error on the newest batch, predicted before it was learnt:
-    # objective, result objective, measures
-    rmse: jax.Array
-    r2: jax.Array  # float32 [heads], the share of the batch's variance that is explained
-    tiles: jax.Array  # float32, the share of tiles of repaired maps that were predicted
-
-    def columns(self, measures: Sequence[Measure], fits: jax.Array) -> dict[str, jax.Array]:
-        """Name the numbers; those of errors are NaN before the first fit."""
-        heads = ["objective", "result", *(axis.name.replace(" ", "_") for axis in measures)]
-        errors = {f"rmse_{name}": self.rmse[i] for i, name in enumerate(heads)}
-        errors |= {f"r2_{name}": self.r2[i] for i, name in enumerate(heads)}
-        losses = {f"loss_{name}": value for name, value in self.losses.items()}
-        numbers = losses | errors | {"tiles_right": self.tiles}
-        known = {name: jnp.where(fits > 0, value, jnp.nan) for name, value in numbers.items()}
-        return {"fits": fits} | known
-
-
-def blank_report(aspect: Aspect) -> Report:
-    """Make the report of an untrained surrogate."""
-    heads = jnp.zeros(2 + aspect.measures)
-    losses = {name: jnp.float32(0) for name in stages_of(aspect)}
-    return Report(losses, heads, heads, jnp.float32(0))
-
-
-def report_errors(
-    report: Report, prediction: Prediction, samples: Samples, valid: jax.Array
-) -> Report:
-    """Measure the errors on a batch; one without valid samples changes nothing.
-
-    Args:
-        report: what was measured before.
-        prediction: of the batch.
-        samples: the truth.
-        valid: bool [B], those that count.
-    """
-    score = prediction.score
-    heads = [score.objective[:, None], score.result_objective[:, None], score.measures]
-    rmse, r2 = errors(jnp.concatenate(heads, axis=1), samples.numbers, valid)
-    alike = (prediction.repaired == samples.repaired).mean(axis=(1, 2))
-    tiles = jnp.mean(alike, where=valid)
-    some = valid.any()
-    return report._replace(
-        rmse=jnp.where(some, rmse, report.rmse),
-        r2=jnp.where(some, r2, report.r2),
-        tiles=jnp.where(some, tiles, report.tiles),
-    )
 
 
 def errors(predicted: jax.Array, truth: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array]:

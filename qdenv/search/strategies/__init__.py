@@ -41,16 +41,10 @@ STRATEGIES: dict[str, Callable[..., Any]] = {
 
 
 def make_strategy(name: str, dim: int, batch: int, sigma0: float) -> tuple[Any, Any]:
-    """Make a strategy: (evosax algorithm, its parameters).
-
-    Args:
-        name: key of `STRATEGIES`.
-        dim: number of parameters P.
-        batch: solutions b per iteration.
-        sigma0: initial step size.
+    """Make the strategy `name` for `dim` parameters P: (evosax algorithm, its parameters).
 
     Raises:
-        InputError: the name is unknown, or the strategy unsound or unfit for the batch.
+        InputError: the name is unknown, or the strategy unsound or unfit for the batch b.
     """
     check_strategy(name)
     make = look_up(STRATEGIES, name, "strategy")

@@ -45,18 +45,6 @@ class Rates(NamedTuple, Generic[Numbers]):
 CovarianceRates = Callable[[float, int], tuple[float, float, float]]
 
 
-def _recombination_weights(parents: int, batch: int) -> np.ndarray:
-    """Compute the positive logarithmic weights, float64 [batch], summing to 1 (49, 53).
-
-    As pyribs: log(mu + 1/2) for mu parents in place of log((lambda + 1) / 2), so that any number
-    of parents has positive weights.
-    """
-    ranks = np.arange(1, batch + 1)
-    raw = np.log(parents + 0.5) - np.log(ranks)
-    weights = np.where(ranks <= parents, raw, 0.0)
-    return weights / weights.sum()
-
-
 def full_rates(mu_eff: float, dim: int) -> tuple[float, float, float]:
     """Compute (c_c, c_1, c_mu) of the full covariance matrix."""
     cov_path = (4 + mu_eff / dim) / (dim + 4 + 2 * mu_eff / dim)  # (56)
@@ -69,7 +57,6 @@ def separable_rates(mu_eff: float, dim: int) -> tuple[float, float, float]:
     """Compute (c_c, c_1, c_mu) of a diagonal covariance matrix, as pyribs does.
 
     They are larger than `full_rates`: a diagonal has fewer numbers to learn (Ros and Hansen 2008,
-    "A simple modification in CMA-ES achieving linear time and space complexity",
     https://inria.hal.science/inria-00287367).
     """
     cov_path = (1 + 1 / dim + mu_eff / dim) / (dim**0.5 + 1 / dim + 2 * mu_eff / dim)
@@ -84,7 +71,11 @@ def rates_row(
     """Compute the parameters for one number of parents (float64)."""
     if parents == 0:
         return Rates(np.eye(1, batch)[0], *map(np.asarray, (1.0, 0.0, 1.0, 0.0, 0.0, 0.0)))
-    weights = _recombination_weights(parents, batch)
+    # As pyribs: log(mu + 1/2) for mu parents in place of log((lambda + 1) / 2) in (49), so that
+    # any number of parents has positive weights.
+    ranks = np.arange(1, batch + 1)
+    raw = np.where(ranks <= parents, np.log(parents + 0.5) - np.log(ranks), 0.0)
+    weights = raw / raw.sum()  # (53)
     mu_eff = 1 / (weights**2).sum()  # (8)
     path = (mu_eff + 2) / (dim + mu_eff + 5)  # (55)
     damping = 1 + 2 * max(0.0, math.sqrt((mu_eff - 1) / (dim + 1)) - 1) + path  # (55)
@@ -100,11 +91,6 @@ def rates_table(batch: int, dim: int, covariance_rates: CovarianceRates) -> Rate
     return Rates(*(np.asarray(column).astype(dtype) for column in zip(*rows, strict=True)))
 
 
-def _pick(table: Rates[np.ndarray], parents: jax.Array) -> Rates[jax.Array]:
-    """Take one row of a table (parents: int32)."""
-    return jax.tree.map(lambda column: jnp.asarray(column)[parents], table)
-
-
 @struct.dataclass
 class Params(EvosaxParams):
     """Parameters of a strategy that may differ from call to call."""
@@ -116,7 +102,7 @@ class Params(EvosaxParams):
 
 
 @struct.dataclass
-class State(EvosaxState):
+class StrategyState(EvosaxState):
     """The search distribution N(mean, std^2 I)."""
 
     std: jax.Array  # float, step size sigma
@@ -126,9 +112,9 @@ class State(EvosaxState):
 class Strategy(DistributionBasedAlgorithm):
     """Base class of our strategies: evosax algorithms with pyribs' update rules.
 
-    `init`, `ask` and `tell` are evosax'. Like evosax they minimise, and only the order of the
-    fitness counts: ranks do. A fitness of NaN marks a failed evaluation, which is never a parent.
-    `tell` draws nothing: its key may be None.
+    `init`, `ask` and `tell` are evosax'; subclasses define `_ask` and `_tell`. Like evosax they
+    minimise, and only the order of the fitness counts: ranks do. A fitness of NaN marks a failed
+    evaluation, which is never a parent. `tell` draws nothing: its key may be None.
     """
 
     covariance_rates: CovarianceRates = staticmethod(full_rates)
@@ -149,8 +135,11 @@ class Strategy(DistributionBasedAlgorithm):
     def _default_params(self) -> Params:
         return Params(std_init=jnp.asarray(1.0), num_elites=jnp.int32(self.num_elites))
 
+    def _init(self, key: jax.Array, params: Params) -> Any:
+        return StrategyState(**self._init_fields(params))
+
     def _init_fields(self, params: Params) -> dict[str, Any]:
-        """Give the fields of `State` at the start."""
+        """Return the fields of `StrategyState` at the start."""
         zeros = jnp.zeros_like(self.solution_flat)
         return {
             "best_solution": zeros,
@@ -161,7 +150,7 @@ class Strategy(DistributionBasedAlgorithm):
             "p_std": zeros,
         }
 
-    def _draw_noise(self, key: jax.Array, state: State) -> jax.Array:
+    def _draw_noise(self, key: jax.Array, state: StrategyState) -> jax.Array:
         """Draw from N(0, I), float [b, P] (38)."""
         return jax.random.normal(key, (self.population_size, self.num_dims), state.mean.dtype)
 
@@ -171,12 +160,8 @@ class Strategy(DistributionBasedAlgorithm):
         """Order a batch: (order int32 [b] best first, parents int32, evaluated int32, rates)."""
         evaluated = (~jnp.isnan(fitness)).sum(dtype=jnp.int32)
         parents = jnp.minimum(params.num_elites, evaluated)
-        return (
-            jnp.argsort(fitness),
-            parents,
-            evaluated,
-            _pick(self.table, parents),
-        )  # NaN comes last
+        rates = jax.tree.map(lambda column: jnp.asarray(column)[parents], self.table)
+        return jnp.argsort(fitness), parents, evaluated, rates  # NaN comes last
 
     def is_degenerate(self, state: Any) -> jax.Array:
         """Return True if the distribution is too narrow to search on, or not finite."""

@@ -15,8 +15,8 @@ from qdenv.search.strategies.base import (
     LARGEST_CONDITION,
     SMALLEST_STEP,
     Params,
-    State,
     Strategy,
+    StrategyState,
     full_rates,
     matmul,
     ranked_parents,
@@ -34,10 +34,7 @@ class Isotropic(Strategy):
     `refresh_gap` evaluations of an emitter; at the paper's sizes that is the whole run.
     """
 
-    def _init(self, key: jax.Array, params: Params) -> State:
-        return State(**self._init_fields(params))
-
-    def _ask(self, key: jax.Array, state: State, params: Params) -> tuple[jax.Array, State]:
+    def _ask(self, key: jax.Array, state: Any, params: Params) -> tuple[jax.Array, Any]:
         noise = self._draw_noise(key, state)
         return state.mean[None] + state.std * noise, state  # (39) and (40), C = I
 
@@ -46,9 +43,9 @@ class Isotropic(Strategy):
         key: jax.Array,
         population: jax.Array,
         fitness: jax.Array,
-        state: State,
+        state: Any,
         params: Params,
-    ) -> State:
+    ) -> Any:
         order, parents, _, rates = self._select(fitness, params)
         rows = ranked_parents(population, order, parents, state.mean)
         mean = (rates.weights[:, None] * rows).sum(axis=0)  # (41) and (42)
@@ -57,7 +54,7 @@ class Isotropic(Strategy):
 
 
 @struct.dataclass
-class CovarianceState(State):
+class CovarianceState(StrategyState):
     """The search distribution N(mean, std^2 C)."""
 
     evaluations: jax.Array  # int32, successful ones since the last restart
@@ -69,6 +66,8 @@ class _Covariance(Strategy):
     """Adapt a covariance matrix by rank-one and rank-mu updates.
 
     As in pyribs the path p_c is not divided by std and the rank-one term carries its rate twice.
+    Subclasses define `_whiten(state, step)`, C^(-1/2) step, and `_outer(weights, steps)`, the
+    weighted sum of the outer products of steps [n, P] with themselves, of the form of C.
     """
 
     def _tell(
@@ -97,27 +96,20 @@ class _Covariance(Strategy):
         lost = jnp.where(short, 0, rates.cov_path * (2 - rates.cov_path))
         covariance = (  # (47), the weights being positive
             state.C * (1 - rates.rank_one * (1 - lost) - rates.rank_mu)
-            + rates.rank_one**2 * self._rank_one(p_c)
-            + rates.rank_mu / state.std**2 * self._rank_mu(rates.weights, rows - state.mean[None])
+            + rates.rank_one**2 * self._outer(jnp.ones(1, p_c.dtype), p_c[None])
+            + rates.rank_mu / state.std**2 * self._outer(rates.weights, rows - state.mean[None])
         )
         std = update_std(state.std, p_std, rates)
         return state.replace(
             mean=mean, std=std, p_std=p_std, evaluations=evaluations, p_c=p_c, C=covariance
         )
 
-    def _whiten(self, state: Any, step: jax.Array) -> jax.Array:
-        """Compute C^(-1/2) step."""
-        raise NotImplementedError
-
-    def _rank_one(self, p_c: jax.Array) -> jax.Array:
-        raise NotImplementedError
-
-    def _rank_mu(self, weights: jax.Array, steps: jax.Array) -> jax.Array:
-        raise NotImplementedError
-
-    def _is_degenerate(self, std: jax.Array, eigenvalues: jax.Array) -> jax.Array:
+    def is_degenerate(self, state: Any) -> jax.Array:
+        """Return True if the distribution is too narrow, too lopsided or not finite."""
+        # Those of a diagonal are its entries.
+        eigenvalues = state.eigenvalues if isinstance(state, FullState) else state.C
         largest, smallest = eigenvalues.max(), eigenvalues.min()
-        area = std * jnp.sqrt(largest)
+        area = state.std * jnp.sqrt(largest)
         healthy = (largest / smallest <= LARGEST_CONDITION) & (area >= SMALLEST_STEP)
         return ~(healthy & jnp.isfinite(area))
 
@@ -148,16 +140,9 @@ class Separable(_Covariance):
     def _whiten(self, state: CovarianceState, step: jax.Array) -> jax.Array:
         return step / jnp.sqrt(state.C)
 
-    def _rank_one(self, p_c: jax.Array) -> jax.Array:
-        return jnp.square(p_c)
-
-    def _rank_mu(self, weights: jax.Array, steps: jax.Array) -> jax.Array:
+    def _outer(self, weights: jax.Array, steps: jax.Array) -> jax.Array:
         # The diagonal of the matrix is all that is ever computed: O(b P).
         return (weights[:, None] * jnp.square(steps)).sum(axis=0)
-
-    def is_degenerate(self, state: CovarianceState) -> jax.Array:
-        """Return True if the distribution is too narrow, too lopsided or not finite."""
-        return self._is_degenerate(state.std, state.C)
 
 
 @struct.dataclass
@@ -208,15 +193,8 @@ class Full(_Covariance):
         # By way of the eigenbasis, in which the root is a division.
         return matmul(state.B, matmul(step, state.B) / jnp.sqrt(state.eigenvalues))
 
-    def _rank_one(self, p_c: jax.Array) -> jax.Array:
-        return jnp.outer(p_c, p_c)
-
-    def _rank_mu(self, weights: jax.Array, steps: jax.Array) -> jax.Array:
+    def _outer(self, weights: jax.Array, steps: jax.Array) -> jax.Array:
         return matmul((weights[:, None] * steps).T, steps)
-
-    def is_degenerate(self, state: FullState) -> jax.Array:
-        """Return True if the distribution is too narrow, too lopsided or not finite."""
-        return self._is_degenerate(state.std, state.eigenvalues)
 
 
 def refresh_gap(dim: int, batch: int) -> float:

@@ -14,8 +14,8 @@ from flax import struct
 from qdenv.search.strategies.base import (
     SMALLEST_STEP,
     Params,
-    State,
     Strategy,
+    StrategyState,
     matmul,
     ranked_parents,
 )
@@ -23,7 +23,7 @@ from qdenv.types import InputError
 
 
 @struct.dataclass
-class LimitedMemoryState(State):
+class LimitedMemoryState(StrategyState):
     """State of `LimitedMemory`."""
 
     generations: jax.Array  # int32, since the last restart
@@ -35,11 +35,7 @@ class LimitedMemory(Strategy):
     """LM-MA-ES with pyribs' rules (as many direction vectors as the batch), O(b^2 P)."""
 
     def __init__(self, population_size: int, solution: Any, **settings: Any) -> None:
-        """Compute the rates.
-
-        Raises:
-            InputError: the batch is larger than the solution.
-        """
+        """Compute the rates; raise InputError if the batch is larger than the solution."""
         super().__init__(population_size, solution, **settings)
         batch, dim = population_size, self.num_dims
         if batch > dim:
