@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from qdenv.search.archive import GridArchive
-from qdenv.search.emitters import RANKERS, SELECTIONS, EmittersState, make_emitters, restart_rule
+from qdenv.search.emitters import (
+    RANKERS,
+    SELECTIONS,
+    EmittersState,
+    Scored,
+    make_emitters,
+    restart_rule,
+)
 from qdenv.search.strategies import make_strategy
 from qdenv.search.strategies.base import StrategyState
 from qdenv.search.strategies.cma_es import refresh_gap
@@ -115,8 +122,8 @@ def test_emitters_rank_select_and_restart_as_pyribs(name, ranker, selection, res
         archive, insertion = archive.insert(solutions, objective, measures)
         usable = jnp.ones(len(objective), bool)
         key = jax.random.key(0)
-        args = (solutions, insertion, objective, usable, archive)
-        return archive, emitters.tell(state, key, *args)
+        scored = Scored(solutions, insertion, objective, usable)
+        return archive, emitters.tell(state, key, scored, archive)
 
     archive = GridArchive.empty(np.zeros(dim), MEASURES, None, 0.1, 0.0)
     restarts, iterations = jnp.zeros(count, jnp.int32), jnp.int32(0)

@@ -62,15 +62,11 @@ class GridArchive(MapElitesRepertoire):
         learning_rate: float | None = None,
         threshold_min: float = -math.inf,
     ) -> Self:
-        """Make an archive without elites.
+        """Make an archive without elites over the axes `measures`.
 
-        Args:
-            solution: one example solution (shapes and dtypes are read, not values).
-            measures: the axes.
-            extras: one example of what is stored beside each elite.
-            learning_rate: of the thresholds, in [0, 1], 1 where `threshold_min` is -inf; None
-                makes an elitist archive.
-            threshold_min: threshold of an empty cell.
+        Of `solution` and `extras`, examples of what is stored in each cell, shapes and dtypes are
+        read. The learning rate of thresholds lies in [0, 1], and is 1 where that of an empty cell,
+        `threshold_min`, is -inf; None makes an elitist archive.
 
         Raises:
             InputError: the measures make no grid, or the two numbers do not go together.
@@ -259,8 +255,7 @@ class GridArchive(MapElitesRepertoire):
     def qd_score(self, offset: float = 0.0) -> jax.Array:
         """Sum the objectives minus `offset` over the filled cells; 0 when empty.
 
-        The QD-score of Pugh, Soros and Stanley 2016, "Quality diversity: a new frontier for
-        evolutionary computation", https://doi.org/10.3389/frobt.2016.00040.
+        Pugh, Soros and Stanley 2016, https://doi.org/10.3389/frobt.2016.00040.
         """
         return jnp.sum(self.objectives - offset, where=self.filled)
 
@@ -291,11 +286,10 @@ class GridArchive(MapElitesRepertoire):
         )
 
     def columns(self) -> dict[str, jax.Array]:
-        """Return the archive as arrays over all cells, by the names that files hold.
+        """Return arrays over all cells by the names that files hold.
 
-        Returns:
-            ``solution``, ``objective``, ``measures``, for a soft archive ``threshold``, and one
-            more column for every extra.
+        They are ``solution``, ``objective``, ``measures``, for a soft archive ``threshold``, and
+        every extra.
 
         Raises:
             InputError: the solutions are no single array [C, P], or an extra takes a column's name.

@@ -25,6 +25,7 @@ from qdenv.search.emitters import (
     Emitters,
     EmittersState,
     GroupsState,
+    Scored,
     make_emitters,
     make_groups,
     restart_rule,
@@ -88,8 +89,8 @@ def cma_mae(config: CmaMaeConfig, problem: Problem, x0: Array | None = None) -> 
         archives, insertion = state.archives.add(solutions, score, extras)
         # Rows are ranked against the archive before the batch, but restarts draw from the archive
         # that holds it: the order of pyribs' scheduler.
-        batch = solutions, insertion, score.objective, score.success
-        return CmaMaeState(key, emitters.tell(state.emitters, tell_key, *batch, archives), archives)
+        rows = Scored(solutions, insertion, score.objective, score.success)
+        return CmaMaeState(key, emitters.tell(state.emitters, tell_key, rows, archives), archives)
 
     return Algorithm(
         init, ask, tell, lambda state: state.archives.dense(), batch_size, ahead=config.ahead
@@ -104,16 +105,6 @@ def cma_es(config: CmaEsConfig, problem: Problem, x0: Array | None = None) -> Al
     Raises:
         InputError: a setting is out of range or unknown.
     """
-    settings = CmaMaeConfig(
-        emitters=config.emitters,
-        batch=config.batch,
-        sigma0=config.sigma0,
-        learning_rate=1.0,
-        threshold_min=float("-inf"),
-        ranker="obj",
-        selection="mu",
-        restart=config.restart,
-        strategy=config.strategy,
-        ahead=config.ahead,
-    )
+    elitist = {"learning_rate": 1.0, "threshold_min": float("-inf")}
+    settings = CmaMaeConfig(**vars(config), **elitist, ranker="obj", selection="mu")
     return cma_mae(settings, problem, x0)

@@ -121,15 +121,8 @@ def search_surrogate(
 ) -> GridArchive:
     """Run the inner loop, MAP-Elites on predictions: one scan, traceable; consumes `key`.
 
-    Args:
-        config: the numbers.
-        problem: what is searched.
-        choices: tiles that each parameter may name.
-        predict: solutions int8 [B, P] -> their predicted `Score`.
-        key: consumed.
-
-    Returns:
-        the archive of solutions int8 [C, P] by predicted objective and measures.
+    `predict` scores solutions int8 [B, P], each of whose tiles is one of `choices`. Returns the
+    archive of solutions int8 [C, P] by predicted objective and measures.
     """
     cells, count = problem.solution_dim, config.inner_batch
 
@@ -213,14 +206,8 @@ def choose_waiting(
 ) -> tuple[jax.Array, jax.Array]:
     """Choose what is evaluated next: an elite of each block, and others up to whole batches.
 
-    Where the archive has too few elites for that, random solutions fill the last batch.
-
-    Args:
-        key: consumed.
-        predicted: archive of the inner loop; solutions int8 [C, P].
-        block: int32 [C], from `block_of_cells`.
-        fresh: int8 [Q, P], random solutions; Q holds a batch more than there are blocks.
-        batch: true evaluations per iteration.
+    Random solutions, the rows of `fresh` (int8 [Q, P], a batch more than there are blocks), fill
+    the last batch where the archive of the inner loop has too few elites. Consumes `key`.
 
     Returns:
         the queue int8 [Q, P], and how many of its first rows wait (int32).

@@ -38,6 +38,15 @@ SELECTIONS: dict[str, Selection] = {
 RestartRule = Callable[[jax.Array, jax.Array], jax.Array]
 
 
+class Scored(NamedTuple):
+    """The rows of a batch, with a leading axis E * b, as emitters learn from them."""
+
+    solutions: jax.Array  # float [E * b, P]
+    insertion: Insertion  # how the learning archive received them
+    objective: jax.Array  # float [E * b]
+    usable: jax.Array  # bool [E * b], those that did not fail
+
+
 class EmittersState(NamedTuple):
     """State of E emitters side by side."""
 
@@ -53,9 +62,8 @@ class Emitters(NamedTuple):
     init: Callable[[jax.Array], Any]  # key -> state, a pytree; consumes the key
     # (state, key) -> (solutions float [E * b, P], state); consumes the key
     ask: Callable[[Any, jax.Array], tuple[jax.Array, Any]]
-    # (state, key, solutions, insertion, objective, usable, archive) -> state, the arrays with a
-    # leading axis E * b; `archive` holds the batch already. Consumes the key.
-    tell: Callable[..., Any]
+    # (state, key, rows, archive that holds them already) -> state; consumes the key
+    tell: Callable[[Any, jax.Array, Scored, Any], Any]
 
 
 def rank(keys: tuple[jax.Array, ...], usable: jax.Array) -> jax.Array:
@@ -95,8 +103,8 @@ class Member(NamedTuple):
 
     init: Callable[[jax.Array, jax.Array], tuple]  # (mean float [P], key) -> (state, next key)
     ask: Callable[[Any, jax.Array], tuple]  # (state, key) -> (solutions, state, next key)
-    # (state, key, solutions [b, P], order int32 [b] best first, usable bool [b], parents int32) ->
-    # state
+    # (state, key, rows float [b, P], their order int32 [b] best first, usable bool [b], the number
+    # of parents int32) -> state
     tell: Callable[..., Any]
     is_degenerate: Callable[[Any], jax.Array]  # state -> bool, it must restart
 
@@ -126,16 +134,10 @@ def make_member(strategy: Any, params: Any) -> Member:
             return *strategy._ask(key, state, params), None
 
         def tell_ours(
-            state: Any,
-            key: jax.Array,
-            solutions: jax.Array,
-            order: jax.Array,
-            usable: jax.Array,
-            parents: jax.Array,
+            state: Any, key: Any, rows: Any, order: Any, usable: Any, parents: Any
         ) -> Any:
-            fitness = jnp.where(usable, ranks(order, solutions.dtype), jnp.nan)
-            now = params.replace(num_elites=parents)
-            return strategy._tell(key, solutions, fitness, state, now)
+            fitness = jnp.where(usable, ranks(order, rows.dtype), jnp.nan)
+            return strategy._tell(key, rows, fitness, state, params.replace(num_elites=parents))
 
         return Member(init_ours, ask_ours, tell_ours, strategy.is_degenerate)
 
@@ -153,17 +155,10 @@ def make_member(strategy: Any, params: Any) -> Member:
             solutions, state = strategy.ask(ask_key, state, params)
         return solutions, state, tell_key
 
-    def tell(
-        state: Any,
-        key: jax.Array,
-        solutions: jax.Array,
-        order: jax.Array,
-        usable: jax.Array,
-        parents: jax.Array,
-    ) -> Any:
-        rows = jnp.where(usable[:, None], solutions, state.mean[None])
+    def tell(state: Any, key: Any, rows: Any, order: Any, usable: Any, parents: Any) -> Any:
+        rows = jnp.where(usable[:, None], rows, state.mean[None])
         with jax.numpy_rank_promotion("allow"):
-            changed, _ = strategy.tell(key, rows, ranks(order, solutions.dtype), state, params)
+            changed, _ = strategy.tell(key, rows, ranks(order, rows.dtype), state, params)
         choose = lambda new, old: strong(jnp.where(parents > 0, new, old))  # noqa: E731
         return jax.tree.map(choose, changed, state)
 
@@ -205,39 +200,25 @@ def make_emitters(
         chex.assert_shape(solutions, (emitters, batch, x0.shape[0]))
         return solutions.reshape(emitters * batch, -1), state._replace(strategy=states, keys=keys)
 
-    def adapt(
-        state: Any,
-        key: jax.Array,
-        solutions: jax.Array,
-        insertion: Insertion,
-        objective: jax.Array,
-        usable: jax.Array,
-    ) -> tuple[Any, jax.Array, jax.Array]:
+    def adapt(state: Any, key: Any, rows: Scored) -> tuple[Any, jax.Array, jax.Array]:
         """Adapt one emitter to its b rows: (state, accepted rows int32, must restart bool)."""
-        keys = ranker(insertion, objective)
-        order = rank(keys, usable)
+        keys = ranker(rows.insertion, rows.objective)
+        order = rank(keys, rows.usable)
         # Failed rows rank last, so the first `successes` places of the order are real.
-        successes = usable.sum(dtype=jnp.int32)
-        accepted = (insertion.status > 0).sum(dtype=jnp.int32)
+        successes = rows.usable.sum(dtype=jnp.int32)
+        accepted = (rows.insertion.status > 0).sum(dtype=jnp.int32)
         parents = selection(accepted, successes, batch)
-        state = member.tell(state, key, solutions, order, usable, parents)
+        state = member.tell(state, key, rows.solutions, order, rows.usable, parents)
         return state, accepted, member.is_degenerate(state) | is_flat(keys, order, successes)
 
     def tell(
-        state: EmittersState,
-        key: jax.Array,
-        solutions: jax.Array,
-        insertion: Insertion,
-        objective: jax.Array,
-        usable: jax.Array,
-        archive: GridArchive | StoredArchive,
+        state: EmittersState, key: jax.Array, rows: Scored, archive: GridArchive | StoredArchive
     ) -> EmittersState:
-        chex.assert_shape(solutions, (emitters * batch, x0.shape[0]))
-        rows = (solutions, insertion, objective, usable)
+        chex.assert_shape(rows.solutions, (emitters * batch, x0.shape[0]))
         rows = jax.tree.map(lambda leaf: leaf.reshape(emitters, batch, *leaf.shape[1:]), rows)
         elite_key, fresh_key = jax.random.split(key)
         # Emitters never see each other's rows, so a vmap over them is exact.
-        states, accepted, spent = jax.vmap(adapt)(state.strategy, state.keys, *rows)
+        states, accepted, spent = jax.vmap(adapt)(state.strategy, state.keys, rows)
         iterations = state.iterations + 1
         again = spent | restart(accepted, iterations)
         means = archive.sample_solutions(elite_key, emitters, x0)
@@ -289,9 +270,9 @@ def make_groups(emitters: Emitters, groups: int) -> Emitters:
         solutions, group = emitters.ask(take(state, index), key)
         return solutions, put(state, index, group)._replace(drawn=state.drawn + 1)
 
-    def tell(state: GroupsState, *batch: Any) -> GroupsState:
+    def tell(state: GroupsState, key: jax.Array, rows: Scored, archive: Any) -> GroupsState:
         index = state.scored % groups
-        group = emitters.tell(take(state, index), *batch)
+        group = emitters.tell(take(state, index), key, rows, archive)
         return put(state, index, group)._replace(scored=state.scored + 1)
 
     return Emitters(init, ask, tell)

@@ -1,12 +1,11 @@
-"""What our evolution strategies share: an evosax algorithm that is fed the order, not the values.
+"""What our evolution strategies share: evosax algorithms that look at the order of the fitness.
 
-Numbers in brackets are equations of Hansen 2016, "The CMA evolution strategy: a tutorial",
-https://arxiv.org/abs/1604.00772v1. evosax (https://github.com/RobertTLange/evosax) ships no types.
+evosax (https://github.com/RobertTLange/evosax) ships no types. Equations as in `strategies`.
 """
 
 import math
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import chex
 import jax
@@ -22,23 +21,20 @@ SMALLEST_STEP = 1e-11  # a search distribution narrower than this restarts (pyri
 LARGEST_CONDITION = 1e14  # so does one whose covariance has a larger condition number
 
 
-Numbers = TypeVar("Numbers", jax.Array, np.ndarray)
-
-
-class Rates(NamedTuple, Generic[Numbers]):
-    """Strategy parameters (table 1 of the tutorial).
+class Rates(NamedTuple):
+    """Strategy parameters (table 1 of the tutorial), numpy or jax arrays.
 
     A table has a leading axis: the number of parents, 0..b. Row 0 holds zero rates and puts all
     weight on the first row, so that an update without parents changes nothing.
     """
 
-    weights: Numbers  # float [b], w_i by rank, zero beyond the parents
-    mu_eff: Numbers  # effective number of parents
-    path: Numbers  # c_sigma, rate of the step-size path
-    damping: Numbers  # d_sigma
-    cov_path: Numbers  # c_c, rate of the covariance path
-    rank_one: Numbers  # c_1
-    rank_mu: Numbers  # c_mu
+    weights: Any  # float [b], w_i by rank, zero beyond the parents
+    mu_eff: Any  # effective number of parents
+    path: Any  # c_sigma, rate of the step-size path
+    damping: Any  # d_sigma
+    cov_path: Any  # c_c, rate of the covariance path
+    rank_one: Any  # c_1
+    rank_mu: Any  # c_mu
 
 
 # (mu_eff, P) -> c_c, c_1, c_mu.
@@ -65,9 +61,7 @@ def separable_rates(mu_eff: float, dim: int) -> tuple[float, float, float]:
     return cov_path, rank_one, rank_mu
 
 
-def rates_row(
-    parents: int, batch: int, dim: int, covariance_rates: CovarianceRates
-) -> Rates[np.ndarray]:
+def rates_row(parents: int, batch: int, dim: int, covariance_rates: CovarianceRates) -> Rates:
     """Compute the parameters for one number of parents (float64)."""
     if parents == 0:
         return Rates(np.eye(1, batch)[0], *map(np.asarray, (1.0, 0.0, 1.0, 0.0, 0.0, 0.0)))
@@ -83,7 +77,7 @@ def rates_row(
     return Rates(weights, *map(np.asarray, numbers))
 
 
-def rates_table(batch: int, dim: int, covariance_rates: CovarianceRates) -> Rates[np.ndarray]:
+def rates_table(batch: int, dim: int, covariance_rates: CovarianceRates) -> Rates:
     """Tabulate the parameters for 0..batch parents; every field gets a leading axis [b + 1]."""
     # The number of parents is known only while tracing: all rows in float64 now, one picked then.
     rows = [rates_row(parents, batch, dim, covariance_rates) for parents in range(batch + 1)]
@@ -109,12 +103,23 @@ class StrategyState(EvosaxState):
     p_std: jax.Array  # float [P], evolution path of the step size
 
 
+class RankedBatch(NamedTuple):
+    """A ranked batch, as the updates of a strategy take it."""
+
+    rows: jax.Array  # float [b, P], the parents best first, then rows that stand at the old mean
+    mean: jax.Array  # float [P], the new mean
+    rates: Rates  # of this number of parents
+    order: jax.Array  # int32 [b], the rows best first
+    parents: jax.Array  # int32
+    evaluated: jax.Array  # int32, rows that did not fail
+
+
 class Strategy(DistributionBasedAlgorithm):
     """Base class of our strategies: evosax algorithms with pyribs' update rules.
 
-    `init`, `ask` and `tell` are evosax'; subclasses define `_ask` and `_tell`. Like evosax they
-    minimise, and only the order of the fitness counts: ranks do. A fitness of NaN marks a failed
-    evaluation, which is never a parent. `tell` draws nothing: its key may be None.
+    `init`, `ask` and `tell` are evosax'; subclasses define `_ask` and `_update(state, batch)`. Like
+    evosax they minimise, and only the order of the fitness counts: ranks do. A fitness of NaN marks
+    a failed evaluation, which is never a parent. `tell` draws nothing: its key may be None.
     """
 
     covariance_rates: CovarianceRates = staticmethod(full_rates)
@@ -154,14 +159,14 @@ class Strategy(DistributionBasedAlgorithm):
         """Draw from N(0, I), float [b, P] (38)."""
         return jax.random.normal(key, (self.population_size, self.num_dims), state.mean.dtype)
 
-    def _select(
-        self, fitness: jax.Array, params: Params
-    ) -> tuple[jax.Array, jax.Array, jax.Array, Rates[jax.Array]]:
-        """Order a batch: (order int32 [b] best first, parents int32, evaluated int32, rates)."""
+    def _tell(self, key: Any, population: Any, fitness: Any, state: Any, params: Params) -> Any:
         evaluated = (~jnp.isnan(fitness)).sum(dtype=jnp.int32)
         parents = jnp.minimum(params.num_elites, evaluated)
         rates = jax.tree.map(lambda column: jnp.asarray(column)[parents], self.table)
-        return jnp.argsort(fitness), parents, evaluated, rates  # NaN comes last
+        order = jnp.argsort(fitness)  # NaN comes last
+        rows = ranked_parents(population, order, parents, state.mean)
+        mean = (rates.weights[:, None] * rows).sum(axis=0)  # (41) and (42)
+        return self._update(state, RankedBatch(rows, mean, rates, order, parents, evaluated))
 
     def is_degenerate(self, state: Any) -> jax.Array:
         """Return True if the distribution is too narrow to search on, or not finite."""
@@ -180,22 +185,16 @@ def ranked_parents(
     return jnp.where(chosen[:, None], solutions[order], filler)
 
 
-def update_p_std(
-    p_std: jax.Array, step: jax.Array, std: jax.Array, rates: Rates[jax.Array]
-) -> jax.Array:
-    """Extend the step-size path [P] by the whitened `step` of the mean (43)."""
-    scale = jnp.sqrt(rates.path * (2 - rates.path) * rates.mu_eff) / std
-    return (1 - rates.path) * p_std + scale * step
+def update_step_size(state: Any, step: jax.Array, rates: Rates) -> tuple[jax.Array, jax.Array]:
+    """Extend the step-size path by the whitened `step` of the mean (43) and adapt std to it (44).
 
-
-def update_std(std: jax.Array, p_std: jax.Array, rates: Rates[jax.Array]) -> jax.Array:
-    """Lengthen or shorten the step size by the length of its path, cumulative adaptation (44).
-
-    As pyribs: the squared length against its expectation P, with the exponent capped at 1, where
-    the tutorial compares the length with E||N(0, I)||.
+    As pyribs: the squared length of the path against its expectation P, with the exponent capped at
+    1, where the tutorial compares the length with E||N(0, I)||. Returns (std, p_std [P]).
     """
+    scale = jnp.sqrt(rates.path * (2 - rates.path) * rates.mu_eff) / state.std
+    p_std = (1 - rates.path) * state.p_std + scale * step
     excess = jnp.square(p_std).sum() / p_std.shape[0] - 1
-    return std * jnp.exp(jnp.minimum(1, rates.path / rates.damping * excess / 2))
+    return state.std * jnp.exp(jnp.minimum(1, rates.path / rates.damping * excess / 2)), p_std
 
 
 def matmul(left: jax.Array, right: jax.Array) -> jax.Array:

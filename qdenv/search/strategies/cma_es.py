@@ -1,8 +1,4 @@
-"""CMA-ES with an isotropic, a diagonal and a full covariance matrix, by pyribs' rules.
-
-Numbers in brackets are equations of Hansen 2016, "The CMA evolution strategy: a tutorial",
-https://arxiv.org/abs/1604.00772v1.
-"""
+"""CMA-ES with an isotropic, a diagonal and a full covariance matrix, by pyribs' rules."""
 
 from typing import Any
 
@@ -15,15 +11,14 @@ from qdenv.search.strategies.base import (
     LARGEST_CONDITION,
     SMALLEST_STEP,
     Params,
+    RankedBatch,
     Strategy,
     StrategyState,
     full_rates,
     matmul,
-    ranked_parents,
     rates_row,
     separable_rates,
-    update_p_std,
-    update_std,
+    update_step_size,
 )
 
 
@@ -38,19 +33,9 @@ class Isotropic(Strategy):
         noise = self._draw_noise(key, state)
         return state.mean[None] + state.std * noise, state  # (39) and (40), C = I
 
-    def _tell(
-        self,
-        key: jax.Array,
-        population: jax.Array,
-        fitness: jax.Array,
-        state: Any,
-        params: Params,
-    ) -> Any:
-        order, parents, _, rates = self._select(fitness, params)
-        rows = ranked_parents(population, order, parents, state.mean)
-        mean = (rates.weights[:, None] * rows).sum(axis=0)  # (41) and (42)
-        p_std = update_p_std(state.p_std, mean - state.mean, state.std, rates)
-        return state.replace(mean=mean, std=update_std(state.std, p_std, rates), p_std=p_std)
+    def _update(self, state: Any, batch: RankedBatch) -> Any:
+        std, p_std = update_step_size(state, batch.mean - state.mean, batch.rates)
+        return state.replace(mean=batch.mean, std=std, p_std=p_std)
 
 
 @struct.dataclass
@@ -70,20 +55,14 @@ class _Covariance(Strategy):
     weighted sum of the outer products of steps [n, P] with themselves, of the form of C.
     """
 
-    def _tell(
-        self,
-        key: jax.Array,
-        population: jax.Array,
-        fitness: jax.Array,
-        state: Any,
-        params: Params,
-    ) -> Any:
-        order, parents, evaluated, rates = self._select(fitness, params)
-        evaluations = state.evaluations + evaluated
-        rows = ranked_parents(population, order, parents, state.mean)
-        mean = (rates.weights[:, None] * rows).sum(axis=0)  # (41) and (42)
-        step = mean - state.mean
-        p_std = update_p_std(state.p_std, self._whiten(state, step), state.std, rates)
+    def _init_fields(self, params: Params) -> dict[str, Any]:
+        fields = super()._init_fields(params)
+        return fields | {"evaluations": jnp.int32(0), "p_c": fields["mean"]}
+
+    def _update(self, state: Any, batch: RankedBatch) -> Any:
+        rates, step = batch.rates, batch.mean - state.mean
+        evaluations = state.evaluations + batch.evaluated
+        std, p_std = update_step_size(state, self._whiten(state, step), rates)
         # h_sigma of (45) is False while the path is long: a long path says that the step size is
         # far too small, and the covariance must not grow meanwhile. As pyribs: squared lengths,
         # and evaluations in place of generations.
@@ -94,14 +73,14 @@ class _Covariance(Strategy):
         # c_1 (1 - delta(h_sigma)): while h_sigma stalls the path, the variance that it misses
         # stays in the matrix.
         lost = jnp.where(short, 0, rates.cov_path * (2 - rates.cov_path))
+        steps = batch.rows - state.mean[None]
         covariance = (  # (47), the weights being positive
             state.C * (1 - rates.rank_one * (1 - lost) - rates.rank_mu)
             + rates.rank_one**2 * self._outer(jnp.ones(1, p_c.dtype), p_c[None])
-            + rates.rank_mu / state.std**2 * self._outer(rates.weights, rows - state.mean[None])
+            + rates.rank_mu / state.std**2 * self._outer(rates.weights, steps)
         )
-        std = update_std(state.std, p_std, rates)
         return state.replace(
-            mean=mean, std=std, p_std=p_std, evaluations=evaluations, p_c=p_c, C=covariance
+            mean=batch.mean, std=std, p_std=p_std, evaluations=evaluations, p_c=p_c, C=covariance
         )
 
     def is_degenerate(self, state: Any) -> jax.Array:
@@ -125,14 +104,9 @@ class Separable(_Covariance):
 
     def _init(self, key: jax.Array, params: Params) -> CovarianceState:
         fields = self._init_fields(params)
-        zeros = fields["mean"]
-        return CovarianceState(
-            **fields, evaluations=jnp.int32(0), p_c=zeros, C=jnp.ones_like(zeros)
-        )
+        return CovarianceState(**fields, C=jnp.ones_like(fields["mean"]))
 
-    def _ask(
-        self, key: jax.Array, state: CovarianceState, params: Params
-    ) -> tuple[jax.Array, CovarianceState]:
+    def _ask(self, key: jax.Array, state: Any, params: Params) -> tuple[jax.Array, Any]:
         deviations = state.std * jnp.sqrt(state.C)
         noise = self._draw_noise(key, state)
         return state.mean[None] + deviations[None] * noise, state  # (39) and (40)
@@ -164,19 +138,13 @@ class Full(_Covariance):
 
     def _init(self, key: jax.Array, params: Params) -> FullState:
         fields = self._init_fields(params)
-        zeros, never = fields["mean"], jnp.int32(0)
-        identity = jnp.eye(self.num_dims, dtype=zeros.dtype)
+        ones = jnp.ones_like(fields["mean"])
+        identity = jnp.diag(ones)
         return FullState(
-            **fields,
-            evaluations=never,
-            p_c=zeros,
-            C=identity,
-            B=identity,
-            eigenvalues=jnp.ones_like(zeros),
-            refreshed=never,
+            **fields, C=identity, B=identity, eigenvalues=ones, refreshed=fields["evaluations"]
         )
 
-    def _ask(self, key: jax.Array, state: FullState, params: Params) -> tuple[jax.Array, FullState]:
+    def _ask(self, key: jax.Array, state: Any, params: Params) -> tuple[jax.Array, Any]:
         gap = np.float32(refresh_gap(self.num_dims, self.population_size))
         due = state.evaluations > state.refreshed + gap
         covariance, basis, eigenvalues = _refresh_if(due, state.C, state.B, state.eigenvalues)

@@ -14,6 +14,7 @@ from flax import struct
 from qdenv.search.strategies.base import (
     SMALLEST_STEP,
     Params,
+    RankedBatch,
     Strategy,
     StrategyState,
     matmul,
@@ -55,9 +56,7 @@ class LimitedMemory(Strategy):
             **self._init_fields(params), generations=jnp.int32(0), memory=blank, noise=blank
         )
 
-    def _ask(
-        self, key: jax.Array, state: LimitedMemoryState, params: Params
-    ) -> tuple[jax.Array, LimitedMemoryState]:
+    def _ask(self, key: jax.Array, state: Any, params: Params) -> tuple[jax.Array, Any]:
         noise = self._draw_noise(key, state)
         # A vector counts from the generation in which it was first filled.
         used = jnp.arange(self.population_size) < state.generations
@@ -72,20 +71,11 @@ class LimitedMemory(Strategy):
         bent = jax.lax.scan(bend, noise, (state.memory, rates))[0]
         return state.mean[None] + state.std * bent, state.replace(noise=noise)
 
-    def _tell(
-        self,
-        key: jax.Array,
-        population: jax.Array,
-        fitness: jax.Array,
-        state: LimitedMemoryState,
-        params: Params,
-    ) -> LimitedMemoryState:
-        order, parents, _, rates = self._select(fitness, params)
-        some = parents > 0
-        rows = ranked_parents(population, order, parents, state.mean)
+    def _update(self, state: Any, batch: RankedBatch) -> Any:
+        rates, mean, some = batch.rates, batch.mean, batch.parents > 0
         # The draws z rather than the solutions: they are white whatever the memory has learnt.
-        draws = ranked_parents(state.noise, order, parents, jnp.zeros_like(state.mean))
-        mean = (rates.weights[:, None] * rows).sum(axis=0)
+        blank = jnp.zeros_like(state.mean)
+        draws = ranked_parents(state.noise, batch.order, batch.parents, blank)
         draw = (rates.weights[:, None] * draws).sum(axis=0)
         along = jnp.where(some, self.path_rate, 0)
         into = jnp.where(some, jnp.asarray(self.memory_rates, mean.dtype), 0)[:, None]
