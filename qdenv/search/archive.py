@@ -349,7 +349,7 @@ def _annealed(
     return jnp.clip(ratio * threshold + mean * (1 - ratio), -largest, largest)
 
 
-def _put(stored: Any, target: jax.Array, rows: Any) -> Any:
+def _put(stored: Any, target: Array, rows: Any) -> Any:
     """Write rows [B, ...] to the cells `target` (int32 [B]); cells out of bounds are dropped."""
     return jax.tree.map(
         lambda old, new: old.at[target].set(jnp.asarray(new, old.dtype), mode="drop"), stored, rows

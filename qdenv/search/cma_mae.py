@@ -6,6 +6,7 @@ adaptation for the rapid illumination of behavior space", https://arxiv.org/abs/
 2016, "The CMA evolution strategy: a tutorial", https://arxiv.org/abs/1604.00772.
 """
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -105,6 +106,8 @@ def cma_es(config: CmaEsConfig, problem: Problem, x0: Array | None = None) -> Al
     Raises:
         InputError: a setting is out of range or unknown.
     """
-    elitist = {"learning_rate": 1.0, "threshold_min": float("-inf")}
-    settings = CmaMaeConfig(**vars(config), **elitist, ranker="obj", selection="mu")
+    # The archive has to be there, though nothing ranks by it: the plainest, an elitist one.
+    settings = CmaMaeConfig(
+        **vars(config), learning_rate=1.0, threshold_min=-math.inf, ranker="obj", selection="mu"
+    )
     return cma_mae(settings, problem, x0)

@@ -43,8 +43,8 @@ class Scored(NamedTuple):
 
     solutions: jax.Array  # float [E * b, P]
     insertion: Insertion  # how the learning archive received them
-    objective: jax.Array  # float [E * b]
-    usable: jax.Array  # bool [E * b], those that did not fail
+    objective: Any  # float [E * b]
+    usable: Any  # bool [E * b], those that did not fail
 
 
 class EmittersState(NamedTuple):
