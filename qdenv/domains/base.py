@@ -74,11 +74,8 @@ class DomainConfig(Ranged):
     def scaled(self, ratio: float, size: KnownSize | None, given: Collection[str]) -> Self:
         """Scale the numbers that are no numbers of tiles, such as agents or timesteps.
 
-        Args:
-            ratio: generated area of these settings over that of the settings they were made from.
-            size: the known numbers of this size, which replace the scaled ones; None if there are
-                none.
-            given: names of settings that must not change.
+        `ratio` is the generated area of these settings over that of those they were made from.
+        Known numbers of this size replace the scaled ones; settings that are `given` do not change.
         """
         del ratio, size, given
         return self

@@ -44,10 +44,7 @@ def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
 
         return fleet.simulate(world, key, config)
 
-    def on_host() -> bool:
-        return config.make_planner().on_host
-
-    return Simulator(prepare, run, tasks, on_host=on_host)
+    return Simulator(prepare, run, tasks, on_host=lambda: config.make_planner().on_host)
 
 
 def throughput(layout: Any, runs: Traffic) -> jax.Array:

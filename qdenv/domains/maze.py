@@ -86,9 +86,6 @@ def _maze_simulator(config: MazeConfig) -> Simulator:
     def weights() -> policy.Weights:
         return jax.tree.map(jnp.asarray, agent_weights(config.agent))
 
-    def prepare(layout: Array) -> Any:
-        return policy.prepare(weights(), layout)
-
     def run(prepared: Any, key: jax.Array) -> Episode:
         from qdenv.simulate.maze import episode  # late: it imports jax, which takes seconds
 
@@ -96,7 +93,7 @@ def _maze_simulator(config: MazeConfig) -> Simulator:
         return episode.run_episode(weights(), prepared, key, config.timesteps, loop)
 
     return Simulator(
-        prepare=prepare,
+        prepare=lambda layout: policy.prepare(weights(), layout),
         run=run,
         accelerator_lanes=_ACCELERATOR_LANES,
         layout_at_once=True,
