@@ -1,4 +1,4 @@
-"""What jax computes on, and what follows from it: asked here and nowhere else."""
+"""What jax computes on, and what follows from it: decided here and nowhere else."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ class Outcomes(NamedTuple):
 
 
 # Begins to repair and simulate unrepaired layouts int8 [B, H, W] from a key, and returns futures of
-# the parts of the population, in order. Item ``i`` draws from ``fold_in(key, i)``, whoever works.
+# the parts of the population, in order. Item ``i`` draws from ``fold_in(key, i)`` on any worker.
 LayoutEvaluator = Callable[[np.ndarray, Array], Sequence[Future[Outcomes]]]
 
 

@@ -52,11 +52,11 @@ def check_range(name: str, value: Any, kind: Any) -> None:
     for number, interval in _pairs(value, kind):
         if not isinstance(number, Real):
             raise InputError(f"{label} must be a number, not {number!r}")
-        for bound, holds, words in _LIMITS:
+        for bound, holds, phrase in _LIMITS:
             limit = getattr(interval, bound)
             if limit is not None and not holds(number, limit):
-                range_ = f"{words} {limit}" if math.isfinite(number) else "a finite number"
-                raise InputError(f"{label} must be {range_}, not {number}")
+                expected = f"{phrase} {limit}" if math.isfinite(number) else "a finite number"
+                raise InputError(f"{label} must be {expected}, not {number}")
 
 
 @cache

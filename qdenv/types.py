@@ -78,7 +78,7 @@ def choices(name: str, known: Iterable[str]) -> str:
 class Tile(NamedTuple):
     """What one symbol of an alphabet means to people."""
 
-    name: str  # a word or two, as legends and messages call it
+    name: str  # a word or two, for legends and messages
     about: str = ""  # a sentence: what it is for, and where it may stand
     obstacle: bool = False  # nothing drives over it
     also: str = ""  # other symbols that drawings may use for it
@@ -120,10 +120,10 @@ class Rules(NamedTuple):
 class RepairStatus(IntEnum):
     """How a repair ended; everything below `IMPOSSIBLE` is feasible."""
 
-    OPTIMAL = 0  # proven, or within the asked gap
+    OPTIMAL = 0  # proven, or within the given gap
     NODE_LIMIT = 1  # best layout at the deterministic limit
     TIME_LIMIT = 2  # best layout when the wall-clock safety net fired
-    ANNEALED = 3  # feasible, no polish was asked for or the budget left none
+    ANNEALED = 3  # feasible, no polish was configured or the budget left none
     IMPOSSIBLE = 4  # the rules contradict each other; the layout is returned as it came
     FAILED = 5  # no feasible layout was found; the layout is returned as it came
 

@@ -79,7 +79,7 @@ def test_population_i_is_asked_when_all_up_to_i_minus_1_minus_ahead_are_told(ahe
     tells = [(number, told) for what, number, told in log if what == "tell"]
     assert tells == [(number, number) for number in range(total)]
     assert evaluator.most == ahead + 1
-    assert [int(solutions[0, 0]) for solutions in under_way.search.asked] == [
+    assert [int(solutions[0, 0]) for solutions in under_way.search.in_flight] == [
         *range(total, total + ahead)
     ]
 

@@ -47,7 +47,7 @@ class KnownSize(NamedTuple):
     timesteps: int  # how long a simulation lasts whose numbers are reported, T
     agents: int = 1  # how many robots drive, N_a; 1 where no fleet does
     numbers: Mapping[str, int] = {}  # exact numbers of tiles, by the settings' names
-    about: str = "the paper's evaluation size"  # what kind of size it is, as commands say it
+    about: str = "the paper's evaluation size"  # what kind of size it is, as commands put it
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class DomainConfig(Ranged):
     cols: int = 36  # columns of the whole layout, frame included
     # No option of its own: a drawing comes in a file.
     # rows of a drawing of the whole layout: a tile where a cell must hold it, ``?`` where anything
-    # may be; empty where nothing is kept
+    # may be; empty for none
     keep: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = field(
         default=(), kw_only=True
     )
@@ -175,7 +175,7 @@ class Domain:
 
     @property
     def details(self) -> dict[str, Any]:
-        """What a layout file says of its domain: the name, and what must stay."""
+        """What a layout file states about its domain: the name, and the cells that must stay."""
         return {"domain": self.name} | ({"keep": self.config.keep} if self.config.keep else {})
 
     @property

@@ -68,11 +68,11 @@ def station_blocks(rows: int, cols: int) -> np.ndarray:
         for top in range(1, rows - 3, _BAND)
         for left in range(0, cols - _STATION_BLOCK + 1, _STATION_BLOCK)
     ]
-    wanted = min(round(rows * cols * STATION_SHARE), 2 * len(corners))
-    for top, left in corners[: wanted // 2]:
+    number = min(round(rows * cols * STATION_SHARE), 2 * len(corners))
+    for top, left in corners[: number // 2]:
         picture[top : top + 3, left : left + _STATION_BLOCK] = block
-    if wanted % 2:
-        top, left = corners[wanted // 2]
+    if number % 2:
+        top, left = corners[number // 2]
         picture[top : top + 3, left + 1 : left + 4] = [list(".e."), list("ese"), list(".e.")]
     return picture
 

@@ -24,7 +24,7 @@ _MAX_BYTES = 32 * 2**20
 MAX_SIDE = 1000  # rows or columns; nothing larger was tried
 _MAX_LINES = 20 * MAX_SIDE  # blank ones around a drawing with them
 _DELIMITERS = ";,\t"
-# Swamp is open ground, water is none: nobody gets there from the ground.
+# Swamp is open ground; water is none, as it cannot be entered from the ground.
 OPEN, BLOCKED = ".GS", "@OTW"
 _MOVING_AI = str.maketrans({**dict.fromkeys(OPEN, "."), **dict.fromkeys(BLOCKED, "#")})
 
@@ -33,8 +33,8 @@ class Drawing(NamedTuple):
     """The content of a layout file; its symbols are not checked yet."""
 
     rows: list[str]  # the drawing
-    domain: str | None = None  # whose drawing the file says it is; None where it says nothing
-    # which cells must stay, as the file says; empty where it says nothing
+    domain: str | None = None  # the domain that the file names, if it names one
+    # which cells must stay, if the file states it; else empty
     keep: tuple[str, ...] = ()
 
 
@@ -134,8 +134,8 @@ def _moving_ai(path: Path) -> Drawing:
     if "map" not in names:
         raise damaged(path, "not a MovingAI map: type, height, width and map come first")
     end = names.index("map")
-    words = [line.split(maxsplit=2) for line in lines[:end]]
-    head = dict(line for line in words if len(line) == 2)
+    parts = [line.split(maxsplit=2) for line in lines[:end]]
+    head = dict(line for line in parts if len(line) == 2)
     rows = [line.translate(_MOVING_AI) for line in lines[end + 1 :]]
     sizes = {"height": len(rows), "width": max(map(len, rows), default=0)}
     for name, number in sizes.items():

@@ -213,16 +213,16 @@ def _fields_of(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
 
 def _plain_kinds(kind: Any) -> tuple[type, ...]:
     """List the types that an int, a union or a Literal allows."""
-    # Of a Literal the type is checked, not the word: it may name what a user has registered.
+    # Of a Literal the type is checked, not the value: it may name what a user has registered.
     if get_origin(kind) is Literal:
-        return tuple({type(word) for word in get_args(kind)})
+        return tuple({type(value) for value in get_args(kind)})
     if get_origin(kind) in (Union, UnionType):
         return tuple(one for part in get_args(kind) for one in _plain_kinds(part))
     return (kind,)
 
 
 def _demand(value: Any, form: type[dict] | type[list], place: str) -> Any:
-    if not isinstance(value, dict if form is dict else (list, tuple)):  # a word is no list
+    if not isinstance(value, dict if form is dict else (list, tuple)):  # a string is no list
         name = "an object" if form is dict else "a list"
         raise _wrong(place, f"must be {name}, not {_shown(value)}")
     return value

@@ -17,16 +17,16 @@ class Search(NamedTuple):
 
     state: Any  # of the algorithm
     # float [B, P] each, the populations in flight, the oldest first: `Algorithm.ahead` of them
-    asked: tuple[Array, ...]
+    in_flight: tuple[Array, ...]
 
     @classmethod
     def begin(cls, algorithm: Algorithm, key: jax.Array) -> Self:
         """Start a search with as many populations in flight as `algorithm.ahead` states."""
-        state, asked = algorithm.init(key), []
+        state, in_flight = algorithm.init(key), []
         for _ in range(algorithm.ahead):
             solutions, state = algorithm.ask(state)
-            asked.append(solutions)
-        return cls(state, tuple(asked))
+            in_flight.append(solutions)
+        return cls(state, tuple(in_flight))
 
 
 class AsyncEvaluation:
@@ -53,17 +53,17 @@ class AsyncEvaluation:
         """
         self.done, self.search = done, search
         self._algorithm, self._evaluator, self._key, self._total = algorithm, evaluator, key, total
-        self._asked = deque(search.asked)
+        self._in_flight = deque(search.in_flight)
         self._evaluations: deque[Callable[[], Evaluation]] = deque()
         # One population further than `search`, between `submit` and `collect`.
         self._state = search.state
-        for solutions in self._asked:
+        for solutions in self._in_flight:
             self._begin(solutions)
 
     def submit(self) -> None:
         """Draw one more population and begin to evaluate it."""
         solutions, self._state = jax.block_until_ready(self._algorithm.ask(self._state))
-        self._asked.append(solutions)
+        self._in_flight.append(solutions)
         self._begin(solutions)
 
     def wait(self) -> Evaluation:
@@ -72,11 +72,11 @@ class AsyncEvaluation:
 
     def collect(self, evaluation: Evaluation) -> None:
         """Give the search the evaluation of the oldest population, which `wait` returned."""
-        solutions = self._asked.popleft()
+        solutions = self._in_flight.popleft()
         self._evaluations.popleft()
         scores = evaluation.score, observed(evaluation)
         self._state = self._algorithm.tell(self._state, solutions, *scores)
-        self.search = Search(self._state, tuple(self._asked))
+        self.search = Search(self._state, tuple(self._in_flight))
         self.done += 1
 
     def _begin(self, solutions: Array) -> None:

@@ -111,7 +111,7 @@ def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
         InputError: the algorithm draws populations ahead, which takes several at once.
     """
     if experiment.algorithm.ahead:
-        raise InputError("a whole iteration as one function asks nothing ahead: leave ahead at 0")
+        raise InputError("a whole iteration as one function draws nothing ahead: leave ahead at 0")
 
     def iterate(state: Any, iteration: jax.Array) -> Any:
         solutions, state = experiment.algorithm.ask(state)

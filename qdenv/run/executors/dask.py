@@ -39,7 +39,7 @@ _MAX_DEATHS = 10
 # Seconds without any answer, or _SLOW times what a task takes, until copies are sent to others.
 PATIENCE = 30.0
 _SLOW = 5.0
-REMEMBERED = 100  # tasks whose duration says what one takes
+REMEMBERED = 100  # tasks whose duration is remembered
 _TICK = 0.5  # seconds between two looks for overdue tasks
 
 
@@ -130,17 +130,17 @@ class ClusterExecutor(Executor):
 
     def _supervise(self) -> None:
         """Manage all tasks until the executor ends, in a thread of its own."""
-        heard = monotonic()  # when something changed last
+        changed_at = monotonic()  # when something changed last
         try:
             while (changed := self._changes()) is not None:
                 usual = statistics.median(self._seconds)
                 if changed:
                     self._collect(changed)
-                    heard = monotonic()
-                elif self._pending and monotonic() - heard >= max(PATIENCE, _SLOW * usual):
+                    changed_at = monotonic()
+                elif self._pending and monotonic() - changed_at >= max(PATIENCE, _SLOW * usual):
                     self._send_copies()
-                    heard = monotonic()
-        except BaseException as error:  # the scheduler is gone, say: no result will come
+                    changed_at = monotonic()
+        except BaseException as error:  # for example, the scheduler is gone: no result will come
             self._error = error
             for task in list(self._pending):
                 self._settle(task, error=error)
@@ -249,7 +249,7 @@ class ClusterExecutor(Executor):
         answers = self._client.run(versions, on_error="return")
         wrong = {worker: one for worker, one in answers.items() if one != versions()}
         for worker, one in wrong.items():
-            _LOG.warning("worker %s is sent away: it has %s, not %s", worker, one, versions())
+            _LOG.warning("worker %s is retired: it has %s, not %s", worker, one, versions())
         if wrong:
             self._client.retire_workers(list(wrong))
         if wrong and len(wrong) == len(answers):
