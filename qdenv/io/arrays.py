@@ -124,6 +124,7 @@ def _check_members(archive: zipfile.ZipFile, size: int, source: Path | str) -> N
         plain = one.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
         if one.flag_bits & _ENCRYPTED or not plain:
             raise damaged(source, f"{one.filename} is encrypted or packed in an unknown way")
+    # Bombs of overlapping members expand the same bytes again and again.
     if sum(one.compress_size for one in members) > size:
         raise damaged(source, "members overlap")
     expanded = sum(one.file_size for one in members)
@@ -167,6 +168,7 @@ def read_arrays(
                     member, allow_pickle=False, max_header_size=_MAX_HEADER
                 )
                 member.read(1)  # the end, where the checksum is compared
+            # Files of other machines: jax and numba take native byte order alone.
             values = values.astype(values.dtype.newbyteorder("="), copy=False)
             if column.finite and values.dtype.kind == "f" and not np.isfinite(values).all():
                 raise damaged(path, f"{name} holds numbers that are not finite")

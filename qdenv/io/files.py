@@ -60,7 +60,7 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) 
         with os.fdopen(handle, "wb") as file:
             content(file)
             file.flush()
-            os.fsync(file.fileno())
+            os.fsync(file.fileno())  # or a crash could leave the new name with no content
         os.chmod(temporary, mode)
         os.replace(temporary, path)
     except OSError as error:

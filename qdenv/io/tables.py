@@ -8,6 +8,7 @@ from typing import Any, TypeVar, get_type_hints
 
 from qdenv.io.files import MAX_TEXT, damaged, read_text
 
+# Far beyond what a run writes; a hostile file may not fill the memory.
 _MAX_COLUMNS = 1000
 _MAX_ROWS = 2_000_000
 _MAX_DIGITS = 40  # characters

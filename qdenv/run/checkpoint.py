@@ -100,6 +100,7 @@ def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
     for number, leaf in enumerate(leaves):
         arrays[f"{number}.rows"] = leaf
         if leaf.ndim:
+            # Most cells of an archive are empty for most of a run: their rows are zeros.
             held = np.flatnonzero(leaf.reshape(len(leaf), -1).any(axis=1)).astype(np.int32)
             arrays[f"{number}.changed"] = held
             arrays[f"{number}.rows"] = Rows(leaf, held)

@@ -129,6 +129,7 @@ def _field_paths(record: Any) -> Iterator[tuple[str, ...]]:
 def _replaced(record: Any, values: Mapping[tuple[str, ...], Any]) -> Any:
     """Replace settings of a record and of nested ones; those of one record are checked together."""
     own = {path[0]: value for path, value in values.items() if len(path) == 1}
+    # A whole record may be given beside single settings of it, which then replace the record's.
     for name in {path[0] for path in values if len(path) > 1}:
         nested = {path[1:]: one for path, one in values.items() if path[0] == name and path[1:]}
         own[name] = _replaced(own.get(name, getattr(record, name)), nested)
@@ -205,7 +206,7 @@ def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[R
     """
     before = settings = config.evaluation.domain
     old = make_domain(base.evaluation.domain)
-    if type(settings) is not type(old.config):
+    if type(settings) is not type(old.config):  # another domain: what its defaults belong to
         old = make_domain(replace(settings, rows=old.config.rows, cols=old.config.cols))
     stated = {name: getattr(settings, name) for name in old.counted if name in given}
     if old.shape == (settings.rows, settings.cols) and stated == {}:
@@ -271,6 +272,7 @@ def check(config: RunConfig) -> None:
         raise InputError(f"no layout of {rows} x {cols} obeys the rules: {reason}")
     tasks, fleet = domain.simulator.tasks, settings.fleet
     if rules and tasks and fleet:
+        # Tiles that must be there and that nobody drives on leave so many cells for agents at most.
         drivable = set(tasks.traversable)
         blocked = sum(bound.low for bound in rules.counts if not drivable & set(bound.tiles))
         free = rows * cols - blocked

@@ -55,6 +55,7 @@ def make_experiment(config: RunConfig, start: np.ndarray | None = None) -> Exper
     """
     pipeline = make_pipeline(config.evaluation, repair_seed=config.seed)
     measures = archive_axes(pipeline.domain.measures, config.archive)
+    # Two keys, so that how a search draws its solutions cannot change how they are simulated.
     search_key, evaluation_key = jax.random.split(jax.random.key(config.seed))
     start = find_start(config) if start is None else start
     algorithm = make_algorithm(config.algorithm, problem_of(pipeline, measures), start)

@@ -111,7 +111,7 @@ class Log:
         place = {"iteration": float(done), "evaluations": float(evaluations)}
         self._notes.append(place | {name: float(value) for name, value in notes.items()})
         if notes:
-            table = [
+            table = [  # six digits: the numbers come from single precision
                 ["" if math.isnan(value) else f"{value:g}" for value in note.values()]
                 for note in self._notes
             ]
