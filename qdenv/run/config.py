@@ -206,7 +206,7 @@ def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[R
     """
     before = settings = config.evaluation.domain
     old = make_domain(base.evaluation.domain)
-    if type(settings) is not type(old.config):  # another domain: what its defaults belong to
+    if type(settings) is not type(old.config):  # another domain: its numbers at the old size
         old = make_domain(replace(settings, rows=old.config.rows, cols=old.config.cols))
     stated = {name: getattr(settings, name) for name in old.counted if name in given}
     if old.shape == (settings.rows, settings.cols) and stated == {}:

@@ -80,8 +80,8 @@ class AsyncEvaluation:
         self.done += 1
 
     def _begin(self, solutions: Array) -> None:
-        # Iterations count from 1. Those beyond the total are drawn, as the state of the search would
-        # be another one otherwise, but their results would never be collected.
+        # Iterations count from 1. Populations beyond the total are drawn, as the state of the
+        # search would differ otherwise, but their results would never be collected.
         number = self.done + len(self._evaluations) + 1
         if number <= self._total:
             key = jax.random.fold_in(self._key, number)
