@@ -14,7 +14,7 @@ from qdenv.grid import of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
 from qdenv.simulate.mapf.goals import beside_goal
-from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Tile, Traffic
+from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Tile
 
 TILES = ".012e"
 _STATIONS = "012"
@@ -58,7 +58,6 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
     shape = (config.rows, config.cols)
 
     def workstations(layout: jax.Array, runs: Traffic) -> jax.Array:
-        del runs
         return score.count(layout, _STATIONS, TILES)
 
     cycle = tuple(

@@ -104,11 +104,9 @@ def maze(config: MazeConfig) -> Domain:
     """Make a maze of one size; the type of the settings chooses its first measure."""
 
     def walls(layout: jax.Array, runs: Episode) -> jax.Array:
-        del runs
         return score.count(inside_frame(layout, _MARGIN), "X", world.TILES)
 
     def path_length(layout: jax.Array, runs: Episode) -> jax.Array:
-        del layout
         return runs.length.mean(dtype=jnp.float32)  # an episode that fails counts in full
 
     def start_and_goal(layout: np.ndarray) -> dict[str, int]:

@@ -31,7 +31,6 @@ from qdenv.types import (
     Rules,
     TaskRule,
     Tile,
-    Traffic,
 )
 
 _TILES = ".@ew"
@@ -103,17 +102,14 @@ def rules(config: WarehouseConfig) -> Rules:
     )
 
 
-def components(layout: jax.Array, runs: Traffic) -> jax.Array:
-    """Count the connected components of shelves (-> float32)."""
-    del runs
-    return score.components(layout, "@", _TILES)
-
-
 def warehouse(
     config: WarehouseConfig, known: Mapping[tuple[int, int], KnownSize] = _EVEN_SIZES
 ) -> Domain:
     """Make a warehouse of one size; `known` are the sizes whose numbers are known."""
     cycle = (tile_goal("e", _TILES), favour_left(tile_goal("w", _TILES), config.left_odds))
+
+    def components(layout: jax.Array, runs: Traffic) -> jax.Array:
+        return score.components(layout, "@", _TILES)
 
     def human() -> np.ndarray:
         layout = _border(config.rows, config.cols)

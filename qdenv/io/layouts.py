@@ -45,7 +45,12 @@ def read_drawing(path: str | Path) -> Drawing:
     InputError if the file is missing, too big, or not what its ending says.
     """
     ending = Path(path).suffix.lower()
-    read = {".txt": _text, ".csv": _csv, ".map": _moving_ai}.get(ending, _json)
+    readers = {
+        ".txt": lambda path: Drawing(_lines(path, "text")),
+        ".csv": _csv,
+        ".map": _moving_ai,
+    }
+    read = readers.get(ending, _json)
     try:
         drawing = read(Path(path))
     except DamagedError as error:
@@ -76,10 +81,6 @@ def _lines(path: Path, what: str) -> list[str]:
     # A line of blanks as wide as the widest line is a row: mazes draw empty cells like that.
     drawn = [i for i, line in enumerate(lines) if line.strip() or 0 < len(line) == width]
     return lines[drawn[0] : drawn[-1] + 1] if drawn else []
-
-
-def _text(path: Path) -> Drawing:
-    return Drawing(_lines(path, "text"))
 
 
 def _json(path: Path) -> Drawing:
