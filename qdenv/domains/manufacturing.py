@@ -14,7 +14,7 @@ from qdenv.grid import of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
 from qdenv.simulate.mapf.goals import beside_goal
-from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Tile
+from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Tile, Traffic
 
 TILES = ".012e"
 _STATIONS = "012"
