@@ -31,6 +31,7 @@ from qdenv.types import (
     Rules,
     TaskRule,
     Tile,
+    Traffic,
 )
 
 _TILES = ".@ew"
