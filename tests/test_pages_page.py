@@ -42,16 +42,7 @@ def test_a_notebook_frame_holds_the_whole_page():
 
 
 def test_a_missing_package_is_named_with_what_installs_it(monkeypatch):
-    import builtins
-
-    whole = builtins.__import__
-
-    def without(name, *rest, **named):
-        if name == "jinja2":
-            raise ImportError(name)
-        return whole(name, *rest, **named)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setattr(pages.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pages need jinja2: pip install 'qdenv\[viz\]'"):
         pages.make_page("page", "A page")
 

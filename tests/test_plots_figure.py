@@ -51,7 +51,7 @@ def scene():
     maps = Maps(*(RNG.random((12, 16)) for _ in range(4)), 10.0)
     over_time = np.array([np.arange(1, 41) * 25.0, RNG.random(40) + 5, np.full(40, 0.3)])
     worst = [Spot(2, place, 0, 0.1, 0.2, 1.0) for place in range(3)]
-    return Scene(free, maps, worst, over_time, [300], "plan, 10 agents: flows, more would fit", 5)
+    return Scene(free, maps, worst, over_time, [300], 5)
 
 
 @pytest.fixture
@@ -68,7 +68,9 @@ def every(monkeypatch):
         "success": lambda width: draw_over_agents(rows(), True, width),
         "progress": lambda width: draw_progress(groups(), "throughput", width),
         "archives": lambda width: draw_archives(shown, "throughput", width),
-        "traffic": lambda width: draw_traffic(scene(), width),
+        "traffic": lambda width: draw_traffic(
+            scene(), "plan, 10 agents: flows, more would fit", width
+        ),
         "time": lambda width: draw_panel(scene(), "time", width),
     }
 

@@ -19,11 +19,11 @@ def scene() -> Scene:
     maps = Maps(usage, waiting, usage, finished, 10.0)
     worst = [Spot(1, 4, 0, 2 / 3, 0.5, 3.0), Spot(3, 3, 0, 1 / 3, 0.25, 1.0)]
     over_time = np.array([[50.0, 100.0], [1.0, 2.0], [0.1, 0.2]])
-    return Scene(free, maps, worst, over_time, [80], "plan, 10 agents: flows", 5)
+    return Scene(free, maps, worst, over_time, [80], 5)
 
 
 def panels(scene):
-    axes = {one.get_title(): one for one in draw_traffic(scene).axes}
+    axes = {one.get_title(): one for one in draw_traffic(scene, "plan, 10 agents: flows").axes}
     return {title.partition(":")[0]: one for title, one in axes.items()}
 
 
@@ -36,12 +36,12 @@ def test_maps_lie_over_the_walls_and_leave_calm_cells_blank(scene):
     assert drawn["where tasks are finished"].images[1].get_array().compressed().tolist() == [1.5]
     assert drawn["where agents are"].images[1].get_array().count() == scene.free.sum()
     assert "where agents wait: 7.5% of their time" in [
-        one.get_title() for one in draw_traffic(scene).axes
+        one.get_title() for one in draw_traffic(scene, "plan, 10 agents: flows").axes
     ]
 
 
 def test_colour_bars_say_what_they_show_in_which_unit(scene):
-    every = draw_traffic(scene).axes
+    every = draw_traffic(scene, "plan, 10 agents: flows").axes
     labels = [bar.get_ylabel() for one in every for bar in one.child_axes]
     assert labels == [
         "share of time in which one waits here",
@@ -76,6 +76,6 @@ def test_any_shape_and_a_fleet_that_never_waits_can_be_drawn(shape, tmp_path):
     still = np.zeros(shape)
     over_time = np.array([[1.0], [0.0], [np.nan]])
     maps = Maps(still, still, still, still, 1.0)
-    figure = draw_traffic(Scene(still == 0, maps, [], over_time, [], "empty", 1))
+    figure = draw_traffic(Scene(still == 0, maps, [], over_time, [], 1), "empty")
     save_figure(figure, tmp_path / "t.png")
     assert imread(tmp_path / "t.png").std() > 0

@@ -95,8 +95,8 @@ def simulate_layout(
         from qdenv.view.traffic import draw_traffic, make_scene
 
         title = f"{format_name(plan.name)}, {agents} agents{judgement}"
-        scene = make_scene(plan, study, title, options.stop)
-        save_figure(draw_traffic(scene, width or SCREEN), picture.path)
+        scene = make_scene(plan, study, options.stop)
+        save_figure(draw_traffic(scene, title, width or SCREEN), picture.path)
         say(picture)
     return Facts(facts | {"settings": options.settings(timesteps)})
 

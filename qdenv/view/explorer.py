@@ -21,7 +21,7 @@ from qdenv.study.elites import Grower, make_grower, spread
 from qdenv.types import InputError
 from qdenv.view.archive import COLOURS as SCALE
 from qdenv.view.layouts import CHANGED, COLOURS, UNKNOWN
-from qdenv.view.page import Page, make_page, missing, pack
+from qdenv.view.page import Page, make_page, pack, require_package
 
 # Labels of an archive's columns, and how their values are written.
 _LABELS = {
@@ -49,11 +49,8 @@ def make_explorer(
 ) -> Page:
     """Make the explorer of a run's archive; its facts are a summary.
 
-    Args:
-        run: a run that has saved an archive.
-        growth: how many elites the page shows growing, evenly spread over the archive, the best
-            among them; unless given as many as fit into 12 MB.
-        progress: called with the progress.
+    `growth` is the number of elites that the page shows growing, evenly spread over the archive,
+    the best among them; unless given as many as fit into 12 MB.
 
     Raises:
         InputError: there is no elite, there are more than two measures, `growth` is negative, or a
@@ -67,10 +64,9 @@ def make_explorer(
         )
     archive, config = run.archive, run.config.evaluation
     best = archive.best  # refuses an empty archive
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise missing("explorers", "plotly") from error
+    require_package("explorers", "plotly")
+    from plotly.offline import get_plotlyjs
+
     domain = make_domain(config.domain)
     bits = next(bits for bits in (1, 2, 4, 8) if len(domain.tiles) <= 2**bits)  # of a tile
     grown, chunks = _pack_growth(archive, *make_grower(config, domain), bits, growth, progress)
@@ -203,6 +199,7 @@ def _pack_layouts(archive: SavedArchive, bits: int) -> dict[str, str]:
     kinds, cells = len(archive.schema.tiles), archive.columns["repaired"][0].size
     repaired = archive.columns["repaired"].reshape(-1, cells)
     drawn = archive.columns.get("unrepaired", archive.columns["repaired"]).reshape(-1, cells)
+    # Most tiles stay: the difference compresses far better than the tiles themselves.
     change = (drawn - repaired) % kinds
     packed = {}
     for number, start in enumerate(range(0, len(archive), _LAYOUTS)):
@@ -237,7 +234,7 @@ def _pack_growth(
         if not batch:
             break
         solutions = archive.columns["solution"][batch]
-        # Filled up to the size that is compiled.
+        # Filled up to the size that is compiled: another one would be compiled again.
         frames = grow(np.pad(solutions, ((0, _AT_ONCE - len(batch)), (0, 0))))
         for row, layouts in zip(batch, frames, strict=False):
             differ = 0 if drawn is None else int((layouts[-1] != drawn[row]).sum())

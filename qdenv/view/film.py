@@ -52,13 +52,8 @@ def save_film(
 ) -> None:
     """Draw a stretch of a run as a film; the ending of `path` chooses GIF or MP4.
 
-    Args:
-        path: the file to write.
-        layout: int8 [H, W].
-        tiles: the alphabet.
-        motion: what moved.
-        window: timesteps at which the film begins and ends; cut to those of the run.
-        progress: called with the step and its completed share.
+    The layout is int8 [H, W], the window the timesteps at which the film begins and ends, cut to
+    those of the run; `progress` is called with the step and its completed share.
 
     Raises:
         InputError: the place cannot be written to, or the window is empty.
@@ -69,6 +64,7 @@ def save_film(
         raise InputError(f"there is nothing to draw from timestep {first} to {last} of the run")
     times = [first + part / kind.parts for part in range((last - first) * kind.parts + 1)]
     if motion.headings is not None and len(times) > MOST:
+        # Evenly, and always the end: whether the goal is reached.
         times = [*range(first, last, -(-(last - first) // MOST)), last]
 
     def pictures() -> Iterator[Image.Image]:
@@ -136,18 +132,22 @@ class _Stage:
         self.font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 13)
         self._discs = {}
         for name in ("driving", "waiting", "serving"):
+            # Transparent outside in the disc's own colour, which its edge is mixed with.
             disc = Image.new("RGBA", (self.cell * _FINE,) * 2, f"{MARKS[name]}00")
             low, high = 0.1 * self.cell * _FINE, 0.9 * self.cell * _FINE
             ImageDraw.Draw(disc).ellipse((low, low, high, high), MARKS[name])
             self._discs[name] = disc.resize((self.cell,) * 2, Image.Resampling.LANCZOS)
 
+    def _pixels(self, cells: np.ndarray) -> np.ndarray:
+        """Return the upper left corners of cells [...] in pixels, int [..., 2]: (right, down)."""
+        return np.stack([cells % self.cols, cells // self.cols], -1) * self.cell + [0, TITLE]
+
     def _corners(self, motion: Motion, time: float) -> np.ndarray:
-        """Return where all agents are at a time, int [A, 2]: (right, down), a corner's pixels."""
+        """Return the corners of all agents at a time, int [A, 2]."""
         step = int(time)
-        here, there = motion.positions[[step, min(step + 1, motion.steps)]]
-        before, after = (np.stack([at % self.cols, at // self.cols], 1) for at in (here, there))
-        place = (before + (time - step) * (after - before)) * self.cell
-        return np.rint(place).astype(int) + np.array([0, TITLE])
+        # Between two timesteps, agents are on the way from one cell to the next.
+        before, after = self._pixels(motion.positions[[step, min(step + 1, motion.steps)]])
+        return np.rint(before + (time - step) * (after - before)).astype(int)
 
     def draw_robots(
         self, picture: Image.Image, motion: Motion, time: float, waited: np.ndarray
@@ -159,6 +159,7 @@ class _Stage:
             x, y = corners[agent].tolist()
             warm = WARMTH[min((waited[agent] - JAM_FROM) // JAM_STEP, len(WARMTH) - 1)]
             pen.rectangle((x, y, x + end, y + end), warm)
+        # One that stays without waiting is on its own goal, and is served.
         still = np.zeros(len(waited), bool)
         if step >= 0:
             still = motion.positions[step] == motion.positions[step + 1]
@@ -171,10 +172,9 @@ class _Stage:
         assert motion.headings is not None
         end, middle = self.cell - 1, self.cell / 2
         for name, cell in (("start", motion.positions[0, 0]), ("reached", motion.goals[0, 0])):
-            x, y = int(cell) % self.cols * self.cell, int(cell) // self.cols * self.cell + TITLE
+            x, y = self._pixels(cell).tolist()
             pen.rectangle((x, y, x + end, y + end), MARKS[name])
-        cells = motion.positions[: int(time) + 1, 0]
-        past = np.stack([cells % self.cols, cells // self.cols], 1) * self.cell + [0, TITLE]
+        past = self._pixels(motion.positions[: int(time) + 1, 0])
         here = self._corners(motion, time)[0]
         way = [tuple(at) for at in (np.vstack([past, here]) + middle).tolist()]
         pen.line(way, MARKS["way"], max(2, self.cell // 6), "curve")

@@ -23,8 +23,6 @@ from qdenv.stats import Sample, margin
 from qdenv.study.table import Row
 from qdenv.types import InputError
 
-_HEIGHT = 760  # pixels of a page inside of a notebook
-
 
 def listed(values: Sequence[Any]) -> str:
     """Write a list in a sentence: "a, b and c"."""
@@ -73,7 +71,7 @@ class Page:
 
     def _repr_html_(self) -> str:
         """Show the page in a frame, so that its style and the notebook's do not mix."""
-        style = f"width:100%;height:{_HEIGHT}px;border:0"
+        style = "width:100%;height:760px;border:0"
         return f'<iframe srcdoc="{html.escape(self.html)}" style="{style}"></iframe>'
 
 
@@ -88,25 +86,26 @@ def make_page(
     """Fill a template.
 
     Args:
-        template: name of a file in `templates` without its ending; it extends ``page.html``.
+        template: name of a file in `templates`, without its ending.
         title: of the browser's window.
-        scripts: names of files in `scripts` without their endings, in order, after ``page``.
-        facts: JSON-ready values, or numpy's, see `files.tidy`; scripts read them as ``facts``.
-        packed: arrays and bytes by name; scripts await ``unpack(name)``. Text is what `pack` made.
+        scripts: names of files in `scripts`, without their endings, in order.
+        facts: JSON-ready values, or numpy's; scripts read them as ``facts``.
+        packed: arrays, bytes, or what `pack` returned; scripts await ``unpack(name)``.
         **content: the variables of the template.
 
     Raises:
         InputError: jinja2 is not installed.
     """
-    try:
-        import jinja2
-        from markupsafe import Markup
-    except ImportError as error:
-        raise missing("pages", "jinja2") from error
+    require_package("pages", "jinja2")
+    import jinja2
+    from markupsafe import Markup
+
     home = resources.files("qdenv.view")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(str(home / "templates")),
+        # Names of layouts and messages are text, whatever they contain.
         autoescape=True,
+        # A misspelt variable is an error, not an empty sentence.
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -132,20 +131,12 @@ def pack(content: np.ndarray | bytes | str) -> str:
     if isinstance(content, str):
         return content
     raw = content if isinstance(content, bytes) else np.ascontiguousarray(content).tobytes()
-    # The highest level: pages are written once and sent around. No time: equal pages are equal.
+    # The highest level, because pages are written once and sent around; no time, so that the same
+    # content always gives the same page.
     return base64.b64encode(gzip.compress(raw, 9, mtime=0)).decode()
 
 
 def require_package(what: str, package: str) -> None:
-    """Refuse `what` ("pages") before any work, unless a package of the extra `viz` is installed.
-
-    Raises:
-        InputError: it is not.
-    """
+    """Raise InputError if a package of the extra `viz`, which `what` ("pages") need, is missing."""
     if util.find_spec(package.replace("-", "_")) is None:
-        raise missing(what, package)
-
-
-def missing(what: str, package: str) -> InputError:
-    """Make the error for a package of the extra `viz` that is not installed."""
-    return InputError(f"{what} need {package}: pip install 'qdenv[viz]'")
+        raise InputError(f"{what} need {package}: pip install 'qdenv[viz]'")

@@ -27,11 +27,8 @@ def make_replay(
 ) -> Page:
     """Make the page that plays a run.
 
-    Args:
-        plan: where it took place.
-        motion: what moved.
-        traffic: what the simulator counted; None in a maze.
-        about: lines below the title, of `about_fleet` or `about_episode`.
+    `traffic` is what the simulator counted, None in a maze; `about` are the lines below the title,
+    of `about_fleet` or `about_episode`.
 
     Raises:
         InputError: jinja2 is not installed, or a planner let a robot jump.
@@ -60,6 +57,7 @@ def make_replay(
         "throughput": [],
     }
     if traffic is not None:
+        # A run that ended early has no throughput after its end.
         driven = traffic._replace(finished=traffic.finished[: motion.steps])
         ends, means, _ = throughput_over_time([driven])
         facts |= {"ends": ends.tolist(), "throughput": means.tolist()}
@@ -115,9 +113,9 @@ def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
 
     Returns:
         starts and goals: uint32 [A], the first cells; moves: uint8 [A, ceil(E / 3)], three digits
-        to base 5 each, the first one the highest; counts: uint32 [A], how many tasks each
-        finished; times and next: uint32 [sum of counts], after how many steps it did, and its goal
-        from then on; headings: uint8 [E + 1], empty for robots.
+        to base 5 each, the first one the highest; counts: uint32 [A], tasks finished by each;
+        times and next: uint32 [sum of counts], the step of each, and the goal from then on;
+        headings: uint8 [E + 1], empty for robots.
 
     Raises:
         InputError: a robot moved by more than one cell.
@@ -130,6 +128,7 @@ def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
     if (moves == 255).any():
         step, agent = np.argwhere(moves == 255)[0]
         raise InputError(f"robot {agent} moves by more than one cell after timestep {step}")
+    # Three moves to a byte: 5³ = 125 combinations.
     whole = np.pad(moves, ((0, -len(moves) % 3), (0, 0)))
     digits = whole.T.reshape(motion.finished.shape[1], -1, 3)
     agents, times = np.nonzero(motion.finished.T)

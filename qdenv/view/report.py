@@ -34,15 +34,10 @@ def make_report(
     command: str,
     **content: Any,
 ) -> Page:
-    """Fill a template of reports.
+    """Fill the template of a kind of reports, "fleet" or "maze".
 
-    Args:
-        kind: "fleet" or "maze".
-        title: of the page.
-        subjects: what it is about.
-        facts: the numbers of the page.
-        command: the command line that makes the page again; "" if there is none.
-        **content: further variables of the template.
+    `facts` are the numbers of the page, `command` is the line that makes it again ("" for none),
+    and `content` holds further variables of the template.
     """
     machine = f"{platform.system()} on {platform.machine()}, {devices.threads()} threads"
     versions = package_versions(_PACKAGES)
@@ -73,7 +68,9 @@ def _search(subject: Subject, number: int) -> dict[str, Any]:
         objectives = scatter_objectives(archive.columns, schema.measures)
         draw_archive(heat, objectives, schema.measures, label=schema.objective)
         if run.shipped:
-            heat.axes[0].set_title("")  # a selection ships: its share of cells says nothing
+            # Only a selection of the elites ships: its share of cells says nothing.
+            heat.axes[0].set_title("")
+        # An archive of one measure is a strip, whose middle is at a height of 0.5.
         spot = [*elite.measures.values(), 0.5][:2]
         heat.axes[0].plot(*spot, "o", markersize=9, mfc="none", mec=WARNING, clip_on=False)
         heat_svg = to_svg(heat, f"archive-{number}")

@@ -56,14 +56,9 @@ def make_request(
 ) -> FleetRequest:
     """Check what a report shall show, before anything is simulated.
 
-    Args:
-        subjects: the layouts, of one domain.
-        agents: one number, around which others are chosen; or several, in place of those; or none
-            for the usual number.
-        timesteps: horizon T; the usual one unless given.
-        config: makes the numbers of a simulation of agents and timesteps.
-        seeds: of the runs.
-        per_hour: timesteps per hour.
+    The subjects are of one domain. `agents` is one number, around which others are chosen, or
+    several, in place of those, or none for the usual number; `timesteps` is None for the usual
+    horizon; `config` makes the numbers of a simulation of agents and timesteps.
 
     Raises:
         InputError: a fleet cannot work on one of the layouts, or the numbers make no simulation.
@@ -107,11 +102,7 @@ def report_fleet(
 ) -> Page:
     """Simulate all layouts and their rivals over numbers of agents, and make the page.
 
-    Args:
-        request: what it shall show.
-        command: the command line that makes the page again.
-        on_row: called with each row when it is finished.
-        progress: called with the progress.
+    `command` is the line that makes the page again; `on_row` is called with each finished row.
     """
     subjects = request.subjects
     tasks = subjects[0].plan.domain.simulator.tasks
@@ -132,8 +123,19 @@ def report_fleet(
     layouts, facts = [], {}
     for number, (one, study) in enumerate(zip(subjects, studies, strict=True)):
         content = _compare(one, request.rivals[number], rows, agents)
-        layouts.append(content | _draw(one, study, content["rival"], number, config))
-        facts[one.name] = _facts(one, study, content)
+        rival, differences = content["rival"], content["differences"]
+        layouts.append(content | _draw(one, study, rival, number, config))
+        # By the names that `qdenv simulate` and `compare` give them.
+        facts[one.name] = facts_of(study, one.plan.layout) | {"source": one.source}
+        facts[one.name]["hand_made"] = None
+        if differences:
+            facts[one.name]["hand_made"] = {
+                "layout": rival.name,
+                "about": rival.about,
+                "differences": [
+                    {"agents": row.agents, **apart._asdict()} for row, _, apart in differences
+                ],
+            }
     return make_report(
         "fleet",
         f"{listed([one.name for one in subjects])}: {agents} robots",
@@ -184,7 +186,7 @@ def _draw(
     """Return the pictures of one layout, and what its study found."""
     domain, layout, maps = subject.plan.domain, subject.plan.layout, study.maps
     assert maps is not None
-    scene = make_scene(subject.plan, study, subject.name, config.stop_when_congested)
+    scene = make_scene(subject.plan, study, config.stop_when_congested)
     plan, contents = (
         draw_plan(layout, domain.tiles, domain.names),
         describe_contents(layout, domain),
@@ -208,15 +210,3 @@ def _draw(
         content["rival_plan"] = to_svg(theirs, f"rival-{number}", crop=True)
         content["rival_contents"] = describe_contents(rival.layout, domain)
     return content
-
-
-def _facts(subject: Subject, study: Study, content: dict[str, Any]) -> dict[str, Any]:
-    """Return the numbers of one layout as `qdenv simulate` and `compare` name them."""
-    rival, against = content["rival"], None
-    if rival.layout is not None:
-        differences = [
-            {"agents": row.agents, **apart._asdict()} for row, _, apart in content["differences"]
-        ]
-        against = {"layout": rival.name, "about": rival.about, "differences": differences}
-    facts = facts_of(study, subject.plan.layout)
-    return facts | {"source": subject.source, "hand_made": against}

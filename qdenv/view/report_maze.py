@@ -35,11 +35,8 @@ def report_mazes(
 ) -> Page:
     """Let the agent walk through mazes, as `qdenv evaluate-agent` does, and make the page.
 
-    Args:
-        subjects: the mazes.
-        timesteps: actions per episode; twice the tiles of the ringed maze unless given.
-        command: the command line that makes the page again.
-        progress: called with the progress.
+    `timesteps` are the actions per episode, twice the tiles of the ringed maze unless given;
+    `command` is the line that makes the page again.
 
     Raises:
         InputError: there is nothing to solve in one of them.
@@ -53,6 +50,7 @@ def report_mazes(
         horizon = timesteps or default_horizon(layout)
         with about(one.source):
             success = evaluate_agent(weights, layout, _SEED, _EPISODES, horizon)
+        # The same episodes again, now with their paths.
         key = jax.random.key(_SEED)
         episodes = _run(weights, jnp.asarray(layout), key, _EPISODES, horizon)
         # Actions to the goal, NaN where it was not reached.

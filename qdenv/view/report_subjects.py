@@ -81,9 +81,7 @@ def describe_contents(layout: np.ndarray, domain: Domain) -> str:
 def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival:
     """Draw what people design by hand at the size of a layout, and describe how it compares.
 
-    Args:
-        subject: whose rival.
-        subjects: all layouts of the report, among which the rival itself may be.
+    It takes the name of the subject, among all `subjects` of the report, that is the same layout.
     """
     domain, layout = subject.plan.domain, subject.plan.layout
     rows, cols = layout.shape

@@ -149,9 +149,7 @@ def plot_run(
     form: str = "png",
     width: float | None = None,
 ) -> list[Path]:
-    """Draw archive.png, progress.png and best_layout.png of a run.
-
-    And notes.png, where its algorithm notes figures of itself.
+    """Draw archive.png, progress.png and best_layout.png of a run, notes.png if it has notes.
 
     Args:
         run: the run, or its folder.
@@ -160,7 +158,7 @@ def plot_run(
         width: of archive and progress in inches; what suits a screen unless given.
 
     Returns:
-        the pictures that could be drawn: none of an empty archive's layout.
+        the pictures, without one of the best layout if the archive is empty.
 
     Raises:
         InputError: the run has saved no archive yet, a file of it is damaged, or it ships with the

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -38,12 +38,11 @@ class Scene(NamedTuple):
     # [3, n]: ends of windows of time, mean throughput in each, its standard error
     over_time: np.ndarray
     jams: Sequence[int]  # timesteps at which runs congested
-    title: str  # of the whole picture
     runs: int  # number of runs
     stop: bool = True  # congestion ended those that congested
 
 
-def make_scene(plan: Plan, study: Study, title: str, stop: bool = True) -> Scene:
+def make_scene(plan: Plan, study: Study, stop: bool = True) -> Scene:
     """Make the scene of a study with maps, on a layout of a domain in which a fleet drives."""
     tasks, runs = plan.domain.simulator.tasks, study.done.runs
     assert tasks is not None and study.maps is not None
@@ -53,15 +52,14 @@ def make_scene(plan: Plan, study: Study, title: str, stop: bool = True) -> Scene
         worst=worst_cells(plan.layout, study.maps),
         over_time=throughput_over_time(runs),
         jams=[int(run.congested_at) for run in runs if run.congested],
-        title=title,
         runs=len(runs),
         stop=stop,
     )
 
 
 @styled
-def draw_traffic(scene: Scene, width: float = SCREEN) -> Figure:
-    """Draw the floor plan three times and the throughput over time.
+def draw_traffic(scene: Scene, title: str, width: float = SCREEN) -> Figure:
+    """Draw the floor plan three times, and the throughput over time.
 
     Rows and columns are numbered as in the table of the worst cells, from 0 at the top left; on
     narrow paper one panel stands below the other.
@@ -71,7 +69,7 @@ def draw_traffic(scene: Scene, width: float = SCREEN) -> Figure:
     kinds = (*_COLOURS, "time")
     down = len(kinds) // across
     figure = new_figure(width, down * ((width / across - _BESIDE) * tall + _TITLES) + 0.3)
-    figure.suptitle("\n".join(wrap(scene.title, int(13 * width))))  # 13 letters fit an inch
+    figure.suptitle("\n".join(wrap(title, int(13 * width))))  # 13 letters fit an inch
     panels = figure.subplots(down, across).ravel()
     for axes, kind in zip(panels, kinds, strict=True):
         _draw_panel(axes, scene, kind)
@@ -111,18 +109,23 @@ def _draw_panel(axes: Axes, scene: Scene, kind: str) -> None:
         label = "share of time in which one waits here"
         title = f"where agents wait: {maps.waiting_share:.1%} of their time"
         _draw_map(axes, scene.free, maps.waiting, kind, label, title)
-        _number_worst(axes, scene)
+        # The worst cells are marked, with their rank where it fits.
+        specification = axes.get_subplotspec()
+        assert isinstance(axes.figure, Figure) and specification is not None
+        inches = axes.figure.get_figwidth() / specification.get_gridspec().ncols - _BESIDE
+        side = 72 * inches / max(scene.free.shape)  # points of a cell
+        look: Any = {"mfc": "none", "mec": "black", "mew": 0.7}
+        for rank, spot in enumerate(scene.worst, 1):
+            axes.plot(spot.column, spot.row, "s", markersize=max(0.9 * side, 3), **look)
+            if side >= _KEY:
+                place: Any = {"ha": "center", "va": "center", "fontsize": _KEY}
+                text = axes.text(spot.column, spot.row, str(rank), **place)
+                text.set_path_effects([withStroke(linewidth=1.4, foreground="white")])
 
 
 @styled
 def draw_walks(free: np.ndarray, usage: np.ndarray, width: float) -> Figure:
-    """Draw where the agent of a maze walks.
-
-    Args:
-        free: bool [H, W].
-        usage: float [H, W], share of its actions that it takes on each cell.
-        width: in inches.
-    """
+    """Draw where the agent of a maze walks: its share of actions on each cell, float [H, W]."""
     rows, cols = free.shape
     figure = new_figure(width, (width - _BESIDE) * rows / cols + _TITLES)
     _draw_map(figure.subplots(), free, usage, "usage", "share of the actions taken here")
@@ -133,15 +136,14 @@ def draw_walks(free: np.ndarray, usage: np.ndarray, width: float) -> Figure:
 def draw_arrivals(arrivals: Mapping[str, np.ndarray], most: int, width: float) -> Figure:
     """Draw the share of a maze's episodes that have reached the goal over the actions taken.
 
-    Args:
-        arrivals: by the maze's name: float [episodes], actions to the goal, NaN for none.
-        most: actions after which an episode fails.
-        width: in inches.
+    `arrivals` are the actions to the goal by the maze's name, float [episodes], NaN if an episode
+    failed, which it does after `most` actions.
     """
     figure = new_figure(width, 0.48 * width)
     axes = figure.subplots()
     for place, (name, actions) in enumerate(arrivals.items()):
         reached = np.sort(actions[np.isfinite(actions)])
+        # A step up at each arrival, from no action to the last one.
         steps = np.concatenate([[0], reached, [most]])
         share = np.concatenate([[0], np.arange(1, len(reached) + 1), [len(reached)]]) / len(actions)
         axes.step(steps, share, where="post", label=name, color=PALETTE[place % len(PALETTE)])
@@ -160,6 +162,7 @@ def _draw_map(
 
     `kind` is "usage" or "waiting", shares that are written in per cent, or "finished".
     """
+    # Fixed ends: a map without any wall would else be all grey.
     axes.imshow(free, cmap=ListedColormap(["#5f6368", "#ffffff"]), vmin=0, vmax=1)
     shown = np.ma.masked_where(values <= 0, values)
     # One extreme cell must not wash out all others; the bar's tip says that there is more.
@@ -178,20 +181,6 @@ def _draw_map(
         bar.ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def _number_worst(axes: Axes, scene: Scene) -> None:
-    """Mark the worst cells, with their rank where it fits."""
-    specification = axes.get_subplotspec()
-    assert isinstance(axes.figure, Figure) and specification is not None
-    inches = axes.figure.get_figwidth() / specification.get_gridspec().ncols - _BESIDE
-    side = 72 * inches / max(scene.free.shape)  # points of a cell
-    for rank, spot in enumerate(scene.worst, 1):
-        place = (spot.column, spot.row)
-        axes.plot(*place, "s", markersize=max(0.9 * side, 3), mfc="none", mec="black", mew=0.7)
-        if side >= _KEY:
-            text = axes.text(*place, str(rank), ha="center", va="center", fontsize=_KEY)
-            text.set_path_effects([withStroke(linewidth=1.4, foreground="white")])
-
-
 def _draw_time(axes: Axes, scene: Scene) -> None:
     """Draw throughput over time, with a band of one standard error and the jams."""
     ends, mean, error = scene.over_time
@@ -199,6 +188,7 @@ def _draw_time(axes: Axes, scene: Scene) -> None:
     steps = np.concatenate([[0], ends])
     axes.stairs(mean, steps, color=LINE, baseline=None, label=label, linewidth=1.4)
     if not np.isnan(error).any():
+        # The last value counts up to the end of its window, as in the line.
         low, high = (np.append(side, side[-1]) for side in (mean - error, mean + error))
         label = "+- standard error"
         axes.fill_between(steps, low, high, step="post", alpha=0.25, lw=0, color=LINE, label=label)
