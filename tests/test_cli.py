@@ -169,25 +169,6 @@ def test_malformed_layouts_give_one_line(command, content, tmp_path, capsys):
     assert said.startswith("qdenv: ") and said.count("\n") == 1
 
 
-def test_impossible_repair_says_so_at_once(layout, capsys):
-    assert run(["repair", layout, "--shelves", "70"]) == 2
-    assert "no repair exists" in capsys.readouterr().err
-
-
-def test_other_mistakes_give_one_line(layout, tmp_path, capsys):
-    for arguments, reason in [
-        (["train", "nothing"], "unknown preset"),
-        (["resume", str(tmp_path)], "no run here"),
-        (["generate", str(tmp_path)], "no run here"),
-        (["check", layout, "--domain", "moon"], "unknown domain"),
-        (["train", "quick", "--rows", "2", "--run-dir", str(tmp_path / "r")], "too small"),
-        (["train", "quick", "--kernel-sizes", "2", "--run-dir", str(tmp_path / "r")], "odd"),
-    ]:
-        assert run(arguments) == 2, arguments
-        said = capsys.readouterr().err
-        assert reason in said and said.count("\n") == 1
-
-
 def test_presets_hold_the_papers_numbers(capsys):
     assert run(["presets"]) == 0
     said = capsys.readouterr().out

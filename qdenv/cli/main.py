@@ -69,6 +69,7 @@ def run(words: list[str]) -> int:
         return 0
     if words[:1] == ["help"]:
         words = [*words[1:], "--help"]
+    # Some commands have two words: layout human.
     count = 2 if " ".join(words[:2]) in COMMANDS else 1
     name, rest = " ".join(words[:count]), words[count:]
     try:
@@ -86,6 +87,7 @@ def run(words: list[str]) -> int:
         print(last_words(), file=sys.stderr)
         return EXIT_CODE
     except BrokenPipeError:  # the reader has read enough
+        # Python flushes standard output at the end, which must not fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
@@ -134,12 +136,14 @@ def _run_command(name: str, typed: list[str]) -> int:
 
     try:
         operation, program, words = load(name), f"qdenv {name}", _name_pictures(typed)
+        # Which options there are depends on what is chosen by name: that is read first.
         chosen, rest = parse(Choices, words, program, partly=True)
         stated = parse(command(operation), words, program, make_rules(chosen, rest))
         bound, facts_file = stated.arguments, stated.json
         arguments, known = bound.arguments, bound.signature.parameters
         if "out" in known:  # in Python nothing is written unless named
             arguments["out"] = arguments.get("out") or AUTO
+        # A page shows the command line that makes it again: as typed.
         if "again" in known:
             arguments["again"] = shlex.join([*program.split(), *typed])
         if isinstance(layouts := arguments.get("layouts"), tuple):  # named twice, it is one

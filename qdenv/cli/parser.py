@@ -107,10 +107,12 @@ def _name_of(argument: Any) -> str:
 
 def _close_option(word: str, target: Any, rules: Any) -> str | None:
     """Return the option that may have been meant; one whose last part is equal comes first."""
+    # tyro lists the options of a program nowhere but in its script for shells.
     with contextlib.redirect_stdout(io.StringIO()) as script, contextlib.suppress(SystemExit):
         parse(target, ["--tyro-print-completion", "bash"], "qdenv", rules)
     options = completion_spec(script.getvalue())["options"]
     known = [name for option in options for name in option["flags"]]
+    # --lanes for --planner.lanes is less of a mistake than any other letter.
     alike = [name for name in known if name.rpartition(".")[2] == word.lstrip("-")]
     return next(iter(alike + difflib.get_close_matches(word, known, 1)), None)
 
@@ -173,6 +175,7 @@ def command(operation: Callable) -> Any:
         _check_ranges(operation, arguments)
         return arguments
 
+    # tyro takes defaults from the signature, the call those of the function itself.
     parameters = dict(signature.parameters)
     for name in parameters:
         for mark in getattr(hints.get(name), "__metadata__", ()):

@@ -190,6 +190,7 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
     from qdenv.search.registry import ALGORITHMS
     from qdenv.search.settings import check_strategy
 
+    # The preset comes first, before any option.
     config = find_preset(rest[0] if rest and rest[0][:1] != "-" else "quick")
     if chosen.domain is not None:
         config = choose_domain(config, chosen.domain)

@@ -148,6 +148,7 @@ def repair_layout(
     rules: Rules = fitted.rules()
     if reason := impossible(rules):
         raise InputError(f"{name}: no repair exists: {reason}")
+    # Everything is refused before the compiler and the solver are imported, which takes seconds.
     inputs, default = [layout, keep], f"{args.stem_of(layout)}_repaired.json"
     target = place_layout(out, default, fitted, inputs)
     beside = target.path if target else Path(default)
@@ -163,6 +164,7 @@ def repair_layout(
     repaired = np.asarray(result.layout)
     changes = list_changes(plan.layout, repaired, fitted)
     weights = plan.domain.similarity_weights(plan.layout)
+    # The gap of a layout that obeys every rule already, and costs nothing, is 0, not 0 / 0.
     facts = {
         "status": RepairStatus(int(result.status)).name.lower(),
         "hamming": float(result.cost),
@@ -171,6 +173,7 @@ def repair_layout(
         "similarity": float(similarity(plan.layout, result.layout, weights)),
         "cpu_seconds": round(float(result.seconds), 3),
         "broken_before": len(audit(plan.layout, rules)),
+        # By the audit, not by the solver that made it.
         "valid": not audit(repaired, rules),
     }
     say(*(f"{key:13} {value}" for key, value in tidy(facts).items()))
@@ -227,6 +230,7 @@ def human_layout(
     )
     if target:
         save_with_picture(made, target, f"{rows} x {cols}, {counts}")
+    # People's designs have other numbers of tiles than the paper's generated layouts.
     for name, number in found.numbers.items():
         has = found.fitted(drawn).numbers[name]
         if found.known.get((rows, cols)) and has != number:

@@ -65,7 +65,7 @@ def train_agent(
     from qdenv.agent.train import train_agent as train  # imports jax and optax
 
     go_on = f"`qdenv resume {shlex.quote(str(path))}` goes on"
-    if resume:
+    if resume:  # a new run has nothing to resume until its first checkpoint
         interrupt.advise(go_on)
     shown = 0  # updates that the bar shows
     with Bar("training the agent", config.updates) as bar:
@@ -134,7 +134,7 @@ def evaluate_agent(
         raise InputError("--reference-batching is for one maze: leave --random-mazes out")
     picture = place(gif, "episode.gif", (".gif",), [layout])
     table = place(out, f"{args.stem_of(layout)}_random.csv", (".csv",), [layout])
-    if not random_mazes:
+    if not random_mazes:  # the command line always names a table
         table = None
     elif table and table.beside("").path.is_file():
         raise InputError(f"{table.beside('').path}: that is a file, and random mazes need a folder")

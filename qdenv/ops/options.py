@@ -216,6 +216,7 @@ def list_seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
     Raises:
         InputError: there is none, one is named twice, or one is out of range.
     """
+    # The comma behind each tells a list of one seed from a number of seeds, as on command lines.
     return parse_seeds(seeds if isinstance(seeds, int) else "".join(f"{one}," for one in seeds))
 
 

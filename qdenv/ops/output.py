@@ -82,6 +82,7 @@ def place(
         raise InputError(
             f"{path}: that is a folder: name a file in it, like {path / Path(default).name}"
         )
+    # Two names of one file are the same file: links, other spellings.
     files = [Path(one) for one in inputs if isinstance(one, str | Path)]
     if path.exists() and any(one.exists() and path.samefile(one) for one in files):
         raise InputError(f"{path}: that is what is read: choose another name")

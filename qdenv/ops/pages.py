@@ -271,6 +271,7 @@ def _report_fleet(request: FleetRequest, again: str) -> Page:
     """Simulate, log how long that will take, and make the page."""
     from qdenv.view.report_fleet import estimate_seconds, report_fleet
 
+    # The first row tells what all the others will take.
     first = True
     with Bar("simulating") as bar:
 

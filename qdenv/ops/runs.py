@@ -64,6 +64,7 @@ def plot(
         folder = place_folder(out or AUTO, file_name(Path(str(runs[0]))))
     if len(opened) == 1 or folder is None:
         return plot_one(opened[0], folder, form, width)
+    # Runs that differ by their seeds alone are one curve with an interval.
     groups = group_runs(opened)
     from qdenv.view.runs import plot_runs  # imports matplotlib
 
@@ -147,6 +148,7 @@ def generate_layout(
     """
     stated = {name: numbers.pop(name) for name in ("steps", "seed") if name in numbers}
     growth = dataclasses.replace(growth, **stated)
+    # A size that is not stated is the trained one, which needs no check.
     check_size(1 if rows is None else rows, 1 if cols is None else cols)
     opened, found = args.open_run(run), elite
     if not isinstance(elite, Elite):
@@ -169,6 +171,7 @@ def generate_layout(
             after, drawn = grow_frames(opened, grown, growth.frames)
             save_figure(draw_frames(drawn, after, domain.tiles), frames)
             say(f"{frames}: after {', '.join(map(str, after))} steps")
+        # With the run's own seed, the elite at its trained size is the layout that was evaluated.
         seed = config.seed if growth.seed is None else growth.seed
         repaired = repair_grown(grown, config.evaluation.repair, seed, bar) if repair else None
     known = describe_growth(trained, domain.shape, [*numbers, *(["steps"] if growth.steps else [])])

@@ -125,6 +125,7 @@ def describe_cost(preset: str, config: RunConfig) -> str:
     if planner_of(config) != planner_of(usual):  # which may take ten times as long
         return ""
     measured = base and (_read_costs().get(preset) or _read_costs().get(base))
+    # The table's are CPU seconds, which all cores share; measured ones are of the clock.
     seconds = measured or _CPU_SECONDS.get(base, 0.0) / devices.count_cores()
     if not seconds:
         return ""
@@ -213,6 +214,7 @@ def train(
     if path.as_posix().startswith(PREFIX):
         raise InputError(f"{path}: names that begin with {PREFIX} ship with qdenv: name a folder")
     RunDirectory(path).demand_own()
+    # A place that cannot be written to is refused now, not after hours of search.
     for parent in (path, *path.parents):
         if parent.exists() and not parent.is_dir():
             raise InputError(f"{path}: {parent} is a file: name a folder")
@@ -229,6 +231,7 @@ def train(
     run = loop.train(config, path, progress, execution)
     if pictures:
         plot_one(run)
+    # Other settings cost something else: only the preset's own are remembered.
     if (config.evaluation, config.algorithm) == (base.evaluation, base.algorithm):
         remember_cost(name, run.read_metrics())
     return run

@@ -55,6 +55,7 @@ def sweep(
     study = _Study([layout], agents, SWEEP, fleet, out, f"{args.stem_of(layout)}_sweep", plot)
     with Bar("simulating") as bar:
         rows = studies.compare(study.layouts, study.trial, study.show, bar)
+    # Numbers of agents may be stated in any order; the peak is read along ascending ones.
     rows.sort(key=lambda row: row.agents)
     peak, worth = find_peak(rows), find_capacity(rows)
     say(study.describe_peak(peak))
@@ -131,6 +132,7 @@ def scalability(
         InputError: no layout is given, they are of several domains, or a fleet cannot work there.
     """
     study = _Study(layouts, agents, CLIMB, fleet, out, "scalability", plot)
+    # All layouts are checked before hours go into the first one.
     for name, layout in study.layouts.items():
         studies.check_climb(name, layout, study.trial)
     with Bar("simulating") as bar:
@@ -183,6 +185,7 @@ class _Study:
         first, drawn = next(iter(plans.values())), [plan.layout for plan in plans.values()]
         largest = max(stated, default=None)
         usual, timesteps, note = usual_fleet(first.domain, drawn, largest, options.timesteps)
+        # Larger known sizes are usual with more agents: the range grows in proportion.
         begin, end, step = (round(one * usual / AGENTS) for one in default)
         counts = stated or tuple(range(begin, end + 1, step))
         config = options.config(max(counts), timesteps)
@@ -193,6 +196,7 @@ class _Study:
             "agents": list(counts),
             "layouts": dict(zip(plans, map(args.name_of, layouts), strict=True)),
         }
+        # A range is written as a range, so that the command line can be read off the line.
         written, steps = ",".join(map(str, counts)), {b - a for a, b in pairwise(counts)}
         if len(counts) > 2 and len(steps) == 1:
             written = f"{counts[0]}:{counts[-1]}:{steps.pop()}"

@@ -70,6 +70,7 @@ def simulate_layout(
             facts["tasks_per_hour"] = facts["mean_of_all"] * options.per_hour
         return facts
 
+    # Whoever audits records every step anyway: maps of it cost nothing more.
     maps = audit or picture is not None
     head = [options.describe(str(agents), timesteps, plan), note]
     with studies.about(name), Bar("simulating") as bar:
@@ -133,6 +134,7 @@ def _jams(facts: Mapping[str, Any], plan: Plan) -> list[str]:
         return lines
     tasks = plan.domain.simulator.tasks
     assert tasks is not None
+    # Half of the waiting on few of all cells that agents can reach is a jam at one place.
     free = of_tiles(plan.layout, tasks.traversable, tasks.tiles).sum()
     half = facts["cells_with_half_of_waiting"]
     where = f", half of it on {half} of {free} free cells" if half else ""
