@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 import numba
+import numpy as np
 import platformdirs
 from numba.extending import register_jitable
 
@@ -85,6 +86,12 @@ def shared(rule: Function) -> Function:
     """Let compiled functions call `rule`, which stays the plain Python function that it is."""
     made: Function = register_jitable(rule)
     return made
+
+
+def numbers(*names: str) -> np.record:
+    """Make int64 numbers that kernels read and change as ``record.name``; all of them are 0."""
+    record: np.record = np.zeros(1, np.dtype((np.record, [(name, np.int64) for name in names])))[0]
+    return record
 
 
 @functools.cache

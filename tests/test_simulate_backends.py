@@ -14,7 +14,7 @@ from qdenv.simulate.mapf.host import run as host_run
 from qdenv.simulate.mapf.host.distances import empty_fields
 from qdenv.simulate.mapf.negotiated.settings import LOW, NegotiatedConfig
 from qdenv.simulate.mapf.pibt import numba as pibt_on_host
-from qdenv.simulate.mapf.pibt import xla as pibt_in_xla
+from qdenv.simulate.mapf.pibt import planner as pibt_in_xla
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.planner import NOBODY
 from qdenv.study.engine import _program

@@ -51,7 +51,7 @@ def ask(
     for _ in range(times):
         goal, cell = rng.integers(GOALS), rng.choice(np.flatnonzero(grid.free))
         found = distance(fields, grid, goal, cell)
-        while fields.is_full:
+        while fields.numbers.is_full:
             assert found == UNREACHABLE
             fields = make_room(fields, np.array([goal]))
             found = distance(fields, grid, goal, cell)
@@ -64,7 +64,7 @@ def test_every_answer_is_that_of_a_plain_search(shape):
     for seed in range(4):
         rng = np.random.default_rng(seed)
         fields = ask(empty_fields(shape, GOALS, GOALS), random_grid(rng, shape), rng, 500)
-        assert not fields.is_full and (fields.steps[1:] > 0).any()
+        assert not fields.numbers.is_full and (fields.steps[1:] > 0).any()
 
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
@@ -72,9 +72,9 @@ def test_fields_make_room_for_others_and_grow_where_that_is_too_little(shape):
     rng = np.random.default_rng(9)
     fields = ask(empty_fields(shape, GOALS, 2, 5), random_grid(rng, shape), rng, 300)
     held = fields.page != 0
-    assert fields.num_free_rows == fields.extent.size - (fields.row >= 0).sum()
-    assert fields.num_free_pages == len(fields.steps) - 1 - held.sum()
-    used = np.concatenate([fields.page[held], fields.free_pages[: fields.num_free_pages]])
+    assert fields.numbers.free_rows == fields.extent.size - (fields.row >= 0).sum()
+    assert fields.numbers.free_pages == len(fields.steps) - 1 - held.sum()
+    used = np.concatenate([fields.page[held], fields.free_pages[: fields.numbers.free_pages]])
     assert sorted(used) == list(range(1, len(fields.steps)))
 
 

@@ -21,11 +21,11 @@ from pbs_oracle import (
     some_choice_works,
 )
 
+from qdenv.native import numbers
 from qdenv.simulate.mapf.host.distances import empty_fields
 from qdenv.simulate.mapf.host.run import run_to_the_end
 from qdenv.simulate.mapf.host.state import (
     Agents,
-    Counters,
     GridMap,
     HostRun,
     RunSettings,
@@ -107,11 +107,14 @@ def run_of(instance: Instance, seed: int = 0) -> HostRun:
     )
     horizon = instance.horizon
     size = max(horizon, grid.free.size)
-    counters = Counters(*(np.zeros((), np.int64) for _ in range(3)), *np.zeros((2, size), np.int32))
+    counters, (finished, visits) = (
+        numbers("time", "congested_at", "moves"),
+        np.zeros((2, size), np.int32),
+    )
     kinds = np.int32, np.int32, np.bool_, np.int32
     block = Block(*(np.zeros((horizon, count), kind) for kind in kinds))
     settings = RunSettings(seed, horizon, instance.window, horizon, True)
-    return HostRun(grid, agents, counters, block, settings)
+    return HostRun(grid, agents, counters, finished, visits, block, settings)
 
 
 def plan(instance: Instance, rule: str, seed: int = 0, node_limit: int = 20_000) -> Answer:
@@ -264,7 +267,7 @@ def test_two_agents_that_want_to_swap_in_a_corridor_stand_still():
     assert not plain.solved
     for rule in RULES:
         run = run_of(CORRIDOR)
-        run_to_the_end(pbs(PbsConfig(rule)).host, run, (3, 4))
+        run_to_the_end(pbs(PbsConfig(rule)).host, run)
         assert run.block.positions.tolist() == [[5, 6]] * 6
 
 

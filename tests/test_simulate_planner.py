@@ -26,7 +26,6 @@ from qdenv.simulate.mapf.distances import goal_distances
 from qdenv.simulate.mapf.host.distances import empty_fields
 from qdenv.simulate.mapf.host.state import GridMap, grid_map
 from qdenv.simulate.mapf.negotiated.numba import reservations
-from qdenv.simulate.mapf.negotiated.numba.backtrack import trace
 from qdenv.simulate.mapf.negotiated.numba.search import Agent, find_path, make_arrays
 from qdenv.simulate.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
 from qdenv.simulate.mapf.negotiated.xla.reservations import (
@@ -117,7 +116,6 @@ def reserve_others(others: np.ndarray, place: GridMap) -> reservations.Reservati
     """Reserve paths of the padded grid (int [WINDOW + 1, n]) with one agent more that has none."""
     count = others.shape[1]
     table = reservations.make_reservations(place, count + 1, WINDOW)
-    reservations.clear(table, place)
     table.path[:count] = others.T
     for agent in range(count):
         reservations.reserve(table, agent, WINDOW, place.width)
@@ -129,6 +127,7 @@ def search_on_host(world: World, case: Case, tie_break: int) -> np.ndarray:
     table = reserve_others(others, place)
     start, cells = int(padded(case.start)), padded(case.goals)
     agent = Agent(
+        others.shape[1],
         start,
         (0, 1),
         (int(cells[0]), int(cells[1])),
@@ -137,10 +136,8 @@ def search_on_host(world: World, case: Case, tie_break: int) -> np.ndarray:
         case.penalty,
         tie_break,
     )
-    work = make_arrays(WINDOW, case.levels, case.penalty)
-    code = find_path(work, table, empty_fields(SHAPE, 2, 2), place, agent)
-    assert code >= 0
-    trace(work, table, place, agent, code, others.shape[1])
+    work = make_arrays(WINDOW, case.levels, np.array([case.penalty]))
+    assert find_path(work, table, empty_fields(SHAPE, 2, 2), place, agent)
     return table.path[-1]
 
 
@@ -198,7 +195,7 @@ def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
         np.testing.assert_array_equal(on_host, expected)
     assert not add_paths(table, paths, mask, SHAPE, sign=-1).any()
     for agent in range(10):
-        reservations.release(host, agent, place.width)
+        reservations.reserve(host, agent, 0, place.width)
     np.testing.assert_array_equal(host.word, np.where(place.free, 0, reservations.WALL))
 
 

@@ -70,7 +70,7 @@ class AgentState(NamedTuple):
 
 
 class HostPlanner(NamedTuple):
-    """A planner in compiled host code, for whole runs; see `qdenv.simulate.mapf.host.windows`."""
+    """A planner in compiled host code, for whole runs; see `qdenv.simulate.mapf.host.run`."""
 
     # (run, size) -> what the planner works on; the size is 1, and doubled when that is too small
     make_plan: Callable[[Any, int], Any]

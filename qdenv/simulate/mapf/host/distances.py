@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP
-from qdenv.native import Scalar, formula, kernel
+from qdenv.native import formula, kernel, numbers
 from qdenv.simulate.mapf.host.state import GridMap
 from qdenv.simulate.mapf.planner import NOBODY, steps_type, unreachable
 
@@ -32,19 +32,19 @@ INDICES = (1 << 31) - 1  # a masked index is known not to count from the end
 
 
 class DistanceFields(NamedTuple):
-    """DistanceFields of distances; R rows for fields, S pages of cells, G goals, N cells."""
+    """Fields of distances; R rows for fields, S pages of cells, G goals, N cells."""
 
     row: np.ndarray  # int32 [G], the row of each goal's field, or `NOBODY`
-    extent: np.ndarray  # int8 [R], how often a field was measured, see `_measure`
+    extent: np.ndarray  # int8 [R], how often a field was measured, or `_COMPLETE`
     page: np.ndarray  # int32 [R, tiles], the page of each tile of the grid
     steps: np.ndarray  # [S, cells of a page], distances (`planner.steps_type`), or `_UNKNOWN`
     tile: np.ndarray  # int32 [N], the tile of each cell
     place: np.ndarray  # int32 [N], where in its page each cell lies
     free_rows: np.ndarray  # int32 [R], a stack
     free_pages: np.ndarray  # int32 [S], a stack
-    num_free_rows: Scalar  # int64 []
-    num_free_pages: Scalar  # int64 []
-    is_full: Scalar  # bool [], a distance could not be measured for lack of rows or pages
+    # free_rows and free_pages, the heights of the stacks; is_full, whether a distance could not be
+    # measured for lack of rows or pages
+    numbers: np.record
     queue: np.ndarray  # int64 [2, 4 N], cells that wait in a search
     # [N], distances found by the search under way; between searches all `_UNKNOWN`
     found: np.ndarray
@@ -70,6 +70,8 @@ def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) 
     # Not initialised: a page takes memory once it is used, but for the first, never written again.
     steps: np.ndarray = np.empty((pages, side * side), steps_type(cells))
     steps[_NO_PAGE] = _UNKNOWN
+    sizes = numbers("free_rows", "free_pages", "is_full")
+    sizes.free_rows, sizes.free_pages = rows, pages - 1
     return DistanceFields(
         row=np.full(goals, NOBODY, np.int32),
         extent=np.zeros(rows, np.int8),
@@ -79,9 +81,7 @@ def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) 
         place=row % side * side + column % side,
         free_rows=np.arange(rows, dtype=np.int32)[::-1].copy(),
         free_pages=np.arange(pages, dtype=np.int32)[:_NO_PAGE:-1].copy(),
-        num_free_rows=np.array(rows, np.int64),
-        num_free_pages=np.array(pages - 1, np.int64),
-        is_full=np.array(False),
+        numbers=sizes,
         queue=np.empty((2, 4 * cells), np.int64),
         found=np.full(cells, _UNKNOWN, steps_type(cells)),
         order=np.empty(cells, np.int32),
@@ -95,41 +95,35 @@ def make_room(fields: DistanceFields, needed: np.ndarray) -> DistanceFields:
     spared[needed] = True
     dropped = np.flatnonzero((fields.row != NOBODY) & ~spared)
     rows = fields.row[dropped]
-    tables = fields.page[rows]
-    pages = tables[tables != _NO_PAGE]
-    _push(fields.free_rows, fields.num_free_rows, rows)
-    _push(fields.free_pages, fields.num_free_pages, pages)
+    pages = fields.page[rows][fields.page[rows] != _NO_PAGE]
+    free_rows = np.append(fields.free_rows[: fields.numbers.free_rows], rows)
+    free_pages = np.append(fields.free_pages[: fields.numbers.free_pages], pages)
     fields.page[rows], fields.extent[rows], fields.row[dropped] = _NO_PAGE, 0, NOBODY
     old = fields.extent.size
-    if fields.num_free_rows <= old // _LOW_SHARE:
+    if free_rows.size <= old // _LOW_SHARE:
+        free_rows = np.append(free_rows, np.arange(old, 2 * old, dtype=np.int32))
         fields = fields._replace(
-            extent=np.concatenate([fields.extent, np.zeros(old, np.int8)]),
-            page=np.concatenate([fields.page, np.zeros_like(fields.page)]),
-            free_rows=np.concatenate([fields.free_rows, np.zeros(old, np.int32)]),
+            extent=np.append(fields.extent, np.zeros(old, np.int8)),
+            page=np.append(fields.page, np.zeros_like(fields.page), axis=0),
         )
-        _push(fields.free_rows, fields.num_free_rows, np.arange(old, 2 * old))
-    old, cells = fields.steps.shape
-    if fields.num_free_pages <= old // _LOW_SHARE:
-        steps = np.empty((2 * old, cells), fields.steps.dtype)
+    old = len(fields.steps)
+    if free_pages.size <= old // _LOW_SHARE:
+        free_pages = np.append(free_pages, np.arange(old, 2 * old, dtype=np.int32))
+        steps = np.empty((2 * old, fields.steps.shape[1]), fields.steps.dtype)
         steps[:old] = fields.steps
-        stack = np.concatenate([fields.free_pages, np.zeros(old + 1, np.int32)])
-        fields = fields._replace(steps=steps, free_pages=stack)
-        _push(fields.free_pages, fields.num_free_pages, np.arange(old, 2 * old))
-    fields.is_full[()] = False
-    return fields
-
-
-def _push(stack: np.ndarray, count: np.ndarray, numbers: np.ndarray) -> None:
-    """Put free rows or pages onto their stack."""
-    stack[count : count + numbers.size] = numbers
-    count += numbers.size
+        fields = fields._replace(steps=steps)
+    sizes = fields.numbers
+    sizes.free_rows, sizes.free_pages, sizes.is_full = free_rows.size, free_pages.size, False
+    free_rows.resize(fields.extent.size, refcheck=False)
+    free_pages.resize(len(fields.steps), refcheck=False)
+    return fields._replace(free_rows=free_rows, free_pages=free_pages)
 
 
 @formula
 def distance(fields: DistanceFields, grid: GridMap, goal: int, cell: int) -> int:
     """Look up the steps from a free cell to a goal; measure them first if needed.
 
-    If the fields are full the answer is `fields.unreachable`, and `fields.is_full` is set.
+    If the fields are full the answer is `fields.unreachable`, and `is_full` is set.
     """
     row = fields.row[goal]
     if row != NOBODY:
@@ -143,14 +137,14 @@ def distance(fields: DistanceFields, grid: GridMap, goal: int, cell: int) -> int
 @kernel
 def _measure(fields: DistanceFields, grid: GridMap, goal: int, cell: int) -> int:
     """Measure the field of a goal, at least as far as a cell; returns the cell's distance."""
-    if fields.is_full[()]:
+    if fields.numbers.is_full:
         return fields.unreachable  # the window will be planned again with larger buffers
     if fields.row[goal] == NOBODY:
-        if fields.num_free_rows[()] == 0:
-            fields.is_full[()] = True
+        if fields.numbers.free_rows == 0:
+            fields.numbers.is_full = True
             return fields.unreachable
-        fields.num_free_rows[()] -= 1
-        fields.row[goal] = fields.free_rows[fields.num_free_rows[()]]
+        fields.numbers.free_rows -= 1
+        fields.row[goal] = fields.free_rows[fields.numbers.free_rows]
     row, begin = fields.row[goal], grid.goals[goal]
     if fields.extent[row] == _COMPLETE or not grid.free[begin]:
         return fields.unreachable
@@ -163,59 +157,47 @@ def _measure(fields: DistanceFields, grid: GridMap, goal: int, cell: int) -> int
         fields.extent[row] = before + 1
         count = _reach(fields, grid, begin, cell)
     steps = fields.found[cell] + 0  # as a number of 64 bits
-    if not _store(fields, row, count):
-        fields.extent[row], fields.is_full[()] = before, True
+    _store(fields, row, count)
+    if fields.numbers.is_full:
+        fields.extent[row] = before
         return fields.unreachable
     return steps if steps != _UNKNOWN else fields.unreachable
 
 
 @kernel
-def _store(fields: DistanceFields, row: int, count: int) -> bool:
-    """Move what a search found into pages; returns False if there were not enough of them."""
-    fits = True
+def _store(fields: DistanceFields, row: int, count: int) -> None:
+    """Move what a search found into pages; sets `is_full` if there are not enough of them."""
     for index in range(count):
         cell = fields.order[index]
-        fits = fits and _write(fields, row, cell, fields.found[cell])
+        tile = fields.tile[cell]
+        page = fields.page[row, tile]
+        if page == _NO_PAGE:
+            if fields.numbers.free_pages > 0:
+                fields.numbers.free_pages -= 1
+                page = fields.free_pages[fields.numbers.free_pages]
+                fields.page[row, tile] = page
+                fields.steps[page] = _UNKNOWN
+            else:
+                fields.numbers.is_full = True
+        if page != _NO_PAGE:
+            fields.steps[page, fields.place[cell]] = fields.found[cell]
         fields.found[cell] = _UNKNOWN
-    return fits
-
-
-@formula
-def _write(fields: DistanceFields, row: int, cell: int, steps: int) -> bool:
-    """Write a distance; returns False if it lies on a new page and none is free."""
-    tile = fields.tile[cell]
-    page = fields.page[row, tile]
-    if page == _NO_PAGE:
-        if fields.num_free_pages[()] == 0:
-            return False
-        fields.num_free_pages[()] -= 1
-        page = fields.free_pages[fields.num_free_pages[()]]
-        fields.page[row, tile] = page
-        for place in range(fields.steps.shape[1]):
-            fields.steps[page, place] = _UNKNOWN
-    fields.steps[page, fields.place[cell]] = steps
-    return True
-
-
-@formula
-def _find(fields: DistanceFields, count: int, cell: int, steps: int) -> int:
-    """Note the distance of a cell; returns the number of cells found."""
-    fields.found[cell] = steps
-    fields.order[count] = cell
-    return count + 1
 
 
 @kernel
 def _flood(fields: DistanceFields, grid: GridMap, begin: int) -> int:
     """Find the distances of all cells, breadth first; returns their number."""
-    head, count = 0, _find(fields, 0, begin, 0)
+    found, order = fields.found, fields.order
+    head, count = 0, 1
+    found[begin], order[0] = 0, begin
     while head < count:
-        cell = fields.order[head]
+        cell = order[head]
         head += 1
         for move in range(1, NUM_MOVES):
             other = cell + grid.steps[move]
-            if grid.free[other] and fields.found[other] == _UNKNOWN:
-                count = _find(fields, count, other, fields.found[cell] + 1)
+            if grid.free[other] and found[other] == _UNKNOWN:
+                found[other], order[count] = found[cell] + 1, other
+                count += 1
     return count
 
 
@@ -241,7 +223,8 @@ def _reach(fields: DistanceFields, grid: GridMap, begin: int, target: int) -> in
             at_row = cell // width
             at_column = cell - at_row * width
             left = abs(at_row - target_row) + abs(at_column - target_column)
-            count = _find(fields, count, cell, length - left)
+            fields.found[cell], fields.order[count] = length - left, cell
+            count += 1
             if cell == target:
                 longest = length + _SLACK
             for move in range(1, NUM_MOVES):

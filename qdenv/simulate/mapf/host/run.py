@@ -1,20 +1,106 @@
-"""Whole runs on the host: jax's buffers in, compiled host code, jax's buffers out."""
+"""Whole runs on the host: plan a window, fall back where needed, drive it, until the end."""
 
-import contextlib
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 
-from qdenv.simulate.mapf.host.distances import empty_fields, make_room
-from qdenv.simulate.mapf.host.state import HostRun, RunSettings, make_run, place_agents
-from qdenv.simulate.mapf.host.windows import DONE, FIELDS_FULL, make_fallback
+from qdenv.native import kernel
+from qdenv.simulate.mapf import chance
+from qdenv.simulate.mapf.host.distances import DistanceFields, empty_fields, make_room
+from qdenv.simulate.mapf.host.state import (
+    HostRun,
+    RunSettings,
+    drive_window,
+    make_run,
+    paths_meet,
+    place_agents,
+)
 from qdenv.simulate.mapf.metrics import Outcome
+from qdenv.simulate.mapf.pibt.numba import Rollout, make_rollout, roll_out
 from qdenv.simulate.mapf.planner import HostPlanner, World
 
 _SPARE_ROWS = 64  # fields of distances for more goals than two per agent
+# What `plan_window` and a whole run end with: done, or a buffer that was too small.
+DONE, FIELDS_FULL, PLAN_FULL = range(3)
+
+
+class Fallback(NamedTuple):
+    """The paths of a window: as planned, or those of a joint plan that never has conflicts."""
+
+    path: np.ndarray  # int64 [A, w + 1], as planned; conflicts of agents that fall back are allowed
+    is_used: np.ndarray  # bool [A], who follows the rollout instead; `plan_window` sets all entries
+    rollout: Rollout  # h steps of all agents by PIBT
+    queue: np.ndarray  # int64 [A], agents that fall back and may make others fall back
+    waits: bool  # the rollout is to stand still, instead of PIBT's
+
+
+def compile_windows(plan_window: Callable[..., int]) -> Callable[..., int]:
+    """Compile the loop over the windows of a run, (run, fields, plan, fallback) -> status.
+
+    Args:
+        plan_window: (run, fields, plan, fallback, seed) -> status; sets ``fallback.path`` and
+            ``fallback.is_used`` and, unless it is `DONE`, changes nothing else of the run. A
+            `native.shared` function, found by its name: the machine code is cached under the names
+            that a closure holds, and one of a compiled function is another in each process.
+    """
+
+    def run_windows(run: HostRun, fields: DistanceFields, plan: Any, fallback: Fallback) -> int:
+        counters, settings = run.counters, run.settings
+        plans = chance.mix(settings.seed, chance.PLANS)
+        while counters.time < settings.timesteps:
+            seed = chance.mix(plans, counters.time)
+            status = plan_window(run, fields, plan, fallback, seed)
+            if status != DONE:
+                return status
+            if not _adopt(run, fields, fallback, seed):
+                return FIELDS_FULL
+            drive_window(run)
+            if counters.congested_at and settings.stop_when_congested:
+                break
+        return DONE
+
+    # The cache of machine code watches the sources that a module imports: the planner's.
+    run_windows.__module__ = plan_window.__module__
+    return kernel(run_windows)
+
+
+@kernel
+def _adopt(run: HostRun, fields: DistanceFields, fallback: Fallback, seed: int) -> bool:
+    """Make the window's paths those of the agents; returns False if the fields are full.
+
+    Who falls back makes those fall back whose paths it would meet. Beyond the horizon the two
+    kinds of path may conflict: that part is dropped.
+    """
+    horizon, paths, is_used = run.settings.horizon, run.agents.paths, fallback.is_used
+    waiting, planned, last = 0, 0, paths.shape[1] - 1
+    for agent in range(is_used.size):
+        if is_used[agent]:
+            fallback.queue[waiting] = agent
+            waiting += 1
+    if waiting > 0:
+        last, planned = horizon, is_used.size - waiting
+        roll_out(run, fields, fallback.rollout, seed, fallback.waits)
+        if fields.numbers.is_full:
+            return False
+    rollout = fallback.rollout.path
+    while waiting > 0 and planned > 0:
+        waiting -= 1
+        agent = fallback.queue[waiting]
+        for other in range(is_used.size):
+            if not is_used[other] and paths_meet(rollout, agent, fallback.path, other, horizon):
+                is_used[other] = True
+                fallback.queue[waiting] = other
+                waiting, planned = waiting + 1, planned - 1
+    for agent in range(is_used.size):
+        for t in range(paths.shape[1]):
+            if is_used[agent]:
+                paths[agent, t] = rollout[agent, min(t, horizon)]
+            else:
+                paths[agent, t] = fallback.path[agent, min(t, last)]
+    return True
 
 
 def simulate_in_callback(
@@ -45,6 +131,14 @@ def simulate_in_callback(
     return result
 
 
+_runs: dict[int, HostRun] = {}  # those that are being driven now, in any thread
+
+
+def steps_under_way() -> int:
+    """Count the timesteps driven so far by all runs of this process that have not ended yet."""
+    return sum(int(run.counters.time) for run in list(_runs.values()))
+
+
 def simulate_into(
     outcome: Any, planner: HostPlanner, world: World, agents: int, settings: RunSettings
 ) -> None:
@@ -61,23 +155,33 @@ def simulate_into(
     if world.valid:
         place_agents(run)
         outcome.start[:agents] = run.agents.position
-        with _under_way(run):
-            run_to_the_end(planner, run, world.traversable.shape)
+        _runs[id(run)] = run
+        try:
+            run_to_the_end(planner, run)
+        finally:
+            del _runs[id(run)]
     metrics, counters = outcome.metrics, run.counters
     metrics.time[...], metrics.congested_at[...] = counters.time, counters.congested_at
     metrics.moves[...] = counters.moves
-    metrics.finished[...], metrics.visits[...] = counters.finished, counters.visits
+    metrics.finished[...], metrics.visits[...] = run.finished, run.visits
     outcome.heading[:agents] = run.grid.goals[run.agents.goal[0]]
 
 
-def run_to_the_end(planner: HostPlanner, run: HostRun, shape: tuple[int, ...]) -> None:
-    """Drive a run whose agents have been placed, on a padded grid [H', W'].
+def run_to_the_end(planner: HostPlanner, run: HostRun) -> None:
+    """Drive a run whose agents have been placed.
 
     A window for which a buffer is too small is planned again with a larger one.
     """
-    goals, agents = run.grid.goals.size, run.agents.position.size
-    fields = empty_fields((shape[0], shape[1]), goals, min(goals, 2 * agents + _SPARE_ROWS))
-    fallback, size = make_fallback(run, planner.fallback_waits), 1
+    grid, agents, size = run.grid, run.agents.position.size, 1
+    rows = min(grid.goals.size, 2 * agents + _SPARE_ROWS)
+    fields = empty_fields((grid.free.size // grid.width, grid.width), grid.goals.size, rows)
+    fallback = Fallback(
+        np.zeros_like(run.agents.paths),
+        np.zeros(agents, np.bool_),
+        make_rollout(agents, run.settings.horizon, grid.free.size),
+        np.zeros(agents, np.int64),
+        planner.fallback_waits,
+    )
     plan = planner.make_plan(run, size)
     while (status := planner.run_windows(run, fields, plan, fallback)) != DONE:
         if status == FIELDS_FULL:
@@ -85,21 +189,3 @@ def run_to_the_end(planner: HostPlanner, run: HostRun, shape: tuple[int, ...]) -
         else:
             size *= 2
             plan = planner.make_plan(run, size)
-
-
-_runs: dict[int, HostRun] = {}  # those that are being driven now, in any thread
-
-
-@contextlib.contextmanager
-def _under_way(run: HostRun) -> Iterator[None]:
-    """Let others see how far a run is."""
-    _runs[id(run)] = run
-    try:
-        yield
-    finally:
-        del _runs[id(run)]
-
-
-def steps_under_way() -> int:
-    """Count the timesteps driven so far by all runs of this process that have not ended yet."""
-    return sum(int(run.counters.time) for run in list(_runs.values()))

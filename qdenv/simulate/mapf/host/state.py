@@ -8,13 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import move_steps
-from qdenv.native import Scalar, formula, kernel
+from qdenv.native import formula, kernel, numbers
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.metrics import Block
 from qdenv.simulate.mapf.planner import World, unpad
 from qdenv.simulate.mapf.tasks import KNOWN, serve
 
-_AGENT_BITS = 24
+# Orders of agents are sorted as single numbers: what ranks an agent (below 2^38), then the agent.
+AGENT_BITS = 24
+AGENT = (1 << AGENT_BITS) - 1
 
 
 class GridMap(NamedTuple):
@@ -42,16 +44,6 @@ class Agents(NamedTuple):
     stuck: np.ndarray  # bool [A], whether the agent neither moved nor served in this window
 
 
-class Counters(NamedTuple):
-    """What was counted so far, see `metrics.Metrics`; T is rounded up to whole windows."""
-
-    time: Scalar  # int64 [], timesteps driven
-    congested_at: Scalar  # int64 [], `time` when the first congested window ended; 0 for none
-    moves: Scalar  # int64 [], agent-steps with a move
-    finished: np.ndarray  # int32 [T], tasks finished at each timestep
-    visits: np.ndarray  # int32 [N], agent-steps on each cell
-
-
 class RunSettings(NamedTuple):
     """The numbers of a run."""
 
@@ -63,11 +55,13 @@ class RunSettings(NamedTuple):
 
 
 class HostRun(NamedTuple):
-    """One run under way."""
+    """One run under way; what it counts is explained in `metrics.Metrics`."""
 
     grid: GridMap  # the layout
     agents: Agents  # where they are, and what they do
-    counters: Counters  # what was counted
+    counters: np.record  # time, congested_at and moves
+    finished: np.ndarray  # int32 [T], T rounded up to whole windows
+    visits: np.ndarray  # int32 [N]
     block: Block  # every step, each int32 or bool [T, A]; without rows where nothing is recorded
     settings: RunSettings  # its numbers
 
@@ -88,37 +82,30 @@ def grid_map(world: World) -> GridMap:
 
 
 def make_run(world: World, settings: RunSettings, agents: int, block: Block) -> HostRun:
-    """Begin a run of `agents` agents who have no position yet.
-
-    Args:
-        world: of numpy arrays.
-        settings: of the run.
-        agents: number of agents.
-        block: numpy arrays to record into.
-    """
+    """Begin a run of `agents` agents who have no position yet; all arrays are numpy's."""
     grid = grid_map(world)
     windows = -(-settings.timesteps // settings.horizon)
     position, kind, remaining_service, age, legs = np.zeros((5, agents), np.int64)
     goal, paths = np.zeros((2, agents), np.int64), np.zeros((agents, settings.window + 1), np.int64)
     stuck = np.zeros(agents, np.bool_)
-    time, congested_at, moves = (np.zeros((), np.int64) for _ in range(3))
-    counters = Counters(
-        time,
-        congested_at,
-        moves,
-        finished=np.zeros(windows * settings.horizon, np.int32),
-        visits=np.zeros(grid.free.size, np.int32),
+    return HostRun(
+        grid,
+        Agents(position, kind, goal, remaining_service, age, legs, paths, stuck),
+        numbers("time", "congested_at", "moves"),
+        np.zeros(windows * settings.horizon, np.int32),
+        np.zeros(grid.free.size, np.int32),
+        block,
+        settings,
     )
-    moving = Agents(position, kind, goal, remaining_service, age, legs, paths, stuck)
-    return HostRun(grid, moving, counters, block, settings)
 
 
 def place_agents(run: HostRun) -> None:
     """Put the agents on distinct free cells and draw their first goals, as `agents.place` does."""
     grid, agents, seed = run.grid, run.agents, run.settings.seed
     count, cells = agents.position.size, np.flatnonzero(grid.free)
-    numbers = unpad(cells, grid.width - 2 * grid.margin, grid.margin)
-    rank = chance.draw_on_host(chance.draw_on_host(seed, chance.STARTS), numbers) >> 1
+    # Ranked by their places in the layout: a planner's margin changes no start.
+    places = unpad(cells, grid.width - 2 * grid.margin, grid.margin)
+    rank = chance.draw_on_host(chance.draw_on_host(seed, chance.STARTS), places) >> 1
     agents.position[:] = cells[np.argsort(-rank.astype(int), kind="stable")[:count]]
     agents.paths[:] = agents.position[:, None]
     for ahead, purpose in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL)):
@@ -131,55 +118,44 @@ def place_agents(run: HostRun) -> None:
 
 
 @kernel
-def is_going(run: HostRun) -> bool:
-    """Return True if there is another window to drive."""
-    halted = run.counters.congested_at[()] != 0 and run.settings.stop_when_congested
-    return run.counters.time[()] < run.settings.timesteps and not halted
-
-
-@kernel
 def drive_window(run: HostRun) -> None:
     """Drive the first steps of all paths; count, record and look for a jam."""
-    agents, counters, horizon = run.agents, run.counters, run.settings.horizon
-    begin, count, stuck = counters.time[()], agents.position.size, 0
-    last = agents.paths.shape[1] - 1
-    goals = chance.mix(run.settings.seed, chance.GOALS)
-    for agent in range(count):
-        agents.stuck[agent], agents.legs[agent] = True, 0
+    agents, counters, settings = run.agents, run.counters, run.settings
+    begin, horizon, last = counters.time, settings.horizon, agents.paths.shape[1] - 1
+    goals = chance.mix(settings.seed, chance.GOALS)
+    agents.stuck[:], agents.legs[:] = True, 0
     for step in range(horizon):
         drawn = chance.mix(goals, begin + step)
-        for agent in range(count):
-            _drive(run, agent, step, drawn)
-    for agent in range(count):
-        stuck += agents.stuck[agent]
+        for agent in range(agents.position.size):
+            _drive(run, agent, step, begin + step, drawn)
+    for agent in range(agents.position.size):
         # The rest of the path is kept; its last cell is repeated.
         for step in range(last + 1):
             agents.paths[agent, step] = agents.paths[agent, min(step + horizon, last)]
     # A window that T cuts short is no window of the jam rule.
-    jam = begin + horizon <= run.settings.timesteps and stuck > count // 2
-    if jam and counters.congested_at[()] == 0:
-        counters.congested_at[()] = begin + horizon
-    counters.time[()] = min(begin + horizon, run.settings.timesteps)
+    jam = begin + horizon <= settings.timesteps and agents.stuck.sum() > agents.position.size // 2
+    if jam and counters.congested_at == 0:
+        counters.congested_at = begin + horizon
+    counters.time = min(begin + horizon, settings.timesteps)
 
 
 @kernel
-def _drive(run: HostRun, agent: int, step: int, drawn: int) -> None:
+def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
     """Move one agent by one step of its path and serve its goal, as `agents.drive` does."""
-    grid, agents, counters = run.grid, run.agents, run.counters
-    time = counters.time[()] + step
+    grid, agents = run.grid, run.agents
     cell, goal = agents.paths[agent, step + 1], grid.goals[agents.goal[0, agent]]
     moves = cell != agents.position[agent]
     if time < run.settings.timesteps:
-        counters.visits[cell] += 1
-        counters.moves[()] += moves
+        run.visits[cell] += 1
+        run.counters.moves += moves
     # Stuck: the same cell at all timesteps of the window but the last, and never serving.
     if (moves and step < run.settings.horizon - 1) or agents.remaining_service[agent] > 0:
         agents.stuck[agent] = False
     agents.position[agent] = cell
     kind = agents.kind[agent]
     service_time = grid.service_time[kind]
-    known = agents.legs[agent] < KNOWN or service_time == 0
-    on_goal = cell == goal and known
+    # Planners know of two goals: a later one is not served in passing.
+    on_goal = cell == goal and (agents.legs[agent] < KNOWN or service_time == 0)
     left, finished = serve(agents.remaining_service[agent], on_goal, service_time)
     agents.remaining_service[agent] = left
     agents.age[agent] += 1
@@ -190,50 +166,35 @@ def _drive(run: HostRun, agent: int, step: int, drawn: int) -> None:
         run.block.goals[time, agent] = goal
     if finished:
         kind = (kind + 1) % grid.service_time.size
-        coming = (kind + 1) % grid.service_time.size
         agents.kind[agent], agents.age[agent] = kind, 0
         agents.legs[agent] += 1
+        # Draw the goal after the next with the odds of its kind, as `tasks.draw_goals` does.
+        bits = chance.mix(drawn, agent) >> (32 - chance.CHANCE_BITS)
+        value = np.float32(bits) * np.float32(2.0**-chance.CHANCE_BITS)
+        odds = grid.odds[(kind + 1) % grid.service_time.size]
+        slot = np.searchsorted(odds, value, side="right")
         agents.goal[0, agent] = agents.goal[1, agent]
-        agents.goal[1, agent] = _draw_goal(grid, coming, chance.mix(drawn, agent))
+        agents.goal[1, agent] = min(slot, grid.goals.size - 1)
         if time < run.settings.timesteps:
-            counters.finished[time] += 1
-
-
-@kernel
-def _draw_goal(grid: GridMap, kind: int, bits: int) -> int:
-    """Draw a goal of a kind with its odds, as `tasks.draw_goals` does."""
-    low, high = 0, grid.goals.size
-    value = np.float32(bits >> (32 - chance.CHANCE_BITS)) * np.float32(2.0**-chance.CHANCE_BITS)
-    while low < high:
-        middle = (low + high) // 2
-        if grid.odds[kind, middle] <= value:
-            low = middle + 1
-        else:
-            high = middle
-    return min(low, grid.goals.size - 1)
-
-
-# Orders of agents. Heaps by hand: numba compiles `heapq` for lists only, and its own sort of an
-# array makes a list of partitions, which no kernel may.
+            run.finished[time] += 1
 
 
 @formula
-def ranked(number: int, agent: int) -> int:
-    """Pack a number (0 to 2^38) and an agent: packs sort by number, then by agent."""
-    return (number << _AGENT_BITS) | agent
-
-
-@formula
-def agent_of(pack: int) -> int:
-    """Read the agent of a pack."""
-    return pack & ((1 << _AGENT_BITS) - 1)
+def paths_meet(mine: np.ndarray, one: int, theirs: np.ndarray, other: int, last: int) -> bool:
+    """Return True if two agents meet or swap cells within the first `last` steps."""
+    for t in range(1, last + 1):
+        swaps = mine[one, t] == theirs[other, t - 1] and mine[one, t - 1] == theirs[other, t]
+        if swaps or mine[one, t] == theirs[other, t]:
+            return True
+    return False
 
 
 @kernel
 def sort(values: np.ndarray) -> None:
     """Sort int64 [n] in place, the smallest first (heapsort; Williams 1964).
 
-    https://doi.org/10.1145/512274.512284
+    https://doi.org/10.1145/512274.512284. By hand: numba compiles `heapq` for lists only, and its
+    own sort of an array makes a list of partitions, which no kernel may.
     """
     size = values.size
     for first in range(size // 2 - 1, -1, -1):

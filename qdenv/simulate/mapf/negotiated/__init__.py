@@ -7,8 +7,8 @@ How to read it:
    best path of one agent past the reservations of the others, is specified by the uniform-cost
    search over all states in the tests (`tests/mapf_oracle.py`).
 3. `numba` computes it for one agent at a time and is the easier half to read: `reservations`
-   (who holds which cells), `search` (what an agent can reach, and the cheapest end), `backtrack`
-   (the way there), `rounds` (who plans when, and who wins).
+   (which agent holds which cells), `search` (what an agent can reach, the cheapest end and the way
+   there), `rounds` (which agents plan when, and which of them win).
 4. `xla` does the same for several agents side by side, without a branch or a host callback:
    `reservations` (and how they are packed in bits), `search` (what an agent sees and can reach,
    the cheapest end and the way there), `rounds`.

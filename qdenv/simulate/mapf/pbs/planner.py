@@ -21,14 +21,14 @@ import numpy as np
 from qdenv.native import formula, kernel, shared
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields, distance
-from qdenv.simulate.mapf.host.state import GridMap, HostRun
-from qdenv.simulate.mapf.host.windows import (
+from qdenv.simulate.mapf.host.run import (
     DONE,
     FIELDS_FULL,
     PLAN_FULL,
     Fallback,
     compile_windows,
 )
+from qdenv.simulate.mapf.host.state import GridMap, HostRun
 from qdenv.simulate.mapf.pbs.conflicts import (
     INCONSISTENT,
     NEW,
@@ -76,7 +76,7 @@ def _plan_window(
     """Plan a window; agents that conflict in the best plan of an unsolved one fall back."""
     collect_goals(run, fields, work.goals)
     solved = solve(work, fields, run.grid, chance.mix(seed, chance.TIES))
-    if fields.is_full[()]:
+    if fields.numbers.is_full:
         return FIELDS_FULL
     if work.tree.is_full[()]:
         return PLAN_FULL

@@ -1,6 +1,6 @@
 """PIBT in compiled host code: agent by agent, as the algorithm is printed.
 
-The rules are those of `rules`; the result is that of `xla`, bit for bit.
+The rules are those of `rules`; the result is that of `planner.rollout`, bit for bit.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from qdenv.grid import NUM_MOVES
 from qdenv.native import kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields, distance
-from qdenv.simulate.mapf.host.state import HostRun, agent_of, ranked, sort
+from qdenv.simulate.mapf.host.state import AGENT, AGENT_BITS, HostRun, sort
 from qdenv.simulate.mapf.pibt import rules
 from qdenv.simulate.mapf.planner import NOBODY
 from qdenv.simulate.mapf.tasks import serve
@@ -25,11 +25,11 @@ class Rollout(NamedTuple):
     remaining_service: np.ndarray  # int64 [A], timesteps left to serve
     age: np.ndarray  # int64 [A], timesteps since the last finished task
     order: np.ndarray  # int64 [A], the agents packed with their urgency, the most urgent first
-    candidates: np.ndarray  # int64 [A, 5], the cells each may go to, from best to worst
-    key: np.ndarray  # int64 [5], what orders the candidates of one agent
-    num_allowed: np.ndarray  # int64 [A], how many of them count
+    num_allowed: np.ndarray  # int64 [A], how many of its candidates count
     num_tried: np.ndarray  # int64 [A], how many were tried
     pusher: np.ndarray  # int64 [A], the agent that pushed it, or `NOBODY`
+    candidates: np.ndarray  # int64 [A, 5], the cells each may go to, from best to worst
+    key: np.ndarray  # int64 [5], what orders the candidates of one agent
     # int32 [N], the agent on each cell, or `NOBODY`; between two steps `NOBODY` everywhere
     occupant: np.ndarray
     claimant: np.ndarray  # int32 [N], the agent that takes each cell, or `NOBODY`, as above
@@ -38,11 +38,9 @@ class Rollout(NamedTuple):
 def make_rollout(agents: int, horizon: int, cells: int) -> Rollout:
     """Make the arrays of rollouts."""
     path, candidates = (np.zeros((agents, size), np.int64) for size in (horizon + 1, NUM_MOVES))
-    stage, remaining, age, order, allowed, tried, pusher = np.zeros((7, agents), np.int64)
     occupant, claimant = np.full((2, cells), NOBODY, np.int32)
-    key = np.zeros(NUM_MOVES, np.int64)
-    state = path, stage, remaining, age, order, candidates, key, allowed, tried, pusher
-    return Rollout(*state, occupant, claimant)
+    state = np.zeros((7, agents), np.int64)
+    return Rollout(path, *state, candidates, np.zeros(NUM_MOVES, np.int64), occupant, claimant)
 
 
 @kernel
@@ -65,7 +63,7 @@ def roll_out(
         for agent in range(agents.position.size):
             fixed = rollout.remaining_service[agent] > 0
             urgency = rules.urgency(fixed, rollout.age[agent], chance.mix(rank, agent))
-            rollout.order[agent] = ranked(urgency, agent)
+            rollout.order[agent] = (urgency << AGENT_BITS) | agent
             rollout.occupant[rollout.path[agent, t]] = agent
         for agent in range(agents.position.size):
             _prefer(run, fields, rollout, agent, t, chance.mix(tie_break, agent))
@@ -89,6 +87,7 @@ def _prefer(
             continue
         taken = way > 0 and rollout.occupant[other] != NOBODY
         key = rules.preference(distance(fields, run.grid, slot, other), taken, bits, way)
+        # An insertion keeps equal keys in the order of the moves, as a stable sort does in XLA.
         place = count
         while place > 0 and keys[place - 1] > key:
             keys[place], candidates[agent, place] = keys[place - 1], candidates[agent, place - 1]
@@ -115,20 +114,16 @@ def _serve_goal(run: HostRun, rollout: Rollout, agent: int, t: int) -> None:
 
 @kernel
 def push_along(rollout: Rollout, t: int) -> None:
-    """Move all agents by one step: the most urgent first, after those in its way.
+    """Move all agents by one step, to t + 1: the most urgent first, after those in its way.
 
     The recursion of the paper is a chain that each agent leaves towards its pusher.
-
-    Args:
-        rollout: with all candidates and the order; receives the positions at t + 1.
-        t: the timestep.
     """
     path, occupant, claimant = rollout.path, rollout.occupant, rollout.claimant
     for agent in range(path.shape[0]):
         path[agent, t + 1] = NOBODY
         rollout.num_tried[agent], rollout.pusher[agent] = 0, NOBODY
     for index in range(path.shape[0]):
-        first = agent_of(rollout.order[index])
+        first = rollout.order[index] & AGENT
         agent = first if path[first, t + 1] == NOBODY else NOBODY
         while agent != NOBODY:
             here, behind = path[agent, t], rollout.pusher[agent]

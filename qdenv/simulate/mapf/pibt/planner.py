@@ -5,6 +5,9 @@ finding", Artificial Intelligence 310 (https://arxiv.org/abs/1901.11282), algori
 always lets the most urgent agent move, but it looks one step ahead only. It is a planner of its
 own and the last resort of the negotiated planner. It must not be used to rank layouts: it reverses
 the order that careful planning gives.
+
+Here it is one loop without callbacks, each turn of which tries one candidate; `numba` is the same
+algorithm in the form a person reads.
 """
 
 from typing import Any, NamedTuple
@@ -16,22 +19,12 @@ from qdenv.devices import runs_on_host
 from qdenv.grid import NUM_MOVES, move_steps
 from qdenv.native import shared
 from qdenv.simulate.mapf import chance
+from qdenv.simulate.mapf.host.run import DONE, Fallback, compile_windows
 from qdenv.simulate.mapf.host.state import HostRun
-from qdenv.simulate.mapf.host.windows import DONE, Fallback, compile_windows
 from qdenv.simulate.mapf.pibt import rules
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.pibt.xla import one_step
-from qdenv.simulate.mapf.planner import AgentState, HostPlanner, Planner, World
+from qdenv.simulate.mapf.planner import NOBODY, AgentState, HostPlanner, Planner, World
 from qdenv.simulate.mapf.tasks import serve
-
-
-class _Agents(NamedTuple):
-    """The agents within a rollout, each int32 [A]."""
-
-    position: jax.Array  # where they stand
-    stage: jax.Array  # 0 on the way to the current goal, 1 afterwards
-    remaining_service: jax.Array  # timesteps left to serve
-    age: jax.Array  # timesteps since the last finished task
 
 
 @shared
@@ -50,45 +43,11 @@ def pibt(settings: PibtConfig) -> Planner:
     return Planner(rollout, host=on_host if runs_on_host(settings.backend) else None)
 
 
-def _preferences(
-    world: World,
-    distance: jax.Array,
-    rows: jax.Array,
-    position: jax.Array,
-    fixed: jax.Array,
-    bits: jax.Array,
-) -> tuple[jax.Array, jax.Array]:
-    """Sort the five ways of every agent: nearer to the goal, then empty, then by chance.
-
-    Args:
-        world: where.
-        distance: int16 or int32 [rows, H' * W'], steps from every cell to goals.
-        rows: int32 [A], those of the agents' goals.
-        position: int32 [A].
-        fixed: bool [A], agents that can only stay.
-        bits: uint32 [A], break ties.
-
-    Returns:
-        candidates from best to worst (int32 [A, 5]), how many of them count (int32 [A]).
-    """
-    width = world.traversable.shape[1]
-    size = world.traversable.size
-    way = jnp.arange(NUM_MOVES)[None]
-    cells = position[:, None] + jnp.asarray(move_steps(width))[None]
-    standing = jnp.zeros((size,), bool).at[position].set(True)
-    taken = standing[cells] & (way > 0)
-    to_go = distance.reshape(-1)[rows[:, None] * size + cells].astype(jnp.int32)
-    may_go = ~fixed[:, None] | (way == 0)
-    open_cell = world.traversable.reshape(-1)[cells] & may_go
-    key = rules.preference(to_go, taken, bits[:, None], way.astype(jnp.uint32)).astype(jnp.int32)
-    best_first = jnp.argsort(jnp.where(open_cell, key, 2**30), axis=1)
-    return jnp.take_along_axis(cells, best_first, axis=1), open_cell.sum(1, dtype=jnp.int32)
-
-
 def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:
     """Drive all agents for `horizon` steps; afterwards they wait.
 
     Agents that serve come first and stay; then the longer without a finished task, the earlier.
+    The five ways of an agent are sorted: nearer to the goal, then empty, then by chance.
 
     Args:
         world: where.
@@ -99,36 +58,126 @@ def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> ja
     Returns:
         int32 [window + 1, A], without conflicts.
     """
-    size, count = world.traversable.size, state.position.shape[0]
+    traversable, goals = world.traversable.reshape(-1), world.goals.cells
+    size, count = traversable.size, state.position.shape[0]
+    moves = jnp.asarray(move_steps(world.traversable.shape[1]))[None]
+    way = jnp.arange(NUM_MOVES)[None]
     ties = chance.draw(chance.seed_of(key), chance.RESORT)
     rank = chance.draw_many(chance.draw(ties, rules.RANKS), count)
 
-    def step(agents: _Agents, t: jax.Array) -> tuple[_Agents, jax.Array]:
-        fixed = (agents.remaining_service > 0) | ~state.active
-        stage = agents.stage[None]
-        slots = jnp.take_along_axis(state.goal, stage, axis=0)[0]
-        service_time = jnp.take_along_axis(state.service_time, stage, axis=0)[0]
-        order = jnp.argsort(rules.urgency(fixed, agents.age, rank)).astype(jnp.int32)
-        tie_break = chance.draw_many(chance.draw(ties, rules.TIE_BREAKS + t), count)
-        rows = jnp.take_along_axis(state.row, stage, axis=0)[0]
-        candidates, allowed = _preferences(
-            world, state.distance, rows, agents.position, fixed, tie_break
+    def step(agents: tuple[jax.Array, ...], t: jax.Array) -> tuple[tuple[jax.Array, ...], Any]:
+        # Each int32 [A]: cells; 0 on the way to the current goal, 1 afterwards; timesteps left to
+        # serve; timesteps since the last finished task.
+        position, stage, remaining_service, age = agents
+        fixed = (remaining_service > 0) | ~state.active
+        slots, service_time, rows = (
+            jnp.take_along_axis(both, stage[None], axis=0)[0]
+            for both in (state.goal, state.service_time, state.row)
         )
-        position = one_step(candidates, agents.position, allowed, order, size)
-        on_goal = (position == world.goals.cells[slots]) & state.active
-        remaining, finished = serve(agents.remaining_service, on_goal, service_time)
+        cells = position[:, None] + moves
+        taken = jnp.zeros((size,), bool).at[position].set(True)[cells] & (way > 0)
+        to_go = state.distance.reshape(-1)[rows[:, None] * size + cells].astype(jnp.int32)
+        tie_break = chance.draw_many(chance.draw(ties, rules.TIE_BREAKS + t), count)
+        preference = rules.preference(to_go, taken, tie_break[:, None], way.astype(jnp.uint32))
+        may_go = traversable[cells] & (~fixed[:, None] | (way == 0))
+        # Above all preferences: what an agent may not do comes last.
+        best_first = jnp.argsort(jnp.where(may_go, preference.astype(jnp.int32), 2**30), axis=1)
+        position = one_step(
+            jnp.take_along_axis(cells, best_first, axis=1),
+            position,
+            may_go.sum(1, dtype=jnp.int32),
+            jnp.argsort(rules.urgency(fixed, age, rank)).astype(jnp.int32),
+            size,
+        )
+        on_goal = (position == goals[slots]) & state.active
+        remaining_service, finished = serve(remaining_service, on_goal, service_time)
         # The goal after the next is not known here: an agent that has done both drives on freely.
-        stage = jnp.minimum(agents.stage + finished, 1)
-        return _Agents(position, stage, remaining, jnp.where(finished, 0, agents.age + 1)), position
+        stage = jnp.minimum(stage + finished, 1)
+        return (position, stage, remaining_service, jnp.where(finished, 0, age + 1)), position
 
-    begin = _Agents(state.position, jnp.zeros_like(state.age), state.remaining_service, state.age)
+    begin = (state.position, jnp.zeros_like(state.age), state.remaining_service, state.age)
     _, cells = jax.lax.scan(step, begin, jnp.arange(horizon, dtype=jnp.uint32))
     window = state.previous.shape[0] - 1
     still = jnp.broadcast_to(cells[-1], (window - horizon, count))
     return jnp.concatenate([state.position[None], cells, still])
 
 
+class _Chain(NamedTuple):
+    """The search within one timestep; the last entry of every array belongs to `NOBODY`."""
+
+    next_cell: jax.Array  # int32 [A + 1], where each agent goes, `NOBODY` while undecided
+    claimant: jax.Array  # int32 [cells + 1], the agent that takes each cell, or `NOBODY`
+    tried: jax.Array  # int32 [A + 1], candidates each agent has used up
+    pusher: jax.Array  # int32 [A + 1], the agent that pushed it, or `NOBODY`
+    # int32, the agent whose turn it is, or `NOBODY` to take the next by priority
+    current: jax.Array
+    rank: jax.Array  # int32, agents taken from the priority list so far
+
+
+def one_step(
+    candidates: jax.Array, position: jax.Array, allowed: jax.Array, order: jax.Array, cells: int
+) -> jax.Array:
+    """Move all agents by one step without conflict.
+
+    Args:
+        candidates: int32 [A, 5], cells from best to worst; the agent's own is among them.
+        position: int32 [A], distinct.
+        allowed: int32 [A], how many candidates count.
+        order: int32 [A], agents by falling priority.
+        cells: number of cells.
+
+    Returns:
+        int32 [A], distinct, without swaps.
+    """
+    count = position.shape[0]
+    nobody = jnp.full((count + 1,), NOBODY, jnp.int32)
+    on_no_cell = jnp.full((cells + 1,), NOBODY, jnp.int32)
+    occupant = on_no_cell.at[position].set(jnp.arange(count, dtype=jnp.int32))
+    position = nobody.at[:count].set(position)
+
+    def visit(chain: _Chain) -> _Chain:
+        """Let the agent whose turn it is try its next candidate.
+
+        Index `NOBODY` (-1) reads the last entry of an array, which is `NOBODY` again; so no rule
+        needs a mask.
+        """
+        taking = chain.current == NOBODY
+        first = order[jnp.minimum(chain.rank, count - 1)]
+        agent = jnp.where(taking, first, chain.current)
+        skip = taking & (chain.next_cell[agent] != NOBODY)  # it was pushed before its own turn
+        tried, pusher = chain.tried[agent], chain.pusher[agent]
+        spent = tried >= allowed[agent]
+        cell = candidates[agent, jnp.minimum(tried, NUM_MOVES - 1)]
+        other, here = occupant[cell], position[agent]
+        other_next = chain.next_cell[other]
+        free = rules.is_admissible(cell, here, chain.claimant[cell], other_next, position[pusher])
+        good = ~skip & ~spent & free
+        fail = ~skip & spent  # nowhere to go: stay, and let the pusher try on
+        push = good & rules.is_pushed(other, agent, other_next)
+        follower = jnp.where(good | skip, NOBODY, agent)
+        follower = jnp.where(push, other, jnp.where(fail, pusher, follower))
+        # What is not settled is written to the entries of nobody.
+        settled, cell = good | fail, jnp.where(good, cell, here)
+        writer = jnp.where(settled, agent, NOBODY)
+        target = jnp.where(settled, cell, NOBODY)
+        return _Chain(
+            next_cell=chain.next_cell.at[writer].set(target),
+            claimant=chain.claimant.at[target].set(writer),
+            tried=chain.tried.at[jnp.where(skip, NOBODY, agent)].add(1),
+            pusher=chain.pusher.at[jnp.where(push, other, NOBODY)].set(agent),
+            current=follower.astype(jnp.int32),
+            rank=chain.rank + taking,
+        )
+
+    def going(chain: _Chain) -> jax.Array:
+        return (chain.rank < count) | (chain.current != NOBODY)
+
+    zero = jnp.int32(0)
+    first = _Chain(nobody, on_no_cell, jnp.zeros_like(nobody), nobody, jnp.int32(NOBODY), zero)
+    return jax.lax.while_loop(going, visit, first).next_cell[:count]
+
+
 def wait(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:
-    """Let everybody stand still, the last resort that congests as PBS does."""
+    """Let all agents stand still, the last resort that congests as PBS does."""
     del world, horizon, key
     return jnp.broadcast_to(state.position, state.previous.shape)

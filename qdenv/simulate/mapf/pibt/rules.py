@@ -23,10 +23,8 @@ _OLDEST = (1 << 17) - 1  # agents that have waited longer are equally urgent
 def urgency(fixed: Number, age: Number, bits: Number) -> Number:
     """Rank agents (smallest first): those that cannot move, the longest without a task, by chance.
 
-    Args:
-        fixed: whether the agent can only stay.
-        age: timesteps since it last finished a task.
-        bits: 32 random bits.
+    The age counts timesteps since the agent last finished a task; of 32 random bits the first few
+    break ties.
     """
     age = age - (age > _OLDEST) * (age - _OLDEST)
     return (1 - fixed) * (((_OLDEST - age) << RANK_BITS) + (bits >> (32 - RANK_BITS)) + 1)
@@ -43,15 +41,10 @@ def preference(to_go: Number, taken: Number, bits: Number, way: Number) -> Numbe
 def is_admissible(
     cell: Number, position: Number, claimant: Number, other_next: Number, pusher_position: Number
 ) -> Number:
-    """Return True if an agent may take a candidate cell.
+    """Return True if an agent at `position` may take a candidate cell.
 
-    Args:
-        cell: the candidate.
-        position: where the agent stands.
-        claimant: who takes the cell in this step already (a vertex conflict).
-        other_next: where the agent that stands on the cell goes (a swap conflict if it comes here).
-        pusher_position: where the agent stands that pushed this one (it wants to come here, so
-            taking its place would swap, too).
+    Not if another one takes it in this step already (a vertex conflict), nor if the agent that
+    stands there comes here (a swap), nor if the agent's pusher stands there: it wants to come here.
     """
     return (claimant == NOBODY) & (other_next != position) & (cell != pusher_position)
 
@@ -60,6 +53,6 @@ def is_admissible(
 def is_pushed(other: Number, agent: Number, other_next: Number) -> Number:
     """Return True if `other`, which stands where `agent` goes, inherits its priority.
 
-    It does if it is another agent that has not decided yet (NOBODY is where `other_next` it goes).
+    It does if it is another agent that has not decided yet where it goes (`other_next`).
     """
     return (other != NOBODY) & (other != agent) & (other_next == NOBODY)
