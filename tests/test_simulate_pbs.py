@@ -125,7 +125,7 @@ def plan(instance: Instance, rule: str, seed: int = 0, node_limit: int = 20_000)
     work = make_workspace(run, PbsConfig(rule, node_limit / count), DEPTH)
     collect_goals(run, fields, work.goals)
     solved = bool(solve(work, fields, run.grid, seed))
-    assert not work.tree.is_full, "more depth is needed"
+    assert not work.tree.numbers.is_full, "more depth is needed"
     return answer_of(work, solved, width)
 
 
@@ -136,13 +136,13 @@ def answer_of(work: Workspace, solved: bool, width: int) -> Answer:
     cells = (rows - 1) * width + columns - 1
     lasts = found.path.end.tolist()
     paths = [tuple(cells[: last + 1, agent].tolist()) for agent, last in enumerate(lasts)]
-    late, nodes = found.path.delay.tolist(), int(work.num_nodes)
+    late, nodes = found.path.delay.tolist(), int(work.numbers.nodes)
     return Answer(solved, paths, late, precedence(work), nodes)
 
 
 def precedence(work: Workspace) -> list[set[int]]:
     """Close the priorities of the branch in hand transitively."""
-    pairs = work.order.end[:, : work.order.num_pairs].T.tolist()
+    pairs = work.order.end[:, : work.order.numbers.pairs].T.tolist()
     above: list[set[int]] = [set() for _ in work.goals.start]
     for _ in above:
         for high, low in pairs:

@@ -71,7 +71,7 @@ def test_crowds_break_no_rule_where_windows_stay_unsolved(nodes_per_agent, rule,
         tasks = SERVICES if seed else PLAIN
         (run,) = audited(layout, tasks, config, (seed,), agents)
         assert run.finished.sum() > 0 and run.end_timestep == 63
-    unsolved = sum(work.num_unsolved for work in works)
+    unsolved = sum(work.numbers.unsolved for work in works)
     windows = 3 * 13
     assert unsolved == windows if nodes_per_agent < 1 else 0 < unsolved < windows
 

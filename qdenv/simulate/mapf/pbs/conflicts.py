@@ -17,40 +17,30 @@ from qdenv.simulate.mapf.pbs.path import (
     reserve,
     reserve_path,
 )
-from qdenv.simulate.mapf.pbs.workspace import (
-    Changes,
-    JointPlan,
-    PartialOrder,
-    ReplanQueue,
-    Workspace,
-)
+from qdenv.simulate.mapf.pbs.workspace import JointPlan, PartialOrder, Workspace
 from qdenv.simulate.mapf.planner import NOBODY
 
 UP, DOWN = 0, 1  # from an agent to those above it, or to those below
 OLD, NEW = 0, 1  # of a change
-TIME_BIT, FIRST_BIT, AGENT_BITS = 48, 24, 24  # of a conflict, which sorts by its time
+_TIME_BIT, _FIRST_BIT, _AGENTS = 48, 24, (1 << 24) - 1  # of a conflict, which sorts by its time
 _REPLANS_PER_AGENT = 5  # within a node, beyond which it is given up
-INCONSISTENT = -1
-
-
-# Precedence.
 
 
 @kernel
 def put_above(order: PartialOrder, high: int, low: int) -> None:
     """Give one agent precedence over another."""
-    pair = order.num_pairs[()]
+    pair = order.numbers.pairs
     order.end[UP, pair], order.end[DOWN, pair] = high, low
     order.following[UP, pair], order.first[UP, low] = order.first[UP, low], pair
     order.following[DOWN, pair], order.first[DOWN, high] = order.first[DOWN, high], pair
-    order.num_pairs[()] += 1
+    order.numbers.pairs += 1
 
 
 @kernel
 def take_back(order: PartialOrder) -> None:
     """Take the last pair back."""
-    order.num_pairs[()] -= 1
-    pair = order.num_pairs[()]
+    order.numbers.pairs -= 1
+    pair = order.numbers.pairs
     high, low = order.end[UP, pair], order.end[DOWN, pair]
     order.first[UP, low] = order.following[UP, pair]
     order.first[DOWN, high] = order.following[DOWN, pair]
@@ -59,8 +49,8 @@ def take_back(order: PartialOrder) -> None:
 @kernel
 def walk(order: PartialOrder, agent: int, direction: int) -> None:
     """Find all agents above (or below) one, through any number of pairs, for `is_found`."""
-    order.walk[()] += 1
-    number, count = order.walk[()], 1
+    order.numbers.walk += 1
+    number, count = order.numbers.walk, 1
     order.stack[0] = agent
     while count > 0:
         count -= 1
@@ -75,16 +65,34 @@ def walk(order: PartialOrder, agent: int, direction: int) -> None:
 
 
 @formula
-def is_found(order: PartialOrder, agent: int, direction: int, number: int) -> bool:
-    """Return True if the walk of this number found an agent."""
-    return order.mark[direction, agent] == number
+def is_found(order: PartialOrder, agent: int, direction: int) -> bool:
+    """Return True if the last walk, in this direction, found an agent."""
+    return order.mark[direction, agent] == order.numbers.walk
 
 
-# Conflicts.
+@formula
+def parts_of(pack: int) -> tuple[int, int, int]:
+    """Read time and agents of a conflict, the smaller number first."""
+    return pack >> _TIME_BIT, (pack >> _FIRST_BIT) & _AGENTS, pack & _AGENTS
+
+
+@formula
+def _bound_at(plan: JointPlan, one: int, two: int, t: int) -> int:
+    """Return which of two agents in conflict is bound to its start then, or `NOBODY`.
+
+    It has precedence there, whatever the priorities.
+    """
+    first = NOBODY
+    if plan.cell[t, one] == plan.cell[t, two]:
+        if t < plan.path[one].bound:
+            first = one
+        elif t < plan.path[two].bound:
+            first = two
+    return first
 
 
 @kernel
-def find_conflicts(plan: JointPlan, agent: int) -> None:
+def _find_conflicts(plan: JointPlan, agent: int) -> None:
     """Find with whom an agent conflicts, and when: bit t of ``plan.hit`` (own entry: 0).
 
     Two agents conflict where they are on one cell, or swap cells on the way to timestep t.
@@ -103,227 +111,144 @@ def find_conflicts(plan: JointPlan, agent: int) -> None:
 
 
 @kernel
-def note_conflicts(
-    plan: JointPlan,
-    order: PartialOrder,
-    queue: ReplanQueue,
-    conflicts: np.ndarray,
-    agent: int,
-    others: int,
-    waiting: int,
-    last: int,
-) -> tuple[int, int]:
-    """Note the conflicts of a path, after `find_conflicts`, and queue those who must give way.
+def note_conflicts(work: Workspace, agent: int, others: int) -> bool:
+    """Note the conflicts of an agent's path with those of agents below the number `others`.
 
-    Args:
-        plan: the joint plan.
-        order: who is above whom.
-        queue: receives those who wait.
-        conflicts: receives the conflicts.
-        agent: whose path it is.
-        others: only conflicts with agents of smaller numbers than this are noted.
-        waiting: number of agents that wait.
-        last: one past the conflicts noted before.
-
-    Returns:
-        The number of agents that wait then, one past the last conflict.
+    Those who must give way are queued. Returns False if there may be too many conflicts.
     """
+    plan, order, tree = work.plan, work.order, work.tree
+    if tree.numbers.conflicts + others > tree.conflict.size:
+        tree.numbers.is_full = True
+        return False
+    _find_conflicts(plan, agent)
     walked = False
-    for index in range(queue.num_near[agent]):
-        other = queue.near[agent, index]
+    for index in range(work.num_near[agent]):
+        other = work.near[agent, index]
         if other >= others or plan.hit[other] == 0:
             continue
         t = 0
         while not (plan.hit[other] >> t) & 1:
             t += 1
-        agents = (min(agent, other) << FIRST_BIT) | max(agent, other)
-        conflicts[last] = (t << TIME_BIT) | agents
-        last += 1
+        agents = (min(agent, other) << _FIRST_BIT) | max(agent, other)
+        tree.conflict[tree.numbers.conflicts] = (t << _TIME_BIT) | agents
+        tree.numbers.conflicts += 1
         if not walked:
             walk(order, agent, DOWN)
             walked = True
-        # The walk avoids all above the agent: who is found there is below it.
-        meets = plan.cell[t, agent] == plan.cell[t, other]
-        if meets and t < plan.path[agent].bound:
-            loser = other
-        elif meets and t < plan.path[other].bound:
+        # The path avoids all above the agent: who is in conflict and found is below it.
+        first, loser = _bound_at(plan, agent, other, t), NOBODY
+        if first == other:
             loser = agent
-        else:
-            loser = other if is_found(order, other, DOWN, order.walk[()]) else NOBODY
-        if loser != NOBODY and not queue.is_waiting[loser]:
-            queue.is_waiting[loser] = True
-            queue.waiting[waiting] = loser
-            waiting += 1
-    return waiting, last
-
-
-@formula
-def parts_of(pack: int) -> tuple[int, int, int]:
-    """Read time and agents of a conflict."""
-    agents = (1 << AGENT_BITS) - 1
-    return pack >> TIME_BIT, (pack >> FIRST_BIT) & agents, pack & agents
-
-
-# Planning again.
+        elif first == agent or is_found(order, other, DOWN):
+            loser = other
+        if loser != NOBODY and not work.is_waiting[loser]:
+            work.is_waiting[loser] = True
+            work.waiting[work.numbers.waiting] = loser
+            work.numbers.waiting += 1
+    return True
 
 
 @kernel
-def resolve(
-    work: Workspace,
-    fields: DistanceFields,
-    grid: GridMap,
-    seed: int,
-    waiting: int,
-    first: int,
-    last: int,
-) -> int:
+def resolve(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int, first: int) -> bool:
     """Plan those who wait again, the highest first, until no agent conflicts with any above it.
 
-    Args:
-        work: with a plan, its conflicts and a queue.
-        fields: distances.
-        grid: the layout.
-        seed: of ties.
-        waiting: number of agents that wait.
-        first: the first conflict of the plan.
-        last: one past them; nothing is kept beyond.
-
-    Returns:
-        One past the conflicts of the new plan, or `INCONSISTENT`; then no agent waits either.
+    The conflicts of the plan, from number `first` on, are those of the new plan then. Returns False
+    if there is none; no agent waits any more either way.
     """
-    plan, order, queue, conflicts = work.plan, work.order, work.queue, work.tree.conflict
-    budget = _REPLANS_PER_AGENT * queue.num_near.size
-    while waiting > 0:
-        agent = _take_highest(queue, order, waiting)
-        waiting -= 1
-        others = _move_conflicts(conflicts, agent, first, last)
+    plan, order, tree = work.plan, work.order, work.tree
+    budget, consistent = _REPLANS_PER_AGENT * work.num_near.size, True
+    while consistent and work.numbers.waiting > 0:
+        agent = _take_highest(work)
+        # Move the conflicts of the agent behind all others.
+        index, others = first, tree.numbers.conflicts
         gives_way = False
-        for index in range(others, last):
-            t, one, two = parts_of(conflicts[index])
-            if _yields(plan, order, agent, one + two - agent, t):
-                gives_way = True
-                break
-        if not gives_way:
-            continue
-        budget -= 1
-        if work.changes.num_changes[()] == work.changes.agent.size:
-            work.tree.is_full[()] = True
-            budget = -1
-        if budget < 0:
-            break
-        _note(plan, work.changes, agent, OLD)
-        if not replan(work, fields, grid, agent, seed):
-            budget = -1
-            break
-        _note(plan, work.changes, agent, NEW)
-        last = others
-        find_conflicts(plan, agent)
-        if last + queue.num_near.size > conflicts.size:
-            work.tree.is_full[()] = True
-            budget = -1
-            break
-        waiting, last = note_conflicts(
-            plan, order, queue, conflicts, agent, queue.num_near.size, waiting, last
-        )
-    for index in range(waiting):
-        queue.is_waiting[queue.waiting[index]] = False
-    return last if budget >= 0 else INCONSISTENT
+        while index < others:
+            pack = tree.conflict[index]
+            t, one, two = parts_of(pack)
+            if one != agent and two != agent:
+                index += 1
+                continue
+            others -= 1
+            tree.conflict[index], tree.conflict[others] = tree.conflict[others], pack
+            above = one + two - agent
+            bound = _bound_at(plan, agent, above, t)
+            gives_way |= bound == above or (bound == NOBODY and is_found(order, above, UP))
+        if gives_way:
+            budget -= 1
+            consistent = budget >= 0 and replan(work, fields, grid, agent, seed)
+            if consistent:
+                tree.numbers.conflicts = others
+                consistent = note_conflicts(work, agent, work.num_near.size)
+    for index in range(work.numbers.waiting):
+        work.is_waiting[work.waiting[index]] = False
+    work.numbers.waiting = 0
+    return consistent
 
 
 @kernel
-def _take_highest(queue: ReplanQueue, order: PartialOrder, count: int) -> int:
+def _take_highest(work: Workspace) -> int:
     """Take an agent that has none above it there off the queue, after a walk up from it."""
+    order, waiting = work.order, work.waiting
     place, index = 0, 0
-    walk(order, queue.waiting[0], UP)
-    while index < count:
-        if is_found(order, queue.waiting[index], UP, order.walk[()]):
+    walk(order, waiting[0], UP)
+    while index < work.numbers.waiting:
+        if is_found(order, waiting[index], UP):
             place = index
-            walk(order, queue.waiting[place], UP)
+            walk(order, waiting[place], UP)
             index = 0
         else:
             index += 1
-    agent = queue.waiting[place]
-    queue.waiting[place] = queue.waiting[count - 1]
-    queue.is_waiting[agent] = False
+    agent = waiting[place]
+    work.numbers.waiting -= 1
+    waiting[place] = waiting[work.numbers.waiting]
+    work.is_waiting[agent] = False
     return agent
 
 
 @kernel
-def _move_conflicts(conflicts: np.ndarray, agent: int, first: int, last: int) -> int:
-    """Move the conflicts of an agent behind all others; returns where they begin."""
-    index = first
-    while index < last:
-        pack = conflicts[index]
-        _, one, two = parts_of(pack)
-        if one == agent or two == agent:
-            last -= 1
-            conflicts[index], conflicts[last] = conflicts[last], pack
-        else:
-            index += 1
-    return last
-
-
-@formula
-def _yields(plan: JointPlan, order: PartialOrder, agent: int, other: int, t: int) -> bool:
-    """Return True if an agent (after a walk up from it) must give way to another at a conflict.
-
-    An agent that is bound to its start has precedence there, whatever the priorities.
-    """
-    if plan.cell[t, agent] == plan.cell[t, other]:
-        if t < plan.path[agent].bound:
-            return False
-        if t < plan.path[other].bound:
-            return True
-    return is_found(order, other, UP, order.walk[()])
-
-
-@kernel
-def _note(plan: JointPlan, changes: Changes, agent: int, when: int) -> None:
-    """Write the path of an agent down, before (`OLD`) or after (`NEW`) a change."""
-    change = changes.num_changes[()]
-    changes.agent[change] = agent
-    for t in range(plan.cell.shape[0]):
-        changes.cell[change, when, t] = plan.cell[t, agent]
-    changes.path[change, when] = plan.path[agent]
-    changes.num_changes[()] += when
-
-
-@kernel
-def redo(plan: JointPlan, changes: Changes, change: int, when: int) -> None:
+def redo(plan: JointPlan, change: int, when: int) -> None:
     """Make one change (`NEW`), or undo it (`OLD`)."""
-    agent = changes.agent[change]
-    plan.delay[()] += changes.path[change, when].delay - plan.path[agent].delay
+    agent = plan.changed[change]
+    plan.numbers.delay += plan.change_path[change, when].delay - plan.path[agent].delay
     for t in range(plan.cell.shape[0]):
-        plan.cell[t, agent] = changes.cell[change, when, t]
-    plan.path[agent] = changes.path[change, when]
+        plan.cell[t, agent] = plan.change_cell[change, when, t]
+    plan.path[agent] = plan.change_path[change, when]
 
 
 @kernel
 def replan(work: Workspace, fields: DistanceFields, grid: GridMap, agent: int, seed: int) -> bool:
-    """Plan the path of an agent past those above it (after a walk up); False if there is none."""
-    plan, goals, search = work.plan, work.goals, work.search
-    forget_reservations(work.table)
-    above = work.order.walk[()]
-    for index in range(work.queue.num_near[agent]):
-        other = work.queue.near[agent, index]
-        if is_found(work.order, other, UP, above):
-            reserve_path(work.table, plan, other, grid.width)
+    """Plan the path of an agent past those above it (after a walk up); False if there is none.
+
+    What changes is written down.
+    """
+    plan, goals, search, change = work.plan, work.goals, work.search, work.plan.numbers.changes
+    if change == plan.changed.size:
+        work.tree.numbers.is_full = True
+        return False
+    forget_reservations(search)
+    for index in range(work.num_near[agent]):
+        other = work.near[agent, index]
+        if is_found(work.order, other, UP):
+            reserve_path(search, plan, other, grid.width)
         else:
             for t in range(1, plan.path[other].bound):
-                reserve(work.table, t, goals.start[other], HERE)
+                reserve(search, t, goals.start[other], HERE)
     ties = chance.mix(seed, agent) & 7
-    last = find_path(search, work.table, fields, grid, goals, agent, False, ties)
+    last = find_path(search, fields, grid, goals, agent, False, ties)
     if last == NO_PATH and work.published:
-        last = find_path(search, work.table, fields, grid, goals, agent, True, ties)
+        last = find_path(search, fields, grid, goals, agent, True, ties)
     if last == NO_PATH:
         return False
-    start, bound = goals.start[agent], min(goals.begin[agent], last) + 1
+    bound = min(goals.begin[agent], last) + 1
     # In the published planner, waiting at the start has precedence there.
-    while work.published and bound <= last and search.cells[bound] == start:
+    while work.published and bound <= last and search.cells[bound] == goals.start[agent]:
         bound += 1
-    path = plan.path[agent]
-    plan.delay[()] += search.delay[()] - path.delay
-    path.end, path.bound, path.delay = last, bound, search.delay[()]
+    plan.changed[change], plan.change_path[change, OLD] = agent, plan.path[agent]
+    path = plan.change_path[change, NEW]
+    path.end, path.bound, path.delay = last, bound, search.numbers.delay
     for t in range(plan.cell.shape[0]):
-        plan.cell[t, agent] = search.cells[t] if t <= last else -1 - agent
+        plan.change_cell[change, OLD, t] = plan.cell[t, agent]
+        plan.change_cell[change, NEW, t] = search.cells[t] if t <= last else -1 - agent
+    plan.numbers.changes += 1
+    redo(plan, change, NEW)
     return True

@@ -21,26 +21,25 @@ from qdenv.simulate.mapf.pbs.workspace import (
     Goals,
     JointPlan,
     PathSearch,
-    ReservationTable,
 )
 
 NO_PATH = -1
 _MOVE_BITS = 5  # an agent is here, and leaves right, left, down, up: one bit each
 HERE = 1
-_LAST_SEARCH = (1 << (31 - _MOVE_BITS)) - 1
+_LAST_TABLE = (1 << (31 - _MOVE_BITS)) - 1
 
 
 @kernel
-def forget_reservations(table: ReservationTable) -> None:
-    """Begin with no reservations."""
-    if table.search[()] >= _LAST_SEARCH:
-        table.entry[:] = 0
-        table.search[()] = 0
-    table.search[()] += 1
+def forget_reservations(search: PathSearch) -> None:
+    """Begin a table without reservations: those of other tables do not count."""
+    if search.numbers.table >= _LAST_TABLE:
+        search.reserved[:] = 0
+        search.numbers.table = 0
+    search.numbers.table += 1
 
 
 @kernel
-def reserve_path(table: ReservationTable, plan: JointPlan, agent: int, width: int) -> None:
+def reserve_path(search: PathSearch, plan: JointPlan, agent: int, width: int) -> None:
     """Reserve the path of an agent."""
     last, cell = plan.path[agent].end, plan.cell[0, agent]
     for t in range(last):
@@ -48,30 +47,29 @@ def reserve_path(table: ReservationTable, plan: JointPlan, agent: int, width: in
         step = after - cell
         leaving = ((step == 1) << RIGHT) | ((step == -1) << LEFT)
         leaving |= ((step == width) << DOWN) | ((step == -width) << UP)
-        reserve(table, t, cell, HERE | leaving)
+        reserve(search, t, cell, HERE | leaving)
         cell = after
-    reserve(table, last, cell, HERE)
+    reserve(search, last, cell, HERE)
 
 
 @formula
-def reserve(table: ReservationTable, t: int, cell: int, bits: int) -> None:
+def reserve(search: PathSearch, t: int, cell: int, bits: int) -> None:
     """Reserve a cell at a timestep."""
-    old, number = table.entry[t, cell], table.search[()]
-    fresh = (number << _MOVE_BITS) | bits
-    table.entry[t, cell] = old | bits if old >> _MOVE_BITS == number else fresh
+    old, table = search.reserved[t, cell], search.numbers.table
+    fresh = (table << _MOVE_BITS) | bits
+    search.reserved[t, cell] = old | bits if old >> _MOVE_BITS == table else fresh
 
 
 @formula
-def _bits_at(table: ReservationTable, t: int, cell: int) -> int:
+def _bits_at(search: PathSearch, t: int, cell: int) -> int:
     """Read the bits of a cell at a timestep."""
-    entry = table.entry[t, cell]
-    return entry & ((1 << _MOVE_BITS) - 1) if entry >> _MOVE_BITS == table.search[()] else 0
+    entry = search.reserved[t, cell]
+    return entry & ((1 << _MOVE_BITS) - 1) if entry >> _MOVE_BITS == search.numbers.table else 0
 
 
 @kernel
 def find_path(
     search: PathSearch,
-    table: ReservationTable,
     fields: DistanceFields,
     grid: GridMap,
     goals: Goals,
@@ -82,26 +80,23 @@ def find_path(
     """Find a shortest path into ``search.cells``, and its delay.
 
     Args:
-        search: its arrays.
-        table: what to avoid.
+        search: its arrays, with all that is reserved.
         fields: distances.
         grid: the layout.
         goals: what agents have to do.
         agent: the agent.
-        may_hold: whether the agent may stay at its start, from the beginning on, against all
-            reservations.
+        may_hold: whether it may stay at its start, from the beginning on, against all reservations.
         ties: three bits that decide which way comes first of equals.
 
     Returns:
         The timestep at which the path ends, the window or sooner, or `NO_PATH`.
     """
-    window, centre = table.entry.shape[0] - 1, search.offset.size // 2
+    window, centre = search.reserved.shape[0] - 1, search.offset.size // 2
     start, begin = goals.start[agent], goals.begin[agent]
-    search.search[()] += 1
-    search.delay[()] = 0
+    search.numbers.search += 1
+    search.numbers.delay = 0
     if begin >= window:
-        for t in range(window + 1):
-            search.cells[t] = start
+        search.cells[:] = start
         return window
     search.bucket[:] = NO_STATE
     # What the agent serves now is behind it when it sets out.
@@ -118,12 +113,24 @@ def find_path(
             continue
         state = search.bucket[delay, t]
         search.bucket[delay, t] = search.following[state]
-        search.delay[()] = delay
+        search.numbers.delay = delay
         layer = state >> search.layer_bit
         if t == window or (layer % HOLDING == DONE and t >= search.horizon):
             break
-        t = _expand(search, table, fields, grid, goals, agent, state, ties)
-    _read_path(search, state, start)
+        t = _expand(search, fields, grid, goals, agent, state, ties)
+    # Walk back from the last state; between two states the agent is served where it is.
+    last = t
+    while state != NO_STATE:
+        _, since, place = _unpack(search, state)
+        before = search.parent[state]
+        if before != NO_STATE:
+            _, since, _ = _unpack(search, before)
+            since += 1
+        else:
+            since = 0
+        for time in range(since, last + 1):
+            search.cells[time] = start + search.offset[place]
+        state, last = before, since - 1
     return t
 
 
@@ -134,21 +141,16 @@ def _pack(search: PathSearch, layer: int, t: int, place: int) -> int:
 
 
 @formula
-def _place_of(search: PathSearch, state: int) -> int:
-    """Read the place of a state."""
-    return state & ((1 << search.time_bit) - 1)
-
-
-@formula
-def _time_of(search: PathSearch, state: int) -> int:
-    """Read the timestep of a state."""
-    return (state & ((1 << search.layer_bit) - 1)) >> search.time_bit
+def _unpack(search: PathSearch, state: int) -> tuple[int, int, int]:
+    """Read layer, timestep and place of a state."""
+    t = (state & ((1 << search.layer_bit) - 1)) >> search.time_bit
+    return state >> search.layer_bit, t, state & ((1 << search.time_bit) - 1)
 
 
 @formula
 def _open(search: PathSearch, state: int, parent: int, delay: int, t: int) -> None:
     """Put a state into its bucket."""
-    search.seen[state], search.parent[state] = search.search[()], parent
+    search.seen[state], search.parent[state] = search.numbers.search, parent
     search.following[state] = search.bucket[delay, t]
     search.bucket[delay, t] = state
 
@@ -167,7 +169,6 @@ def _steps_left(
 @kernel
 def _expand(
     search: PathSearch,
-    table: ReservationTable,
     fields: DistanceFields,
     grid: GridMap,
     goals: Goals,
@@ -176,8 +177,8 @@ def _expand(
     ties: int,
 ) -> int:
     """Open all states one step on; returns the latest timestep that may have an open state."""
-    window, horizon, delay = table.entry.shape[0] - 1, search.horizon, search.delay[()]
-    layer, t, place = state >> search.layer_bit, _time_of(search, state), _place_of(search, state)
+    window, horizon, delay = search.reserved.shape[0] - 1, search.horizon, search.numbers.delay
+    layer, t, place = _unpack(search, state)
     cell = goals.start[agent] + search.offset[place]
     holds, leg = layer >= HOLDING, layer % HOLDING
     steps, latest = _steps_left(fields, grid, goals, agent, leg, cell), t
@@ -191,29 +192,29 @@ def _expand(
         if not grid.free[to]:
             continue
         if not stays:
-            if _bits_at(table, t + 1, to) & HERE:
+            if _bits_at(search, t + 1, to) & HERE:
                 continue
             # Right and left, down and up are neighbouring numbers, from 1 on: the move against.
-            if move > 0 and _bits_at(table, t, to) >> (1 + ((move - 1) ^ 1)) & 1:
+            if move > 0 and _bits_at(search, t, to) >> (1 + ((move - 1) ^ 1)) & 1:
                 continue
-        next_t, next_leg, step = t + 1, leg, 1
+        next_t, next_leg, step, goes_on = t + 1, leg, 1, leg
         if leg == DONE:
             step = 0  # nothing is left to be late for
             if goals.holds[to]:
                 next_t = max(t + 1, horizon)
-                if not _is_free(table, to, t + 2, next_t):
+                if not _is_free(search, to, t + 2, next_t):
                     continue
         elif to == goals.cell[leg, agent]:
             until = t + 1 + goals.service_time[leg, agent]
-            if not stays and not _is_free(table, to, t + 2, min(until, window)):
+            if not stays and not _is_free(search, to, t + 2, min(until, window)):
                 continue
             # A service that the window cuts short does not count as done.
-            next_leg = leg if until > window else leg + 1
+            goes_on = leg + 1
+            next_leg = leg if until > window else goes_on
             next_t = min(until, window)
-        goes_on = leg + 1 if leg < DONE and to == goals.cell[leg, agent] else leg
         late = delay + step + _steps_left(fields, grid, goals, agent, goes_on, to) - steps
         reached = _pack(search, next_leg + HOLDING * stays, next_t, place + search.steps[move])
-        if search.seen[reached] != search.search[()] and 0 <= late < search.bucket.shape[0]:
+        if search.seen[reached] != search.numbers.search and 0 <= late < search.bucket.shape[0]:
             _open(search, reached, state, late, next_t)
             if late == delay:
                 latest = max(latest, next_t)
@@ -221,21 +222,9 @@ def _expand(
 
 
 @kernel
-def _is_free(table: ReservationTable, cell: int, first: int, last: int) -> bool:
+def _is_free(search: PathSearch, cell: int, first: int, last: int) -> bool:
     """Return True if a cell is not reserved from one timestep to another, both counted."""
     taken = 0
     for t in range(first, last + 1):
-        taken |= _bits_at(table, t, cell) & HERE
+        taken |= _bits_at(search, t, cell) & HERE
     return taken == 0
-
-
-@kernel
-def _read_path(search: PathSearch, state: int, start: int) -> None:
-    """Walk back from the last state; between two states an agent is served where it is."""
-    end = _time_of(search, state)
-    while state != NO_STATE:
-        before = search.parent[state]
-        t_before = _time_of(search, before) if before != NO_STATE else -1
-        for t in range(t_before + 1, end + 1):
-            search.cells[t] = start + search.offset[_place_of(search, state)]
-        state, end = before, t_before

@@ -1,6 +1,5 @@
 """All that priority-based search works on, made once for a run.
 
-Single numbers that kernels change are arrays without a dimension, read and set as ``number[()]``.
 A agents, w timesteps, N cells, D nodes of a branch of the search tree.
 """
 
@@ -9,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import move_steps
-from qdenv.native import Scalar
-from qdenv.simulate.mapf.host.state import GridMap, HostRun
+from qdenv.native import numbers
+from qdenv.simulate.mapf.host.state import HostRun
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.planner import NOBODY
 
@@ -32,9 +31,11 @@ _CHILD = np.dtype(
     + [(name, np.int64) for name in ("cost", "first_change", "end_change")]
     + [(name, np.int64) for name in ("first_conflict", "end_conflict")]
 )
-# A node: number of children, and of those entered; changes and conflicts before the children.
+# A node: number of children, and of those entered; whether the second is entered first; changes and
+# conflicts before the children.
 _NODE = np.dtype(
-    [(name, np.int64) for name in ("num_children", "num_entered", "num_changes", "num_conflicts")]
+    [(name, np.int64) for name in ("num_children", "num_entered", "is_swapped")]
+    + [(name, np.int64) for name in ("num_changes", "num_conflicts")]
 )
 
 
@@ -42,8 +43,6 @@ class Goals(NamedTuple):
     """What the agents have to do; a leg is the way to one goal, and the service there."""
 
     start: np.ndarray  # int64 [A], where they are
-    row: np.ndarray  # int64 [A], of the start
-    column: np.ndarray  # int64 [A], of the start
     begin: np.ndarray  # int64 [A], timesteps of the service in progress; until then the agent stays
     goal: np.ndarray  # int64 [2, A], slots of the goals
     cell: np.ndarray  # int64 [2, A], where they are
@@ -55,45 +54,29 @@ class Goals(NamedTuple):
 
 
 class JointPlan(NamedTuple):
-    """The joint plan in hand."""
+    """The joint plan in hand, and the changes that led to it in their order; R at most."""
 
     # int32 [w + 1, A], where they are; after a path's end a number of the agent's own below zero,
     # which is no cell
     cell: np.ndarray
     path: np.ndarray  # `_PATH` [A]
-    delay: Scalar  # int64 [], the sum over all paths
     # int32 [A], the timesteps of conflicts of one agent with each other one, a bit each
     hit: np.ndarray
-
-
-class Changes(NamedTuple):
-    """Changes of paths, in the order in which they were made; R of them at most."""
-
-    agent: np.ndarray  # int32 [R]
-    cell: np.ndarray  # int32 [R, 2, w + 1], the column of `JointPlan.cell` before and after
-    path: np.ndarray  # `_PATH` [R, 2], before and after
-    num_changes: Scalar  # int64 []
+    changed: np.ndarray  # int32 [R], the agent of each change
+    change_cell: np.ndarray  # int32 [R, 2, w + 1], its cells before and after
+    change_path: np.ndarray  # `_PATH` [R, 2], before and after
+    numbers: np.record  # delay, the sum over all paths; changes, how many there are
 
 
 class PartialOrder(NamedTuple):
-    """Who has precedence over whom: the pairs of the branch in hand, as a graph; D pairs."""
+    """Which agent precedes which: the pairs of the branch in hand, as a graph; D pairs."""
 
     end: np.ndarray  # int32 [2, D], the agent above and the agent below of each pair
     following: np.ndarray  # int32 [2, D], the next pair of the same agent in either direction
     first: np.ndarray  # int32 [2, A], the first pair of each agent in either direction, or `NOBODY`
-    num_pairs: Scalar  # int64 []
     mark: np.ndarray  # int64 [2, A], the last walk up, or down, that found an agent
-    walk: Scalar  # int64 [], the number of the last walk
     stack: np.ndarray  # int32 [A], agents whose pairs are still to be looked at
-
-
-class ReservationTable(NamedTuple):
-    """What the agent that is planned must avoid."""
-
-    # int32 [w + 1, N], the bits of a cell and above them the search that they belong to: bits of
-    # other searches do not count
-    entry: np.ndarray
-    search: Scalar  # int64 [], the number of this search
+    numbers: np.record  # pairs, how many there are; walk, the number of the last walk
 
 
 class PathSearch(NamedTuple):
@@ -104,27 +87,22 @@ class PathSearch(NamedTuple):
     are, from the lowest, the place, the timestep and the layer: the leg, and `HOLDING` added.
     """
 
+    # int32 [w + 1, N], what must be avoided: the bits of a cell, and above them the table that they
+    # belong to: bits of other tables do not count
+    reserved: np.ndarray
     seen: np.ndarray  # int64 [S], the search that last reached a state
     parent: np.ndarray  # int32 [S], the state before it
     following: np.ndarray  # int32 [S], the next state of the same bucket
     bucket: np.ndarray  # int32 [delays, w + 1], the first state of each bucket
     cells: np.ndarray  # int64 [w + 1], the path found
-    search: Scalar  # int64 [], the number of this search
-    delay: Scalar  # int64 [], of the states that are expanded, at last of the path found
     offset: np.ndarray  # int64 [P], what leads from the start to the cell at a place
     steps: np.ndarray  # int64 [5], what each move adds to a place: wait, right, left, down, up
+    # table and search, the numbers of this table of reservations and of this search; delay, of the
+    # states that are expanded, at last of the path found
+    numbers: np.record
     time_bit: int  # the lowest bit of the timestep
     layer_bit: int  # the lowest bit of the layer
     horizon: int  # timesteps that will be driven
-
-
-class ReplanQueue(NamedTuple):
-    """Who matters to whom, and who waits to be planned again."""
-
-    near: np.ndarray  # int32 [A, A], the agents that each may meet within a window
-    num_near: np.ndarray  # int64 [A]
-    waiting: np.ndarray  # int32 [A], agents to be planned again
-    is_waiting: np.ndarray  # bool [A]
 
 
 class SearchTree(NamedTuple):
@@ -132,16 +110,14 @@ class SearchTree(NamedTuple):
 
     node: np.ndarray  # `_NODE` [D]
     child: np.ndarray  # `_CHILD` [D, 2]
-    order: np.ndarray  # int64 [D, 2], the children in the order in which they are searched
     conflict: np.ndarray  # int64 [K], the conflicts of all these nodes
-    num_conflicts: Scalar  # int64 []
-    is_full: Scalar  # bool [], the arrays of the tree or of the changes were too small
     # bool [A, A], pairs of agents, the smaller number first, that had no feasible child once
     dead_end: np.ndarray
-    num_dead_ends: Scalar  # int64 []
     best: np.ndarray  # int32 [w + 1, A], the plan whose first conflict was latest
-    best_time: Scalar  # int64 [], the time of that conflict
-    best_delay: Scalar  # int64 [], the delay of that plan
+    # conflicts and dead_ends, how many there are; is_full, whether the arrays of conflicts, nodes
+    # or changes were too small; best_time and best_delay, of the first conflict of the best plan
+    # and of that plan
+    numbers: np.record
 
 
 class Workspace(NamedTuple):
@@ -149,80 +125,72 @@ class Workspace(NamedTuple):
 
     goals: Goals  # what agents have to do
     plan: JointPlan  # where they go
-    changes: Changes  # of the plan
     order: PartialOrder  # who is above whom
-    table: ReservationTable  # what the agent that is being planned must avoid
-    search: PathSearch  # the search of its path
-    queue: ReplanQueue  # who waits to be planned again
+    search: PathSearch  # the search of one path
     tree: SearchTree  # the branch in hand
+    near: np.ndarray  # int32 [A, A], the agents that each may meet within a window
+    num_near: np.ndarray  # int64 [A]
+    waiting: np.ndarray  # int32 [A], agents to be planned again
+    is_waiting: np.ndarray  # bool [A]
+    numbers: np.record  # waiting, how many wait; nodes, expanded, and unsolved, of all windows
     published: bool  # whether agents without a path stay, and waiting at the start has precedence
     node_limit: int  # most nodes to expand
-    num_nodes: Scalar  # int64 [], expanded in all windows
-    num_unsolved: Scalar  # int64 [], windows without a solution
 
 
 def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:
-    """Make the workspace of a run.
-
-    Args:
-        run: gives the layout, the number of agents, window and horizon.
-        config: the rule and the limit.
-        depth: nodes of a branch; changes and conflicts get arrays in proportion.
-    """
-    agents, window, grid = run.agents.position.size, run.settings.window, run.grid
+    """Make the workspace of a run; `depth` nodes, changes and conflicts in proportion."""
+    count, window, grid = run.agents.position.size, run.settings.window, run.grid
+    changes = _CHANGES_PER_NODE * depth + 2 * count
+    # Goals of a kind with service; odds are cumulated.
+    likely = np.diff(grid.odds, axis=1, prepend=np.float32(0)) > 0
+    holds = np.zeros(grid.free.size, np.bool_)
+    holds[grid.goals[likely[grid.service_time > 0].any(axis=0)]] = True
+    cell, service_time = np.zeros((2, NUM_GOALS, count), np.int64)
     end, following = np.zeros((2, 2, depth + 1), np.int32)
-    first, mark = np.full((2, agents), NOBODY, np.int32), np.zeros((2, agents), np.int64)
-    order = PartialOrder(
-        end, following, first, _number(), mark, _number(), np.zeros(agents, np.int32)
-    )
-    room = _CHANGES_PER_NODE * depth + 2 * agents
-    tree = SearchTree(
-        _records(_NODE, depth),
-        _records(_CHILD, depth, 2),
-        np.empty((depth, 2), np.int64),
-        np.empty((_CONFLICTS_PER_NODE * depth + 64) * agents, np.int64),
-        _number(),
-        np.array(False),
-        np.zeros((agents, agents), np.bool_),
-        _number(),
-        np.empty((window + 1, agents), np.int32),
-        _number(),
-        _number(),
-    )
     return Workspace(
-        _make_goals(agents, grid),
+        Goals(
+            run.agents.position,
+            run.agents.remaining_service,
+            run.agents.goal,
+            cell,
+            service_time,
+            np.zeros(count, np.int64),
+            holds,
+        ),
         JointPlan(
-            np.zeros((window + 1, agents), np.int32),
-            _records(_PATH, agents),
-            _number(),
-            np.zeros(agents, np.int32),
+            np.zeros((window + 1, count), np.int32),
+            _records(_PATH, count),
+            np.zeros(count, np.int32),
+            np.empty(changes, np.int32),
+            np.empty((changes, 2, window + 1), np.int32),
+            _records(_PATH, changes, 2),
+            numbers("delay", "changes"),
         ),
-        Changes(
-            np.empty(room, np.int32),
-            np.empty((room, 2, window + 1), np.int32),
-            _records(_PATH, room, 2),
-            _number(),
+        PartialOrder(
+            end,
+            following,
+            np.full((2, count), NOBODY, np.int32),
+            np.zeros((2, count), np.int64),
+            np.zeros(count, np.int32),
+            numbers("pairs", "walk"),
         ),
-        order,
-        ReservationTable(np.zeros((window + 1, grid.free.size), np.int32), _number()),
-        _make_search(window, grid.width, run.settings.horizon),
-        ReplanQueue(
-            np.empty((agents, agents), np.int32),
-            np.zeros(agents, np.int64),
-            np.zeros(agents, np.int32),
-            np.zeros(agents, np.bool_),
+        _make_search(run),
+        SearchTree(
+            _records(_NODE, depth),
+            _records(_CHILD, depth, 2),
+            np.empty((_CONFLICTS_PER_NODE * depth + 64) * count, np.int64),
+            np.zeros((count, count), np.bool_),
+            np.empty((window + 1, count), np.int32),
+            numbers("conflicts", "dead_ends", "is_full", "best_time", "best_delay"),
         ),
-        tree,
+        np.empty((count, count), np.int32),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.int32),
+        np.zeros(count, np.bool_),
+        numbers("waiting", "nodes", "unsolved"),
         config.rule == "published",
-        int(config.nodes_per_agent * agents),
-        _number(),
-        _number(),
+        int(config.nodes_per_agent * count),
     )
-
-
-def _number() -> np.ndarray:
-    """Make a number that kernels can change."""
-    return np.zeros((), np.int64)
 
 
 def _records(kind: np.dtype, *shape: int) -> np.ndarray:
@@ -230,37 +198,27 @@ def _records(kind: np.dtype, *shape: int) -> np.ndarray:
     return np.zeros(shape, kind).view(np.recarray)
 
 
-def _make_goals(agents: int, grid: GridMap) -> Goals:
-    """Make the arrays of what agents have to do."""
-    start, row, column, begin, between = np.zeros((5, agents), np.int64)
-    goal, cell, service_time = np.zeros((3, NUM_GOALS, agents), np.int64)
-    likely = np.diff(grid.odds, axis=1, prepend=np.float32(0)) > 0
-    holds = np.zeros(grid.free.size, np.bool_)
-    holds[grid.goals[likely[grid.service_time > 0].any(axis=0)]] = True
-    return Goals(start, row, column, begin, goal, cell, service_time, between, holds)
-
-
-def _make_search(window: int, width: int, horizon: int) -> PathSearch:
-    """Make the arrays of the search of one path in a padded grid of `width` columns."""
+def _make_search(run: HostRun) -> PathSearch:
+    """Make the arrays of the search of one path."""
+    window, grid = run.settings.window, run.grid
     side = 2 * window + 1
     row, column = np.divmod(np.arange(side * side), side)
     time_bit = (side * side).bit_length()
     layer_bit = time_bit + (window + 1).bit_length()
     states = 2 * HOLDING << layer_bit
     parent, following = np.empty((2, states), np.int32)
-    # A step can lead away from the goal, which costs two.
-    bucket = np.full((2 * window + 3, window + 1), NO_STATE, np.int32)
     return PathSearch(
+        np.zeros((window + 1, grid.free.size), np.int32),
         np.zeros(states, np.int64),
         parent,
         following,
-        bucket,
+        # A step can lead away from the goal, which costs two.
+        np.full((2 * window + 3, window + 1), NO_STATE, np.int32),
         np.zeros(window + 1, np.int64),
-        _number(),
-        _number(),
-        (row - window) * width + column - window,
+        (row - window) * grid.width + column - window,
         move_steps(side),
+        numbers("table", "search", "delay"),
         time_bit,
         layer_bit,
-        horizon,
+        run.settings.horizon,
     )
