@@ -139,7 +139,7 @@ def drive_window(run: HostRun) -> None:
     counters.time = min(begin + horizon, settings.timesteps)
 
 
-@kernel
+@formula
 def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
     """Move one agent by one step of its path and serve its goal, as `agents.drive` does."""
     grid, agents = run.grid, run.agents

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import NUM_MOVES
-from qdenv.native import kernel
+from qdenv.native import formula, kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields, distance
 from qdenv.simulate.mapf.host.state import AGENT, AGENT_BITS, HostRun, sort
@@ -48,7 +48,8 @@ def roll_out(
     run: HostRun, fields: DistanceFields, rollout: Rollout, seed: int, stands_still: bool
 ) -> None:
     """Find where PIBT drives all agents, as `planner.rollout` does; or let all stand still."""
-    agents, ties = run.agents, chance.mix(seed, chance.RESORT)
+    grid, agents, kinds = run.grid, run.agents, run.grid.service_time.size
+    ties = chance.mix(seed, chance.RESORT)
     rank = chance.mix(ties, rules.RANKS)
     for agent in range(agents.position.size):
         rollout.path[agent, 0], rollout.stage[agent] = agents.position[agent], 0
@@ -70,10 +71,19 @@ def roll_out(
         sort(rollout.order)
         push_along(rollout, t)
         for agent in range(agents.position.size):
-            _serve_goal(run, rollout, agent, t)
+            stage = rollout.stage[agent]
+            service_time = grid.service_time[(agents.kind[agent] + stage) % kinds]
+            on_goal = rollout.path[agent, t + 1] == grid.goals[agents.goal[stage, agent]]
+            left, finished = serve(rollout.remaining_service[agent], on_goal, service_time)
+            rollout.remaining_service[agent] = left
+            rollout.age[agent] += 1
+            if finished:
+                # The goal after the next is not known here: having served both, an agent drives on
+                # freely.
+                rollout.stage[agent], rollout.age[agent] = 1, 0
 
 
-@kernel
+@formula
 def _prefer(
     run: HostRun, fields: DistanceFields, rollout: Rollout, agent: int, t: int, bits: int
 ) -> None:
@@ -95,21 +105,6 @@ def _prefer(
         keys[place], candidates[agent, place] = key, other
         count += 1
     rollout.num_allowed[agent] = count
-
-
-@kernel
-def _serve_goal(run: HostRun, rollout: Rollout, agent: int, t: int) -> None:
-    """Begin, continue or end an agent's service after its step at `t`."""
-    grid, agents = run.grid, run.agents
-    stage = rollout.stage[agent]
-    kind = (agents.kind[agent] + stage) % grid.service_time.size
-    on_goal = rollout.path[agent, t + 1] == grid.goals[agents.goal[stage, agent]]
-    left, finished = serve(rollout.remaining_service[agent], on_goal, grid.service_time[kind])
-    rollout.remaining_service[agent] = left
-    rollout.age[agent] += 1
-    if finished:
-        # The goal after the next is not known here: an agent that has served both drives on freely.
-        rollout.stage[agent], rollout.age[agent] = 1, 0
 
 
 @kernel
