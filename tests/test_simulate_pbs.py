@@ -21,20 +21,15 @@ from pbs_oracle import (
     some_choice_works,
 )
 
-from qdenv.native import numbers
 from qdenv.simulate.mapf.host.distances import empty_fields
 from qdenv.simulate.mapf.host.run import run_to_the_end
-from qdenv.simulate.mapf.host.state import (
-    Agents,
-    GridMap,
-    HostRun,
-    RunSettings,
-    move_steps,
-)
+from qdenv.simulate.mapf.host.state import HostRun, RunSettings, make_run
 from qdenv.simulate.mapf.metrics import Block
 from qdenv.simulate.mapf.pbs.planner import collect_goals, pbs, solve
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.pbs.workspace import Workspace, make_workspace
+from qdenv.simulate.mapf.planner import World, pad
+from qdenv.simulate.mapf.tasks import GoalTable
 
 RULES = ("published", "plain")
 SOME, EVERY = some_choice_works, every_choice_works
@@ -55,25 +50,25 @@ class Answer(NamedTuple):
 
 @functools.cache
 def mazes(count: int) -> list[Maze]:
-    """Draw the instances of so many agents."""
+    """Draw instances of `count` agents."""
     rng = np.random.default_rng(count)
     return [Maze(random_instance(rng, count)) for _ in range(INSTANCES)]
 
 
 @functools.cache
 def brute_force(count: int) -> list[tuple[bool | None, bool | None]]:
-    """Say of each instance whether some choice works in some order, and whether every choice."""
+    """Find for each instance whether some choice works in some order, and whether every one."""
     return [(can(SOME, maze), can(EVERY, maze)) for maze in mazes(count)]
 
 
 @functools.cache
 def answers(count: int, rule: str) -> list[Answer]:
-    """Have the planner plan each instance of so many agents."""
+    """Plan each instance of `count` agents."""
     return [plan(maze.instance, rule, seed) for seed, maze in enumerate(mazes(count))]
 
 
 def can(works, maze: Maze) -> bool | None:
-    """Ask whether some order works; None where that would take too long to find out."""
+    """Return whether some order works; None where that would take too long to find out."""
     try:
         return any(works(maze, order, MOST) for order in orders(maze))
     except TooManyError:
@@ -82,39 +77,21 @@ def can(works, maze: Maze) -> bool | None:
 
 def run_of(instance: Instance, seed: int = 0) -> HostRun:
     """Make the run of an instance's one window; each agent has two kinds of goal of its own."""
-    width, count = instance.free.shape[1] + 2, len(instance.agents)
-    rows, columns = np.divmod(np.arange(instance.free.size), width - 2)
-    padded = (rows + 1) * width + columns + 1
-    grid = GridMap(
-        np.pad(instance.free, 1).reshape(-1),
-        padded[[goal for agent in instance.agents for goal in agent.goals]],
-        np.ones((2 * count, 2 * count), np.float32),
-        np.array([stay for agent in instance.agents for stay in agent.services]),
-        move_steps(width),
-        width,
-        1,
-    )
-    paths = np.zeros((count, instance.window + 1), np.int64)
-    agents = Agents(
-        padded[[agent.start for agent in instance.agents]],
-        np.arange(0, 2 * count, 2),
-        np.arange(2 * count).reshape(-1, 2).T.copy(),
-        np.array([agent.serving for agent in instance.agents]),
-        np.zeros(count, np.int64),
-        np.zeros(count, np.int64),
-        paths,
-        np.zeros(count, np.bool_),
-    )
-    horizon = instance.horizon
-    size = max(horizon, grid.free.size)
-    counters, (finished, visits) = (
-        numbers("time", "congested_at", "moves"),
-        np.zeros((2, size), np.int32),
-    )
+    agents, (_, cols) = instance.agents, instance.free.shape
+    count, horizon = len(agents), instance.horizon
+    goals = pad(np.array([goal for agent in agents for goal in agent.goals]), cols, 1)
+    table = GoalTable(goals, goals > 0, np.ones((2 * count, 2 * count), np.float32), np.bool_(True))
+    services = np.array([stay for agent in agents for stay in agent.services])
+    world = World(np.pad(instance.free, 1), table, None, services, np.bool_(True), 1)
     kinds = np.int32, np.int32, np.bool_, np.int32
     block = Block(*(np.zeros((horizon, count), kind) for kind in kinds))
     settings = RunSettings(seed, horizon, instance.window, horizon, True)
-    return HostRun(grid, agents, counters, finished, visits, block, settings)
+    run = make_run(world, settings, count, block)
+    run.agents.position[:] = pad(np.array([agent.start for agent in agents]), cols, 1)
+    run.agents.kind[:] = np.arange(0, 2 * count, 2)
+    run.agents.goal[:] = np.arange(2 * count).reshape(-1, 2).T
+    run.agents.remaining_service[:] = [agent.serving for agent in agents]
+    return run
 
 
 def plan(instance: Instance, rule: str, seed: int = 0, node_limit: int = 20_000) -> Answer:
@@ -136,8 +113,8 @@ def answer_of(work: Workspace, solved: bool, width: int) -> Answer:
     cells = (rows - 1) * width + columns - 1
     lasts = found.path.end.tolist()
     paths = [tuple(cells[: last + 1, agent].tolist()) for agent, last in enumerate(lasts)]
-    late, nodes = found.path.delay.tolist(), int(work.numbers.nodes)
-    return Answer(solved, paths, late, precedence(work), nodes)
+    late = found.path.delay.tolist()
+    return Answer(solved, paths, late, precedence(work), int(work.numbers.nodes))
 
 
 def precedence(work: Workspace) -> list[set[int]]:
@@ -185,7 +162,7 @@ def test_nobody_is_late_where_no_shortest_paths_ever_meet(rule):
 
 
 def never_meet(maze: Maze) -> bool:
-    """Tell whether everybody's shortest paths keep clear of everybody else's."""
+    """Return True if all shortest paths keep clear of those of all others."""
     ways = [list(maze.best_paths(agent, [])) for agent in range(len(maze.instance.agents))]
     return not any(
         conflict(one, other)

@@ -53,13 +53,10 @@ class DistanceFields(NamedTuple):
 
 
 def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) -> DistanceFields:
-    """Make fields, none measured.
+    """Make fields of a padded grid [H', W'], none measured.
 
-    Args:
-        shape: (H', W') of the padded grid.
-        goals: number of goals.
-        rows: number of fields at a time.
-        pages: number of pages at a time; 0 for what such fields are expected to need.
+    At most `rows` fields and `pages` pages at a time; 0 pages stands for what the fields are
+    expected to need.
     """
     cells = shape[0] * shape[1]
     side = _WHOLE_SIDE if max(shape) <= _WHOLE_SIDE else _PAGE_SIDE

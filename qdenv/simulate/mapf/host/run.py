@@ -40,11 +40,10 @@ class Fallback(NamedTuple):
 def compile_windows(plan_window: Callable[..., int]) -> Callable[..., int]:
     """Compile the loop over the windows of a run, (run, fields, plan, fallback) -> status.
 
-    Args:
-        plan_window: (run, fields, plan, fallback, seed) -> status; sets ``fallback.path`` and
-            ``fallback.is_used`` and, unless it is `DONE`, changes nothing else of the run. A
-            `native.shared` function, found by its name: the machine code is cached under the names
-            that a closure holds, and one of a compiled function is another in each process.
+    `plan_window`, (run, fields, plan, fallback, seed) -> status, sets ``fallback.path`` and
+    ``fallback.is_used`` and changes nothing else of the run. It is `native.shared`, found by its
+    name: the machine code is cached under the names that a closure holds, and one of a compiled
+    function is another in each process.
     """
 
     def run_windows(run: HostRun, fields: DistanceFields, plan: Any, fallback: Fallback) -> int:
@@ -113,13 +112,8 @@ def simulate_in_callback(
 ) -> Outcome:
     """Run a simulation in a callback that works on jax's own buffers.
 
-    Args:
-        planner: plans the paths.
-        world: the layout.
-        seed: uint32, of all that is drawn.
-        agents: int32, number of agents.
-        settings: of the run, but for the seed.
-        like: the shapes of what is returned.
+    The seed (uint32) and the number of agents (int32) are traced; the seed of the settings does not
+    count. The result has the shapes of `like`.
     """
 
     def on_host(_: Any, *buffers: Any) -> None:
@@ -142,14 +136,9 @@ def steps_under_way() -> int:
 def simulate_into(
     outcome: Any, planner: HostPlanner, world: World, agents: int, settings: RunSettings
 ) -> None:
-    """Run a simulation and write what happens into the numpy arrays of an `Outcome`.
+    """Run a simulation of `agents` agents and write what happens into the arrays of an `Outcome`.
 
-    Args:
-        outcome: all zeros, of the shapes that `fleet.blank_outcome` gives.
-        planner: plans the paths.
-        world: of numpy arrays.
-        agents: number of agents.
-        settings: of the run, its seed among them.
+    These are all zeros, of the shapes that `fleet.blank_outcome` gives; all arrays are numpy's.
     """
     run = make_run(world, settings, agents, outcome.block)
     if world.valid:

@@ -14,14 +14,7 @@ from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP
 from qdenv.native import formula, kernel
 from qdenv.simulate.mapf.host.distances import DistanceFields, distance
 from qdenv.simulate.mapf.host.state import GridMap
-from qdenv.simulate.mapf.pbs.workspace import (
-    DONE,
-    HOLDING,
-    NO_STATE,
-    Goals,
-    JointPlan,
-    PathSearch,
-)
+from qdenv.simulate.mapf.pbs.workspace import DONE, HOLDING, NO_STATE, Goals, JointPlan, PathSearch
 
 NO_PATH = -1
 _MOVE_BITS = 5  # an agent is here, and leaves right, left, down, up: one bit each
@@ -77,19 +70,11 @@ def find_path(
     may_hold: bool,
     ties: int,
 ) -> int:
-    """Find a shortest path into ``search.cells``, and its delay.
+    """Find a shortest path, into ``search.cells``, past all that is reserved, and its delay.
 
-    Args:
-        search: its arrays, with all that is reserved.
-        fields: distances.
-        grid: the layout.
-        goals: what agents have to do.
-        agent: the agent.
-        may_hold: whether it may stay at its start, from the beginning on, against all reservations.
-        ties: three bits that decide which way comes first of equals.
-
-    Returns:
-        The timestep at which the path ends, the window or sooner, or `NO_PATH`.
+    If the agent `may_hold` it may stay at its start, from the beginning on, against all
+    reservations. The three bits of `ties` decide which way comes first of equals. Returns the
+    timestep at which the path ends, the window or sooner, or `NO_PATH`.
     """
     window, centre = search.reserved.shape[0] - 1, search.offset.size // 2
     start, begin = goals.start[agent], goals.begin[agent]
@@ -121,16 +106,12 @@ def find_path(
     # Walk back from the last state; between two states the agent is served where it is.
     last = t
     while state != NO_STATE:
-        _, since, place = _unpack(search, state)
-        before = search.parent[state]
-        if before != NO_STATE:
-            _, since, _ = _unpack(search, before)
-            since += 1
-        else:
-            since = 0
+        _, _, place = _unpack(search, state)
+        state = search.parent[state]
+        since = _unpack(search, state)[1] + 1 if state != NO_STATE else 0
         for time in range(since, last + 1):
             search.cells[time] = start + search.offset[place]
-        state, last = before, since - 1
+        last = since - 1
     return t
 
 

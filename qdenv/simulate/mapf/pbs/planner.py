@@ -16,7 +16,6 @@ their cell free, the limit is one of nodes and not of time, and an unsolved wind
 where its best plan has conflicts.
 """
 
-
 from qdenv.native import kernel, shared
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields, distance
@@ -37,14 +36,9 @@ from qdenv.simulate.mapf.pbs.conflicts import (
     walk,
 )
 from qdenv.simulate.mapf.pbs.settings import MAX_WINDOW, PbsConfig
-from qdenv.simulate.mapf.pbs.workspace import (
-    FIRST_DEPTH,
-    NUM_GOALS,
-    Goals,
-    Workspace,
-    make_workspace,
-)
+from qdenv.simulate.mapf.pbs.workspace import FIRST_DEPTH, Goals, Workspace, make_workspace
 from qdenv.simulate.mapf.planner import NOBODY, HostPlanner, Planner
+from qdenv.simulate.mapf.tasks import KNOWN
 
 _PREFERRED = 1 << 60  # taken off a conflict that comes first
 
@@ -95,7 +89,7 @@ def collect_goals(run: HostRun, fields: DistanceFields, goals: Goals) -> None:
     """Note what the agents have to do now."""
     grid, agents = run.grid, run.agents
     for agent in range(agents.position.size):
-        for leg in range(NUM_GOALS):
+        for leg in range(KNOWN):
             goals.cell[leg, agent] = grid.goals[agents.goal[leg, agent]]
             kind = (agents.kind[agent] + leg) % grid.service_time.size
             goals.service_time[leg, agent] = grid.service_time[kind]
@@ -107,13 +101,12 @@ def collect_goals(run: HostRun, fields: DistanceFields, goals: Goals) -> None:
 def solve(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int) -> bool:
     """Search for paths without conflicts; returns whether they were found, in ``work.plan``.
 
-    If not, ``work.tree.best`` is the plan whose first conflict is latest. If the arrays are too
-    small ``work.tree.numbers.is_full`` is set, and nothing is right.
+    If not, ``work.tree.best`` is the plan whose first conflict is latest; neither counts if an
+    array was too small (``work.tree.numbers.is_full``).
     """
     tree, plan, counts = work.tree, work.plan, work.tree.numbers
-    if counts.dead_ends:
-        tree.dead_end[:] = False
-    counts.is_full, counts.dead_ends, counts.best_time = False, 0, -1
+    tree.dead_end[:] = False
+    counts.is_full, counts.best_time = False, -1
     if not _plan_root(work, fields, grid, seed):
         _keep_best(work, 0)
         return False
@@ -260,7 +253,6 @@ def _expand(
             plan.numbers.changes, counts.conflicts = change, begin
     if node.num_children == 0:
         tree.dead_end[one, two] = True
-        counts.dead_ends += 1
     elif node.num_children == 2:
         many = children[0].end_conflict - children[0].first_conflict
         few = children[1].end_conflict - children[1].first_conflict

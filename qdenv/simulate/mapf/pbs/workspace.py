@@ -12,9 +12,9 @@ from qdenv.native import numbers
 from qdenv.simulate.mapf.host.state import HostRun
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.planner import NOBODY
+from qdenv.simulate.mapf.tasks import KNOWN
 
-NUM_GOALS = 2  # that are known: the current one and the next
-DONE = NUM_GOALS  # the leg of an agent that has served both; legs 0 and 1 lead to a goal
+DONE = KNOWN  # the leg of an agent that has served both known goals; legs 0 and 1 lead to one
 HOLDING = DONE + 1  # added to the leg while an agent stays at its start against all reservations
 NO_STATE = -1
 FIRST_DEPTH = 512  # nodes of a branch that there are arrays for at first
@@ -23,20 +23,13 @@ _CONFLICTS_PER_NODE = 4  # and agent
 
 # The numbers of a path: the timestep at which it ends; the first timestep at which nothing binds
 # the agent to its start any more; how much longer than the shortest way the path is.
-_PATH = np.dtype([("end", np.int32), ("bound", np.int32), ("delay", np.int32)])
-# A child of a node: who is put above whom, the delay of all paths together, and the range of the
-# changes that lead to it, and of its conflicts (end: one past the last).
-_CHILD = np.dtype(
-    [("high", np.int32), ("low", np.int32)]
-    + [(name, np.int64) for name in ("cost", "first_change", "end_change")]
-    + [(name, np.int64) for name in ("first_conflict", "end_conflict")]
-)
+_PATH = "end bound delay"
+# A child of a node: the agent that is put above another, the delay of all paths together, and the
+# range of the changes that lead to it, and of its conflicts (end: one past the last).
+_CHILD = "high low cost first_change end_change first_conflict end_conflict"
 # A node: number of children, and of those entered; whether the second is entered first; changes and
 # conflicts before the children.
-_NODE = np.dtype(
-    [(name, np.int64) for name in ("num_children", "num_entered", "is_swapped")]
-    + [(name, np.int64) for name in ("num_changes", "num_conflicts")]
-)
+_NODE = "num_children num_entered is_swapped num_changes num_conflicts"
 
 
 class Goals(NamedTuple):
@@ -114,9 +107,8 @@ class SearchTree(NamedTuple):
     # bool [A, A], pairs of agents, the smaller number first, that had no feasible child once
     dead_end: np.ndarray
     best: np.ndarray  # int32 [w + 1, A], the plan whose first conflict was latest
-    # conflicts and dead_ends, how many there are; is_full, whether the arrays of conflicts, nodes
-    # or changes were too small; best_time and best_delay, of the first conflict of the best plan
-    # and of that plan
+    # conflicts, how many there are; is_full, whether the arrays of conflicts, nodes or changes were
+    # too small; best_time and best_delay, of the first conflict of the best plan and of that plan
     numbers: np.record
 
 
@@ -139,41 +131,38 @@ class Workspace(NamedTuple):
 
 def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:
     """Make the workspace of a run; `depth` nodes, changes and conflicts in proportion."""
-    count, window, grid = run.agents.position.size, run.settings.window, run.grid
+    agents, window, grid = run.agents, run.settings.window, run.grid
+    count = agents.position.size
     changes = _CHANGES_PER_NODE * depth + 2 * count
     # Goals of a kind with service; odds are cumulated.
     likely = np.diff(grid.odds, axis=1, prepend=np.float32(0)) > 0
     holds = np.zeros(grid.free.size, np.bool_)
     holds[grid.goals[likely[grid.service_time > 0].any(axis=0)]] = True
-    cell, service_time = np.zeros((2, NUM_GOALS, count), np.int64)
+    cell, service_time, mark = np.zeros((3, 2, count), np.int64)
+    between, num_near = np.zeros((2, count), np.int64)
+    hit, stack, waiting = np.zeros((3, count), np.int32)
     end, following = np.zeros((2, 2, depth + 1), np.int32)
+    first = np.full((2, count), NOBODY, np.int32)
     return Workspace(
         Goals(
-            run.agents.position,
-            run.agents.remaining_service,
-            run.agents.goal,
+            agents.position,
+            agents.remaining_service,
+            agents.goal,
             cell,
             service_time,
-            np.zeros(count, np.int64),
+            between,
             holds,
         ),
         JointPlan(
             np.zeros((window + 1, count), np.int32),
             _records(_PATH, count),
-            np.zeros(count, np.int32),
+            hit,
             np.empty(changes, np.int32),
             np.empty((changes, 2, window + 1), np.int32),
             _records(_PATH, changes, 2),
             numbers("delay", "changes"),
         ),
-        PartialOrder(
-            end,
-            following,
-            np.full((2, count), NOBODY, np.int32),
-            np.zeros((2, count), np.int64),
-            np.zeros(count, np.int32),
-            numbers("pairs", "walk"),
-        ),
+        PartialOrder(end, following, first, mark, stack, numbers("pairs", "walk")),
         _make_search(run),
         SearchTree(
             _records(_NODE, depth),
@@ -181,11 +170,11 @@ def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:
             np.empty((_CONFLICTS_PER_NODE * depth + 64) * count, np.int64),
             np.zeros((count, count), np.bool_),
             np.empty((window + 1, count), np.int32),
-            numbers("conflicts", "dead_ends", "is_full", "best_time", "best_delay"),
+            numbers("conflicts", "is_full", "best_time", "best_delay"),
         ),
         np.empty((count, count), np.int32),
-        np.zeros(count, np.int64),
-        np.zeros(count, np.int32),
+        num_near,
+        waiting,
         np.zeros(count, np.bool_),
         numbers("waiting", "nodes", "unsolved"),
         config.rule == "published",
@@ -193,9 +182,9 @@ def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:
     )
 
 
-def _records(kind: np.dtype, *shape: int) -> np.ndarray:
-    """Make an array of records."""
-    return np.zeros(shape, kind).view(np.recarray)
+def _records(names: str, *shape: int) -> np.ndarray:
+    """Make an array of records of numbers."""
+    return np.zeros(shape, [(name, np.int64) for name in names.split()]).view(np.recarray)
 
 
 def _make_search(run: HostRun) -> PathSearch:

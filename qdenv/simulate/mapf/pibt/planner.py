@@ -48,15 +48,7 @@ def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> ja
 
     Agents that serve come first and stay; then the longer without a finished task, the earlier.
     The five ways of an agent are sorted: nearer to the goal, then empty, then by chance.
-
-    Args:
-        world: where.
-        state: the agents.
-        horizon: steps that will be driven.
-        key: breaks ties.
-
-    Returns:
-        int32 [window + 1, A], without conflicts.
+    Returns int32 [window + 1, A], without conflicts; the key breaks ties.
     """
     traversable, goals = world.traversable.reshape(-1), world.goals.cells
     size, count = traversable.size, state.position.shape[0]
@@ -121,13 +113,10 @@ def one_step(
 
     Args:
         candidates: int32 [A, 5], cells from best to worst; the agent's own is among them.
-        position: int32 [A], distinct.
+        position: int32 [A], distinct, as are the new ones.
         allowed: int32 [A], how many candidates count.
         order: int32 [A], agents by falling priority.
         cells: number of cells.
-
-    Returns:
-        int32 [A], distinct, without swaps.
     """
     count = position.shape[0]
     nobody = jnp.full((count + 1,), NOBODY, jnp.int32)
@@ -136,14 +125,10 @@ def one_step(
     position = nobody.at[:count].set(position)
 
     def visit(chain: _Chain) -> _Chain:
-        """Let the agent whose turn it is try its next candidate.
-
-        Index `NOBODY` (-1) reads the last entry of an array, which is `NOBODY` again; so no rule
-        needs a mask.
-        """
+        # Index `NOBODY` (-1) reads the last entry of an array, which is `NOBODY` again; so no rule
+        # needs a mask.
         taking = chain.current == NOBODY
-        first = order[jnp.minimum(chain.rank, count - 1)]
-        agent = jnp.where(taking, first, chain.current)
+        agent = jnp.where(taking, order[jnp.minimum(chain.rank, count - 1)], chain.current)
         skip = taking & (chain.next_cell[agent] != NOBODY)  # it was pushed before its own turn
         tried, pusher = chain.tried[agent], chain.pusher[agent]
         spent = tried >= allowed[agent]
@@ -169,12 +154,12 @@ def one_step(
             rank=chain.rank + taking,
         )
 
-    def going(chain: _Chain) -> jax.Array:
-        return (chain.rank < count) | (chain.current != NOBODY)
-
-    zero = jnp.int32(0)
-    first = _Chain(nobody, on_no_cell, jnp.zeros_like(nobody), nobody, jnp.int32(NOBODY), zero)
-    return jax.lax.while_loop(going, visit, first).next_cell[:count]
+    current, rank = jnp.int32(NOBODY), jnp.int32(0)
+    chain = _Chain(nobody, on_no_cell, jnp.zeros_like(nobody), nobody, current, rank)
+    chain = jax.lax.while_loop(
+        lambda chain: (chain.rank < count) | (chain.current != NOBODY), visit, chain
+    )
+    return chain.next_cell[:count]
 
 
 def wait(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:

@@ -17,12 +17,7 @@ from qdenv.simulate.mapf.negotiated.numba.reservations import (
     make_reservations,
     reserve,
 )
-from qdenv.simulate.mapf.negotiated.numba.search import (
-    Agent,
-    SearchArrays,
-    find_path,
-    make_arrays,
-)
+from qdenv.simulate.mapf.negotiated.numba.search import Agent, SearchArrays, find_path, make_arrays
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 from qdenv.simulate.mapf.planner import HostPlanner
 
