@@ -92,7 +92,7 @@ def _bound_at(plan: JointPlan, one: int, two: int, t: int) -> int:
 
 
 @kernel
-def _find_conflicts(plan: JointPlan, agent: int) -> None:
+def find_conflicts(plan: JointPlan, agent: int) -> None:
     """Find with whom an agent conflicts, and when: bit t of ``plan.hit`` (own entry: 0).
 
     Two agents conflict where they are on one cell, or swap cells on the way to timestep t.
@@ -120,7 +120,7 @@ def note_conflicts(work: Workspace, agent: int, others: int) -> bool:
     if tree.numbers.conflicts + others > tree.conflict.size:
         tree.numbers.is_full = True
         return False
-    _find_conflicts(plan, agent)
+    find_conflicts(plan, agent)
     walked = False
     for index in range(work.num_near[agent]):
         other = work.near[agent, index]

@@ -20,11 +20,12 @@ from qdenv.native import kernel, shared
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields, distance
 from qdenv.simulate.mapf.host.run import DONE, FIELDS_FULL, PLAN_FULL, Fallback, compile_windows
-from qdenv.simulate.mapf.host.state import GridMap, HostRun, paths_meet
+from qdenv.simulate.mapf.host.state import GridMap, HostRun
 from qdenv.simulate.mapf.pbs.conflicts import (
     NEW,
     OLD,
     UP,
+    find_conflicts,
     is_found,
     note_conflicts,
     parts_of,
@@ -64,20 +65,23 @@ def _plan_window(
     if work.tree.numbers.is_full:
         return PLAN_FULL
     work.numbers.unsolved += not solved
-    plan = work.plan.cell if solved else work.tree.best
-    path, is_used, horizon = fallback.path, fallback.is_used, run.settings.horizon
+    plan, path, is_used, horizon = work.plan, fallback.path, fallback.is_used, run.settings.horizon
+    for t in range(0 if solved else path.shape[1]):
+        for agent in range(is_used.size):
+            plan.cell[t, agent] = work.tree.best[t, agent]
     for agent in range(is_used.size):
         is_used[agent] = False
+        if not solved:
+            plan.path[agent].end = horizon  # later conflicts do not matter
+            find_conflicts(plan, agent)
+            is_used[agent] = plan.hit.max() > 0
         path[agent, 0] = run.agents.position[agent]
         for t in range(1, path.shape[1]):
-            # Within the driven steps only an agent without a path has no cell: it falls back. Later
-            # the last cell of a path that has ended is repeated.
-            ended = plan[t, agent] < 0
-            path[agent, t] = path[agent, t - 1] if ended and t > horizon else plan[t, agent]
+            # The last cell of a path that has ended is repeated; within the driven steps only those
+            # agents have none that have no path.
+            ended = plan.cell[t, agent] < 0
+            path[agent, t] = path[agent, t - 1] if ended else plan.cell[t, agent]
             is_used[agent] = is_used[agent] or (ended and t <= horizon)
-        for other in range(0 if solved else agent):
-            if paths_meet(path, agent, path, other, horizon):
-                is_used[agent], is_used[other] = True, True
     return DONE
 
 
