@@ -74,7 +74,7 @@ def _plan_window(
         if not solved:
             plan.path[agent].end = horizon  # later conflicts do not matter
             find_conflicts(plan, agent)
-            is_used[agent] = plan.hit.max() > 0
+            is_used[agent] = plan.hit.any()
         path[agent, 0] = run.agents.position[agent]
         for t in range(1, path.shape[1]):
             # The last cell of a path that has ended is repeated; within the driven steps only those
