@@ -13,7 +13,6 @@ from qdenv.ops import options as args
 from qdenv.ops.output import format_duration, place, say
 from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
-from qdenv.run.directory import RunDirectory
 from qdenv.simulate.mapf.settings import OWN, PLANNERS, record_planner
 from qdenv.study import recordings as studies
 from qdenv.study.options import fleet_tasks, usual_fleet
@@ -240,7 +239,7 @@ def report(
     counts = (agents,) if isinstance(agents, int) else tuple(agents or ())
     options, subjects = args.Fleet(fleet), []
     for one in given:
-        if isinstance(one, RunDirectory) or (isinstance(one, str | Path) and is_run(one)):
+        if is_run(one):
             subjects.append(subject_of_run(args.open_run(one)))
         else:
             plan = args.read_plan(one, options.domain)

@@ -45,13 +45,14 @@ def draw_heatmap(
     values = np.asarray(objectives, dtype=float).reshape(-1)
     if values.size != np.prod(shape):
         raise InputError(f"{values.size} objectives do not fill a grid of {shape} cells")
+    # NaN is drawn as no colour, so that the axes' ground shows through.
     grid = np.where(np.isfinite(values), values, np.nan).reshape(shape[0], -1)
     first, second = measures[0], measures[1] if len(measures) == 2 else None
     bottom, top = (second.low, second.high) if second else (0.0, 1.0)
     filled = np.isfinite(grid).any()  # else matplotlib has no range of colours
     image = axes.imshow(
         grid.T,
-        origin="lower",
+        origin="lower",  # the second measure grows upwards
         extent=(first.low, first.high, bottom, top),
         aspect="auto",
         interpolation="nearest",

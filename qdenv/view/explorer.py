@@ -63,7 +63,7 @@ def make_explorer(
             f"`qdenv export {run}` writes a table of all"
         )
     archive, config = run.archive, run.config.evaluation
-    best = archive.best  # refuses an empty archive
+    assert archive.best  # refuses an empty archive
     require_package("explorers", "plotly")
     from plotly.offline import get_plotlyjs
 
@@ -72,7 +72,6 @@ def make_explorer(
     grown, chunks = _pack_growth(archive, *make_grower(config, domain), bits, growth, progress)
     progress("writing", -1, "")
     described, numbers = _pack_columns(archive, domain)
-    cells = int(np.prod(archive.shape))
     page = make_page(
         "explorer",
         f"{domain.name}: {len(archive):,} layout{'s' * (len(archive) != 1)}",
@@ -85,11 +84,8 @@ def make_explorer(
             **_pack_layouts(archive, bits),
             **chunks,
         },
-        head=f"{run}: {len(archive):,} of {cells:,} cells filled ({archive.coverage:.1%}), "
-        f"best {archive.schema.objective} {best.objective:.4g}, QD-score {archive.qd_score:,.1f}",
-        mark=CHANGED,
-        rows=best.layout.shape[0],
-        cols=best.layout.shape[1],
+        archive=archive,
+        cells=int(np.prod(archive.shape)),
     )
     summary = {
         "domain": domain.name,

@@ -68,6 +68,7 @@ def draw_layout(
     # Half a kind at each end: kind k is the middle of its colour.
     ends = {"vmin": -0.5, "vmax": len(tiles) - 0.5}
     ax.imshow(layout, cmap=ListedColormap(colours), interpolation="nearest", **ends)
+    # The style has no upper and right line: a plan without them would look open.
     ax.spines[:].set_visible(True)
     rows, cols = layout.shape
     if max(rows, cols) <= _FINE:
@@ -100,20 +101,21 @@ def draw_layout(
 
 def layout_html(layout: np.ndarray, tiles: str, names: Mapping[str, str]) -> str:
     """Return a picture of a layout for a notebook."""
-    axes = draw_layout(layout, tiles, names=names)  # their figure lives no longer than they do
-    figure = axes.get_figure()
-    assert isinstance(figure, Figure)
-    return to_html(figure)
+    return to_html(draw_plan(layout, tiles, names, numbered=False))
 
 
 @styled
-def draw_plan(layout: Array, tiles: str, names: Mapping[str, str] = _NO_NAMES) -> Figure:
+def draw_plan(
+    layout: Array, tiles: str, names: Mapping[str, str] = _NO_NAMES, numbered: bool = True
+) -> Figure:
     """Draw a layout with its rows and columns numbered from 0, as messages number them.
 
     The figure is to be cropped when it is saved.
     """
     figure, _ = _new_figure(np.shape(layout), 1)
-    _number_cells(draw_layout(layout, tiles, figure.axes[0], names))
+    axes = draw_layout(layout, tiles, figure.axes[0], names)
+    if numbered:
+        _number_cells(axes)
     return figure
 
 
@@ -166,17 +168,11 @@ def draw_marks(axes: Axes, marks: Mapping[str, tuple[int, int]]) -> None:
         look = {"color": _NAMED, "marker": sign, "edgecolors": "white", "lw": 0.6}
         axes.scatter(column, row, s=42, **look)
         above = row > rows / 2  # where there is space for the name
-        axes.annotate(
-            name,
-            (column, row),
-            xytext=(0, 6 if above else -6),
-            textcoords="offset points",
-            ha="center",
-            va="bottom" if above else "top",
-            fontsize=7,
-            color=_NAMED,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85},
-        )
+        place = {"xytext": (0, 6 if above else -6), "textcoords": "offset points"}
+        place |= {"ha": "center", "va": "bottom" if above else "top"}
+        # On any tile, the name can be read.
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
+        axes.annotate(name, (column, row), fontsize=7, color=_NAMED, bbox=box, **place)
 
 
 @styled

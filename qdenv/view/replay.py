@@ -73,9 +73,6 @@ def make_replay(
         about=about,
         maze=motion.headings is not None,
         serves=tasks is not None and any(goal.stay for goal in tasks.cycle),
-        jam=film.JAM_FROM,
-        agents=motion.positions.shape[1],
-        steps=motion.steps,
         tiles=[(names.get(tile, tile), colours[kind]) for kind, tile in used],
     )
 

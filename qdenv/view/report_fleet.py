@@ -72,6 +72,7 @@ def make_request(
             fleet_tasks(one.plan.layout, tasks, counts[-1])
     rivals = [find_rival(one, subjects) for one in subjects]
     assert tasks is not None
+    # A single number is compared with others, as many as fit the smallest of all layouts.
     single = counts[0] if len(counts) == 1 else None
     if single is not None:
         every = [*layouts, *(one.layout for one in rivals if one.layout is not None)]
@@ -119,7 +120,7 @@ def report_fleet(
             progress(f"looking closely at {name}", share, note or step)
 
         studies.append(examine(one.plan, config, request.seeds, progress=show))
-    progress("drawing the page", -1, "")
+    progress("drawing the page", -1, "")  # how far it is, is unknown
     layouts, facts = [], {}
     for number, (one, study) in enumerate(zip(subjects, studies, strict=True)):
         content = _compare(one, request.rivals[number], rows, agents)

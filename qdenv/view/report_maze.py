@@ -56,6 +56,7 @@ def report_mazes(
         # Actions to the goal, NaN where it was not reached.
         arrivals = np.where(np.asarray(episodes.success), np.asarray(episodes.length), np.nan)
         usage = np.asarray(episodes.usage).mean(axis=0)
+        # The agent may walk on whatever is no wall.
         free = ~np.asarray(of_tiles(layout, domain.tiles[WALL], domain.tiles))
         plan, walks = draw_plan(layout, domain.tiles, domain.names), draw_walks(free, usage, _MAP)
         for figure in (plan, walks):

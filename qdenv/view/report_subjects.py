@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,9 +36,12 @@ class Rival(NamedTuple):
     about: str  # what it is, or why there is none
 
 
-def is_run(source: str | Path) -> bool:
-    """Return True if a source names a run, False for a layout file."""
-    return str(source).startswith(PREFIX) or Path(source).is_dir()
+def is_run(source: Any) -> bool:
+    """Return True if a source is or names a run, False for a layout or its file."""
+    named = isinstance(source, str | Path)
+    return isinstance(source, RunDirectory) or (
+        named and (str(source).startswith(PREFIX) or Path(source).is_dir())
+    )
 
 
 def subject_of_run(run: RunDirectory) -> Subject:
@@ -64,6 +67,7 @@ def distinct(subjects: Sequence[Subject]) -> list[Subject]:
     kinds = list(dict.fromkeys(one.plan.domain.name for one in subjects))
     if len(kinds) > 1:
         raise InputError(f"these are of {' and '.join(kinds)}: report on one domain at a time")
+    # Two files of one name in different folders are told apart by their paths.
     counts = Counter(one.name for one in subjects)
     named = [one if counts[one.name] == 1 else one._replace(name=one.source) for one in subjects]
     if len({one.name for one in named}) < len(named):
@@ -96,6 +100,7 @@ def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival:
         return Rival("", None, f"Nobody draws {size} by hand: {error}.")
     if np.array_equal(human, layout):
         return Rival("", None, f"This is the very layout that people draw by hand at {size}.")
+    # A rival that is one of the subjects is simulated once, under that name.
     same = [one.name for one in subjects if np.array_equal(one.plan.layout, human)]
     sizes = {one.plan.layout.shape for one in subjects}
     name = same[0] if same else "hand-made" if len(sizes) == 1 else f"hand-made {size}"

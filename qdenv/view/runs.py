@@ -16,7 +16,7 @@ from qdenv.study.groups import CURVES, Group, band_of, group_runs
 from qdenv.types import Measure
 from qdenv.view import PAGE
 from qdenv.view.archive import TALL, WIDTH, draw_archive, draw_heatmap, scatter_objectives
-from qdenv.view.layouts import draw_layout, draw_marks
+from qdenv.view.layouts import draw_marks, draw_plan
 from qdenv.view.style import (
     ABREAST,
     GREY,
@@ -94,6 +94,7 @@ def draw_progress(groups: Sequence[Group], objective: str, width: float = PAGE) 
         axes.grid()
         if name == "coverage":
             axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        # Few and full numbers: "1e6" would need a reader who looks for it at the axis' end.
         axes.locator_params(axis="x", nbins=4)
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     panels[-1].set_ylabel(objective, fontsize=SMALL)
@@ -123,6 +124,7 @@ def draw_archives(
     figure = new_figure(width, down * (_TALL * width / across + _TITLES) + _TITLES)
     panels = figure.subplots(down, across, squeeze=False).ravel()
     filled = np.concatenate([values[np.isfinite(values)] for _, values, _ in archives])
+    # One scale for all, from the worst elite to the best.
     low, high = (filled.min(), filled.max()) if len(filled) else (0.0, 1.0)
     letters = int(12 * width / across)  # of a line above a panel: 12 fit an inch
     image = None
@@ -180,10 +182,8 @@ def plot_run(
     if len(archive := run.archive):
         layout, domain = archive.best.layout, make_domain(run.config.evaluation.domain)
         pictures.append(place / f"best_layout.{form}")
-        axes = draw_layout(layout, schema.tiles, names=schema.names)
-        draw_marks(axes, domain.mark_cells(layout))
-        figure = axes.get_figure()
-        assert isinstance(figure, Figure)
+        figure = draw_plan(layout, schema.tiles, schema.names, numbered=False)
+        draw_marks(figure.axes[0], domain.mark_cells(layout))
         save_figure(figure, pictures[-1], crop=True)
     return pictures
 

@@ -66,6 +66,7 @@ def _draw_bars(axes: Axes, rows: Sequence[Row]) -> None:
     """Draw each layout's throughput as a bar with its standard error, and the numbers in it."""
     for place, (row, against) in enumerate(zip(rows, differences(rows), strict=True)):
         congested = np.isnan(row.throughput)  # no run to average over
+        # At NaN, the text that explains it would be drawn nowhere.
         height, error = np.nan_to_num([row.throughput, row.standard_error])
         axes.bar([place], [height], 0.6, yerr=error, color=PALETTE[place % len(PALETTE)])
         text = "every run congested" if congested else f"{row.throughput:.2f}"
@@ -172,6 +173,7 @@ def draw_peaks(rows: Sequence[Row], peaks: Sequence[Peak], width: float = PAGE) 
     right.set_ylabel("agents at the peak (bars)")
     labels = [f"{format_name(peak.layout)}\n{peak.rows}x{peak.cols}" for peak in ordered]
     right.set_xticks(places, labels, rotation=30, ha="right")
+    # Agents and throughput have units of their own: one axis at each side.
     twin = right.twinx()
     twin.plot(places, [peak.throughput for peak in ordered], "o-", color=WARNING)
     twin.set_ylabel(f"mean {_THROUGHPUT} at the peak", color=WARNING)
