@@ -202,12 +202,13 @@ class SavedArchive:
     def _elite(self, row: int) -> Elite:
         names = [measure.name for measure in self.schema.measures]
         values = self.columns["measures"][row]
+        layouts = self.columns.get("repaired")  # None in a search of mere numbers
         return Elite(
             self.columns["solution"][row],
             float(self.columns["objective"][row]),
             tuple(int(index) for index in self.cells[row]),
             {name: float(value) for name, value in zip(names, values, strict=True)},
-            self.columns["repaired"][row],
+            np.zeros((0, 0), np.int8) if layouts is None else layouts[row],
             self.schema,
         )
 

@@ -24,7 +24,7 @@ from qdenv.types import Array, InputError, Measure
 class Insertion(NamedTuple):
     """How an archive received each solution of a batch, compared with the archive before it."""
 
-    status: jax.Array  # int32 [B], 2 found a new cell, 1 improved a filled one, 0 was not accepted
+    status: jax.Array  # int32 [B], 2 fills a new cell, 1 improves a filled one, 0 is not accepted
     value: jax.Array  # float [B], objective minus the cell's threshold; -inf for a failed solution
 
 

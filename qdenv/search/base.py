@@ -108,13 +108,13 @@ class Algorithm(NamedTuple):
     init: Callable[[jax.Array], Any]
     ask: Callable[[Any], tuple[jax.Array, Any]]  # state -> (solutions float [B, P], state)
     # (state, solutions, `Score` with a leading axis B, extras: dict of arrays [B, ...], those of
-    # the problem and others) -> state. Rows whose score is no success enter no archive and change
-    # nobody's rank.
+    # the problem and others) -> state. Rows whose score is no success enter no archive and do not
+    # change the rank of other rows.
     tell: Callable[[Any, Array, Score, Mapping[str, Array]], Any]
     archive: Callable[[Any], GridArchive]  # state -> the result archive
     batch_size: int  # B, the number of solutions of every ask
-    # state -> numbers by name that a run logs after each iteration; NaN where there is nothing to
-    # say yet. The names never change.
+    # state -> numbers by name that a run logs after each iteration; NaN while they are undefined.
+    # The names never change.
     notes: Callable[[Any], Mapping[str, jax.Array]] = lambda state: {}
     # populations that may be drawn before the scores of the one before them are known; `tell`
     # receives them in the order in which `ask` drew them
@@ -195,7 +195,7 @@ def growing(algorithm: Algorithm) -> Algorithm:
 
     @jax.jit
     def ask_for_changes(state: Any) -> tuple[jax.Array, list[jax.Array]]:
-        # A jitted function copies whatever it returns: leaves that stay the same are left out.
+        # A jitted function copies whatever it returns: unchanged leaves are left out.
         solutions, after = algorithm.ask(state)
         pairs = list(zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True))
         changed[:] = [number for number, (old, new) in enumerate(pairs) if new is not old]

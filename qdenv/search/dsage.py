@@ -37,10 +37,9 @@ class DsageState(NamedTuple):
 def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Algorithm:
     """Make DSAGE: random solutions first, then those that the surrogate rates best.
 
-    When all that was waiting is evaluated, `ask` fits the surrogate to the newest evaluations,
-    fills a fresh archive by its predictions, and lets one elite of every block of cells wait, and
-    as many more as fill the last batch. `x0` must be None: a search of tiles begins with random
-    ones.
+    When the queue is empty, `ask` fits the surrogate to the newest evaluations, fills a fresh
+    archive by its predictions, and queues one elite of every block of cells, and as many more as
+    fill the last batch. `x0` must be None: a search of tiles begins with random ones.
 
     Raises:
         InputError: solutions are no tiles, or a setting is out of range.

@@ -114,7 +114,7 @@ def make_member(strategy: Any, params: Any) -> Member:
 
     Of ours the emitter decides how many of the best are recombined, and failed rows have a fitness
     of NaN. Any other algorithm has its own number of parents: it is fed only if there are any, and
-    failed rows rank last and stand at the mean, where they pull nowhere.
+    failed rows rank last and are moved to the mean, where they do not pull.
     """
     batch = strategy.population_size
 
@@ -182,8 +182,8 @@ def make_emitters(
     """Join E copies of a strategy, each adapting to its own b rows of every batch.
 
     All start at `x0` (float [P]). Each emitter ranks its rows, recombines the best, and restarts
-    from a random elite (from `x0` while the archive is empty) when the rule says so, when its rows
-    all rank the same or when its distribution is degenerate.
+    from a random elite (from `x0` while the archive is empty) by the rule, when its rows all rank
+    the same or when its distribution is degenerate.
     """
     member, batch = make_member(strategy, params), strategy.population_size
 

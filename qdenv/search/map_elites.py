@@ -39,7 +39,6 @@ def map_elites(config: MapElitesConfig, problem: Problem, x0: Array | None = Non
     start = start_solution(x0, problem.solution_dim)
     batch_size = config.emitters * config.batch
     thresholds = config.learning_rate, config.threshold_min
-    empty = lambda: StoredArchive.empty(problem, start, batch_size, thresholds)  # noqa: E731
 
     def ask(state: MapElitesState) -> tuple[jax.Array, MapElitesState]:
         key, pair_key, noise_key = jax.random.split(state.key, 3)
@@ -48,7 +47,7 @@ def map_elites(config: MapElitesConfig, problem: Problem, x0: Array | None = Non
         children = isoline_variation(first, second, noise_key, config.sigma_iso, config.sigma_line)
         return children, state._replace(key=key)
 
-    return _passive(empty, ask, batch_size, config.ahead)
+    return _passive(ask, problem, start, batch_size, config.ahead, thresholds)
 
 
 def random_search(
@@ -56,23 +55,28 @@ def random_search(
 ) -> Algorithm:
     """Make random search: every solution is drawn from N(x0, sigma^2 I); x0 is zeros where None."""
     start = start_solution(x0, problem.solution_dim)
-    empty = lambda: StoredArchive.empty(problem, start, config.batch)  # noqa: E731
 
     def ask(state: MapElitesState) -> tuple[jax.Array, MapElitesState]:
         key, noise_key = jax.random.split(state.key)
         noise = jax.random.normal(noise_key, (config.batch, problem.solution_dim), start.dtype)
         return start[None] + config.sigma * noise, state._replace(key=key)
 
-    return _passive(empty, ask, config.batch, config.ahead)
+    return _passive(ask, problem, start, config.batch, config.ahead)
 
 
 def _passive(
-    empty: Callable[[], StoredArchive],
     ask: Callable[[MapElitesState], tuple[jax.Array, MapElitesState]],
+    problem: Problem,
+    start: jax.Array,
     batch_size: int,
     ahead: int,
+    thresholds: tuple[float, float] | None = None,
 ) -> Algorithm:
     """Make an algorithm whose only memory is its archives."""
+
+    def init(key: jax.Array) -> MapElitesState:
+        archives = StoredArchive.empty(problem, start, batch_size, thresholds)
+        return MapElitesState(plain_key(key), archives)
 
     def tell(
         state: MapElitesState, solutions: Array, score: Score, extras: Mapping[str, Array]
@@ -80,11 +84,4 @@ def _passive(
         archives, _ = state.archives.add(*check_batch(solutions, score), extras)
         return state._replace(archives=archives)
 
-    return Algorithm(
-        init=lambda key: MapElitesState(plain_key(key), empty()),
-        ask=ask,
-        tell=tell,
-        archive=lambda state: state.archives.dense(),
-        batch_size=batch_size,
-        ahead=ahead,
-    )
+    return Algorithm(init, ask, tell, lambda state: state.archives.dense(), batch_size, ahead=ahead)

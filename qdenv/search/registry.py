@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 from qdenv.registry import Registry
 from qdenv.types import InputError
 
-if TYPE_CHECKING:  # a registry imports an algorithm, and qdax with it, when it is asked for one
+if TYPE_CHECKING:  # a registry imports an algorithm, and qdax with it, when one is looked up
     from qdenv.search.base import Algorithm, Problem
 
 # Makers are called as make(config, problem), or make(config, problem, x0) where a search begins

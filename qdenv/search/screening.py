@@ -70,7 +70,7 @@ def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) 
             value = score.objective - jnp.where(jnp.isneginf(threshold), 0.0, threshold)
             return jnp.where(score.success, value, -jnp.inf)
 
-        # Before the first fit all are equal: the first offspring of each place goes on.
+        # Before the first fit all are equal: the first offspring of each place is chosen.
         value = jax.lax.cond(
             fitted.fits > 0,
             lambda: jax.lax.map(improvement, offspring),

@@ -78,7 +78,7 @@ class CmaMaeConfig(Ranged):
     ranker: Ranker = "imp"
     # parents are the better half (mu) or as many as were accepted (filter)
     selection: Selection = "mu"
-    # when nothing was accepted, never (basic), or every so many iterations
+    # when nothing was accepted, never (basic), or every N iterations
     restart: Literal["no_improvement", "basic"] | PositiveInt = "no_improvement"
     # how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full), its
     # limited-memory form (lm_ma), or one of evosax'
@@ -124,7 +124,7 @@ class ScreenedConfig(CmaMaeConfig):
 class MapElitesConfig(Ranged):
     """Settings of MAP-Elites."""
 
-    emitters: PositiveInt = 5  # kept beside `batch` so that algorithms compare at equal settings
+    emitters: PositiveInt = 5  # times `batch`, so that algorithms compare at equal settings
     batch: PositiveInt = 10  # an iteration makes ``emitters * batch`` solutions
     sigma_iso: PositiveFloat = 0.01  # standard deviation of the isotropic noise
     # standard deviation of the step along the line to another elite
@@ -154,7 +154,7 @@ class CmaEsConfig(Ranged):
     emitters: PositiveInt = 1  # independent evolution strategies
     batch: PositiveInt = 50  # solutions of each strategy per iteration
     sigma0: PositiveFloat = 0.2  # initial step size
-    # never (basic), when no cell improved, or every so many iterations. A strategy whose
+    # never (basic), when no cell improved, or every N iterations. A strategy whose
     # distribution is degenerate restarts anyway, from a random elite.
     restart: Literal["no_improvement", "basic"] | PositiveInt = "basic"
     # how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full), its
@@ -193,7 +193,7 @@ class DsageConfig(Ranged):
     inner_iterations: PositiveInt = 500  # of MAP-Elites on the surrogate, each time it has learnt
     inner_batch: PositiveInt = 50  # solutions of each of them
     inner_random: PositiveInt = 2  # the first of them draw random solutions
-    # tiles that a mutation draws anew; 0 draws their number, 2 on average
+    # tiles that a mutation draws again; 0 draws their number, 2 on average
     mutations: NonNegativeInt = 0
     # blocks of the archive along each measure, from each of which one elite of the inner loop is
     # evaluated truly; half, then a quarter of the cells unless given

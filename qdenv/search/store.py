@@ -1,6 +1,6 @@
 """One store of solutions for several archives, which refer to its rows.
 
-A solution that two archives hold is stored once, and a search that has found little stores little.
+A solution that two archives hold is stored once, and a search with few elites stores little.
 Reading a checkpoint needs this file, but not qdax, which takes a second to import.
 """
 

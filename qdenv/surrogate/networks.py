@@ -14,7 +14,7 @@ LAYOUT = ("NHWC", "HWIO", "NHWC")
 
 
 def _pad(kernel: int, stride: int) -> int:
-    """Return the zeros on each side that keep the size, or divide it by the stride."""
+    """Return how many zeros on each side preserve the size, or divide it by the stride."""
     return (kernel - stride + 1) // 2
 
 

@@ -17,7 +17,7 @@ class SurrogateConfig(Ranged):
     blocks: NonNegativeInt = 1  # residual blocks of the networks that predict maps
     epochs: PositiveInt = 20  # how often each network sees all samples when it is fitted
     minibatch: PositiveInt = 64  # samples per step of learning
-    samples: PositiveInt = 20_000  # the newest true evaluations that are kept to learn from
+    samples: PositiveInt = 20_000  # the newest true evaluations, to learn from
     rate: PositiveFloat = 1e-3  # learning rate of Adam
     # of the predicted tile usage: kl, of distributions, or mse, of numbers
     usage_loss: UsageLoss = "kl"
@@ -28,5 +28,5 @@ class SurrogateConfig(Ranged):
     weights: tuple[NonNegativeFloat, ...] = ()
 
 
-# The published size, for GPUs; `python -m experiments.benchmarks surrogate` says what each takes.
+# The published size, for GPUs; `python -m experiments.benchmarks surrogate` times each.
 PUBLISHED = SurrogateConfig(channels=64, blocks=2)

@@ -1,6 +1,6 @@
 """The surrogate as a record of functions: init, fit, predict; its losses and its learning.
 
-Three networks in a row, each learnt while those before it stand still (the surrogate of Zhang et
+Three networks in a row, each learnt while those before it are fixed (the surrogate of Zhang et
 al. 2023, after Bhatt et al. 2022, https://arxiv.org/abs/2206.04199): the repaired map from the
 drawn one, the tile usage from that, objective and measures from both. What a domain does not have,
 a repair or a usage map, is left out.
@@ -176,7 +176,7 @@ class _Chain(NamedTuple):
     def loss(
         self, name: str, learners: dict[str, Learner], scale: tuple[jax.Array, jax.Array]
     ) -> Loss:
-        """Make the loss of one network; those before it stand still."""
+        """Make the loss of one network; those before it are fixed."""
 
         def loss(variables: Any, batch: Samples) -> tuple[jax.Array, Any]:
             maps = self.inputs(learners, batch.drawn)[name]

@@ -5,7 +5,7 @@
     limited_memory    LM-MA-ES, Loshchilov, Glasmachers and Beyer 2017
 
 Numbers in brackets, like (43), are equations of Hansen's tutorial,
-https://arxiv.org/abs/1604.00772v1. Where pyribs departs from it, ours does as pyribs and says so.
+https://arxiv.org/abs/1604.00772v1. Where pyribs departs from it, so do ours, with a comment.
 """
 
 from collections.abc import Callable

@@ -106,7 +106,7 @@ class StrategyState(EvosaxState):
 class RankedBatch(NamedTuple):
     """A ranked batch, as the updates of a strategy take it."""
 
-    rows: jax.Array  # float [b, P], the parents best first, then rows that stand at the old mean
+    rows: jax.Array  # float [b, P], the parents best first, then copies of the old mean
     mean: jax.Array  # float [P], the new mean
     rates: Rates  # of this number of parents
     order: jax.Array  # int32 [b], the rows best first
