@@ -167,7 +167,7 @@ def make_member(strategy: Any, params: Any) -> Member:
         healthy = (step >= SMALLEST_STEP) & jnp.isfinite(step)
         return ~(healthy & jnp.isfinite(state.mean).all())
 
-    return Member(init, ask, tell, is_degenerate)
+    return Member(init, ask, tell, getattr(strategy, "is_degenerate", is_degenerate))
 
 
 def make_emitters(
