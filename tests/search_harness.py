@@ -55,9 +55,8 @@ class Compiled(NamedTuple):
     traced: list
 
 
-@functools.cache
-def compiled(config):
-    algorithm, traced = make_algorithm(config, PROBLEM), []
+def compile_search(config, problem, donated=0):
+    algorithm, traced = make_algorithm(config, problem), []
 
     def jit(name, donate=()):
         def call(*args):
@@ -66,7 +65,12 @@ def compiled(config):
 
         return jax.jit(call, donate_argnums=donate, compiler_options=QUICK)
 
-    return Compiled(algorithm, jit("init"), jit("ask"), jit("tell", 0), traced)
+    return Compiled(algorithm, jit("init"), jit("ask"), jit("tell", donated), traced)
+
+
+@functools.cache
+def compiled(config):
+    return compile_search(config, PROBLEM)
 
 
 def score_of(solutions, success=None, numbers=np):
@@ -89,6 +93,11 @@ def iterate(search, state, change=lambda score: score):
     solutions, state = search.ask(state)
     solutions = np.asarray(solutions)
     return search.tell(state, solutions, change(score_of(solutions)), extras_of(solutions))
+
+
+def assert_same(left, right):
+    for one, other in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def on_host(tree):

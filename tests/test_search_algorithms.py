@@ -11,17 +11,13 @@ from search_harness import (
     CONFIGS,
     DIM,
     QUICK,
+    assert_same,
     compiled,
     extras_of,
     iterate,
     on_host,
     score_of,
 )
-
-
-def assert_same(left, right):
-    for one, other in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("name", CONFIGS)

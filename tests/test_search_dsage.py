@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from search_harness import QUICK, Compiled
+from search_harness import QUICK, assert_same, compile_search
 
 from qdenv.search import base
 from qdenv.search.base import Encoding, Problem
@@ -41,22 +41,9 @@ CONFIG = DsageConfig(
 SMALLEST = SurrogateConfig(channels=1, blocks=0, epochs=1, minibatch=3, samples=1)
 
 
-def compiled(config, problem):
-    algorithm, traced = dsage(config, problem), []
-
-    def jit(name):
-        def call(*args):
-            traced.append(name)
-            return getattr(algorithm, name)(*args)
-
-        return jax.jit(call, compiler_options=QUICK)
-
-    return Compiled(algorithm, jit("init"), jit("ask"), jit("tell"), traced)
-
-
 @functools.cache
 def toy():
-    return compiled(CONFIG, TOY)
+    return compile_search(CONFIG, TOY, donated=())  # states are used again
 
 
 def score_of(solutions, success=None):
@@ -76,11 +63,6 @@ def iterate(search, state, change=lambda score: score):
     solutions = np.asarray(solutions)
     assert np.isin(solutions, np.arange(KINDS)).all()
     return search.tell(state, solutions, change(score_of(solutions)), {"runs": solutions[:, :2]})
-
-
-def assert_same(left, right):
-    for one, other in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def best_of_cells(score):
@@ -230,7 +212,7 @@ def test_searches_of_odd_sizes_end_and_stay_finite(name):
     tiles = encoding(*shape, **dict.fromkeys(stages, True))
     problem = Problem(int(np.prod(shape)), measures, None, tiles)
     config = replace(config, surrogate=SMALLEST)
-    search = compiled(config, problem)
+    search = compile_search(config, problem)
     state = search.init(jax.random.key(0))
     for number in range(9):
         solutions, state = search.ask(state)
