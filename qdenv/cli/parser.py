@@ -21,7 +21,7 @@ from tyro import _errors as events
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from qdenv import interrupt
-from qdenv.ops.options import CommandDefault
+from qdenv.ops.options import TrueOnCommandLine
 from qdenv.ranges import check_range
 from qdenv.types import InputError
 
@@ -178,9 +178,8 @@ def command(operation: Callable) -> Any:
     # tyro takes defaults from the signature, the call those of the function itself.
     parameters = dict(signature.parameters)
     for name in parameters:
-        for mark in getattr(hints.get(name), "__metadata__", ()):
-            if isinstance(mark, CommandDefault):
-                parameters[name] = parameters[name].replace(default=mark.value)
+        if TrueOnCommandLine in getattr(hints.get(name), "__metadata__", ()):
+            parameters[name] = parameters[name].replace(default=True)
     bind.__signature__ = signature.replace(parameters=[*parameters.values()])  # type: ignore[attr-defined]
     fields: list[Any] = [
         ("arguments", Annotated[Any, tyro.conf.arg(name="", constructor=bind)]),

@@ -306,7 +306,7 @@ def list_symbols(domain: Domain) -> list[tuple[str, ...]]:
     also: dict[str, list[str]] = {}
     for other, symbol in aliases(domain.tiles, domain.meanings).items():
         also.setdefault(symbol, []).append(repr(other))
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for symbol in domain.tiles:
         tile, others = domain.meanings.get(symbol), " ".join(also.get(symbol, []))
         drives = "drive around it" if tile and tile.obstacle else "drive over it"

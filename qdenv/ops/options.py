@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypedDict
 
 import numpy as np
 import tyro
@@ -42,10 +42,8 @@ def option(metavar: str, read: Any, nargs: Any = 1) -> Any:
     )
 
 
-class CommandDefault(NamedTuple):
-    """Marks an argument whose default on the command line is another one than in Python."""
-
-    value: Any
+class TrueOnCommandLine:
+    """Marks an argument whose default is True on the command line, and False in Python."""
 
 
 class PlannerOptions:
@@ -104,8 +102,7 @@ Width: TypeAlias = Annotated[
 Number: TypeAlias = Annotated[int, TileNumbers]
 Numbers: TypeAlias = Annotated[Sequence[int], TileNumbers]
 RepairSeed: TypeAlias = Annotated[int, tyro.conf.arg(aliases=("--repair-seed",))]
-# Default: True on the command line, False in Python
-OnCommandLine: TypeAlias = Annotated[bool, CommandDefault(True)]
+OnCommandLine: TypeAlias = Annotated[bool, TrueOnCommandLine]
 
 
 _UNSET = tyro.conf.arg(help_behavior_hint="(default: None)")

@@ -146,7 +146,9 @@ def generate_layout(
     Raises:
         InputError: there is no such elite, or no layout of this size obeys the rules.
     """
-    stated = {name: numbers.pop(name) for name in ("steps", "seed") if name in numbers}
+    stated: dict[str, Any] = {
+        name: numbers.pop(name) for name in ("steps", "seed") if name in numbers
+    }
     growth = dataclasses.replace(growth, **stated)
     # A size that is not stated is the trained one, which needs no check.
     check_size(1 if rows is None else rows, 1 if cols is None else cols)
