@@ -181,16 +181,7 @@ def test_commands_compare_and_climb(layouts, tmp_path, capsys):
     for name, layout in layouts.items():
         paths.append(str(tmp_path / f"{name}.json"))
         write_layout(tmp_path / f"{name}.json", layout, WAREHOUSE.tiles)
-    out = [
-        "--timesteps",
-        "60",
-        "--seeds",
-        "1",
-        "--planner",
-        "pibt",
-        "--out",
-        str(tmp_path / "t.csv"),
-    ]
+    out = f"--timesteps 60 --seeds 1 --planner pibt --out {tmp_path / 't.csv'}".split()
     assert cli.run(["compare", *paths, "--agents", "2,60", *out]) == 0
     lines = [line.split()[:3] for line in capsys.readouterr().out.splitlines()[2:6]]
     assert lines == [[n, "9x12", a] for n in ("human", "narrow") for a in ("2", "60")]
