@@ -23,11 +23,11 @@ import tyro
 from experiments.growing import Cell, Measuring, Workshop
 from experiments.zoo_rules import RULES, Rule
 from qdenv.cli.parser import run_program
+from qdenv.configurations import PRESETS
 from qdenv.domains.base import DOMAINS
 from qdenv.io.arrays import write_arrays
 from qdenv.io.files import write_json
 from qdenv.io.records import read_json
-from qdenv.presets import PRESETS
 from qdenv.run.archive import SavedArchive
 from qdenv.run.directory import RunDirectory
 from qdenv.search.registry import ALGORITHMS

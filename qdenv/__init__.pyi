@@ -1,6 +1,8 @@
 # The public names by module: for type checkers, and for __init__.py, which imports each when it is
 # first used.
 
+from .configurations import PRESETS as PRESETS
+from .configurations import find_preset as find_preset
 from .domains.base import DOMAINS as DOMAINS
 from .domains.base import Domain as Domain
 from .domains.base import DomainConfig as DomainConfig
@@ -44,8 +46,6 @@ from .ops.studies import sweep as sweep
 from .ops.traffic import simulate_layout as simulate_layout
 from .pipeline import evaluate as evaluate
 from .pipeline import make_pipeline as make_pipeline
-from .presets import PRESETS as PRESETS
-from .presets import find_preset as find_preset
 from .registry import Entry as Entry
 from .repair.audit import audit as audit
 from .run.config import RunConfig as RunConfig

@@ -13,10 +13,10 @@ from small_warehouse import ROWS, TILES
 import qdenv
 from qdenv.cli.main import COMMANDS
 from qdenv.cli.main import run as command
+from qdenv.configurations import PRESETS
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.grid import parse
 from qdenv.io.layouts import read_layout, write_layout
-from qdenv.presets import PRESETS
 from qdenv.run import loop
 from qdenv.run.config import override
 from qdenv.run.directory import RunDirectory

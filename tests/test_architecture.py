@@ -48,7 +48,7 @@ ALLOWED = {
         "surrogate",
     },
     "shipped": {"types", "io"},
-    "presets": BASE | STAGES | {"domains", "search", "settings", "surrogate", "run.config"},
+    "configurations": BASE | STAGES | {"domains", "search", "settings", "surrogate", "run.config"},
     "run": BASE
     | STAGES
     | PLUGS
@@ -69,7 +69,7 @@ ALLOWED = {
         "agent",
         "domains",
         "view",
-        "presets",
+        "configurations",
         "search",
         "settings",
         "study",
@@ -79,7 +79,7 @@ ALLOWED = {
     },
     "cli": BASE
     | PLUGS
-    | {"domains", "ops", "presets", "run", "search", "simulate", "study", "shipped"},
+    | {"domains", "ops", "configurations", "run", "search", "simulate", "study", "shipped"},
     "__main__": {"cli", "interrupt"},
     "__init__": set(),  # names the public homes and imports each when it is asked for
 }

@@ -14,9 +14,9 @@ from small_warehouse import TILES
 
 from qdenv.cli import main as cli
 from qdenv.cli.main import run
+from qdenv.configurations import PRESETS
 from qdenv.grid import parse
 from qdenv.io.layouts import read_layout, write_layout
-from qdenv.presets import PRESETS
 
 
 def write(path, rows=GOOD):

@@ -7,9 +7,9 @@ import pytest
 from small_warehouse import ROWS
 
 from qdenv.cli.main import run
+from qdenv.configurations import PRESETS
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig
-from qdenv.presets import PRESETS
 from qdenv.run.config import choose_algorithm, choose_domain, choose_planner
 from qdenv.search.map_elites import MapElitesConfig
 from qdenv.search.registry import ALGORITHMS

@@ -2,8 +2,8 @@
 
 import pytest
 
+from qdenv.configurations import PRESETS
 from qdenv.ops import output, searches
-from qdenv.presets import PRESETS
 from qdenv.run.config import choose_algorithm, choose_planner
 from qdenv.run.log import Metrics
 

@@ -11,8 +11,8 @@ from small_warehouse import TILES
 
 import qdenv
 from qdenv.cli.main import run
+from qdenv.configurations import PRESETS
 from qdenv.grid import parse
-from qdenv.presets import PRESETS
 from qdenv.registry import Entry
 from qdenv.run.config import override
 from qdenv.simulate.mapf.negotiated.settings import HIGH, LOW

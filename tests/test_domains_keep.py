@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from qdenv.cli import main as cli
+from qdenv.configurations import PRESETS
 from qdenv.domains.base import environment_entropy, find_domain, make_domain
 from qdenv.grid import draw, parse
-from qdenv.presets import PRESETS
 from qdenv.repair.audit import audit
 from qdenv.repair.recipe import repair_layout
 from qdenv.repair.rules import impossible

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from qdenv import grid
+from qdenv.configurations import find_preset
 from qdenv.domains.base import find_domain
 from qdenv.domains.manufacturing import TILES, ManufacturingConfig, rules
 from qdenv.nca import make_automaton, seed_canvas
-from qdenv.presets import find_preset
 from qdenv.repair.anneal.loop import anneal
 from qdenv.repair.audit import audit
 from qdenv.repair.rules import Facts

@@ -13,9 +13,9 @@ import pytest
 from matplotlib.image import imread
 
 import qdenv
+from qdenv.configurations import PRESETS
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
-from qdenv.presets import PRESETS
 from qdenv.run.directory import RunDirectory
 from qdenv.study.ledger import Run, read_runs
 from qdenv.types import InputError

@@ -20,7 +20,7 @@ from experiments.panels import FIGURES, Panel, panels_of
 from experiments.pieces import RESULTS, Drawn, Experiment, Folders
 from experiments.published import TABLE_4
 from experiments.runs import SavedRun, read_summary, summarise
-from qdenv.presets import PRESETS
+from qdenv.configurations import PRESETS
 from qdenv.types import InputError
 
 

@@ -9,9 +9,9 @@ import toy
 from matplotlib.figure import Figure
 from PIL import Image
 
+from qdenv.configurations import PRESETS
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.grid import parse
-from qdenv.presets import PRESETS
 from qdenv.run import loop
 from qdenv.run.archive import best_row
 from qdenv.run.directory import RunDirectory

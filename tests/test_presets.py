@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from qdenv.presets import PRESETS
+from qdenv.configurations import PRESETS
 from qdenv.search.settings import CmaEsConfig, MapElitesConfig
 
 WITH_FLEETS = ("warehouse-even", "warehouse-uneven", "manufacturing")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from qdenv.presets import PRESETS
+from qdenv.configurations import PRESETS
 from qdenv.run.config import config_from_json, config_to_json
 from qdenv.run.directory import Metrics, RunDirectory
 from qdenv.simulate.mapf.fleet import FleetConfig

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
+from qdenv.configurations import PRESETS
 from qdenv.domains.maze import MazeConfig
-from qdenv.presets import PRESETS
 from qdenv.run.config import check, scale
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import InputError

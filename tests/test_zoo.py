@@ -12,10 +12,10 @@ from matplotlib.image import imread
 
 import qdenv
 from qdenv.cli.main import run
+from qdenv.configurations import PRESETS
 from qdenv.domains.base import make_domain
 from qdenv.generate import GENERATORS
 from qdenv.io.layouts import read_layout
-from qdenv.presets import PRESETS
 from qdenv.run.directory import RunDirectory
 from qdenv.score import entropy
 from qdenv.search.registry import ALGORITHMS

@@ -11,8 +11,8 @@ import tyro
 from qdenv.cli.main import COMMANDS, load
 from qdenv.cli.parser import MARKERS, SPEC, command, completion_spec
 from qdenv.cli.rules import Choices, make_rules
+from qdenv.configurations import PRESETS
 from qdenv.ops.output import say
-from qdenv.presets import PRESETS
 from qdenv.shipped import PREFIX, names
 
 # Two corrections of tyro's script. Which words a colon does not part: ours as well (zoo:NAME).

@@ -185,7 +185,7 @@ def _check_planner_options(words: Sequence[str], settings: Any) -> None:
 def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSpec:
     """Make an option for each setting of the chosen preset, and for each choice by name."""
     # Only a search needs these: other refusals are faster without them.
-    from qdenv.presets import find_preset
+    from qdenv.configurations import find_preset
     from qdenv.run.config import choose_algorithm, choose_domain, choose_planner, planner_of
     from qdenv.search.registry import ALGORITHMS
     from qdenv.search.settings import check_strategy

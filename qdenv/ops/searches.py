@@ -15,6 +15,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from qdenv import devices
 from qdenv.agent.settings import TrainConfig
+from qdenv.configurations import PRESETS, find_preset
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
 from qdenv.io.files import write_json
 from qdenv.io.records import read_json
@@ -22,7 +23,6 @@ from qdenv.ops import options as args
 from qdenv.ops.networks import train_agent
 from qdenv.ops.output import PICTURES, Facts, format_duration, format_table, place, say
 from qdenv.ops.runs import plot_one
-from qdenv.presets import PRESETS, find_preset
 from qdenv.run.config import RunConfig, planner_of, resolve
 from qdenv.run.directory import RunDirectory, find_start
 from qdenv.run.executors import Execution
