@@ -173,7 +173,7 @@ def test_moves_grow_with_the_cells_and_with_the_polish():
 
 def test_only_full_uses_the_solver(monkeypatch):
     used = []
-    monkeypatch.setattr(recipe, "improve", lambda *_: used.append("improve") or _[2])
+    monkeypatch.setattr(recipe, "improve", lambda *given: used.append("improve") or given[2])
     monkeypatch.setattr(WindowSearch, "run", lambda self, *_: used.append("run") or self.candidate)
     layout = np.full((8, 9), 2, np.int8)
     for level in MOVES_PER_CELL:

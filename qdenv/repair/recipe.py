@@ -43,8 +43,7 @@ def repair_layout(
         progress: called with each step and its completed share.
 
     Returns:
-        A `Repair` of numpy values. Status `IMPOSSIBLE` or `FAILED` returns the layout as it came,
-        with infinite cost.
+        `Repair` of numpy values; where it is `IMPOSSIBLE` or `FAILED` the input, at infinite cost.
     """
     begin = time.thread_time()
     layout, facts = np.asarray(layout, np.int8), Facts(rules)
@@ -71,7 +70,18 @@ def _repair_possible(
 ) -> Result:
     """Repair a layout whose rules do not contradict each other."""
     bound, moves = bound_cost(layout, facts), config.count_moves(facts.free_cells)
-    for attempt, (start, schedule) in enumerate(_starts(layout, facts, progress)):
+
+    def starts() -> Iterator[tuple[np.ndarray, Schedule]]:
+        """List where and how to anneal, the later ones for layouts that the earlier fail on."""
+        yield layout, LOW_PENALTY
+        yield layout, HIGH_PENALTY
+        for start in draw_templates(layout, facts)[:_MAX_TEMPLATES]:
+            yield start, NO_VIOLATIONS
+        _, known = find_possible(facts, progress)
+        if known is not None:
+            yield known, NO_VIOLATIONS
+
+    for attempt, (start, schedule) in enumerate(starts()):
         candidate, cost = anneal(
             layout, facts, seed + attempt, moves, start, schedule, progress, bound
         )
@@ -99,16 +109,3 @@ def _repair_possible(
         return best
     progress("solving the whole layout", 0.0, "")
     return improve(layout, facts, best, seed, config)
-
-
-def _starts(
-    layout: np.ndarray, facts: Facts, progress: Progress
-) -> Iterator[tuple[np.ndarray, Schedule]]:
-    """List where and how to anneal, the later ones for layouts that the earlier ones fail on."""
-    yield layout, LOW_PENALTY
-    yield layout, HIGH_PENALTY
-    for start in draw_templates(layout, facts)[:_MAX_TEMPLATES]:
-        yield start, NO_VIOLATIONS
-    _, known = find_possible(facts, progress)
-    if known is not None:
-        yield known, NO_VIOLATIONS

@@ -139,16 +139,15 @@ def _span(program: Program, facts: Facts) -> Program:
         return own.reshape(cell.size, -1), constant.ravel()
 
     own, drives = express(connected)
-    minus = np.full(2 * count, -1.0)
     labels, parts = ndimage.label(always.reshape(height, width))
     rows = [
         # An edge of the tree needs both its cells to drive.
-        at_least([columns[start], side_edge], [own[start], minus], -drives[start]),
+        at_least(-drives[start], (columns[start], own[start]), (side_edge, -1.0)),
         # The tree has an edge less than the driving area has cells, fixed parts counted as one.
         at_least(
-            [edge[pair][None], columns.reshape(1, -1)],
-            [np.ones((1, count)), -(own * ~always[:, None]).reshape(1, -1)],
             np.array([drives[~always].sum() + parts - 1.0]),
+            (edge[pair][None], 1.0),
+            (columns.reshape(1, -1), -(own * ~always[:, None]).reshape(1, -1)),
         ),
         *_break_rings(columns, own, drives, labels, right, below),
     ]
@@ -169,12 +168,10 @@ def _span(program: Program, facts: Facts) -> Program:
         into[end, towards] = used
         may = facts.may(rule.tiles).ravel()
         rows += [
-            at_least([columns[start], used], [server[start], minus], -serves[start]),
-            at_least([columns[end], used], [obstacle[end], minus], -stands[end]),
-            at_least([columns[start], side_edge, used], [own[start], minus, minus], -drives[start]),
-            at_least(
-                [into[may], columns[may]], [np.ones((may.sum(), 4)), -obstacle[may]], stands[may]
-            ),
+            at_least(-serves[start], (columns[start], server[start]), (used, -1.0)),
+            at_least(-stands[end], (columns[end], obstacle[end]), (used, -1.0)),
+            at_least(-drives[start], (columns[start], own[start]), (side_edge, -1.0), (used, -1.0)),
+            at_least(stands[may], (into[may], 1.0), (columns[may], -obstacle[may])),
         ]
     more = count * (1 + 2 * len(services))
     return program._replace(
@@ -209,12 +206,9 @@ def _break_rings(
     def less_edges(rows: np.ndarray, cells: np.ndarray, low: np.ndarray) -> Constraints:
         loose = labels.ravel()[cells] == 0
         shape = (len(cells), cells.shape[1] * columns.shape[1])
-        numbers = columns[cells].reshape(shape)
         terms = (own[cells] * loose[..., None]).reshape(shape)
-        minus = np.full((len(cells), 4), -1.0)
-        return at_least(
-            [numbers, edges[rows]], [terms, minus], low - (drives[cells] * loose).sum(1)
-        )
+        low = low - (drives[cells] * loose).sum(1)
+        return at_least(low, (columns[cells].reshape(shape), terms), (edges[rows], -1.0))
 
     # What always drives counts as one cell, which is the one less.
     found = [less_edges(fixed > 0, square[fixed > 0], 1.0 - fixed[fixed > 0])]

@@ -70,12 +70,11 @@ class Program(NamedTuple):
     squares: np.ndarray | None = None
 
 
-def at_least(
-    columns: Sequence[np.ndarray], values: Sequence[np.ndarray], low: np.ndarray
-) -> Constraints:
-    """Make rows ``low <= ...`` of terms side by side ([rows, terms] or [rows] each)."""
-    joined = np.column_stack([*columns])
-    return Constraints(joined, np.column_stack([*values]), low, np.full(len(joined), np.inf))
+def at_least(low: np.ndarray, *terms: tuple[np.ndarray, np.ndarray | float]) -> Constraints:
+    """Make rows ``low <= ...`` of columns and values ([rows, terms] or [rows]) side by side."""
+    columns = np.column_stack([part for part, _ in terms])
+    values = np.column_stack([np.broadcast_to(value, part.shape) for part, value in terms])
+    return Constraints(columns, values, low, np.full(len(low), np.inf))
 
 
 def demand(cells: Cells, tiles: np.ndarray, needs: np.ndarray) -> Constraints:
@@ -94,7 +93,7 @@ def demand(cells: Cells, tiles: np.ndarray, needs: np.ndarray) -> Constraints:
     values = np.concatenate([-own, *around(serving, 0)], -1)
     low = holds - sum(around(serves, 0))
     may = (holds > 0) | ((cells.columns >= 0) & (own != 0)).any(-1)
-    return Constraints(columns[may], values[may], low[may], np.full(may.sum(), np.inf))
+    return at_least(low[may], (columns[may], values[may]))
 
 
 def total(
@@ -140,7 +139,7 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
     several = binary.sum(-1) > 1
     columns = cells.columns[several][np.argsort(base[several], kind="stable")]
     rows = [
-        at_least([columns], [np.full(columns.shape, -1.0)], np.full(len(columns), -1.0)),
+        at_least(np.full(len(columns), -1.0), (columns, -1.0)),
         *(
             demand(cells, facts.roles_of(rule.tiles), facts.roles_of(rule.needs))
             for rule in facts.rules.adjacency
@@ -212,20 +211,10 @@ def _aisles(cells: Cells, squares: np.ndarray, facts: Facts) -> list[Constraints
     square = np.repeat(squares[squares >= 0], side**2)
     padded = np.pad(squares, ((side - 1, 0), (side - 1, 0)), constant_values=-1)
     over = np.lib.stride_tricks.sliding_window_view(padded, (side, side))
-    over = over.reshape(squares.size, -1)
-    roles = own.shape[-1]
-    return [
-        at_least(
-            [cells.columns[rows, cols], square],
-            [own[rows, cols], np.full(square.size, -1.0)],
-            -drives[rows, cols],
-        ),
-        at_least(
-            [over, cells.columns.reshape(-1, roles)],
-            [np.ones(over.shape), -own.reshape(-1, roles)],
-            drives.ravel(),
-        ),
-    ]
+    columns, terms = (array.reshape(squares.size, -1) for array in (cells.columns, own))
+    opens = (cells.columns[rows, cols], own[rows, cols]), (square, -1.0)
+    covered = (over.reshape(squares.size, -1), 1.0), (columns, -terms)
+    return [at_least(-drives[rows, cols], *opens), at_least(drives.ravel(), *covered)]
 
 
 def _cost(
