@@ -9,6 +9,7 @@ import highspy
 import numpy as np
 from scipy import ndimage
 
+from qdenv.grid import count_neighbours
 from qdenv.progress import Progress, silent
 from qdenv.repair.milp.highs import Cut, add_cuts, load, new_solver, separate
 from qdenv.repair.milp.program import Cells, Constraints, Program, demand, total
@@ -111,21 +112,16 @@ class WindowSearch:
 
     def _box(self, corner: tuple[int, int], side: int, margin: int) -> _Box:
         """Cut a window with a margin out of the layout."""
-        low = (max(axis - margin, 0) for axis in corner)
-        ends = zip(corner, self.layout.shape, strict=True)
-        high = (max(min(axis + side + margin, end), 0) for axis, end in ends)
-        rows, cols = (slice(first, last) for first, last in zip(low, high, strict=True))
-        return rows, cols
+        first = np.maximum(np.array(corner) - margin, 0)
+        last = np.clip(np.array(corner) + side + margin, 0, self.layout.shape)
+        return slice(first[0], last[0]), slice(first[1], last[1])
 
     def _cells(self, box: _Box, window: _Box) -> Cells:
         """Number the binaries of a window's cells; all others in a box are constants."""
-        free = np.zeros(self.facts.may_take[box].shape, bool)
-        at = tuple(
-            slice(w.start - b.start, w.stop - b.start) for w, b in zip(window, box, strict=True)
-        )
-        may = self.facts.may_take[window]
-        # A cell with one role to choose from is a constant as well.
-        free[at] = may & (may.sum(-1, keepdims=True) > 1)
+        inside = np.zeros(self.layout.shape, bool)
+        inside[window] = True
+        free = self.facts.may_take[box] & inside[box][..., None]
+        free &= free.sum(-1, keepdims=True) > 1  # one role to choose from: a constant as well
         columns = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
         return Cells(columns, np.where(free.any(-1), -1, self.roles[box]))
 
@@ -168,14 +164,10 @@ class WindowSearch:
 
     def _find_cuts(self, before: np.ndarray, box: _Box) -> list[Cut]:
         """Find cuts where the driving area, one piece with `before` in a box, may fall apart."""
+        outside = np.ones(self.layout.shape, bool)
+        outside[box] = False
+        edges = count_neighbours(outside)[box] > 0
         after = self.facts.driving[self.candidate[box]]
-        # The cells of the box that have a neighbour outside.
-        edges = np.zeros(after.shape, bool)
-        (rows, cols), (height, width) = box, self.layout.shape
-        edges[0] |= rows.start > 0
-        edges[-1] |= rows.stop < height
-        edges[:, 0] |= cols.start > 0
-        edges[:, -1] |= cols.stop < width
         if not self.facts.rules.connected or stays_connected(before, after, edges):
             return []
         return separate(after, self.always[box])
