@@ -9,14 +9,7 @@ from qdenv.native import formula, kernel
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields
 from qdenv.simulate.mapf.host.state import GridMap
-from qdenv.simulate.mapf.pbs.path import (
-    HERE,
-    NO_PATH,
-    find_path,
-    forget_reservations,
-    reserve,
-    reserve_path,
-)
+from qdenv.simulate.mapf.pbs import path as paths
 from qdenv.simulate.mapf.pbs.workspace import JointPlan, PartialOrder, Workspace
 from qdenv.simulate.mapf.planner import NOBODY
 
@@ -225,19 +218,19 @@ def replan(work: Workspace, fields: DistanceFields, grid: GridMap, agent: int, s
     if change == plan.changed.size:
         work.tree.numbers.is_full = True
         return False
-    forget_reservations(search)
+    paths.forget_reservations(search)
     for index in range(work.num_near[agent]):
         other = work.near[agent, index]
         if is_found(work.order, other, UP):
-            reserve_path(search, plan, other, grid.width)
+            paths.reserve_path(search, plan, other, grid.width)
         else:
             for t in range(1, plan.path[other].bound):
-                reserve(search, t, goals.start[other], HERE)
+                paths.reserve(search, t, goals.start[other], paths.HERE)
     ties = chance.mix(seed, agent) & 7
-    last = find_path(search, fields, grid, goals, agent, False, ties)
-    if last == NO_PATH and work.published:
-        last = find_path(search, fields, grid, goals, agent, True, ties)
-    if last == NO_PATH:
+    last = paths.find_path(search, fields, grid, goals, agent, False, ties)
+    if last == paths.NO_PATH and work.published:
+        last = paths.find_path(search, fields, grid, goals, agent, True, ties)
+    if last == paths.NO_PATH:
         return False
     bound = min(goals.begin[agent], last) + 1
     # In the published planner, waiting at the start has precedence there.

@@ -21,21 +21,7 @@ from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields, distance
 from qdenv.simulate.mapf.host.run import DONE, FIELDS_FULL, PLAN_FULL, Fallback, compile_windows
 from qdenv.simulate.mapf.host.state import GridMap, HostRun
-from qdenv.simulate.mapf.pbs.conflicts import (
-    NEW,
-    OLD,
-    UP,
-    find_conflicts,
-    is_found,
-    note_conflicts,
-    parts_of,
-    put_above,
-    redo,
-    replan,
-    resolve,
-    take_back,
-    walk,
-)
+from qdenv.simulate.mapf.pbs import conflicts
 from qdenv.simulate.mapf.pbs.settings import MAX_WINDOW, PbsConfig
 from qdenv.simulate.mapf.pbs.workspace import FIRST_DEPTH, Goals, Workspace, make_workspace
 from qdenv.simulate.mapf.planner import NOBODY, HostPlanner, Planner
@@ -73,7 +59,7 @@ def _plan_window(
         is_used[agent] = False
         if not solved:
             plan.path[agent].end = horizon  # later conflicts do not matter
-            find_conflicts(plan, agent)
+            conflicts.find_conflicts(plan, agent)
             is_used[agent] = plan.hit.any()
         path[agent, 0] = run.agents.position[agent]
         for t in range(1, path.shape[1]):
@@ -121,11 +107,11 @@ def solve(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int) -> 
         for index in range(first, last):
             pack = tree.conflict[index]
             earliest = min(earliest, pack)
-            _, one, two = parts_of(pack)
+            _, one, two = conflicts.parts_of(pack)
             key = pack - _PREFERRED if tree.dead_end[one, two] else pack
             if key < best:
                 best, pick = key, pack
-        _keep_best(work, parts_of(earliest)[0])
+        _keep_best(work, conflicts.parts_of(earliest)[0])
         if depth == tree.node.size and nodes < work.node_limit:
             counts.is_full = True
         if nodes == work.node_limit or counts.is_full:
@@ -143,13 +129,13 @@ def solve(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int) -> 
             node = tree.node[depth]
             child = tree.child[depth, (node.num_entered - 1) ^ node.is_swapped]
             for change in range(child.end_change - 1, child.first_change - 1, -1):
-                redo(plan, change, OLD)
-            take_back(work.order)
+                conflicts.redo(plan, change, conflicts.OLD)
+            conflicts.take_back(work.order)
         child = tree.child[depth, node.num_entered ^ node.is_swapped]
         node.num_entered += 1
-        put_above(work.order, child.high, child.low)
+        conflicts.put_above(work.order, child.high, child.low)
         for change in range(child.first_change, child.end_change):
-            redo(plan, change, NEW)
+            conflicts.redo(plan, change, conflicts.NEW)
         first, last = child.first_conflict, child.end_conflict
         depth += 1
     return True
@@ -188,14 +174,14 @@ def _plan_root(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int
     plan.numbers.delay, plan.numbers.changes = 0, 0
     tree.numbers.conflicts, work.numbers.waiting = 0, 0
     for agent in range(agents):
-        walk(work.order, agent, UP)
-        if not replan(work, fields, grid, agent, seed):
+        conflicts.walk(work.order, agent, conflicts.UP)
+        if not conflicts.replan(work, fields, grid, agent, seed):
             return False
         plan.numbers.changes = 0  # never taken back
     for agent in range(agents):
-        if not note_conflicts(work, agent, agent):
+        if not conflicts.note_conflicts(work, agent, agent):
             return False
-    consistent = resolve(work, fields, grid, seed, 0)
+    consistent = conflicts.resolve(work, fields, grid, seed, 0)
     plan.numbers.changes = 0
     return consistent
 
@@ -226,13 +212,13 @@ def _expand(
     """Make the children of a node, which is in hand before and after, from one of its conflicts."""
     tree, counts, order, plan = work.tree, work.tree.numbers, work.order, work.plan
     node, children = tree.node[depth], tree.child[depth]
-    _, one, two = parts_of(pick)
+    _, one, two = conflicts.parts_of(pick)
     node.num_changes, node.num_conflicts = plan.numbers.changes, counts.conflicts
     node.num_children, node.num_entered, node.is_swapped = 0, 0, 0
     for side in range(2):
         low, high = (one, two) if side == 0 else (two, one)
-        walk(order, high, UP)
-        if is_found(order, low, UP):
+        conflicts.walk(order, high, conflicts.UP)
+        if conflicts.is_found(order, low, conflicts.UP):
             continue
         begin, change = counts.conflicts, plan.numbers.changes
         if begin + last - first > tree.conflict.size:
@@ -241,14 +227,14 @@ def _expand(
         for index in range(last - first):
             tree.conflict[begin + index] = tree.conflict[first + index]
         counts.conflicts += last - first
-        put_above(order, high, low)
+        conflicts.put_above(order, high, low)
         work.waiting[0], work.is_waiting[low], work.numbers.waiting = low, True, 1
-        consistent = resolve(work, fields, grid, seed, begin)
+        consistent = conflicts.resolve(work, fields, grid, seed, begin)
         child = children[node.num_children]
         child.high, child.low, child.cost = high, low, plan.numbers.delay
-        take_back(order)
+        conflicts.take_back(order)
         for index in range(plan.numbers.changes - 1, change - 1, -1):
-            redo(plan, index, OLD)
+            conflicts.redo(plan, index, conflicts.OLD)
         if consistent:
             child.first_conflict, child.end_conflict = begin, counts.conflicts
             child.first_change, child.end_change = change, plan.numbers.changes

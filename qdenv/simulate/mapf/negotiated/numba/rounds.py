@@ -27,9 +27,9 @@ class HostNegotiation(NamedTuple):
 
     rounds: int  # most rounds
     remembered_steps: int  # steps of the previous paths that are reserved before anybody plans
+    numbers: np.record  # waiting, how many wait
     # int64 [A], the agents that wait, packed with their urgency, negative: `sift` wants a maximum
     heap: np.ndarray
-    numbers: np.record  # waiting, how many wait
     order: np.ndarray  # int64 [A], the rank of each agent, drawn at random
     tie_break: np.ndarray  # int64 [A], bits that settle ties
     attempts: np.ndarray  # int64 [A], how often each agent has planned in this window
@@ -49,15 +49,11 @@ def host_planner(config: NegotiatedConfig) -> HostPlanner:
         agents, horizon = run.agents.position.size, run.settings.horizon
         window = config.planned_ahead(run.settings.window, horizon)
         lanes, costs = config.num_lanes(agents), config.penalty_costs(path_rules.COST_UNIT)
-        heap, order, tie_break, attempts = np.empty((4, agents), np.int64)
         return HostNegotiation(
             int(config.max_rounds(agents)),
             window - horizon if config.remember else 0,
-            heap,
             numbers("waiting"),
-            order,
-            tie_break,
-            attempts,
+            *np.empty((4, agents), np.int64),
             np.empty(lanes, np.int64),
             np.empty(lanes, np.bool_),
             np.empty((2, lanes), np.bool_),
