@@ -30,6 +30,7 @@ _PACKAGE = Path(__file__).parent
 # An array of shape [] in a record, which kernels update as ``x[()]``: a number, though numpy's
 # annotations call that an array.
 Scalar: TypeAlias = Any
+Numbers: TypeAlias = Any  # several of them in one `np.record`, from `numbers`
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -88,10 +89,9 @@ def shared(rule: Function) -> Function:
     return made
 
 
-def numbers(*names: str) -> np.record:
+def numbers(*names: str) -> Numbers:
     """Make int64 numbers that kernels read and change as ``record.name``; all of them are 0."""
-    record: np.record = np.zeros(1, np.dtype((np.record, [(name, np.int64) for name in names])))[0]
-    return record
+    return np.zeros(1, np.dtype((np.record, [(name, np.int64) for name in names])))[0]
 
 
 @functools.cache

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP
-from qdenv.native import formula, kernel, numbers
+from qdenv.native import Numbers, formula, kernel, numbers
 from qdenv.simulate.mapf.host.state import GridMap
 from qdenv.simulate.mapf.planner import NOBODY, steps_type, unreachable
 
@@ -44,7 +44,7 @@ class DistanceFields(NamedTuple):
     free_pages: np.ndarray  # int32 [S], a stack
     # free_rows and free_pages, the heights of the stacks; is_full, whether a distance could not be
     # measured for lack of rows or pages
-    numbers: np.record
+    numbers: Numbers
     queue: np.ndarray  # int64 [2, 4 N], cells that wait in a search
     # [N], distances found by the search under way; between searches all `_UNKNOWN`
     found: np.ndarray

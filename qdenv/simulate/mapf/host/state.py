@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import move_steps
-from qdenv.native import formula, kernel, numbers
+from qdenv.native import Numbers, formula, kernel, numbers
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.metrics import Block
 from qdenv.simulate.mapf.planner import World, unpad
@@ -59,7 +59,7 @@ class HostRun(NamedTuple):
 
     grid: GridMap  # the layout
     agents: Agents  # where they are, and what they do
-    counters: np.record  # time, congested_at and moves
+    counters: Numbers  # time, congested_at and moves
     finished: np.ndarray  # int32 [T], T rounded up to whole windows
     visits: np.ndarray  # int32 [N]
     block: Block  # every step, each int32 or bool [T, A]; without rows where nothing is recorded

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import move_steps
-from qdenv.native import numbers
+from qdenv.native import Numbers, numbers
 from qdenv.simulate.mapf.host.state import HostRun
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.planner import NOBODY
@@ -58,7 +58,7 @@ class JointPlan(NamedTuple):
     changed: np.ndarray  # int32 [R], the agent of each change
     change_cell: np.ndarray  # int32 [R, 2, w + 1], its cells before and after
     change_path: np.ndarray  # `_PATH` [R, 2], before and after
-    numbers: np.record  # delay, the sum over all paths; changes, how many there are
+    numbers: Numbers  # delay, the sum over all paths; changes, how many there are
 
 
 class PartialOrder(NamedTuple):
@@ -69,7 +69,7 @@ class PartialOrder(NamedTuple):
     first: np.ndarray  # int32 [2, A], the first pair of each agent in either direction, or `NOBODY`
     mark: np.ndarray  # int64 [2, A], the last walk up, or down, that found an agent
     stack: np.ndarray  # int32 [A], agents whose pairs are still to be looked at
-    numbers: np.record  # pairs, how many there are; walk, the number of the last walk
+    numbers: Numbers  # pairs, how many there are; walk, the number of the last walk
 
 
 class PathSearch(NamedTuple):
@@ -92,7 +92,7 @@ class PathSearch(NamedTuple):
     steps: np.ndarray  # int64 [5], what each move adds to a place: wait, right, left, down, up
     # table and search, the numbers of this table of reservations and of this search; delay, of the
     # states that are expanded, at last of the path found
-    numbers: np.record
+    numbers: Numbers
     time_bit: int  # the lowest bit of the timestep
     layer_bit: int  # the lowest bit of the layer
     horizon: int  # timesteps that will be driven
@@ -109,7 +109,7 @@ class SearchTree(NamedTuple):
     best: np.ndarray  # int32 [w + 1, A], the plan whose first conflict was latest
     # conflicts, how many there are; is_full, whether the arrays of conflicts, nodes or changes were
     # too small; best_time and best_delay, of the first conflict of the best plan and of that plan
-    numbers: np.record
+    numbers: Numbers
 
 
 class Workspace(NamedTuple):
@@ -124,7 +124,7 @@ class Workspace(NamedTuple):
     num_near: np.ndarray  # int64 [A]
     waiting: np.ndarray  # int32 [A], agents to be planned again
     is_waiting: np.ndarray  # bool [A]
-    numbers: np.record  # waiting, how many wait; nodes, expanded, and unsolved, of all windows
+    numbers: Numbers  # waiting, how many wait; nodes, expanded, and unsolved, of all windows
     published: bool  # whether agents without a path stay, and waiting at the start has precedence
     node_limit: int  # most nodes to expand
 

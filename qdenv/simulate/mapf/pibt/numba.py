@@ -39,8 +39,10 @@ def make_rollout(agents: int, horizon: int, cells: int) -> Rollout:
     """Make the arrays of rollouts."""
     path, candidates = (np.zeros((agents, size), np.int64) for size in (horizon + 1, NUM_MOVES))
     occupant, claimant = np.full((2, cells), NOBODY, np.int32)
-    state = np.zeros((7, agents), np.int64)
-    return Rollout(path, *state, candidates, np.zeros(NUM_MOVES, np.int64), occupant, claimant)
+    stage, remaining, age, order, allowed, tried, pusher = np.zeros((7, agents), np.int64)
+    key = np.zeros(NUM_MOVES, np.int64)
+    state = path, stage, remaining, age, order, allowed, tried, pusher
+    return Rollout(*state, candidates, key, occupant, claimant)
 
 
 @kernel

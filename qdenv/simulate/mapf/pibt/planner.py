@@ -10,7 +10,7 @@ Here it is one loop without callbacks, each turn of which tries one candidate; `
 algorithm in the form a person reads.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,10 @@ from qdenv.simulate.mapf.pibt import rules
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.planner import NOBODY, AgentState, HostPlanner, Planner, World
 from qdenv.simulate.mapf.tasks import serve
+
+# The agents within a rollout, each int32 [A]: cells; 0 on the way to the current goal, 1 later;
+# timesteps left to serve; timesteps since the last finished task.
+_Agents: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 
 
 @shared
@@ -57,9 +61,7 @@ def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> ja
     ties = chance.draw(chance.seed_of(key), chance.RESORT)
     rank = chance.draw_many(chance.draw(ties, rules.RANKS), count)
 
-    def step(agents: tuple[jax.Array, ...], t: jax.Array) -> tuple[tuple[jax.Array, ...], Any]:
-        # Each int32 [A]: cells; 0 on the way to the current goal, 1 afterwards; timesteps left to
-        # serve; timesteps since the last finished task.
+    def step(agents: _Agents, t: jax.Array) -> tuple[_Agents, jax.Array]:
         position, stage, remaining_service, age = agents
         fixed = (remaining_service > 0) | ~state.active
         slots, service_time, rows = (

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.native import formula, kernel, numbers, shared
+from qdenv.native import Numbers, formula, kernel, numbers, shared
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields
 from qdenv.simulate.mapf.host.run import DONE, FIELDS_FULL, Fallback, compile_windows
@@ -27,7 +27,7 @@ class HostNegotiation(NamedTuple):
 
     rounds: int  # most rounds
     remembered_steps: int  # steps of the previous paths that are reserved before anybody plans
-    numbers: np.record  # waiting, how many wait
+    numbers: Numbers  # waiting, how many wait
     # int64 [A], the agents that wait, packed with their urgency, negative: `sift` wants a maximum
     heap: np.ndarray
     order: np.ndarray  # int64 [A], the rank of each agent, drawn at random
@@ -49,11 +49,15 @@ def host_planner(config: NegotiatedConfig) -> HostPlanner:
         agents, horizon = run.agents.position.size, run.settings.horizon
         window = config.planned_ahead(run.settings.window, horizon)
         lanes, costs = config.num_lanes(agents), config.penalty_costs(path_rules.COST_UNIT)
+        heap, order, tie_break, attempts = np.empty((4, agents), np.int64)
         return HostNegotiation(
             int(config.max_rounds(agents)),
             window - horizon if config.remember else 0,
             numbers("waiting"),
-            *np.empty((4, agents), np.int64),
+            heap,
+            order,
+            tie_break,
+            attempts,
             np.empty(lanes, np.int64),
             np.empty(lanes, np.bool_),
             np.empty((2, lanes), np.bool_),

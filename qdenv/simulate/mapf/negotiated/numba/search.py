@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import NUM_MOVES, move_steps
-from qdenv.native import formula, kernel, numbers
+from qdenv.native import Numbers, formula, kernel, numbers
 from qdenv.simulate.mapf.host.distances import INDICES, DistanceFields, distance
 from qdenv.simulate.mapf.host.state import GridMap
 from qdenv.simulate.mapf.negotiated import path_rules, rules
@@ -55,7 +55,7 @@ class SearchArrays(NamedTuple):
     first: np.ndarray  # int32 [costs], the first state of each cost above the least possible one
     # states, how many there are; top, the largest cost among them; search, the number of this
     # search; between, steps between the two goals, or `_NOT_MEASURED`
-    numbers: np.record
+    numbers: Numbers
     steps: np.ndarray  # int64 [5], what each move adds to a place in sight
     penalties: np.ndarray  # int64 [attempts], cost of driving over one reservation
     side: int  # E
