@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import parse
-from qdenv.simulate.mapf.negotiated.path_rules import COST_UNIT
+from qdenv.simulate.mapf.negotiated.rules import COST_UNIT
 from qdenv.simulate.mapf.planner import UNREACHABLE
 
 WINDOW = 6

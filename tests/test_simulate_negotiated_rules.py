@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from qdenv.grid import LEFT, UP
-from qdenv.simulate.mapf.negotiated import path_rules, rules
+from qdenv.simulate.mapf.negotiated import rules
 
 CASES = 40
 SIDE, LEVELS = 21, 3
 # What each rule is given: sets, truths, numbers from a range, or a constant.
 SET, TRUTH = "set", "truth"
-CELL, TIME, CODE = range(60 * 60), range(31), range(1 << path_rules.CODE_BITS)
+CELL, TIME, CODE = range(60 * 60), range(31), range(1 << rules.CODE_BITS)
 GIVEN = {
     rules.move_plane: (range(-60, 61), 57),
     rules.opposite: (range(5),),
@@ -26,19 +26,19 @@ GIVEN = {
     rules.goal_column: (CELL, CELL, 57, 10),
     rules.is_visible: (range(-3, 25), range(-3, 25), SIDE),
     rules.ends_leg: (1, range(2)),
-    path_rules.driving_end: (1, 2, LEVELS, range(SIDE), range(SIDE), SIDE),
-    path_rules.serving_end: (1, 2, LEVELS, TIME, SIDE),
-    path_rules.unpack_end: (range(2 * LEVELS * (SIDE**2 + 32)), LEVELS, SIDE),
+    rules.driving_end: (1, 2, LEVELS, range(SIDE), range(SIDE), SIDE),
+    rules.serving_end: (1, 2, LEVELS, TIME, SIDE),
+    rules.unpack_end: (range(2 * LEVELS * (SIDE**2 + 32)), LEVELS, SIDE),
     rules.tie_break_of_round: (range(1 << 24), range(300)),
-    path_rules.tie_breaker: (range(1 << 24),),
-    path_rules.is_flipped: (range(1 << 24),),
+    rules.tie_breaker: (range(1 << 24),),
+    rules.is_flipped: (range(1 << 24),),
     rules.urgency: (range(200), range(99), 200),
     rules.penalty_index: (range(30), 13),
-    path_rules.service_conflict: (range(3), TRUTH, TRUTH),
-    path_rules.move_at: (3, range(2)),
-    path_rules.row_before: (range(SIDE), UP),
-    path_rules.column_before: (range(SIDE), LEFT),
-    path_rules.is_predecessor: (TRUTH,) * 4,
+    rules.service_conflict: (range(3), TRUTH, TRUTH),
+    rules.move_at: (3, range(2)),
+    rules.row_before: (range(SIDE), UP),
+    rules.column_before: (range(SIDE), LEFT),
+    rules.is_predecessor: (TRUTH,) * 4,
 }
 
 
@@ -76,11 +76,10 @@ def test_traced_and_compiled_rules_agree(rule):
 def test_every_rule_is_tried():
     found = {
         function
-        for module in (rules, path_rules)
-        for _, function in inspect.getmembers(module, inspect.isfunction)
-        if function.__module__ == module.__name__
+        for _, function in inspect.getmembers(rules, inspect.isfunction)
+        if function.__module__ == rules.__name__
     }
-    assert found - set(GIVEN) == {path_rules.is_entry}  # takes a record, tried below
+    assert found - set(GIVEN) == {rules.is_entry}  # takes a record, tried below
 
 
 def test_a_leg_begins_where_the_service_at_the_first_goal_ended():
@@ -88,9 +87,9 @@ def test_a_leg_begins_where_the_service_at_the_first_goal_ended():
         for elapsed in (-1, 0, 3):
             for on_goal in (False, True):
                 for served in (0, 1):
-                    state = path_rules.PathState(leg, 0, 4, 5, elapsed)
+                    state = rules.PathState(leg, 0, 4, 5, elapsed)
                     expected = leg == 1 and elapsed < 0 and on_goal and served == 1
-                    assert bool(path_rules.is_entry(state, on_goal, served)) == expected
+                    assert bool(rules.is_entry(state, on_goal, served)) == expected
 
 
 def test_a_move_has_one_against_it():
@@ -99,29 +98,29 @@ def test_a_move_has_one_against_it():
 
 def test_every_end_has_a_code_of_its_own_that_is_read_back():
     codes = set()
-    for leg in range(path_rules.LEGS):
+    for leg in range(rules.LEGS):
         for conflicts in range(LEVELS):
             for row, column in np.ndindex(SIDE, SIDE):
-                code = path_rules.driving_end(leg, conflicts, LEVELS, row, column, SIDE)
+                code = rules.driving_end(leg, conflicts, LEVELS, row, column, SIDE)
                 codes.add(code)
-                assert path_rules.unpack_end(code, LEVELS, SIDE) == (
+                assert rules.unpack_end(code, LEVELS, SIDE) == (
                     leg,
                     conflicts,
                     row,
                     column,
                     -1,
                 )
-            for elapsed in range(path_rules.SERVED_BITS):
-                code = path_rules.serving_end(leg, conflicts, LEVELS, elapsed, SIDE)
+            for elapsed in range(rules.SERVED_BITS):
+                code = rules.serving_end(leg, conflicts, LEVELS, elapsed, SIDE)
                 codes.add(code)
-                state = path_rules.unpack_end(code, LEVELS, SIDE)
+                state = rules.unpack_end(code, LEVELS, SIDE)
                 assert (state.leg, state.conflicts, state.elapsed) == (leg, conflicts, elapsed)
-    assert len(codes) == path_rules.LEGS * LEVELS * (SIDE**2 + path_rules.SERVED_BITS)
-    assert max(codes) <= path_rules.CODES
+    assert len(codes) == rules.LEGS * LEVELS * (SIDE**2 + rules.SERVED_BITS)
+    assert max(codes) <= rules.CODES
 
 
 def test_moves_are_tried_in_one_of_two_orders_each_its_own_inverse():
-    orders = [[path_rules.move_at(rank, flipped) for rank in range(5)] for flipped in (0, 1)]
+    orders = [[rules.move_at(rank, flipped) for rank in range(5)] for flipped in (0, 1)]
     assert orders == [[0, 1, 2, 3, 4], [0, 4, 3, 2, 1]]
 
 
@@ -134,9 +133,7 @@ def test_steps_conflict_when_they_meet_or_swap_but_not_when_they_follow():
 def test_a_move_and_its_plane_belong_together():
     changes = [0, 1, -1, 9, -9]
     assert [rules.move_plane(change, 9) for change in changes] == [0, 1, 2, 3, 4]
-    before = [
-        (path_rules.row_before(5, move), path_rules.column_before(5, move)) for move in range(5)
-    ]
+    before = [(rules.row_before(5, move), rules.column_before(5, move)) for move in range(5)]
     assert [(5 - row) * 9 + 5 - column for row, column in before] == changes
 
 

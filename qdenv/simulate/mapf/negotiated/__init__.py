@@ -3,7 +3,7 @@
 How to read it:
 
 1. `planner` says what it does and where the ideas come from; `settings` has its numbers.
-2. `rules` and `path_rules` hold the rules that both backends share. What the search computes, the
+2. `rules` holds the rules that both backends share. What the search computes, the
    best path of one agent past the reservations of the others, is specified by the uniform-cost
    search over all states in the tests (`tests/mapf_oracle.py`).
 3. `numba` computes it for one agent at a time and is the easier half to read: `reservations`

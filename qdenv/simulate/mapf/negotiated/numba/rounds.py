@@ -9,7 +9,7 @@ from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields
 from qdenv.simulate.mapf.host.run import DONE, FIELDS_FULL, Fallback, compile_windows
 from qdenv.simulate.mapf.host.state import AGENT, AGENT_BITS, HostRun, paths_meet, sift, sort
-from qdenv.simulate.mapf.negotiated import path_rules, rules
+from qdenv.simulate.mapf.negotiated import rules
 from qdenv.simulate.mapf.negotiated.numba.reservations import (
     PLANE,
     WALL,
@@ -48,7 +48,7 @@ def host_planner(config: NegotiatedConfig) -> HostPlanner:
         del size  # no buffer can be too small
         agents, horizon = run.agents.position.size, run.settings.horizon
         window = config.planned_ahead(run.settings.window, horizon)
-        lanes, costs = config.num_lanes(agents), config.penalty_costs(path_rules.COST_UNIT)
+        lanes, costs = config.num_lanes(agents), config.penalty_costs(rules.COST_UNIT)
         heap, order, tie_break, attempts = np.empty((4, agents), np.int64)
         return HostNegotiation(
             int(config.max_rounds(agents)),

@@ -18,7 +18,7 @@ from qdenv.grid import NUM_MOVES, move_steps
 from qdenv.native import Numbers, formula, kernel, numbers
 from qdenv.simulate.mapf.host.distances import INDICES, DistanceFields, distance
 from qdenv.simulate.mapf.host.state import GridMap
-from qdenv.simulate.mapf.negotiated import path_rules, rules
+from qdenv.simulate.mapf.negotiated import rules
 from qdenv.simulate.mapf.negotiated.numba.reservations import ReservationWords, is_taken
 
 _NO_STATE = -1
@@ -65,16 +65,16 @@ class SearchArrays(NamedTuple):
 def make_arrays(window: int, levels: int, penalties: np.ndarray) -> SearchArrays:
     """Make the arrays of searches of `window` steps with these costs (int [attempts])."""
     side = 2 * window + 1
-    driving, serving = side * side, path_rules.SERVED_BITS + window
-    states = (window + 1) * path_rules.LEGS * levels * (driving + serving)
+    driving, serving = side * side, rules.SERVED_BITS + window
+    states = (window + 1) * rules.LEGS * levels * (driving + serving)
     # The most that a path can lose: two steps of distance with every step away. Above what any way
     # round can cost, a larger penalty makes no difference.
-    delays = 2 * path_rules.COST_UNIT * (window + 1)
+    delays = 2 * rules.COST_UNIT * (window + 1)
     penalties = np.minimum(penalties, delays + 1).astype(np.int64)
     costs = delays + (levels - 1) * int(penalties.max()) + 1
     return SearchArrays(
         np.zeros((window + 1, side * side), np.int64),
-        np.zeros((levels, path_rules.LEGS, window + 1), np.int64),
+        np.zeros((levels, rules.LEGS, window + 1), np.int64),
         np.empty(states, np.int64),
         np.empty(states, np.int32),
         np.full(costs, _NO_STATE, np.int32),
@@ -145,11 +145,11 @@ def find_path(
     counts.search += 1
     work.served[:] = 0
     least = _start(work, fields, grid, agent)
-    best, cost, dearest = path_rules.INFEASIBLE, 0, work.first.size
+    best, cost, dearest = rules.INFEASIBLE, 0, work.first.size
     while cost <= counts.top:
         index = work.first[cost]
         if index == _NO_STATE:
-            if best < path_rules.INFEASIBLE:
+            if best < rules.INFEASIBLE:
                 break  # all of its cost were visited
             cost += 1
             continue
@@ -160,11 +160,11 @@ def find_path(
         served = state >> _ELAPSED_BIT
         if t == window:
             if served:
-                end = path_rules.serving_end(leg, conflicts, work.levels, served - 1, work.side)
+                end = rules.serving_end(leg, conflicts, work.levels, served - 1, work.side)
             else:
                 row, column = place // work.side, place % work.side
-                end = path_rules.driving_end(leg, conflicts, work.levels, row, column, work.side)
-            best = min(best, end ^ path_rules.tie_breaker(agent.tie_break))
+                end = rules.driving_end(leg, conflicts, work.levels, row, column, work.side)
+            best = min(best, end ^ rules.tie_breaker(agent.tie_break))
             dearest = cost
         elif served:
             disturbed = (reservations.word[cell] >> t) & 1
@@ -176,9 +176,9 @@ def find_path(
     # From 0 on: where the fields are full costs mean nothing, and states may wait below this one.
     for other in range(counts.top + 1):
         work.first[other] = _NO_STATE
-    if best == path_rules.INFEASIBLE:
+    if best == rules.INFEASIBLE:
         return False
-    _trace(work, reservations, grid, agent, best ^ path_rules.tie_breaker(agent.tie_break))
+    _trace(work, reservations, grid, agent, best ^ rules.tie_breaker(agent.tie_break))
     return True
 
 
@@ -191,12 +191,12 @@ def _start(work: SearchArrays, fields: DistanceFields, grid: GridMap, agent: Age
         elapsed = agent.service_time[0] - agent.remaining_service
         work.served[0, 0, 0] = 1 << elapsed
         _enqueue(work, state | ((elapsed + 1) << _ELAPSED_BIT), 0)
-        return path_rules.COST_UNIT * agent.remaining_service
+        return rules.COST_UNIT * agent.remaining_service
     # Standing on the goal is not arriving: the path leaves it like any other cell.
     _mark(work, work.numbers.search, 0, middle, 0, 0)
     _enqueue(work, state, 0)
     left = distance(fields, grid, agent.goal[0], agent.position) + agent.service_time[0]
-    return path_rules.COST_UNIT * left
+    return rules.COST_UNIT * left
 
 
 @formula
@@ -245,7 +245,7 @@ def _drive_on(
             states, top = work.numbers.states, work.numbers.top
         elif _mark(work, search, t + 1, there, leg, after):
             left = t + 1 + _left(work, fields, grid, agent, leg, other)
-            cost = path_rules.COST_UNIT * left + after * agent.penalty - least
+            cost = rules.COST_UNIT * left + after * agent.penalty - least
             if cost <= dearest:
                 cost = _link(work, states, _pack(other, there, t + 1, leg, after), cost)
                 states, top = states + 1, max(top, cost)
@@ -272,13 +272,13 @@ def _serve(
     if leg == 1:
         left += _left(work, fields, grid, agent, 1, cell) - agent.service_time[1]
     price = conflicts * agent.penalty - least
-    cost = path_rules.COST_UNIT * (t + left) + price
+    cost = rules.COST_UNIT * (t + left) + price
     _enqueue(work, state | ((elapsed + 1) << _ELAPSED_BIT), cost)
     if leg == 0 and elapsed == agent.service_time[0]:
         if not _mark(work, work.numbers.search, t, place, 1, conflicts):
             return
         left = _left(work, fields, grid, agent, 1, cell)
-        cost = path_rules.COST_UNIT * (t + left) + price
+        cost = rules.COST_UNIT * (t + left) + price
         _enqueue(work, _pack(cell, place, t, 1, conflicts), cost)
 
 
@@ -288,30 +288,30 @@ def _trace(
 ) -> None:
     """Read the path with this end backwards out of what the search visited."""
     path, middle, search = reservations.path, work.side // 2, work.numbers.search
-    flipped = path_rules.is_flipped(agent.tie_break)
-    leg, conflicts, row, column, elapsed = path_rules.unpack_end(end, work.levels, work.side)
+    flipped = rules.is_flipped(agent.tie_break)
+    leg, conflicts, row, column, elapsed = rules.unpack_end(end, work.levels, work.side)
     if elapsed >= 0:  # in service: at the goal
         row = rules.goal_row(agent.cell[leg], agent.position, grid.width, middle)
         column = rules.goal_column(agent.cell[leg], agent.position, grid.width, middle)
     for t in range(path.shape[1] - 1, 0, -1):
         cell = agent.position + (row - middle) * grid.width + column - middle
         path[agent.number, t] = cell
-        state = path_rules.PathState(leg, conflicts, row, column, elapsed)
+        state = rules.PathState(leg, conflicts, row, column, elapsed)
         finished = rules.has_served(work.served[conflicts, 0, t], agent.service_time[0])
-        if path_rules.is_entry(state, cell == agent.cell[0], finished):
+        if rules.is_entry(state, cell == agent.cell[0], finished):
             leg, elapsed = 0, agent.service_time[0]
         word = reservations.word[cell] >> (t - 1)
         if elapsed > 0:
             fewer = work.served[max(conflicts - 1, 0), leg, t - 1]
             fewer_served = rules.has_served(fewer, elapsed - 1)
-            conflicts -= path_rules.service_conflict(conflicts, word & 1, fewer_served)
+            conflicts -= rules.service_conflict(conflicts, word & 1, fewer_served)
             elapsed -= 1
             continue
         # The first neighbour, in order of preference, from which this cell was reached.
         elapsed = -1
         for rank in range(NUM_MOVES):
-            move = path_rules.move_at(rank, flipped)
-            i, j = path_rules.row_before(row, move), path_rules.column_before(column, move)
+            move = rules.move_at(rank, flipped)
+            i, j = rules.row_before(row, move), rules.column_before(column, move)
             if not rules.is_visible(i, j, work.side):
                 continue
             marks, bit = work.mark[t - 1, i * work.side + j], leg * _LEG_MARKS + conflicts
@@ -320,7 +320,7 @@ def _trace(
             fewer = (marks >> (bit - 1)) & reached if conflicts else 0
             conflicting = is_taken(word, 0, move)
             last = conflicts == work.levels - 1
-            if path_rules.is_predecessor(same, fewer, conflicting, last):
+            if rules.is_predecessor(same, fewer, conflicting, last):
                 conflicts, row, column = conflicts - (conflicting & fewer), i, j
                 break
     path[agent.number, 0] = agent.position

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.simulate.mapf import chance
-from qdenv.simulate.mapf.negotiated import path_rules, rules
+from qdenv.simulate.mapf.negotiated import rules
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 from qdenv.simulate.mapf.negotiated.xla.reservations import (
     Reservations,
@@ -38,7 +38,7 @@ def negotiate(
     lanes = config.num_lanes(count)
     order, tie_breaks = _draw_priorities(state, seed)
     walls = pack(world.traversable)
-    penalties = jnp.asarray(config.penalty_costs(path_rules.COST_UNIT))
+    penalties = jnp.asarray(config.penalty_costs(rules.COST_UNIT))
     limit = jnp.asarray(config.max_rounds(state.active.sum())).astype(jnp.int32)
 
     def plan_round(negotiation: _Negotiation) -> _Negotiation:
@@ -56,7 +56,7 @@ def negotiate(
         local = gather(world, state, reservations.table, walls, agent, penalty, tie_break)
         steps, cost = find_paths(local, config.conflict_levels)
         paths = state.position[agent] + steps[0] * shape[1] + steps[1]
-        found = plans & (cost < path_rules.INFEASIBLE)
+        found = plans & (cost < rules.INFEASIBLE)
         chosen = choose(path_conflicts(paths, paths), found)
         reservations = accept(reservations, shape, agent, paths, chosen)
         return reservations, attempts.at[planning].add(1, mode="drop"), turn + 1

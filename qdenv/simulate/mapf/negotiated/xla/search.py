@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.grid import NUM_MOVES
-from qdenv.simulate.mapf.negotiated import path_rules, rules
-from qdenv.simulate.mapf.negotiated.path_rules import COST_UNIT, PathState
+from qdenv.simulate.mapf.negotiated import rules
+from qdenv.simulate.mapf.negotiated.rules import COST_UNIT, PathState
 from qdenv.simulate.mapf.negotiated.xla.reservations import around
 from qdenv.simulate.mapf.planner import AgentState, World
 
@@ -216,16 +216,16 @@ def _cheapest_end(
     """
     levels, side = cells.shape[0], local.side
     row, column = jnp.arange(side)[:, None, None], jnp.arange(side)[:, None]
-    elapsed = jnp.arange(path_rules.SERVED_BITS)[:, None]
-    tie = path_rules.tie_breaker(local.tie_break)
-    best = jnp.full(tie.shape, path_rules.INFEASIBLE, jnp.int32)
+    elapsed = jnp.arange(rules.SERVED_BITS)[:, None]
+    tie = rules.tie_breaker(local.tie_break)
+    best = jnp.full(tie.shape, rules.INFEASIBLE, jnp.int32)
 
     def cheapest(
         best: jax.Array, is_here: jax.Array, cost: jax.Array, code: jax.Array
     ) -> jax.Array:
         # Cost and code in one number: the smallest is the best end, ties fall by chance.
-        key = (cost << path_rules.CODE_BITS) | (code ^ tie)
-        key = jnp.where(is_here, key, path_rules.INFEASIBLE)
+        key = (cost << rules.CODE_BITS) | (code ^ tie)
+        key = jnp.where(is_here, key, rules.INFEASIBLE)
         return jnp.minimum(best, key.min(tuple(range(key.ndim - 1))))
 
     for leg in range(2):
@@ -235,15 +235,15 @@ def _cheapest_end(
         for conflicts in range(levels):
             price = conflicts * local.penalty
             is_here = (cells[conflicts, leg][:, None] >> column.astype(jnp.uint32)) & 1 == 1
-            code = path_rules.driving_end(leg, conflicts, levels, row, column, side)
+            code = rules.driving_end(leg, conflicts, levels, row, column, side)
             best = cheapest(best, is_here, local.cost_to_go[leg] + price, code)
             is_here = rules.has_served(served[conflicts, leg], elapsed.astype(jnp.uint32)) == 1
-            code = path_rules.serving_end(leg, conflicts, levels, elapsed, side)
+            code = rules.serving_end(leg, conflicts, levels, elapsed, side)
             best = cheapest(best, is_here, service_cost + price, code)
-    found = best < path_rules.INFEASIBLE
-    code = jnp.where(found, (best ^ tie) & path_rules.CODES, 0)
-    cost = (best >> path_rules.CODE_BITS) + local.shortest
-    return jnp.where(found, cost, path_rules.INFEASIBLE), code
+    found = best < rules.INFEASIBLE
+    code = jnp.where(found, (best ^ tie) & rules.CODES, 0)
+    cost = (best >> rules.CODE_BITS) + local.shortest
+    return jnp.where(found, cost, rules.INFEASIBLE), code
 
 
 def _is_in(words: jax.Array, column: jax.Array, side: int) -> jax.Array:
@@ -260,7 +260,7 @@ def _predecessor(local: LocalWindow, state: PathStates, step: History) -> PathSt
     finished = rules.has_served(
         step.served_after[state.conflicts, 0, agent], service_time.astype(jnp.uint32)
     )
-    entered = path_rules.is_entry(state, on_first_goal, finished == 1)
+    entered = rules.is_entry(state, on_first_goal, finished == 1)
     state = state._replace(
         leg=jnp.where(entered, 0, state.leg),
         elapsed=jnp.where(entered, service_time, state.elapsed),
@@ -268,7 +268,7 @@ def _predecessor(local: LocalWindow, state: PathStates, step: History) -> PathSt
     # Served for one timestep less.
     fewer = jnp.maximum(state.conflicts - 1, 0)
     elapsed = jnp.maximum(state.elapsed - 1, 0).astype(jnp.uint32)
-    conflict = path_rules.service_conflict(
+    conflict = rules.service_conflict(
         state.conflicts,
         _is_in(step.reserved[0, state.row, agent], state.column, local.side),
         rules.has_served(step.served[fewer, state.leg, agent], elapsed) == 1,
@@ -284,19 +284,19 @@ def _drive_before(local: LocalWindow, state: PathStates, step: History) -> PathS
     side, levels = local.side, step.expandable.shape[0]
     fewer = jnp.maximum(state.conflicts - 1, 0)
     at_cap = state.conflicts == levels - 1
-    flipped = path_rules.is_flipped(local.tie_break)
+    flipped = rules.is_flipped(local.tie_break)
     conflicts, row, column = state.conflicts, state.row, state.column
     best_rank = jnp.full_like(state.leg, NUM_MOVES)
     for move, words in enumerate(_conflicting_cells(step.reserved[:, state.row, agent])):
-        i, j = path_rules.row_before(state.row, move), path_rules.column_before(state.column, move)
+        i, j = rules.row_before(state.row, move), rules.column_before(state.column, move)
         inside = jnp.clip(i, 0, side - 1)
         same = step.expandable[state.conflicts, state.leg, inside, agent]
         less = step.expandable[fewer, state.leg, inside, agent]
         from_same = _is_in(same, j, side) & (i == inside)
         from_less = _is_in(less, j, side) & (i == inside) & (state.conflicts > 0)
         conflicting = _is_in(words, state.column, side)
-        possible = path_rules.is_predecessor(from_same, from_less, conflicting, at_cap)
-        rank = path_rules.move_at(move, flipped)  # its own inverse
+        possible = rules.is_predecessor(from_same, from_less, conflicting, at_cap)
+        rank = rules.move_at(move, flipped)  # its own inverse
         better = possible & (rank < best_rank)
         best_rank = jnp.where(better, rank, best_rank)
         conflicts = jnp.where(better, state.conflicts - (conflicting & from_less), conflicts)
@@ -327,7 +327,7 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
     last, (cells, served) = jax.lax.scan(forward, begin, (local.reserved, disturbed))
     cost, code = _cheapest_end(local, _expandable(local, last), last.served)
     served_after = jnp.concatenate([served[1:], last.served[None]])
-    end = path_rules.unpack_end(code, levels, local.side)
+    end = rules.unpack_end(code, levels, local.side)
     serving = end.elapsed >= 0
     end = end._replace(
         row=jnp.where(serving, local.goal_row[end.leg, agent], end.row),
