@@ -173,11 +173,7 @@ def _read_description(archive: zipfile.ZipFile) -> Any:
 
 
 def from_torch(tensors: dict[str, np.ndarray], source: str = "checkpoint") -> Weights:
-    """Rename and transpose the published network's tensors.
-
-    Raises:
-        InputError: a tensor is missing or has the wrong shape.
-    """
+    """Rename and transpose the published network's tensors; InputError if it is another one."""
     missing = sorted({*_TENSORS.values(), *_GATE_BIASES} - set(tensors))
     if missing:
         raise InputError(f"{source} is not the maze agent: it lacks {', '.join(missing)}")
@@ -197,9 +193,5 @@ def from_torch(tensors: dict[str, np.ndarray], source: str = "checkpoint") -> We
 
 
 def convert_agent(checkpoint: Path, out: Path) -> None:
-    """Convert the published agent's checkpoint (`model_20000.tar`) into an .npz agent.
-
-    Raises:
-        InputError: the file is missing, damaged, hostile, or another network.
-    """
+    """Write the published agent (`model_20000.tar`) as an .npz agent; InputError if it is not."""
     save_weights(from_torch(read_checkpoint(checkpoint), str(checkpoint)), out)

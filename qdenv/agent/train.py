@@ -38,22 +38,14 @@ class Facts(NamedTuple):
 
 
 def save_weights(weights: Weights, path: Path, dtype: DTypeLike = np.float32) -> None:
-    """Write an agent that `policy.load_weights` reads.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write an agent that `policy.load_weights` reads; InputError where that is impossible."""
     named = zip(Weights._fields, weights, strict=True)
     arrays: dict[str, np.ndarray] = {name: np.asarray(array, dtype) for name, array in named}
     write_arrays(path, arrays, compressed=True)
 
 
 def load_state(path: Path, like: Any) -> tuple[Any, Facts]:
-    """Read a checkpoint, bit for bit, into the structure of the pytree `like`.
-
-    Raises:
-        InputError: missing, damaged, newer, or of a run with other sizes.
-    """
+    """Read a checkpoint into the structure of `like`; InputError if damaged or of other sizes."""
     leaves, structure = jax.tree.flatten(like)
     arrays, facts = read_state(path, _FACTS, Facts)
     sizes = {str(number): (leaf.shape, leaf.dtype) for number, leaf in enumerate(leaves)}

@@ -43,11 +43,7 @@ def _optimiser(config: TrainConfig) -> optax.GradientTransformation:
 
 
 def start(config: TrainConfig) -> State:
-    """Draw the first state of a run.
-
-    Raises:
-        InputError: impossible numbers, or a warm start of another architecture.
-    """
+    """Draw the first state of a run; InputError if a warm start has other sizes."""
     keys = jax.random.split(jax.random.key(config.seed), 5)
     weights = policy.draw_weights(keys[0], config.units, config.actions)
     if config.warm_start:

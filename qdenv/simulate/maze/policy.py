@@ -150,11 +150,7 @@ def draw_weights(key: jax.Array, units: int, actions: int) -> Weights:
 
 
 def check_weights(weights: Weights, source: str) -> Weights:
-    """Refuse weights that are not an agent (host side).
-
-    Raises:
-        InputError: a wrong number of dimensions, shape or kind, or a number that is not finite.
-    """
+    """Return the weights as float32; InputError if they are no agent or not finite (host side)."""
     if weights.gates_back.ndim != 2 or weights.logits.ndim != 2:
         raise InputError(f"{source} is no agent: gates_back and logits must be matrices")
     sizes = shapes(weights.gates_back.shape[0], weights.logits.shape[1])
@@ -176,11 +172,7 @@ def shipped_agent() -> Path:
 
 
 def load_weights(path: str | Path = "") -> Weights:
-    """Read an agent from an .npz file (host side), by default the shipped one.
-
-    Raises:
-        InputError: no such file, or not an agent.
-    """
+    """Read an agent's .npz file, the shipped one by default; InputError if it is none."""
     path = Path(path) if path else shipped_agent()
     if not path.exists():
         raise InputError(f"there is no agent {path}: train or convert one first")
