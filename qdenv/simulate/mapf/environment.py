@@ -75,7 +75,8 @@ Observe = Callable[[EnvironmentState], Any]
 
 def observe_plainly(state: EnvironmentState) -> Observation:
     """Return positions, goals, services and the time."""
-    return Observation(state.position, *state.goal, state.remaining_service, state.time)
+    goal, next_goal = state.goal
+    return Observation(state.position, goal, next_goal, state.remaining_service, state.time)
 
 
 class Environment:
