@@ -23,7 +23,7 @@ from pathlib import Path
 
 if find_spec("qdenv") is None:
     here = Path.cwd()
-    checkouts = [folder for folder in (here, *here.parents) if (folder / "qdenv/cli.py").exists()]
+    checkouts = [folder for folder in (here, *here.parents) if (folder / "qdenv/types.py").exists()]
     found = [*sorted(here.glob("qdenv*.whl")), *sorted(here.glob("qdenv*.zip")), *checkouts]
     place = str(found[0]) if found else "{REPOSITORY}"
     assert place, "upload a wheel or a zip of qdenv beside this notebook, then run this cell again"

@@ -66,7 +66,7 @@ def test_a_notebook_installs_qdenv_the_one_way(path):
     [
         (["qdenv-0.1.0-py3-none-any.whl"], "qdenv-0.1.0-py3-none-any.whl"),
         (["qdenv-main.zip"], "qdenv-main.zip"),
-        (["qdenv/cli.py", "notebooks/x.ipynb"], "."),
+        (["qdenv/types.py", "notebooks/x.ipynb"], "."),
     ],
 )
 def test_the_install_cell_finds_a_wheel_a_zip_and_a_checkout(made, chosen, tmp_path, monkeypatch):
