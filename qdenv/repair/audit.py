@@ -43,7 +43,7 @@ def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
         found.append(Violation(message, (int(row), int(col))))
     for tiles, needs in rules.adjacency:
         near = count_neighbours(of_tiles(layout, needs, rules.tiles)) > 0
-        alone = of_tiles(layout, tiles, rules.tiles) & ~near
+        alone = np.asarray(of_tiles(layout, tiles, rules.tiles) & ~near)
         found += _violations(f"{tiles!r} without a neighbour of {needs!r}", alone)
     if not rules.connected:
         return found

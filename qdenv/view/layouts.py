@@ -66,8 +66,13 @@ def draw_layout(
     ax = _new_figure(layout.shape, 1)[0].axes[0] if ax is None else ax
     colours = [COLOURS.get(tile, UNKNOWN) for tile in tiles]
     # Half a kind at each end: kind k is the middle of its colour.
-    ends = {"vmin": -0.5, "vmax": len(tiles) - 0.5}
-    ax.imshow(layout, cmap=ListedColormap(colours), interpolation="nearest", **ends)
+    ax.imshow(
+        layout,
+        cmap=ListedColormap(colours),
+        interpolation="nearest",
+        vmin=-0.5,
+        vmax=len(tiles) - 0.5,
+    )
     # The style has no upper and right line: a plan without them would look open.
     ax.spines[:].set_visible(True)
     rows, cols = layout.shape
@@ -132,8 +137,10 @@ def draw_difference(
         _number_cells(draw_layout(layout, tiles, ax, names))
         ax.set_title(title)
         size = (0.85 * 72 * inches) ** 2  # points²: a frame is a little smaller than its cell
-        frame = {"marker": "s", "facecolors": "none", "edgecolors": CHANGED, "linewidths": 1.2}
-        ax.scatter(changed[:, 1], changed[:, 0], s=size, **frame)
+        column, row = changed[:, 1], changed[:, 0]
+        ax.scatter(
+            column, row, s=size, marker="s", facecolors="none", edgecolors=CHANGED, linewidths=1.2
+        )
     return figure
 
 
@@ -165,14 +172,20 @@ def draw_marks(axes: Axes, marks: Mapping[str, tuple[int, int]]) -> None:
     rows, _ = np.array(axes.get_ylim())
     for name, (row, column) in marks.items():
         sign = {"start": "o", "goal": "*"}.get(name, "s")
-        look = {"color": _NAMED, "marker": sign, "edgecolors": "white", "lw": 0.6}
-        axes.scatter(column, row, s=42, **look)
+        axes.scatter(column, row, s=42, color=_NAMED, marker=sign, edgecolors="white", lw=0.6)
         above = row > rows / 2  # where there is space for the name
-        place = {"xytext": (0, 6 if above else -6), "textcoords": "offset points"}
-        place |= {"ha": "center", "va": "bottom" if above else "top"}
-        # On any tile, the name can be read.
-        box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
-        axes.annotate(name, (column, row), fontsize=7, color=_NAMED, bbox=box, **place)
+        axes.annotate(
+            name,
+            (column, row),
+            xytext=(0, 6 if above else -6),
+            textcoords="offset points",
+            ha="center",
+            va="bottom" if above else "top",
+            fontsize=7,
+            color=_NAMED,
+            # On any tile, the name can be read.
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85},
+        )
 
 
 @styled
@@ -189,7 +202,9 @@ def draw_sheet(
     figure = new_figure(width * across, (width * tallest + 0.6) * down, dpi=SCREEN_DPI)
     panels = figure.subplots(down, across, squeeze=False).ravel()
     for axes, (layout, tiles, title, note) in zip(panels, pictures, strict=False):
-        draw_layout(layout, tiles, axes).get_legend().remove()
+        legend = draw_layout(layout, tiles, axes).get_legend()
+        assert legend is not None
+        legend.remove()
         axes.set_title(title, fontsize=9)
         axes.set_xlabel(note, fontsize=7)
     for axes in panels[len(pictures) :]:

@@ -69,8 +69,8 @@ def compile_board(layout: np.ndarray, facts: Facts) -> Board:
     masks, tile_set = np.unique(allowed, return_inverse=True)
     tables = [_tabulate_choices(mask >> np.arange(kinds) & 1 == 1, facts) for mask in masks]
     open_tile = np.full(allowed.size, NO_TILE, np.int8)
-    for kind in sorted(np.flatnonzero(facts.driving), key=lambda kind: -facts.demands[kind]):
-        open_tile[allowed >> kind & 1 == 1] = kind
+    for driving in sorted(np.flatnonzero(facts.driving), key=lambda kind: -facts.demands[kind]):
+        open_tile[allowed >> driving & 1 == 1] = driving
     steps, free = eight_steps(layout.shape[1] + 2), np.pad(facts.free, 1).ravel()
     return Board(
         layout=np.pad(layout.astype(np.int8), 1, constant_values=kinds).ravel(),

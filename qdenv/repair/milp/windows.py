@@ -166,7 +166,7 @@ class WindowSearch:
         """Find cuts where the driving area, one piece with `before` in a box, may fall apart."""
         outside = np.ones(self.layout.shape, bool)
         outside[box] = False
-        edges = count_neighbours(outside)[box] > 0
+        edges = np.asarray(count_neighbours(outside)[box] > 0)
         after = self.facts.driving[self.candidate[box]]
         if not self.facts.rules.connected or stays_connected(before, after, edges):
             return []
