@@ -21,7 +21,7 @@ from qdenv.grid import parse
 from qdenv.types import Array, InputError
 
 
-class _NCA(nn.Module):
+class NCA(nn.Module):
     """One step of the automaton, [H, W, K] -> [H, W, K] in (0, 1)."""
 
     kinds: int  # kinds of tile K, the channels in and out
@@ -58,7 +58,7 @@ def make_automaton(
     kinds: int, kernel_sizes: tuple[int, ...] = (3, 3, 3), hidden: int = 32
 ) -> Automaton:
     """Build the automaton of an architecture; it works on canvases of any size."""
-    module = _NCA(kinds, tuple(kernel_sizes), hidden)
+    module = NCA(kinds, tuple(kernel_sizes), hidden)
     canvas = jnp.zeros((1, 1, kinds))
     variables = jax.tree.map(
         lambda leaf: np.zeros(leaf.shape, leaf.dtype),

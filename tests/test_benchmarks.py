@@ -88,7 +88,7 @@ def test_every_network_of_a_surrogate_is_timed(tmp_path, monkeypatch):
     result = search.surrogate(preset="maze-quick", rounds=1, repeats=1, json=tmp_path / "x.json")
     assert json.loads((tmp_path / "x.json").read_text()) == result
     loops = [row["loop"] for row in result["timings"]]
-    assert loops == ["inner iteration", "training step, usage", "training step, score"]
+    assert loops == ["inner iteration", "training step, score", "training step, usage"]
     assert all(row["cpu_ms"] > 0 and row["first_cpu_s"] > 0 for row in result["timings"])
     with pytest.raises(qdenv.InputError, match="unknown preset"):
         search.surrogate(preset="no-such-preset")

@@ -80,7 +80,8 @@ convolve.defvjp(
 )
 
 
-class _Convolution(nn.Module):
+# Flax names parameters after this class, and draws them by name: another name, other numbers.
+class Convolution(nn.Module):
     """`convolve` as a layer."""
 
     features: int  # channels F of the result
@@ -120,12 +121,12 @@ class MapPredictor(nn.Module):
     @nn.compact
     def __call__(self, maps: jax.Array, train: bool) -> jax.Array:
         """Map float32 [B, H, W, K] to [B, H, W, outputs]."""
-        hidden = nn.relu(_normalise(train)(_Convolution(self.channels, bias=False)(maps)))
+        hidden = nn.relu(_normalise(train)(Convolution(self.channels, bias=False)(maps)))
         for _ in range(self.blocks):
-            inner = nn.relu(_normalise(train)(_Convolution(self.channels, bias=False)(hidden)))
-            inner = _normalise(train)(_Convolution(self.channels, bias=False)(inner))
+            inner = nn.relu(_normalise(train)(Convolution(self.channels, bias=False)(hidden)))
+            inner = _normalise(train)(Convolution(self.channels, bias=False)(inner))
             hidden = nn.relu(hidden + inner)
-        return _Convolution(self.outputs, size=1)(hidden)
+        return Convolution(self.outputs, size=1)(hidden)
 
 
 class ScorePredictor(nn.Module):
@@ -141,7 +142,7 @@ class ScorePredictor(nn.Module):
         channels = self.channels
         while maps.shape[1] > _SMALLEST:
             first = channels == self.channels
-            maps = _Convolution(channels, size=4, stride=2, bias=False)(maps)
+            maps = Convolution(channels, size=4, stride=2, bias=False)(maps)
             maps = nn.leaky_relu(maps if first else _normalise(train)(maps), _SLOPE)
             channels *= 2
         return nn.Dense(self.heads)(maps.reshape(len(maps), -1))
