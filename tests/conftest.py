@@ -50,6 +50,13 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what is not slow as fast: `pytest -m fast` is the set for daily work."""
+    for item in items:
+        if item.get_closest_marker("slow") is None:
+            item.add_marker("fast")
+
+
 @pytest.fixture
 def optimized() -> Iterator[None]:
     """Let XLA optimize, as it does for users: for a test that runs longer than it compiles."""

@@ -22,6 +22,8 @@ from qdenv.run.config import override
 from qdenv.run.directory import RunDirectory
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 PLAN = parse(
     ROWS,
     TILES,

@@ -12,6 +12,8 @@ from experiments.benchmarks.simulation import simulate
 from experiments.benchmarks.training import shortest_time
 from qdenv.surrogate.settings import SurrogateConfig
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_fastest_call_counts_and_the_first_stands_apart(monkeypatch):
     now, seconds = [0.0], iter([4.0, 2.0, 1.0, 3.0])

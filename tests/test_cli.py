@@ -124,6 +124,7 @@ def test_repair_writes_what_it_promises(layout, tmp_path, capsys):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_simulate_writes_what_it_promises(layout, tmp_path):
     facts = tmp_path / "f.json"
     command = ["simulate", layout, "--domain", "warehouse-even", "--agents", "4"]
@@ -191,6 +192,7 @@ def test_presets_hold_the_papers_numbers(capsys):
     ]
 
 
+@pytest.mark.slow
 def test_train_generate_resume_end_to_end(tmp_path, capsys):
     path = tmp_path / "run"
     small = ["--rows", "9", "--cols", "10", "--shelves", "6", "--agents", "6", "--timesteps", "20"]

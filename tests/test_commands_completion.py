@@ -49,6 +49,7 @@ def script(tmp_path_factory):
     return tmp_path_factory.mktemp("completion")
 
 
+@pytest.mark.slow
 def test_the_tab_key_knows_commands_options_presets_and_names(script, capsys):
     assert run(["completion", "bash"]) == 0
     (script / "script.bash").write_text(capsys.readouterr().out)

@@ -138,6 +138,7 @@ def run_config(name, tmp_path):
     )
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_search_and_what_it_grows_keep_every_cell(name, tmp_path, capsys):
     drawing = DRAWINGS[name]
@@ -171,6 +172,7 @@ def test_a_search_and_what_it_grows_keep_every_cell(name, tmp_path, capsys):
     assert "drawn on 9 x 12, the layout has 11 x 14" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_train_takes_a_drawing(tmp_path, capsys):
     path, out = tmp_path / "keep.txt", tmp_path / "run"
     path.write_text("\n".join(DRAWINGS["warehouse-even"]))

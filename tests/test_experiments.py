@@ -20,6 +20,8 @@ from qdenv.run.directory import RunDirectory
 from qdenv.study.ledger import Run, read_runs
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 FOLDER = Path(__file__).parents[1] / "experiments"
 
 

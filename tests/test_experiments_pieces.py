@@ -23,6 +23,8 @@ from experiments.runs import SavedRun, read_summary, summarise
 from qdenv.configurations import PRESETS
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 
 def silent(line: str) -> None:
     pass

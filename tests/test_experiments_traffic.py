@@ -49,6 +49,8 @@ from qdenv.study.engine import run_seeds
 from qdenv.study.ledger import Case, Run
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 HALL = SavedLayout("warehouse-even", "human", (9, 12))
 
 

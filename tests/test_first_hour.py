@@ -10,6 +10,8 @@ from qdenv.domains.base import find_domain
 from qdenv.io.layouts import read_layout
 from qdenv.repair.audit import audit
 
+pytestmark = pytest.mark.slow
+
 # Doors in the bottom wall, dead ends between the shelves, and two shelves that nobody can serve.
 PLAN = """\
 ................

@@ -5,7 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from golden import record
+
+pytestmark = pytest.mark.slow
 
 SCRIPT = Path(record.__file__)
 

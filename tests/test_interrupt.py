@@ -11,6 +11,8 @@ from conftest import SMALL
 
 from qdenv.run.directory import RunDirectory
 
+pytestmark = pytest.mark.slow
+
 # A program that writes a file and then works for ever in compiled code, as a simulation does.
 BUSY = """
 import sys

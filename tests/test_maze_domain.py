@@ -23,6 +23,8 @@ from qdenv.score import entropy
 from qdenv.simulate.maze.policy import draw_weights
 from qdenv.types import RepairStatus
 
+pytestmark = pytest.mark.slow
+
 CONFIG = EvaluationConfig(
     domain=MazeConfig(rows=6, cols=6, timesteps=72),
     generator=NcaConfig(steps=4, kernel_sizes=(3, 1, 1), hidden=4),

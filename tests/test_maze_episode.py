@@ -16,6 +16,8 @@ from qdenv.simulate.maze import policy
 from qdenv.simulate.maze.published import FIRST_HEADINGS, reference_episodes
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 DATA = Path(__file__).parent / "data" / "maze"
 HORIZON = 60
 prepare = jax.jit(policy.prepare)

@@ -28,6 +28,8 @@ from qdenv.view.layouts import COLOURS, MARKS
 from qdenv.view.layouts import draw_mazes as draw_panels
 from qdenv.view.style import save_figure
 
+pytestmark = pytest.mark.slow
+
 
 def random_mazes(seed, count, rows, cols, walls, *which, **how) -> np.ndarray:
     drawn = draw_mazes(seed, count, (rows, cols), walls, *which, **how)

@@ -13,17 +13,14 @@ import optax
 import pytest
 
 from qdenv.agent import levels, ppo
-from qdenv.agent.train import (
-    choose,
-    load_state,
-    save_weights,
-    train_agent,
-)
+from qdenv.agent.train import choose, load_state, save_weights, train_agent
 from qdenv.agent.update import TrainConfig, start, update
 from qdenv.simulate.maze import policy
 from qdenv.simulate.maze.policy import Memory, draw_weights, load_weights
 from qdenv.simulate.maze.world import GOAL, WALL
 from qdenv.types import InputError
+
+pytestmark = pytest.mark.slow
 
 SMALL = levels.LevelConfig(size=6, most_walls=20, horizon=(20, 40))
 CONFIG = TrainConfig(
@@ -36,7 +33,7 @@ REWARDS = ppo.Rewards(CONFIG.reward.novelty, CONFIG.reward.progress, CONFIG.rewa
 
 @pytest.fixture(scope="module")
 def buffer():
-    return levels.new_buffer(jax.random.key(0), 16, SMALL)
+    return jax.jit(levels.new_buffer, static_argnums=(1, 2))(jax.random.key(0), 16, SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -56,11 +53,10 @@ def recorded():
 
 def test_levels_are_solvable_and_half_are_longest_paths():
     config = replace(SMALL, textured=0.5)
-    drawn = jax.jit(jax.vmap(lambda key: levels.draw_level(key, config)))(
-        jax.random.split(jax.random.key(0), 200)
-    )
+    first, second = jax.random.split(jax.random.key(0), (2, 200))
+    drawn = jax.jit(jax.vmap(lambda key: levels.draw_level(key, config)))(first)
     edited = jax.jit(jax.vmap(lambda key, level: levels.vary_level(key, level, config)))(
-        jax.random.split(jax.random.key(1), 200), drawn
+        second, drawn
     )
     for batch in (drawn, edited):
         for number in range(80):
@@ -84,18 +80,23 @@ def test_levels_of_many_sizes_keep_walls_and_horizon_in_proportion():
     config = levels.LevelConfig(size=9, smallest=4, most_walls=40, horizon=(121, 242))
     keys = jax.random.split(jax.random.key(2), 120)
     sides = np.arange(120) % 6 + 4
-    layouts = jax.vmap(lambda key, side: levels.draw_layout(key, config, side))(keys, sides)
+    layouts = jax.jit(jax.vmap(lambda key, side: levels.draw_layout(key, config, side)))(
+        keys, sides
+    )
     for layout, side in zip(np.asarray(layouts), sides, strict=True):
         assert layout[side:].all() and layout[:, side:].all()
         assert layout[:side, :side].sum() <= 40 * side**2 // 81
     # Without walls the free tiles tell the side: 121 to 242 steps at 9 x 9, less at fewer tiles.
     empty = replace(config, most_walls=0)
-    drawn = jax.vmap(lambda key: levels.draw_level(key, empty))(keys)
+    draw = jax.jit(
+        lambda keys, how: jax.vmap(lambda key: levels.draw_level(key, how))(keys), static_argnums=1
+    )
+    drawn = draw(keys, empty)
     sides = np.sqrt((np.asarray(drawn.kinds) != WALL).sum((1, 2))).astype(int)
     assert set(sides.tolist()) == {4, 5, 6, 7, 8, 9}
     low = (sides + 2) ** 2
     assert ((low <= drawn.horizon) & (drawn.horizon <= 2 * low)).all()
-    fixed = jax.vmap(lambda key: levels.draw_level(key, replace(empty, smallest=0)))(keys[:20])
+    fixed = draw(keys[:20], replace(empty, smallest=0))
     assert ((np.asarray(fixed.kinds) != WALL).sum((1, 2)) == 81).all()
     with pytest.raises(InputError, match="in order"):
         replace(config, smallest=10)

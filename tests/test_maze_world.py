@@ -45,6 +45,7 @@ def replay(layout, goal, start, heading, actions):
     return jax.lax.scan(body, world.Pose(place, heading), actions)[1]
 
 
+@pytest.mark.slow
 def test_environment_agrees_with_3770_recorded_steps():
     traces = np.load(DATA / "maze_env_traces.npz")
     compared = 0

@@ -14,6 +14,8 @@ from qdenv.domains.base import find_domain, make_domain
 from qdenv.mesh import count_parts
 from qdenv.run.executors.layouts import chunk_size
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent
 EIGHT = "--xla_force_host_platform_device_count=8"
 COMPARED = ("fleet/archive.npz", "fleet/best_layout.json", "maze/archive.npz", "garden.npz")

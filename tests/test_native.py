@@ -10,6 +10,8 @@ import pytest
 
 from qdenv import native
 
+pytestmark = pytest.mark.slow
+
 OUTER = """
 from qdenv.inner import plus
 from qdenv.native import compiled

@@ -18,6 +18,8 @@ from qdenv.study.plans import read_plan
 from qdenv.types import InputError
 from qdenv.view.explorer import make_explorer, pack_bits
 
+pytestmark = pytest.mark.slow
+
 READY = "body[data-ready]"
 QUICK = ["--agents", "4", "--timesteps", "10", "--seeds", "1", "--planner", "pibt"]
 PIXELS = """row => {

@@ -18,6 +18,8 @@ from qdenv.study.recordings import record_fleet, trace_agent
 from qdenv.types import InputError
 from qdenv.view.replay import encode, make_replay
 
+pytestmark = pytest.mark.slow
+
 STEPS, AGENTS = 60, 30
 MAZE = ["XXXXXX", "X    X", "XXXX X", "X    X", "XXXXXX"]
 SHOWN = "performance.getEntriesByName('shown').length > 0"

@@ -22,6 +22,8 @@ from qdenv.view.report_fleet import counts_around
 from qdenv.view.report_subjects import Subject, find_rival
 from qdenv.view.style import to_svg
 
+pytestmark = pytest.mark.slow
+
 QUICK = ["--planner", "pibt", "--timesteps", "120", "--seeds", "4"]
 WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
 HEADINGS = [

@@ -21,6 +21,8 @@ from qdenv.view.archive import draw_archive, scatter_objectives
 from qdenv.view.layouts import draw_marks
 from qdenv.view.runs import plot_run
 
+pytestmark = pytest.mark.slow
+
 GRID = (Measure("x", 0, 4, 4), Measure("y", 0, 3, 3))
 
 

@@ -18,6 +18,8 @@ from qdenv.study.groups import band_of, group_runs, tell_apart
 from qdenv.types import InputError, Measure
 from qdenv.view.runs import draw_archives, draw_progress
 
+pytestmark = pytest.mark.slow
+
 GRID = (Measure("x", 0, 4, 4), Measure("y", 0, 3, 3))
 
 

@@ -13,6 +13,8 @@ import pytest
 
 from qdenv.run.directory import RunDirectory
 
+pytestmark = pytest.mark.slow
+
 TESTS = Path(__file__).parent
 PLUGIN = TESTS / "plugin"
 README = TESTS.parent / "README.md"

@@ -18,6 +18,8 @@ from qdenv.repair.rules import Facts
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import Count, RepairStatus, Rules
 
+pytestmark = pytest.mark.slow
+
 
 def warehouse(rows: int, cols: int, shelves: int) -> Rules:
     return find_domain("warehouse-even").resized(rows, cols, {"shelves": shelves}).rules()

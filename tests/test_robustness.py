@@ -15,6 +15,8 @@ from qdenv.repair.rules import Facts
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import RepairStatus
 
+pytestmark = pytest.mark.slow
+
 
 def throw_die(rng: np.random.Generator, folder: Path) -> Attempt:
     """Break a promise if the die shows six, and leave a file in the folder."""

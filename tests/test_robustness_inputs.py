@@ -17,6 +17,8 @@ from qdenv.io.arrays import read_arrays
 from qdenv.io.layouts import ENDINGS, read_drawing
 from qdenv.simulate.maze.policy import load_weights, shipped_agent
 
+pytestmark = pytest.mark.slow
+
 RNGS = st.integers(0, 2**32).map(np.random.default_rng)
 GOOD = Ending(2, "", "\r 10%|#\rqdenv: no\n", [], 0.0)
 PLANTED = """

@@ -10,6 +10,8 @@ from robustness.faulty_disk import DeathError, FaultyDisk
 from qdenv import InputError
 from qdenv.io.files import write_atomically
 
+pytestmark = pytest.mark.slow
+
 
 def test_runs_that_die_while_they_write_are_resumed_to_the_same_bytes(tmp_path):
     attempt = interruptions.fail_operations(np.random.default_rng(6), tmp_path)

@@ -21,6 +21,8 @@ from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.settings import CmaEsConfig, MapElitesConfig
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 AHEAD = 2
 SHORT = replace(
     toy.CONFIG, algorithm=replace(toy.CONFIG.algorithm, ahead=AHEAD), evaluations=48

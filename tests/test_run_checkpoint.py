@@ -16,6 +16,8 @@ from qdenv.search.map_elites import MapElitesConfig
 from qdenv.search.registry import make_algorithm
 from qdenv.types import InputError, Measure
 
+pytestmark = pytest.mark.slow
+
 SEARCHES = {
     "cma_mae": CmaMaeConfig(emitters=2, batch=6),
     "map_elites": MapElitesConfig(emitters=2, batch=6, sigma_iso=0.3),

@@ -14,6 +14,8 @@ from qdenv.study.elites import grow_elite
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 TINY = SurrogateConfig(channels=4, blocks=1, epochs=2, minibatch=8, samples=64)
 DSAGE = DsageConfig(
     batch=8, initial=16, inner_iterations=10, inner_batch=8, downsample=(4, 3), surrogate=TINY

@@ -22,7 +22,7 @@ from qdenv.types import InputError, RepairStatus
 
 distributed = pytest.importorskip("distributed")
 # Dask's own clean-up of sockets and threads at the end of a cluster is not ours to judge.
-pytestmark = pytest.mark.filterwarnings("default")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
 
 EVALUATIONS = 24
 

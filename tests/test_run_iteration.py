@@ -16,6 +16,8 @@ from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.negotiated.settings import LOW
 
+pytestmark = pytest.mark.slow
+
 ITERATIONS = 3
 
 

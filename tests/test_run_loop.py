@@ -25,6 +25,8 @@ from qdenv.run.experiment import make_experiment, make_iteration, observed
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.types import InputError, RepairStatus
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent
 
 

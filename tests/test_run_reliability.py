@@ -22,6 +22,8 @@ from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.simulate.maze.policy import load_weights
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent
 SHORT = replace(toy.CONFIG, evaluations=32)  # four iterations, checkpoints after 2 and 4
 

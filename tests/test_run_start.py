@@ -15,6 +15,8 @@ from qdenv.search.registry import ALGORITHMS
 from qdenv.search.settings import CmaEsConfig, CmaMaeConfig, MapElitesConfig
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 
 class DeafConfig(CmaMaeConfig):
     """Settings of an algorithm whose maker takes no start."""

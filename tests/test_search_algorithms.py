@@ -19,6 +19,8 @@ from search_harness import (
     score_of,
 )
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("name", CONFIGS)
 def test_restored_in_the_middle_equals_uninterrupted(name):

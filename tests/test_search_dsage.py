@@ -16,6 +16,8 @@ from qdenv.search.settings import DsageConfig
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.types import InputError, Measure, Score
 
+pytestmark = pytest.mark.slow
+
 SIDE, KINDS = 6, 3
 BATCH = 8
 COUNTS = (Measure("ones", 0, 36, 12), Measure("twos", 0, 36, 12))

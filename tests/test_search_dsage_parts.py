@@ -23,6 +23,8 @@ from qdenv.search.dsage import (
 from qdenv.search.settings import DsageConfig
 from qdenv.types import InputError, Measure, Score
 
+pytestmark = pytest.mark.slow
+
 
 def axes(*cells):
     return tuple(Measure(f"m{i}", 0, 1, count) for i, count in enumerate(cells))

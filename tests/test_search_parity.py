@@ -22,6 +22,8 @@ from qdenv.search.strategies.base import StrategyState
 from qdenv.search.strategies.cma_es import refresh_gap
 from qdenv.types import Measure
 
+pytestmark = pytest.mark.slow
+
 RECORDED = Path(__file__).parent / "data" / "search"
 MEASURES = (Measure("x", -1, 1, 6), Measure("y", 0, 3, 5))
 EXACT = {"rtol": 0, "atol": 1e-12}

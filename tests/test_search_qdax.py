@@ -17,6 +17,8 @@ from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.qdax_emitter import CmaMaeEmitter
 from qdenv.types import Measure, Score
 
+pytestmark = pytest.mark.slow
+
 DIM = 8
 QUICK = {"xla_backend_optimization_level": 0}  # these searches compile longer than they run
 GRID = (Measure("x", -2, 2, 10), Measure("y", -2, 2, 12))

@@ -9,6 +9,8 @@ import pytest
 
 from qdenv.search.cma_mae import CmaMaeConfig
 
+pytestmark = pytest.mark.slow
+
 SPHERE = runpy.run_path(str(Path(__file__).parents[1] / "experiments" / "sphere.py"))
 
 # pyribs 0.12, cma_es, 15 x 36, sigma0 0.5, learning rate 0.01, imp, mu, basic; 100 iterations,

@@ -14,6 +14,8 @@ from qdenv.search.strategies import STRATEGIES, make_strategy
 from qdenv.search.strategies.base import Strategy, full_rates, rates_table
 from qdenv.search.strategies.cma_es import Full, refresh_gap
 
+pytestmark = pytest.mark.slow
+
 OURS = [name for name, kind in STRATEGIES.items() if issubclass(kind, Strategy)]
 
 

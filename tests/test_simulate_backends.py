@@ -20,6 +20,8 @@ from qdenv.simulate.mapf.planner import NOBODY
 from qdenv.study.engine import _program
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 # The settings of each planner with the backends "host" and "xla".
 BACKENDS = {
     "pibt": (PibtConfig("host"), PibtConfig("xla")),

@@ -13,6 +13,8 @@ from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.audit import audit
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_planner_plugs_in_from_outside_and_a_jam_ends_the_run():
     config = fleet.FleetConfig(agents=20, timesteps=100, planner=StandConfig())

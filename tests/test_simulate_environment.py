@@ -15,6 +15,8 @@ from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 STEPS, AGENTS = 120, 40
 
 

@@ -34,6 +34,8 @@ from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.simulate.mapf.tasks import draw_goals, goal_table
 from qdenv.types import InputError, TaskRule
 
+pytestmark = pytest.mark.slow
+
 NEGOTIATED = programs(SERVICES, CONFIG)
 
 

@@ -31,6 +31,8 @@ from qdenv.simulate.mapf.pbs.workspace import Workspace, make_workspace
 from qdenv.simulate.mapf.planner import World, pad
 from qdenv.simulate.mapf.tasks import GoalTable
 
+pytestmark = pytest.mark.slow
+
 RULES = ("published", "plain")
 SOME, EVERY = some_choice_works, every_choice_works
 MOST = 3000  # searches of the oracle per instance

@@ -20,6 +20,8 @@ from qdenv.simulate.mapf.pbs.workspace import Workspace, make_workspace
 from qdenv.study.engine import auditor, run_seeds
 from qdenv.types import TaskRule, Traffic
 
+pytestmark = pytest.mark.slow
+
 RULES = ("published", "plain")
 SEEDS = (0, 1, 2)
 

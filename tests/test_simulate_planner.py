@@ -41,6 +41,8 @@ from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.simulate.mapf.tasks import GoalTable
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (HEIGHT + 2 * MARGIN, WIDTH + 2 * MARGIN)
 PADDED = np.pad(FREE, MARGIN)
 

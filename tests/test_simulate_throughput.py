@@ -17,6 +17,8 @@ from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.negotiated.settings import LOW
 from qdenv.study.engine import run_seeds
 
+pytestmark = pytest.mark.slow
+
 AGENTS = 200
 
 

@@ -19,6 +19,8 @@ from qdenv.study.plans import name_layouts
 from qdenv.study.table import Row, Trial, climb, compare, find_capacity, find_peak, write_rows
 from qdenv.types import InputError, Traffic
 
+pytestmark = pytest.mark.slow
+
 WAREHOUSE = find_domain("warehouse-even")
 TASKS = WAREHOUSE.simulator.tasks
 # The plainest planner compiles fast; layouts of one size and one largest fleet share a program.

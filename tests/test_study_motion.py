@@ -12,6 +12,8 @@ from qdenv.study.plans import Plan
 from qdenv.study.recordings import MOST_SHOWN, map_run, record_fleet, trace_agent
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 CORRIDOR = ["@@@@@@@@", "w.....ee", "@@@@@@@@"]
 MAZE = ["XXXXXX", "X    X", "XXXX X", "X    X", "XXXXXX"]
 

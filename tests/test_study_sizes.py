@@ -29,6 +29,8 @@ from qdenv.study import elites as sizes
 from qdenv.study.elites import grow_elite, grow_series, repair_grown
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 FLEET = FleetConfig(agents=4, timesteps=20)
 SMALL = EvaluationConfig(
     domain=WarehouseConfig(rows=11, cols=12, shelves=12, fleet=FLEET),

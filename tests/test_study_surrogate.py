@@ -32,6 +32,8 @@ from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.surrogate.surrogate import Aspect, make_surrogate, stages_of
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 TINY = SurrogateConfig(channels=4, blocks=0, epochs=60, minibatch=16, rate=3e-3)
 DRAWN = (8, 9)
 

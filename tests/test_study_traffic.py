@@ -24,6 +24,8 @@ from qdenv.study.recordings import (
 from qdenv.study.traffic import Point, examine, judge, point_of
 from qdenv.types import InputError, Traffic
 
+pytestmark = pytest.mark.slow
+
 WAREHOUSE, MAKING = find_domain("warehouse-even"), find_domain("manufacturing")
 # Two halls and a lane with one bay in between: whoever meets in the lane is in the way.
 LANE = parse(["w...@@@@@...e", "w.........e.e", "w...@@@@@...e"], WAREHOUSE.tiles)

@@ -22,6 +22,8 @@ from qdenv.surrogate.surrogate import (
 )
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 KINDS = 3
 
 

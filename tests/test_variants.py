@@ -9,6 +9,7 @@ from pathlib import Path
 import chex
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from qdenv import score
 from qdenv.grid import count_components, parse
@@ -16,6 +17,8 @@ from qdenv.search.archive import GridArchive
 from qdenv.simulate.mapf.distances import goal_distances
 from qdenv.simulate.mapf.planner import UNREACHABLE
 from qdenv.types import Measure
+
+pytestmark = pytest.mark.slow
 
 EVERY = partial(
     chex.variants, with_jit=True, without_jit=True, with_device=True, without_device=True

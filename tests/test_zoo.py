@@ -23,6 +23,8 @@ from qdenv.shipped import Generator, named, names
 from qdenv.study.elites import Grown, repair_grown
 from qdenv.types import InputError
 
+pytestmark = pytest.mark.slow
+
 ZOO = Path(qdenv.__file__).parent / "zoo"
 MOST_BYTES = 6_000_000
 DOMAINS = sorted(names())
