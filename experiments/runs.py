@@ -12,7 +12,7 @@ import numpy as np
 import qdenv
 from experiments.pieces import Folders, Piece, Say
 from qdenv.io.files import write_csv
-from qdenv.ops.searches import estimate_seconds
+from qdenv.ops.searches import CPU_SECONDS, base_of
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
@@ -91,7 +91,7 @@ class SavedRun(Piece):
             made = rows[-1].evaluations if rows else 0
         if self.done(folders) == 1:
             return 0.0
-        return estimate_seconds(self.preset) * max(self.config.evaluations - made, 0)
+        return CPU_SECONDS[base_of(self.preset)] * max(self.config.evaluations - made, 0)
 
     def make(self, folders: Folders, say: Say) -> None:
         """Begin or continue the run, then summarise it."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import io
+import pkgutil
 from typing import Any, Literal
 
 import tyro
 
-from qdenv.cli.main import COMMANDS, load
+from qdenv.cli.main import COMMANDS
 from qdenv.cli.parser import MARKERS, SPEC, command, completion_spec
 from qdenv.cli.rules import Choices, make_rules
 from qdenv.configurations import PRESETS
@@ -31,7 +32,7 @@ def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
     text = io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
         tyro.extras.subcommand_cli_from_dict(
-            {name: command(load(name)) for name in COMMANDS},
+            {name: command(pkgutil.resolve_name(one)) for name, one in COMMANDS.items()},
             prog="qdenv",
             args=["--tyro-print-completion", shell],
             config=MARKERS,

@@ -9,22 +9,22 @@ from __future__ import annotations
 import contextlib
 import difflib
 import errno
-import importlib
 import itertools
 import json
 import logging
 import os
+import pkgutil
 import shlex
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 # Before numpy is loaded: small eigenproblems on shared cores lose tenfold to BLAS threads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import qdenv
 from qdenv.interrupt import EXIT_CODE, last_words
 
 # Name -> ``module:function``, in the order of help: layouts, studies, searches, mazes.
@@ -65,7 +65,7 @@ def run(words: list[str]) -> int:
         SystemExit: help of a command was requested, and printed.
     """
     if words[:1] == ["--version"]:
-        print(_version())
+        print(qdenv.__version__)
         return 0
     if words[:1] == ["help"]:
         words = [*words[1:], "--help"]
@@ -92,12 +92,6 @@ def run(words: list[str]) -> int:
     return 0
 
 
-def _version() -> str:
-    from importlib import metadata  # takes as long as all the rest of help
-
-    return metadata.version("qdenv")
-
-
 def _unknown(name: str) -> str:
     """Return what is wrong with a name that is no command."""
     if name.startswith("-"):
@@ -120,22 +114,19 @@ def summary_of(command: str) -> str:
     return function.split('"""')[1].partition("\n")[0]
 
 
-def load(name: str) -> Any:
-    """Import the operation of a command."""
-    module, _, function = COMMANDS[name].partition(":")
-    return getattr(importlib.import_module(module), function)
-
-
 def _run_command(name: str, typed: list[str]) -> int:
     """Parse a command line, run the operation and write its facts; return the exit code."""
     # They import numpy and the parser: not for help.
     from qdenv.cli.parser import command, parse
     from qdenv.cli.rules import Choices, flat, make_rules
+    from qdenv.io.files import tidy, write_json
     from qdenv.ops.output import AUTO, UnsolvedError, place
     from qdenv.types import InputError
 
+    failure = None
     try:
-        operation, program, words = load(name), f"qdenv {name}", _name_pictures(typed)
+        operation = pkgutil.resolve_name(COMMANDS[name])
+        program, words = f"qdenv {name}", _name_pictures(typed)
         # Which options there are depends on what is chosen by name: that is read first.
         chosen, rest = parse(Choices, words, program, partly=True)
         stated = parse(command(operation), words, program, make_rules(chosen, rest))
@@ -148,23 +139,27 @@ def _run_command(name: str, typed: list[str]) -> int:
             arguments["again"] = shlex.join([*program.split(), *typed])
         if isinstance(layouts := arguments.get("layouts"), tuple):  # named twice, it is one
             arguments["layouts"] = tuple(dict.fromkeys(layouts))
-        to_stdout = facts_file == Path("-")
-        if facts_file is not None and not to_stdout:
+        target, to_stdout = None, facts_file == Path("-")
+        if not to_stdout:
             files = [path for path in flat(arguments) if isinstance(path, Path)]
             if facts_file in files:
                 raise InputError(f"{facts_file}: named twice: give the facts a file of their own")
-            place(facts_file, "facts.json", inputs=files)  # refuses what cannot be written
-        try:
-            with contextlib.ExitStack() as stack:
-                if to_stdout:  # nothing else is written there
-                    stack.enter_context(contextlib.redirect_stdout(sys.stderr))
-                stack.enter_context(_printing())
+            target = place(facts_file, "facts.json", inputs=files)
+        # Nothing but the facts is written to standard output if they are written there.
+        with contextlib.redirect_stdout(sys.stderr if to_stdout else sys.stdout), _printing():
+            try:
                 result = operation(*bound.args, **bound.kwargs)
-        except UnsolvedError as error:
-            _write_facts(facts_file, name, error.facts)
-            raise
+            except UnsolvedError as error:
+                result = failure = error
         facts = result if isinstance(result, dict) else getattr(result, "facts", {})
-        _write_facts(facts_file, name, facts)
+        facts = tidy({**facts, "command": name, "qdenv": qdenv.__version__})
+        if to_stdout:
+            print(json.dumps(facts, indent=1))
+        elif target:
+            write_json(target.path, facts)
+            print(target)
+        if failure:
+            raise failure
         return getattr(result, "exit_code", 0)
     except InputError as error:
         message = str(error)
@@ -174,22 +169,6 @@ def _run_command(name: str, typed: list[str]) -> int:
         message = f"{str(error.filename)[:99]}...: too long for a file's name"
     print(f"qdenv: {message}", file=sys.stderr)
     return 2
-
-
-def _write_facts(path: Path | None, command: str, facts: Mapping[str, Any]) -> None:
-    """Write what ``--json`` requests, if it does; - is standard output."""
-    from qdenv.io.files import tidy, write_json
-    from qdenv.ops.output import Place
-
-    if path is None:
-        return
-    content = tidy({**facts, "command": command, "qdenv": _version()})
-    if path == Path("-"):
-        print(json.dumps(content, indent=1))
-        return
-    written = Place(path, path.exists())
-    write_json(path, content)
-    print(written)
 
 
 class _Printer(logging.Handler):

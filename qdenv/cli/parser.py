@@ -14,14 +14,14 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints, is_typeddict
+from typing import Annotated, Any, Union, Unpack, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro import _errors as events
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from qdenv import interrupt
-from qdenv.ops.options import TrueOnCommandLine
+from qdenv.ops.options import Mark, option
 from qdenv.ranges import check_range
 from qdenv.types import InputError
 
@@ -33,14 +33,10 @@ _JSON = tyro.conf.arg(metavar="FILE", help="file of the facts to write; - is sta
 def parse(
     target: Any, words: Sequence[str], program: str, rules: Any = None, partly: bool = False
 ) -> Any:
-    """Make a value of a type, or call a function, with what a command line states.
+    """Make a value of a type, or call a function, with the words behind the name of a program.
 
-    Args:
-        target: the type or the function.
-        words: the command line after the name of the program.
-        program: how it is called, like "qdenv simulate".
-        rules: for types of our own, see `qdenv.cli.rules`; those for numbers unless given.
-        partly: return the words that it does not know as well, in place of refusing them.
+    `rules` are for types of our own (see `qdenv.cli.rules`), by default those for numbers alone.
+    With `partly`, unknown words are returned as well, instead of refused.
 
     Raises:
         InputError: the words make no sense.
@@ -58,7 +54,8 @@ def parse(
         return tyro.cli(  # type: ignore[call-overload]
             target,
             prog=program,
-            description=_description(target),
+            # Of a docstring, what comes before its arguments.
+            description=(inspect.getdoc(target) or "").partition("\n\nArgs:")[0],
             args=list(words),
             config=MARKERS,
             registry=rules,
@@ -127,35 +124,25 @@ def completion_spec(script: str) -> dict[str, Any]:
 def number_rules() -> ConstructorRegistry:
     """Make the rules by which numbers are read: a mistake is refused in plain words."""
     rules = ConstructorRegistry()
-    rules.primitive_rule(_number_rule)
+
+    @rules.primitive_rule
+    def number(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+        parts = get_args(info.type) if get_origin(info.type) in (Union, UnionType) else (info.type,)
+        kinds = [get_args(one)[0] if get_origin(one) is Annotated else one for one in parts]
+        kind = next((one for one in kinds if one is not type(None)), None)
+        if kind not in (int, float) or len(kinds) > 2:
+            return None
+
+        def read(word: str) -> Any:
+            try:
+                return kind(word)
+            except ValueError:
+                noun = "an integer" if kind is int else "a number"
+                raise ValueError(f"must be {noun}, not {word!r}") from None
+
+        return option(kind.__name__.upper(), read)
+
     return rules
-
-
-def _number_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
-    parts = get_args(info.type) if get_origin(info.type) in (Union, UnionType) else (info.type,)
-    kinds = [get_args(one)[0] if get_origin(one) is Annotated else one for one in parts]
-    kind = next((one for one in kinds if one is not type(None)), None)
-    if kind not in (int, float) or len(kinds) > 2:
-        return None
-
-    def read(words: list[str]) -> Any:
-        try:
-            return kind(words[0])
-        except ValueError:
-            noun = "an integer" if kind is int else "a number"
-            raise ValueError(f"must be {noun}, not {words[0]!r}") from None
-
-    return PrimitiveConstructorSpec(
-        nargs=1,
-        metavar=kind.__name__.upper(),
-        instance_from_str=read,
-        is_instance=lambda value: isinstance(value, kind),
-        str_from_instance=lambda value: [str(value)],
-    )
-
-
-def _description(target: Any) -> str:
-    return (inspect.getdoc(target) or "").partition("\n\nArgs:")[0]
 
 
 def command(operation: Callable) -> Any:
@@ -167,40 +154,40 @@ def command(operation: Callable) -> Any:
     Returns:
         a record with the fields `arguments` (as `inspect.BoundArguments`) and `json`.
     """
-    signature, hints = inspect.signature(operation), get_type_hints(operation, include_extras=True)
-
-    @functools.wraps(operation)
-    def bind(*values: Any, **named: Any) -> inspect.BoundArguments:
-        arguments = signature.bind(*values, **named)
-        _check_ranges(operation, arguments)
-        return arguments
-
-    # tyro takes defaults from the signature, the call those of the function itself.
-    parameters = dict(signature.parameters)
-    for name in parameters:
-        if TrueOnCommandLine in getattr(hints.get(name), "__metadata__", ()):
-            parameters[name] = parameters[name].replace(default=True)
-    bind.__signature__ = signature.replace(parameters=[*parameters.values()])  # type: ignore[attr-defined]
     fields: list[Any] = [
-        ("arguments", Annotated[Any, tyro.conf.arg(name="", constructor=bind)]),
+        ("arguments", Annotated[Any, tyro.conf.arg(name="", constructor=_bind(operation))]),
         ("json", Annotated[Path | None, _JSON], None),
     ]
     record = dataclasses.make_dataclass("Command", fields)
-    record.__doc__ = _description(operation)
+    record.__doc__ = operation.__doc__
     return record
 
 
-def _check_ranges(function: Callable, arguments: inspect.BoundArguments) -> None:
-    """Raise InputError if an argument is out of the range that its type states."""
-    hints = get_type_hints(function, include_extras=True)
-    for name, value in arguments.arguments.items():
-        (record,) = get_args(hints[name])[:1] or (None,)
-        if is_typeddict(record):  # **options: Unpack[Record]
-            kinds = get_type_hints(record, include_extras=True)
-            for one in value:
-                check_range(one, value[one], kinds[one])
-        else:
-            check_range(name, value, hints[name])
+def _bind(function: Callable) -> Callable[..., inspect.BoundArguments]:
+    """Make a function of the same arguments that checks their ranges and returns them."""
+    signature, hints = inspect.signature(function), get_type_hints(function, include_extras=True)
+
+    @functools.wraps(function)
+    def bound(*values: Any, **named: Any) -> inspect.BoundArguments:
+        arguments = signature.bind(*values, **named)
+        stated, kinds = dict(arguments.arguments), hints
+        for name, kind in hints.items():
+            if get_origin(kind) is Unpack:  # **options: Unpack[Record]
+                stated |= stated.pop(name, {})
+                kinds = hints | get_type_hints(get_args(kind)[0], include_extras=True)
+        for name, value in stated.items():
+            check_range(name, value, kinds[name])
+        return arguments
+
+    # tyro takes defaults from the signature, the call those of the function itself.
+    parameters = [
+        one.replace(default=True)
+        if Mark.TRUE in getattr(hints.get(name), "__metadata__", ())
+        else one
+        for name, one in signature.parameters.items()
+    ]
+    bound.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return bound
 
 
 def run_program(function: Callable, program: str, words: Sequence[str] | None = None) -> int:
@@ -211,15 +198,10 @@ def run_program(function: Callable, program: str, words: Sequence[str] | None = 
         program: how it is called, like "python -m experiments.benchmarks maze".
         words: what follows that on the command line; that of this process unless given.
     """
-
-    @functools.wraps(function)
-    def bind(*values: Any, **named: Any) -> Callable[[], Any]:
-        _check_ranges(function, inspect.signature(function).bind(*values, **named))
-        return functools.partial(function, *values, **named)
-
     interrupt.watch(program)
     try:
-        parse(bind, sys.argv[1:] if words is None else words, program)()
+        bound = parse(_bind(function), sys.argv[1:] if words is None else words, program)
+        function(*bound.args, **bound.kwargs)
         sys.stdout.flush()
     except InputError as error:
         print(f"qdenv: {error}", file=sys.stderr)

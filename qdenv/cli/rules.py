@@ -32,17 +32,11 @@ from tyro.constructors import (
 
 from qdenv.cli.parser import number_rules
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
-from qdenv.ops.options import (
-    PlannerOptions,
-    PresetOptions,
-    RunOptions,
-    SurrogateOptions,
-    TileNumbers,
-    open_run,
-)
+from qdenv.ops.options import Mark, PlannerOptions, RunOptions, open_run
 from qdenv.registry import Registry
 from qdenv.shipped import PREFIX
 from qdenv.simulate.mapf.settings import PLANNERS, find_planner
+from qdenv.study.options import find_surrogate
 from qdenv.study.plans import USUAL, read_plan
 from qdenv.types import InputError, choices
 
@@ -68,12 +62,8 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
         chosen: what the command line chooses by name.
         rest: its other words.
     """
-    # The parser finds the comments behind the fields of a dictionary itself, not in its bases.
-    helps = {
-        field.name: field.helptext
-        for kind in (RunOptions, SurrogateOptions)
-        for field in _spec_of(kind).fields
-    }
+    # The parser finds the comments behind the fields of a dictionary itself, not in its base.
+    helps = {field.name: field.helptext for field in _spec_of(RunOptions).fields}
     rules = number_rules()
 
     @rules.struct_rule
@@ -94,9 +84,12 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
         if get_origin(kind) is not dict or get_origin(keywords[0]) is not Annotated:
             return None
         value, mark, *_ = get_args(keywords[0])
-        if mark is PresetOptions:
+        if mark is Mark.PRESET:
             return _preset_options(chosen, rest)
-        return _tile_numbers(chosen, rest, value) if mark is TileNumbers else None
+        if mark is Mark.SURROGATE:
+            own = ("channels", "blocks", "epochs", "minibatch", "rate")
+            return _options(one for one in _settings(find_surrogate("small", {})) if one[0] in own)
+        return _tile_numbers(chosen, rest, value) if mark is Mark.TILES else None
 
     return rules
 

@@ -10,7 +10,7 @@ import tyro
 
 from qdenv.domains.base import DOMAINS, Domain, find_domain
 from qdenv.io.files import tidy
-from qdenv.io.layouts import aliases, check_size
+from qdenv.io.layouts import aliases, check_size, endings_for
 from qdenv.ops import options as args
 from qdenv.ops.output import (
     PICTURES,
@@ -18,8 +18,8 @@ from qdenv.ops.output import (
     Table,
     UnsolvedError,
     format_table,
+    list_facts,
     place,
-    place_layout,
     save_with_picture,
     say,
 )
@@ -53,7 +53,7 @@ def render(layout: args.Source, out: args.Out = None, domain: args.DomainName = 
     """
     plan = args.read_plan(layout, domain)
     drawn = Layout(plan.layout, plan.domain)
-    if target := place(out, f"{args.stem_of(layout)}.png", PICTURES, [layout]):
+    if target := place(out, f"{plan.name}.png", PICTURES, [layout]):
         drawn.draw(target.path)
         rows, cols = plan.layout.shape
         say(f"{target}: {rows} x {cols}, {plan.whose}")
@@ -149,8 +149,8 @@ def repair_layout(
     if reason := impossible(rules):
         raise InputError(f"{name}: no repair exists: {reason}")
     # Everything is refused before the compiler and the solver are imported, which takes seconds.
-    inputs, default = [layout, keep], f"{args.stem_of(layout)}_repaired.json"
-    target = place_layout(out, default, fitted, inputs)
+    inputs, default = [layout, keep], f"{plan.name}_repaired.json"
+    target = place(out, default, endings_for(fitted.tiles, fitted.meanings), inputs)
     beside = target.path if target else Path(default)
     picture = place(plot, str(beside.with_suffix(PICTURES[0])), PICTURES, inputs)
     rows, cols = plan.layout.shape
@@ -190,11 +190,9 @@ def repair_layout(
         say(target)
     if picture:
         from qdenv.view.layouts import draw_difference  # imports matplotlib
-        from qdenv.view.style import save_figure
 
         figure = draw_difference(plan.layout, repaired, fitted.tiles, fitted.names)
-        save_figure(figure, picture.path, crop=True)
-        say(picture)
+        picture.draw(figure, crop=True)
     return made
 
 
@@ -220,16 +218,14 @@ def human_layout(
     from qdenv.study import elites as sizes  # imports jax
 
     found = find_domain(domain).resized(rows, cols)
-    target = place_layout(out, "layout.json", found)
+    target = place(out, "layout.json", endings_for(found.tiles, found.meanings))
     drawn = sizes.human_layout(found)
     details = {"domain": found.name, "design": "human"}
     made = Layout(drawn, found, details, {"rows": rows, "cols": cols, **details})
-    counts = ", ".join(
-        f"{(drawn == k).sum()} {found.names.get(tile, repr(tile))}"
-        for k, tile in enumerate(found.tiles)
-    )
     if target:
-        save_with_picture(made, target, f"{rows} x {cols}, {counts}")
+        names = [found.names.get(tile, repr(tile)) for tile in found.tiles]
+        counts = "".join(f", {(drawn == kind).sum()} {name}" for kind, name in enumerate(names))
+        save_with_picture(made, target, f"{rows} x {cols}{counts}")
     # People's designs have other numbers of tiles than the paper's generated layouts.
     for name, number in found.numbers.items():
         has = found.fitted(drawn).numbers[name]
@@ -273,16 +269,15 @@ def tile_layout(
         size = "{} x {}".format(*plan.layout.shape)
         raise InputError(f"{rows} x {cols} is smaller than the layout it repeats, {size}")
     found, config = plan.domain, RepairConfig(polish=polish)
-    target = place_layout(out, f"{args.stem_of(layout)}_tiled.json", found, [layout])
+    endings = endings_for(found.tiles, found.meanings)
+    target = place(out, f"{plan.name}_tiled.json", endings, [layout])
     tiled = sizes.tile(found, plan.layout, (rows, cols), numbers, config, seed)
     say(*filter(None, [describe_growth(found, (rows, cols), ["steps", *numbers])]))
-    details = sizes.details(tiled) | {
-        "domain": found.name,
-        "tiled_from": Path(args.name_of(layout)).name,
-    }
+    details = sizes.details(tiled) | {"domain": found.name}
+    details["tiled_from"] = Path(args.name_of(layout)).name
     made = Layout(tiled.layout, found, details, details)
     if target:
-        save_with_picture(made, target)
+        save_with_picture(made, target, list_facts(details))
     return made
 
 

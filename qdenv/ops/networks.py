@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Unpack
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -15,14 +15,13 @@ from annotated_types import Interval
 from qdenv import interrupt
 from qdenv.agent.settings import TrainConfig
 from qdenv.io.files import write_csv
-from qdenv.io.layouts import write_layout
 from qdenv.io.records import read_json
 from qdenv.ops import options as args
-from qdenv.ops.output import AUTO, PICTURES, Facts, Place, format_table, place, say
+from qdenv.ops.output import AUTO, Facts, Layout, Place, format_table, place, place_table, say
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged, Seed
 from qdenv.shipped import file_name
-from qdenv.study.options import find_surrogate
+from qdenv.study.options import find_surrogate, parse_seeds
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import MAZES
 from qdenv.types import InputError
@@ -67,13 +66,10 @@ def train_agent(
     go_on = f"`qdenv resume {shlex.quote(str(path))}` goes on"
     if resume:  # a new run has nothing to resume until its first checkpoint
         interrupt.advise(go_on)
-    shown = 0  # updates that the bar shows
-    with Bar("training the agent", config.updates) as bar:
+    with Bar("training the agent", total=1) as bar:
 
         def show(done: int, row: dict[str, Any] | None) -> None:
-            nonlocal shown
-            bar.update(done - shown)
-            shown = done
+            bar("training the agent", done / config.updates)
             if row:  # a checkpoint was written before
                 interrupt.advise(go_on)
                 exams = ", ".join(
@@ -133,7 +129,7 @@ def evaluate_agent(
     if random_mazes and episodes.reference_batching:
         raise InputError("--reference-batching is for one maze: leave --random-mazes out")
     picture = place(gif, "episode.gif", (".gif",), [layout])
-    table = place(out, f"{args.stem_of(layout)}_random.csv", (".csv",), [layout])
+    table = place(out, f"{plan.name}_random.csv", (".csv",), [layout])
     if not random_mazes:  # the command line always names a table
         table = None
     elif table and table.beside("").path.is_file():
@@ -175,15 +171,11 @@ def evaluate_agent(
 def _report_random(
     table: Place | None, others: Comparison, plan: Plan, own: float
 ) -> dict[str, Any]:
-    """Describe random mazes by facts, and write a table, a picture and layout files of them.
+    """Describe random mazes by facts; write their table, layouts and a picture if `table` is given.
 
-    Args:
-        table: where the table goes, the others beside it; None to write nothing.
-        others: the random mazes and the agent's success on each.
-        plan: the maze they are compared with.
-        own: the agent's success rate on it.
+    They are compared with the maze `plan`, on which the agent succeeds with the rate `own`.
     """
-    lengths, domain = [maze.shortest for maze in others.mazes], plan.domain
+    lengths = [maze.shortest for maze in others.mazes]
     say(
         f"{len(lengths)} random mazes: {others.mean:.1%} +- {others.standard_error:.1%}, "
         f"{others.walls} walls each, shortest paths of {min(lengths)} to {max(lengths)} moves"
@@ -200,16 +192,13 @@ def _report_random(
     if table is None:
         return facts
     from qdenv.view.layouts import draw_mazes  # imports matplotlib
-    from qdenv.view.style import save_figure
 
-    folder, picture, rows = table.beside(""), table.beside(".png"), []
+    folder, rows = table.beside(""), []
     titles = [f"{plan.name}: path {others.given.shortest}, success {own:.0%}"]
     for number, (maze, one) in enumerate(zip(others.mazes, others.results, strict=True)):
         path = folder.path / f"random_{number:03}.json"
         details = {"walls": others.walls, "shortest": maze.shortest, "success": one.rate}
-        write_layout(
-            path, maze.layout, domain.tiles, domain.meanings, domain=domain.name, **details
-        )
+        Layout(maze.layout, plan.domain, details).save(path)
         counts = (*maze.layout.shape, others.walls, maze.shortest, one.runs)
         rows.append([path, *counts, one.rate, one.low, one.high, one.mean_length])
         titles.append(f"random: path {maze.shortest}, success {one.rate:.0%}")
@@ -217,8 +206,7 @@ def _report_random(
     say(f"{folder}: {len(rows)} layouts")
     write_csv(table.path, (*columns, "actions"), rows)
     say(table)
-    save_figure(draw_mazes([others.given, *others.mazes], titles), picture.path)
-    say(picture)
+    table.beside(".png").draw(draw_mazes([others.given, *others.mazes], titles))
     return facts | {"table": table.path}
 
 
@@ -246,7 +234,8 @@ def fit_surrogate(
     seeds: args.Seeds = 3,
     out: args.Out = None,
     plot: args.Picture = None,
-    **options: Unpack[args.SurrogateOptions],
+    size: Literal["small", "published"] = "small",
+    **settings: Annotated[Any, args.Mark.SURROGATE],
 ) -> Facts:
     """Predict a run's elites by a surrogate: how much of throughput and measures it can tell.
 
@@ -259,18 +248,15 @@ def fit_surrogate(
         seeds: 3 for three random splits, seeds 0 to 2; 3,5,9 for these three; 7, for this one.
         out: CSV file to write, a line for each elite held out; RUN_surrogate.csv unless given.
         plot: picture to write, predicted over true; beside the table unless given.
-        **options: see `SurrogateOptions`.
+        size: small suits a CPU, published is the paper's, for a GPU; settings replace its numbers.
+        **settings: channels, blocks, epochs, minibatch and rate, see `SurrogateConfig`.
 
     Raises:
         InputError: there are too few elites, or a setting is impossible.
     """
-    numbers: dict[str, Any] = {"size": "small", **options}
-    config, chosen = find_surrogate(numbers.pop("size"), numbers), args.list_seeds(seeds)
+    config, chosen = find_surrogate(size, settings), parse_seeds(seeds)
     name = file_name(Path(str(run)))
-    table = place(out, f"{name}_surrogate.csv", (".csv",))
-    picture = table and table.beside(".png")
-    if plot not in (None, AUTO):
-        picture = place(plot, "surrogate.png", PICTURES)
+    table, picture = place_table(out, plot, f"{name}_surrogate")
     opened = args.open_run(run)
     _ = opened.archive  # refuses a folder without one
     # This imports jax: refusals are faster without it.
@@ -306,14 +292,14 @@ def fit_surrogate(
         lines = []
         for trial in trials:
             for row, predicted in zip(trial.held, trial.predicted, strict=True):
-                pairs = zip(elites.numbers[row], predicted, strict=True)
+                pairs = np.stack([elites.numbers[row], predicted], axis=1)
                 cell = ",".join(map(str, elites.cells[row]))
-                lines.append([trial.seed, cell, *(f"{one:.6g}" for pair in pairs for one in pair)])
+                lines.append([trial.seed, cell, *(f"{one:.6g}" for one in pairs.flat)])
         write_csv(table.path, ["seed", "cell", *columns], lines)
     if picture:
         _draw_predictions(picture.path, elites, trials, facts, name)
-    if table or picture:
-        say(", ".join(str(one) for one in (table, picture) if one))
+    if written := [str(one) for one in (table, picture) if one]:
+        say(", ".join(written))
     return Facts(facts | {"settings": {"run": str(run), "seeds": chosen}})
 
 

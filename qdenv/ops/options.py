@@ -3,15 +3,16 @@
 A type is `Annotated` where the command line reads it in a form of its own. What an option stands
 for depends on a choice in the same command line at three places: the settings of the chosen
 planner, of the chosen preset, and the numbers of tiles of the chosen domain. Their types are
-marked here (`PlannerOptions`, `PresetOptions`, `TileNumbers`), `qdenv.cli.rules` resolves them.
+marked here (`Mark`, `PlannerOptions`), `qdenv.cli.rules` resolves them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypedDict
 
 import numpy as np
 import tyro
@@ -31,31 +32,29 @@ if TYPE_CHECKING:
     from qdenv.run.directory import RunDirectory
 
 
-def option(metavar: str, read: Any, nargs: Any = 1) -> Any:
+def option(metavar: str, read: Any, nargs: Any = 1, names: Any = None) -> Any:
     """Describe an option that the command line reads by `read`; without a value it is `AUTO`."""
     return PrimitiveConstructorSpec(
         nargs=nargs,
         metavar=metavar,
+        choices=names,
         instance_from_str=lambda words: read(*words) if words else AUTO,
         is_instance=lambda value: True,
         str_from_instance=lambda value: [str(value)],
     )
 
 
-class TrueOnCommandLine:
-    """Marks an argument whose default is True on the command line, and False in Python."""
+class Mark(Enum):
+    """Arguments that are other on the command line than in Python."""
+
+    TRUE = "its default is True there, and False in Python"
+    PRESET = "the settings of a search"
+    SURROGATE = "the settings of a surrogate"
+    TILES = "the exact numbers of tiles of a domain"
 
 
 class PlannerOptions:
     """Marks the option ``--planner NAME`` with the settings of the planner of that name."""
-
-
-class PresetOptions:
-    """Marks the settings of a search."""
-
-
-class TileNumbers:
-    """Marks the exact numbers of tiles of a domain."""
 
 
 DOMAIN_NAMES = "{" + ",".join(DOMAINS.names()) + "}"
@@ -99,11 +98,10 @@ Width: TypeAlias = Annotated[
     ),
 ]
 # Exact numbers of tiles by name; one, or one for each of several sizes
-Number: TypeAlias = Annotated[int, TileNumbers]
-Numbers: TypeAlias = Annotated[Sequence[int], TileNumbers]
+Number: TypeAlias = Annotated[int, Mark.TILES]
+Numbers: TypeAlias = Annotated[Sequence[int], Mark.TILES]
 RepairSeed: TypeAlias = Annotated[int, tyro.conf.arg(aliases=("--repair-seed",))]
-OnCommandLine: TypeAlias = Annotated[bool, TrueOnCommandLine]
-
+OnCommandLine: TypeAlias = Annotated[bool, Mark.TRUE]
 
 _UNSET = tyro.conf.arg(help_behavior_hint="(default: None)")
 
@@ -140,23 +138,6 @@ class FleetOptions(RunOptions, total=False):
     ]
 
 
-class SurrogateOptions(TypedDict, total=False):
-    """How large a surrogate is and how it learns."""
-
-    # small suits a CPU, published is the paper's, for a GPU; what follows replaces single numbers
-    # of it
-    size: Annotated[
-        Literal["small", "published"], tyro.conf.arg(help_behavior_hint="(default: small)")
-    ]
-    channels: Annotated[int | None, _UNSET]  # hidden channels of its networks, 16 or 64
-    # residual blocks of the network that predicts repaired layouts, 1 or 2
-    blocks: Annotated[int | None, _UNSET]
-    # how often each network sees all elites it learns from, 20 unless given
-    epochs: Annotated[int | None, _UNSET]
-    minibatch: Annotated[int | None, _UNSET]  # elites per step of learning, 64 unless given
-    rate: Annotated[float | None, _UNSET]  # learning rate of Adam, 0.001 unless given
-
-
 class Fleet:
     """The options of runs of a fleet, resolved."""
 
@@ -174,7 +155,7 @@ class Fleet:
         name, changes = planner if isinstance(planner, tuple) else (planner, {})
         self.planner = replace(find_planner(self.effort, name or ""), **changes)
         self.stop: bool = options.get("stop", True)
-        self.seeds = list_seeds(options.get("seeds", 10))
+        self.seeds = parse_seeds(options.get("seeds", 10))
         self.seconds_per_step: float | None = options.get("seconds_per_step")
         # Number of timesteps per hour; None where their length is not given.
         self.per_hour = self.seconds_per_step and 3600 / self.seconds_per_step
@@ -205,16 +186,6 @@ class Fleet:
             f"{agents} agents, {timesteps} timesteps{end}, {runs}, {plan.whose}; "
             f"planner: {describe_planner(self.planner)}"
         )
-
-
-def list_seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
-    """Return seeds given by their number (10 for 0 to 9) or as a list.
-
-    Raises:
-        InputError: there is none, one is named twice, or one is out of range.
-    """
-    # The comma behind each tells a list of one seed from a number of seeds, as on command lines.
-    return parse_seeds(seeds if isinstance(seeds, int) else "".join(f"{one}," for one in seeds))
 
 
 def read_plan(layout: Any, domain: str | None = None) -> Plan:
@@ -261,8 +232,3 @@ def name_of(layout: Any) -> str:
     if isinstance(layout, str | Path):
         return str(layout)
     return layout.name if isinstance(layout, Plan) else "layout"
-
-
-def stem_of(layout: Any) -> str:
-    """Return the name of a layout for the files made from it."""
-    return Path(layout).stem if isinstance(layout, str | Path) else "layout"

@@ -7,13 +7,16 @@ import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from qdenv.domains.base import Domain
-from qdenv.io.layouts import endings_for, write_layout
+from qdenv.io.layouts import write_layout
 from qdenv.types import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Operations log what they find, line by line. The command line prints these lines; in Python they
 # are silent unless logging is configured: logging.basicConfig(level="INFO", format="%(message)s").
@@ -45,12 +48,16 @@ class Place(NamedTuple):
         path = self.path.with_name(f"{self.path.stem}{suffix}{ending}")
         return Place(path, path.exists())
 
+    def draw(self, figure: Figure, crop: bool = False) -> None:
+        """Write a figure, see `save_figure`, and log the place."""
+        from qdenv.view.style import save_figure  # imports matplotlib
+
+        save_figure(figure, self.path, crop)
+        say(self)
+
 
 def place(
-    out: str | Path | None,
-    default: str,
-    endings: Iterable[str] = (),
-    inputs: Iterable[Any] = (),
+    out: str | Path | None, default: str, endings: Iterable[str] = (), inputs: Iterable[Any] = ()
 ) -> Place | None:
     """Choose where a result goes, before any work is done.
 
@@ -74,14 +81,11 @@ def place(
         raise InputError(f"{path}: give a name that ends in {' or '.join(endings)}")
     if not endings and ending in PICTURES + FILMS:
         better = path.with_suffix(Path(default).suffix)
-        raise InputError(
-            f"{path}: that is a picture's name: name the data {better}, pictures are drawn beside "
-            "it"
-        )
+        beside = f"name the data {better}, pictures are drawn beside it"
+        raise InputError(f"{path}: that is a picture's name: {beside}")
     if path.is_dir():
-        raise InputError(
-            f"{path}: that is a folder: name a file in it, like {path / Path(default).name}"
-        )
+        better = path / Path(default).name
+        raise InputError(f"{path}: that is a folder: name a file in it, like {better}")
     # Two names of one file are the same file: links, other spellings.
     files = [Path(one) for one in inputs if isinstance(one, str | Path)]
     if path.exists() and any(one.exists() and path.samefile(one) for one in files):
@@ -89,11 +93,16 @@ def place(
     return Place(path, path.exists())
 
 
-def place_layout(
-    out: str | Path | None, default: str, domain: Domain, inputs: Iterable[Any] = ()
-) -> Place | None:
-    """Choose where a layout of a domain goes, see `place`."""
-    return place(out, default, endings_for(domain.tiles, domain.meanings), inputs)
+def place_table(
+    out: str | Path | None, plot: str | Path | None, name: str, inputs: Iterable[Any] = ()
+) -> tuple[Place | None, Place | None]:
+    """Choose where a table goes, and its picture: beside the table unless it is named."""
+    table = place(out, f"{name}.csv", (".csv",), inputs)
+    if table is None or plot not in (None, AUTO):
+        return table, place(None if plot == AUTO else plot, f"{name}.png", PICTURES, inputs)
+    beside = table.beside(PICTURES[0])
+    # It replaces no file if nobody named the table.
+    return table, Place(_free(beside.path), False) if out == AUTO else beside
 
 
 def place_folder(out: str | Path, default: str) -> Path:
@@ -121,6 +130,11 @@ def format_table(rows: Iterable[Sequence[Any]]) -> list[str]:
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in cells
     ]
+
+
+def list_facts(facts: Mapping[str, Any]) -> str:
+    """List facts with their names in a line."""
+    return ", ".join(f"{name} {value}" for name, value in facts.items())
 
 
 def format_duration(seconds: float) -> str:
@@ -166,36 +180,29 @@ class Layout:
     def __repr__(self) -> str:
         """Return size, domain and facts in one line."""
         rows, cols = self.layout.shape
-        facts = "".join(f", {name} {_shown(value)}" for name, value in _plain(self.facts).items())
+        facts = "".join(f", {name} {text}" for name, text in _single_values(self.facts).items())
         return f"Layout({rows} x {cols} of {self.domain.name}{facts})"
 
     def _repr_html_(self) -> str:
         from qdenv.view.layouts import layout_html  # imports matplotlib
 
         picture = layout_html(self.layout, self.domain.tiles, self.domain.names)
-        return picture + _table_html([_plain(self.facts)])
+        return picture + _table_html([self.facts])
 
 
-def save_with_picture(layout: Layout, target: Place, text: str = "") -> None:
-    """Write a layout and a picture beside it, and log their names and what is in the file.
-
-    Args:
-        layout: the layout.
-        target: of the layout file.
-        text: about the layout; its details unless given.
-    """
+def save_with_picture(layout: Layout, target: Place, text: str) -> None:
+    """Write a layout and a picture beside it, and log their names; `text` describes the layout."""
     picture = target.beside(PICTURES[0])
     layout.save(target.path)
     layout.draw(picture.path)
-    details = ", ".join(f"{name} {value}" for name, value in layout.details.items())
-    say(picture, f"{target}: {text or details}")
+    say(picture, f"{target}: {text}")
 
 
 class Facts(dict):
     """Findings by name, as `--json` writes them."""
 
     def _repr_html_(self) -> str:
-        return _table_html([_plain(self)])
+        return _table_html([self])
 
 
 class Table(list):
@@ -225,23 +232,26 @@ class UnsolvedError(InputError):
         self.facts = facts
 
 
-def _table_html(rows: Sequence[Mapping[str, Any]]) -> str:
+def _table_html(records: Sequence[Mapping[str, Any]]) -> str:
     """Draw records as a table: one as a list of its entries, several with a row for each."""
+    rows = [_single_values(record) for record in records]
     if len(rows) == 1:
-        lines: Iterable[Iterable[Any]] = rows[0].items()
+        lines: list[Iterable[str]] = [*rows[0].items()]
     else:
-        lines = [list(rows[0]), *(row.values() for row in rows)] if rows else []
-    cells = ["".join(f"<td>{html.escape(_shown(cell))}</td>" for cell in line) for line in lines]
+        lines = [*rows[:1], *(row.values() for row in rows)]
+    cells = ["".join(f"<td>{html.escape(cell)}</td>" for cell in line) for line in lines]
     return "<table>" + "".join(f"<tr>{line}</tr>" for line in cells) + "</table>"
 
 
-def _plain(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Leave out what is no single value; the cell of an elite, a tuple, is one."""
-    return {key: one for key, one in facts.items() if not isinstance(one, list | dict)}
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, tuple):
-        return ",".join(map(str, value))
-    # Four significant digits tell numbers apart in a notebook; --json has them all.
-    return f"{value:.4g}" if isinstance(value, float | np.floating) else str(value)
+def _single_values(facts: Mapping[str, Any]) -> dict[str, str]:
+    """Format what is a single value; the cell of an elite, a tuple, is one."""
+    shown = {}
+    for name, value in facts.items():
+        if isinstance(value, tuple):
+            shown[name] = ",".join(map(str, value))
+        elif isinstance(value, float | np.floating):
+            # Four significant digits tell numbers apart in a notebook; --json has them all.
+            shown[name] = f"{value:.4g}"
+        elif not isinstance(value, list | dict):
+            shown[name] = str(value)
+    return shown

@@ -87,18 +87,16 @@ def replay(
         InputError: a name is unknown, the fleet cannot work on this layout, or a package is
             missing.
     """
-    stem = args.stem_of(layout)
-    target = place(out, f"{stem}_replay.html", (".html",), [layout])
-    if films.mp4:
-        require_package("films", "imageio-ffmpeg")
-    endings = {".gif": films.gif, ".mp4": films.mp4}
-    drawn = [
-        place(path, f"{stem}_replay{ending}", (ending,), [layout])
-        for ending, path in endings.items()
-    ]
-    require_package("pages", "jinja2")
     options = args.Fleet(fleet)
     plan = args.read_plan(layout, options.domain)
+    outputs = {".html": out, ".gif": films.gif, ".mp4": films.mp4}
+    target, *drawn = (
+        place(path, f"{plan.name}_replay{ending}", (ending,), [layout])
+        for ending, path in outputs.items()
+    )
+    require_package("pages", "jinja2")
+    if films.mp4:
+        require_package("films", "imageio-ffmpeg")
     if plan.domain.name in MAZES:
         if agents is not None:
             raise InputError("one agent walks in a maze: leave --agents out")
@@ -234,8 +232,7 @@ def report(
     """
     require_package("pages", "jinja2")
     given = list(sources) if isinstance(sources, list | tuple) else [sources]
-    files = [one for one in given if isinstance(one, str | Path) and Path(one).is_file()]
-    target = place(out, "report.html", (".html",), files)
+    target = place(out, "report.html", (".html",), given)
     counts = (agents,) if isinstance(agents, int) else tuple(agents or ())
     options, subjects = args.Fleet(fleet), []
     for one in given:

@@ -11,16 +11,16 @@ import tyro
 
 from qdenv.domains.base import DOMAINS, make_domain
 from qdenv.io.files import write_csv
-from qdenv.io.layouts import check_size
+from qdenv.io.layouts import check_size, endings_for
 from qdenv.ops import options as args
 from qdenv.ops.layouts import human_layout
 from qdenv.ops.output import (
     AUTO,
     Layout,
     Place,
+    list_facts,
     place,
     place_folder,
-    place_layout,
     save_with_picture,
     say,
 )
@@ -57,13 +57,12 @@ def plot(
     """
     if not runs:
         raise InputError("give at least one folder of a run")
-    opened, folder = [args.open_run(run) for run in runs], None
-    if len(opened) > 1:
-        folder = place_folder(out or AUTO, "plots")
-    elif opened[0].shipped or out not in (None, AUTO):
-        folder = place_folder(out or AUTO, file_name(Path(str(runs[0]))))
-    if len(opened) == 1 or folder is None:
+    opened = [args.open_run(run) for run in runs]
+    if len(opened) == 1:
+        own = out in (None, AUTO) and not opened[0].shipped
+        folder = None if own else place_folder(out or AUTO, file_name(Path(str(runs[0]))))
         return plot_one(opened[0], folder, form, width)
+    folder = place_folder(out or AUTO, "plots")
     # Runs that differ by their seeds alone are one curve with an interval.
     groups = group_runs(opened)
     from qdenv.view.runs import plot_runs  # imports matplotlib
@@ -160,7 +159,7 @@ def generate_layout(
 
     config = opened.config
     trained = make_domain(config.evaluation.domain)
-    target = place_layout(out, "layout.json", trained)
+    target = place(out, "layout.json", endings_for(trained.tiles, trained.meanings))
     with Bar("growing") as bar:
         grown = grow_elite(opened, found, (rows, cols), growth.steps, numbers, growth.keep)
         domain, layout = grown.domain, grown.layout
@@ -176,8 +175,8 @@ def generate_layout(
         # With the run's own seed, the elite at its trained size is the layout that was evaluated.
         seed = config.seed if growth.seed is None else growth.seed
         repaired = repair_grown(grown, config.evaluation.repair, seed, bar) if repair else None
-    known = describe_growth(trained, domain.shape, [*numbers, *(["steps"] if growth.steps else [])])
-    say(*filter(None, [known]))
+    chosen = [*numbers, *["steps"] * bool(growth.steps)]
+    say(*filter(None, [describe_growth(trained, domain.shape, chosen)]))
     if trained.config.keep and not domain.config.keep:
         say(
             "WARNING: what the run kept is drawn for {} x {}, so nothing is kept at this size: "
@@ -193,8 +192,7 @@ def generate_layout(
     settings = {"run": str(run), "elite": found.cell, "seed": seed}
     made = Layout(layout, domain, details, facts | {"settings": settings})
     if target:
-        text = ", ".join(f"{name} {value}" for name, value in facts.items())
-        save_with_picture(made, target, text)
+        save_with_picture(made, target, list_facts(facts))
     return made
 
 
@@ -240,14 +238,12 @@ def series(
         grown.append(studies.details(item))
         details = grown[-1] | {"domain": domain.name}
         layouts.append(Layout(item.layout, domain, details, details))
-        if folder:
-            path = folder / f"nca_{rows}x{cols}.json"
-            save_with_picture(layouts[-1], Place(path, path.exists()))
+        if target := place(folder and folder / f"nca_{rows}x{cols}.json", "layout.json"):
+            save_with_picture(layouts[-1], target, list_facts(details))
         if human:
             name = folder and folder / f"human_{rows}x{cols}.json"
             layouts.append(human_layout(rows, cols, domain.name, name))
-    if folder:
-        table = Place(folder / "series.csv", (folder / "series.csv").exists())
+    if table := place(folder and folder / "series.csv", "series.csv"):
         write_csv(table.path, list(grown[0]), [list(one.values()) for one in grown])
         say(table)
     return layouts

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import tyro
-from tyro.constructors import PrimitiveConstructorSpec
 
 from qdenv import devices
 from qdenv.agent.settings import TrainConfig
@@ -36,7 +35,7 @@ from qdenv.types import InputError
 # CPU seconds of one evaluation, measured on two cores of a cloud machine. Those of DSAGE on the
 # paper's rows are reckoned from `python -m experiments.benchmarks surrogate`, for outer loops of
 # one batch of 50 (mazes: 400 evaluations) that learn from half of the evaluations.
-_CPU_SECONDS = {
+CPU_SECONDS = {
     "quick": 0.06,
     "laptop": 0.91,
     "warehouse-even": 0.91,
@@ -58,14 +57,7 @@ _CPU_SECONDS = {
 Preset: TypeAlias = Annotated[
     Any,
     tyro.conf.Positional,
-    PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="{" + ",".join(PRESETS) + "}",
-        instance_from_str=lambda words: words[0],
-        is_instance=lambda value: isinstance(value, str),
-        str_from_instance=lambda name: [name],
-        choices=tuple(PRESETS),
-    ),
+    args.option("{" + ",".join(PRESETS) + "}", str, names=tuple(PRESETS)),
 ]
 Folder: TypeAlias = Annotated[
     str | Path | None,
@@ -117,7 +109,7 @@ def describe_cost(preset: str, config: RunConfig) -> str:
         preset: name of the preset that it was made from.
         config: the configuration.
     """
-    base = _base_of(preset)
+    base = base_of(preset)
     usual = find_preset(preset) if base else config
     if hasattr(config.algorithm, "surrogate"):
         # What a surrogate learns is no part of what another algorithm takes.
@@ -126,24 +118,19 @@ def describe_cost(preset: str, config: RunConfig) -> str:
         return ""
     measured = base and (_read_costs().get(preset) or _read_costs().get(base))
     # The table's are CPU seconds, which all cores share; measured ones are of the clock.
-    seconds = measured or _CPU_SECONDS.get(base, 0.0) / devices.count_cores()
+    seconds = measured or CPU_SECONDS.get(base, 0.0) / devices.count_cores()
     if not seconds:
         return ""
     source = "as measured here" if measured else "an estimate"
     return f"about {format_duration(seconds * config.evaluations)} ({source})"
 
 
-def estimate_seconds(preset: str) -> float:
-    """Return the CPU seconds of one evaluation of a preset that `_CPU_SECONDS` knows."""
-    return _CPU_SECONDS[_base_of(preset)]
-
-
-def _base_of(preset: str) -> str:
+def base_of(preset: str) -> str:
     """Return the preset whose evaluations cost as much, by its name; "" where there is none.
 
     Rows that differ in alpha or in the algorithm alone are called like ``warehouse-even-cma-es``.
     """
-    bases = [name for name in _CPU_SECONDS if f"{preset}-".startswith(f"{name}-")]
+    bases = [name for name in CPU_SECONDS if f"{preset}-".startswith(f"{name}-")]
     return max(bases, key=len, default="")
 
 
@@ -177,7 +164,7 @@ def train(
     execution: Annotated[Execution, tyro.conf.arg(name="")] = Execution(),  # noqa: B008 (frozen)
     keep: Path | None = None,
     pictures: tyro.conf.Suppress[args.OnCommandLine] = False,
-    **settings: Annotated[Any, args.PresetOptions],
+    **settings: Annotated[Any, args.Mark.PRESET],
 ) -> RunDirectory:
     """Search generators of floor plans: a preset, any setting of which can be overridden.
 
@@ -305,7 +292,6 @@ def zoo(name: ZooName = "", plot: args.Picture = None) -> Facts:
             say(*[""] * (number > 0), *_describe_collection(one))
     if picture:
         from qdenv.view.layouts import draw_sheet  # imports matplotlib
-        from qdenv.view.style import save_figure
 
         panels = []
         for shipped in [Shipped(one, each) for one in found for each in one.generators]:
@@ -315,8 +301,7 @@ def zoo(name: ZooName = "", plot: args.Picture = None) -> Facts:
             )
             title = str(shipped).removeprefix(PREFIX) if len(found) > 1 else shipped.generator.name
             panels.append((run.best.layout, run.schema.tiles, title, text_below))
-        save_figure(draw_sheet(panels), picture.path)
-        say(picture)
+        picture.draw(draw_sheet(panels))
     return Facts(
         {"domains": [dataclasses.asdict(one) for one in found], "settings": {"name": text}}
     )

@@ -11,7 +11,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from qdenv.ops import options as args
-from qdenv.ops.output import AUTO, PICTURES, Table, place, say
+from qdenv.ops.output import Table, place_table, say
 from qdenv.progress import Bar
 from qdenv.stats import Difference
 from qdenv.study import table as studies
@@ -52,7 +52,8 @@ def sweep(
     Raises:
         InputError: a number or a name is impossible, or a file cannot be read or written.
     """
-    study = _Study([layout], agents, SWEEP, fleet, out, f"{args.stem_of(layout)}_sweep", plot)
+    name = f"{Path(args.name_of(layout)).stem}_sweep"
+    study = _Study([layout], agents, SWEEP, fleet, out, name, plot)
     with Bar("simulating") as bar:
         rows = studies.compare(study.layouts, study.trial, study.show, bar)
     # Numbers of agents may be stated in any order; the peak is read along ascending ones.
@@ -161,26 +162,13 @@ class _Study:
     ) -> None:
         """Check everything before anything is simulated.
 
-        Args:
-            layouts: layout files, or layouts of another form.
-            agents: a number of agents, or several; None for `default`.
-            default: first, last and step, on layouts for which 200 agents are usual.
-            fleet: the other options.
-            out: table to write.
-            name: of the table, unless `out` states another.
-            plot: picture to write.
+        Without `agents` their numbers are those of `default`: first, last and step, on layouts for
+        which 200 agents are usual. `name` is that of the table, unless `out` states another.
         """
         options = args.Fleet(fleet)
         stated = (agents,) if isinstance(agents, int) else tuple(agents or ())
         options.config(max(stated, default=1))  # refuses what makes no simulation
-        self._table = place(out, f"{name}.csv", (".csv",), layouts)
-        self._picture = None
-        if plot not in (None, AUTO):
-            self._picture = place(plot, f"{name}.png", PICTURES, layouts)
-        elif self._table is not None:
-            self._picture = self._table.beside(".png")
-            if out == AUTO:  # it may replace no file that nobody named
-                self._picture = place(AUTO, self._picture.path.name, PICTURES)
+        self._table, self._picture = place_table(out, plot, name, layouts)
         plans = _read_plans(layouts, options.domain)
         first, drawn = next(iter(plans.values())), [plan.layout for plan in plans.values()]
         largest = max(stated, default=None)
@@ -239,12 +227,8 @@ class _Study:
     ) -> Table:
         """Write the table and the picture, warn of jams that build up, collect the facts.
 
-        Args:
-            rows: of the table.
-            width: of the picture in inches.
-            facts: beyond the rows.
-            columns: of the table, beyond those of its rows.
-            peaks: to draw how layouts scale; without any, layouts are drawn side by side.
+        The table has further `columns` beside the rows' own. The picture, `width` inches wide,
+        shows how layouts scale if there are `peaks`, else it puts them side by side.
         """
         columns = dict(columns or {})
         if self._per_hour:
@@ -263,8 +247,8 @@ class _Study:
                 f"{row.layout}: with {row.agents} agents a jam builds up, throughput falls by "
                 f"{row.fading:.0%} with time: more timesteps show where that ends"
             )
-        if written := ", ".join(str(one) for one in (self._table, self._picture) if one):
-            say(written)
+        if written := [str(one) for one in (self._table, self._picture) if one]:
+            say(", ".join(written))
         lines = [
             row._asdict() | {name: values[number] for name, values in columns.items()}
             for number, row in enumerate(rows)

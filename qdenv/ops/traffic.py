@@ -50,9 +50,9 @@ def simulate_layout(
     """
     if width and not plot:
         raise InputError(f"--width {width:g} is the picture's: add --plot")
-    picture = place(plot, f"{args.stem_of(layout)}_traffic.png", PICTURES, [layout])
     options = args.Fleet(fleet)
     plan, name = args.read_plan(layout, options.domain), args.name_of(layout)
+    picture = place(plot, f"{plan.name}_traffic.png", PICTURES, [layout])
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     with studies.about(name):
         fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
@@ -92,13 +92,12 @@ def simulate_layout(
     say(*_jams(facts, plan))
     if picture:
         from qdenv.view import SCREEN
-        from qdenv.view.style import format_name, save_figure  # imports matplotlib
+        from qdenv.view.style import format_name  # imports matplotlib
         from qdenv.view.traffic import draw_traffic, make_scene
 
         title = f"{format_name(plan.name)}, {agents} agents{judgement}"
         scene = make_scene(plan, study, options.stop)
-        save_figure(draw_traffic(scene, title, width or SCREEN), picture.path)
-        say(picture)
+        picture.draw(draw_traffic(scene, title, width or SCREEN))
     return Facts(facts | {"settings": options.settings(timesteps)})
 
 

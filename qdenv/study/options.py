@@ -20,19 +20,14 @@ _MOST_SEEDS = 100_000
 _MOST_COUNTS = 1000  # numbers of agents in one study
 
 
-def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
-    """Read seeds: a count, which gives the first ones, or a list.
-
-    Args:
-        seeds: 10 or "10" for ten seeds from 0 on; "3,5,9" for these three, "7," for this one. In
-            a sequence one entry is read the same way, several are a list: (10,), ("3,5",),
-            (3, 5, 9).
+def parse_seeds(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
+    """Read seeds: 10 or "10" for ten seeds from 0 on; (3, 5) or "3,5" for these, (7,) or "7,".
 
     Raises:
-        InputError: it is neither, or there is no seed in it.
+        InputError: there is no seed, one is named twice, or one is out of range.
     """
-    parts = [seeds] if isinstance(seeds, int | str) else list(seeds)
-    text = str(parts[0]) if len(parts) == 1 else ",".join(map(str, parts))
+    # A comma makes it a list: "7," is the seed 7, "7" are seven seeds.
+    text = str(seeds) if isinstance(seeds, int | str) else "".join(f"{one}," for one in seeds)
     try:
         numbers = [int(part) for part in text.split(",") if part.strip()]
     except ValueError:
@@ -41,7 +36,7 @@ def parse_seeds(seeds: int | str | Sequence[int | str]) -> tuple[int, ...]:
         raise InputError(f"seeds {text!r}: write 10 for ten seeds, 3,5,9 for these, 7, for one")
     if len(set(numbers)) < len(numbers):
         raise InputError(f"seeds {text!r} names a seed twice, which tells nothing new")
-    if "," in text:  # a comma makes it a list: "7," is the seed 7, "7" are seven seeds
+    if "," in text:
         return tuple(numbers)
     if not 1 <= numbers[0] <= _MOST_SEEDS:
         raise InputError(f"seeds {text!r}: simulate at least one seed, and at most {_MOST_SEEDS:,}")
