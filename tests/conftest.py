@@ -1,12 +1,14 @@
 """What every test runs under: strict numerics, and where layouts lie."""
 
 import os
-import shutil
-import tempfile
+import time
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import jax
+import llvmlite.binding as llvm
+import platformdirs
 import pytest
 
 from qdenv.cli.main import run as qdenv
@@ -23,31 +25,34 @@ SMALL = (
     "--emitters 2 --batch 3 --evaluations 6 --seed 0 --no-progress --archive 0 10 5 0 1 5"
 )
 
+WEEK = 7 * 24 * 3600  # seconds
+
 # A shape that broadcasts by chance is a mistake: every axis is written out.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep what XLA compiles for the length of a test run: many tests make the same search anew.
+    """Keep what XLA compiles: many tests make the same search, and the next test run makes it too.
 
-    The processes of a run share it, those that tests start as well. Most programs run for less
-    time than XLA takes to optimize them, so it is asked not to (all of the tests: a sixth less
-    CPU time); `JAX_DISABLE_MOST_OPTIMIZATIONS=0` tests what users run.
+    The processes of a run share it, those that tests start as well; what is a week old is deleted.
+    Most programs run for less time than XLA takes to optimize them, so it is asked not to (all of
+    the tests: a sixth less CPU time); `JAX_DISABLE_MOST_OPTIMIZATIONS=0` tests what users run.
     """
     if not hasattr(config, "workerinput"):  # the first process, whose environment others inherit
         os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp("-qdenv-tests")
+        cache = platformdirs.user_cache_path("qdenv-tests")
+        for path in cache.rglob("*-cache"):
+            if path.stat().st_mtime < time.time() - WEEK:
+                path.unlink(missing_ok=True)
+        # Machine code for one kind of processor: a home may be shared by several.
+        features = llvm.get_host_cpu_features().flatten().encode()
+        folder = cache / f"{llvm.get_host_cpu_name()}-{zlib.crc32(features):08x}"
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
         os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     plain = os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] == "1"
     jax.config.update("jax_disable_most_optimizations", plain)
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-
-
-def pytest_unconfigure(config: pytest.Config) -> None:
-    """Forget what was compiled."""
-    if not hasattr(config, "workerinput"):
-        shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
