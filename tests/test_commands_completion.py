@@ -11,10 +11,13 @@ from qdenv.shipped import names
 # What a shell does when somebody presses the tab key after these words.
 ASK = """
 source script.bash
-COMP_WORDS=("$@")
-COMP_CWORD=$(( $# - 1 ))
-_tyro_qdenv qdenv "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD-1]}"
-printf '%s\\n' "${COMPREPLY[@]}"
+while IFS= read -r line; do
+  IFS=' ' read -ra COMP_WORDS <<< "$line"
+  [[ "$line" == *' ' ]] && COMP_WORDS+=('')
+  COMP_CWORD=$(( ${#COMP_WORDS[@]} - 1 ))
+  _tyro_qdenv qdenv "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD-1]}"
+  echo "${COMPREPLY[*]}"
+done
 """
 
 WANTED = {
@@ -53,11 +56,16 @@ def script(tmp_path_factory):
 def test_the_tab_key_knows_commands_options_presets_and_names(script, capsys):
     assert run(["completion", "bash"]) == 0
     (script / "script.bash").write_text(capsys.readouterr().out)
-    for line, wanted in WANTED.items():
-        words = line.split(" ")
-        command = ["bash", "-c", ASK, "bash", *words]
-        said = subprocess.run(command, cwd=script, capture_output=True, text=True, check=True)
-        assert sorted(said.stdout.split()) == sorted(wanted), (line, said.stderr)
+    done = subprocess.run(
+        ["bash", "-c", ASK],
+        input="\n".join(WANTED) + "\n",
+        cwd=script,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    answers = [sorted(answer.split()) for answer in done.stdout.splitlines()]
+    assert answers == [sorted(wanted) for wanted in WANTED.values()], done.stderr
 
 
 def test_zsh_is_told_the_same(capsys):

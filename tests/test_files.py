@@ -24,7 +24,7 @@ def test_a_pipe_is_written_into_and_stays(tmp_path):
     reader = threading.Thread(target=lambda: heard.append(pipe.read_bytes()))
     reader.start()
     write_atomically(pipe, lambda file: file.write(b"text"))
-    reader.join(10)
+    reader.join(600)
     assert heard == [b"text"] and pipe.is_fifo()
 
 

@@ -8,8 +8,6 @@ from pathlib import Path
 import nbformat
 import pytest
 
-pytestmark = pytest.mark.slow
-
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 STORE = runpy.run_path(str(ROOT / "notebooks" / "store.py"))
@@ -41,9 +39,13 @@ def count(notebook, sign: str) -> int:
     return sum(page.count(sign) for page in pages)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path, tmp_path):
-    notebook = STORE["execute"](nbformat.read(path, as_version=4), str(tmp_path))
+    notebook = nbformat.read(path, as_version=4)
+    for cell in notebook.cells:  # shorter searches, and what follows from them: the same cells
+        cell.source = re.sub(r"\bevaluations=\d+", "evaluations=50", cell.source)
+    notebook = STORE["execute"](notebook, str(tmp_path))
     assert count(notebook, "<img") >= PICTURES[path.stem]
     assert count(notebook, "<iframe") == PAGES.get(path.stem, 0)
 

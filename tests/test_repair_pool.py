@@ -96,7 +96,7 @@ def gate(monkeypatch):
     opened = threading.Event()
 
     def slow(layout, rules, seed, config):
-        assert opened.wait(20)
+        assert opened.wait(600)
         return repair_layout(layout, rules, seed, config)
 
     monkeypatch.setattr(pools, "repair_layout", slow)
@@ -125,5 +125,5 @@ def test_a_full_queue_makes_submit_wait(gate, monkeypatch):
         feeder.join(0.3)
         assert feeder.is_alive() and pool._threads._work_queue.qsize() <= 2
         gate.set()
-        feeder.join(20)
+        feeder.join(600)
         assert len([future.result() for future in queued]) == 4

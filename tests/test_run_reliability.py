@@ -97,19 +97,18 @@ def test_with_no_whole_checkpoint_the_line_says_what_to_delete(run):
 
 
 HOLDER = """
-import sys, time
+import sys
 from pathlib import Path
 from qdenv.run.directory import RunDirectory
 with RunDirectory(Path(sys.argv[1])).locked():
     print("held", flush=True)
-    time.sleep(60)
+    sys.stdin.read()
 """
 
 
 def test_a_second_process_is_refused_and_a_dead_one_leaves_no_lock(run):
-    holder = subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(run.path)], stdout=subprocess.PIPE, text=True
-    )
+    command = [sys.executable, "-c", HOLDER, str(run.path)]
+    holder = subprocess.Popen(command, stdin=-1, stdout=-1, text=True)
     try:
         assert holder.stdout.readline() == "held\n"
         before = {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
