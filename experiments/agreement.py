@@ -20,11 +20,11 @@ from scipy.stats import rankdata
 
 import qdenv
 from experiments.correlation import Agreement, agree, correlate
+from experiments.ledger import Case, Run, complete
 from experiments.pieces import table
 from qdenv.cli.parser import run_program
 from qdenv.domains.base import make_domain
 from qdenv.io.files import write_csv
-from qdenv.study.ledger import Case, Run, complete
 from qdenv.study.options import parse_seeds
 from qdenv.study.plans import name_layouts, read_plan
 from qdenv.view.style import new_figure, save_figure, styled

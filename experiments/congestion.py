@@ -24,15 +24,15 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
 import qdenv
+from experiments.ledger import Case, Outcome, complete, outcomes_of, read_runs
 from experiments.pieces import table
 from experiments.published import TRAFFIC
 from experiments.traffic import moved_in, rate_of
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
-from qdenv.study.ledger import Case, Outcome, complete, outcomes_of, read_runs
 from qdenv.study.options import parse_counts, parse_seeds
 from qdenv.study.plans import name_layouts, read_plan
-from qdenv.view.style import new_figure, save_figure, styled
+from qdenv.view.style import new_grid, save_figure, styled
 
 # What files call a layout's maker: the first that fits counts, as a tiled layout's name may say
 # whose layout was tiled.
@@ -44,7 +44,6 @@ LOOKS = {  # Okabe and Ito 2008
     "high": ("#0072B2", "^"),
     "low": ("#E69F00", "v"),
 }
-COLUMNS = 3  # panels side by side
 HEAD = (
     *("layout", "agents", "T", "planner", "success (95 %)", "tasks / timestep"),
     *("paper, T = 5000", "CPU s / run", "congested at"),
@@ -98,12 +97,9 @@ def draw(path: Path, rows: Sequence[Outcome]) -> None:
     panels: dict[tuple[str, str], list[Outcome]] = {}
     for row in rows:
         panels.setdefault((row.layout, row.domain), []).append(row)
-    columns = min(COLUMNS, len(panels))
-    height = -(-len(panels) // columns)
-    figure = new_figure(1 + 3.6 * columns, 0.9 + 3 * height)
-    grid = figure.subplots(height, columns, squeeze=False).ravel()
+    figure, grid = new_grid(len(panels), 3, (3.6, 3), (1, 0.9))
     labels: dict[str, Artist] = {}
-    for axes, (name, own) in zip(grid, panels.items(), strict=False):
+    for axes, (name, own) in zip(grid, panels.items(), strict=True):
         plot(axes, own)
         axes.set_title(f"{name[0]} ({name[1]})", fontsize="small")
         axes.set(
@@ -111,8 +107,6 @@ def draw(path: Path, rows: Sequence[Outcome]) -> None:
         )
         axes.spines[["top", "right"]].set_visible(False)
         labels |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    for axes in grid[len(panels) :]:
-        axes.remove()
     figure.legend(
         list(labels.values()), list(labels), loc="outside lower center", ncols=4, frameon=False
     )

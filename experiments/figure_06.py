@@ -9,12 +9,11 @@ import numpy as np
 from experiments.layouts import best_of
 from experiments.pieces import Drawn, Experiment, Folders, Piece, Say
 from qdenv.domains.base import Domain, find_domain
-from qdenv.grid import draw as drawn_as
+from qdenv.grid import draw as draw_rows
 from qdenv.grid import parse
 from qdenv.io.files import write_json
 from qdenv.run.directory import RunDirectory
-from qdenv.study import elites as sizes
-from qdenv.study.elites import grow_elite
+from qdenv.study.elites import grow_elite, grow_frames
 from qdenv.view.layouts import draw_frames
 
 
@@ -38,20 +37,19 @@ class SavedGrowth(Piece):
     def done(self, folders: Folders) -> float:
         """Return 1 if it is saved and of the generator that ships now."""
         path = self.path(folders)
-        said = json.loads(path.read_text())["origin"] if path.exists() else ""
-        return float(said == best_of(self.domain))
+        origin = json.loads(path.read_text())["origin"] if path.exists() else ""
+        return float(origin == best_of(self.domain))
 
-    def cost(self, folders: Folders) -> float:
+    def seconds(self, folders: Folders) -> float:
         """Estimate the CPU seconds of growing once more."""
-        return 0.0 if self.done(folders) else 10.0
+        return 10.0
 
     def make(self, folders: Folders, say: Say) -> None:
         """Grow it and keep the frames."""
         run = RunDirectory.open(f"zoo:{self.domain}/best")
         grown = grow_elite(run, "best")
-        steps, frames = sizes.grow_frames(run, grown, self.every)
-        tiles = grown.domain.tiles
-        drawn = [drawn_as(frame, tiles) for frame in frames]
+        steps, frames = grow_frames(run, grown, self.every)
+        drawn = [draw_rows(frame, grown.domain.tiles) for frame in frames]
         facts = {"origin": best_of(self.domain), "steps": steps, "frames": drawn}
         write_json(self.path(folders), facts)
 

@@ -1,6 +1,10 @@
 """Figure 17: tasks finished over time at 33 x 36, runs not stopped where they congest."""
 
-from experiments.courses import SavedCourse
+from itertools import product
+
+import numpy as np
+
+from experiments.courses import BIN, SavedCourse
 from experiments.layouts import SavedLayout
 from experiments.lines import LOOKS, draw_line, finish, new_panels
 from experiments.pieces import Drawn, Experiment, Folders, table
@@ -9,8 +13,7 @@ from experiments.published import AGENTS, FLEETS, TRAFFIC
 MAKERS = ("nca", "human")
 COURSES = {
     (domain, maker): SavedCourse(SavedLayout(domain, maker), agents=AGENTS[domain][0])
-    for domain in FLEETS
-    for maker in MAKERS
+    for domain, maker in product(FLEETS, MAKERS)
 }
 HEAD = (
     *("domain", "layout", "runs", "congested", "tasks / timestep, first fifth", "last fifth"),
@@ -29,7 +32,7 @@ def draw(folders: Folders) -> Drawn:
             rows.append((domain, LOOKS[maker].label, "not made yet", "", "", "", paper))
             continue
         mean, half = found.rates
-        draw_line(axes, found.ends, mean, half, maker)
+        draw_line(axes, BIN * np.arange(1, len(mean) + 1), mean, half, maker)
         fifth = max(1, len(mean) // 5)
         moved = [f"{part.mean():.2f}" for part in (mean[:fifth], mean[-fifth:])]
         runs = f"{found.runs} of {saved.seeds}"

@@ -1,24 +1,24 @@
 """Figure 18: the most that layouts of seven sizes move, and with how many agents."""
 
+from itertools import product
+
 from experiments.layouts import SavedLayout
+from experiments.ledger import Outcome
 from experiments.lines import LOOKS, draw_line, finish, new_panels
 from experiments.peaks import SavedPeak
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import FLEETS
-from qdenv.stats import Difference, Sample, difference, margin
+from qdenv.stats import difference, margin
 from qdenv.study.elites import SIZES
-from qdenv.study.ledger import Outcome
 
 # The paper: 5,000 timesteps and 50 runs.
 TIMESTEPS, SEEDS = 1000, 3
 MAKERS = ("nca", "human")
 PEAKS = {
     (domain, shape, maker): SavedPeak(
-        f"peaks-{domain}", SavedLayout(domain, maker, shape), TIMESTEPS, SEEDS
+        SavedLayout(domain, maker, shape), f"peaks-{domain}", TIMESTEPS, SEEDS
     )
-    for domain in FLEETS
-    for shape in SIZES
-    for maker in MAKERS
+    for domain, shape, maker in product(FLEETS, SIZES, MAKERS)
 }
 HEAD = (
     *("domain", "size"),
@@ -37,20 +37,18 @@ def draw(folders: Folders) -> Drawn:
     """Draw peak throughput above and the agents at the peak below, a column per domain."""
     found = {key: one for key, peak in PEAKS.items() if (one := peak.read(folders)) is not None}
     figure, panels = new_panels(2, len(FLEETS), FLEETS)
-    for column, domain in enumerate(FLEETS):
-        for maker in MAKERS:
-            places = [place for place, shape in enumerate(SIZES) if (domain, shape, maker) in found]
-            if not places:
-                continue
+    for (column, domain), maker in product(enumerate(FLEETS), MAKERS):
+        places = [place for place, shape in enumerate(SIZES) if (domain, shape, maker) in found]
+        if places:
             peaks = [found[domain, SIZES[place], maker] for place in places]
-            halves = [margin(sample_of_all(peak)) for peak in peaks]
+            halves = [margin(peak.sample_of_all) for peak in peaks]
             moved = [peak.mean_of_all for peak in peaks]
             draw_line(panels[0, column], places, moved, halves, maker)
             agents = [peak.agents for peak in peaks]
             draw_line(panels[1, column], places, agents, [0.0] * len(peaks), maker)
-        for axes in panels[:, column]:
-            names = [f"{rows} x {cols}" for rows, cols in SIZES]
-            axes.set_xticks(range(len(SIZES)), names, rotation=30, ha="right", fontsize="small")
+    names = [f"{rows} x {cols}" for rows, cols in SIZES]
+    for axes in panels.flat:
+        axes.set_xticks(range(len(SIZES)), names, rotation=30, ha="right", fontsize="small")
     panels[0, 0].set_ylabel("tasks / timestep at the peak")
     panels[1, 0].set_ylabel("agents at the peak")
     finish(figure, panels)
@@ -65,19 +63,10 @@ def row_of(domain: str, shape: tuple[int, int], found: dict[tuple, Outcome]) -> 
     ours, theirs = peaks
     compared = ("", "")
     if ours and theirs:
-        against = difference(sample_of_all(ours), sample_of_all(theirs))
-        compared = (in_words(against), f"{100 * (ours.agents / theirs.agents - 1):+.0f} %")
+        more = difference(ours.sample_of_all, theirs.sample_of_all)
+        throughput = f"{more.percent:+.0f} % ({more.low:+.0f} to {more.high:+.0f})"
+        compared = (throughput, f"{100 * (ours.agents / theirs.agents - 1):+.0f} %")
     return (domain, "{} x {}".format(*shape), *cells, *compared)
-
-
-def sample_of_all(peak: Outcome) -> Sample:
-    """Return the mean over all runs of a peak, congested ones too."""
-    return Sample(peak.mean_of_all, peak.error_of_all, peak.runs)
-
-
-def in_words(against: Difference) -> str:
-    """Write how much more the one moves."""
-    return f"{against.percent:+.0f} % ({against.low:+.0f} to {against.high:+.0f})"
 
 
 EXPERIMENT = Experiment("peaks of layouts of seven sizes", tuple(PEAKS.values()), draw)

@@ -1,5 +1,7 @@
 """Figure 19: tiled layouts of 101 x 102 and where agents are, beside grown ones (E.4)."""
 
+from itertools import product
+
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -9,10 +11,10 @@ from experiments.archives import note
 from experiments.courses import SavedCourse
 from experiments.layouts import S_EVAL, SavedLayout
 from experiments.lines import LOOKS
-from experiments.makers import TABLE, own_agents, refusal_of
+from experiments.makers import TABLE, own_agents
 from experiments.pieces import Drawn, Experiment, Folders, Piece, table
 from experiments.published import FLEETS, TRAFFIC
-from experiments.traffic import SavedTraffic, moved_in, rate_of
+from experiments.traffic import SavedTraffic, describe
 from qdenv.view.layouts import draw_layout
 from qdenv.view.style import new_figure
 
@@ -21,18 +23,15 @@ MOST = 4.0  # times an even spread, where the colours end
 # Not down to the darkest red: obstacles are black.
 COLOURS = ListedColormap(colormaps["YlOrRd"](np.linspace(0, 0.85, 256)))
 MAKERS = ("tiled", "nca")
-LAYOUTS = {
-    (domain, maker): SavedLayout(domain, maker, S_EVAL) for domain in FLEETS for maker in MAKERS
-}
 RUNS = {
     (domain, maker): TABLE[domain, "nca", S_EVAL, "high"]
     if maker == "nca"
-    else SavedTraffic("tiled", layout, (own_agents(domain, S_EVAL),))
-    for (domain, maker), layout in LAYOUTS.items()
+    else SavedTraffic(SavedLayout(domain, maker, S_EVAL), "tiled", (own_agents(domain, S_EVAL),))
+    for domain, maker in product(FLEETS, MAKERS)
 }
 USAGE = {
-    (domain, maker): SavedCourse(layout, own_agents(domain, S_EVAL), seeds=MAPPED, stop=True)
-    for (domain, maker), layout in LAYOUTS.items()
+    (domain, maker): SavedCourse(saved.layout, own_agents(domain, S_EVAL), seeds=MAPPED, stop=True)
+    for (domain, maker), saved in RUNS.items()
 }
 HEAD = (
     *("domain", "layout", "agents", "cells changed", "success (95 %)", "tasks / timestep"),
@@ -45,28 +44,26 @@ def draw(folders: Folders) -> Drawn:
     figure = new_figure(4.2 * len(FLEETS), 13, dpi=100)
     panels = figure.subplots(3, len(FLEETS))
     for column, domain in enumerate(FLEETS):
-        show_layout(panels[0, column], LAYOUTS[domain, "tiled"], folders)
+        show_layout(panels[0, column], RUNS[domain, "tiled"].layout, folders)
         for axes, maker in zip(panels[1:, column], MAKERS, strict=True):
             show_usage(axes, USAGE[domain, maker], folders)
     drawn = [axes.images[-1] for axes in panels[1:].flat if axes.images]
     if drawn:
         label = "time on the cell, times an even spread over the free cells"
         figure.colorbar(drawn[0], ax=panels[1:], shrink=0.5, extend="max", label=label)
-    rows = [row_of(domain, maker, folders) for domain, maker in LAYOUTS]
+    rows = [row_of(domain, maker, folders) for domain, maker in RUNS]
     said = f"T = 5000; usage: share of all agents' time, mean of {MAPPED} runs"
     return Drawn(figure, (*table(HEAD, rows), "", f"{said}, until they congest."))
 
 
 def row_of(domain: str, maker: str, folders: Folders) -> tuple[object, ...]:
     """Write what one layout moves."""
-    saved, layout = RUNS[domain, maker], LAYOUTS[domain, maker]
-    (agents,), found = saved.agents, saved.outcomes(folders)
-    named = (domain, LOOKS[maker].label, agents)
-    changed = layout.read(folders).facts["changed"] if layout.done(folders) else ""
-    said = (rate_of(found[0]), moved_in(found[0])) if found else ("not made yet", "")
-    if refused := refusal_of(layout, folders):
-        changed, said = "", ("N/A", refused)
-    return (*named, changed, *said, TRAFFIC[domain, maker, agents])
+    saved, layout = RUNS[domain, maker], RUNS[domain, maker].layout
+    (agents,), refusal = saved.agents, layout.refusal(folders)
+    known = layout.done(folders) and not refusal
+    changed = layout.read(folders).facts["changed"] if known else ""
+    moved = describe(saved.outcomes(folders), refusal)
+    return (domain, LOOKS[maker].label, agents, changed, *moved, TRAFFIC[domain, maker, agents])
 
 
 def show_layout(axes: Axes, layout: SavedLayout, folders: Folders) -> None:

@@ -2,10 +2,10 @@
 
 from experiments.layouts import S_EVAL, S
 from experiments.lines import LOOKS, draw_line, finish, new_panels
-from experiments.makers import CURVE_RUNS, CURVES, MAKERS, RUNS, SIZES, own_agents, refusal_of
+from experiments.makers import CURVE_RUNS, CURVES, MAKERS, RUNS, SIZES, own_agents
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import FLEETS
-from qdenv.stats import Sample, margin
+from qdenv.stats import margin
 
 HEAD = ("domain", "size", "layout", "runs", "most tasks / timestep", "agents then", "success then")
 NOTES = (
@@ -26,13 +26,13 @@ def draw(folders: Folders) -> Drawn:
         named = (domain, "{} x {}".format(*shape), LOOKS[maker].label)
         found = [row for traffic in saved for row in traffic.outcomes(folders)]
         if not found:
-            if refused := refusal_of(saved[0].layout, folders):
+            if refused := saved[0].layout.refusal(folders):
                 said = f"{LOOKS[maker].label}: no repair found"
                 axes.text(0.03, 0.93, said, transform=axes.transAxes, fontsize="small")
             rows.append((*named, f"N/A: {refused}" if refused else "not made yet", "", "", ""))
             continue
         means = [row.mean_of_all for row in found]
-        halves = [margin(Sample(row.mean_of_all, row.error_of_all, row.runs)) for row in found]
+        halves = [margin(row.sample_of_all) for row in found]
         draw_line(axes, [row.agents for row in found], means, halves, maker)
         best = max(found, key=lambda row: row.mean_of_all)
         runs = f"{sum(row.runs for row in found)} of {sum(one.seeds for one in saved)}"

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.ledger import Case, complete
 from qdenv.domains.base import Domain, make_domain
 from qdenv.pipeline import simulate_layouts
 from qdenv.run.archive import SavedArchive
@@ -19,7 +20,6 @@ from qdenv.shipped import Driven, Grown
 from qdenv.stats import sample_of
 from qdenv.study import elites as sizes
 from qdenv.study.elites import grow_elite
-from qdenv.study.ledger import Case, complete
 from qdenv.study.options import parse_seeds
 from qdenv.types import InputError
 

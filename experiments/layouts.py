@@ -5,12 +5,13 @@ import zlib
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from experiments.generators import GROWERS, SavedZoo, open_generator
+from experiments.ledger import Case
 from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
 from qdenv.agent.evaluate import BAND, draw_mazes, without_ring
@@ -20,7 +21,7 @@ from qdenv.io.layouts import write_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.study import elites as sizes
-from qdenv.study.elites import Grown, grow_elite
+from qdenv.study.elites import Unrepaired
 from qdenv.types import Array, InputError
 
 S, S_EVAL = (33, 36), (101, 102)
@@ -36,12 +37,8 @@ class Made(NamedTuple):
     # int8 [H, W], as it was grown or tiled; the same where nothing was repaired
     unrepaired: np.ndarray
     domain: Domain  # at its size
-    facts: dict  # what its file says else: steps, cells changed, CPU seconds of growth and repair
-
-    @property
-    def refused(self) -> str:
-        """Why no repair was found, and it cannot be simulated therefore; "" where there was one."""
-        return str(self.facts.get("refused", ""))
+    # what its file says else: steps, cells changed, CPU seconds; "refused": why it has no repair
+    facts: dict
 
     @property
     def free(self) -> np.ndarray:
@@ -97,8 +94,12 @@ class SavedLayout(Piece):
         path = self.path(folders)
         if not path.exists():
             return 0.0
-        said = json.loads(path.read_text()).get("origin", "")
-        return float(said == self.origin(folders))
+        origin = json.loads(path.read_text()).get("origin", "")
+        return float(origin == self.origin(folders))
+
+    def refusal(self, folders: Folders) -> str:
+        """Return why it cannot be repaired, and simulated; "" if it can, or is not made yet."""
+        return str(self.read(folders).facts.get("refused", "")) if self.done(folders) else ""
 
     def origin(self, folders: Folders) -> str:
         """Return a checksum of what it is made from; "" if it could be made from nothing else."""
@@ -112,10 +113,8 @@ class SavedLayout(Piece):
         """Return the run whose best elite draws it."""
         return SavedRun(f"{self.domain}-{self.maker}")
 
-    def cost(self, folders: Folders) -> float:
+    def seconds(self, folders: Folders) -> float:
         """Estimate the CPU seconds of making it."""
-        if self.done(folders):
-            return 0.0
         return 0.0 if self.maker == "human" else SECONDS.get(self.shape, 8.0)
 
     def make(self, folders: Folders, say: Say) -> None:
@@ -124,15 +123,13 @@ class SavedLayout(Piece):
         Where no repair is found the file says so, and holds what could not be repaired.
         """
         say(f"{self.stem}: is being made")
-        grown, config, seed = self._draw(folders, say)
+        (grown, config, seed), refused = self._draw(folders, say), {}
         try:
             made = sizes.finish(grown, config, seed)
         except InputError as error:
             say(f"{self.stem}: {error}")
             made = sizes.Sized(grown.layout, grown.steps, {}, "failed", 0, 0.0)
-            facts = sizes.details(made) | {"refused": str(error)}
-        else:
-            facts = sizes.details(made)
+            refused = {"refused": str(error)}
         write_layout(
             self.path(folders),
             made.layout,
@@ -140,32 +137,28 @@ class SavedLayout(Piece):
             domain=self.domain,
             maker=self.maker,
             origin=self.origin(folders),
-            **facts,
+            **sizes.details(made),
+            **refused,
             unrepaired=draw(grown.layout, grown.domain.tiles),
         )
 
-    def _draw(self, folders: Folders, say: Say) -> tuple[Grown, RepairConfig, int]:
-        """Make the unrepaired layout, and say with which limits and seed to repair it."""
+    def _draw(self, folders: Folders, say: Say) -> tuple[Unrepaired, RepairConfig, int]:
+        """Make the unrepaired layout; return it with the limits and the seed of its repair."""
         domain = find_domain(self.domain).resized(*self.shape)
         if self.maker == "human":
-            # People obey the rules: nothing is repaired.
             layout = sizes.human_layout(domain)
-            return Grown(replace(domain, rules=None), None, layout, 0), RepairConfig(), 0
-        if self.maker == "tiled":
+            domain = replace(domain, rules=None)  # people obey the rules: nothing is repaired
+        elif self.maker == "tiled":
             layout = sizes.tile_layout(domain, self.like.read(folders).layout)
-            return Grown(domain, None, layout, 0), RepairConfig(), 0
-        if self.maker.startswith("random-"):
+        elif self.maker.startswith("random-"):
             drawn = random_like(self.like.read(folders).layout, int(self.maker[7:]))
-            return Grown(domain, None, np.asarray(domain.frame(drawn)), 0), RepairConfig(), 0
-        if self.maker in GROWERS:
-            run = open_generator(self.domain, self.maker)
+            layout = np.asarray(domain.frame(drawn))
         else:
-            run = self.run().whole(folders, say)
-        return (
-            grow_elite(run, "best", self.shape),
-            run.config.evaluation.repair,
-            run.config.seed,
-        )
+            zoo = self.maker in GROWERS
+            run = open_generator(self.domain, self.maker) if zoo else self.run().whole(folders, say)
+            grown = sizes.grow_elite(run, "best", self.shape)
+            return grown, run.config.evaluation.repair, run.config.seed
+        return Unrepaired(domain, None, layout, 0), RepairConfig(), 0
 
     def read(self, folders: Folders) -> Made:
         """Read it.
@@ -181,7 +174,24 @@ class SavedLayout(Piece):
         return _read(path, (about.st_mtime_ns, about.st_ino), self.domain, self.shape)
 
 
-# Every piece that is made from a layout asks for it, again and again.
+@dataclass(frozen=True)
+class OfLayout(Piece):
+    """A result on one layout."""
+
+    layout: SavedLayout  # which
+
+    @property
+    def needs(self) -> tuple[Piece, ...]:
+        """The layout."""
+        return (self.layout,)
+
+    def case_of(self, folders: Folders, *settings: Any) -> Case:
+        """Return a case of simulations of the layout, with the further fields of a `Case`."""
+        made = self.layout.read(folders)
+        return Case(self.layout.stem, made.layout, made.domain, *settings)
+
+
+# Every piece that is made from a layout reads it, again and again.
 @lru_cache(maxsize=256)
 def _read(path: Path, stamp: tuple[int, int], name: str, shape: tuple[int, int]) -> Made:
     """Read a layout once; `stamp` tells the file from what it was before."""

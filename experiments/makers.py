@@ -4,7 +4,6 @@ from itertools import product
 
 from experiments.generators import most_at_s
 from experiments.layouts import S_EVAL, S, SavedLayout
-from experiments.pieces import Folders
 from experiments.published import AGENTS, FLEETS
 from experiments.traffic import SavedTraffic
 from qdenv.shipped import USUAL, names
@@ -33,7 +32,7 @@ def runs_at(
 ) -> SavedTraffic:
     """Return runs of 5,000 timesteps with one number of agents."""
     layout = SavedLayout(domain, maker, shape)
-    return SavedTraffic(f"makers-{domain}", layout, (agents,), seeds=runs, planner=planner)
+    return SavedTraffic(layout, f"makers-{domain}", (agents,), 5000, runs, planner)
 
 
 def curve(domain: str, maker: str, shape: tuple[int, int]) -> tuple[SavedTraffic, ...]:
@@ -58,8 +57,3 @@ TABLE = {
 }
 # With each number of agents, by domain, maker and size.
 CURVES = {key: curve(*key) for key in product(FLEETS, MAKERS, SIZES)}
-
-
-def refusal_of(layout: SavedLayout, folders: Folders) -> str:
-    """Return why a layout could not be repaired; "" if it could, or is not made yet."""
-    return layout.read(folders).refused if layout.done(folders) else ""

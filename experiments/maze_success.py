@@ -2,18 +2,21 @@
 
 import time
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
+from statistics import mean
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.layouts import MAZE_S, MAZE_S_EVAL, SavedLayout, checksum, random_like
+from experiments.layouts import MAZE_S, MAZE_S_EVAL, OfLayout, SavedLayout, checksum, random_like
 from experiments.lines import LOOKS, finish, new_panels
-from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, read_rows, table
+from experiments.pieces import Drawn, Experiment, Folders, Say, table
 from experiments.published import MAZES
 from qdenv.agent.evaluate import evaluate_agent, without_ring
 from qdenv.io.files import write_csv
+from qdenv.io.tables import read_table
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.simulate.maze.world import WALL
 from qdenv.stats import sample_of, wilson_interval
@@ -37,11 +40,10 @@ class Solved(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SavedSuccess(Piece):
+class SavedSuccess(OfLayout):
     """The shipped agent on a grown maze and on random ones like it."""
 
     kind = "mazes"
-    layout: SavedLayout  # the grown maze
     mazes: int = 100  # how many random ones
     runs: int = 100  # on each maze
 
@@ -49,11 +51,6 @@ class SavedSuccess(Piece):
     def name(self) -> str:
         """Return its name in lists."""
         return f"{self.runs} runs of {self.layout.stem} and of {self.mazes} random mazes like it"
-
-    @property
-    def needs(self) -> tuple[Piece, ...]:
-        """The grown maze."""
-        return (self.layout,)
 
     def path(self, folders: Folders) -> Path:
         """Find its file."""
@@ -67,7 +64,7 @@ class SavedSuccess(Piece):
         wanted = range(GROWN, self.mazes)
         return [
             row
-            for row in read_rows(self.path(folders), Solved)
+            for row in read_table(self.path(folders), Solved)
             if (row.agent, row.like, row.runs) == now and row.maze in wanted
         ]
 
@@ -75,13 +72,10 @@ class SavedSuccess(Piece):
         """Return which share of the mazes is saved."""
         return len(self.read(folders)) / (self.mazes + 1)
 
-    def cost(self, folders: Folders) -> float:
-        """Estimate the CPU seconds of the mazes that are missing."""
-        known = self.read(folders)
-        each = 0.8e-3 * float(np.prod(self.layout.shape))
-        if known:
-            each = sum(row.cpu_seconds for row in known) / len(known)
-        return each * (self.mazes + 1 - len(known))
+    def seconds(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of all mazes."""
+        known = [row.cpu_seconds for row in self.read(folders)]
+        return (self.mazes + 1) * mean(known or [0.8e-3 * prod(self.layout.shape)])
 
     def make(self, folders: Folders, say: Say) -> None:
         """Evaluate the agent in each maze; each result is saved as it comes."""
@@ -133,46 +127,33 @@ def draw(folders: Folders) -> Drawn:
     rows: list[tuple[object, ...]] = []
     for axes, saved, size in zip(panels[0], PIECES, sizes, strict=True):
         axes.set(xlabel="moves of the shortest way", ylabel="success rate")
-        found = saved.read(folders)
-        if found:
-            draw_rates(axes, found)
-            rows.append((size, *row_of(found), MAZES.get(saved.layout.shape, "")))
-        else:
-            rows.append((size, "not made yet", *[""] * 5, MAZES.get(saved.layout.shape, "")))
+        cells = draw_rates(axes, saved.read(folders))
+        rows.append((size, *cells, MAZES.get(saved.layout.shape, "")))
     finish(figure, panels)
     for axes in panels[0]:
         axes.set_ylim(-0.04, 1.04)
     return Drawn(figure, (*table(HEAD, rows), "", NOTE))
 
 
-def draw_rates(axes: Axes, found: list[Solved]) -> None:
-    """Draw a point per random maze, and the grown one with its Wilson interval."""
+def draw_rates(axes: Axes, found: list[Solved]) -> tuple[object, ...]:
+    """Draw a point per random maze, the grown one with its Wilson interval; return their row."""
+    if not found:
+        return ("not made yet", *[""] * 5)
     others = [row for row in found if row.maze != GROWN]
     ways, rates = [row.shortest for row in others], [row.successes / row.runs for row in others]
     axes.plot(ways, rates, "x", color=LOOKS["human"].colour, ms=5, label="random mazes")
-    for row in (row for row in found if row.maze == GROWN):
-        rate, (low, high) = row.successes / row.runs, wilson_interval(row.successes, row.runs)
-        ends = np.maximum([[rate - low], [high - rate]], 0)
-        look = LOOKS["nca"]
-        axes.errorbar(
-            [row.shortest], [rate], ends, fmt="o", color=look.colour, ms=8, capsize=4, label="grown"
-        )
-
-
-def row_of(found: list[Solved]) -> tuple[object, ...]:
-    """Write what the agent does at one size."""
-    others = [row for row in found if row.maze != GROWN]
     own: tuple[object, ...] = ("not made yet", "", "")
     for row in (row for row in found if row.maze == GROWN):
-        low, high = wilson_interval(row.successes, row.runs)
-        rate = f"{row.successes / row.runs:.0%} ({low:.0%} to {high:.0%})"
-        own = (rate, row.shortest, row.walls)
+        rate, (low, high) = row.successes / row.runs, wilson_interval(row.successes, row.runs)
+        own = (f"{rate:.0%} ({low:.0%} to {high:.0%})", row.shortest, row.walls)
+        ends = np.maximum([[rate - low], [high - rate]], 0)
+        look = {"fmt": "o", "color": LOOKS["nca"].colour, "ms": 8, "capsize": 4, "label": "grown"}
+        axes.errorbar([row.shortest], [rate], ends, **look)
     if not others:
         return (*own, "not made yet", 0, "")
-    sample = sample_of(np.array([row.successes / row.runs for row in others]))
-    rate = f"{100 * sample.mean:.1f} +- {100 * sample.error:.1f} %"
-    ways = f"{np.mean([row.shortest for row in others]):.0f}"
-    return (*own, rate, len(others), ways)
+    sample = sample_of(np.array(rates))
+    moved = f"{100 * sample.mean:.1f} +- {100 * sample.error:.1f} %"
+    return (*own, moved, len(others), f"{np.mean(ways):.0f}")
 
 
 EXPERIMENT = Experiment("the agent in grown and in random mazes", PIECES, draw)

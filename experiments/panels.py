@@ -9,9 +9,7 @@ from experiments.archives import note
 from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SavedLayout
 from experiments.pieces import Drawn, Experiment, Folders, table
 from qdenv.view.layouts import draw_layout
-from qdenv.view.style import new_figure
-
-COLUMNS = 3  # panels side by side
+from qdenv.view.style import new_grid
 
 
 class Panel(NamedTuple):
@@ -41,11 +39,8 @@ def panels_of(shows: str, panels: Sequence[Panel]) -> Experiment:
 
 def draw_panels(panels: Sequence[Panel], folders: Folders) -> Figure:
     """Draw those layouts that are saved side by side; the others leave a note."""
-    columns = min(COLUMNS, len(panels))
-    rows = -(-len(panels) // columns)
-    figure = new_figure(4.2 * columns, 4.4 * rows, dpi=100)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for place, panel in zip(axes, panels, strict=False):
+    figure, grid = new_grid(len(panels), 3, (4.2, 4.4), dpi=100)
+    for place, panel in zip(grid, panels, strict=True):
         if not panel.saved.done(folders):
             note(place, f"{panel.saved.stem}\nnot made yet")
             continue
@@ -53,8 +48,6 @@ def draw_panels(panels: Sequence[Panel], folders: Folders) -> Figure:
         shown = made.unrepaired if panel.unrepaired else made.layout
         draw_layout(shown, made.domain.tiles, place, made.domain.names)
         place.set_title(panel.title, fontsize="small")
-    for place in axes[len(panels) :]:
-        place.remove()
     return figure
 
 

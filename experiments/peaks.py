@@ -1,15 +1,14 @@
 """Saved peaks: with how many agents a layout moves the most, located within 5 %."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import count
+from math import inf, prod
 
-import numpy as np
-
-from experiments.layouts import SavedLayout
-from experiments.pieces import Folders, Piece, Say
-from experiments.traffic import SavedTraffic, rate
-from qdenv.study.ledger import Outcome
+from experiments.layouts import OfLayout
+from experiments.ledger import RATES, Outcome
+from experiments.pieces import Folders, Say
+from experiments.traffic import SavedTraffic
 
 STEP = 1.05  # agents from one number to the next where the peak is located
 COARSE = 4  # such steps at once on the way up: 22 %
@@ -22,35 +21,27 @@ LIKELY, RUNS = 0.25, 14.0
 
 
 @dataclass(frozen=True)
-class SavedPeak(Piece):
+class SavedPeak(OfLayout):
     """The peak of one layout (section E.3)."""
 
     kind = "peaks"
     table: str  # the file in which the runs stand, which peaks share
-    layout: SavedLayout  # which
     timesteps: int  # horizon T
     seeds: int  # how many runs with each number of agents
-    planner: str = "high"  # one of `ledger.DRIVERS`
 
     @property
     def name(self) -> str:
         """Return its name in lists."""
         return f"peak of {self.layout.stem}"
 
-    @property
-    def needs(self) -> tuple[Piece, ...]:
-        """The layout."""
-        return (self.layout,)
-
-    def traffic(self, agents: tuple[int, ...]) -> SavedTraffic:
+    def traffic(self, agents: Iterable[int]) -> SavedTraffic:
         """Describe the runs with some numbers of agents."""
-        return SavedTraffic(
-            self.table, self.layout, agents, self.timesteps, self.seeds, self.planner
-        )
+        counts = tuple(sorted(set(agents)))
+        return SavedTraffic(self.layout, self.table, counts, self.timesteps, self.seeds)
 
     def outcomes(self, folders: Folders) -> list[Outcome]:
         """Condense the runs with each number of agents that was tried, few to many."""
-        every = self.traffic(tuple(sorted({self.agents_at(rung) for rung in RUNGS})))
+        every = self.traffic(map(self.agents_at, RUNGS))
         return [row for row in every.outcomes(folders) if row.runs == self.seeds]
 
     def read(self, folders: Folders) -> Outcome | None:
@@ -64,15 +55,15 @@ class SavedPeak(Piece):
         rows, cols = self.layout.shape
         return max(1, round(BEGIN * rows * cols * STEP**rung))
 
-    def wanted(self, folders: Folders) -> tuple[int, ...]:
+    def wanted(self, folders: Folders) -> list[int]:
         """List the numbers of agents to try next; none where the peak is located."""
-        made = self.layout.read(folders)
-        if made.refused:
-            return ()
+        if self.layout.refusal(folders):
+            return []
+        free = self.layout.read(folders).free.sum()
         moved = {row.agents: row.mean_of_all for row in self.outcomes(folders)}
-        fitting = {rung: n for rung in RUNGS if (n := self.agents_at(rung)) <= made.free.sum()}
+        fitting = {rung: n for rung in RUNGS if (n := self.agents_at(rung)) <= free}
         known = {rung: moved[n] for rung, n in fitting.items() if n in moved}
-        return tuple(sorted({fitting[rung] for rung in next_rungs(known, max(fitting))}))
+        return [fitting[rung] for rung in next_rungs(known, max(fitting))]
 
     def done(self, folders: Folders) -> float:
         """Return which share of the work is done, so far as that can be known."""
@@ -81,23 +72,17 @@ class SavedPeak(Piece):
         if not self.wanted(folders):
             return 1.0
         work = sum(row.agents for row in self.outcomes(folders))
-        return min(work / (RUNS * self.likely), 0.95)
+        return min(work / (RUNS * LIKELY * prod(self.layout.shape)), 0.95)
 
-    @property
-    def likely(self) -> float:
-        """Agents at the peak, estimated from the size."""
-        return LIKELY * float(np.prod(self.layout.shape))
-
-    def cost(self, folders: Folders) -> float:
-        """Estimate the CPU seconds of the runs that are missing."""
-        each = rate(self.planner, ()) * self.timesteps * self.seeds
-        return each * RUNS * self.likely * (1 - self.done(folders))
+    def seconds(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of all runs."""
+        work = RUNS * LIKELY * prod(self.layout.shape)
+        return RATES["high"] * self.timesteps * self.seeds * work
 
     def make(self, folders: Folders, say: Say) -> None:
         """Climb in large steps until throughput falls, then locate the top in small ones."""
         while wanted := self.wanted(folders):
-            traffic = self.traffic(wanted)
-            traffic.make(folders, say)
+            self.traffic(wanted).make(folders, say)
         if (peak := self.read(folders)) is not None:
             say(f"{self.layout.stem}: {peak.mean_of_all:.3f} with {peak.agents} agents")
 
@@ -107,7 +92,7 @@ def next_rungs(known: Mapping[int, float], last: int) -> list[int]:
 
     `known`: throughput by rung; `last`: the highest rung that fits.
     """
-    best, falls = -np.inf, 0
+    best, falls = -inf, 0
     for rung in count(0, COARSE):
         if rung > last or falls == FALLS:
             break

@@ -1,10 +1,9 @@
 """What a figure is drawn from: pieces of saved results that can be made and say what that costs."""
 
-import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias, TypeVar, get_type_hints
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
 from matplotlib.figure import Figure
 
@@ -12,7 +11,6 @@ from qdenv.run.executors import Execution
 
 RESULTS = Path(__file__).parent / "results"
 Say: TypeAlias = Callable[[str], None]
-Row = TypeVar("Row", bound=tuple)
 
 
 class Folders(NamedTuple):
@@ -41,8 +39,13 @@ class Piece(Protocol):
     def done(self, folders: Folders) -> float:
         """Return the share of it that is saved, 0 to 1."""
 
+    def seconds(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of making all of it, without what it needs."""
+
     def cost(self, folders: Folders) -> float:
-        """Estimate the CPU seconds that making the rest takes, without what it needs."""
+        """Estimate the CPU seconds of making the rest."""
+        left = 1 - self.done(folders)
+        return left * self.seconds(folders) if left else 0.0
 
     def make(self, folders: Folders, say: Say) -> None:
         """Make the rest once what it needs is there, so that an interruption loses little.
@@ -69,7 +72,7 @@ class Experiment:
     @property
     def everything(self) -> tuple[Piece, ...]:
         """List its pieces and what they are made from, each once, nothing before what it needs."""
-        return _with_needs(self.pieces, lambda piece: True)
+        return tuple(_with_needs(self.pieces, lambda piece: True))
 
     def missing(self, folders: Folders) -> list[Piece]:
         """List what is not whole, but for what nothing missing is made from."""
@@ -87,27 +90,12 @@ class Experiment:
         return any(piece.done(folders) > 0 for piece in self.pieces)
 
 
-def _with_needs(pieces: Sequence[Piece], asks: Callable[[Piece], bool]) -> tuple[Piece, ...]:
-    """List pieces, each once, after what those that ask for it need."""
+def _with_needs(pieces: Sequence[Piece], needy: Callable[[Piece], bool]) -> dict[Piece, None]:
+    """List pieces, each once, after what those that are `needy` need."""
     found: dict[Piece, None] = {}
-
-    def add(piece: Piece) -> None:
-        if piece not in found:
-            for one in piece.needs if asks(piece) else ():
-                add(one)
-            found[piece] = None
-
     for piece in pieces:
-        add(piece)
-    return tuple(found)
-
-
-def read_rows(path: Path, record: type[Row]) -> list[Row]:
-    """Read the rows of a CSV file that has a column for each field of a NamedTuple."""
-    kinds = get_type_hints(record)
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    return [record(**{name: kinds[name](text) for name, text in row.items()}) for row in rows]
+        found |= _with_needs(piece.needs if needy(piece) else (), needy) | {piece: None}
+    return found
 
 
 def table(head: Sequence[str], rows: Sequence[tuple[object, ...]]) -> tuple[str, ...]:

@@ -3,19 +3,22 @@
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import mean
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from matplotlib.axes import Axes
 
 from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SECONDS, best_of
-from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, read_rows, table
+from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, table
 from experiments.published import FLEETS
+from qdenv.generate import GENERATORS
 from qdenv.io.files import write_csv
-from qdenv.run.config import RunConfig
+from qdenv.io.tables import read_table
 from qdenv.run.directory import RunDirectory
 from qdenv.stats import Sample, sample_of
-from qdenv.study.elites import SIZES, Grown, finish, grow_elite
+from qdenv.study.elites import SIZES, finish, grow_elite
 from qdenv.view.style import new_figure
 
 SEEDS = 3  # repairs of each layout
@@ -57,55 +60,42 @@ class SavedRuntime(Piece):
         if not self.path(folders).exists():
             return []
         origin = best_of(self.domain)
-        return [row for row in read_rows(self.path(folders), Runtime) if row.origin == origin]
+        return [row for row in read_table(self.path(folders), Runtime) if row.origin == origin]
 
     def done(self, folders: Folders) -> float:
         """Return which share of the repairs is saved."""
         return min(len(self.read(folders)) / self.seeds, 1.0)
 
-    def cost(self, folders: Folders) -> float:
-        """Estimate the CPU seconds of the repairs that are missing."""
-        known = self.read(folders)
-        each = SECONDS.get(self.shape, 8.0)
-        if known:
-            each = sum(sum(row[2:5]) for row in known) / len(known)
-        return each * (self.seeds - len(known))
+    def seconds(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of all repairs."""
+        known = [sum(row[2:5]) for row in self.read(folders)]
+        return self.seeds * mean(known or [SECONDS.get(self.shape, 8.0)])
 
     def make(self, folders: Folders, say: Say) -> None:
         """Grow and repair once per seed; each is saved as it ends."""
         run = RunDirectory.open(f"zoo:{self.domain}/best")
         grown = grow_elite(run, "best", self.shape)
         assert grown.elite is not None
+        config, solution = run.config.evaluation, grown.elite.solution[None]
+        generator = GENERATORS.make(config.generator, grown.domain.canvas)
         # A process loads what was compiled before when it repairs first, which is no repair's work.
-        finish(grown, run.config.evaluation.repair, seed=0)
+        finish(grown, config.repair, seed=0)
         while (seed := len(known := self.read(folders))) < self.seeds:
-            assert grown.elite is not None
-            row = measure(grown, grown.elite.solution, run.config, seed, best_of(self.domain))
-            write_csv(self.path(folders), Runtime._fields, [*known, row])
-            say(f"{self.name}: {seed + 1} of {self.seeds}, repair {row.repair_seconds:.1f} s")
-
-
-def measure(
-    grown: Grown, solution: np.ndarray, config: RunConfig, seed: int, origin: str
-) -> Runtime:
-    """Grow a layout once more and repair it by the clock of the CPU, all cores together.
-
-    Raises:
-        InputError: no repair was found.
-    """
-    import jax
-
-    from qdenv.generate import GENERATORS
-
-    generator = GENERATORS.make(config.evaluation.generator, grown.domain.canvas)
-    begin = time.process_time()
-    grow = jax.jit(lambda some: generator.grow(some, grown.steps)).lower(solution[None]).compile()
-    compiled = time.process_time()
-    grow(solution[None]).block_until_ready()
-    done = time.process_time()
-    sized = finish(grown, config.evaluation.repair, seed)
-    seconds = (round(compiled - begin, 4), round(done - compiled, 4), sized.cpu_seconds)
-    return Runtime(seed, grown.steps, *seconds, sized.repair, sized.changed, origin)
+            # By the clock of the CPU, all cores together.
+            begin = time.process_time()
+            grow = jax.jit(lambda some: generator.grow(some, grown.steps))
+            compiled_grow = grow.lower(solution).compile()
+            compiled = time.process_time()
+            compiled_grow(solution).block_until_ready()
+            seconds = round(compiled - begin, 4), round(time.process_time() - compiled, 4)
+            sized = finish(grown, config.repair, seed)
+            ended = sized.cpu_seconds, sized.repair, sized.changed, best_of(self.domain)
+            write_csv(
+                self.path(folders),
+                Runtime._fields,
+                [*known, Runtime(seed, grown.steps, *seconds, *ended)],
+            )
+            say(f"{self.name}: {seed + 1} of {self.seeds}, repair {sized.cpu_seconds:.1f} s")
 
 
 PIECES = tuple(SavedRuntime(domain, shape) for domain in FLEETS for shape in SIZES)
@@ -132,15 +122,12 @@ def draw(folders: Folders) -> Drawn:
     """Draw CPU seconds over the number of cells, and write them down."""
     figure = new_figure(7.2, 3.6, dpi=100)
     axes, rows = figure.subplots(), []
+    every = {one: found for one in PIECES if (found := one.read(folders))}
     for domain in LOOKS:
-        own = {
-            one.shape: found
-            for one in PIECES
-            if one.domain == domain and (found := one.read(folders))
-        }
+        own = {one.shape: found for one, found in every.items() if one.domain == domain}
         draw_domain(axes, domain, own)
         rows += [row_of(domain, shape, found) for shape, found in own.items()]
-    missing = sum(not one.read(folders) for one in PIECES)
+    missing = len(PIECES) - len(every)
     axes.set(xscale="log", yscale="log", xlabel="cells", ylabel="CPU seconds")
     ticks = [rows * cols for rows, cols in (MAZE_S, *SIZES[::2], S_EVAL)]
     axes.set_xticks(sorted(set(ticks)), [f"{cells:,}" for cells in sorted(set(ticks))])
@@ -162,11 +149,10 @@ def draw_domain(axes: Axes, domain: str, own: dict[tuple[int, int], list[Runtime
         samples = [seconds_of(found, name) for found in own.values()]
         if not any(sample.mean for sample in samples):
             continue
-        means, errors = ([getattr(one, part) for one in samples] for part in ("mean", "error"))
-        (line, *_) = axes.errorbar(
-            cells, means, np.nan_to_num(errors), color=colour, capsize=2, label=f"{domain}, {label}"
-        )
-        line.set(marker=marker, linestyle=style, markerfacecolor=fill, markersize=5)
+        means, errors, _ = zip(*samples, strict=True)
+        look = {"color": colour, "marker": marker, "ls": style, "mfc": fill, "ms": 5, "capsize": 2}
+        label = f"{domain}, {label}"
+        axes.errorbar(cells, means, np.nan_to_num(errors), label=label, **look)
 
 
 def seconds_of(found: list[Runtime], name: str) -> Sample:

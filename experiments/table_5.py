@@ -1,10 +1,10 @@
 """Table 5: success rates and throughput of layouts by CMA-ES and by CMA-MAE, at S and S_eval."""
 
 from experiments.lines import LOOKS
-from experiments.makers import TABLE, refusal_of
+from experiments.makers import TABLE
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import TRAFFIC
-from experiments.traffic import moved_in, rate_of
+from experiments.traffic import describe
 
 HEAD = (
     *("domain", "algorithm", "size", "agents", "planner", "success (95 %)", "tasks / timestep"),
@@ -23,12 +23,8 @@ def draw(folders: Folders) -> Drawn:
     for (domain, maker, shape, planner), saved in TABLE.items():
         (agents,), found = saved.agents, saved.outcomes(folders)
         named = (domain, LOOKS[maker].label, "{} x {}".format(*shape), agents, PLANNERS[planner])
-        if found:
-            said = (rate_of(found[0]), moved_in(found[0]))
-        else:
-            refused = refusal_of(saved.layout, folders)
-            said = ("N/A", refused) if refused else ("not made yet", "")
-        rows.append((*named, *said, TRAFFIC[domain, maker.removesuffix("-s"), agents]))
+        moved = describe(found, saved.layout.refusal(folders))
+        rows.append((*named, *moved, TRAFFIC[domain, maker.removesuffix("-s"), agents]))
     return Drawn(None, (*table(HEAD, rows), "", NOTE))
 
 

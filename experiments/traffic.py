@@ -4,26 +4,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.layouts import SavedLayout
-from experiments.pieces import Folders, Piece, Say
-from qdenv.study.ledger import Case, Outcome, Run, complete, outcomes_of, read_runs
-
-# CPU seconds of one agent's timestep where no run of the planner is known.
-RATES = {"low": 1.3e-6, "high": 2.5e-6, "plain": 6e-6, "published": 5e-6}
+from experiments.layouts import OfLayout
+from experiments.ledger import Case, Outcome, Run, complete, outcomes_of, rate, read_runs
+from experiments.pieces import Folders, Say
 
 
 @dataclass(frozen=True)
-class SavedTraffic(Piece):
+class SavedTraffic(OfLayout):
     """Simulations of one layout."""
 
     kind = "simulations"
     table: str  # the file they stand in, which figures share
-    layout: SavedLayout  # which
     agents: tuple[int, ...]  # numbers of them
     timesteps: int = 5000  # horizon T
     seeds: int = 50  # how many
     planner: str = "high"  # one of `ledger.DRIVERS`
-    stop: bool = True  # runs end where they congest
 
     @property
     def name(self) -> str:
@@ -31,25 +26,15 @@ class SavedTraffic(Piece):
         counts = ",".join(map(str, self.agents))
         return f"{self.seeds} runs of {self.layout.stem}, {counts} agents, {self.planner}"
 
-    @property
-    def needs(self) -> tuple[Piece, ...]:
-        """The layout."""
-        return (self.layout,)
-
     def path(self, folders: Folders) -> Path:
         """Find its file."""
         return folders.results / "traffic" / f"{self.table}.csv"
 
     def cases(self, folders: Folders) -> list[Case]:
         """List what is simulated: nothing where the layout could not be repaired."""
-        made = self.layout.read(folders)
-        if made.refused:
+        if self.layout.refusal(folders):
             return []
-        numbers = (self.timesteps, self.planner, self.stop)
-        return [
-            Case(self.layout.stem, made.layout, made.domain, count, *numbers)
-            for count in self.agents
-        ]
+        return [self.case_of(folders, count, self.timesteps, self.planner) for count in self.agents]
 
     def read(self, folders: Folders) -> list[Run]:
         """Read those of its runs that are saved and belong to the layout as it is."""
@@ -64,17 +49,14 @@ class SavedTraffic(Piece):
 
     def done(self, folders: Folders) -> float:
         """Return which share of the runs is saved."""
-        if self.layout.done(folders) and not self.cases(folders):
+        if self.layout.refusal(folders):
             return 1.0
         return len(self.read(folders)) / (self.seeds * len(self.agents))
 
-    def cost(self, folders: Folders) -> float:
-        """Estimate the CPU seconds of the runs that are missing."""
-        if self.done(folders) == 1:
-            return 0.0
-        known = self.read(folders)
-        work = sum(self.agents) * self.seeds - sum(run.agents for run in known)
-        return rate(self.planner, known) * work * self.timesteps
+    def seconds(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of all runs."""
+        each = rate(self.planner, self.read(folders)) * self.timesteps
+        return each * sum(self.agents) * self.seeds
 
     def make(self, folders: Folders, say: Say) -> None:
         """Simulate what is missing."""
@@ -82,12 +64,11 @@ class SavedTraffic(Piece):
         complete(*given, say=say, client=folders.client)
 
 
-def rate(planner: str, known: Sequence[Run]) -> float:
-    """Estimate the CPU seconds of one agent's timestep, from known runs where there are some."""
-    if not known:
-        return RATES[planner]
-    work = sum(run.agents * run.timesteps for run in known)
-    return sum(run.cpu_seconds for run in known) / work
+def describe(found: Sequence[Outcome], refusal: str) -> tuple[str, str]:
+    """Write success and throughput of a case, or why there is none, into two cells of a table."""
+    if found:
+        return rate_of(found[0]), moved_in(found[0])
+    return ("N/A", refusal) if refusal else ("not made yet", "")
 
 
 def rate_of(row: Outcome) -> str:

@@ -13,11 +13,11 @@ import pytest
 from matplotlib.image import imread
 
 import qdenv
+from experiments.ledger import Run, read_runs
 from qdenv.configurations import PRESETS
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
 from qdenv.run.directory import RunDirectory
-from qdenv.study.ledger import Run, read_runs
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
@@ -173,7 +173,7 @@ def test_agreement_judges_elites_and_files_and_simulates_nothing_again(
         ]
         assert float(row["low"]) == pytest.approx(np.mean(own), rel=1e-5)
     assert (tmp_path / "agreement.png").exists()
-    monkeypatch.setattr("qdenv.study.ledger.simulate", None)  # nobody may simulate now
+    monkeypatch.setattr("experiments.ledger.simulate", None)  # nobody may simulate now
     script.main(small_run.path, (hall,), 3, **settings)
     again = capsys.readouterr().out
     assert again[again.index("|") :] == first[first.index("|") :]
@@ -209,7 +209,7 @@ def test_congestion_puts_several_files_into_one_table(own_layout, tmp_path, caps
     good = runs[0]._replace(agents=200, seed=2, throughput=5.0)
     write_csv(tmp_path / "b.csv", Run._fields, [*jammed, good])
     capsys.readouterr()
-    monkeypatch.setattr("qdenv.study.ledger.simulate", None)  # nobody may simulate now
+    monkeypatch.setattr("experiments.ledger.simulate", None)  # nobody may simulate now
     script.main((layout,), **settings, out=tmp_path / "a.csv", read=(tmp_path / "b.csv",))
     said = capsys.readouterr().out.splitlines()
     # One of three succeeds: Wilson's interval is 6 to 79 %; runs end at 20 and 30.
@@ -258,7 +258,7 @@ def test_zoo_chooses_measures_and_writes_the_same_files_again(small_run, tmp_pat
         assert (high["runs"], published["runs"], published["planner"]) == (2, 1, "published")
         assert high["mean"] == pytest.approx(np.mean(own), rel=1e-5)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    monkeypatch.setattr("qdenv.study.ledger.simulate", None)  # nobody may simulate now
+    monkeypatch.setattr("experiments.ledger.simulate", None)  # nobody may simulate now
     script.main(small_run.path, how, tmp_path / "runs.csv", tmp_path / "zoo")
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     with pytest.raises(InputError, match="too few elites"):

@@ -15,12 +15,14 @@ from experiments import (
     figure_18,
     figure_19,
     figure_22,
+    ledger,
     maze_success,
     runtimes,
     table_5,
 )
 from experiments.courses import SavedCourse
 from experiments.layouts import S_EVAL, S, SavedLayout
+from experiments.ledger import Case, Run
 from experiments.makers import TABLE
 from experiments.maze_success import GROWN, SavedSuccess
 from experiments.peaks import SavedPeak, next_rungs
@@ -44,9 +46,7 @@ from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.simulate.maze.world import longest_path
 from qdenv.stats import wilson_interval
 from qdenv.study import elites as sizes
-from qdenv.study import ledger
 from qdenv.study.engine import run_seeds
-from qdenv.study.ledger import Case, Run
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
@@ -159,7 +159,7 @@ def test_a_course_adds_up_its_runs_and_goes_on_where_it_was_left(folders, monkey
     usage = np.mean([run.usage for run in done.runs], axis=0)
     np.testing.assert_allclose(found.usage / 5, usage, atol=2e-6)
     assert found.congested == sum(bool(run.congested) for run in done.runs)
-    assert replace(saved, planner="low").done(folders) == 0  # other settings, other runs
+    assert replace(saved, stop=True).done(folders) == 0  # other settings, other runs
 
 
 # Tasks per timestep over agents: a peak at 100, and beyond it a jam.
@@ -177,7 +177,7 @@ def test_a_peak_is_located_within_five_per_cent_and_nothing_is_simulated_twice(
         return Run(*case.key(seed), moved_by(case.agents) + 0.01 * seed, False, 1000, 1.0)
 
     monkeypatch.setattr(ledger, "simulate", simulate)
-    saved = SavedPeak("peaks", SavedLayout("warehouse-even", "human"), 1000, 2)
+    saved = SavedPeak(SavedLayout("warehouse-even", "human"), "peaks", 1000, 2)
     saved.layout.make(folders, silent)
     assert saved.done(folders) == 0 and saved.read(folders) is None
     saved.make(folders, silent)
@@ -268,9 +268,9 @@ def test_a_layout_that_cannot_be_repaired_is_saved_with_the_reason(folders, monk
     tiled = SavedLayout("warehouse-even", "tiled", (33, 40))
     tiled.make(folders, silent)
     made = tiled.read(folders)
-    assert tiled.done(folders) == 1 and made.refused == "no repair of 33 x 40"
+    assert tiled.done(folders) == 1 and tiled.refusal(folders) == "no repair of 33 x 40"
     assert made.layout.shape == (33, 40) and (made.layout == made.unrepaired).all()
-    for piece in (SavedTraffic("t", tiled, (9,)), SavedCourse(tiled), SavedPeak("t", tiled, 9, 1)):
+    for piece in (SavedTraffic(tiled, "t", (9,)), SavedCourse(tiled), SavedPeak(tiled, "t", 9, 1)):
         assert piece.done(folders) == 1 and piece.cost(folders) == 0
 
 

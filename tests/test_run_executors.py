@@ -9,6 +9,7 @@ import threading
 import pytest
 from conftest import SMALL
 
+from experiments.ledger import Case, complete, read_runs
 from qdenv.cli.main import run as qdenv
 from qdenv.domains.base import find_domain
 from qdenv.repair import pool as pools
@@ -17,7 +18,6 @@ from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution, dask, layouts
 from qdenv.run.executors.dask import ClusterExecutor, WrongWorkerError, versions
 from qdenv.run.experiment import make_experiment
-from qdenv.study.ledger import Case, complete, read_runs
 from qdenv.types import InputError, RepairStatus
 
 distributed = pytest.importorskip("distributed")

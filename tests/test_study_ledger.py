@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from experiments import ledger
 from experiments.correlation import agree, correlate
+from experiments.ledger import Case, Run, complete, outcomes_of, read_runs, seconds_for
 from qdenv.domains.base import find_domain
 from qdenv.io.files import write_csv
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.study import engine, ledger
-from qdenv.study.ledger import Case, Run, complete, outcomes_of, read_runs, seconds_for
+from qdenv.study import engine
 from qdenv.types import InputError, Traffic
 
 WAREHOUSE = find_domain("warehouse-even")

@@ -20,7 +20,7 @@ from qdenv.run.directory import RunDirectory
 from qdenv.score import entropy
 from qdenv.search.registry import ALGORITHMS
 from qdenv.shipped import Generator, named, names
-from qdenv.study.elites import Grown, repair_grown
+from qdenv.study.elites import Unrepaired, repair_grown
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
@@ -114,7 +114,7 @@ def test_every_recorded_drawing_is_repaired_to_the_recorded_figures(domain):
     drawn = archive.columns["unrepaired"]
     for one in generators_of(domain):
         (row,) = np.flatnonzero((archive.cells == one.cell).all(axis=1))
-        grown = Grown(found, None, drawn[row], steps)
+        grown = Unrepaired(found, None, drawn[row], steps)
         repaired = repair_grown(grown, evaluation.repair, config.seed)
         layout = drawn[row] if repaired is None else np.asarray(repaired.layout)
         assert (layout != drawn[row]).sum() == one.sizes[0].changed

@@ -25,7 +25,7 @@ from qdenv.types import InputError, Repair, RepairStatus
 SIZES = ((33, 36), (45, 47), (57, 58), (69, 69), (81, 80), (93, 91), (101, 102))
 
 
-class Grown(NamedTuple):
+class Unrepaired(NamedTuple):
     """A layout drawn for one size, unrepaired."""
 
     domain: Domain  # at the layout's size, with the numbers that its repair will demand
@@ -100,7 +100,7 @@ def grow_elite(
     steps: int | None = None,
     numbers: Mapping[str, int] | None = None,
     keep: Path | None = None,
-) -> Grown:
+) -> Unrepaired:
     """Grow an elite of a run at any size; nothing is repaired yet.
 
     Args:
@@ -131,11 +131,11 @@ def grow_elite(
         steps = size.steps if size and own else round(own * longer)
     elite = which if isinstance(which, Elite) else run.archive.elite(which)
     layout = grow_series(config, domain, elite.solution, [steps])[0]
-    return Grown(domain, elite, layout, steps)
+    return Unrepaired(domain, elite, layout, steps)
 
 
 def repair_grown(
-    grown: Grown, config: RepairConfig, seed: int = 0, progress: Progress = silent
+    grown: Unrepaired, config: RepairConfig, seed: int = 0, progress: Progress = silent
 ) -> Repair | None:
     """Repair a grown layout; None where its domain has no rules.
 
@@ -159,7 +159,7 @@ def repair_grown(
     return result
 
 
-def finish(grown: Grown, config: RepairConfig, seed: int) -> Sized:
+def finish(grown: Unrepaired, config: RepairConfig, seed: int) -> Sized:
     """Repair a layout and count what that changed; raise InputError as `repair_grown` does."""
     before, repaired = grown.layout, repair_grown(grown, config, seed)
     after = before if repaired is None else np.asarray(repaired.layout)
@@ -207,7 +207,9 @@ def grow_sizes(
         yield finish(grown, config.evaluation.repair, seed)
 
 
-def grow_frames(run: RunDirectory, grown: Grown, every: int) -> tuple[list[int], list[np.ndarray]]:
+def grow_frames(
+    run: RunDirectory, grown: Unrepaired, every: int
+) -> tuple[list[int], list[np.ndarray]]:
     """Grow an elite of a run once more and keep what it drew on the way (Figure 6).
 
     Returns:
@@ -315,5 +317,5 @@ def tile(
         InputError: the size is impossible, or no repair was found.
     """
     larger = domain.fitted(layout).resized(*shape, numbers)
-    grown = Grown(larger, None, tile_layout(larger, layout), 0)
+    grown = Unrepaired(larger, None, tile_layout(larger, layout), 0)
     return finish(grown, config or RepairConfig(), seed)

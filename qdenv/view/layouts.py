@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from qdenv.types import Array
-from qdenv.view.style import SCREEN_DPI, new_figure, styled, to_html
+from qdenv.view.style import SCREEN_DPI, new_figure, new_grid, styled, to_html
 
 if TYPE_CHECKING:
     from qdenv.agent.evaluate import Drawn
@@ -196,19 +196,15 @@ def draw_sheet(
 
     A picture is a layout (int8 [H, W]), its alphabet, its title and a note below it.
     """
-    across = min(len(pictures), across)
-    down = -(-len(pictures) // across)
     tallest = max(layout.shape[0] / layout.shape[1] for layout, *_ in pictures)
-    figure = new_figure(width * across, (width * tallest + 0.6) * down, dpi=SCREEN_DPI)
-    panels = figure.subplots(down, across, squeeze=False).ravel()
-    for axes, (layout, tiles, title, note) in zip(panels, pictures, strict=False):
+    size = width, width * tallest + 0.6
+    figure, panels = new_grid(len(pictures), across, size, dpi=SCREEN_DPI)
+    for axes, (layout, tiles, title, note) in zip(panels, pictures, strict=True):
         legend = draw_layout(layout, tiles, axes).get_legend()
         assert legend is not None
         legend.remove()
         axes.set_title(title, fontsize=9)
         axes.set_xlabel(note, fontsize=7)
-    for axes in panels[len(pictures) :]:
-        axes.set_axis_off()
     return figure
 
 
@@ -222,18 +218,13 @@ def draw_frames(layouts: Sequence[Array], steps: Sequence[int], tiles: str) -> F
 @styled
 def draw_mazes(mazes: Sequence[Drawn], titles: Sequence[str]) -> Figure:
     """Draw a panel for each maze, its start blue and its goal green (Figure 15)."""
-    across, side = min(len(mazes), 6), 2.3  # inches
-    down = -(-len(mazes) // across)
-    figure = new_figure(side * across, (side + 0.25) * down)
-    panels = figure.subplots(down, across, squeeze=False).ravel()
+    figure, panels = new_grid(len(mazes), 6, (2.3, 2.55))
     colours = ListedColormap([COLOURS[" "], COLOURS["X"], MARKS["start"], MARKS["reached"]])
-    for ax, maze, title in zip(panels, mazes, titles, strict=False):
+    for ax, maze, title in zip(panels, mazes, titles, strict=True):
         kinds = maze.layout.copy()
         kinds.flat[[maze.start, maze.goal]] = 2, 3
         ax.imshow(kinds, cmap=colours, vmin=-0.5, vmax=3.5, interpolation="nearest")
         ax.set_title(title, fontsize=7)
         ax.set(xticks=[], yticks=[])
         ax.spines[:].set_visible(True)
-    for ax in panels[len(mazes) :]:
-        ax.set_axis_off()
     return figure

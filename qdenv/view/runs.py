@@ -25,6 +25,7 @@ from qdenv.view.style import (
     SMALL,
     add_legend,
     new_figure,
+    new_grid,
     save_figure,
     styled,
 )
@@ -41,12 +42,9 @@ def _draw_notes(notes: list[Note]) -> Figure:
     for name in notes[0]:
         if name not in ("iteration", "evaluations", "fits"):  # counters
             kinds.setdefault(name.partition("_")[0], []).append(name)
-    across = 4
-    rows = -(-len(kinds) // across)
-    figure = new_figure(10, 3.4 * rows, dpi=SCREEN_DPI)
-    panels = figure.subplots(rows, across, squeeze=False).ravel()
+    figure, panels = new_grid(len(kinds), 4, (2.5, 3.4), dpi=SCREEN_DPI)
     evaluations = [note["evaluations"] for note in notes]
-    for axes, (kind, names) in zip(panels, kinds.items(), strict=False):
+    for axes, (kind, names) in zip(panels, kinds.items(), strict=True):
         for name in names:
             label = name.removeprefix(f"{kind}_").replace("_", " ")
             axes.plot(evaluations, [note[name] for note in notes], ".-", label=label, lw=1)
@@ -60,8 +58,6 @@ def _draw_notes(notes: list[Note]) -> Figure:
             # Below the panel: inside, it would cover the curves.
             place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2}
             axes.legend(fontsize="x-small", frameon=False, **place)
-    for axes in panels[len(kinds) :]:
-        axes.set_visible(False)
     return figure
 
 
@@ -120,15 +116,14 @@ def draw_archives(
     empty) and its axes; `objective` is the label of the colours.
     """
     across = min(len(archives), max(1, int(width / 1.65)))  # inches of the narrowest panel
-    down = -(-len(archives) // across)
-    figure = new_figure(width, down * (_TALL * width / across + _TITLES) + _TITLES)
-    panels = figure.subplots(down, across, squeeze=False).ravel()
+    size = width / across, _TALL * width / across + _TITLES
+    figure, panels = new_grid(len(archives), across, size, (0, _TITLES))
     filled = np.concatenate([values[np.isfinite(values)] for _, values, _ in archives])
     # One scale for all, from the worst elite to the best.
     low, high = (filled.min(), filled.max()) if len(filled) else (0.0, 1.0)
     letters = int(12 * width / across)  # of a line above a panel: 12 fit an inch
     image = None
-    for place, (axes, one) in enumerate(zip(panels, archives, strict=False)):
+    for place, (axes, one) in enumerate(zip(panels, archives, strict=True)):
         title, values, measures = one
         image = draw_heatmap(axes, values, measures, low, high)
         share = f"{np.isfinite(values).mean():.1%} filled"
@@ -136,11 +131,9 @@ def draw_archives(
         axes.set_xlabel("\n".join(wrap(axes.get_xlabel(), letters)))
         if place % across and measures[1:] == archives[place - 1][2][1:]:
             axes.set_ylabel("")  # its left neighbour names the same axis
-    for axes in panels[len(archives) :]:
-        axes.set_axis_off()
     assert image is not None
     look: Any = {"location": "bottom", "shrink": 0.6, "aspect": 40}
-    bar = figure.colorbar(image, ax=list(panels), label=objective, **look)
+    bar = figure.colorbar(image, ax=panels, label=objective, **look)
     bar.outline.set_linewidth(0.4)
     return figure
 

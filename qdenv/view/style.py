@@ -14,6 +14,7 @@ from typing import Any
 from cycler import cycler
 from matplotlib import rc_context
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qdenv.io.files import write_atomically
@@ -86,6 +87,26 @@ def new_figure(width: float, height: float, arrange: bool = True, dpi: int = _DP
     figure = _StyledFigure(figsize=(width, height), dpi=dpi)
     figure.set_layout_engine("constrained" if arrange else "none")
     return figure
+
+
+def new_grid(
+    count: int,
+    across: int,
+    size: tuple[float, float],
+    extra: tuple[float, float] = (0.0, 0.0),
+    dpi: int = _DPI,
+) -> tuple[Figure, list[Axes]]:
+    """Make a figure of `count` panels, at most `across` in a row, as `new_figure` makes it.
+
+    `size` is that of a panel, `extra` what the figure has beyond its panels (inches).
+    """
+    across = min(count, across)
+    down = -(-count // across)
+    figure = new_figure(size[0] * across + extra[0], size[1] * down + extra[1], dpi=dpi)
+    panels: list[Axes] = figure.subplots(down, across, squeeze=False).ravel().tolist()
+    for spare in panels[count:]:
+        spare.remove()
+    return figure, panels[:count]
 
 
 def format_name(layout: str) -> str:

@@ -1,31 +1,27 @@
 """Runs written down: a CSV file with a row per run; what it holds is not simulated again."""
 
-from __future__ import annotations
-
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv.domains.base import Domain, make_domain
+from qdenv.domains.base import Domain
 from qdenv.io.files import write_csv
 from qdenv.io.tables import read_table
 from qdenv.run.executors.dask import ClusterExecutor
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
-from qdenv.stats import sample_of, wilson_interval
+from qdenv.stats import Sample, sample_of, wilson_interval
+from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.options import fleet_tasks
 from qdenv.study.table import about, choose_capacity
 from qdenv.types import look_up
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 # Planners by name: ours at two efforts, the paper's by two rules.
 DRIVERS: Mapping[str, Any] = {
@@ -33,8 +29,9 @@ DRIVERS: Mapping[str, Any] = {
     "published": PbsConfig(rule="published"),
     "plain": PbsConfig(rule="plain"),
 }
+# CPU seconds of one agent's timestep where no run is known.
+RATES = {"low": 1.3e-6, "high": 2.5e-6, "plain": 6e-6, "published": 5e-6}
 _PAUSE = 30.0  # seconds between two lines on the progress
-_Key: TypeAlias = tuple[str, str, int, int, str, bool, str, int]  # the first fields of a `Run`
 
 
 class Case(NamedTuple):
@@ -48,7 +45,7 @@ class Case(NamedTuple):
     planner: str  # one of `DRIVERS`
     stop: bool = True  # end a run where it congests
 
-    def key(self, seed: int) -> _Key:
+    def key(self, seed: int) -> tuple:
         """Return the fields of `Run` that tell the run of a seed from all others."""
         drawn = f"{zlib.crc32(self.tiles.astype(np.int8).tobytes()):08x}"
         numbers = (self.agents, self.timesteps, self.planner, self.stop)
@@ -80,7 +77,7 @@ class Run(NamedTuple):
     cpu_seconds: float  # of driving, without preparing and compiling
 
     @property
-    def key(self) -> _Key:
+    def key(self) -> tuple:
         """Layout to seed, which tell it from all other runs, as `Case.key` does."""
         return self[:8]
 
@@ -96,26 +93,16 @@ def complete(
     seeds: Sequence[int],
     others: Sequence[Path] = (),
     say: Callable[[str], None] = lambda line: None,
-    client: Client | None = None,
+    client: Any = None,
 ) -> list[Run]:
-    """Simulate what stands in no file yet and write each run down as it ends.
+    """Simulate what no file holds, write each run down as it ends; return all, case by case.
 
-    Several processes may share a file. If two write in the same instant a row can get lost; it is
-    simulated again the next time.
+    `path` is the file that grows; `others` are only read; `say` is called every half minute with a
+    line on the progress; `client` is of a cluster whose workers simulate, else this process does,
+    run by run. Several processes may share a file: if two write in the same instant a row can get
+    lost, and is simulated again the next time.
 
-    Args:
-        path: the file that grows.
-        cases: what to simulate.
-        seeds: of each case.
-        others: further files of runs; only read.
-        say: called every half minute with a line on the progress.
-        client: of a cluster whose workers simulate; in this process, one by one, unless given.
-
-    Returns:
-        the runs of all cases, case by case.
-
-    Raises:
-        InputError: a case cannot be simulated, or a file is no table of runs.
+    Raises InputError if a case cannot be simulated, or a file is no table of runs.
     """
     for case in cases:
         look_up(DRIVERS, case.planner, "planner")
@@ -133,45 +120,45 @@ def complete(
             last = time.time()
             rest = [case for case, seed in todo if case.key(seed) not in known]
             left = timedelta(seconds=round(seconds_for(rest, list(known.values()))))
+            jam = f", congested at {run.end_timestep}" * run.congested
             say(
                 f"{done} of {len(todo)} runs, about {left} of one core left: {run.layout}, "
-                f"{run.agents} agents, {run.planner}, seed {run.seed}: {run.throughput:.3f}"
-                + f", congested at {run.end_timestep}"
-                * run.congested
+                f"{run.agents} agents, {run.planner}, seed {run.seed}: {run.throughput:.3f}{jam}"
             )
     return [known[case.key(seed)] for case in cases for seed in seeds]
 
 
-def _simulate_all(todo: Sequence[tuple[Case, int]], client: Client | None) -> Iterator[Run]:
-    """Simulate cases, each from its seed, and yield the runs as they end."""
+def _simulate_all(todo: Sequence[tuple[Case, int]], client: Any) -> Iterator[Run]:
+    """Simulate cases, each from its seed, here or on a cluster."""
     if client is None:
         yield from (simulate(case, seed) for case, seed in todo)
-        return
-    executor = ClusterExecutor(client)
-    try:
-        # Functions cannot be sent, settings can.
-        cases = [case._replace(domain=case.domain.config) for case, _ in todo]
-        yield from executor.map(_simulate_elsewhere, cases, [seed for _, seed in todo])
-    finally:
-        executor.shutdown(cancel_futures=True)
-
-
-def _simulate_elsewhere(case: Any, seed: int) -> Run:
-    """Simulate a `Case` that has the settings of its domain in place of the domain."""
-    return simulate(case._replace(domain=make_domain(case.domain)), seed)
+    elif todo:
+        executor = ClusterExecutor(client)
+        try:
+            # Workers have the package, not this module: they get no `Case`.
+            given = zip(*(_arguments(case, seed) for case, seed in todo), strict=True)
+            for (case, seed), done in zip(todo, executor.map(run_seeds, *given), strict=True):
+                yield _to_run(case, seed, done)
+        finally:
+            executor.shutdown(cancel_futures=True)
 
 
 def simulate(case: Case, seed: int) -> Run:
     """Simulate one run on one core; the program has been loaded before its clock starts."""
-    from qdenv.study.engine import run_seeds  # imports the simulator
+    return _to_run(case, seed, run_seeds(*_arguments(case, seed)))
 
+
+def _arguments(case: Case, seed: int) -> tuple:
+    """Return what `run_seeds` takes for one run on one core."""
     # Runs with other numbers of agents share the program; it is no larger than can be counted.
     most = max(case.agents, min(case.tiles.size, MOST_STEPS // case.timesteps))
     config = replace(case.fleet, agents=min(choose_capacity(case.agents), most))
-    tasks = case.domain.simulator.tasks
-    done = run_seeds(case.tiles, tasks, config, [seed], case.agents, threads=1)
+    return (case.tiles, case.domain.simulator.tasks, config, [seed], case.agents, None, 1)
+
+
+def _to_run(case: Case, seed: int, done: Simulated) -> Run:
+    """Round a run as the file holds it: one that is read equals the one that was made."""
     (run,) = done.runs
-    # Rounded as the file holds it: a run that is read equals the one that was made.
     return Run(
         *case.key(seed),
         throughput=float(f"{run.throughput:.6g}"),
@@ -181,16 +168,18 @@ def simulate(case: Case, seed: int) -> Run:
     )
 
 
-def seconds_for(cases: Sequence[Case], runs: Sequence[Run]) -> float:
-    """Estimate the CPU seconds of a run of each case from other runs, best of the same planner.
+def rate(planner: str, runs: Iterable[Run]) -> float:
+    """Estimate the CPU seconds of an agent's timestep: from runs of the planner, or any, if any."""
+    known = list(runs)
+    same = [run for run in known if run.planner == planner] or known
+    if not same:
+        return RATES[planner]
+    return sum(run.cpu_seconds for run in same) / sum(run.agents * run.timesteps for run in same)
 
-    A run costs by its agents and timesteps. At least one run, unless there is no case.
-    """
-    rates = {}
-    for planner in {case.planner for case in cases}:
-        same = [run for run in runs if run.planner == planner] or runs
-        work = sum(run.agents * run.timesteps for run in same)
-        rates[planner] = sum(run.cpu_seconds for run in same) / work
+
+def seconds_for(cases: Sequence[Case], runs: Sequence[Run]) -> float:
+    """Estimate the CPU seconds of a run of each case from other runs."""
+    rates = {planner: rate(planner, runs) for planner in {case.planner for case in cases}}
     return sum(rates[case.planner] * case.agents * case.timesteps for case in cases)
 
 
@@ -216,6 +205,11 @@ class Outcome(NamedTuple):
     jam_most: float  # of the last
     cpu_seconds: float  # of a run, on average
 
+    @property
+    def sample_of_all(self) -> Sample:
+        """The mean over all runs, congested ones too, with its error."""
+        return Sample(self.mean_of_all, self.error_of_all, self.runs)
+
 
 def outcomes_of(runs: Iterable[Run]) -> list[Outcome]:
     """Make a row of each case that has runs, in the order of their first runs.
@@ -225,19 +219,20 @@ def outcomes_of(runs: Iterable[Run]) -> list[Outcome]:
     cases: dict[tuple, dict[int, Run]] = {}
     for run in runs:
         cases.setdefault(run[:7], {})[run.seed] = run
-    return [_condense(list(seeds.values())) for seeds in cases.values()]
-
-
-def _condense(runs: Sequence[Run]) -> Outcome:
-    one, every = runs[0], np.array([run.throughput for run in runs])
-    good = every[[not run.congested for run in runs]]
-    ends = [float(run.end_timestep) for run in runs if run.congested and run.stop]
-    jams = np.array(ends or [np.nan])
-    success, whole = sample_of(good if len(good) else np.array([np.nan])), sample_of(every)
-    return Outcome(
-        *(one.layout, one.domain, one.agents, one.timesteps, one.planner, one.stop),
-        *(len(runs), len(good), *wilson_interval(len(good), len(runs))),
-        *(success.mean, success.error, whole.mean, whole.error),
-        *(float(np.median(jams)), float(jams.min()), float(jams.max())),
-        cpu_seconds=float(np.mean([run.cpu_seconds for run in runs])),
-    )
+    rows = []
+    for case, seeds in cases.items():
+        own = list(seeds.values())
+        every = np.array([run.throughput for run in own])
+        good = every[[not run.congested for run in own]]
+        ends = [float(run.end_timestep) for run in own if run.congested and run.stop]
+        jams = np.array(ends or [np.nan])
+        success, whole = sample_of(good if len(good) else np.array([np.nan])), sample_of(every)
+        row = Outcome(
+            *case[:6],
+            *(len(own), len(good), *wilson_interval(len(good), len(own))),
+            *(success.mean, success.error, whole.mean, whole.error),
+            *(float(np.median(jams)), float(jams.min()), float(jams.max())),
+            cpu_seconds=float(np.mean([run.cpu_seconds for run in own])),
+        )
+        rows.append(row)
+    return rows
