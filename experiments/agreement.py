@@ -8,30 +8,33 @@ runs.csv and is not simulated again, so this can be stopped and started again.
 """
 
 import sys
+import warnings
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from scipy.stats import rankdata
+from scipy import stats
 
 import qdenv
-from experiments.correlation import Agreement, agree, correlate
-from experiments.ledger import Case, Run, complete
+from experiments.ledger import Case, complete
 from experiments.pieces import table
+from experiments.traffic import name_layouts
 from qdenv.cli.parser import run_program
 from qdenv.domains.base import make_domain
 from qdenv.io.files import write_csv
+from qdenv.stats import Sample, sample_of
 from qdenv.study.options import parse_seeds
-from qdenv.study.plans import name_layouts, read_plan
+from qdenv.study.plans import read_plan
 from qdenv.view.style import new_figure, save_figure, styled
 
 PAPER = "published"  # the planner that the others are compared with
 PLANNERS = ("low", "high", "plain", PAPER)
 PARTED = 6  # layouts listed of each planner
+RESAMPLES = 2000  # of the layouts, for an interval
 LOOKS = {"high": ("#0072B2", "^"), "low": ("#E69F00", "o")}  # Okabe and Ito 2008
 
 
@@ -60,17 +63,14 @@ class Judged(NamedTuple):
         return self.throughput[planner].mean(axis=1)
 
 
-def spread(objective: np.ndarray, count: int) -> np.ndarray:
-    """Choose rows at equal steps of rank, from the worst to the best (int [count])."""
-    order = np.argsort(objective, kind="stable")
-    return order[np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)]
-
-
 def subjects_of(run: qdenv.RunDirectory, count: int, files: Sequence[Path]) -> Iterator[Subject]:
     """Take elites spread over the objective, and layout files of the run's domain."""
     archive, domain = run.archive, make_domain(run.config.evaluation.domain)
     columns, cells = archive.columns, archive.cells
-    for row in spread(columns["objective"], count):
+    # At equal steps of rank, from the worst to the best.
+    order = np.argsort(columns["objective"], kind="stable")
+    places = np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)
+    for row in order[places]:
         flowed = not np.any(columns["congested"][row]) if "congested" in columns else True
         name = "elite " + ",".join(map(str, cells[row]))
         known = (float(columns["objective"][row]), flowed, columns["measures"][row])
@@ -81,15 +81,51 @@ def subjects_of(run: qdenv.RunDirectory, count: int, files: Sequence[Path]) -> I
         yield Subject(name, tiles, np.nan, True, np.array(values, float))
 
 
-def sort_out(runs: Sequence[Run], layouts: int) -> Judged:
-    """Sort runs that come layout by layout, planner by planner, seed by seed."""
-    shape = (layouts, len(PLANNERS), -1)
-    throughput = np.array([run.throughput for run in runs]).reshape(shape)
-    jams = np.array([run.congested for run in runs]).reshape(shape).sum(axis=2)
-    return Judged(
-        {planner: throughput[:, place] for place, planner in enumerate(PLANNERS)},
-        {planner: jams[:, place] for place, planner in enumerate(PLANNERS)},
-    )
+class Correlation(NamedTuple):
+    """A rank correlation over layouts."""
+
+    value: float  # of them; NaN with fewer than three layouts, or where a judge tells none apart
+    low: float  # lower end of its 95 % bootstrap interval over layouts; NaN where it has none
+    high: float  # upper end
+
+
+class Agreement(NamedTuple):
+    """How far two judges agree."""
+
+    layouts: int  # how many both judged
+    spearman: Correlation  # rank correlation
+    kendall: Correlation  # the correlation tau-b of the order of pairs
+    ratio: Sample  # of what the one says over what the other says, where that is above 0
+
+
+def agree(ours: np.ndarray, theirs: np.ndarray, seed: int = 0) -> Agreement:
+    """Compare two judges of the same layouts (float [layouts] each)."""
+    moved = theirs > 0
+    ratio = sample_of(ours[moved] / theirs[moved] if moved.any() else np.array([np.nan]))
+    spearman, kendall = (correlate(kind, ours, theirs, seed) for kind in ("spearman", "kendall"))
+    return Agreement(len(ours), spearman, kendall, ratio)
+
+
+def correlate(kind: str, ours: np.ndarray, theirs: np.ndarray, seed: int = 0) -> Correlation:
+    """Correlate the ranks that two judges give.
+
+    The interval is bias-corrected and accelerated (Efron 1987, "Better bootstrap confidence
+    intervals", https://doi.org/10.1080/01621459.1987.10478410); `kind`: "spearman" or "kendall".
+    """
+    if len(ours) < 3:
+        return Correlation(np.nan, np.nan, np.nan)
+    measure = {"spearman": stats.spearmanr, "kendall": stats.kendalltau}[kind]
+
+    def statistic(ours: np.ndarray, theirs: np.ndarray) -> float:
+        return float(measure(ours, theirs).statistic)
+
+    options: Any = {"n_resamples": RESAMPLES, "paired": True, "vectorized": False}
+    with warnings.catch_warnings():  # a resample of equal layouts has no correlation
+        warnings.simplefilter("ignore")
+        rng = np.random.default_rng(seed)
+        found = stats.bootstrap((ours, theirs), statistic, random_state=rng, **options)
+        ends = found.confidence_interval
+        return Correlation(statistic(ours, theirs), float(ends.low), float(ends.high))
 
 
 def compare(subjects: Sequence[Subject], judged: Judged) -> dict[tuple[str, str], Agreement]:
@@ -121,21 +157,11 @@ def print_agreements(found: dict[tuple[str, str], Agreement]) -> None:
             name,
             f"{one.layouts} {over}",
             *("{:.3f} ({:.3f} to {:.3f})".format(*each) for each in (one.spearman, one.kendall)),
-            f"{one.ratio:.4f} +- {one.ratio_error:.4f}",
+            f"{one.ratio.mean:.4f} +- {one.ratio.error:.4f}",
         )
         for (name, over), one in found.items()
     ]
     print("\n".join(table(head, rows)))
-
-
-def print_jams(subjects: Sequence[Subject], judged: Judged) -> None:
-    """Print which layouts congest, and under which planners."""
-    runs = judged.throughput[PAPER].shape[1]
-    for place, subject in enumerate(subjects):
-        jams = {planner: judged.jams[planner][place] for planner in PLANNERS}
-        if any(jams.values()):
-            said = ", ".join(f"{name} {jam} of {runs}" for name, jam in jams.items() if jam)
-            print(f"{subject.name} congests: {said}")
 
 
 def print_parting(
@@ -147,15 +173,15 @@ def print_parting(
     """
     places = np.flatnonzero(judged.flows(planner)).tolist()
     ours, theirs = judged.mean(planner)[places], judged.mean(PAPER)[places]
-    ranked, paper = rankdata(ours), rankdata(theirs)
+    ranked, paper = stats.rankdata(ours), stats.rankdata(theirs)
     parting = ranked - paper
     print(f"\n{planner} and {PAPER}: where ranks part most, of {len(places)} layouts (1: worst)")
     for at in map(int, np.argsort(-np.abs(parting), kind="stable")[:PARTED]):
         subject = subjects[places[at]]
         measures = zip(axes, subject.measures, strict=True)
-        said = "".join(f", {name} {value:.4g}" for name, value in measures)
+        known = "".join(f", {name} {value:.4g}" for name, value in measures)
         ranks = f"rank {ranked[at]:g} ({ours[at]:.3f}) against {paper[at]:g} ({theirs[at]:.3f})"
-        print(f"{subject.name}: {ranks}{said}")
+        print(f"{subject.name}: {ranks}{known}")
     for axis, name in enumerate(axes):
         values = np.array([subjects[place].measures[axis] for place in places])
         rho, low, high = correlate("spearman", parting, values)
@@ -165,13 +191,20 @@ def print_parting(
 def write_table(
     path: Path, subjects: Sequence[Subject], judged: Judged, axes: Sequence[str]
 ) -> None:
-    """Write a row per layout: what each planner makes of it, and how many runs congest."""
+    """Write a row per layout: what each planner makes of it, and how many runs congest.
+
+    Layouts that congest are printed.
+    """
     head = ["layout", "objective", *axes, *PLANNERS, *(f"{name}_congested" for name in PLANNERS)]
-    rows = []
+    rows, runs = [], judged.throughput[PAPER].shape[1]
     for place, subject in enumerate(subjects):
         means = [judged.mean(planner)[place] for planner in PLANNERS]
         numbers = [f"{number:.6g}" for number in (subject.objective, *subject.measures, *means)]
-        rows.append((subject.name, *numbers, *(judged.jams[name][place] for name in PLANNERS)))
+        jams = {planner: judged.jams[planner][place] for planner in PLANNERS}
+        rows.append((subject.name, *numbers, *jams.values()))
+        if any(jams.values()):
+            named = ", ".join(f"{name} {jam} of {runs}" for name, jam in jams.items() if jam)
+            print(f"{subject.name} congests: {named}")
     write_csv(path, head, rows)
 
 
@@ -190,7 +223,6 @@ def draw(path: Path, subjects: Sequence[Subject], judged: Judged, title: str) ->
             axes.scatter(theirs[flows], mean[flows], c=colour, label=f"{name} effort", **look)
             axes.scatter(theirs[~flows], mean[~flows], c="none", label=hollow, **look)
         axes.axline((0, 0), slope=1, color="grey", linewidth=0.8, zorder=0)
-        axes.spines[["top", "right"]].set_visible(False)
         label = "throughput under priority-based search, published rule"
         axes.set(title=heading, xlabel=label, aspect="equal")
     means = np.array([theirs, *(mean for mean, _ in ours.values())])
@@ -210,7 +242,7 @@ def draw(path: Path, subjects: Sequence[Subject], judged: Judged, title: str) ->
         margin = 0.05 * (most - least) + 0.01
         near.set(xlim=(least - margin, most + margin), ylim=(least - margin, most + margin))
     handles = whole.get_legend_handles_labels()
-    figure.legend(*handles, loc="outside lower center", ncols=4, frameon=False, fontsize="small")
+    figure.legend(*handles, loc="outside lower center", ncols=4, fontsize="small")
     figure.suptitle(title, fontsize="medium")
     save_figure(figure, path)
 
@@ -245,11 +277,14 @@ def main(
         for planner in PLANNERS
     ]
     runs = complete(out / "runs.csv", cases, chosen, say=partial(print, flush=True))
-    judged = sort_out(runs, len(subjects))
+    # Runs come layout by layout, planner by planner, seed by seed.
+    order = (len(subjects), len(PLANNERS), -1)
+    throughput = np.array([run.throughput for run in runs]).reshape(order).swapaxes(0, 1)
+    jams = np.array([run.congested for run in runs]).reshape(order).sum(axis=2).T
+    judged = Judged(*(dict(zip(PLANNERS, one, strict=True)) for one in (throughput, jams)))
     write_table(out / "agreement.csv", subjects, judged, axes)
     title = f"{domain.name}, {agents} agents, {timesteps} timesteps, {len(chosen)} seeds"
     draw(out / "agreement.png", subjects, judged, title)
-    print_jams(subjects, judged)
     print(f"\n{title}; intervals: 95 %, bootstrap over layouts\n")
     print_agreements(compare(subjects, judged))
     for planner in ("low", "high", "plain"):

@@ -7,11 +7,10 @@ Every algorithm has its defaults. Each run has a folder of its own: finished one
 half-done ones go on, so this can be stopped and started again, with more seeds, too.
 """
 
-import itertools
 import sys
 import time
-from collections.abc import Iterable
 from dataclasses import replace
+from itertools import chain, product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,54 +38,48 @@ class Runs(NamedTuple):
 
     evaluations: np.ndarray  # int [N], where its metrics were taken
     metrics: np.ndarray  # float [seeds, N, 3], in the order of `METRICS`
-    entropy: np.ndarray  # float [seeds, 3], over the elites, in the order of `ENTROPY`
+    entropy: np.ndarray  # float [3], over the elites, means over seeds, in the order of `ENTROPY`
 
 
-def entropies_of(run: qdenv.RunDirectory) -> np.ndarray:
-    """Describe the entropy of a run's elites, float [3]; NaN where it is no measure."""
-    found = [place for place, axis in enumerate(run.measures) if "entropy" in axis.name]
-    values = run.archive.columns["measures"][:, found].ravel()
-    if not len(values):
-        return np.full(len(ENTROPY), np.nan)
-    return np.array([values.mean(), values.min(), (values < 0.5).mean()])
-
-
-def collect(runs: Iterable[qdenv.RunDirectory]) -> Runs:
-    """Put the metrics of an algorithm's runs side by side."""
-    runs = list(runs)
+def collect(runs: list[qdenv.RunDirectory]) -> Runs:
+    """Put the metrics of an algorithm's runs side by side; NaN where entropy is no measure."""
     tables = [run.read_metrics() for run in runs]
     metrics = [[[getattr(row, name) for name in METRICS] for row in rows] for rows in tables]
+    entropies = np.full((len(runs), len(ENTROPY)), np.nan)
+    for number, run in enumerate(runs):
+        found = [place for place, axis in enumerate(run.measures) if "entropy" in axis.name]
+        if found:
+            values = run.archive.columns["measures"][:, found].ravel()
+            entropies[number] = values.mean(), values.min(), (values < 0.5).mean()
     evaluations = np.array([row.evaluations for row in tables[0]])
-    return Runs(evaluations, np.array(metrics), np.array([entropies_of(run) for run in runs]))
+    return Runs(evaluations, np.array(metrics), entropies.mean(axis=0))
 
 
-def write_table(path: Path, found: dict[str, Runs]) -> None:
-    """Write one row per algorithm: final means, half-widths of their intervals, entropies."""
+def write_table(path: Path, found: dict[str, Runs], domain: str) -> None:
+    """Write one row per algorithm, and print it beside the paper's of a domain.
+
+    A row holds final means, half-widths of their intervals, entropies.
+    """
+    print(
+        "mean +- half of its 95 % interval (Student's t); share: of elites with entropy below 0.5"
+    )
+    titles = "".join(f"{title:18}" for title in METRICS.values())
+    print(f"algorithm    {titles}entropy  lowest  share  Table 4: QD-score, coverage")
     head = ["algorithm", "seeds", "evaluations"]
     head += [name for metric in METRICS for name in (metric, f"{metric}_margin")]
     rows = []
     for name, runs in found.items():
-        numbers = np.stack(band_of(runs.metrics[:, -1]), axis=1).ravel()
-        written = [f"{number:.6g}" for number in (*numbers, *runs.entropy.mean(axis=0))]
-        rows.append((name, len(runs.metrics), runs.evaluations[-1], *written))
+        pairs = list(zip(*band_of(runs.metrics[:, -1]), strict=True))
+        numbers = [f"{number:.6g}" for number in (*chain(*pairs), *runs.entropy)]
+        rows.append((name, len(runs.metrics), runs.evaluations[-1], *numbers))
+        cells = [
+            f"{m:.{digits}f} +- {half:.{digits}f}"
+            for (m, half), digits in zip(pairs, (1, 4, 3), strict=True)
+        ]
+        mean, lowest, share = runs.entropy
+        line = f"{name:11}  {''.join(f'{cell:18}' for cell in cells)}{mean:7.2f}  {lowest:6.2f}  "
+        print(f"{line}{share:5.1%}  {TABLE_4.get((domain, name), '')}".rstrip())
     write_csv(path, [*head, *ENTROPY], rows)
-
-
-def print_table(found: dict[str, Runs], domain: str) -> None:
-    """Print the table beside the paper's of a domain."""
-    print(
-        "mean +- half of its 95 % interval (Student's t); share: of elites with entropy below 0.5"
-    )
-    head = "".join(f"{title:18}" for title in METRICS.values())
-    print(f"algorithm    {head}entropy  lowest  share  Table 4: QD-score, coverage")
-    for name, runs in found.items():
-        means, halves = band_of(runs.metrics[:, -1])
-        numbers = zip(means, halves, (1, 4, 3), strict=True)
-        cells = [f"{mean:.{digits}f} +- {half:.{digits}f}" for mean, half, digits in numbers]
-        mean, lowest, share = runs.entropy.mean(axis=0)
-        paper = TABLE_4.get((domain, name), "")
-        said = "".join(f"{cell:18}" for cell in cells)
-        print(f"{name:11}  {said}{mean:7.2f}  {lowest:6.2f}  {share:5.1%}  {paper}".rstrip())
 
 
 @styled
@@ -103,11 +96,8 @@ def draw(path: Path, found: dict[str, Runs], title: str) -> None:
                 runs.evaluations, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0
             )
         axes.set(title=label, xlabel="true evaluations")
-        axes.spines[["top", "right"]].set_visible(False)
     figure.suptitle(title, fontsize="medium")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False
-    )
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
     save_figure(figure, path)
 
 
@@ -129,7 +119,7 @@ def main(
     """
     base = qdenv.find_preset(preset)
     base = replace(base, evaluations=evaluations or base.evaluations)
-    todo = list(itertools.product(range(seeds), algorithms))
+    todo = list(product(range(seeds), algorithms))
     found: dict[str, list[qdenv.RunDirectory]] = {name: [] for name in algorithms}
     start = time.time()
     for done, (seed, name) in enumerate(todo, start=1):
@@ -144,11 +134,10 @@ def main(
         rest = f", about {format_duration(left)} left" if done < len(todo) else ""
         print(f"{done} of {len(todo)}: {run!r}{rest}", flush=True)
     collected = {name: collect(runs) for name, runs in found.items()}
-    write_table(out / "algorithms.csv", collected)
+    domain = qdenv.DOMAINS.name_of(base.evaluation.domain)
+    write_table(out / "algorithms.csv", collected, domain)
     spread = "mean and 95 % interval" if seeds > 1 else "one run each"
     draw(out / "algorithms.png", collected, f"{preset}, {seeds} seeds: {spread}")
-    domain = qdenv.DOMAINS.name_of(base.evaluation.domain)
-    print_table(collected, domain)
     print(f"{out / 'algorithms.csv'}, {out / 'algorithms.png'}")
 
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -27,11 +27,11 @@ import qdenv
 from experiments.ledger import Case, Outcome, complete, outcomes_of, read_runs
 from experiments.pieces import table
 from experiments.published import TRAFFIC
-from experiments.traffic import moved_in, rate_of
+from experiments.traffic import moved_in, name_layouts, rate_of
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
 from qdenv.study.options import parse_counts, parse_seeds
-from qdenv.study.plans import name_layouts, read_plan
+from qdenv.study.plans import read_plan
 from qdenv.view.style import new_grid, save_figure, styled
 
 # What files call a layout's maker: the first that fits counts, as a tiled layout's name may say
@@ -63,11 +63,12 @@ def who(row: Outcome) -> str:
 
 def cells_of(row: Outcome) -> tuple[object, ...]:
     """Return a row of the table."""
-    case = f"{row.layout} ({row.domain})", row.agents, row.timesteps, who(row)
     jams = f"{row.jam_median:.0f} ({row.jam_least:.0f} to {row.jam_most:.0f})"
-    jams = "" if np.isnan(row.jam_median) else jams
-    seconds = f"{row.cpu_seconds:.2f}"
-    return (*case, rate_of(row), moved_in(row), paper_on(row), seconds, jams)
+    return (
+        *(f"{row.layout} ({row.domain})", row.agents, row.timesteps, who(row)),
+        *(rate_of(row), moved_in(row), paper_on(row), f"{row.cpu_seconds:.2f}"),
+        "" if np.isnan(row.jam_median) else jams,
+    )
 
 
 def plot(axes: Axes, rows: Sequence[Outcome]) -> None:
@@ -82,12 +83,11 @@ def plot(axes: Axes, rows: Sequence[Outcome]) -> None:
         axes.errorbar(agents, means, np.nan_to_num(error), color=colour, ls=style, capsize=3)
         label = f"{name}, T = {timesteps}"
         axes.plot(agents, means, marker, color=colour, ls=style, label=label)
+        look: Any = {"textcoords": "offset points", "color": colour, "fontsize": 7}
         for row in (row for row in own if row.successes < row.runs):
-            spot, said = (row.agents, row.mean_of_all), f"{row.successes / row.runs:.0%}"
+            spot = (row.agents, row.mean_of_all)
             axes.plot(*spot, marker, color=colour, mfc="white")
-            axes.annotate(
-                said, spot, (5, -10), textcoords="offset points", color=colour, fontsize=7
-            )
+            axes.annotate(f"{row.successes / row.runs:.0%}", spot, (5, -10), **look)
     axes.set_xticks(sorted({row.agents for row in rows}))
 
 
@@ -105,11 +105,8 @@ def draw(path: Path, rows: Sequence[Outcome]) -> None:
         axes.set(
             xlabel="agents", ylabel="tasks / timestep, all runs", ylim=(0, 1.06 * axes.dataLim.y1)
         )
-        axes.spines[["top", "right"]].set_visible(False)
         labels |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-    figure.legend(
-        list(labels.values()), list(labels), loc="outside lower center", ncols=4, frameon=False
-    )
+    figure.legend(list(labels.values()), list(labels), loc="outside lower center", ncols=4)
     figure.suptitle("hollow: some runs congest; per cent: how many do not", fontsize="small")
     save_figure(figure, path)
 

@@ -4,7 +4,7 @@ import json
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -93,7 +93,8 @@ class SavedCourse(OfLayout):
         while found is None or found.runs < self.seeds:
             begin = found.runs if found else 0
             more = simulate(case, range(begin, min(begin + CHUNK, self.seeds)))
-            found = Course(*map(sum, zip(found, more, strict=True))) if found else more
+            pairs: Any = zip(found or more, more, strict=True)
+            found = Course(*(one + other for one, other in pairs)) if found else more
             parts = np.rint(found.usage / found.runs * PARTS).astype(int)
             content = found._asdict() | {
                 "cpu_seconds": round(found.cpu_seconds, 3),

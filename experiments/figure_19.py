@@ -12,10 +12,10 @@ from experiments.courses import SavedCourse
 from experiments.layouts import S_EVAL, SavedLayout
 from experiments.lines import LOOKS
 from experiments.makers import TABLE, own_agents
+from experiments.panels import show_layout
 from experiments.pieces import Drawn, Experiment, Folders, Piece, table
 from experiments.published import FLEETS, TRAFFIC
 from experiments.traffic import SavedTraffic, describe
-from qdenv.view.layouts import draw_layout
 from qdenv.view.style import new_figure
 
 MAPPED = 5  # runs whose usage is drawn
@@ -44,7 +44,8 @@ def draw(folders: Folders) -> Drawn:
     figure = new_figure(4.2 * len(FLEETS), 13, dpi=100)
     panels = figure.subplots(3, len(FLEETS))
     for column, domain in enumerate(FLEETS):
-        show_layout(panels[0, column], RUNS[domain, "tiled"].layout, folders)
+        title = f"{domain}: {LOOKS['tiled'].label}"
+        show_layout(panels[0, column], RUNS[domain, "tiled"].layout, folders, title)
         for axes, maker in zip(panels[1:, column], MAKERS, strict=True):
             show_usage(axes, USAGE[domain, maker], folders)
     drawn = [axes.images[-1] for axes in panels[1:].flat if axes.images]
@@ -64,16 +65,6 @@ def row_of(domain: str, maker: str, folders: Folders) -> tuple[object, ...]:
     changed = layout.read(folders).facts["changed"] if known else ""
     moved = describe(saved.outcomes(folders), refusal)
     return (domain, LOOKS[maker].label, agents, changed, *moved, TRAFFIC[domain, maker, agents])
-
-
-def show_layout(axes: Axes, layout: SavedLayout, folders: Folders) -> None:
-    """Draw a layout, or say that it is not made yet."""
-    if not layout.done(folders):
-        note(axes, f"{layout.stem}\nnot made yet")
-        return
-    made = layout.read(folders)
-    draw_layout(made.layout, made.domain.tiles, axes, made.domain.names)
-    axes.set_title(f"{layout.domain}: {LOOKS[layout.maker].label}", fontsize="small")
 
 
 def show_usage(axes: Axes, saved: SavedCourse, folders: Folders) -> None:

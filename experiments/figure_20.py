@@ -41,8 +41,7 @@ def draw(folders: Folders) -> Drawn:
             axes.set(xlabel="evaluations", ylabel=METRICS[metric], ylim=(0, None))
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k needs less room
             axes.set_title(domain, fontsize="small")
-            axes.legend(frameon=False, fontsize=7)
-            axes.spines[["top", "right"]].set_visible(False)
+            axes.legend(fontsize=7)
     figure.supxlabel("(number of runs); stars: the paper's means at the end", fontsize=8)
     return Drawn(figure)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -32,6 +32,7 @@ DRIVERS: Mapping[str, Any] = {
 # CPU seconds of one agent's timestep where no run is known.
 RATES = {"low": 1.3e-6, "high": 2.5e-6, "plain": 6e-6, "published": 5e-6}
 _PAUSE = 30.0  # seconds between two lines on the progress
+_Key: TypeAlias = tuple[str, str, int, int, str, bool, str, int]  # the first fields of a `Run`
 
 
 class Case(NamedTuple):
@@ -45,7 +46,7 @@ class Case(NamedTuple):
     planner: str  # one of `DRIVERS`
     stop: bool = True  # end a run where it congests
 
-    def key(self, seed: int) -> tuple:
+    def key(self, seed: int) -> _Key:
         """Return the fields of `Run` that tell the run of a seed from all others."""
         drawn = f"{zlib.crc32(self.tiles.astype(np.int8).tobytes()):08x}"
         numbers = (self.agents, self.timesteps, self.planner, self.stop)
@@ -77,7 +78,7 @@ class Run(NamedTuple):
     cpu_seconds: float  # of driving, without preparing and compiling
 
     @property
-    def key(self) -> tuple:
+    def key(self) -> _Key:
         """Layout to seed, which tell it from all other runs, as `Case.key` does."""
         return self[:8]
 
@@ -220,15 +221,14 @@ def outcomes_of(runs: Iterable[Run]) -> list[Outcome]:
     for run in runs:
         cases.setdefault(run[:7], {})[run.seed] = run
     rows = []
-    for case, seeds in cases.items():
-        own = list(seeds.values())
+    for own in (list(seeds.values()) for seeds in cases.values()):
         every = np.array([run.throughput for run in own])
         good = every[[not run.congested for run in own]]
         ends = [float(run.end_timestep) for run in own if run.congested and run.stop]
         jams = np.array(ends or [np.nan])
         success, whole = sample_of(good if len(good) else np.array([np.nan])), sample_of(every)
         row = Outcome(
-            *case[:6],
+            *own[0][:6],
             *(len(own), len(good), *wilson_interval(len(good), len(own))),
             *(success.mean, success.error, whole.mean, whole.error),
             *(float(np.median(jams)), float(jams.min()), float(jams.max())),

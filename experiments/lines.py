@@ -40,7 +40,6 @@ def new_panels(rows: int, columns: int, crown: Sequence[str]) -> tuple[Figure, n
     for axes, title in zip(panels[0], crown, strict=True):
         axes.set_title(title)
     for axes in panels.flat:
-        axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.3)
     return figure, panels
 
@@ -73,5 +72,4 @@ def finish(figure: Figure, panels: np.ndarray) -> None:
             list(named),
             loc="outside lower center",
             ncols=len(named),
-            frameon=False,
         )

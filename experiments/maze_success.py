@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from statistics import mean
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -147,7 +147,13 @@ def draw_rates(axes: Axes, found: list[Solved]) -> tuple[object, ...]:
         rate, (low, high) = row.successes / row.runs, wilson_interval(row.successes, row.runs)
         own = (f"{rate:.0%} ({low:.0%} to {high:.0%})", row.shortest, row.walls)
         ends = np.maximum([[rate - low], [high - rate]], 0)
-        look = {"fmt": "o", "color": LOOKS["nca"].colour, "ms": 8, "capsize": 4, "label": "grown"}
+        look: Any = {
+            "fmt": "o",
+            "color": LOOKS["nca"].colour,
+            "ms": 8,
+            "capsize": 4,
+            "label": "grown",
+        }
         axes.errorbar([row.shortest], [rate], ends, **look)
     if not others:
         return (*own, "not made yet", 0, "")

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 
 from experiments.archives import note
-from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SavedLayout
+from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, S, SavedLayout
 from experiments.pieces import Drawn, Experiment, Folders, table
 from qdenv.view.layouts import draw_layout
 from qdenv.view.style import new_grid
@@ -23,7 +23,10 @@ class Panel(NamedTuple):
 def panels_of(shows: str, panels: Sequence[Panel]) -> Experiment:
     """Make an experiment that shows layouts side by side, and says what the repair changed."""
 
-    def draw_all(folders: Folders) -> Drawn:
+    def draw(folders: Folders) -> Drawn:
+        figure, grid = new_grid(len(panels), 3, (4.2, 4.4), dpi=100)
+        for axes, panel in zip(grid, panels, strict=True):
+            show_layout(axes, panel.saved, folders, panel.title, panel.unrepaired)
         rows = []
         for saved in dict.fromkeys(panel.saved for panel in panels if panel.saved.done(folders)):
             made = saved.read(folders)
@@ -31,26 +34,34 @@ def panels_of(shows: str, panels: Sequence[Panel]) -> Experiment:
             share = f"{made.facts['changed'] / made.layout.size:.1%}" if steps else ""
             rows.append((saved.domain, saved.maker, size, steps, made.facts["changed"], share))
         head = ("domain", "maker", "size", "steps of growth", "cells the repair changed", "share")
-        return Drawn(draw_panels(panels, folders), table(head, rows))
+        return Drawn(figure, table(head, rows))
 
     pieces = tuple(dict.fromkeys(panel.saved for panel in panels))
-    return Experiment(shows, pieces, draw_all)
+    return Experiment(shows, pieces, draw)
 
 
-def draw_panels(panels: Sequence[Panel], folders: Folders) -> Figure:
-    """Draw those layouts that are saved side by side; the others leave a note."""
-    figure, grid = new_grid(len(panels), 3, (4.2, 4.4), dpi=100)
-    for place, panel in zip(grid, panels, strict=True):
-        if not panel.saved.done(folders):
-            note(place, f"{panel.saved.stem}\nnot made yet")
-            continue
-        made = panel.saved.read(folders)
-        shown = made.unrepaired if panel.unrepaired else made.layout
-        draw_layout(shown, made.domain.tiles, place, made.domain.names)
-        place.set_title(panel.title, fontsize="small")
-    return figure
+def show_layout(
+    axes: Axes, saved: SavedLayout, folders: Folders, title: str, unrepaired: bool = False
+) -> None:
+    """Draw a layout, or leave a note that it is not made yet."""
+    if not saved.done(folders):
+        note(axes, f"{saved.stem}\nnot made yet")
+        return
+    made = saved.read(folders)
+    shown = made.unrepaired if unrepaired else made.layout
+    draw_layout(shown, made.domain.tiles, axes, made.domain.names)
+    axes.set_title(title, fontsize="small")
 
 
+# Of both domains and every alpha, by size.
+_WAREHOUSES = {
+    shape: [
+        Panel(f"{kind}, alpha = {alpha}", SavedLayout(f"warehouse-{kind}", maker, shape))
+        for kind in ("even", "uneven")
+        for alpha, maker in {0: "a0", 1: "a1", 5: "nca"}.items()
+    ]
+    for shape in (S, S_EVAL)
+}
 _PANELS: dict[str, tuple] = {
     "figure_07": (
         "example layouts of size S",
@@ -61,12 +72,7 @@ _PANELS: dict[str, tuple] = {
     "figure_10": (
         "warehouses of size S",
         Panel("designed by hand", SavedLayout("warehouse-even", "human")),
-        Panel("even, alpha = 0", SavedLayout("warehouse-even", "a0")),
-        Panel("even, alpha = 1", SavedLayout("warehouse-even", "a1")),
-        Panel("even, alpha = 5", SavedLayout("warehouse-even", "nca")),
-        Panel("uneven, alpha = 0", SavedLayout("warehouse-uneven", "a0")),
-        Panel("uneven, alpha = 1", SavedLayout("warehouse-uneven", "a1")),
-        Panel("uneven, alpha = 5", SavedLayout("warehouse-uneven", "nca")),
+        *_WAREHOUSES[S],
     ),
     "figure_11": (
         "factories of size S",
@@ -74,15 +80,7 @@ _PANELS: dict[str, tuple] = {
         Panel("grown and repaired", SavedLayout("manufacturing", "nca")),
         Panel("as it was grown", SavedLayout("manufacturing", "nca"), unrepaired=True),
     ),
-    "figure_12": (
-        "grown warehouses of size S_eval",
-        Panel("even, alpha = 0", SavedLayout("warehouse-even", "a0", S_EVAL)),
-        Panel("even, alpha = 1", SavedLayout("warehouse-even", "a1", S_EVAL)),
-        Panel("even, alpha = 5", SavedLayout("warehouse-even", "nca", S_EVAL)),
-        Panel("uneven, alpha = 0", SavedLayout("warehouse-uneven", "a0", S_EVAL)),
-        Panel("uneven, alpha = 1", SavedLayout("warehouse-uneven", "a1", S_EVAL)),
-        Panel("uneven, alpha = 5", SavedLayout("warehouse-uneven", "nca", S_EVAL)),
-    ),
+    "figure_12": ("grown warehouses of size S_eval", *_WAREHOUSES[S_EVAL]),
     "figure_13": (
         "a grown factory of size S_eval",
         Panel("as it was grown", SavedLayout("manufacturing", "nca", S_EVAL), unrepaired=True),

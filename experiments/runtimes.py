@@ -4,7 +4,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -89,7 +89,7 @@ class SavedRuntime(Piece):
             compiled_grow(solution).block_until_ready()
             seconds = round(compiled - begin, 4), round(time.process_time() - compiled, 4)
             sized = finish(grown, config.repair, seed)
-            ended = sized.cpu_seconds, sized.repair, sized.changed, best_of(self.domain)
+            ended: Any = (sized.cpu_seconds, sized.repair, sized.changed, best_of(self.domain))
             write_csv(
                 self.path(folders),
                 Runtime._fields,
@@ -133,7 +133,7 @@ def draw(folders: Folders) -> Drawn:
     axes.set_xticks(sorted(set(ticks)), [f"{cells:,}" for cells in sorted(set(ticks))])
     axes.minorticks_off()
     axes.grid(alpha=0.3)
-    figure.legend(loc="outside right center", frameon=False, fontsize="small")
+    figure.legend(loc="outside right center", fontsize="small")
     said = (f"Not made yet: {missing} of {len(PIECES)}.",) if missing else ()
     return Drawn(figure, (*table(HEAD, rows), "", *NOTES, *said))
 
@@ -150,7 +150,14 @@ def draw_domain(axes: Axes, domain: str, own: dict[tuple[int, int], list[Runtime
         if not any(sample.mean for sample in samples):
             continue
         means, errors, _ = zip(*samples, strict=True)
-        look = {"color": colour, "marker": marker, "ls": style, "mfc": fill, "ms": 5, "capsize": 2}
+        look: Any = {
+            "color": colour,
+            "marker": marker,
+            "ls": style,
+            "mfc": fill,
+            "ms": 5,
+            "capsize": 2,
+        }
         label = f"{domain}, {label}"
         axes.errorbar(cells, means, np.nan_to_num(errors), label=label, **look)
 

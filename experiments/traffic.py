@@ -1,5 +1,6 @@
 """Saved simulations: tables with a row per run, of some layouts with some numbers of agents."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,6 +63,12 @@ class SavedTraffic(OfLayout):
         """Simulate what is missing."""
         given = self.path(folders), self.cases(folders), range(self.seeds)
         complete(*given, say=say, client=folders.client)
+
+
+def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:
+    """Name layout files briefly: by their stem where that is enough, else by their whole path."""
+    stems = Counter(path.stem for path in set(paths))
+    return {path.stem if stems[path.stem] == 1 else str(path): path for path in paths}
 
 
 def describe(found: Sequence[Outcome], refusal: str) -> tuple[str, str]:

@@ -14,26 +14,11 @@ from pathlib import Path
 import numpy as np
 
 import qdenv
+from experiments.runs import whole_run
 from qdenv.cli.parser import run_program
-from qdenv.run.config import RunConfig
-from qdenv.run.directory import RunDirectory
 from qdenv.stats import standard_error
 
 KERNELS = ((3, 3, 3), (3, 1, 1))
-
-
-def final(config: RunConfig, path: Path, evaluations: int) -> list[float]:
-    """Read QD-score, coverage and best objective after so many evaluations; run what is missing."""
-    if not (path / "config.json").exists():
-        run = qdenv.train(replace(config, evaluations=evaluations), path)
-    else:
-        run = RunDirectory.open(path)
-        if run.read_metrics()[-1].evaluations < evaluations:
-            qdenv.resume(path)
-    last = [row for row in run.read_metrics() if row.evaluations <= evaluations][-1]
-    if last.evaluations < evaluations:
-        raise qdenv.InputError(f"{path}: a run of {last.evaluations} evaluations; remove it")
-    return [last.qd_score, last.coverage, last.best_objective]
 
 
 def main(
@@ -54,24 +39,25 @@ def main(
     """
     base = qdenv.find_preset(preset)
     evaluations = evaluations or base.evaluations
+    evaluation = base.evaluation
     print(f"{preset}, {evaluations} evaluations, {seeds} seeds: mean (standard error)")
     print("kernels   strategy  QD-score          coverage          best objective")
     for kernels, strategy in itertools.product(KERNELS, strategies):
         finals = []
         for seed in range(seeds):
-            path = out / f"{preset}-{''.join(map(str, kernels))}-{strategy}-{seed}"
+            generator = replace(evaluation.generator, kernel_sizes=kernels)
             config = replace(
                 base,
                 seed=seed,
-                evaluation=replace(
-                    base.evaluation,
-                    generator=replace(base.evaluation.generator, kernel_sizes=kernels),
-                ),
+                evaluations=evaluations,
+                evaluation=replace(evaluation, generator=generator),
                 algorithm=replace(base.algorithm, strategy=strategy),
             )
-            finals.append(final(config, path, evaluations))
-        mean = np.mean(finals, axis=0)
-        error = standard_error(finals)
+            path = out / f"{preset}-{''.join(map(str, kernels))}-{strategy}-{seed}"
+            metrics = whole_run(config, path).read_metrics()
+            last = [row for row in metrics if row.evaluations <= evaluations][-1]
+            finals.append([last.qd_score, last.coverage, last.best_objective])
+        mean, error = np.mean(finals, axis=0), standard_error(finals)
         cells = [f"{m:.3f} ({e:.3f})" for m, e in zip(mean, error, strict=True)]
         print(f"{kernels!s:9} {strategy:8}  " + "".join(f"{cell:18}" for cell in cells))
 

@@ -158,8 +158,8 @@ def test_own_objective_saves_a_row_per_elite(tmp_path, capsys):
 def test_agreement_judges_elites_and_files_and_simulates_nothing_again(
     small_run, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr("experiments.correlation.RESAMPLES", 20)
     script, settings = load("agreement"), dict(agents=6, timesteps=20, seeds="2", out=tmp_path)
+    monkeypatch.setattr(script, "RESAMPLES", 20)
     hall = tmp_path / "hall.json"
     write_layout(hall, small_run.best.layout, small_run.tiles)
     script.main(small_run.path, (hall,), 3, **settings)
@@ -180,8 +180,8 @@ def test_agreement_judges_elites_and_files_and_simulates_nothing_again(
 
 
 def test_agreement_leaves_out_what_congests_under_either_planner(monkeypatch):
-    monkeypatch.setattr("experiments.correlation.RESAMPLES", 20)
     script = load("agreement")
+    monkeypatch.setattr(script, "RESAMPLES", 20)
     paper, low = np.array([1, 2, 3, 4, 5, 0.0]), np.array([2, 1, 3, 5, 4, 9.0])
     means = {"low": low, "high": paper, "plain": paper, "published": paper}
     jams = {name: np.zeros(6, int) for name in means}

@@ -70,7 +70,7 @@ def test_a_run_outside_of_xla_is_the_one_inside_bit_for_bit(planner, keep):
 
     for seed, agents in ((0, 7), (3, 9), (0, 10)):
         world = program.prepare(layout)
-        outside, recording = program.drive(world, seed, agents)
+        outside, recording = jax.tree.map(np.asarray, program.run(world, seed, agents))
         traffic, tape = inside(layout, jax.random.key(seed), np.int32(agents))
         jax.tree.map(np.testing.assert_array_equal, outside, traffic)
         assert outside.finished.sum() > 0 or agents > 9

@@ -12,12 +12,14 @@ from fleet_runs import PLAIN, SERVICES, random_layout
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import read_layout
 from qdenv.simulate.mapf import fleet
+from qdenv.simulate.mapf.audit import audit
 from qdenv.simulate.mapf.host import run as host_run
 from qdenv.simulate.mapf.host.distances import DistanceFields, empty_fields
+from qdenv.simulate.mapf.metrics import Recording
 from qdenv.simulate.mapf.pbs import planner as pbs_planner
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.pbs.workspace import Workspace, make_workspace
-from qdenv.study.engine import auditor, run_seeds
+from qdenv.study.engine import run_seeds
 from qdenv.types import TaskRule, Traffic
 
 pytestmark = pytest.mark.slow
@@ -34,7 +36,10 @@ def audited(
     agents: int | None = None,
 ) -> list[Traffic]:
     """Run and audit; no message may come."""
-    read = auditor(layout, tasks, config)
+
+    def read(seed: int, run: Traffic, recording: Recording) -> list[str]:
+        return audit(layout, tasks, recording, run, config.horizon)
+
     done = run_seeds(layout, tasks, config, seeds, agents, read=read, threads=1)
     assert done.readings == [[]] * len(seeds)
     return done.runs

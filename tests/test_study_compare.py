@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments.traffic import name_layouts
 from qdenv import grid
 from qdenv.cli import main as cli
 from qdenv.domains.base import find_domain
@@ -15,7 +16,6 @@ from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.stats import wilson_interval
 from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.options import parse_counts
-from qdenv.study.plans import name_layouts
 from qdenv.study.table import Row, Trial, climb, compare, find_capacity, find_peak, write_rows
 from qdenv.types import InputError, Traffic
 

@@ -78,12 +78,12 @@ def grow_series(
     """
     check_range("steps", tuple(steps), tuple[NonNegativeInt, ...])
     generator = GENERATORS.make(config.generator, domain.canvas)
-    if generator.choices and solution.shape != (generator.size,):
+    if solution.shape != (generator.size,):
         raise InputError(
             "this run searched tiles, not automata: its layouts have the size of the run alone"
+            if generator.choices
+            else f"{len(solution)} parameters given, this generator has {generator.size}"
         )
-    if solution.shape != (generator.size,):
-        raise InputError(f"{len(solution)} parameters given, this generator has {generator.size}")
 
     @jax.jit
     def grow(number: jax.Array) -> jax.Array:
@@ -103,16 +103,11 @@ def grow_elite(
 ) -> Unrepaired:
     """Grow an elite of a run at any size; nothing is repaired yet.
 
-    Args:
-        run: the run.
-        which: an elite, "best", or its cell's indices: "12,40" or (12, 40).
-        shape: (rows, columns) of the framed layout; None takes the trained size.
-        steps: steps of growth; unless given what the domain knows of the size, or else scaled
-            with the longer side.
-        numbers: exact numbers of tiles by the settings' names; those left out as well, scaled
-            with the generated area.
-        keep: drawing of the layout's shape with the tiles that must stay; at the trained size
-            what the run kept unless given.
+    `which` is an elite, "best", or its cell's indices: "12,40" or (12, 40). `shape` is (rows,
+    columns) of the framed layout, None for the trained ones. Steps of growth, and exact `numbers`
+    of tiles by the settings' names, are those known of the size unless given, or else scaled with
+    the longer side and the generated area. `keep` is a drawing of the layout's shape with the tiles
+    that must stay; at the trained size what the run kept unless given.
 
     Raises:
         InputError: there is no such elite, the size is impossible, or what must stay is.
@@ -183,13 +178,8 @@ def grow_sizes(
 ) -> Iterator[Sized]:
     """Grow one elite at several sizes (rows, columns), and yield each layout when it is repaired.
 
-    Args:
-        run: a run with an archive.
-        which: as in `grow_elite`.
-        sizes: rows and columns of each framed layout.
-        steps: steps of growth for each size; as `grow_elite` chooses where empty.
-        numbers: exact numbers of tiles for each size, by the settings' names.
-        seed: of the repair; the run's own unless given.
+    `which`, and `steps` and `numbers` for each size, are as in `grow_elite`; `seed` is that of the
+    repair, the run's own unless given.
 
     Raises:
         InputError: there is no such elite, a size is impossible, or a list has another length
@@ -212,9 +202,8 @@ def grow_frames(
 ) -> tuple[list[int], list[np.ndarray]]:
     """Grow an elite of a run once more and keep what it drew on the way (Figure 6).
 
-    Returns:
-        the multiples of `every` and the last step, and the unrepaired layout (int8 [H, W]) after
-        each of these numbers of steps.
+    Return the multiples of `every` and the last step, and the unrepaired layout (int8 [H, W]) after
+    each of these numbers of steps.
 
     Raises:
         InputError: `every` is not positive, or no elite drew the layout.
@@ -232,9 +221,8 @@ Grower = Callable[[np.ndarray], np.ndarray]
 def make_grower(config: EvaluationConfig, domain: Domain) -> tuple[int, Grower]:
     """Make the function that grows solutions at the trained size and keeps every step.
 
-    Returns:
-        (steps C, float32 [B, P] -> framed layouts int8 [B, C + 1, H, W]); no steps where nothing
-        grows. Another B is compiled again.
+    Return the number of steps C, 0 where nothing grows, and the function: float32 [B, P] -> framed
+    layouts int8 [B, C + 1, H, W]. Another B is compiled again.
     """
     generator = GENERATORS.make(config.generator, domain.canvas)
     steps = generator.steps
@@ -256,11 +244,8 @@ def spread(cells: np.ndarray, first: int) -> Iterator[int]:
     """Order elites so that the first few of them, however many, lie evenly over the archive.
 
     Each is the one farthest from all before it (Gonzalez 1985, "Clustering to minimize the maximum
-    intercluster distance", https://doi.org/10.1016/0304-3975(85)90224-5).
-
-    Args:
-        cells: int [elites, M] of the archive; each of its rows is yielded once.
-        first: row of the one to begin with.
+    intercluster distance", https://doi.org/10.1016/0304-3975(85)90224-5). `cells` is int
+    [elites, M]; each of its rows is yielded once, beginning with the row `first`.
     """
     points = cells.astype(np.int32)
     distance = np.full(len(points), np.iinfo(np.int32).max)

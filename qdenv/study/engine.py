@@ -13,7 +13,6 @@ import numpy as np
 from qdenv import devices
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.audit import audit
 from qdenv.simulate.mapf.host.run import steps_under_way
 from qdenv.simulate.mapf.metrics import Recording
 from qdenv.study.options import fleet_tasks
@@ -46,16 +45,10 @@ def run_seeds(
 ) -> Simulated:
     """Simulate a layout (int8 [H, W]) once per seed, on all cores.
 
-    Args:
-        layout: int8 [H, W]; layouts of one size share a compiled program.
-        tasks: what the agents do.
-        config: settings of the simulation.
-        seeds: one per run, of starts, goals and ties.
-        agents: number of agents, at most ``config.agents``; None for all. Compiles nothing new.
-        read: called with every run and its recording, which is dropped afterwards: all recordings
-            together may not fit into memory. Without it nothing is recorded.
-        threads: runs at a time; None for the number of cores.
-        progress: called with the share of the work that is done.
+    Layouts of one size share a compiled program; so do numbers of agents, of which there are at
+    most ``config.agents``, and as many unless given. `read` is called with every run and its
+    recording, which is dropped afterwards: all recordings together may not fit into memory. Without
+    it nothing is recorded. `threads` is the number of runs at a time, None for that of the cores.
 
     Raises:
         InputError: the domain has no fleet, or the layout does not suit it.
@@ -68,12 +61,12 @@ def run_seeds(
         progress("compiling the simulator", -1, "")
     world = program.prepare(layout)
     if program.on_host and not program.ready:
-        program.drive(world, 0, 0)  # a run without agents loads or compiles the host's code
+        program.run(world, 0, 0)  # a run without agents loads or compiles the host's code
     program.ready = True
     compiled = time.process_time()
 
     def one(seed: int) -> tuple[Traffic, Any, float]:
-        traffic, recording = program.drive(world, seed, count)
+        traffic, recording = jax.tree.map(np.asarray, program.run(world, seed, count))
         since = time.thread_time()
         reading = read(seed, traffic, recording) if read else None
         return traffic, reading, time.thread_time() - since
@@ -115,11 +108,6 @@ class _Program:
     on_host: bool  # runs are driven by compiled code of the host
     ready: bool = False  # that code has been loaded or compiled
 
-    def drive(self, world: Any, seed: int, agents: int) -> tuple[Traffic, Any]:
-        """Run once; the values are numpy's."""
-        traffic, recording = jax.tree.map(np.asarray, self.run(world, seed, agents))
-        return traffic, recording
-
 
 # A study of several sizes and capacities compiles each program once.
 @functools.lru_cache(maxsize=32)
@@ -134,13 +122,3 @@ def _program(
     if not config.make_planner().on_host:
         return _Program(compiled, run, False)
     return _Program(lambda layout: jax.tree.map(np.asarray, compiled(layout)), run, True)
-
-
-def auditor(layout: np.ndarray, tasks: TaskRule, config: fleet.FleetConfig) -> Reader:
-    """Make a reader that lists a run's violations of the rules, with its seed."""
-
-    def read(seed: int, run: Traffic, recording: Recording) -> list[str]:
-        violations = audit(layout, tasks, recording, run, config.horizon)
-        return [f"seed {seed}: {one}" for one in violations]
-
-    return read

@@ -44,9 +44,7 @@ class Group(NamedTuple):
 def band_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Average curves (float [runs, n]) over runs.
 
-    Returns:
-        the mean (float [n]), and half the width of its 95 % interval (Student's t; NaN for one
-        run).
+    Return the mean (float [n]) and half its 95 % interval (Student's t; NaN for one run).
     """
     samples = [sample_of(column) for column in np.asarray(values).T]
     return np.array([one.mean for one in samples]), np.array([margin(one) for one in samples])
@@ -84,10 +82,9 @@ def _flatten(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def tell_apart(settings: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Label configurations by what differs: the algorithm or domain, then single settings.
+    """Label configurations (settings by dotted names) by what differs.
 
-    Args:
-        settings: by dotted names.
+    That is the algorithm or domain, then single settings.
     """
     names = list(dict.fromkeys(name for one in settings for name in one))
     differing = [

@@ -1,7 +1,6 @@
 """Layouts from files with their domains, drawings of what must stay, and what a repair changed."""
 
 import contextlib
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,9 +37,8 @@ class Plan(NamedTuple):
     ) -> Domain:
         """Make the domain that the plan is measured by: its size, its numbers, what must stay.
 
-        Args:
-            numbers: exact numbers of tiles; the plan's own where left out.
-            keep: drawing of what must stay; what the plan's file says unless given.
+        The exact numbers of tiles are the plan's own unless given; `keep` is a drawing of what must
+        stay, what the plan's file says unless given.
 
         Raises:
             InputError: what must stay is drawn wrong, or can be in no layout.
@@ -55,12 +53,10 @@ class Plan(NamedTuple):
 
 
 def read_plan(path: str | Path, domain: str | None = None) -> Plan:
-    """Read a layout and find its domain.
+    """Read a layout (.json, .txt, .csv or .map) and find its domain.
 
-    Args:
-        path: a .json, .txt, .csv or .map file.
-        domain: name of its domain. Unless given: what the file says, else the usual one where its
-            tiles fit, else the first one whose tiles do.
+    Unless `domain` names it: what the file says, else the usual one where its tiles fit, else the
+    first one whose tiles do.
 
     Raises:
         InputError: the file holds no layout, or says that it is another domain's.
@@ -92,20 +88,11 @@ def _guess_domain(symbols: set[str]) -> Domain:
     return find_domain(USUAL)
 
 
-def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:
-    """Name layout files briefly: by their stem where that is enough, else by their whole path."""
-    stems = Counter(path.stem for path in set(paths))
-    return {path.stem if stems[path.stem] == 1 else str(path): path for path in paths}
-
-
 def keep_from(path: str | Path, domain: Domain, layout: np.ndarray | None = None) -> Domain:
-    """Read which cells must stay, and demand it of a domain.
+    """Read which cells must stay, and demand it of a domain at the layout's size.
 
-    Args:
-        path: a drawing of the layout's shape in any format of layout files. ``?`` is free to
-            change, ``!`` stays as the plan has it, a tile stays this tile.
-        domain: at the layout's size.
-        layout: the plan int8 [H, W]; None where there is none.
+    The file is a drawing of the layout's shape in any format of layout files: ``?`` is free to
+    change, ``!`` stays as the plan (int8 [H, W], or None) has it, a tile stays this tile.
 
     Raises:
         InputError: the file is no such drawing, asks for what the plan does not hold, or for what
@@ -157,10 +144,9 @@ def _resolve(symbol: str, row: int, col: int, domain: Domain, layout: np.ndarray
 def list_changes(before: np.ndarray, after: np.ndarray, domain: Domain) -> list[dict[str, Any]]:
     """Compare two layouts (int8 [H, W]) of one domain in JSON-ready values.
 
-    Returns:
-        for each kind of tile that changed: tile (its symbol), name, station (people decide where
-        it stands), before and after (number of cells), removed and placed ((row, column) of the
-        cells that hold it no longer, or now).
+    Return for each kind of tile that changed: tile (its symbol), name, station (people decide where
+    it stands), before and after (number of cells), removed and placed ((row, column) of the cells
+    that hold it no longer, or now).
     """
     # No generator draws a station, or the rules demand a number of them or more.
     rules = domain.rules() if domain.rules else None
@@ -176,15 +162,11 @@ def list_changes(before: np.ndarray, after: np.ndarray, domain: Domain) -> list[
                 "station": tile in stations,
                 "before": int(held.sum()),
                 "after": int(holds.sum()),
-                "removed": _cells(held & ~holds),
-                "placed": _cells(holds & ~held),
+                "removed": [tuple(cell) for cell in np.argwhere(held & ~holds).tolist()],
+                "placed": [tuple(cell) for cell in np.argwhere(holds & ~held).tolist()],
             }
             changes.append(change)
     return changes
-
-
-def _cells(mask: np.ndarray) -> list[tuple[int, int]]:
-    return [(int(row), int(col)) for row, col in np.argwhere(mask)]
 
 
 def describe_changes(changes: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -117,9 +117,8 @@ def cells_with_half(maps: Maps) -> int:
 def throughput_over_time(runs: Sequence[Traffic], windows: int = 40) -> np.ndarray:
     """Average finished tasks per timestep over equal windows of whole timesteps.
 
-    Returns:
-        [3, n]: where each window ends, the mean over the runs, and its standard error (NaN for
-        one run).
+    Return [3, n]: where each window ends, the mean over the runs, and its standard error (NaN for
+    one run).
     """
     finished = np.stack([np.asarray(run.finished) for run in runs]).astype(float)
     steps = finished.shape[1]
@@ -219,13 +218,10 @@ def _congested(recording: Recording, end: int, horizon: int) -> tuple[tuple[int,
 def trace_agent(
     plan: Plan, seed: int = 0, timesteps: int | None = None, weights: Weights | None = None
 ) -> Motion:
-    """Record one walk of an agent through a maze.
+    """Record one walk of an agent through a maze; its first heading and actions are of a seed.
 
-    Args:
-        plan: the maze.
-        seed: of the first heading and of all actions.
-        timesteps: actions after which the episode fails; as `evaluate-agent` unless given.
-        weights: of the agent; those of the shipped one unless given.
+    The episode fails after `timesteps` actions, as in `evaluate-agent` unless given; the weights
+    are those of the shipped agent unless given.
 
     Raises:
         InputError: there is nothing to solve, or the seed is none.

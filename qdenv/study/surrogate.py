@@ -86,11 +86,9 @@ def split_elites(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def score_predictions(predicted: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """Score predictions of one number (float [n] each).
 
-    Returns:
-        r2: share of the variance of the held-out elites that is explained (1 is perfect, 0 no
-        better than their mean, below 0 worse; NaN if they do not vary); rmse: root mean squared
-        error, in the number's own units; rank: Spearman's rank correlation (NaN if either side
-        does not vary).
+    Return r2: share of the variance of the held-out elites that is explained (1 is perfect, 0 no
+    better than their mean, below 0 worse; NaN if they do not vary); rmse: root mean squared error,
+    in the number's own units; rank: Spearman's rank correlation (NaN if either side does not vary).
     """
     from scipy import stats  # takes half a second: refusals are faster without it
 
@@ -173,8 +171,7 @@ def _compile(config: SurrogateConfig, aspect: Aspect) -> tuple[Callable, Callabl
 def average_splits(values: Sequence[float]) -> dict[str, Any]:
     """Average a score over the splits in which it is finite.
 
-    Returns:
-        mean, spread (the standard deviation; NaN with fewer than two), splits (the values).
+    Return mean, spread (the standard deviation; NaN with fewer than two), splits (the values).
     """
     known = np.array([value for value in values if np.isfinite(value)])
     spread = float(known.std(ddof=1)) if len(known) > 1 else float("nan")

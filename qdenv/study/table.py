@@ -47,6 +47,11 @@ class Row(NamedTuple):
     error_of_all: float = float("nan")  # standard error of `mean_of_all`; NaN with one run
     fading: float = 0.0  # see `recordings.fading`
 
+    @property
+    def sample_of_all(self) -> Sample:
+        """The mean over all runs with its error."""
+        return Sample(self.mean_of_all, self.error_of_all, self.runs)
+
 
 class Peak(NamedTuple):
     """The most a layout moves, and the number of agents that moves it (Figure 18)."""
@@ -86,16 +91,10 @@ def compare(
     on_row: Callable[[Row], None] = lambda row: None,
     progress: Progress = silent,
 ) -> list[Row]:
-    """Simulate layouts with the same numbers of agents and the same seeds.
+    """Simulate layouts (int8 [H, W], by name) with the same numbers of agents and the same seeds.
 
-    Args:
-        layouts: int8 [H, W] each, by name; sizes may differ.
-        trial: the simulations.
-        on_row: called with each row when it is finished.
-        progress: called with the share of the work that is done.
-
-    Returns:
-        a row for each layout and number of agents, layout by layout.
+    Return a row for each layout and number of agents, layout by layout; `on_row` is called with
+    each when it is finished.
 
     Raises:
         InputError: before the first run, if agents cannot work on a layout, which it names.
@@ -106,18 +105,15 @@ def compare(
     trial = trial._replace(config=replace(trial.config, agents=max(trial.counts)))
     total = len(layouts) * sum(trial.counts)  # a run's cost grows with its agents
     rows: list[Row] = []
+    for (name, layout), agents in product(layouts.items(), trial.counts):
 
-    def row_of(name: str, layout: np.ndarray, agents: int) -> Row:
-        before = sum(row.agents for row in rows)
-
-        def report(doing: str, share: float, note: str) -> None:
-            done = (before + agents * max(share, 0.0)) / total
+        def report(
+            doing: str, share: float, note: str, name: str = name, agents: int = agents
+        ) -> None:
+            done = (sum(row.agents for row in rows) + agents * max(share, 0.0)) / total
             progress("simulating", done, f"{name}, {agents} agents, {note or doing}")
 
-        return _simulate(name, layout, agents, trial, report)
-
-    for (name, layout), agents in product(layouts.items(), trial.counts):
-        rows.append(row_of(name, layout, agents))
+        rows.append(_simulate(name, layout, agents, trial, report))
         on_row(rows[-1])
     return rows
 
@@ -131,10 +127,8 @@ def climb(
 ) -> list[Row]:
     """Add agents until the mean throughput over all runs drops (section E.3).
 
-    Of the trial's numbers those that fit are tried, in ascending order.
-
-    Returns:
-        a row for each number of agents tried; `find_peak` reads them.
+    Of the trial's numbers those that fit are tried, in ascending order. Return a row for each;
+    `find_peak` reads them.
 
     Raises:
         InputError: see `check_climb`.
@@ -263,13 +257,11 @@ def differences(rows: Sequence[Row]) -> list[Difference]:
     Over all runs, congested ones too: to leave them out would favour a layout that congests.
     The first layout's own rows differ by 0 from themselves, without an interval.
     """
-    samples = [Sample(row.mean_of_all, row.error_of_all, row.runs) for row in rows]
-    pairs = list(zip(rows, samples, strict=True))
-    first = {row.agents: sample for row, sample in pairs if row.layout == rows[0].layout}
+    first = {row.agents: row.sample_of_all for row in rows if row.layout == rows[0].layout}
     itself = Difference(0.0, float("nan"), float("nan"), False)
     return [
-        itself if row.layout == rows[0].layout else difference(sample, first[row.agents])
-        for row, sample in pairs
+        itself if row.layout == rows[0].layout else difference(row.sample_of_all, first[row.agents])
+        for row in rows
     ]
 
 
@@ -282,10 +274,9 @@ def write_rows(
         InputError: the place cannot be written to.
     """
     columns = columns or {}
-    lines = [(*row, *rest) for row, *rest in zip(rows, *columns.values(), strict=True)]
     # Six digits are more than any of these numbers means.
     lines = [
-        tuple(float(f"{one:.6g}") if isinstance(one, float) else one for one in line)
-        for line in lines
+        [float(f"{one:.6g}") if isinstance(one, float) else one for one in (*row, *rest)]
+        for row, *rest in zip(rows, *columns.values(), strict=True)
     ]
     write_csv(path, (*Row._fields, *columns), lines)

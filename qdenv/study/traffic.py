@@ -26,10 +26,11 @@ import numpy as np
 from qdenv import devices
 from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
+from qdenv.simulate.mapf.audit import audit as list_violations
 from qdenv.simulate.mapf.metrics import Recording
 from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
 from qdenv.stats import sample_of
-from qdenv.study.engine import Simulated, auditor, run_seeds
+from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import (
@@ -95,15 +96,9 @@ def examine(
 ) -> Study:
     """Simulate a fleet on a layout over seeds, see where it jams, and judge the number of agents.
 
-    Args:
-        plan: the layout.
-        config: settings of the simulation.
-        seeds: of the runs; the first few of them for other numbers of agents.
-        audit: check every trajectory against the rules.
-        maps: count where agents wait and work.
-        verdict: simulate other numbers of agents, too, and judge this one.
-        progress: called with the share of the work that is done.
-        on_runs: called with the study before the runs that its verdict takes.
+    `audit` checks every trajectory against the rules, `maps` counts where agents wait and work,
+    `verdict` simulates other numbers of agents, too, each with the first few seeds. `on_runs` is
+    called with the study before the runs that its verdict takes.
 
     Raises:
         InputError: the fleet cannot work on this layout, or is too large to be recorded.
@@ -123,10 +118,10 @@ def examine(
     if verdict:  # the program has room for as many agents as are tried
         most = min(most, MOST_STEPS // config.timesteps)
         config = replace(config, agents=max(agents, min(most, ceil(_MORE * agents))))
-    find_broken = auditor(layout, tasks, config)
 
     def read(seed: int, run: Traffic, recording: Recording) -> tuple[Maps, list[str]]:
-        broken = find_broken(seed, run, recording) if audit else []
+        violations = list_violations(layout, tasks, recording, run, config.horizon) if audit else []
+        broken = [f"seed {seed}: {one}" for one in violations]
         return map_run(layout.shape, run, recording), broken
 
     reader = read if recorded else None
@@ -175,10 +170,8 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
       less than half of what an average robot does.
     * *flows*: none of these.
 
-    Args:
-        here: with the number of agents in question.
-        probe: simulates another number of agents.
-        most: agents that fit the layout.
+    `here` is of the number of agents in question, `probe` simulates another number, of which at
+    most `most` fit the layout.
     """
     points = [here]
 

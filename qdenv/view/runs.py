@@ -56,7 +56,7 @@ def _draw_notes(notes: list[Note]) -> Figure:
             axes.set_ylim(-1, 1)  # below -1 it is just bad
         if len(names) > 1:
             # Below the panel: inside, it would cover the curves.
-            place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2}
+            place: Any = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2}
             axes.legend(fontsize="x-small", frameon=False, **place)
     return figure
 
