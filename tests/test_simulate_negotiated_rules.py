@@ -7,37 +7,25 @@ import numba
 import numpy as np
 import pytest
 
-from qdenv.grid import LEFT, UP
+from qdenv.grid import UP
 from qdenv.simulate.mapf.negotiated import rules
 
 CASES = 40
 SIDE, LEVELS = 21, 3
-# What each rule is given: sets, truths, numbers from a range, or a constant.
-SET, TRUTH = "set", "truth"
-CELL, TIME, CODE = range(60 * 60), range(31), range(1 << rules.CODE_BITS)
+# What each rule is given: truths, numbers from a range, or a constant.
+TRUTH = "truth"
+CELL, TIME = range(60 * 60), range(31)
 GIVEN = {
     rules.move_plane: (range(-60, 61), 57),
-    rules.opposite: (range(5),),
     rules.random_rank: (range(1 << 31), range(2)),
-    rules.tie_break_of: (range(1 << 31),),
-    rules.steps_conflict: (range(3),) * 4,
-    rules.has_served: (SET, TIME),
-    rules.goal_row: (CELL, CELL, 57, 10),
-    rules.goal_column: (CELL, CELL, 57, 10),
-    rules.is_visible: (range(-3, 25), range(-3, 25), SIDE),
+    rules.find_in_window: (CELL, CELL, 57, 10),
     rules.ends_leg: (1, range(2)),
     rules.driving_end: (1, 2, LEVELS, range(SIDE), range(SIDE), SIDE),
     rules.serving_end: (1, 2, LEVELS, TIME, SIDE),
     rules.unpack_end: (range(2 * LEVELS * (SIDE**2 + 32)), LEVELS, SIDE),
-    rules.tie_break_of_round: (range(1 << 24), range(300)),
-    rules.tie_breaker: (range(1 << 24),),
-    rules.is_flipped: (range(1 << 24),),
-    rules.urgency: (range(200), range(99), 200),
-    rules.penalty_index: (range(30), 13),
     rules.service_conflict: (range(3), TRUTH, TRUTH),
     rules.move_at: (3, range(2)),
-    rules.row_before: (range(SIDE), UP),
-    rules.column_before: (range(SIDE), LEFT),
+    rules.cell_before: (range(SIDE), range(SIDE), UP),
     rules.is_predecessor: (TRUTH,) * 4,
 }
 
@@ -46,9 +34,6 @@ def draw(rng: np.random.Generator, kind) -> tuple:
     """Draw an argument: arrays for jnp, and the same numbers one by one for numba."""
     if isinstance(kind, int):
         return kind, [kind] * CASES
-    if kind == SET:
-        words = rng.integers(0, 1 << 30, CASES)
-        return jnp.asarray(words, jnp.uint32), words.tolist()
     if kind == TRUTH:
         truths = rng.integers(0, 2, CASES)
         return jnp.asarray(truths, bool), truths.tolist()
@@ -64,8 +49,6 @@ def parts(result) -> list:
 def test_traced_and_compiled_rules_agree(rule):
     drawn = [draw(np.random.default_rng(len(rule.__name__)), kind) for kind in GIVEN[rule]]
     arrays = [argument[0] for argument in drawn]
-    if rule is rules.has_served:
-        arrays[1] = arrays[1].astype(jnp.uint32)
     kernel = numba.njit(lambda *given: rule(*given))
     traced = [np.broadcast_to(np.asarray(part), CASES) for part in parts(rule(*arrays))]
     for index, given in enumerate(zip(*(argument[1] for argument in drawn), strict=True)):
@@ -79,21 +62,7 @@ def test_every_rule_is_tried():
         for _, function in inspect.getmembers(rules, inspect.isfunction)
         if function.__module__ == rules.__name__
     }
-    assert found - set(GIVEN) == {rules.is_entry}  # takes a record, tried below
-
-
-def test_a_leg_begins_where_the_service_at_the_first_goal_ended():
-    for leg in range(2):
-        for elapsed in (-1, 0, 3):
-            for on_goal in (False, True):
-                for served in (0, 1):
-                    state = rules.PathState(leg, 0, 4, 5, elapsed)
-                    expected = leg == 1 and elapsed < 0 and on_goal and served == 1
-                    assert bool(rules.is_entry(state, on_goal, served)) == expected
-
-
-def test_a_move_has_one_against_it():
-    assert [rules.opposite(move) for move in range(5)] == [0, 2, 1, 4, 3]
+    assert found == set(GIVEN)
 
 
 def test_every_end_has_a_code_of_its_own_that_is_read_back():
@@ -124,18 +93,8 @@ def test_moves_are_tried_in_one_of_two_orders_each_its_own_inverse():
     assert orders == [[0, 1, 2, 3, 4], [0, 4, 3, 2, 1]]
 
 
-def test_steps_conflict_when_they_meet_or_swap_but_not_when_they_follow():
-    assert rules.steps_conflict(1, 2, 3, 2)
-    assert rules.steps_conflict(1, 2, 2, 1)
-    assert not rules.steps_conflict(1, 2, 2, 3)
-
-
 def test_a_move_and_its_plane_belong_together():
     changes = [0, 1, -1, 9, -9]
     assert [rules.move_plane(change, 9) for change in changes] == [0, 1, 2, 3, 4]
-    before = [(rules.row_before(5, move), rules.column_before(5, move)) for move in range(5)]
+    before = [rules.cell_before(5, 5, move) for move in range(5)]
     assert [(5 - row) * 9 + 5 - column for row, column in before] == changes
-
-
-def test_the_last_penalty_serves_all_further_attempts():
-    assert [rules.penalty_index(attempt, 3) for attempt in range(5)] == [0, 1, 2, 2, 2]

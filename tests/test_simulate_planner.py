@@ -25,17 +25,11 @@ from qdenv.grid import parse
 from qdenv.simulate.mapf.distances import goal_distances
 from qdenv.simulate.mapf.host.distances import empty_fields
 from qdenv.simulate.mapf.host.state import GridMap, grid_map
-from qdenv.simulate.mapf.negotiated.numba import reservations
+from qdenv.simulate.mapf.negotiated.numba import search as host_search
 from qdenv.simulate.mapf.negotiated.numba.search import Agent, find_path, make_arrays
 from qdenv.simulate.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
-from qdenv.simulate.mapf.negotiated.xla.reservations import (
-    add_paths,
-    around,
-    empty,
-    pack,
-)
-from qdenv.simulate.mapf.negotiated.xla.rounds import choose
-from qdenv.simulate.mapf.negotiated.xla.search import find_paths, gather
+from qdenv.simulate.mapf.negotiated.xla.rounds import add_paths, choose, pack
+from qdenv.simulate.mapf.negotiated.xla.search import STRIDE, around, find_paths, gather
 from qdenv.simulate.mapf.planner import UNREACHABLE, AgentState, World
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.simulate.mapf.tasks import GoalTable
@@ -45,6 +39,7 @@ pytestmark = pytest.mark.slow
 
 SHAPE = (HEIGHT + 2 * MARGIN, WIDTH + 2 * MARGIN)
 PADDED = np.pad(FREE, MARGIN)
+NO_RESERVATIONS = jnp.zeros(WINDOW * 5 * SHAPE[0] * -(-SHAPE[1] // STRIDE), jnp.uint32)
 
 
 @pytest.fixture(autouse=True)
@@ -102,7 +97,7 @@ def state_of(case: Case, distance: jax.Array) -> AgentState:
 @partial(jax.jit, static_argnums=5)
 def search_in_xla(world, state, others, penalty, tie_break, levels):
     mask = jnp.ones(others.shape[1], bool)
-    table = add_paths(empty(WINDOW, *SHAPE), others, mask, SHAPE)
+    table = add_paths(NO_RESERVATIONS, others, mask, SHAPE)
     walls = pack(world.traversable)
     local = gather(world, state, table, walls, jnp.array([0]), penalty[None], tie_break[None])
     steps, cost = find_paths(local, levels)
@@ -114,13 +109,18 @@ def grid_of_maze(world: World) -> GridMap:
     return grid_map(jax.tree.map(np.asarray, world))
 
 
-def reserve_others(others: np.ndarray, place: GridMap) -> reservations.ReservationWords:
+def reserve_others(others: np.ndarray, place: GridMap) -> host_search.ReservationWords:
     """Reserve paths of the padded grid (int [WINDOW + 1, n]) with one agent more that has none."""
     count = others.shape[1]
-    table = reservations.make_reservations(place, count + 1, WINDOW)
+    table = host_search.ReservationWords(
+        np.where(place.free, 0, host_search.WALL),
+        np.empty((place.free.size, WINDOW + 1), np.int32),
+        np.zeros((count + 1, WINDOW + 1), np.int64),
+        np.zeros(count + 1, np.int64),
+    )
     table.path[:count] = others.T
     for agent in range(count):
-        reservations.reserve(table, agent, WINDOW, place.width)
+        host_search.reserve(table, agent, WINDOW, place.width)
     return table
 
 
@@ -178,7 +178,7 @@ def test_in_xla_a_long_way_beyond_the_goal_costs_more_and_changes_no_path():
 def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
     others = random_walks(np.random.default_rng(3), 10)
     paths, mask = jnp.asarray(padded(others)), jnp.ones(10, bool)
-    table = add_paths(empty(WINDOW, *SHAPE), paths, mask, SHAPE)
+    table = add_paths(NO_RESERVATIONS, paths, mask, SHAPE)
     planes = table.reshape(WINDOW, 5, SHAPE[0], -1)
     place = grid_of_maze(world_of([0]))
     host = reserve_others(padded(others), place)
@@ -186,7 +186,7 @@ def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
         position = padded(cell)
         seen = around(planes, jnp.asarray(position)[None], SHAPE[1], WINDOW)
         centre = (np.asarray(seen)[:, :, WINDOW, 0] >> WINDOW) & 1
-        bits = np.arange(WINDOW)[:, None] + reservations.PLANE * np.arange(5)
+        bits = np.arange(WINDOW)[:, None] + host_search.PLANE * np.arange(5)
         on_host = (host.word[int(position)] >> bits) & 1
         leaving = [
             (others[:-1] == cell) & (others[1:] == cell + down * WIDTH + right)
@@ -197,8 +197,8 @@ def test_reservations_are_seen_where_they_are_and_vanish_when_removed():
         np.testing.assert_array_equal(on_host, expected)
     assert not add_paths(table, paths, mask, SHAPE, sign=-1).any()
     for agent in range(10):
-        reservations.reserve(host, agent, 0, place.width)
-    np.testing.assert_array_equal(host.word, np.where(place.free, 0, reservations.WALL))
+        host_search.reserve(host, agent, 0, place.width)
+    np.testing.assert_array_equal(host.word, np.where(place.free, 0, host_search.WALL))
 
 
 def test_distances_agree_with_plain_search():

@@ -21,21 +21,22 @@ import jax
 from qdenv.grid import DOWN, LEFT, RIGHT, UP
 from qdenv.native import shared
 
-# Any odd number that spreads over many bits: ties are broken in another way in every round.
-_ROUND_TIE_BREAK = 0x5851
+# Any odd number that spreads over many bits: its product with the number of the round changes an
+# agent's bits, so that ties are broken in another way in every round.
+ROUND_TIE_BREAK = 0x5851
 SWEEPS = 3  # of the greedy choice; an odd number errs towards choosing too few
 
 LEGS = 2
 COST_UNIT = 4  # costs are counted in quarters of a timestep
-CODE_BITS = 12  # room for the end of a path: leg, conflicts, row, column
+TIE_BITS = 24  # random bits of an agent in a window
+# Room for the end of a path: leg, conflicts, row, column. As many of the random bits settle ties
+# between ends; the next one says whether a path looks up and down before right and left.
+CODE_BITS = 12
 CODES = (1 << CODE_BITS) - 1
 INFEASIBLE = 2**30  # above the key and the cost of every end
 SERVED_BITS = 32  # of the word of timesteps served
 
 Value = TypeVar("Value", int, jax.Array)
-
-
-# Reservations.
 
 
 @shared
@@ -46,43 +47,10 @@ def move_plane(change: Value, width: int) -> Value:
 
 
 @shared
-def opposite(move: Value) -> Value:
-    """Return the move against a move; waiting has none but itself."""
-    return move + (move > 0) * (2 * (move % 2) - 1)
-
-
-@shared
-def steps_conflict(before: Value, after: Value, other_before: Value, other_after: Value) -> Value:
-    """Return True where two steps meet in a cell (vertex conflict) or swap their cells."""
-    swapped = (after == other_before) & (before == other_after)
-    return (after == other_after) | swapped
-
-
-@shared
-def has_served(served: Value, timesteps: Value) -> Value:
-    """Return 1 where a path has served for exactly this many timesteps, one bit each, else 0."""
-    return (served >> timesteps) & 1
-
-
-# The local window.
-
-
-@shared
-def goal_row(cell: Value, position: Value, width: int, window: int) -> Value:
-    """Find the row of a cell in the window of an agent at `position`."""
-    return cell // width - position // width + window
-
-
-@shared
-def goal_column(cell: Value, position: Value, width: int, window: int) -> Value:
-    """Find the column of a cell in the window of an agent at `position`."""
-    return cell % width - position % width + window
-
-
-@shared
-def is_visible(row: Value, column: Value, side: int) -> Value:
-    """Return True where a cell lies in a local window of `side` rows and columns."""
-    return (row >= 0) & (row < side) & (column >= 0) & (column < side)
+def find_in_window(cell: Value, position: Value, width: int, window: int) -> tuple[Value, Value]:
+    """Find row and column of a cell in the window of an agent at `position`."""
+    row = cell // width - position // width + window
+    return row, cell % width - position % width + window
 
 
 @shared
@@ -94,9 +62,6 @@ def ends_leg(leg: int, service_time: Value) -> Value:
     return (leg == 0) | (service_time > 0)
 
 
-# Ties and turns.
-
-
 @shared
 def random_rank(bits: Value, serving: Value) -> Value:
     """Draw an agent's place in the order (smallest first) from 32 random bits.
@@ -104,30 +69,6 @@ def random_rank(bits: Value, serving: Value) -> Value:
     Agents that serve cannot give way: the others had better know of them first.
     """
     return (bits >> 2) + (1 - serving) * (1 << 30)
-
-
-@shared
-def tie_break_of(bits: Value) -> Value:
-    """Take an agent's random bits of a window."""
-    return bits >> 8
-
-
-@shared
-def tie_break_of_round(tie_break: Value, turn: Value) -> Value:
-    """Change an agent's random bits from round to round."""
-    return tie_break ^ (turn * _ROUND_TIE_BREAK)
-
-
-@shared
-def urgency(order: Value, attempts: Value, agents: int) -> Value:
-    """Rank agents: the fewer attempts the earlier, then by lot (smallest first)."""
-    return attempts * agents + order
-
-
-@shared
-def penalty_index(attempts: Value, count: int) -> Value:
-    """Find the penalty of an attempt among `count` of them; the last serves all further ones."""
-    return attempts - (attempts >= count) * (attempts - (count - 1))
 
 
 # The ends of paths.
@@ -169,25 +110,7 @@ def unpack_end(code: Value, levels: int, side: int) -> PathState[Value]:
     return PathState(block // levels, block % levels, inside // side, inside % side, elapsed)
 
 
-@shared
-def tie_breaker(tie_break: Value) -> Value:
-    """Take the random bits that settle ties between ends."""
-    return tie_break & CODES
-
-
-@shared
-def is_flipped(tie_break: Value) -> Value:
-    """Take the random bit that says whether to look up and down before looking right and left."""
-    return (tie_break >> CODE_BITS) & 1
-
-
 # Reading a path backwards.
-
-
-@shared
-def is_entry(state: PathState[Value], on_first_goal: Value, just_served: Value) -> Value:
-    """Return True where leg 1 began here, by ending the service at the current goal."""
-    return (state.elapsed < 0) & (state.leg == 1) & on_first_goal & just_served
 
 
 @shared
@@ -210,15 +133,10 @@ def move_at(rank: int, flipped: Value) -> Value:
 
 
 @shared
-def row_before(row: Value, move: int) -> Value:
-    """Find the row from which a move leads to `row`."""
-    return row - (move == DOWN) + (move == UP)
-
-
-@shared
-def column_before(column: Value, move: int) -> Value:
-    """Find the column from which a move leads to `column`."""
-    return column - (move == RIGHT) + (move == LEFT)
+def cell_before(row: Value, column: Value, move: int) -> tuple[Value, Value]:
+    """Find row and column of the cell from which a move leads to this one."""
+    row = row - (move == DOWN) + (move == UP)
+    return row, column - (move == RIGHT) + (move == LEFT)
 
 
 @shared

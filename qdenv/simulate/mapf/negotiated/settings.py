@@ -63,10 +63,6 @@ class NegotiatedConfig(Ranged):
         """Return the penalties as costs (int32 [attempts]), of which `unit` are one timestep."""
         return np.array([round(unit * penalty) for penalty in self.penalties], np.int32)
 
-    def num_lanes(self, agents: int) -> int:
-        """Return the number of agents that plan in one round."""
-        return min(self.lanes, agents)
-
     def max_rounds(self, agents: Any) -> Any:
         """Return the most rounds (float32) of a number of agents, padding not counted.
 

@@ -10,14 +10,16 @@ from qdenv.simulate.mapf.host.distances import DistanceFields
 from qdenv.simulate.mapf.host.run import DONE, FIELDS_FULL, Fallback, compile_windows
 from qdenv.simulate.mapf.host.state import AGENT, AGENT_BITS, HostRun, paths_meet, sift, sort
 from qdenv.simulate.mapf.negotiated import rules
-from qdenv.simulate.mapf.negotiated.numba.reservations import (
-    PLANE,
+from qdenv.simulate.mapf.negotiated.numba.search import (
+    AGAINST,
     WALL,
+    Agent,
     ReservationWords,
-    make_reservations,
+    SearchArrays,
+    find_path,
+    make_arrays,
     reserve,
 )
-from qdenv.simulate.mapf.negotiated.numba.search import Agent, SearchArrays, find_path, make_arrays
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 from qdenv.simulate.mapf.planner import HostPlanner
 
@@ -48,7 +50,7 @@ def host_planner(config: NegotiatedConfig) -> HostPlanner:
         del size  # no buffer can be too small
         agents, horizon = run.agents.position.size, run.settings.horizon
         window = config.planned_ahead(run.settings.window, horizon)
-        lanes, costs = config.num_lanes(agents), config.penalty_costs(rules.COST_UNIT)
+        lanes, costs = min(config.lanes, agents), config.penalty_costs(rules.COST_UNIT)
         heap, order, tie_break, attempts = np.empty((4, agents), np.int64)
         return HostNegotiation(
             int(config.max_rounds(agents)),
@@ -62,7 +64,12 @@ def host_planner(config: NegotiatedConfig) -> HostPlanner:
             np.empty(lanes, np.bool_),
             np.empty((2, lanes), np.bool_),
             np.empty((lanes, lanes), np.bool_),
-            make_reservations(run.grid, agents, window),
+            ReservationWords(
+                np.empty(run.grid.free.size, np.int64),
+                np.empty((run.grid.free.size, window + 1), np.int32),
+                np.zeros((agents, window + 1), np.int64),
+                np.zeros(agents, np.int64),
+            ),
             make_arrays(window, config.conflict_levels, costs),
         )
 
@@ -107,7 +114,7 @@ def _negotiate(run: HostRun, fields: DistanceFields, plan: HostNegotiation, seed
         serving = agents.remaining_service[agent] > 0
         rank = rules.random_rank(chance.mix(order, agent), serving)
         heap[agent] = (rank << AGENT_BITS) | agent
-        plan.tie_break[agent] = rules.tie_break_of(chance.mix(ties, agent))
+        plan.tie_break[agent] = chance.mix(ties, agent) >> (32 - rules.TIE_BITS)
         plan.attempts[agent] = 0
     sort(heap)
     for rank in range(heap.size):
@@ -148,7 +155,7 @@ def _plan(
     """Let one agent plan."""
     agents, grid, number = run.agents, run.grid, plan.planning[lane]
     first, second = agents.goal[0, number], agents.goal[1, number]
-    attempt = rules.penalty_index(plan.attempts[number], plan.work.penalties.size)
+    attempt = min(plan.attempts[number], plan.work.penalties.size - 1)
     kind, kinds = agents.kind[number], grid.service_time.size
     agent = Agent(
         number,
@@ -158,7 +165,7 @@ def _plan(
         (grid.service_time[kind], grid.service_time[(kind + 1) % kinds]),
         agents.remaining_service[number],
         plan.work.penalties[attempt],
-        rules.tie_break_of_round(plan.tie_break[number], turn),
+        plan.tie_break[number] ^ (turn * rules.ROUND_TIE_BREAK),
     )
     plan.is_found[lane] = find_path(plan.work, plan.reservations, fields, grid, agent)
     plan.attempts[number] += 1
@@ -197,8 +204,8 @@ def _evict(plan: HostNegotiation, agent: int, width: int) -> None:
         before, after = path[agent, t], path[agent, t + 1]
         for swap in range(2):
             # Who is in the cell at t + 1; who comes from there, against this step.
-            plane = rules.opposite(rules.move_plane(after - before, width)) if swap else 0
-            if (plane or not swap) and word[after] >> (PLANE * plane + t) & 1:
+            plane = AGAINST[rules.move_plane(after - before, width)] if swap else 0
+            if (plane or not swap) and word[after] >> (plane + t) & 1:
                 met = owner[after, t + 1 - swap]
                 if plan.reservations.steps[met] == window:  # else it never left the queue
                     _wait(plan, met)
@@ -207,9 +214,9 @@ def _evict(plan: HostNegotiation, agent: int, width: int) -> None:
 
 @formula
 def _wait(plan: HostNegotiation, agent: int) -> None:
-    """Put an agent into the queue."""
+    """Put an agent into the queue: the fewer attempts the earlier, then by lot."""
     heap, hole = plan.heap, plan.numbers.waiting
-    urgency = rules.urgency(plan.order[agent], plan.attempts[agent], heap.size)
+    urgency = plan.attempts[agent] * heap.size + plan.order[agent]
     pack = -((urgency << AGENT_BITS) | agent)
     plan.numbers.waiting += 1
     while hole > 0 and heap[(hole - 1) // 2] < pack:

@@ -1,4 +1,4 @@
-"""The best path of one agent through a window, past the reservations of the others.
+"""The best path of one agent through a window past the reservations of the others, and these.
 
 The paths that `xla.search` finds, by A* over delays (Hart, Nilsson and Raphael 1968,
 https://doi.org/10.1109/TSSC.1968.300136) instead of sets of cells: what a state costs at least
@@ -14,12 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.grid import NUM_MOVES, move_steps
+from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP, WAIT, move_steps
 from qdenv.native import Numbers, formula, kernel, numbers
 from qdenv.simulate.mapf.host.distances import INDICES, DistanceFields, distance
 from qdenv.simulate.mapf.host.state import GridMap
 from qdenv.simulate.mapf.negotiated import rules
-from qdenv.simulate.mapf.negotiated.numba.reservations import ReservationWords, is_taken
 
 _NO_STATE = -1
 _NOT_MEASURED = -1
@@ -28,6 +27,51 @@ _PLACE_BIT, _TIME_BIT, _LEG_BIT, _CONFLICTS_BIT, _ELAPSED_BIT = 24, 34, 39, 40, 
 _CELLS, _PLACES, _TIMES, _LEGS, _LEVELS = (1 << 24) - 1, (1 << 10) - 1, 31, 1, 15
 _LEG_MARKS = 4  # marks of a leg: one per number of conflicts
 _MARK_BITS = 2 * _LEG_MARKS
+
+PLANE = 12  # bits of a plane: a window of at most ten steps, and five planes below the sign
+WALL = -1 << 63  # the sign: a wall
+# Where in a word those stand who leave against each move; waiting has none but itself.
+AGAINST = PLANE * np.array([WAIT, LEFT, RIGHT, UP, DOWN])
+
+
+class ReservationWords(NamedTuple):
+    """What each agent has reserved in a window of w steps; A agents, N cells.
+
+    One word per cell holds all its reservations: plane p at timestep t is bit ``PLANE * p + t``,
+    with the planes of `xla`. So a search reads one word per step. Reserved paths never conflict,
+    hence every bit has one owner and is set and cleared by flipping it.
+    """
+
+    word: np.ndarray  # int64 [N], the planes of every cell, and `WALL`
+    # int32 [N, w + 1], the last agent to reserve a cell at a time; holds it as long as the bits
+    # say so
+    owner: np.ndarray
+    path: np.ndarray  # int64 [A, w + 1], the latest path of every agent
+    steps: np.ndarray  # int64 [A], steps of that path that are reserved
+
+
+@formula
+def is_taken(word: int, t: int, move: int) -> int:
+    """Return whether arriving in a cell by a move, from t to t + 1, conflicts (0 or 1)."""
+    here = word >> t
+    # An agent that leaves the cell against the move would be swapped with.
+    return (here | (here >> AGAINST[move])) & 1
+
+
+@kernel
+def reserve(reservations: ReservationWords, agent: int, steps: int, width: int) -> None:
+    """Reserve the first steps of the path of an agent that holds nothing; 0 to release it."""
+    path, word = reservations.path, reservations.word
+    # Setting a bit and clearing it are the same flip: one of the two numbers is 0.
+    for t in range(steps + reservations.steps[agent]):
+        before, after = path[agent, t], path[agent, t + 1]
+        word[after] ^= 1 << t
+        plane = rules.move_plane(after - before, width)
+        if plane:
+            word[before] ^= 1 << (PLANE * plane + t)
+    reservations.steps[agent] = steps
+    for t in range(steps + 1 if steps else 0):
+        reservations.owner[path[agent, t], t] = agent
 
 
 class Agent(NamedTuple):
@@ -164,7 +208,7 @@ def find_path(
             else:
                 row, column = place // work.side, place % work.side
                 end = rules.driving_end(leg, conflicts, work.levels, row, column, work.side)
-            best = min(best, end ^ rules.tie_breaker(agent.tie_break))
+            best = min(best, end ^ (agent.tie_break & rules.CODES))
             dearest = cost
         elif served:
             disturbed = (reservations.word[cell] >> t) & 1
@@ -178,7 +222,7 @@ def find_path(
         work.first[other] = _NO_STATE
     if best == rules.INFEASIBLE:
         return False
-    _trace(work, reservations, grid, agent, best ^ rules.tie_breaker(agent.tie_break))
+    _trace(work, reservations, grid, agent, best ^ (agent.tie_break & rules.CODES))
     return True
 
 
@@ -288,31 +332,29 @@ def _trace(
 ) -> None:
     """Read the path with this end backwards out of what the search visited."""
     path, middle, search = reservations.path, work.side // 2, work.numbers.search
-    flipped = rules.is_flipped(agent.tie_break)
+    flipped = (agent.tie_break >> rules.CODE_BITS) & 1
     leg, conflicts, row, column, elapsed = rules.unpack_end(end, work.levels, work.side)
     if elapsed >= 0:  # in service: at the goal
-        row = rules.goal_row(agent.cell[leg], agent.position, grid.width, middle)
-        column = rules.goal_column(agent.cell[leg], agent.position, grid.width, middle)
+        row, column = rules.find_in_window(agent.cell[leg], agent.position, grid.width, middle)
     for t in range(path.shape[1] - 1, 0, -1):
         cell = agent.position + (row - middle) * grid.width + column - middle
         path[agent.number, t] = cell
-        state = rules.PathState(leg, conflicts, row, column, elapsed)
-        finished = rules.has_served(work.served[conflicts, 0, t], agent.service_time[0])
-        if rules.is_entry(state, cell == agent.cell[0], finished):
+        # Leg 1 began where the service at the current goal ended.
+        finished = (work.served[conflicts, 0, t] >> agent.service_time[0]) & 1
+        if elapsed < 0 and leg == 1 and cell == agent.cell[0] and finished:
             leg, elapsed = 0, agent.service_time[0]
         word = reservations.word[cell] >> (t - 1)
         if elapsed > 0:
-            fewer = work.served[max(conflicts - 1, 0), leg, t - 1]
-            fewer_served = rules.has_served(fewer, elapsed - 1)
-            conflicts -= rules.service_conflict(conflicts, word & 1, fewer_served)
+            fewer = (work.served[max(conflicts - 1, 0), leg, t - 1] >> (elapsed - 1)) & 1
+            conflicts -= rules.service_conflict(conflicts, word & 1, fewer)
             elapsed -= 1
             continue
         # The first neighbour, in order of preference, from which this cell was reached.
         elapsed = -1
         for rank in range(NUM_MOVES):
             move = rules.move_at(rank, flipped)
-            i, j = rules.row_before(row, move), rules.column_before(column, move)
-            if not rules.is_visible(i, j, work.side):
+            i, j = rules.cell_before(row, column, move)
+            if not (0 <= i < work.side and 0 <= j < work.side):
                 continue
             marks, bit = work.mark[t - 1, i * work.side + j], leg * _LEG_MARKS + conflicts
             reached = marks >> _MARK_BITS == search

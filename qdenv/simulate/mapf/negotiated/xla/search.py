@@ -11,6 +11,7 @@ While an agent serves at a goal it is in no set; bit e of `served` says that a p
 it has been serving for e timesteps.
 """
 
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import jax
@@ -19,9 +20,9 @@ import jax.numpy as jnp
 from qdenv.grid import NUM_MOVES
 from qdenv.simulate.mapf.negotiated import rules
 from qdenv.simulate.mapf.negotiated.rules import COST_UNIT, PathState
-from qdenv.simulate.mapf.negotiated.xla.reservations import around
 from qdenv.simulate.mapf.planner import AgentState, World
 
+STRIDE = 11  # columns between the starts of neighbouring words of the reservations
 _ALL = 0xFFFFFFFF  # the mask that holds
 
 PathStates: TypeAlias = PathState[jax.Array]  # of K paths
@@ -30,7 +31,7 @@ PathStates: TypeAlias = PathState[jax.Array]  # of K paths
 class LocalWindow(NamedTuple):
     """What K agents see around them: squares of side E = 2 * window + 1, at most 21."""
 
-    reserved: jax.Array  # uint32 [window, 5, E, K], reserved cells and moves (`xla.reservations`)
+    reserved: jax.Array  # uint32 [window, 5, E, K], reserved cells and moves (`xla.rounds`)
     traversable: jax.Array  # uint32 [E, K], cells without walls
     goal: jax.Array  # uint32 [2, E, K], the current and the next goal, where they end a leg
     goal_row: jax.Array  # int32 [2, K], their rows in sight (0 where out of sight)
@@ -65,14 +66,19 @@ class ReachableSet(NamedTuple):
     just_served: jax.Array
 
 
-class History(NamedTuple):
-    """What the search found, for the step from t to t + 1; over all steps with a leading axis."""
+def around(packed: jax.Array, position: jax.Array, width: int, reach: int) -> jax.Array:
+    """Cut the square of ``2 * reach + 1`` cells around every agent (uint32 [..., side, K]).
 
-    reserved: jax.Array  # uint32 [5, E, K], reservations of the step (`xla.reservations`)
-    # uint32 [L, 2, E, K], cells that paths go on from at t, by conflicts and leg
-    expandable: jax.Array
-    served: jax.Array  # uint32 [L, 2, K], timesteps served at t
-    served_after: jax.Array  # uint32 [L, 2, K], the same at t + 1
+    Bit j of row i is the cell ``(i - reach, j - reach)`` away from `position` (int32 [K]) in the
+    words of a grid of `width` columns (uint32 [..., H', words]). A word holds a reach of 10.
+    """
+    words = packed.shape[-1]
+    row, column = position // width, position % width - reach
+    rows = row[None, :] - reach + jnp.arange(2 * reach + 1)[:, None]
+    word, bit = column // STRIDE, (column % STRIDE).astype(jnp.uint32)
+    flat = packed.reshape(*packed.shape[:-2], -1)
+    seen = flat[..., rows * words + word[None, :]]
+    return (seen >> bit) & jnp.uint32((1 << (2 * reach + 1)) - 1)
 
 
 def gather(
@@ -84,16 +90,10 @@ def gather(
     penalty: jax.Array,
     tie_break: jax.Array,
 ) -> LocalWindow:
-    """Cut out what K agents see.
+    """Cut out what K agents see; the length of the previous paths of all is the window.
 
-    Args:
-        world: the layout.
-        state: all agents; the length of its previous paths is the window.
-        table: uint32, flat, the packed reservations (`empty`).
-        walls: uint32 [H', words], the packed traversable cells.
-        agent: int32 [K].
-        penalty: int32 [K], cost of a conflict.
-        tie_break: int32 [K], random bits that settle ties.
+    `table` (uint32, flat) are the packed reservations, `walls` (uint32 [H', words]) the packed
+    traversable cells; `agent`, `penalty` and `tie_break` are int32 [K].
     """
     width, size = world.traversable.shape[1], world.traversable.size
     window = state.previous.shape[0] - 1
@@ -101,10 +101,9 @@ def gather(
     position, rows = state.position[agent], state.row[:, agent]
     service_time = state.service_time[:, agent]
     goals = world.goals.cells[state.goal[:, agent]]
-    row = rules.goal_row(goals, position, width, window)
-    column = rules.goal_column(goals, position, width, window)
+    row, column = rules.find_in_window(goals, position, width, window)
     ends = jnp.stack([rules.ends_leg(leg, service_time[leg]) for leg in range(2)])
-    seen = ends & rules.is_visible(row, column, side)
+    seen = ends & (row >= 0) & (row < side) & (column >= 0) & (column < side)
     # A goal out of sight keeps place (0, 0) and an empty set: no branch, and nothing ever arrives.
     row, column = jnp.where(seen, row, 0), jnp.where(seen, column, 0)
     bit = jnp.where(seen, jnp.uint32(1) << column.astype(jnp.uint32), 0)
@@ -202,7 +201,7 @@ def _advance(
     level, leg, agent = jnp.ogrid[: cells.shape[0], :2, : cells.shape[-1]]
     on_goal = cells[level, leg, local.goal_row, agent] & local.goal[leg, local.goal_row, agent]
     served = served | ((on_goal >> local.goal_column.astype(jnp.uint32)) & 1)
-    done = rules.has_served(served[:, 0], local.service_time[0].astype(jnp.uint32))
+    done = (served[:, 0] >> local.service_time[0].astype(jnp.uint32)) & 1
     just_served = jnp.stack([jnp.zeros_like(done), -done], axis=1)[:, :, None]
     return ReachableSet(cells, served, just_served)
 
@@ -217,7 +216,7 @@ def _cheapest_end(
     levels, side = cells.shape[0], local.side
     row, column = jnp.arange(side)[:, None, None], jnp.arange(side)[:, None]
     elapsed = jnp.arange(rules.SERVED_BITS)[:, None]
-    tie = rules.tie_breaker(local.tie_break)
+    tie = local.tie_break & rules.CODES
     best = jnp.full(tie.shape, rules.INFEASIBLE, jnp.int32)
 
     def cheapest(
@@ -237,7 +236,7 @@ def _cheapest_end(
             is_here = (cells[conflicts, leg][:, None] >> column.astype(jnp.uint32)) & 1 == 1
             code = rules.driving_end(leg, conflicts, levels, row, column, side)
             best = cheapest(best, is_here, local.cost_to_go[leg] + price, code)
-            is_here = rules.has_served(served[conflicts, leg], elapsed.astype(jnp.uint32)) == 1
+            is_here = (served[conflicts, leg] >> elapsed.astype(jnp.uint32)) & 1 == 1
             code = rules.serving_end(leg, conflicts, levels, elapsed, side)
             best = cheapest(best, is_here, service_cost + price, code)
     found = best < rules.INFEASIBLE
@@ -252,56 +251,54 @@ def _is_in(words: jax.Array, column: jax.Array, side: int) -> jax.Array:
     return inside & ((words >> jnp.clip(column, 0, 31).astype(jnp.uint32)) & 1 == 1)
 
 
-def _predecessor(local: LocalWindow, state: PathStates, step: History) -> PathStates:
-    """Go from where the paths are at t + 1 to where they were at t."""
-    agent = jnp.arange(state.leg.shape[0])
+def _go_back(
+    local: LocalWindow, state: PathStates, step: tuple[jax.Array, ...]
+) -> tuple[PathStates, jax.Array]:
+    """Go from where the paths are at t + 1 to where they were at t; returns also the former.
+
+    `step` is what the search found for the step: its reservations (uint32 [5, E, K]), the cells
+    that paths go on from at t, by conflicts and leg (uint32 [L, 2, E, K]), and the timesteps served
+    at t and at t + 1 (uint32 [L, 2, K]).
+    """
+    reserved, expandable, served, served_after = step
+    agent, side, cap = jnp.arange(state.leg.shape[0]), local.side, expandable.shape[0] - 1
+    place = jnp.stack([state.row, state.column])
     service_time = local.service_time[0]
-    on_first_goal = _is_in(local.goal[0, state.row, agent], state.column, local.side)
-    finished = rules.has_served(
-        step.served_after[state.conflicts, 0, agent], service_time.astype(jnp.uint32)
-    )
-    entered = rules.is_entry(state, on_first_goal, finished == 1)
-    state = state._replace(
-        leg=jnp.where(entered, 0, state.leg),
-        elapsed=jnp.where(entered, service_time, state.elapsed),
-    )
-    # Served for one timestep less.
+    # Leg 1 began where the service at the current goal ended.
+    on_first_goal = _is_in(local.goal[0, state.row, agent], state.column, side)
+    finished = served_after[state.conflicts, 0, agent] >> service_time.astype(jnp.uint32)
+    entered = (state.elapsed < 0) & (state.leg == 1) & on_first_goal & (finished & 1 == 1)
+    leg = jnp.where(entered, 0, state.leg)
+    served_here = jnp.where(entered, service_time, state.elapsed)
     fewer = jnp.maximum(state.conflicts - 1, 0)
-    elapsed = jnp.maximum(state.elapsed - 1, 0).astype(jnp.uint32)
+    # Served for one timestep less.
+    elapsed = jnp.maximum(served_here - 1, 0).astype(jnp.uint32)
     conflict = rules.service_conflict(
         state.conflicts,
-        _is_in(step.reserved[0, state.row, agent], state.column, local.side),
-        rules.has_served(step.served[fewer, state.leg, agent], elapsed) == 1,
+        _is_in(reserved[0, state.row, agent], state.column, side),
+        (served[fewer, leg, agent] >> elapsed) & 1 == 1,
     )
-    served = state._replace(conflicts=state.conflicts - conflict, elapsed=state.elapsed - 1)
-    drove, serving = _drive_before(local, state, step), state.elapsed > 0
-    return PathState(*(jnp.where(serving, a, b) for a, b in zip(served, drove, strict=True)))
-
-
-def _drive_before(local: LocalWindow, state: PathStates, step: History) -> PathStates:
-    """Take the first neighbour, in order of preference, from which this cell was reached."""
-    agent = jnp.arange(state.leg.shape[0])
-    side, levels = local.side, step.expandable.shape[0]
-    fewer = jnp.maximum(state.conflicts - 1, 0)
-    at_cap = state.conflicts == levels - 1
-    flipped = rules.is_flipped(local.tie_break)
+    stayed = PathState(leg, state.conflicts - conflict, state.row, state.column, served_here - 1)
+    # Drove: the first neighbour, in order of preference, from which this cell was reached.
+    flipped = (local.tie_break >> rules.CODE_BITS) & 1
     conflicts, row, column = state.conflicts, state.row, state.column
-    best_rank = jnp.full_like(state.leg, NUM_MOVES)
-    for move, words in enumerate(_conflicting_cells(step.reserved[:, state.row, agent])):
-        i, j = rules.row_before(state.row, move), rules.column_before(state.column, move)
+    best_rank = jnp.full_like(leg, NUM_MOVES)
+    for move, words in enumerate(_conflicting_cells(reserved[:, state.row, agent])):
+        i, j = rules.cell_before(state.row, state.column, move)
         inside = jnp.clip(i, 0, side - 1)
-        same = step.expandable[state.conflicts, state.leg, inside, agent]
-        less = step.expandable[fewer, state.leg, inside, agent]
+        same, less = (expandable[count, leg, inside, agent] for count in (state.conflicts, fewer))
         from_same = _is_in(same, j, side) & (i == inside)
         from_less = _is_in(less, j, side) & (i == inside) & (state.conflicts > 0)
         conflicting = _is_in(words, state.column, side)
-        possible = rules.is_predecessor(from_same, from_less, conflicting, at_cap)
+        possible = rules.is_predecessor(from_same, from_less, conflicting, state.conflicts == cap)
         rank = rules.move_at(move, flipped)  # its own inverse
         better = possible & (rank < best_rank)
         best_rank = jnp.where(better, rank, best_rank)
         conflicts = jnp.where(better, state.conflicts - (conflicting & from_less), conflicts)
         row, column = jnp.where(better, i, row), jnp.where(better, j, column)
-    return PathState(state.leg, conflicts, row, column, jnp.full_like(state.elapsed, -1))
+    drove = PathState(leg, conflicts, row, column, jnp.full_like(leg, -1))
+    before = (jnp.where(served_here > 0, a, b) for a, b in zip(stayed, drove, strict=True))
+    return PathState(*before), place
 
 
 def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
@@ -334,10 +331,7 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
         column=jnp.where(serving, local.goal_column[end.leg, agent], end.column),
     )
 
-    def backward(state: PathStates, step: History) -> tuple[PathStates, jax.Array]:
-        return _predecessor(local, state, step), jnp.stack([state.row, state.column])
-
-    history = History(local.reserved, cells, served, served_after)
-    first, path = jax.lax.scan(backward, end, history, reverse=True)
+    history = local.reserved, cells, served, served_after
+    first, path = jax.lax.scan(partial(_go_back, local), end, history, reverse=True)
     path = jnp.concatenate([jnp.stack([first.row, first.column])[None], path])
     return path.swapaxes(0, 1) - local.side // 2, cost
