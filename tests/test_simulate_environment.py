@@ -9,7 +9,7 @@ import pytest
 from fleet_runs import PLAIN, SERVICES, TILES, programs, random_layout
 
 from qdenv.grid import MOVES, parse
-from qdenv.simulate.mapf.audit import Trajectory, check_moves, replay_tasks
+from qdenv.simulate.mapf.audit import check_moves, replay_tasks
 from qdenv.simulate.mapf.environment import DOWN, LEFT, RIGHT, UP, WAIT, Environment, settle
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -71,8 +71,8 @@ def test_random_actions_never_break_a_rule(rule):
     assert refused.mean() > 0.3 and (positions[:, 1:] != positions[:, :-1]).mean() > 0.02
     for run in range(8):
         assert check_moves(layout, rule, positions[run].astype(np.int64)) == []
-        trajectory = Trajectory(positions[run], goals[run], rewards[run] > 0)
-        assert replay_tasks(layout, rule, trajectory, 200)[2] == []
+        driven = positions[run], goals[run], rewards[run] > 0
+        assert replay_tasks(layout, rule, *driven)[2] == []
         still = positions[run, 1:] == positions[run, :-1]
         asked = np.asarray((actions[run] >= 0) & (actions[run] < WAIT))
         np.testing.assert_array_equal(refused[run], still & asked)

@@ -89,10 +89,10 @@ def run_of(instance: Instance, seed: int = 0) -> HostRun:
     block = Block(*(np.zeros((horizon, count), kind) for kind in kinds))
     settings = RunSettings(seed, horizon, instance.window, horizon, True)
     run = make_run(world, settings, count, block)
-    run.agents.position[:] = pad(np.array([agent.start for agent in agents]), cols, 1)
-    run.agents.kind[:] = np.arange(0, 2 * count, 2)
-    run.agents.goal[:] = np.arange(2 * count).reshape(-1, 2).T
-    run.agents.remaining_service[:] = [agent.serving for agent in agents]
+    run.position[:] = pad(np.array([agent.start for agent in agents]), cols, 1)
+    run.kind[:] = np.arange(0, 2 * count, 2)
+    run.goal[:] = np.arange(2 * count).reshape(-1, 2).T
+    run.remaining_service[:] = [agent.serving for agent in agents]
     return run
 
 
@@ -104,7 +104,7 @@ def plan(instance: Instance, rule: str, seed: int = 0, node_limit: int = 20_000)
     work = make_workspace(run, PbsConfig(rule, node_limit / count), DEPTH)
     collect_goals(run, fields, work.goals)
     solved = bool(solve(work, fields, run.grid, seed))
-    assert not work.tree.numbers.is_full, "more depth is needed"
+    assert not work.numbers.is_full, "more depth is needed"
     return answer_of(work, solved, width)
 
 

@@ -149,5 +149,5 @@ def test_little_room_at_first_changes_nothing(rule, monkeypatch):
     monkeypatch.setattr(host_run, "empty_fields", little)
     found = run_seeds(layout, SERVICES, config, (0,)).runs[0]
     jax.tree.map(np.testing.assert_array_equal, found, expected)
-    depths = [len(work.tree.node) for work in works]
+    depths = [len(work.node) for work in works]
     assert max(depths) > 1 and depths[0] == 1 and rooms and expected.finished.sum() > 0

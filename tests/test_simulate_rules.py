@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import qdenv.simulate
-from qdenv.simulate.mapf.agents import drive, place
-from qdenv.simulate.mapf.audit import Trajectory, check_moves, jammed_windows, replay_tasks
-from qdenv.simulate.mapf.fleet import FleetConfig, prepare, run_settings
+from qdenv.simulate.mapf.audit import check_moves, jammed_windows, replay_tasks
+from qdenv.simulate.mapf.fleet import FleetConfig, drive, place, prepare, run_settings
 from qdenv.simulate.mapf.goals import tile_goal
 from qdenv.simulate.mapf.host.state import drive_window, make_run
 from qdenv.simulate.mapf.metrics import Block
@@ -68,8 +67,7 @@ def test_drawn_tasks(example: tuple[str, str, str]):
     done = np.isin(np.arange(1, end + 1), expected)[:, None]
     kind = np.concatenate([[0], np.cumsum(done)]) % 2
     goals = np.array([cells.index("12"[k]) for k in kind])[:, None]
-    trajectory = Trajectory(positions, goals, done)
-    finished, _, broken = replay_tasks(layout, rule(int(stay)), trajectory, end)
+    finished, _, broken = replay_tasks(layout, rule(int(stay)), positions, goals, done)
     assert broken == []
     assert np.flatnonzero(finished).tolist() == [time - 1 for time in expected]
 
@@ -93,12 +91,12 @@ def test_a_short_stay_and_a_skipped_goal_are_found():
     layout = np.array([[TILES.index(tile) for tile in "1..2"]], np.int8)
     positions = np.array([[1], [0], [1], [2]])
     done = np.zeros((3, 1), bool)
-    stays = Trajectory(positions, np.zeros((4, 1), int), done)
-    assert any("stay short" in m for m in replay_tasks(layout, rule(2), stays, 3)[2])
-    skips = Trajectory(positions + 1, np.array([[0], [0], [3], [3]]), done)
-    assert any("skips its goal" in m for m in replay_tasks(layout, rule(), skips, 3)[2])
-    wrong = Trajectory(positions, np.zeros((4, 1), int), ~done)
-    assert any("credited wrongly" in m for m in replay_tasks(layout, rule(), wrong, 3)[2])
+    stays = positions, np.zeros((4, 1), int), done
+    assert any("stay short" in m for m in replay_tasks(layout, rule(2), *stays)[2])
+    skips = positions + 1, np.array([[0], [0], [3], [3]]), done
+    assert any("skips its goal" in m for m in replay_tasks(layout, rule(), *skips)[2])
+    wrong = positions, np.zeros((4, 1), int), ~done
+    assert any("credited wrongly" in m for m in replay_tasks(layout, rule(), *wrong)[2])
 
 
 @jit_or_not
@@ -134,10 +132,10 @@ CONFIG = FleetConfig(agents=1, timesteps=10, horizon=5, stop_when_congested=Fals
 
 def test_a_stay_at_a_goal_that_no_plan_knew_begins_after_the_next_plan():
     goals = np.where(np.cumsum(ENDS) - ENDS == 1, 1, 0)
-    steps = Trajectory(WALK[:, None], np.append(goals, 0)[:, None], ENDS[:, None])
-    finished, _, broken = replay_tasks(HALL, ROUND, steps, 10, horizon=5)
+    steps = WALK[:, None], np.append(goals, 0)[:, None], ENDS[:, None]
+    finished, _, broken = replay_tasks(HALL, ROUND, *steps, horizon=5)
     assert broken == [] and (finished[:, 0] == ENDS).all()
-    assert any("stay short" in one for one in replay_tasks(HALL, ROUND, steps, 10)[2])
+    assert any("stay short" in one for one in replay_tasks(HALL, ROUND, *steps)[2])
 
 
 def test_both_backends_let_such_a_stay_wait():
@@ -145,13 +143,13 @@ def test_both_backends_let_such_a_stay_wait():
     cells = pad(WALK, 3, world.margin)
     block = Block(*(np.zeros((10, 1), kind) for kind in (np.int32, np.int32, np.bool_, np.int32)))
     run = make_run(world, run_settings(CONFIG), 1, block)
-    run.agents.position[:], run.agents.goal[:] = cells[0], [[0], [1]]
+    run.position[:], run.goal[:] = cells[0], [[0], [1]]
     fleet, active = place(world, CONFIG.window, np.ones(1, bool), np.uint32(0)), np.ones(1, bool)
     fleet = fleet._replace(position=jnp.int32(cells[:1]), goal=jnp.int32([[0], [1]]))
     left, ends = [], []
     for window in range(2):
         ahead = cells[5 * window : 5 * window + 6]
-        run.agents.paths[0, :6] = ahead
+        run.paths[0, :6] = ahead
         drive_window(run)
         fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))
         for cell in ahead[1:]:

@@ -243,7 +243,7 @@ def test_one_long_run_reports_its_progress(monkeypatch):
     plan = host.run_to_the_end
 
     def run_to_the_end(planner, run):
-        for share in (0.25, 0.5) if run.agents.position.size else ():
+        for share in (0.25, 0.5) if run.position.size else ():
             run.counters.time = share * 100
             while share not in {state[1] for state in reports}:
                 assert seen.acquire(timeout=60)

@@ -4,20 +4,10 @@ It walks through the trajectory once and works out by itself what must have happ
 services, finished tasks, jams. Everything that disagrees is named.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from qdenv.simulate.mapf.metrics import Recording
 from qdenv.types import TaskRule, Traffic
-
-
-class Trajectory(NamedTuple):
-    """A run as the audit reads it; positions are ``row * width + column`` of the layout."""
-
-    positions: np.ndarray  # int [T + 1, A]
-    goals: np.ndarray  # int [T + 1, A], the goal cell an agent heads for before each step
-    finished: np.ndarray  # bool [T, A], tasks the simulator says the step finished
 
 
 def audit(
@@ -29,11 +19,14 @@ def audit(
     messages, each with the timestep and an agent; none when all is well.
     """
     layout, end = np.asarray(layout), int(traffic.end_timestep)
-    driven = recording.positions, recording.goals, recording.finished
-    trajectory = Trajectory(*(np.asarray(part)[:, np.asarray(recording.active)] for part in driven))
-    positions = trajectory.positions[: end + 1].astype(np.int64)
+    parts = recording.positions, recording.goals, recording.finished
+    driven = (np.asarray(part)[: end + 1, np.asarray(recording.active)] for part in parts)
+    positions, goals, credited = driven
+    positions = positions.astype(np.int64)
     broken = check_moves(layout, rule, positions)
-    finished, working, messages = replay_tasks(layout, rule, trajectory, end, horizon)
+    finished, working, messages = replay_tasks(
+        layout, rule, positions, goals, credited[:end], horizon
+    )
     broken += messages
     # The reported figures against figures counted again; they are float32.
     timesteps = len(np.asarray(traffic.finished))
@@ -88,20 +81,24 @@ def check_moves(layout: np.ndarray, rule: TaskRule, positions: np.ndarray) -> li
 
 
 def replay_tasks(
-    layout: np.ndarray, rule: TaskRule, trajectory: Trajectory, end: int, horizon: int = 1
+    layout: np.ndarray,
+    rule: TaskRule,
+    positions: np.ndarray,
+    goals: np.ndarray,
+    credited: np.ndarray,
+    horizon: int = 1,
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Work out arrivals, services and finished tasks from positions and goals alone.
+    """Work out arrivals, services and finished tasks from positions and goals (int [end + 1, A]).
 
-    The service rule is written a second time here on purpose: the audit trusts no code it checks.
-    All agents are planned again every `horizon` of the `end` timesteps.
-
-    Returns:
-        finished bool [end, A], working bool [end + 1, A] (serving after the step), messages.
+    A goal is the cell an agent heads for before a step; `credited` (bool [end, A]) are the tasks
+    that the simulator says the step finished. The service rule is written a second time here on
+    purpose: the audit trusts no code it checks. All agents are planned again every `horizon`
+    timesteps. Returns finished bool [end, A], working bool [end + 1, A] (serving after the step),
+    messages.
     """
     goal_cells = np.array([np.asarray(goal.weight(layout)).reshape(-1) > 0 for goal in rule.cycle])
     service_time = np.array([goal.stay for goal in rule.cycle])
-    positions, goals = trajectory.positions, trajectory.goals
-    agents = positions.shape[1]
+    end, agents = credited.shape
     kind, remaining, legs = (np.zeros(agents, int) for _ in range(3))
     finished = np.zeros((end, agents), bool)
     working = np.zeros((end + 1, agents), bool)
@@ -127,7 +124,7 @@ def replay_tasks(
         changed = goals[time + 1] != goal
         if (changed & ~done).any():
             broken.append(f"t={time}: agent {np.argmax(changed & ~done)} skips its goal")
-    wrong = finished != trajectory.finished[:end]
+    wrong = finished != credited
     if wrong.any():
         broken.append(_at("has a task credited wrongly", wrong))
     return finished, working, broken

@@ -65,11 +65,6 @@ def seed_of(key: jax.Array) -> jax.Array:
     return functools.reduce(draw, words.reshape(-1).astype(jnp.uint32))
 
 
-def draw_many(seed: jax.Array, count: int) -> jax.Array:
-    """Draw the bits of the numbers below `count` (uint32 [count])."""
-    return draw(seed, jnp.arange(count))
-
-
 def uniform(bits: jax.Array) -> jax.Array:
     """Turn bits into chances (float32 in [0, 1))."""
     return (bits >> (32 - CHANCE_BITS)).astype(jnp.float32) * 2.0**-CHANCE_BITS

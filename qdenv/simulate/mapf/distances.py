@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.grid import MOVES, shift
-from qdenv.simulate.mapf.planner import World, steps_type, unreachable
+from qdenv.simulate.mapf.planner import World, distance_type
 
 _Planes: TypeAlias = tuple[jax.Array, ...]
 # A search between two epochs: uint32 [G / 32, H, W], one bit for each goal that reaches a cell;
@@ -23,23 +23,17 @@ _AT_ONCE = 8 * _WORD  # rows measured side by side
 
 
 def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) -> jax.Array:
-    """Measure the way from every cell to every goal by breadth-first search.
+    """Measure the way from every cell of a map (bool [H, W]) to every goal, breadth first.
 
     All goals spread at the same time, 32 to a word. How long a cell stayed out of reach is counted
     in four bit planes that are added to the distances after every 15 steps: adding them at each
     step would unpack all bits 15 times as often.
 
-    Args:
-        traversable: bool [H, W].
-        cells: int32 [G], goal cells.
-        used: bool [G], slots that hold a goal.
-
-    Returns:
-        int16 or int32 [G, H * W], see `steps_type`; `unreachable` where no way leads, and in
-        unused slots.
+    `used` (bool [G]) marks the slots of `cells` (int32 [G]) that hold a goal. Returns the distances
+    (`distance_type`) [G, H * W]; where no way leads, and in unused slots, the number for that.
     """
     rows, cols = traversable.shape
-    count, size, kind = cells.shape[0], rows * cols, steps_type(traversable.size)
+    count, size, (kind, far) = cells.shape[0], rows * cols, distance_type(traversable.size)
     open_cells = jnp.where(traversable, jnp.uint32(0xFFFFFFFF), jnp.uint32(0))
     # Bit ``g % 32`` of word ``g // 32`` at the cell of goal g.
     slot = jnp.arange(count)
@@ -72,13 +66,13 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
 
     first = (start, jnp.zeros((count, size), kind), jnp.bool_(True))
     reached, distance, _ = jax.lax.while_loop(lambda wave: wave[2], epoch, first)
-    return jnp.where(unpack(reached) == 1, distance, kind(unreachable(size)))
+    return jnp.where(unpack(reached) == 1, distance, kind(far))
 
 
 class Fields(NamedTuple):
     """Distances to the goals that agents have; two rows for each of A agents."""
 
-    distance: jax.Array  # [2 A, H' * W'], steps from every cell, see `steps_type`
+    distance: jax.Array  # [2 A, H' * W'], steps from every cell, see `distance_type`
     # int32 [2, A], the slot of the goal that each row was measured for, or `NOBODY`
     goal: jax.Array
     # bool [A], whether the current goal is in the second of an agent's rows: what was the next goal

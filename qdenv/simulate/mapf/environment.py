@@ -24,7 +24,7 @@ import numpy as np
 
 from qdenv.grid import MOVES, of_tiles
 from qdenv.simulate.mapf import chance, tasks
-from qdenv.simulate.mapf.agents import Fleet, drive, place
+from qdenv.simulate.mapf.fleet import Fleet, drive, place
 from qdenv.simulate.mapf.goals import check_playable
 from qdenv.simulate.mapf.planner import NOBODY, World
 from qdenv.types import Array, InputError, TaskRule

@@ -7,7 +7,7 @@ the layout is traced, so all layouts of one size share one compiled program.
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import chex
 import jax
@@ -16,8 +16,7 @@ import numpy as np
 
 from qdenv.grid import of_tiles
 from qdenv.simulate.mapf import chance, tasks
-from qdenv.simulate.mapf.agents import Fleet, drive, place
-from qdenv.simulate.mapf.distances import goal_distances, measure_fields, rows_of
+from qdenv.simulate.mapf.distances import Fields, goal_distances, measure_fields, rows_of
 from qdenv.simulate.mapf.host.run import simulate_in_callback, simulate_into
 from qdenv.simulate.mapf.host.state import RunSettings
 from qdenv.simulate.mapf.metrics import (
@@ -29,13 +28,26 @@ from qdenv.simulate.mapf.metrics import (
     recording_of,
     summarise,
 )
-from qdenv.simulate.mapf.planner import AgentState, World, pad, steps_type, unreachable
+from qdenv.simulate.mapf.planner import NOBODY, AgentState, World, distance_type, pad, unpad_grid
 from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.types import Array, InputError, TaskRule, Traffic
 
 _TABLE_BYTES = 1 << 27  # of a table of all distances; above, agents measure their own
 
 _Report: TypeAlias = tuple[Traffic, Recording | None]
+
+
+class Fleet(NamedTuple):
+    """The agents between two windows."""
+
+    position: jax.Array  # int32 [A]
+    kind: jax.Array  # int32 [A], the current goal's place in the cycle
+    goal: jax.Array  # int32 [2, A], slots of the current and the next goal
+    remaining_service: jax.Array  # int32 [A], timesteps still to serve
+    age: jax.Array  # int32 [A], timesteps since the last finished task
+    legs: jax.Array  # int32 [A], tasks finished since all were planned
+    previous: jax.Array  # int32 [window + 1, A], the plan from here on
+    fields: Fields | None  # distances measured on demand; None where the world has a table of all
 
 
 def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
@@ -62,11 +74,12 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     capacity = config.goal_capacity or rows * cols
     traversable = jnp.asarray(of_tiles(layout, rule.traversable, rule.tiles))
     goals = tasks.goal_table(layout, rule, capacity)
-    distance, entry = None, np.dtype(steps_type(layout.size))
-    if not planner.on_host and capacity * layout.size * entry.itemsize <= _TABLE_BYTES:
+    distance, (kind, far) = None, distance_type(layout.size)
+    table_bytes = capacity * layout.size * np.dtype(kind).itemsize
+    if not planner.on_host and table_bytes <= _TABLE_BYTES:
         used = goals.used & traversable.reshape(-1)[goals.cells]
         distance = goal_distances(traversable, goals.cells, used).reshape(capacity, rows, cols)
-        sides, far = (planner.margin, planner.margin), unreachable(layout.size)
+        sides = (planner.margin, planner.margin)
         distance = jnp.pad(distance, ((0, 0), sides, sides), constant_values=far)
         distance = distance.reshape(capacity, -1)
     return World(
@@ -77,6 +90,59 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
         valid=goals.complete,
         margin=planner.margin,
     )
+
+
+def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Fleet:
+    """Put the agents in `active` (bool [A]) on distinct random cells; draw their first goals.
+
+    The others, padding, stand on cell 0, a wall. `window` timesteps are planned ahead.
+    """
+    # Drawn on the layout without margin: a seed gives the same starts whichever planner drives.
+    free, agents = unpad_grid(world.traversable, world.margin), active.shape[0]
+    bits = chance.draw(chance.draw(seed, chance.STARTS), jnp.arange(free.size))
+    rank = jnp.where(free.reshape(-1), (bits >> 1).astype(jnp.int32), -1)
+    rank, cells = jax.lax.top_k(rank, agents)
+    cells = pad(cells, free.shape[1], world.margin)
+    # Where the free cells do not suffice walls are drawn, too, and the run is not valid.
+    position = jnp.where(active & (rank >= 0), cells, 0).astype(jnp.int32)
+    zero = jnp.zeros(active.shape, jnp.int32)
+    cycle = world.service_time.shape[0]
+    goal = [
+        tasks.draw_goals(world.goals, (zero + ahead) % cycle, chance.draw(seed, purpose))
+        for ahead, purpose in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL))
+    ]
+    still = jnp.broadcast_to(position, (window + 1, agents))
+    fields, size = None, world.traversable.size
+    if world.distance is None:
+        kind, far = distance_type(size)
+        fields = Fields(
+            jnp.full((2 * agents, size), far, kind),
+            jnp.full((2, agents), NOBODY, jnp.int32),
+            jnp.zeros((agents,), bool),
+        )
+    return Fleet(position, zero, jnp.stack(goal), zero, zero, zero, still, fields)
+
+
+def drive(
+    world: World, fleet: Fleet, cell: jax.Array, active: jax.Array, seed: jax.Array
+) -> tuple[Fleet, jax.Array]:
+    """Move every agent to `cell` (int32 [A]) and serve goals; returns who finished (bool [A])."""
+    cycle = world.service_time.shape[0]
+    service_time = world.service_time[fleet.kind]
+    # An agent does not stay at a goal that its planner did not know.
+    known = (fleet.legs < tasks.KNOWN) | (service_time == 0)
+    on_goal = (cell == world.goals.cells[fleet.goal[0]]) & active & known
+    remaining, finished = tasks.serve(fleet.remaining_service, on_goal, service_time)
+    kind = jnp.where(finished, (fleet.kind + 1) % cycle, fleet.kind)
+    drawn = tasks.draw_goals(world.goals, (kind + 1) % cycle, seed)
+    return fleet._replace(
+        position=cell,
+        kind=kind,
+        goal=jnp.where(finished, jnp.stack([fleet.goal[1], drawn]), fleet.goal),
+        remaining_service=remaining,
+        age=jnp.where(finished, 0, fleet.age + 1),
+        legs=fleet.legs + finished,
+    ), finished
 
 
 def _run_window(
@@ -174,7 +240,8 @@ def _run(
             kept = jax.tree.map(
                 lambda rows, part: jax.lax.dynamic_update_slice(rows, part, begin), kept, block
             )
-        return after, accumulate(metrics, fleet, block, active, config.timesteps), kept
+        before = fleet.position, fleet.remaining_service
+        return after, accumulate(metrics, *before, block, active, config.timesteps), kept
 
     fleet, metrics, kept = jax.lax.while_loop(is_going, run_window, (first, metrics, room))
     return Outcome(metrics, world.goals.cells[fleet.goal[0]], first.position, kept)
@@ -191,33 +258,41 @@ def _select_active_agents(
     return replace(world, valid=world.valid & room), jnp.arange(config.agents) < count
 
 
+def _report(
+    world: World, outcome: Outcome, active: jax.Array, config: FleetConfig, keep: bool
+) -> _Report:
+    """Turn what a run leaves behind into records; the recording is None unless `keep`."""
+    recording = recording_of(outcome, active, world, config.timesteps) if keep else None
+    return summarise(world, outcome.metrics, active, config.timesteps), recording
+
+
+def _simulate(
+    world: World, key: jax.Array, config: FleetConfig, agents: Array | None, keep: bool
+) -> _Report:
+    world, active = _select_active_agents(world, config, agents)
+    outcome = _run(world, chance.seed_of(key), config, active, keep)
+    return _report(world, outcome, active, config, keep)
+
+
 def simulate(
     world: World, key: jax.Array, config: FleetConfig, agents: Array | None = None
 ) -> Traffic:
     """Run one simulation until T, or until it congests.
 
-    Args:
-        world: from `prepare`, with the same config.
-        key: consumed; decides starts, goals and ties.
-        config: the numbers.
-        agents: how many agents take part (traced, at most ``config.agents``); None for all.
-
-    Returns:
-        `Traffic`. A layout with too few free cells or without goals counts as congested at once.
+    The world is from `prepare`, with the same config. The key is consumed; it decides starts, goals
+    and ties. `agents` (traced, at most ``config.agents``) take part; None for all. A layout with
+    too few free cells or without goals counts as congested at once.
     """
-    world, active = _select_active_agents(world, config, agents)
-    outcome = _run(world, chance.seed_of(key), config, active, keep=False)
-    return summarise(world, outcome.metrics, active, config.timesteps)
+    return _simulate(world, key, config, agents, keep=False)[0]
 
 
 def record(
     world: World, key: jax.Array, config: FleetConfig, agents: Array | None = None
 ) -> tuple[Traffic, Recording]:
     """Run the same simulation as `simulate` and keep every step of it."""
-    world, active = _select_active_agents(world, config, agents)
-    outcome = _run(world, chance.seed_of(key), config, active, keep=True)
-    recording = recording_of(outcome, active, world, config.timesteps)
-    return summarise(world, outcome.metrics, active, config.timesteps), recording
+    traffic, recording = _simulate(world, key, config, agents, keep=True)
+    assert recording is not None
+    return traffic, recording
 
 
 def compile_runs(
@@ -231,19 +306,13 @@ def compile_runs(
     """
     host, count = config.make_planner().host, jax.ShapeDtypeStruct((), np.int32)
     if host is None:
-
-        def whole(world: World, key: jax.Array, agents: Array) -> _Report:
-            if keep:
-                return record(world, key, config, agents)
-            return simulate(world, key, config, agents), None
-
-        program = jax.jit(whole).lower(world, jax.random.key(0), count).compile()
+        whole = jax.jit(lambda world, key, agents: _simulate(world, key, config, agents, keep))
+        program = whole.lower(world, jax.random.key(0), count).compile()
         return lambda world, seed, agents: program(world, jax.random.key(seed), np.int32(agents))
 
     def finish(world: World, outcome: Outcome, agents: Array) -> _Report:
         world, active = _select_active_agents(world, config, agents)
-        recording = recording_of(outcome, active, world, config.timesteps) if keep else None
-        return summarise(world, outcome.metrics, active, config.timesteps), recording
+        return _report(world, outcome, active, config, keep)
 
     shapes = jax.eval_shape(lambda: blank_outcome(world, config, keep))
     program = jax.jit(finish).lower(world, shapes, count).compile()

@@ -24,8 +24,7 @@ def beside_goal(symbol: str, station: str, stay: int, tiles: str) -> Goal:
 
     def weight(layout: Array) -> Array:
         stations = count_neighbours(of_tiles(layout, station, tiles))
-        weights: Array = (of_tiles(layout, symbol, tiles) * stations).astype(np.float32)
-        return weights
+        return (of_tiles(layout, symbol, tiles) * stations).astype(np.float32)
 
     return Goal(weight, stay, f"{symbol!r} beside {station!r}")
 

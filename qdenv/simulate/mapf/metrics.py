@@ -5,7 +5,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulate.mapf.agents import Fleet
 from qdenv.simulate.mapf.planner import World, unpad, unpad_grid
 from qdenv.types import Traffic
 
@@ -50,17 +49,22 @@ class Outcome(NamedTuple):
 
 
 def accumulate(
-    metrics: Metrics, fleet: Fleet, block: Block, active: jax.Array, timesteps: int
+    metrics: Metrics,
+    position: jax.Array,
+    remaining_service: jax.Array,
+    block: Block,
+    active: jax.Array,
+    timesteps: int,
 ) -> Metrics:
     """Count the driven steps of a window, and look for a jam.
 
     Steps beyond `timesteps` and padding agents do not count. More than half of the agents stuck
     make a jam: on the same cell at all timesteps of the window but the last, and never serving.
-    `fleet` is that before the window, `active` bool [A].
+    `position` and `remaining_service` are those before the window, `active` is bool [A].
     """
     horizon = block.positions.shape[0]
-    path = jnp.concatenate([fleet.position[None], block.positions])
-    remaining = jnp.concatenate([fleet.remaining_service[None], block.remaining_service])[:-1]
+    path = jnp.concatenate([position[None], block.positions])
+    remaining = jnp.concatenate([remaining_service[None], block.remaining_service])[:-1]
     stuck = (path[:-1] == path[:1]).all(0) & ~(remaining > 0).any(0) & active
     # A window that T cuts short is no window of the jam rule.
     whole = metrics.time + horizon <= timesteps

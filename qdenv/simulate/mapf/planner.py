@@ -27,14 +27,12 @@ UNREACHABLE = 32_000  # steps to where no way leads, on grids of at most this ma
 _UNREACHABLE_AFAR = 1 << 20  # the same on larger ones, of a thousand rows and columns at most
 
 
-def steps_type(cells: int) -> type[np.int16] | type[np.int32]:
-    """Return the type of distances on a grid of this many cells: no way is longer than the grid."""
-    return np.int16 if cells <= UNREACHABLE else np.int32
+def distance_type(cells: int) -> tuple[type[np.int16] | type[np.int32], int]:
+    """Return the type of distances on a grid of this many cells, and the number for no way.
 
-
-def unreachable(cells: int) -> int:
-    """Return the number for no way on a grid of this many cells, above all distances."""
-    return UNREACHABLE if cells <= UNREACHABLE else _UNREACHABLE_AFAR
+    No way is longer than the grid.
+    """
+    return (np.int16, UNREACHABLE) if cells <= UNREACHABLE else (np.int32, _UNREACHABLE_AFAR)
 
 
 @flax.struct.dataclass
@@ -43,7 +41,7 @@ class World:
 
     traversable: jax.Array  # bool [H', W'], cells agents may drive on
     goals: GoalTable  # the goal table; its cells are positions of the padded grid
-    # [G, H' * W'], steps from every cell to every goal, see `steps_type`; None where distances are
+    # [G, H' * W'], steps from every cell to every goal, see `distance_type`; None where they are
     # measured on demand
     distance: jax.Array | None
     service_time: jax.Array  # int32 [n], timesteps served at each kind of goal
@@ -65,7 +63,7 @@ class AgentState(NamedTuple):
     age: jax.Array  # int32 [A], timesteps since the agent last finished a task
     # int32 [window + 1, A], the last paths from here on; their last cell is repeated
     previous: jax.Array
-    distance: jax.Array  # [rows, H' * W'], steps from every cell to some goals, see `steps_type`
+    distance: jax.Array  # [rows, H' * W'], steps from every cell to some goals, see `distance_type`
     row: jax.Array  # int32 [2, A], the rows of `distance` that belong to `goal`
 
 

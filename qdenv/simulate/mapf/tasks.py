@@ -41,7 +41,7 @@ def draw_goals(table: GoalTable, kinds: jax.Array, seed: jax.Array) -> jax.Array
     `kinds` (int32 [A]) are indices into the cycle. Agent i's goal does not depend on the number of
     agents.
     """
-    values = chance.uniform(chance.draw_many(seed, kinds.shape[0]))
+    values = chance.uniform(chance.draw(seed, jnp.arange(kinds.shape[0])))
     per_kind = jax.vmap(lambda odds: jnp.searchsorted(odds, values, side="right"))(table.odds)
     slots = jnp.take_along_axis(per_kind, kinds[None].astype(jnp.int32), axis=0)[0]
     return jnp.minimum(slots, table.cells.shape[0] - 1).astype(jnp.int32)
@@ -53,16 +53,10 @@ def serve(
 ) -> tuple[Counts, Counts]:
     """Begin, continue and end services; the one place that has the rule, for both backends.
 
-    An agent that reaches its goal while it drives begins to serve there. The task is finished
-    when nothing is left to serve, at once where a goal has no service.
-
-    Args:
-        remaining_service: int32 [A], timesteps left to serve before the step; 0 while driving.
-        on_goal: bool [A], the agent is on its goal after the step.
-        service_time: int32 [A], timesteps to serve at its goal, at least 0.
-
-    Returns:
-        remaining_service after the step (int32 [A]), who finished a task (bool [A]).
+    An agent that is `on_goal` (bool [A]) after a step by which it drove begins to serve there, for
+    `service_time` timesteps (int32 [A]). The task is finished when nothing is left to serve, at
+    once where a goal has no service. `remaining_service` (int32 [A]) is 0 while driving. Returns
+    what remains after the step and who finished a task (bool [A]).
     """
     serving = remaining_service > 0
     arrived = (remaining_service == 0) & on_goal

@@ -17,7 +17,7 @@ import numpy as np
 from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP
 from qdenv.native import Numbers, formula, kernel, numbers
 from qdenv.simulate.mapf.host.state import GridMap
-from qdenv.simulate.mapf.planner import NOBODY, steps_type, unreachable
+from qdenv.simulate.mapf.planner import NOBODY, distance_type
 
 _UNKNOWN = -1
 _NO_PAGE = 0  # a page that holds nothing but UNKNOWN: tiles of a field without a page share it
@@ -37,7 +37,7 @@ class DistanceFields(NamedTuple):
     row: np.ndarray  # int32 [G], the row of each goal's field, or `NOBODY`
     extent: np.ndarray  # int8 [R], how often a field was measured, or `_COMPLETE`
     page: np.ndarray  # int32 [R, tiles], the page of each tile of the grid
-    steps: np.ndarray  # [S, cells of a page], distances (`planner.steps_type`), or `_UNKNOWN`
+    steps: np.ndarray  # [S, cells of a page], distances (`planner.distance_type`), or `_UNKNOWN`
     tile: np.ndarray  # int32 [N], the tile of each cell
     place: np.ndarray  # int32 [N], where in its page each cell lies
     free_rows: np.ndarray  # int32 [R], a stack
@@ -59,13 +59,14 @@ def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) 
     expected to need.
     """
     cells = shape[0] * shape[1]
+    kind, unreachable = distance_type(cells)
     side = _WHOLE_SIDE if max(shape) <= _WHOLE_SIDE else _PAGE_SIDE
     row, column = np.divmod(np.arange(cells, dtype=np.int32), shape[1])
     tiles_across = -(-shape[1] // side)
     tiles = -(-shape[0] // side) * tiles_across
     pages = pages or 1 + max(rows, rows * tiles // _SHARE)
     # Not initialised: a page takes memory once it is used, but for the first, never written again.
-    steps: np.ndarray = np.empty((pages, side * side), steps_type(cells))
+    steps: np.ndarray = np.empty((pages, side * side), kind)
     steps[_NO_PAGE] = _UNKNOWN
     sizes = numbers("free_rows", "free_pages", "is_full")
     sizes.free_rows, sizes.free_pages = rows, pages - 1
@@ -80,9 +81,9 @@ def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) 
         free_pages=np.arange(pages, dtype=np.int32)[:_NO_PAGE:-1].copy(),
         numbers=sizes,
         queue=np.empty((2, 4 * cells), np.int64),
-        found=np.full(cells, _UNKNOWN, steps_type(cells)),
+        found=np.full(cells, _UNKNOWN, kind),
         order=np.empty(cells, np.int32),
-        unreachable=unreachable(cells),
+        unreachable=unreachable,
     )
 
 

@@ -73,7 +73,7 @@ def _adopt(run: HostRun, fields: DistanceFields, fallback: Fallback, seed: int) 
     Who falls back makes those fall back whose paths it would meet. Beyond the horizon the two
     kinds of path may conflict: that part is dropped.
     """
-    horizon, paths, is_used = run.settings.horizon, run.agents.paths, fallback.is_used
+    horizon, paths, is_used = run.settings.horizon, run.paths, fallback.is_used
     waiting, planned, last = 0, 0, paths.shape[1] - 1
     for agent in range(is_used.size):
         if is_used[agent]:
@@ -143,7 +143,7 @@ def simulate_into(
     run = make_run(world, settings, agents, outcome.block)
     if world.valid:
         place_agents(run)
-        outcome.start[:agents] = run.agents.position
+        outcome.start[:agents] = run.position
         _runs[id(run)] = run
         try:
             run_to_the_end(planner, run)
@@ -153,7 +153,7 @@ def simulate_into(
     metrics.time[...], metrics.congested_at[...] = counters.time, counters.congested_at
     metrics.moves[...] = counters.moves
     metrics.finished[...], metrics.visits[...] = run.finished, run.visits
-    outcome.heading[:agents] = run.grid.goals[run.agents.goal[0]]
+    outcome.heading[:agents] = run.grid.goals[run.goal[0]]
 
 
 def run_to_the_end(planner: HostPlanner, run: HostRun) -> None:
@@ -161,11 +161,11 @@ def run_to_the_end(planner: HostPlanner, run: HostRun) -> None:
 
     A window for which a buffer is too small is planned again with a larger one.
     """
-    grid, agents, size = run.grid, run.agents.position.size, 1
+    grid, agents, size = run.grid, run.position.size, 1
     rows = min(grid.goals.size, 2 * agents + _SPARE_ROWS)
     fields = empty_fields((grid.free.size // grid.width, grid.width), grid.goals.size, rows)
     fallback = Fallback(
-        np.zeros_like(run.agents.paths),
+        np.zeros_like(run.paths),
         np.zeros(agents, np.bool_),
         make_rollout(agents, run.settings.horizon, grid.free.size),
         np.zeros(agents, np.int64),
@@ -174,7 +174,7 @@ def run_to_the_end(planner: HostPlanner, run: HostRun) -> None:
     plan = planner.make_plan(run, size)
     while (status := planner.run_windows(run, fields, plan, fallback)) != DONE:
         if status == FIELDS_FULL:
-            fields = make_room(fields, run.agents.goal.reshape(-1))
+            fields = make_room(fields, run.goal.reshape(-1))
         else:
             size *= 2
             plan = planner.make_plan(run, size)

@@ -1,6 +1,6 @@
 """One run in compiled host code: its records, and how one window is driven.
 
-`agents` and `metrics` agent by agent instead of array by array, number for number.
+`fleet` and `metrics` agent by agent instead of array by array, number for number.
 """
 
 from typing import NamedTuple
@@ -31,19 +31,6 @@ class GridMap(NamedTuple):
     margin: int  # rows and columns of walls on each side
 
 
-class Agents(NamedTuple):
-    """The A agents that take part, between two windows; w steps planned ahead."""
-
-    position: np.ndarray  # int64 [A]
-    kind: np.ndarray  # int64 [A], the current goal's place in the cycle
-    goal: np.ndarray  # int64 [2, A], slots of the current and the next goal
-    remaining_service: np.ndarray  # int64 [A], timesteps still to serve
-    age: np.ndarray  # int64 [A], timesteps since the last finished task
-    legs: np.ndarray  # int64 [A], tasks finished since all were planned
-    paths: np.ndarray  # int64 [A, w + 1], the plan from here on
-    stuck: np.ndarray  # bool [A], whether the agent neither moved nor served in this window
-
-
 class RunSettings(NamedTuple):
     """The numbers of a run."""
 
@@ -55,10 +42,20 @@ class RunSettings(NamedTuple):
 
 
 class HostRun(NamedTuple):
-    """One run under way; what it counts is explained in `metrics.Metrics`."""
+    """One run between two windows; what it counts is explained in `metrics.Metrics`.
+
+    A agents take part, and plan w steps ahead.
+    """
 
     grid: GridMap  # the layout
-    agents: Agents  # where they are, and what they do
+    position: np.ndarray  # int64 [A]
+    kind: np.ndarray  # int64 [A], the current goal's place in the cycle
+    goal: np.ndarray  # int64 [2, A], slots of the current and the next goal
+    remaining_service: np.ndarray  # int64 [A], timesteps still to serve
+    age: np.ndarray  # int64 [A], timesteps since the last finished task
+    legs: np.ndarray  # int64 [A], tasks finished since all were planned
+    paths: np.ndarray  # int64 [A, w + 1], the plan from here on
+    stuck: np.ndarray  # bool [A], whether the agent neither moved nor served in this window
     counters: Numbers  # time, congested_at and moves
     finished: np.ndarray  # int32 [T], T rounded up to whole windows
     visits: np.ndarray  # int32 [N]
@@ -86,54 +83,59 @@ def make_run(world: World, settings: RunSettings, agents: int, block: Block) -> 
     grid = grid_map(world)
     windows = -(-settings.timesteps // settings.horizon)
     position, kind, remaining_service, age, legs = np.zeros((5, agents), np.int64)
-    goal, paths = np.zeros((2, agents), np.int64), np.zeros((agents, settings.window + 1), np.int64)
-    stuck = np.zeros(agents, np.bool_)
     return HostRun(
-        grid,
-        Agents(position, kind, goal, remaining_service, age, legs, paths, stuck),
-        numbers("time", "congested_at", "moves"),
-        np.zeros(windows * settings.horizon, np.int32),
-        np.zeros(grid.free.size, np.int32),
-        block,
-        settings,
+        grid=grid,
+        position=position,
+        kind=kind,
+        goal=np.zeros((2, agents), np.int64),
+        remaining_service=remaining_service,
+        age=age,
+        legs=legs,
+        paths=np.zeros((agents, settings.window + 1), np.int64),
+        stuck=np.zeros(agents, np.bool_),
+        counters=numbers("time", "congested_at", "moves"),
+        finished=np.zeros(windows * settings.horizon, np.int32),
+        visits=np.zeros(grid.free.size, np.int32),
+        block=block,
+        settings=settings,
     )
 
 
 def place_agents(run: HostRun) -> None:
-    """Put the agents on distinct free cells and draw their first goals, as `agents.place` does."""
-    grid, agents, seed = run.grid, run.agents, run.settings.seed
-    count, cells = agents.position.size, np.flatnonzero(grid.free)
+    """Put the agents on distinct free cells and draw their first goals, as `fleet.place` does."""
+    grid, seed = run.grid, run.settings.seed
+    count, cells = run.position.size, np.flatnonzero(grid.free)
     # Ranked by their places in the layout: a planner's margin changes no start.
     places = unpad(cells, grid.width - 2 * grid.margin, grid.margin)
     rank = chance.draw_on_host(chance.draw_on_host(seed, chance.STARTS), places) >> 1
-    agents.position[:] = cells[np.argsort(-rank.astype(int), kind="stable")[:count]]
-    agents.paths[:] = agents.position[:, None]
+    run.position[:] = cells[np.argsort(-rank.astype(int), kind="stable")[:count]]
+    run.paths[:] = run.position[:, None]
     for ahead, purpose in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL)):
         bits = chance.draw_on_host(chance.draw_on_host(seed, purpose), np.arange(count))
         whole = (bits >> (32 - chance.CHANCE_BITS)).astype(np.float32)
         value = whole * np.float32(2.0**-chance.CHANCE_BITS)  # as `chance.uniform`
         odds = grid.odds[ahead % grid.service_time.size]
         drawn = np.searchsorted(odds, value, side="right")
-        agents.goal[ahead] = np.minimum(drawn, grid.goals.size - 1)
+        run.goal[ahead] = np.minimum(drawn, grid.goals.size - 1)
 
 
 @kernel
 def drive_window(run: HostRun) -> None:
     """Drive the first steps of all paths; count, record and look for a jam."""
-    agents, counters, settings = run.agents, run.counters, run.settings
-    begin, horizon, last = counters.time, settings.horizon, agents.paths.shape[1] - 1
+    counters, settings = run.counters, run.settings
+    begin, horizon, last = counters.time, settings.horizon, run.paths.shape[1] - 1
     goals = chance.mix(settings.seed, chance.GOALS)
-    agents.stuck[:], agents.legs[:] = True, 0
+    run.stuck[:], run.legs[:] = True, 0
     for step in range(horizon):
         drawn = chance.mix(goals, begin + step)
-        for agent in range(agents.position.size):
+        for agent in range(run.position.size):
             _drive(run, agent, step, begin + step, drawn)
-    for agent in range(agents.position.size):
+    for agent in range(run.position.size):
         # The rest of the path is kept; its last cell is repeated.
         for step in range(last + 1):
-            agents.paths[agent, step] = agents.paths[agent, min(step + horizon, last)]
+            run.paths[agent, step] = run.paths[agent, min(step + horizon, last)]
     # A window that T cuts short is no window of the jam rule.
-    jam = begin + horizon <= settings.timesteps and agents.stuck.sum() > agents.position.size // 2
+    jam = begin + horizon <= settings.timesteps and run.stuck.sum() > run.position.size // 2
     if jam and counters.congested_at == 0:
         counters.congested_at = begin + horizon
     counters.time = min(begin + horizon, settings.timesteps)
@@ -141,24 +143,24 @@ def drive_window(run: HostRun) -> None:
 
 @formula
 def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
-    """Move one agent by one step of its path and serve its goal, as `agents.drive` does."""
-    grid, agents = run.grid, run.agents
-    cell, goal = agents.paths[agent, step + 1], grid.goals[agents.goal[0, agent]]
-    moves = cell != agents.position[agent]
+    """Move one agent by one step of its path and serve its goal, as `fleet.drive` does."""
+    grid = run.grid
+    cell, goal = run.paths[agent, step + 1], grid.goals[run.goal[0, agent]]
+    moves = cell != run.position[agent]
     if time < run.settings.timesteps:
         run.visits[cell] += 1
         run.counters.moves += moves
     # Stuck: the same cell at all timesteps of the window but the last, and never serving.
-    if (moves and step < run.settings.horizon - 1) or agents.remaining_service[agent] > 0:
-        agents.stuck[agent] = False
-    agents.position[agent] = cell
-    kind = agents.kind[agent]
+    if (moves and step < run.settings.horizon - 1) or run.remaining_service[agent] > 0:
+        run.stuck[agent] = False
+    run.position[agent] = cell
+    kind = run.kind[agent]
     service_time = grid.service_time[kind]
     # Planners know of two goals: a later one is not served in passing.
-    on_goal = cell == goal and (agents.legs[agent] < KNOWN or service_time == 0)
-    left, finished = serve(agents.remaining_service[agent], on_goal, service_time)
-    agents.remaining_service[agent] = left
-    agents.age[agent] += 1
+    on_goal = cell == goal and (run.legs[agent] < KNOWN or service_time == 0)
+    left, finished = serve(run.remaining_service[agent], on_goal, service_time)
+    run.remaining_service[agent] = left
+    run.age[agent] += 1
     if run.block.positions.size:
         run.block.positions[time, agent] = cell
         run.block.remaining_service[time, agent] = left
@@ -166,15 +168,15 @@ def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
         run.block.goals[time, agent] = goal
     if finished:
         kind = (kind + 1) % grid.service_time.size
-        agents.kind[agent], agents.age[agent] = kind, 0
-        agents.legs[agent] += 1
+        run.kind[agent], run.age[agent] = kind, 0
+        run.legs[agent] += 1
         # Draw the goal after the next with the odds of its kind, as `tasks.draw_goals` does.
         bits = chance.mix(drawn, agent) >> (32 - chance.CHANCE_BITS)
         value = np.float32(bits) * np.float32(2.0**-chance.CHANCE_BITS)
         odds = grid.odds[(kind + 1) % grid.service_time.size]
         slot = np.searchsorted(odds, value, side="right")
-        agents.goal[0, agent] = agents.goal[1, agent]
-        agents.goal[1, agent] = min(slot, grid.goals.size - 1)
+        run.goal[0, agent] = run.goal[1, agent]
+        run.goal[1, agent] = min(slot, grid.goals.size - 1)
         if time < run.settings.timesteps:
             run.finished[time] += 1
 

@@ -109,9 +109,9 @@ def note_conflicts(work: Workspace, agent: int, others: int) -> bool:
 
     Those who must give way are queued. Returns False if there may be too many conflicts.
     """
-    plan, order, tree = work.plan, work.order, work.tree
-    if tree.numbers.conflicts + others > tree.conflict.size:
-        tree.numbers.is_full = True
+    plan, order, counts = work.plan, work.order, work.numbers
+    if counts.conflicts + others > work.conflict.size:
+        counts.is_full = True
         return False
     find_conflicts(plan, agent)
     walked = False
@@ -123,8 +123,8 @@ def note_conflicts(work: Workspace, agent: int, others: int) -> bool:
         while not (plan.hit[other] >> t) & 1:
             t += 1
         agents = (min(agent, other) << _FIRST_BIT) | max(agent, other)
-        tree.conflict[tree.numbers.conflicts] = (t << _TIME_BIT) | agents
-        tree.numbers.conflicts += 1
+        work.conflict[counts.conflicts] = (t << _TIME_BIT) | agents
+        counts.conflicts += 1
         if not walked:
             walk(order, agent, DOWN)
             walked = True
@@ -136,8 +136,8 @@ def note_conflicts(work: Workspace, agent: int, others: int) -> bool:
             loser = other
         if loser != NOBODY and not work.is_waiting[loser]:
             work.is_waiting[loser] = True
-            work.waiting[work.numbers.waiting] = loser
-            work.numbers.waiting += 1
+            work.waiting[counts.waiting] = loser
+            counts.waiting += 1
     return True
 
 
@@ -148,21 +148,21 @@ def resolve(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int, f
     The conflicts of the plan, from number `first` on, are those of the new plan then. Returns False
     if there is none; no agent waits any more either way.
     """
-    plan, order, tree = work.plan, work.order, work.tree
+    plan, order, counts = work.plan, work.order, work.numbers
     budget, consistent = _REPLANS_PER_AGENT * work.num_near.size, True
-    while consistent and work.numbers.waiting > 0:
+    while consistent and counts.waiting > 0:
         agent = _take_highest(work)
         # Move the conflicts of the agent behind all others.
-        index, others = first, tree.numbers.conflicts
+        index, others = first, counts.conflicts
         gives_way = False
         while index < others:
-            pack = tree.conflict[index]
+            pack = work.conflict[index]
             t, one, two = parts_of(pack)
             if one != agent and two != agent:
                 index += 1
                 continue
             others -= 1
-            tree.conflict[index], tree.conflict[others] = tree.conflict[others], pack
+            work.conflict[index], work.conflict[others] = work.conflict[others], pack
             above = one + two - agent
             bound = _bound_at(plan, agent, above, t)
             gives_way |= bound == above or (bound == NOBODY and is_found(order, above, UP))
@@ -170,11 +170,11 @@ def resolve(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int, f
             budget -= 1
             consistent = budget >= 0 and replan(work, fields, grid, agent, seed)
             if consistent:
-                tree.numbers.conflicts = others
+                counts.conflicts = others
                 consistent = note_conflicts(work, agent, work.num_near.size)
-    for index in range(work.numbers.waiting):
+    for index in range(counts.waiting):
         work.is_waiting[work.waiting[index]] = False
-    work.numbers.waiting = 0
+    counts.waiting = 0
     return consistent
 
 
@@ -216,7 +216,7 @@ def replan(work: Workspace, fields: DistanceFields, grid: GridMap, agent: int, s
     """
     plan, goals, search, change = work.plan, work.goals, work.search, work.plan.numbers.changes
     if change == plan.changed.size:
-        work.tree.numbers.is_full = True
+        work.numbers.is_full = True
         return False
     paths.forget_reservations(search)
     for index in range(work.num_near[agent]):

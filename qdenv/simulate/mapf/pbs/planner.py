@@ -48,20 +48,20 @@ def _plan_window(
     solved = solve(work, fields, run.grid, chance.mix(seed, chance.TIES))
     if fields.numbers.is_full:
         return FIELDS_FULL
-    if work.tree.numbers.is_full:
+    if work.numbers.is_full:
         return PLAN_FULL
     work.numbers.unsolved += not solved
     plan, path, is_used, horizon = work.plan, fallback.path, fallback.is_used, run.settings.horizon
     for t in range(0 if solved else path.shape[1]):
         for agent in range(is_used.size):
-            plan.cell[t, agent] = work.tree.best[t, agent]
+            plan.cell[t, agent] = work.best[t, agent]
     for agent in range(is_used.size):
         is_used[agent] = False
         if not solved:
             plan.path[agent].end = horizon  # later conflicts do not matter
             conflicts.find_conflicts(plan, agent)
             is_used[agent] = plan.hit.any()
-        path[agent, 0] = run.agents.position[agent]
+        path[agent, 0] = run.position[agent]
         for t in range(1, path.shape[1]):
             # The last cell of a path that has ended is repeated; within the driven steps only those
             # agents have none that have no path.
@@ -77,13 +77,13 @@ _run_windows = compile_windows(_plan_window)
 @kernel
 def collect_goals(run: HostRun, fields: DistanceFields, goals: Goals) -> None:
     """Note what the agents have to do now."""
-    grid, agents = run.grid, run.agents
-    for agent in range(agents.position.size):
+    grid = run.grid
+    for agent in range(run.position.size):
         for leg in range(KNOWN):
-            goals.cell[leg, agent] = grid.goals[agents.goal[leg, agent]]
-            kind = (agents.kind[agent] + leg) % grid.service_time.size
+            goals.cell[leg, agent] = grid.goals[run.goal[leg, agent]]
+            kind = (run.kind[agent] + leg) % grid.service_time.size
             goals.service_time[leg, agent] = grid.service_time[kind]
-        second = agents.goal[1, agent]
+        second = run.goal[1, agent]
         goals.between[agent] = distance(fields, grid, second, goals.cell[0, agent])
 
 
@@ -91,11 +91,11 @@ def collect_goals(run: HostRun, fields: DistanceFields, goals: Goals) -> None:
 def solve(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int) -> bool:
     """Search for paths without conflicts; returns whether they were found, in ``work.plan``.
 
-    If not, ``work.tree.best`` is the plan whose first conflict is latest; neither counts if an
-    array was too small (``work.tree.numbers.is_full``).
+    If not, ``work.best`` is the plan whose first conflict is latest; neither counts if an
+    array was too small (``work.numbers.is_full``).
     """
-    tree, plan, counts = work.tree, work.plan, work.tree.numbers
-    tree.dead_end[:] = False
+    plan, counts = work.plan, work.numbers
+    work.dead_end[:] = False
     counts.is_full, counts.best_time = False, -1
     if not _plan_root(work, fields, grid, seed):
         _keep_best(work, 0)
@@ -103,35 +103,35 @@ def solve(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int) -> 
     first, last, depth, nodes = 0, counts.conflicts, 0, 0
     while first < last:
         # The earliest conflict, but before it any whose agents had no feasible child once.
-        earliest, best, pick = tree.conflict[first], _PREFERRED, tree.conflict[first]
+        earliest, best, pick = work.conflict[first], _PREFERRED, work.conflict[first]
         for index in range(first, last):
-            pack = tree.conflict[index]
+            pack = work.conflict[index]
             earliest = min(earliest, pack)
             _, one, two = conflicts.parts_of(pack)
-            key = pack - _PREFERRED if tree.dead_end[one, two] else pack
+            key = pack - _PREFERRED if work.dead_end[one, two] else pack
             if key < best:
                 best, pick = key, pack
         _keep_best(work, conflicts.parts_of(earliest)[0])
-        if depth == tree.node.size and nodes < work.node_limit:
+        if depth == work.node.size and nodes < work.node_limit:
             counts.is_full = True
         if nodes == work.node_limit or counts.is_full:
             return False
         nodes += 1
-        work.numbers.nodes += 1
+        counts.nodes += 1
         _expand(work, fields, grid, seed, depth, pick, first, last)
         # Go back up until there is a child to search next, undoing the changes on the way.
-        node = tree.node[depth]
+        node = work.node[depth]
         while node.num_entered == node.num_children:
             plan.numbers.changes, counts.conflicts = node.num_changes, node.num_conflicts
             if depth == 0:
                 return False
             depth -= 1
-            node = tree.node[depth]
-            child = tree.child[depth, (node.num_entered - 1) ^ node.is_swapped]
+            node = work.node[depth]
+            child = work.child[depth, (node.num_entered - 1) ^ node.is_swapped]
             for change in range(child.end_change - 1, child.first_change - 1, -1):
                 conflicts.redo(plan, change, conflicts.OLD)
             conflicts.take_back(work.order)
-        child = tree.child[depth, node.num_entered ^ node.is_swapped]
+        child = work.child[depth, node.num_entered ^ node.is_swapped]
         node.num_entered += 1
         conflicts.put_above(work.order, child.high, child.low)
         for change in range(child.first_change, child.end_change):
@@ -147,7 +147,7 @@ def _plan_root(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int
 
     No agent has precedence but those that are bound to their start.
     """
-    plan, tree, goals = work.plan, work.tree, work.goals
+    plan, goals, counts = work.plan, work.goals, work.numbers
     agents, window = work.num_near.size, plan.cell.shape[0] - 1
     work.num_near[:] = 0
     for agent in range(agents):
@@ -172,7 +172,7 @@ def _plan_root(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int
         for t in range(window + 1):
             plan.cell[t, agent] = goals.start[agent] if t <= last else -1 - agent
     plan.numbers.delay, plan.numbers.changes = 0, 0
-    tree.numbers.conflicts, work.numbers.waiting = 0, 0
+    counts.conflicts, counts.waiting = 0, 0
     for agent in range(agents):
         conflicts.walk(work.order, agent, conflicts.UP)
         if not conflicts.replan(work, fields, grid, agent, seed):
@@ -189,7 +189,7 @@ def _plan_root(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int
 @kernel
 def _keep_best(work: Workspace, earliest: int) -> None:
     """Keep the plan if its first conflict is later than all before, or as late with less delay."""
-    counts, best, plan = work.tree.numbers, work.tree.best, work.plan
+    counts, best, plan = work.numbers, work.best, work.plan
     delay = plan.numbers.delay
     if earliest > counts.best_time or (earliest == counts.best_time and delay < counts.best_delay):
         counts.best_time, counts.best_delay = earliest, delay
@@ -210,8 +210,8 @@ def _expand(
     last: int,
 ) -> None:
     """Make the children of a node, which is in hand before and after, from one of its conflicts."""
-    tree, counts, order, plan = work.tree, work.tree.numbers, work.order, work.plan
-    node, children = tree.node[depth], tree.child[depth]
+    counts, order, plan = work.numbers, work.order, work.plan
+    node, children = work.node[depth], work.child[depth]
     _, one, two = conflicts.parts_of(pick)
     node.num_changes, node.num_conflicts = plan.numbers.changes, counts.conflicts
     node.num_children, node.num_entered, node.is_swapped = 0, 0, 0
@@ -221,11 +221,11 @@ def _expand(
         if conflicts.is_found(order, low, conflicts.UP):
             continue
         begin, change = counts.conflicts, plan.numbers.changes
-        if begin + last - first > tree.conflict.size:
+        if begin + last - first > work.conflict.size:
             counts.is_full = True
             continue
         for index in range(last - first):
-            tree.conflict[begin + index] = tree.conflict[first + index]
+            work.conflict[begin + index] = work.conflict[first + index]
         counts.conflicts += last - first
         conflicts.put_above(order, high, low)
         work.waiting[0], work.is_waiting[low], work.numbers.waiting = low, True, 1
@@ -242,7 +242,7 @@ def _expand(
         else:
             plan.numbers.changes, counts.conflicts = change, begin
     if node.num_children == 0:
-        tree.dead_end[one, two] = True
+        work.dead_end[one, two] = True
     elif node.num_children == 2:
         many = children[0].end_conflict - children[0].first_conflict
         few = children[1].end_conflict - children[1].first_conflict

@@ -98,87 +98,82 @@ class PathSearch(NamedTuple):
     horizon: int  # timesteps that will be driven
 
 
-class SearchTree(NamedTuple):
-    """The branch of the search tree in hand; K conflicts."""
+class Workspace(NamedTuple):
+    """All of it; K conflicts."""
 
+    goals: Goals  # what agents have to do
+    plan: JointPlan  # where they go
+    order: PartialOrder  # who is above whom
+    search: PathSearch  # the search of one path
+    # The branch of the search tree in hand.
     node: np.ndarray  # `_NODE` [D]
     child: np.ndarray  # `_CHILD` [D, 2]
     conflict: np.ndarray  # int64 [K], the conflicts of all these nodes
     # bool [A, A], pairs of agents, the smaller number first, that had no feasible child once
     dead_end: np.ndarray
     best: np.ndarray  # int32 [w + 1, A], the plan whose first conflict was latest
-    # conflicts, how many there are; is_full, whether the arrays of conflicts, nodes or changes were
-    # too small; best_time and best_delay, of the first conflict of the best plan and of that plan
-    numbers: Numbers
-
-
-class Workspace(NamedTuple):
-    """All of it."""
-
-    goals: Goals  # what agents have to do
-    plan: JointPlan  # where they go
-    order: PartialOrder  # who is above whom
-    search: PathSearch  # the search of one path
-    tree: SearchTree  # the branch in hand
     near: np.ndarray  # int32 [A, A], the agents that each may meet within a window
     num_near: np.ndarray  # int64 [A]
     waiting: np.ndarray  # int32 [A], agents to be planned again
     is_waiting: np.ndarray  # bool [A]
-    numbers: Numbers  # waiting, how many wait; nodes, expanded, and unsolved, of all windows
+    # waiting, how many wait; conflicts, how many there are; is_full, whether the arrays of
+    # conflicts, nodes or changes were too small; best_time and best_delay, of the first conflict of
+    # the best plan and of that plan; nodes, expanded, and unsolved, of all windows
+    numbers: Numbers
     published: bool  # whether agents without a path stay, and waiting at the start has precedence
     node_limit: int  # most nodes to expand
 
 
 def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:
     """Make the workspace of a run; `depth` nodes, changes and conflicts in proportion."""
-    agents, window, grid = run.agents, run.settings.window, run.grid
-    count = agents.position.size
+    window, grid, count = run.settings.window, run.grid, run.position.size
     changes = _CHANGES_PER_NODE * depth + 2 * count
     # Goals of a kind with service; odds are cumulated.
     likely = np.diff(grid.odds, axis=1, prepend=np.float32(0)) > 0
     holds = np.zeros(grid.free.size, np.bool_)
     holds[grid.goals[likely[grid.service_time > 0].any(axis=0)]] = True
-    cell, service_time, mark = np.zeros((3, 2, count), np.int64)
-    between, num_near = np.zeros((2, count), np.int64)
-    hit, stack, waiting = np.zeros((3, count), np.int32)
-    end, following = np.zeros((2, 2, depth + 1), np.int32)
-    first = np.full((2, count), NOBODY, np.int32)
     return Workspace(
-        Goals(
-            agents.position,
-            agents.remaining_service,
-            agents.goal,
-            cell,
-            service_time,
-            between,
-            holds,
+        goals=Goals(
+            start=run.position,
+            begin=run.remaining_service,
+            goal=run.goal,
+            cell=np.zeros((2, count), np.int64),
+            service_time=np.zeros((2, count), np.int64),
+            between=np.zeros(count, np.int64),
+            holds=holds,
         ),
-        JointPlan(
-            np.zeros((window + 1, count), np.int32),
-            _records(_PATH, count),
-            hit,
-            np.empty(changes, np.int32),
-            np.empty((changes, 2, window + 1), np.int32),
-            _records(_PATH, changes, 2),
-            numbers("delay", "changes"),
+        plan=JointPlan(
+            cell=np.zeros((window + 1, count), np.int32),
+            path=_records(_PATH, count),
+            hit=np.zeros(count, np.int32),
+            changed=np.empty(changes, np.int32),
+            change_cell=np.empty((changes, 2, window + 1), np.int32),
+            change_path=_records(_PATH, changes, 2),
+            numbers=numbers("delay", "changes"),
         ),
-        PartialOrder(end, following, first, mark, stack, numbers("pairs", "walk")),
-        _make_search(run),
-        SearchTree(
-            _records(_NODE, depth),
-            _records(_CHILD, depth, 2),
-            np.empty((_CONFLICTS_PER_NODE * depth + 64) * count, np.int64),
-            np.zeros((count, count), np.bool_),
-            np.empty((window + 1, count), np.int32),
-            numbers("conflicts", "is_full", "best_time", "best_delay"),
+        order=PartialOrder(
+            end=np.zeros((2, depth + 1), np.int32),
+            following=np.zeros((2, depth + 1), np.int32),
+            first=np.full((2, count), NOBODY, np.int32),
+            mark=np.zeros((2, count), np.int64),
+            stack=np.zeros(count, np.int32),
+            numbers=numbers("pairs", "walk"),
         ),
-        np.empty((count, count), np.int32),
-        num_near,
-        waiting,
-        np.zeros(count, np.bool_),
-        numbers("waiting", "nodes", "unsolved"),
-        config.rule == "published",
-        int(config.nodes_per_agent * count),
+        search=_make_search(run),
+        node=_records(_NODE, depth),
+        child=_records(_CHILD, depth, 2),
+        conflict=np.empty((_CONFLICTS_PER_NODE * depth + 64) * count, np.int64),
+        dead_end=np.zeros((count, count), np.bool_),
+        best=np.empty((window + 1, count), np.int32),
+        near=np.empty((count, count), np.int32),
+        num_near=np.zeros(count, np.int64),
+        waiting=np.zeros(count, np.int32),
+        is_waiting=np.zeros(count, np.bool_),
+        numbers=numbers(
+            *("waiting", "conflicts", "is_full", "best_time", "best_delay", "nodes", "unsolved")
+        ),
+        published=config.rule == "published",
+        node_limit=int(config.nodes_per_agent * count),
     )
 
 
@@ -195,19 +190,18 @@ def _make_search(run: HostRun) -> PathSearch:
     time_bit = (side * side).bit_length()
     layer_bit = time_bit + (window + 1).bit_length()
     states = 2 * HOLDING << layer_bit
-    parent, following = np.empty((2, states), np.int32)
     return PathSearch(
-        np.zeros((window + 1, grid.free.size), np.int32),
-        np.zeros(states, np.int64),
-        parent,
-        following,
+        reserved=np.zeros((window + 1, grid.free.size), np.int32),
+        seen=np.zeros(states, np.int64),
+        parent=np.empty(states, np.int32),
+        following=np.empty(states, np.int32),
         # A step can lead away from the goal, which costs two.
-        np.full((2 * window + 3, window + 1), NO_STATE, np.int32),
-        np.zeros(window + 1, np.int64),
-        (row - window) * grid.width + column - window,
-        move_steps(side),
-        numbers("table", "search", "delay"),
-        time_bit,
-        layer_bit,
-        run.settings.horizon,
+        bucket=np.full((2 * window + 3, window + 1), NO_STATE, np.int32),
+        cells=np.zeros(window + 1, np.int64),
+        offset=(row - window) * grid.width + column - window,
+        steps=move_steps(side),
+        numbers=numbers("table", "search", "delay"),
+        time_bit=time_bit,
+        layer_bit=layer_bit,
+        horizon=run.settings.horizon,
     )

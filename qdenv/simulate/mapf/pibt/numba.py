@@ -1,20 +1,69 @@
-"""PIBT in compiled host code: agent by agent, as the algorithm is printed.
+"""PIBT in compiled host code, agent by agent as the algorithm is printed, and its rules.
 
-The rules are those of `rules`; the result is that of `planner.rollout`, bit for bit.
+The rules are the conditions in function PIBT of algorithm 1 of Okumura et al. 2022, "Priority
+inheritance with backtracking for iterative multi-agent path finding", Artificial Intelligence 310
+(https://arxiv.org/abs/1901.11282), in plain operators: numba compiles them here, `jax.numpy` traces
+them in `planner.rollout`, whose result is the same bit for bit. Every argument of theirs is one
+integer, `NOBODY` where there is none.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
+import jax
 import numpy as np
 
 from qdenv.grid import NUM_MOVES
-from qdenv.native import formula, kernel
+from qdenv.native import formula, kernel, shared
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields, distance
 from qdenv.simulate.mapf.host.state import AGENT, AGENT_BITS, HostRun, sort
-from qdenv.simulate.mapf.pibt import rules
 from qdenv.simulate.mapf.planner import NOBODY
 from qdenv.simulate.mapf.tasks import serve
+
+Number = TypeVar("Number", int, jax.Array)
+
+RANKS, TIE_BREAKS = 0, 1  # what is drawn for a rollout; the ties of step t by TIE_BREAKS + t
+RANK_BITS, TIE_BITS = 12, 5
+_OLDEST = (1 << 17) - 1  # agents that have waited longer are equally urgent
+
+
+@shared
+def urgency(fixed: Number, age: Number, bits: Number) -> Number:
+    """Rank agents (smallest first): those that cannot move, the longest without a task, by chance.
+
+    The age counts timesteps since the agent last finished a task; of 32 random bits the first few
+    break ties.
+    """
+    age = age - (age > _OLDEST) * (age - _OLDEST)
+    return (1 - fixed) * (((_OLDEST - age) << RANK_BITS) + (bits >> (32 - RANK_BITS)) + 1)
+
+
+@shared
+def preference(to_go: Number, taken: Number, bits: Number, way: Number) -> Number:
+    """Rank a way (smallest first): nearer to the goal, then empty before taken, then by chance."""
+    tie_break = (bits >> (TIE_BITS * way)) & ((1 << TIE_BITS) - 1)
+    return (((to_go << 1) + taken) << TIE_BITS) + tie_break
+
+
+@shared
+def is_admissible(
+    cell: Number, position: Number, claimant: Number, other_next: Number, pusher_position: Number
+) -> Number:
+    """Return True if an agent at `position` may take a candidate cell.
+
+    Not if another one takes it in this step already (a vertex conflict), nor if the agent that
+    stands there comes here (a swap), nor if the agent's pusher stands there: it wants to come here.
+    """
+    return (claimant == NOBODY) & (other_next != position) & (cell != pusher_position)
+
+
+@shared
+def is_pushed(other: Number, agent: Number, other_next: Number) -> Number:
+    """Return True if `other`, which stands where `agent` goes, inherits its priority.
+
+    It does if it is another agent that has not decided yet where it goes (`other_next`).
+    """
+    return (other != NOBODY) & (other != agent) & (other_next == NOBODY)
 
 
 class Rollout(NamedTuple):
@@ -50,32 +99,32 @@ def roll_out(
     run: HostRun, fields: DistanceFields, rollout: Rollout, seed: int, stands_still: bool
 ) -> None:
     """Find where PIBT drives all agents, as `planner.rollout` does; or let all stand still."""
-    grid, agents, kinds = run.grid, run.agents, run.grid.service_time.size
+    grid, kinds = run.grid, run.grid.service_time.size
     ties = chance.mix(seed, chance.RESORT)
-    rank = chance.mix(ties, rules.RANKS)
-    for agent in range(agents.position.size):
-        rollout.path[agent, 0], rollout.stage[agent] = agents.position[agent], 0
-        rollout.remaining_service[agent] = agents.remaining_service[agent]
-        rollout.age[agent] = agents.age[agent]
+    rank = chance.mix(ties, RANKS)
+    for agent in range(run.position.size):
+        rollout.path[agent, 0], rollout.stage[agent] = run.position[agent], 0
+        rollout.remaining_service[agent] = run.remaining_service[agent]
+        rollout.age[agent] = run.age[agent]
     for t in range(rollout.path.shape[1] - 1):
         if stands_still:
-            for agent in range(agents.position.size):
-                rollout.path[agent, t + 1] = agents.position[agent]
+            for agent in range(run.position.size):
+                rollout.path[agent, t + 1] = run.position[agent]
             continue
-        tie_break = chance.mix(ties, rules.TIE_BREAKS + t)
-        for agent in range(agents.position.size):
+        tie_break = chance.mix(ties, TIE_BREAKS + t)
+        for agent in range(run.position.size):
             fixed = rollout.remaining_service[agent] > 0
-            urgency = rules.urgency(fixed, rollout.age[agent], chance.mix(rank, agent))
-            rollout.order[agent] = (urgency << AGENT_BITS) | agent
+            turn = urgency(fixed, rollout.age[agent], chance.mix(rank, agent))
+            rollout.order[agent] = (turn << AGENT_BITS) | agent
             rollout.occupant[rollout.path[agent, t]] = agent
-        for agent in range(agents.position.size):
+        for agent in range(run.position.size):
             _prefer(run, fields, rollout, agent, t, chance.mix(tie_break, agent))
         sort(rollout.order)
         push_along(rollout, t)
-        for agent in range(agents.position.size):
+        for agent in range(run.position.size):
             stage = rollout.stage[agent]
-            service_time = grid.service_time[(agents.kind[agent] + stage) % kinds]
-            on_goal = rollout.path[agent, t + 1] == grid.goals[agents.goal[stage, agent]]
+            service_time = grid.service_time[(run.kind[agent] + stage) % kinds]
+            on_goal = rollout.path[agent, t + 1] == grid.goals[run.goal[stage, agent]]
             left, finished = serve(rollout.remaining_service[agent], on_goal, service_time)
             rollout.remaining_service[agent] = left
             rollout.age[agent] += 1
@@ -90,7 +139,7 @@ def _prefer(
     run: HostRun, fields: DistanceFields, rollout: Rollout, agent: int, t: int, bits: int
 ) -> None:
     """Sort the ways of one agent: nearer to the goal, then empty before taken, then by chance."""
-    cell, slot = rollout.path[agent, t], run.agents.goal[rollout.stage[agent], agent]
+    cell, slot = rollout.path[agent, t], run.goal[rollout.stage[agent], agent]
     ways = 1 if rollout.remaining_service[agent] > 0 else NUM_MOVES
     candidates, keys, count = rollout.candidates, rollout.key, 0
     for way in range(ways):
@@ -98,7 +147,7 @@ def _prefer(
         if not run.grid.free[other]:
             continue
         taken = way > 0 and rollout.occupant[other] != NOBODY
-        key = rules.preference(distance(fields, run.grid, slot, other), taken, bits, way)
+        key = preference(distance(fields, run.grid, slot, other), taken, bits, way)
         # An insertion keeps equal keys in the order of the moves, as a stable sort does in XLA.
         place = count
         while place > 0 and keys[place - 1] > key:
@@ -135,11 +184,11 @@ def push_along(rollout: Rollout, t: int) -> None:
             other = occupant[cell]
             other_next = path[other, t + 1] if other != NOBODY else NOBODY
             pusher_position = path[behind, t] if behind != NOBODY else NOBODY
-            if not rules.is_admissible(cell, here, claimant[cell], other_next, pusher_position):
+            if not is_admissible(cell, here, claimant[cell], other_next, pusher_position):
                 continue
             path[agent, t + 1] = cell
             claimant[cell] = agent
-            if rules.is_pushed(other, agent, other_next):
+            if is_pushed(other, agent, other_next):
                 rollout.pusher[other] = agent
                 agent = other
             else:

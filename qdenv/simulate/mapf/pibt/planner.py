@@ -10,7 +10,7 @@ Here it is one loop without callbacks, each turn of which tries one candidate; `
 algorithm in the form a person reads.
 """
 
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,14 @@ from qdenv.native import shared
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.run import DONE, Fallback, compile_windows
 from qdenv.simulate.mapf.host.state import HostRun
-from qdenv.simulate.mapf.pibt import rules
+from qdenv.simulate.mapf.pibt.numba import (
+    RANKS,
+    TIE_BREAKS,
+    is_admissible,
+    is_pushed,
+    preference,
+    urgency,
+)
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.planner import NOBODY, AgentState, HostPlanner, Planner, World
 from qdenv.simulate.mapf.tasks import serve
@@ -29,6 +36,12 @@ from qdenv.simulate.mapf.tasks import serve
 # The agents within a rollout, each int32 [A]: cells; 0 on the way to the current goal, 1 later;
 # timesteps left to serve; timesteps since the last finished task.
 _Agents: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+# The search within one timestep: where each agent goes, `NOBODY` while undecided (int32 [A + 1]);
+# the agent that takes each cell, or `NOBODY` (int32 [cells + 1]); candidates that each agent has
+# used up; the agent that pushed it, or `NOBODY` (int32 [A + 1] each); the agent whose turn it is,
+# or `NOBODY` to take the next by priority; agents taken from the priority list so far.
+# The last entry of every array belongs to `NOBODY`.
+_Chain: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 
 
 @shared
@@ -59,7 +72,7 @@ def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> ja
     moves = jnp.asarray(move_steps(world.traversable.shape[1]))[None]
     way = jnp.arange(NUM_MOVES)[None]
     ties = chance.draw(chance.seed_of(key), chance.RESORT)
-    rank = chance.draw_many(chance.draw(ties, rules.RANKS), count)
+    rank = chance.draw(chance.draw(ties, RANKS), jnp.arange(count))
 
     def step(agents: _Agents, t: jax.Array) -> tuple[_Agents, jax.Array]:
         position, stage, remaining_service, age = agents
@@ -71,16 +84,16 @@ def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> ja
         cells = position[:, None] + moves
         taken = jnp.zeros((size,), bool).at[position].set(True)[cells] & (way > 0)
         to_go = state.distance.reshape(-1)[rows[:, None] * size + cells].astype(jnp.int32)
-        tie_break = chance.draw_many(chance.draw(ties, rules.TIE_BREAKS + t), count)
-        preference = rules.preference(to_go, taken, tie_break[:, None], way.astype(jnp.uint32))
+        tie_break = chance.draw(chance.draw(ties, TIE_BREAKS + t), jnp.arange(count))
+        keys = preference(to_go, taken, tie_break[:, None], way.astype(jnp.uint32))
         may_go = traversable[cells] & (~fixed[:, None] | (way == 0))
         # Above all preferences: what an agent may not do comes last.
-        best_first = jnp.argsort(jnp.where(may_go, preference.astype(jnp.int32), 2**30), axis=1)
+        best_first = jnp.argsort(jnp.where(may_go, keys.astype(jnp.int32), 2**30), axis=1)
         position = one_step(
             jnp.take_along_axis(cells, best_first, axis=1),
             position,
             may_go.sum(1, dtype=jnp.int32),
-            jnp.argsort(rules.urgency(fixed, age, rank)).astype(jnp.int32),
+            jnp.argsort(urgency(fixed, age, rank)).astype(jnp.int32),
             size,
         )
         on_goal = (position == goals[slots]) & state.active
@@ -96,29 +109,14 @@ def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> ja
     return jnp.concatenate([state.position[None], cells, still])
 
 
-class _Chain(NamedTuple):
-    """The search within one timestep; the last entry of every array belongs to `NOBODY`."""
-
-    next_cell: jax.Array  # int32 [A + 1], where each agent goes, `NOBODY` while undecided
-    claimant: jax.Array  # int32 [cells + 1], the agent that takes each cell, or `NOBODY`
-    tried: jax.Array  # int32 [A + 1], candidates each agent has used up
-    pusher: jax.Array  # int32 [A + 1], the agent that pushed it, or `NOBODY`
-    # int32, the agent whose turn it is, or `NOBODY` to take the next by priority
-    current: jax.Array
-    rank: jax.Array  # int32, agents taken from the priority list so far
-
-
 def one_step(
     candidates: jax.Array, position: jax.Array, allowed: jax.Array, order: jax.Array, cells: int
 ) -> jax.Array:
-    """Move all agents by one step without conflict.
+    """Move all agents by one step on a grid of `cells` cells, without conflict (int32 [A]).
 
-    Args:
-        candidates: int32 [A, 5], cells from best to worst; the agent's own is among them.
-        position: int32 [A], distinct, as are the new ones.
-        allowed: int32 [A], how many candidates count.
-        order: int32 [A], agents by falling priority.
-        cells: number of cells.
+    An agent's `candidates` (int32 [A, 5]) are cells from best to worst, of which the first
+    `allowed` (int32 [A]) count; its own is among them. `position` (int32 [A]) holds distinct cells,
+    `order` (int32 [A]) the agents by falling priority.
     """
     count = position.shape[0]
     nobody = jnp.full((count + 1,), NOBODY, jnp.int32)
@@ -129,39 +127,40 @@ def one_step(
     def visit(chain: _Chain) -> _Chain:
         # Index `NOBODY` (-1) reads the last entry of an array, which is `NOBODY` again; so no rule
         # needs a mask.
-        taking = chain.current == NOBODY
-        agent = jnp.where(taking, order[jnp.minimum(chain.rank, count - 1)], chain.current)
-        skip = taking & (chain.next_cell[agent] != NOBODY)  # it was pushed before its own turn
-        tried, pusher = chain.tried[agent], chain.pusher[agent]
-        spent = tried >= allowed[agent]
-        cell = candidates[agent, jnp.minimum(tried, NUM_MOVES - 1)]
+        next_cell, claimant, tried, pusher, current, rank = chain
+        taking = current == NOBODY
+        agent = jnp.where(taking, order[jnp.minimum(rank, count - 1)], current)
+        skip = taking & (next_cell[agent] != NOBODY)  # it was pushed before its own turn
+        behind = pusher[agent]
+        spent = tried[agent] >= allowed[agent]
+        cell = candidates[agent, jnp.minimum(tried[agent], NUM_MOVES - 1)]
         other, here = occupant[cell], position[agent]
-        other_next = chain.next_cell[other]
-        free = rules.is_admissible(cell, here, chain.claimant[cell], other_next, position[pusher])
+        other_next = next_cell[other]
+        free = is_admissible(cell, here, claimant[cell], other_next, position[behind])
         good = ~skip & ~spent & free
         fail = ~skip & spent  # nowhere to go: stay, and let the pusher try on
-        push = good & rules.is_pushed(other, agent, other_next)
+        push = good & is_pushed(other, agent, other_next)
         follower = jnp.where(good | skip, NOBODY, agent)
-        follower = jnp.where(push, other, jnp.where(fail, pusher, follower))
+        follower = jnp.where(push, other, jnp.where(fail, behind, follower))
         # What is not settled is written to the entries of nobody.
         settled, cell = good | fail, jnp.where(good, cell, here)
         writer = jnp.where(settled, agent, NOBODY)
         target = jnp.where(settled, cell, NOBODY)
-        return _Chain(
-            next_cell=chain.next_cell.at[writer].set(target),
-            claimant=chain.claimant.at[target].set(writer),
-            tried=chain.tried.at[jnp.where(skip, NOBODY, agent)].add(1),
-            pusher=chain.pusher.at[jnp.where(push, other, NOBODY)].set(agent),
-            current=follower.astype(jnp.int32),
-            rank=chain.rank + taking,
+        return (
+            next_cell.at[writer].set(target),
+            claimant.at[target].set(writer),
+            tried.at[jnp.where(skip, NOBODY, agent)].add(1),
+            pusher.at[jnp.where(push, other, NOBODY)].set(agent),
+            follower.astype(jnp.int32),
+            rank + taking,
         )
 
     current, rank = jnp.int32(NOBODY), jnp.int32(0)
-    chain = _Chain(nobody, on_no_cell, jnp.zeros_like(nobody), nobody, current, rank)
+    chain = nobody, on_no_cell, jnp.zeros_like(nobody), nobody, current, rank
     chain = jax.lax.while_loop(
-        lambda chain: (chain.rank < count) | (chain.current != NOBODY), visit, chain
+        lambda chain: (chain[5] < count) | (chain[4] != NOBODY), visit, chain
     )
-    return chain.next_cell[:count]
+    return chain[0][:count]
 
 
 def wait(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:

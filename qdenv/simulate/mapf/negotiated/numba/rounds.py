@@ -48,7 +48,7 @@ def host_planner(config: NegotiatedConfig) -> HostPlanner:
 
     def make_plan(run: HostRun, size: int) -> HostNegotiation:
         del size  # no buffer can be too small
-        agents, horizon = run.agents.position.size, run.settings.horizon
+        agents, horizon = run.position.size, run.settings.horizon
         window = config.planned_ahead(run.settings.window, horizon)
         lanes, costs = min(config.lanes, agents), config.penalty_costs(rules.COST_UNIT)
         heap, order, tie_break, attempts = np.empty((4, agents), np.int64)
@@ -85,7 +85,7 @@ def _plan_window(
     if fields.numbers.is_full:
         return FIELDS_FULL
     reservations, last = plan.reservations, plan.reservations.path.shape[1] - 1
-    for agent in range(run.agents.position.size):
+    for agent in range(run.position.size):
         fallback.is_used[agent] = reservations.steps[agent] < last
         for t in range(fallback.path.shape[1]):
             fallback.path[agent, t] = reservations.path[agent, min(t, last)]
@@ -101,17 +101,17 @@ def _negotiate(run: HostRun, fields: DistanceFields, plan: HostNegotiation, seed
 
     The paths and how much of them is reserved are left in `plan.reservations`.
     """
-    agents, reservations, heap, width = run.agents, plan.reservations, plan.heap, run.grid.width
+    reservations, heap, width = plan.reservations, plan.heap, run.grid.width
     window = reservations.path.shape[1] - 1
     for cell in range(run.grid.free.size):
         reservations.word[cell] = 0 if run.grid.free[cell] else WALL
     order, ties = chance.mix(seed, chance.ORDER), chance.mix(seed, chance.TIES)
     for agent in range(heap.size):
         for t in range(window + 1):
-            reservations.path[agent, t] = agents.paths[agent, t]
+            reservations.path[agent, t] = run.paths[agent, t]
         reservations.steps[agent] = 0
         reserve(reservations, agent, plan.remembered_steps, width)
-        serving = agents.remaining_service[agent] > 0
+        serving = run.remaining_service[agent] > 0
         rank = rules.random_rank(chance.mix(order, agent), serving)
         heap[agent] = (rank << AGENT_BITS) | agent
         plan.tie_break[agent] = chance.mix(ties, agent) >> (32 - rules.TIE_BITS)
@@ -153,17 +153,17 @@ def _plan(
     run: HostRun, fields: DistanceFields, plan: HostNegotiation, lane: int, turn: int
 ) -> None:
     """Let one agent plan."""
-    agents, grid, number = run.agents, run.grid, plan.planning[lane]
-    first, second = agents.goal[0, number], agents.goal[1, number]
+    grid, number = run.grid, plan.planning[lane]
+    first, second = run.goal[0, number], run.goal[1, number]
     attempt = min(plan.attempts[number], plan.work.penalties.size - 1)
-    kind, kinds = agents.kind[number], grid.service_time.size
+    kind, kinds = run.kind[number], grid.service_time.size
     agent = Agent(
         number,
-        agents.position[number],
+        run.position[number],
         (first, second),
         (grid.goals[first], grid.goals[second]),
         (grid.service_time[kind], grid.service_time[(kind + 1) % kinds]),
-        agents.remaining_service[number],
+        run.remaining_service[number],
         plan.work.penalties[attempt],
         plan.tie_break[number] ^ (turn * rules.ROUND_TIE_BREAK),
     )

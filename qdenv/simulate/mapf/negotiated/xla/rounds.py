@@ -214,7 +214,7 @@ def _draw_priorities(state: AgentState, seed: jax.Array) -> tuple[jax.Array, jax
     """Draw the agents' order, and 24 bits that settle ties between paths (int32 [A] each)."""
     count = state.position.shape[0]
     order_bits, tie_bits = (
-        chance.draw_many(chance.draw(seed, purpose), count)
+        chance.draw(chance.draw(seed, purpose), jnp.arange(count))
         for purpose in (chance.ORDER, chance.TIES)
     )
     turn = jnp.argsort(rules.random_rank(order_bits, state.remaining_service > 0))
