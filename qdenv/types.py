@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     Array: TypeAlias = jax.Array | np.ndarray
 else:  # a name in annotations is no reason to import jax
     Array: TypeAlias = Any
-
+Number: TypeAlias = Any  # one, or with leading axes an array of them
 
 _LONGEST_LINE = 2000  # characters of a message; a damaged file could fill gigabytes
 
@@ -42,22 +42,17 @@ class InputError(ValueError):
 
     def __init__(self, message: str) -> None:
         """Say what is wrong; line breaks become blanks, what no terminal should see is spelt."""
-        super().__init__(_printable(message))
+        if len(message) > _LONGEST_LINE:  # the middle is left out
+            half = _LONGEST_LINE // 2
+            message = f"{message[:half]} ... {message[-half:]}"
+        if not message.isprintable():
+            message = " ".join(part.strip() for part in message.splitlines() if part.strip())
+            message = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in message)
+        super().__init__(message)
 
 
 class DamagedError(InputError):
     """A file is not what was once written, as after a crash of the machine: others may be."""
-
-
-def _printable(text: str) -> str:
-    """Make one printable line of any text; the middle is left out where it is too long to read."""
-    if len(text) > _LONGEST_LINE:
-        half = _LONGEST_LINE // 2
-        text = f"{text[:half]} ... {text[-half:]}"
-    if text.isprintable():
-        return text
-    line = " ".join(part.strip() for part in text.splitlines() if part.strip())
-    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in line)
 
 
 def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
@@ -100,10 +95,7 @@ class Adjacency(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Hard constraints of one domain on one canvas, and what changing a cell costs.
-
-    The model builder, the annealer and the audit all read this one record.
-    """
+    """Hard constraints of one domain on one canvas, and what changing a cell costs."""
 
     tiles: str  # the alphabet; tile ``k`` is drawn as ``tiles[k]``
     counts: tuple[Count, ...]  # bounds on numbers of tiles
@@ -132,10 +124,10 @@ class Repair(NamedTuple):
     """A layout made to obey its rules."""
 
     layout: Array  # int8 [H, W]
-    status: Array  # int32, a RepairStatus
-    cost: Array  # float32, summed change costs of the changed cells
-    lower_bound: Array  # float32, proven bound on `cost`
-    seconds: Array  # float32, CPU seconds spent (0 when remembered)
+    status: Number  # int32, a RepairStatus
+    cost: Number  # float32, summed change costs of the changed cells
+    lower_bound: Number  # float32, proven bound on `cost`
+    seconds: Number  # float32, CPU seconds spent (0 when remembered)
 
 
 class Goal(NamedTuple):

@@ -14,7 +14,7 @@ from qdenv.repair.anneal.connectivity import RING_PIECES, join_pieces, may_close
 from qdenv.repair.anneal.loop import anneal, anneal_periods
 from qdenv.repair.anneal.packing import draw_templates
 from qdenv.repair.anneal.start import compile_board, initial_state, project
-from qdenv.repair.anneal.state import Annealing, AnnealState, Board, Move, Trait
+from qdenv.repair.anneal.state import AnnealState, Board, Move, Schedule, Trait
 from qdenv.repair.audit import audit
 from qdenv.repair.rules import Facts
 from qdenv.types import Adjacency, Count, InputError, Rules
@@ -71,11 +71,11 @@ def test_facts_follow_from_the_rules():
     assert facts.cost(np.ones((9, 10), np.int8), np.zeros((9, 10), np.int8)) == 90 + 27
 
 
-def plan_of(moves: int, seed: int, periods: int = 100) -> Annealing:
+def plan_of(moves: int, periods: int = 100) -> Schedule:
     """Plan a hot run."""
     period = max(moves // periods, 1)
     count = max(-(-moves // period), 1)
-    return Annealing(np.uint64(seed), moves, period, count, (2.0, 1.0), (0.5, 0.5), -np.inf)
+    return Schedule((2.0, 1.0), (0.5, 0.5), moves, period, count)
 
 
 def empty_move() -> Move:
@@ -91,15 +91,16 @@ def test_bookkeeping_and_connectivity_survive_thousands_of_moves(aisle):
         board = compile_board(layout, Facts(rules))
         candidate = project(board, layout, rng)
         for moves in (0, 3000):
-            state, aisles = initial_state(board, candidate, aisle)
-            plan = plan_of(moves, seed)
-            anneal_periods(board, state, aisles, empty_move(), plan, 0, plan.periods)
+            (state, aisles), plan = initial_state(board, candidate), plan_of(moves)
+            word = np.uint64(seed)
+            anneal_periods(board, state, aisles, empty_move(), plan, word, 0, plan.periods)
             assert (state.candidate != candidate).any() == (moves > 0)
-            fresh, fresh_aisles = initial_state(board, state.candidate, aisle)
+            fresh, fresh_aisles = initial_state(board, state.candidate)
             for field in ("ring", "tally", "counts"):
                 assert (getattr(state, field) == getattr(fresh, field)).all(), field
-            for field in ("driving", "closed", "cover") if aisle > 1 else ():
-                assert (getattr(aisles, field) == getattr(fresh_aisles, field)).all(), field
+            assert (aisles is None) == (aisle == 1)
+            for followed, counted in zip(aisles or (), fresh_aisles or (), strict=True):
+                assert (followed == counted).all()
             assert (state.cost, state.violations) == (fresh.cost, fresh.violations)
             driving = board.traits[state.candidate, Trait.DRIVES].reshape(11, 12) == 1
             assert ndimage.label(driving)[1] == 1
@@ -114,9 +115,9 @@ def test_the_best_layout_costs_what_was_noted_for_it():
     board = compile_board(layout, facts)
     state, _ = initial_state(board, project(board, layout, np.random.default_rng(0)))
     noted = set()
-    plan = plan_of(200_000, 3)._replace(temperatures=(1.0, 0.1), penalty_weights=(1.0, 3.0))
+    plan = plan_of(200_000)._replace(temperatures=(1.0, 0.1), penalty_weights=(1.0, 3.0))
     for period in range(plan.periods):
-        anneal_periods(board, state, None, empty_move(), plan, period, period + 1)
+        anneal_periods(board, state, None, empty_move(), plan, np.uint64(3), period, period + 1)
         if np.isfinite(state.best_cost):
             best = state.best.reshape(11, 12)[1:-1, 1:-1].copy()
             assert (
@@ -133,7 +134,8 @@ def test_a_run_cut_into_pieces_goes_the_same_way():
     for cuts in ([0, 100], [0, 1, 37, 99, 100]):
         state, _ = initial_state(board, project(board, layout, np.random.default_rng(0)))
         for first, last in itertools.pairwise(cuts):
-            anneal_periods(board, state, None, empty_move(), plan_of(5000, 7), first, last)
+            word = np.uint64(7)
+            anneal_periods(board, state, None, empty_move(), plan_of(5000), word, first, last)
         ended.append(state)
     for field, other in zip(*ended, strict=True):
         assert (field == other).all()

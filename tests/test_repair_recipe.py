@@ -87,8 +87,8 @@ def test_cuts_forbid_the_pocket_and_no_connected_layout():
     rng = np.random.default_rng(0)
 
     def holds(cut, area):
-        flat = area.ravel()
-        return flat[cut.ends].sum() - flat[cut.gates].sum() <= len(cut.ends) - 1
+        flat, (ends, gates) = area.ravel(), cut
+        return flat[ends].sum() - flat[gates].sum() <= len(ends) - 1
 
     assert not any(holds(cut, drives) for cut in cuts)
     for _ in range(300):
@@ -168,7 +168,6 @@ def test_moves_grow_with_the_cells_and_with_the_polish():
     assert RepairConfig("quick", moves_per_cell=7).count_moves(4000) == 4000 * 7
     assert RepairConfig("full").count_moves(4000) == 4000 * 2500
     assert RepairConfig("full").count_moves(1) == 20_000
-    assert [RepairConfig("full", node_limit=limit).nodes for limit in (None, 0, 3)] == [1000, 0, 3]
 
 
 def test_only_full_uses_the_solver(monkeypatch):

@@ -17,12 +17,7 @@ class Violation(NamedTuple):
 
 
 def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
-    """Name every rule that `layout` (int8 [H, W]) breaks.
-
-    Returns:
-        One `Violation` per broken rule, with the number of cells that break it and the first of
-        them; empty when the layout is feasible.
-    """
+    """Name every rule that `layout` (int8 [H, W]) breaks, with the number of cells that do."""
     layout = np.asarray(layout)
     shape = rules.allowed.shape[:2]
     if layout.shape != shape:

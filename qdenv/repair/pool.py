@@ -7,7 +7,7 @@ import logging
 import threading
 from collections import OrderedDict
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import ExitStack
 from typing import Any
 
 import jax
@@ -15,7 +15,6 @@ import numpy as np
 
 from qdenv import devices
 from qdenv.repair.recipe import hash_content, repair_layout
-from qdenv.repair.rules import Result
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import Array, Repair, RepairStatus, Rules
 
@@ -23,18 +22,21 @@ _LOG = logging.getLogger(__name__)
 _WAITING_PER_WORKER = 64  # layouts that may queue before `submit` waits
 
 
-class RepairPool(AbstractContextManager["RepairPool"]):
+class RepairPool(ExitStack):
     """Repair layouts of one canvas on all cores; equal layouts are repaired once.
 
-    Use it as a context manager, or call `close`. Results depend on the layout, the seed and the
-    configuration only: not on batch size, order, number of workers or what was repaired before.
+    A context manager: its end, or `close`, cancels what waits and lets what runs finish. Results
+    depend on the layout, the seed and the configuration only: not on batch size, order, number of
+    workers or what was repaired before.
     """
 
     def __init__(self, rules: Rules, config: RepairConfig | None = None, remember: int = 4096):
         """Start the threads; the last `remember` repairs are cached."""
+        super().__init__()
         self.rules, self.config = rules, config or RepairConfig()
         self.workers = self.config.workers or devices.count_cores()
         self._threads = ThreadPoolExecutor(self.workers, thread_name_prefix="repair")
+        self.callback(self._threads.shutdown, cancel_futures=True)
         self._slots = threading.BoundedSemaphore(_WAITING_PER_WORKER * self.workers)
         self._lock, self._alone = threading.Lock(), threading.Lock()
         self._memo: OrderedDict[bytes, Future[Repair]] = OrderedDict()
@@ -76,21 +78,14 @@ class RepairPool(AbstractContextManager["RepairPool"]):
             _LOG.exception("a repair failed; its layout counts as not repairable")
             with self._lock:
                 self._memo.pop(key, None)
-            return Result(layout, np.inf, 0.0, RepairStatus.FAILED).record(0.0)
+            failed, nothing = np.int32(RepairStatus.FAILED), np.float32(0)
+            return Repair(layout, failed, np.float32(np.inf), nothing, nothing)
 
     def repair(self, layouts: np.ndarray, seed: int = 0) -> Repair:
         """Repair a batch (int8 [B, H, W]) and wait for it; every field gets a leading axis B."""
         waiting = [self.submit(layout, seed) for layout in np.asarray(layouts)]
         records = [future.result() for future in waiting]
         return Repair(*(np.stack(field) for field in zip(*records, strict=True)))
-
-    def close(self) -> None:
-        """Cancel what waits, let what runs finish, stop the threads."""
-        self._threads.shutdown(wait=True, cancel_futures=True)
-
-    def __exit__(self, *exception: object) -> None:
-        """Close the pool."""
-        self.close()
 
 
 def _share(known: "Future[Repair]") -> "Future[Repair]":
@@ -103,18 +98,14 @@ def _share(known: "Future[Repair]") -> "Future[Repair]":
         if done.cancelled():
             mine.set_exception(CancelledError())
         else:
-            nothing: Any = np.float32(0)
-            mine.set_result(done.result()._replace(seconds=nothing))
+            mine.set_result(done.result()._replace(seconds=np.float32(0)))
 
     known.add_done_callback(copy_result)
     return mine
 
 
 def repair_in_jit(pool: RepairPool, layouts: Array, seed: Array | int) -> Repair:
-    """Repair a batch (int8 [B, H, W]) from inside jit or scan, with a base seed (int32 or uint32).
-
-    Every field of the result gets a leading axis B.
-    """
+    """Repair a batch (int8 [B, H, W]) from inside jit or scan; see `RepairPool.repair`."""
     batch = layouts.shape[:1]
     shapes = layouts.shape, batch, batch, batch, batch
     dtypes = np.int8, np.int32, np.float32, np.float32, np.float32

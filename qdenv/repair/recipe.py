@@ -18,7 +18,7 @@ from qdenv.repair.audit import audit
 from qdenv.repair.milp.feasibility import find_possible
 from qdenv.repair.milp.highs import MAX_CELLS, improve, keep_cheaper
 from qdenv.repair.milp.windows import WindowSearch
-from qdenv.repair.rules import Facts, Result, assign_kinds, bound_cost, impossible
+from qdenv.repair.rules import Facts, assign_kinds, bound_cost, impossible, is_proven
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import Repair, RepairStatus, Rules
 
@@ -32,26 +32,20 @@ def repair_layout(
     config: RepairConfig | None = None,
     progress: Progress = silent,
 ) -> Repair:
-    """Find the cheapest layout near `layout` that obeys `rules`.
+    """Find the cheapest layout near `layout` (int8 [H, W]) that obeys `rules`.
 
-    Args:
-        layout: int8 [H, W].
-        rules: the constraints of this canvas.
-        seed: any integer; mixed with the layout's content. The same seed gives the same layout,
-            another seed may give another one of equal cost.
-        config: limits; defaults to `RepairConfig()`.
-        progress: called with each step and its completed share.
-
-    Returns:
-        `Repair` of numpy values; where it is `IMPOSSIBLE` or `FAILED` the input, at infinite cost.
+    The seed, any integer, is mixed with the layout's content: the same gives the same layout,
+    another may give another one of equal cost. Returns numpy values; where the status is
+    `IMPOSSIBLE` or `FAILED`, the layout is the input, at infinite cost.
     """
     begin = time.thread_time()
     layout, facts = np.asarray(layout, np.int8), Facts(rules)
-    best = Result(layout, np.inf, np.inf, RepairStatus.IMPOSSIBLE)
+    best = Repair(layout, RepairStatus.IMPOSSIBLE, np.inf, np.inf, 0.0)
     if impossible(rules, facts) is None:
         seed = int.from_bytes(hash_content(layout, seed, 8), "little") >> 1
         best = _repair_possible(layout, facts, seed, config or RepairConfig(), progress)
-    return best.record(time.thread_time() - begin)
+    floats = map(np.float32, (best.cost, best.lower_bound, time.thread_time() - begin))
+    return Repair(np.asarray(best.layout, np.int8), np.int32(best.status), *floats)
 
 
 def hash_content(layout: np.ndarray, seed: int, size: int) -> bytes:
@@ -67,7 +61,7 @@ def hash_content(layout: np.ndarray, seed: int, size: int) -> bytes:
 
 def _repair_possible(
     layout: np.ndarray, facts: Facts, seed: int, config: RepairConfig, progress: Progress
-) -> Result:
+) -> Repair:
     """Repair a layout whose rules do not contradict each other."""
     bound, moves = bound_cost(layout, facts), config.count_moves(facts.free_cells)
 
@@ -89,8 +83,8 @@ def _repair_possible(
             break
     else:
         if find_possible(facts, progress)[0] == RepairStatus.IMPOSSIBLE:
-            return Result(layout, np.inf, np.inf, RepairStatus.IMPOSSIBLE)
-        return Result(layout, np.inf, bound, RepairStatus.FAILED)
+            return Repair(layout, RepairStatus.IMPOSSIBLE, np.inf, np.inf, 0.0)
+        return Repair(layout, RepairStatus.FAILED, np.inf, bound, 0.0)
     if max(map(len, facts.roles)) > 1:
         # Kinds that share a role: assign them again, where that costs no more.
         rng = np.random.default_rng(seed)
@@ -98,12 +92,12 @@ def _repair_possible(
         paid = facts.cost(balanced, layout)
         if paid <= cost and not audit(balanced, facts.rules):
             candidate, cost = balanced, paid
-    best = Result(candidate, cost, bound, RepairStatus.ANNEALED)
-    if config.polish == "full" and facts.rules.aisle <= 1 and not best.proven():
+    best = Repair(candidate, RepairStatus.ANNEALED, cost, bound, 0.0)
+    if config.polish == "full" and facts.rules.aisle <= 1 and not is_proven(best):
         # The program of a window states no rule on aisles.
         search = WindowSearch(layout, candidate, facts, seed)
         best = keep_cheaper(best, search.run(progress), layout, facts)
-    if best.proven():
+    if is_proven(best):
         return best._replace(status=RepairStatus.OPTIMAL)
     if config.polish != "full" or facts.free_cells > MAX_CELLS:
         return best

@@ -3,34 +3,13 @@
 Only the audit derives its own tables, on purpose: it has to catch a mistake that is made here.
 """
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from qdenv.grid import count_neighbours
 from qdenv.lazy import ndimage
-from qdenv.types import Repair, RepairStatus, Rules
+from qdenv.types import Repair, Rules
 
 _TOLERANCE = 1e-6  # how far a bound may miss a cost that it proves: sums of floats differ by less
-
-
-class Result(NamedTuple):
-    """The best layout so far, its cost and a bound on that."""
-
-    layout: np.ndarray  # int8 [H, W]
-    cost: float  # summed costs of its changed cells
-    bound: float  # no layout costs less
-    status: RepairStatus  # how the repair stands
-
-    def proven(self, gap: float = 0.0) -> bool:
-        """Return True if the bound proves the cost within a relative gap."""
-        return self.bound >= self.cost * (1 - gap) - _TOLERANCE
-
-    def record(self, seconds: float) -> Repair:
-        """Make a `Repair` of numpy values with the types it promises."""
-        floats: list[Any] = [np.float32(value) for value in (self.cost, self.bound, seconds)]
-        status: Any = np.int32(self.status)
-        return Repair(self.layout.astype(np.int8), status, *floats)
 
 
 class Facts:
@@ -101,6 +80,11 @@ class Facts:
         return float((self.rules.change_cost * (candidate != layout)).sum())
 
 
+def is_proven(best: Repair, gap: float = 0.0) -> bool:
+    """Return True if its bound proves the cost of the best layout so far within a relative gap."""
+    return bool(best.lower_bound >= best.cost * (1 - gap) - _TOLERANCE)
+
+
 def assign_kinds(
     roles: np.ndarray, layout: np.ndarray, facts: Facts, rng: np.random.Generator
 ) -> np.ndarray:
@@ -162,10 +146,7 @@ def excess(counts: np.ndarray, facts: Facts) -> int:
 
 
 def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
-    """Return a contradiction in `rules` that counting shows, or None.
-
-    None is no proof that a layout exists. `facts` are those of the rules, where they are known.
-    """
+    """Return a contradiction in `rules` that counting shows; None is no proof of a layout."""
     facts = facts or Facts(rules)
     if not rules.allowed.any(-1).all():
         row, col = np.argwhere(~rules.allowed.any(-1))[0]

@@ -6,14 +6,12 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 
 from qdenv.ranges import NonNegativeFloat, NonNegativeInt, Ranged
-from qdenv.types import InputError
 
 Polish = Literal["none", "quick", "full"]
 # Annealing moves per free cell. In the time of "quick" windows saved less than more annealing did,
 # on layouts of a search most clearly: so only "full" uses the solver.
 MOVES_PER_CELL = {"none": 400, "quick": 1400, "full": 2500}
 _MIN_MOVES = 20_000  # a few milliseconds, which tiny layouts need as well
-_NODES = 1000  # branch-and-bound nodes of one solve
 
 
 @dataclass(frozen=True)
@@ -33,17 +31,6 @@ class RepairConfig(Ranged):
     time_limit: Annotated[float, Interval(gt=0)] = 1800.0
     # threads that repair layouts of a batch; None for one per core
     workers: NonNegativeInt | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse an unknown polish."""
-        super().__post_init__()
-        if self.polish not in MOVES_PER_CELL:
-            raise InputError(f"polish {self.polish!r} must be one of {', '.join(MOVES_PER_CELL)}")
-
-    @property
-    def nodes(self) -> int:
-        """Branch-and-bound nodes of one solve."""
-        return _NODES if self.node_limit is None else self.node_limit
 
     def count_moves(self, cells: int) -> int:
         """Return the number of annealing moves for a number of free cells."""

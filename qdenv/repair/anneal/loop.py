@@ -6,8 +6,6 @@ plus a penalty weight times the demands it breaks. That its driving area is one 
 but an invariant: moves that would break it are refused.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from qdenv.native import formula, inlined, kernel
@@ -20,10 +18,10 @@ from qdenv.repair.anneal.state import (
     SIDES,
     WORDS,
     Aisles,
-    Annealing,
     AnnealState,
     Board,
     Move,
+    Schedule,
     Trait,
     random_u64,
     uniform_bits,
@@ -39,16 +37,9 @@ _BOOST_STEP = 1.05  # a period: a factor of 20 within 62 periods, fewer than are
 _ACCEPT_BITS = (36, 10)  # of a move's second random word: one of the `RISE_LIMITS`
 
 
-class Schedule(NamedTuple):
-    """How a run cools down and grows strict."""
-
-    temperatures: tuple[float, float]  # the first and the last, in units of the mean cost of a cell
-    # the first and the last cost of a broken demand, in units of the largest cost of a cell
-    penalty_weights: tuple[float, float]
-
-
-# Chosen on published and random layouts of the paper's sizes: a last penalty weight of 1.5 and less
-# left layouts infeasible.
+# Temperatures in units of the mean cost of a cell, penalty weights in units of the largest. Chosen
+# on published and random layouts of the paper's sizes: a last penalty weight of 1.5 and less left
+# layouts infeasible.
 LOW_PENALTY = Schedule((0.3, 0.1), (0.6, 2.2))
 HIGH_PENALTY = Schedule((0.5, 0.1), (2.0, 8.0))
 # No move may break a rule: from a start that obeys all of them, feasibility cannot be lost.
@@ -71,32 +62,24 @@ def anneal(
 
     Changes are counted from the input `layout` (int8 [H, W]); `start` (int8 [H, W]) may be the
     input itself. The same seed gives the same layout. No layout costs less than `bound`: reaching
-    it ends the run, and changes nothing else.
-
-    Returns:
-        The best feasible layout (int8 [H, W]) and its cost, or (None, inf).
+    it ends the run, and changes nothing else. Returns the best feasible layout (int8 [H, W]) and
+    its cost, or (None, inf).
     """
     board, rng = compile_board(layout, facts), np.random.default_rng(abs(seed))
-    state, aisles = initial_state(board, project(board, start, rng), facts.rules.aisle)
+    state, aisles = initial_state(board, project(board, start, rng))
     costs, moves = board.change_cost[board.free], moves if board.free.size else 0
     mean, top = (float(costs.mean()), float(costs.max())) if costs.any() else (1.0, 1.0)
-    (hot, cold), (light, heavy) = schedule
-    period = max(moves // _PERIODS, 1)
-    run = Annealing(
-        seed=np.uint64(rng.integers(1 << 63)),
-        moves=moves,
-        period=period,
-        periods=max(-(-moves // period), 1),
-        temperatures=(hot * mean, cold * mean),
-        penalty_weights=(light * top, heavy * top),
-        enough=bound,
-    )
+    (hot, cold), (light, heavy), *_ = schedule
+    period, word = max(moves // _PERIODS, 1), np.uint64(rng.integers(1 << 63))
+    periods = max(-(-moves // period), 1)
+    temperatures, weights = (hot * mean, cold * mean), (light * top, heavy * top)
+    run = Schedule(temperatures, weights, moves, period, periods, bound)
     # In pieces, so that a long run can show its progress.
     chunk, move = max(_CHUNK // period, 1), Move(*np.zeros((3, 5), np.int64))
-    for first in range(0, run.periods, chunk):
-        last = min(first + chunk, run.periods)
-        anneal_periods(board, state, aisles, move, run, first, last)
-        progress("annealing", last / run.periods, "")
+    for first in range(0, periods, chunk):
+        last = min(first + chunk, periods)
+        anneal_periods(board, state, aisles, move, run, word, first, last)
+        progress("annealing", last / periods, "")
     if not np.isfinite(state.best_cost):
         return None, float("inf")
     best = state.best.reshape(-1, layout.shape[1] + 2)[1:-1, 1:-1].copy()
@@ -200,7 +183,8 @@ def anneal_periods(
     state: AnnealState,
     aisles: Aisles | None,
     move: Move,
-    run: Annealing,
+    schedule: Schedule,
+    seed: np.uint64,
     first: int,
     last: int,
 ) -> None:
@@ -211,9 +195,9 @@ def anneal_periods(
     move led; its `best` receives the cheapest layout that broke nothing, and `best_cost` its cost.
     `aisles` are those of `state`, None where rules allow narrow ones; `move` is a buffer.
     """
-    (hot, cold), (light, heavy) = run.temperatures, run.penalty_weights
+    (hot, cold), (light, heavy) = schedule.temperatures, schedule.penalty_weights
     for period in range(first, last):
-        done = period / run.periods
+        done = period / schedule.periods
         temperature = hot * (cold / hot) ** done
         # A demand may be worth more than the schedule pays, as where every shelf has four endpoints
         # of its own: raise the penalty when no feasible layout came by for 5 % of the moves.
@@ -223,13 +207,14 @@ def anneal_periods(
         penalty = state.boost[()] * (light + (heavy - light) * done)
         _note_feasible(state, period)
         # Only a cheaper layout would be kept: the moves saved change nothing.
-        if state.best_cost[()] <= run.enough:
+        if state.best_cost[()] <= schedule.enough:
             return
-        for index in range(period * run.period, min((period + 1) * run.period, run.moves)):
-            changes = propose(board, state, move, run.seed, WORDS * index)
+        last_move = min((period + 1) * schedule.period, schedule.moves)
+        for index in range(period * schedule.period, last_move):
+            changes = propose(board, state, move, seed, WORDS * index)
             if changes == 0:
                 continue
-            source = random_u64(run.seed, WORDS * index + 1)
+            source = random_u64(seed, WORDS * index + 1)
             limit = temperature * RISE_LIMITS[uniform_bits(source, _ACCEPT_BITS)]
             if _try_move(board, state, aisles, move, changes, limit, penalty):
                 _note_feasible(state, period)

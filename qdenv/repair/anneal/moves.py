@@ -222,12 +222,9 @@ def weigh(board: Board, state: AnnealState, move: Move, changes: int) -> tuple[f
 def set_aisles(
     board: Board, aisles: Aisles, cells: np.ndarray, tiles: np.ndarray, changes: int
 ) -> int:
-    """Bring the aisles to `tiles` on `cells`; returns the change in broken demands.
-
-    Broken are the driving cells that no open square covers.
-    """
-    side, driving, closed, cover = aisles
-    stride, broken = board.steps[4], 0
+    """Bring the aisles to `tiles` on `cells`; returns how many more cells no square covers."""
+    driving, closed, cover = aisles
+    side, stride, broken = board.aisle, board.steps[4], 0
     for index in range(changes):
         cell, opens = cells[index], board.traits[tiles[index], Trait.DRIVES]
         if driving[cell] == opens:

@@ -21,9 +21,10 @@ from qdenv.grid import MOVES, count_neighbours
 from qdenv.native import Scalar, formula, inlined, kernel
 from qdenv.progress import Progress, silent
 from qdenv.repair.anneal.connectivity import RING_PIECES
-from qdenv.repair.anneal.start import eight_steps, join_bits
+from qdenv.repair.anneal.start import join_bits
 from qdenv.repair.anneal.state import (
     LEVELS,
+    PLACES,
     RISE_LIMITS,
     SIDES,
     random_u64,
@@ -315,7 +316,7 @@ def _pack_whole(facts: Facts, service: Adjacency, progress: Progress) -> np.ndar
 
 def start_packing(driving: np.ndarray, facts: Facts, service: Adjacency) -> Packing:
     """Prepare to pack from where robots drive (bool [H, W])."""
-    steps, connected = eight_steps(driving.shape[1] + 2), facts.rules.connected
+    steps, connected = PLACES @ (driving.shape[1] + 2, 1), facts.rules.connected
     flips = np.pad(facts.may(connected) & ~facts.must(connected), 1).ravel()
     drives = np.pad(driving, 1).ravel()
     unserved = ~driving & (count_neighbours(driving & facts.may(service.needs)) == 0)

@@ -8,6 +8,7 @@ from qdenv.repair.anneal.state import (
     MAX_KINDS,
     MAX_NEEDS,
     NO_TILE,
+    PLACES,
     Aisles,
     AnnealState,
     Board,
@@ -42,11 +43,7 @@ def _tabulate_choices(allowed: np.ndarray, facts: Facts) -> tuple[np.ndarray, np
 
 
 def compile_board(layout: np.ndarray, facts: Facts) -> Board:
-    """Compile the rules and the input `layout` (int8 [H, W]) for the kernels.
-
-    Raises:
-        InputError: there are more kinds of tile or of need than the kernels can tell apart.
-    """
+    """Compile the rules and the input `layout` (int8 [H, W]) for the kernels, or InputError."""
     rules, kinds = facts.rules, len(facts.rules.tiles)
     if kinds > MAX_KINDS:
         raise InputError(
@@ -71,7 +68,7 @@ def compile_board(layout: np.ndarray, facts: Facts) -> Board:
     open_tile = np.full(allowed.size, NO_TILE, np.int8)
     for driving in sorted(np.flatnonzero(facts.driving), key=lambda kind: -facts.demands[kind]):
         open_tile[allowed >> driving & 1 == 1] = driving
-    steps, free = eight_steps(layout.shape[1] + 2), np.pad(facts.free, 1).ravel()
+    steps, free = PLACES @ (layout.shape[1] + 2, 1), np.pad(facts.free, 1).ravel()
     return Board(
         layout=np.pad(layout.astype(np.int8), 1, constant_values=kinds).ravel(),
         change_cost=np.pad(np.asarray(rules.change_cost, np.float32), 1).ravel(),
@@ -85,15 +82,11 @@ def compile_board(layout: np.ndarray, facts: Facts) -> Board:
         count_bounds=facts.count_bounds,
         steps=steps,
         connected=bool(rules.connected),
+        aisle=rules.aisle,
         # A partner that leaves its input tile shifts a corridor. Measured: where a number of tiles
         # is exact such pairs are worth less than changes of one cell.
         leave_quarters=1 if any(low == high for low, high in facts.count_bounds) else 4,
     )
-
-
-def eight_steps(stride: int) -> np.ndarray:
-    """List the steps from a cell to its eight places (int64 [8])."""
-    return np.array([-stride, 1 - stride, 1, stride + 1, stride, stride - 1, -1, -stride - 1])
 
 
 def join_bits(marks: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -138,10 +131,8 @@ def _sum_squares(mask: np.ndarray, side: int) -> np.ndarray:
     return windows.sum((-1, -2))
 
 
-def initial_state(
-    board: Board, candidate: np.ndarray, side: int = 1
-) -> tuple[AnnealState, Aisles | None]:
-    """Start at a projected layout (int8 [N]); with aisles where they must be `side` > 1 wide."""
+def initial_state(board: Board, candidate: np.ndarray) -> tuple[AnnealState, Aisles | None]:
+    """Start at a projected layout (int8 [N])."""
     size, traits = candidate.size, board.traits[candidate]
     tally = sum(np.roll(traits[:, Trait.UNIT], step) for step in board.steps[::2])
     counts = (traits[:, Trait.BOUNDS, None] >> np.arange(len(board.count_bounds)) & 1).sum(0)
@@ -149,14 +140,14 @@ def initial_state(
     lacking = traits[:, Trait.NEEDS] & ~(tally | tally >> 1 | tally >> 2)
     broken = (lacking[:, None] >> 4 * np.arange(MAX_NEEDS) & 1).sum()
     broken += np.maximum(low - counts, counts - high).clip(0).sum()
-    aisles = None
+    aisles, side = None, board.aisle
     if side > 1:
         driving = traits[:, Trait.DRIVES].reshape(-1, int(board.steps[4]))
         closed = side**2 - _sum_squares(driving, side)
         # Squares that reach back over a cell: the same sum on the grid turned round.
         cover = _sum_squares((closed == 0)[::-1, ::-1], side)[::-1, ::-1]
-        numbers = (count.ravel().astype(np.int32) for count in (closed, cover))
-        aisles = Aisles(side, driving.ravel().astype(np.int8), *numbers)
+        numbers = closed.ravel().astype(np.int32), cover.ravel().astype(np.int32)
+        aisles = driving.ravel().astype(np.int8), *numbers
         broken += ((driving == 1) & (cover == 0)).sum()
     differs = candidate != board.layout
     changed, place = np.zeros(size, np.int32), np.zeros(size, np.int32)

@@ -19,6 +19,8 @@ MAX_NEEDS = 7  # different needs: four bits each in one 32-bit tally of neighbou
 NO_TILE = -1  # where a table or a draw has no tile to give
 DRAWS = 64  # tiles in a row of `Board.choices`: six random bits draw one
 SIDES = 0b01010101  # the 4-neighbours among the places of a ring
+# (row, column) steps to the eight places
+PLACES = np.array([(-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1)])
 
 WORDS = 8  # random words that one move may use
 LEVELS = 1024  # probabilities are multiples of 1 / LEVELS: ten random bits decide
@@ -68,6 +70,7 @@ class Board(NamedTuple):
     count_bounds: np.ndarray
     steps: np.ndarray  # int64 [8], from a cell to its places
     connected: bool  # whether the driving area must be one piece
+    aisle: int  # side of the squares that must cover the driving area; 1 where any aisle will do
     # of four partners in a move that would leave their input tile, how many may
     leave_quarters: int
 
@@ -94,13 +97,9 @@ class AnnealState(NamedTuple):
     walkers: np.ndarray  # int64 [3, 4], buffer of the connectivity test: cells, headings, ends
 
 
-class Aisles(NamedTuple):
-    """Which driving cells lie in a wide aisle, where rules ask for one."""
-
-    side: int  # side of the squares that must cover the driving area
-    driving: np.ndarray  # int8 [N], 1 where the candidate drives
-    closed: np.ndarray  # int32 [N], closed cells in the square whose top left corner is here
-    cover: np.ndarray  # int32 [N], open squares over the cell
+# Where aisles must be wider than a cell: whether the candidate drives (int8 [N]), closed cells in
+# the square whose top left corner is here, open squares over the cell (int32 [N] each).
+Aisles = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class Move(NamedTuple):
@@ -111,16 +110,15 @@ class Move(NamedTuple):
     old: np.ndarray  # int64 [5], the tiles they had
 
 
-class Annealing(NamedTuple):
-    """How a run draws and cools down."""
+class Schedule(NamedTuple):
+    """How a run cools down and grows strict."""
 
-    seed: np.uint64  # of all draws
-    moves: int  # proposed moves
-    period: int  # moves between two steps of the schedule
-    periods: int  # how many of them there are
     temperatures: tuple[float, float]  # the first and the last
     penalty_weights: tuple[float, float]  # the first and the last cost of a broken demand
-    enough: float  # a cost that no layout undercuts: the run ends where one reaches it
+    moves: int = 0  # proposed moves
+    period: int = 1  # moves between two steps of the schedule
+    periods: int = 1  # how many of them there are
+    enough: float = -np.inf  # a cost that no layout undercuts: the run ends where one reaches it
 
 
 @formula

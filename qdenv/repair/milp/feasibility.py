@@ -44,11 +44,9 @@ _lock = threading.Lock()
 
 
 def find_possible(facts: Facts, progress: Progress = silent) -> Existence:
-    """Find a layout that obeys the rules, or prove that there is none; both may fail.
-
-    The answer follows from the rules alone and is cached: a batch pays for it once.
-    """
-    rules = facts.rules  # named by their content, costs left out
+    """Find a layout that obeys the rules, or prove that there is none; both may fail."""
+    # Cached by the content of the rules, costs left out: a batch pays for it once.
+    rules = facts.rules
     texts = (rules.tiles, rules.counts, rules.adjacency, rules.connected, rules.aisle)
     key = repr((texts, rules.allowed.shape)).encode() + np.packbits(rules.allowed).tobytes()
     with _lock:

@@ -3,8 +3,6 @@
 HiGHS: Huangfu and Hall 2018, https://doi.org/10.1007/s12532-017-0130-5, https://highs.dev.
 """
 
-from typing import NamedTuple
-
 import highspy
 import numpy as np
 from scipy import ndimage
@@ -12,9 +10,9 @@ from scipy import ndimage
 from qdenv.repair.anneal.loop import MENDING, anneal
 from qdenv.repair.audit import audit
 from qdenv.repair.milp.program import Cells, Program, build, decode, encode
-from qdenv.repair.rules import Facts, Result, assign_kinds
+from qdenv.repair.rules import Facts, assign_kinds, is_proven
 from qdenv.repair.settings import RepairConfig
-from qdenv.types import RepairStatus
+from qdenv.types import Repair, RepairStatus
 
 MAX_CELLS = 20_000  # that may change: with more even the relaxation takes minutes
 _MAX_GAP = 0.08  # of the relaxation beyond which branching would not pay, in parts of the cost
@@ -23,13 +21,12 @@ _ROUNDS = 4  # solves, each with more connectivity cuts
 _INTERRUPT_BUDGET = 100  # of one solve: a deterministic limit on its work
 _MENDING_MOVES = 300  # annealing moves per cell that mend a solution's connections
 _CUTS = 4  # for each part that is cut off, at most: one for a cell
+_NODES = 1000  # branch-and-bound nodes of one solve, unless configured
 
-
-class Cut(NamedTuple):
-    """If both ends drive, so does a gate: driving(ends) - sum driving(gates) <= ends - 1."""
-
-    ends: list[int]  # positions; one where the main part always drives, else one in either part
-    gates: list[int]  # positions of a separator: every path between the ends crosses one of them
+# Positions (ends, gates): if all ends drive, so does a gate. Ends are one in the part that is cut
+# off and, unless that always drives, one in the main part; every path between the parts crosses one
+# of the gates. As a row: sum driving(ends) - sum driving(gates) <= number of ends - 1.
+Cut = tuple[list[int], list[int]]
 
 
 def new_solver(seed: int) -> highspy.Highs:
@@ -132,7 +129,7 @@ def separate(driving: np.ndarray, always: np.ndarray) -> list[Cut]:
         facing = shell & ndimage.binary_dilation(beyond == beyond[anchor])
         gates, cells = np.flatnonzero(facing).tolist(), np.flatnonzero(inside)
         for cell in cells[np.linspace(0, cells.size - 1, min(_CUTS, cells.size)).astype(int)]:
-            cuts.append(Cut([int(cell), *other], gates))
+            cuts.append(([int(cell), *other], gates))
     return cuts
 
 
@@ -140,17 +137,17 @@ def add_cuts(solver: highspy.Highs, cells: Cells, facts: Facts, cuts: list[Cut])
     """Add connectivity cuts, with positions among `cells`, as rows."""
     own, drives = cells.express(facts.roles_of(facts.rules.connected))
     columns, own = (array.reshape(drives.size, -1) for array in (cells.columns, own))
-    for cut in cuts:
-        places = [*cut.ends, *cut.gates]
-        signs = np.repeat([1.0, -1.0], [len(cut.ends), len(cut.gates)])
+    for ends, gates in cuts:
+        places = [*ends, *gates]
+        signs = np.repeat([1.0, -1.0], [len(ends), len(gates)])
         values = own[places] * signs[:, None]
         terms = (columns[places] >= 0) & (values != 0)
         indices = columns[places][terms].astype(np.int32)
-        high = len(cut.ends) - 1 - drives.ravel()[places] @ signs
+        high = len(ends) - 1 - drives.ravel()[places] @ signs
         solver.addRow(-np.inf, high, indices.size, indices, values[terms])
 
 
-def keep_cheaper(best: Result, candidate: np.ndarray, layout: np.ndarray, facts: Facts) -> Result:
+def keep_cheaper(best: Repair, candidate: np.ndarray, layout: np.ndarray, facts: Facts) -> Repair:
     """Return the cheaper of two layouts; an audit guards against whatever the solver returned."""
     if audit(candidate, facts.rules):
         return best
@@ -159,8 +156,8 @@ def keep_cheaper(best: Result, candidate: np.ndarray, layout: np.ndarray, facts:
 
 
 def improve(
-    layout: np.ndarray, facts: Facts, start: Result, seed: int, config: RepairConfig
-) -> Result:
+    layout: np.ndarray, facts: Facts, start: Repair, seed: int, config: RepairConfig
+) -> Repair:
     """Improve the feasible layout of `start` by branch and cut, and bound what is possible.
 
     Returns the best layout found for the input `layout` (int8 [H, W]), never worse than `start`,
@@ -170,32 +167,33 @@ def improve(
     relaxed = solve_relaxation(program)
     if relaxed.getModelStatus() == highspy.HighsModelStatus.kOptimal:
         bound = round_up(relaxed.getInfo().objective_function_value, facts)
-        best = best._replace(bound=max(best.bound, bound))
-    if best.proven(config.gap):
+        best = best._replace(lower_bound=max(best.lower_bound, bound))
+    if is_proven(best, config.gap):
         return best._replace(status=RepairStatus.OPTIMAL)
     # Branching closes small gaps only, but any gap of a small program.
-    if program.cost.size > _SMALL and best.bound < best.cost * (1 - _MAX_GAP):
+    if program.cost.size > _SMALL and best.lower_bound < best.cost * (1 - _MAX_GAP):
         return best
     solver, rng = load(new_solver(seed), program), np.random.default_rng(seed)
     solver.setOptionValue("mip_rel_gap", config.gap)
-    solver.setOptionValue("mip_max_nodes", config.nodes)
+    nodes = _NODES if config.node_limit is None else config.node_limit
+    solver.setOptionValue("mip_max_nodes", nodes)
     solver.setOptionValue("time_limit", config.time_limit)
     always = facts.must(facts.rules.connected)
     for _ in range(_ROUNDS):
         solution = highspy.HighsSolution()
-        solution.col_value = encode(program, best.layout, layout, facts).tolist()
+        solution.col_value = encode(program, np.asarray(best.layout), layout, facts).tolist()
         solver.setSolution(solution)
         run_limited(solver, _INTERRUPT_BUDGET)
         timed_out = solver.getModelStatus() == highspy.HighsModelStatus.kTimeLimit
         bound = round_up(solver.getInfo().mip_dual_bound, facts)
-        best = best._replace(bound=max(best.bound, bound))
+        best = best._replace(lower_bound=max(best.lower_bound, bound))
         roles = decode(program.cells, np.array(solver.getSolution().col_value))
         candidate = assign_kinds(roles, layout, facts, rng)
         cuts = separate(facts.driving[candidate], always) if facts.rules.connected else []
         if cuts:
             candidate = mend(candidate, layout, facts, rng)
         best = keep_cheaper(best, candidate, layout, facts)
-        if best.proven(config.gap):
+        if is_proven(best, config.gap):
             return best._replace(status=RepairStatus.OPTIMAL)
         # Even the solver's optimum is one of the program without the connectivity still to be cut
         # in: it proves nothing.

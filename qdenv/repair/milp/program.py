@@ -28,10 +28,7 @@ class Cells(NamedTuple):
     base: np.ndarray
 
     def express(self, roles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Express "the cell holds one of `roles`" (bool [R]), which is 0 or 1.
-
-        Returns coefficients of the binaries (float64 [H, W, R]) and constants (float64 [H, W]).
-        """
+        """Express "the cell holds one of `roles`" (bool [R]): terms [H, W, R], constants [H, W]."""
         # Where the base role is one of `roles`, each binary of another role takes the 1 away.
         constant = (roles[self.base] & (self.base >= 0)).astype(float)
         return roles - constant[..., None], constant
