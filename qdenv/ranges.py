@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from annotated_types import Interval
 
-from qdenv.types import InputError
+from qdenv.types import InputError, choices
 
 MOST = 2**31 - 1  # what is counted in 32 bits
 LARGEST_SEED = 2**32 - 1
@@ -31,23 +31,27 @@ PositiveFloat = Annotated[float, Interval(gt=0, lt=math.inf)]
 NonNegativeFloat = Annotated[float, Interval(ge=0, lt=math.inf)]
 Share = Annotated[float, Interval(ge=0, le=1)]
 Seed = Annotated[int, Interval(ge=0, le=LARGEST_SEED)]
+# Marks a `Literal` to whose names a user may add: nothing is checked here.
+OPEN = "open"
 
 
 class Ranged:
-    """A record that refuses values outside the ranges of its fields."""
+    """A record that refuses values outside the ranges of its fields, and unknown names."""
 
     def __post_init__(self) -> None:
-        """Raise InputError, which names the field, if a value is out of its range."""
+        """Raise InputError, which names the field, if a value is none of those it may have."""
         record: Any = type(self)
-        for name, kind in _ranged(record):
-            check_range(name, getattr(self, name), kind)
+        for name, kind in _checked(record):
+            value = getattr(self, name)
+            if get_origin(kind) is not Literal:
+                check_range(name, value, kind)
+            elif value not in get_args(kind):
+                listed = choices(str(value), get_args(kind))
+                raise InputError(f"unknown {name.replace('_', ' ')} {value!r}: {listed}")
 
 
 def check_range(name: str, value: Any, kind: Any) -> None:
-    """Raise InputError if a value (a number, None, or a tuple) lies outside the ranges of its type.
-
-    Where the type has a range, it is `Annotated` with an `annotated_types.Interval`.
-    """
+    """Raise InputError if a number, or one of a tuple, lies outside the `Interval` of its type."""
     label = name.replace("_", "-")
     for number, interval in _pairs(value, kind):
         if not isinstance(number, Real):
@@ -60,10 +64,10 @@ def check_range(name: str, value: Any, kind: Any) -> None:
 
 
 @cache
-def _ranged(record: type) -> tuple[tuple[str, Any], ...]:
-    """List the fields that have a range somewhere in their type."""
-    hints = get_type_hints(record, include_extras=True)
-    return tuple((name, kind) for name, kind in hints.items() if _has_range(kind))
+def _checked(record: type) -> tuple[tuple[str, Any], ...]:
+    """List the fields that name a choice, or have a range somewhere in their type."""
+    hints = get_type_hints(record, include_extras=True).items()
+    return tuple(one for one in hints if get_origin(one[1]) is Literal or _has_range(one[1]))
 
 
 def _has_range(kind: Any) -> bool:

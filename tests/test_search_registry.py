@@ -64,7 +64,7 @@ def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
 
 
 def test_the_command_line_knows_every_strategy_and_none_that_is_unsound():
-    assert set(get_args(Strategy)) == set(STRATEGIES)
+    assert set(get_args(get_args(Strategy)[0])) == set(STRATEGIES)
     for name, reason in UNSOUND.items():
         assert name not in STRATEGIES
         assert set(reason.partition("; use ")[2].split(" or ")) <= set(STRATEGIES)

@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 from annotated_types import Interval
 
 from qdenv.ranges import (
+    OPEN,
     NonNegativeFloat,
     NonNegativeInt,
     PositiveFloat,
@@ -21,12 +22,12 @@ from qdenv.types import InputError
 
 # Names of `strategies.STRATEGIES`, which a user may add to, of `emitters.RANKERS` and of
 # `emitters.SELECTIONS`, repeated so that a command line has them without importing jax.
-Strategy = Literal[
+Strategy = Annotated[Literal[
     "iso", "sep", "full", "lm_ma",
     "CMA_ES", "CR_FM_NES", "DiscoveredES", "Open_ES", "PGPE", "SimpleES", "SNES",
-]  # fmt: skip
-Ranker = Literal["imp", "2imp", "obj", "2obj"]
-Selection = Literal["mu", "filter"]
+], OPEN]  # fmt: skip
+Ranker = Annotated[Literal["imp", "2imp", "obj", "2obj"], OPEN]
+Selection = Annotated[Literal["mu", "filter"], OPEN]
 
 # Strategies of evosax that would run and mislead (read and measured with evosax 0.3.2).
 _REMEMBERS = "it compares fitness across generations, which ranks do not allow"

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from annotated_types import Interval
 
-from qdenv.devices import Backend, check_backend
+from qdenv.devices import Backend
 from qdenv.ranges import Ranged
 from qdenv.registry import Entry
 from qdenv.types import InputError
@@ -51,9 +51,6 @@ class NegotiatedConfig(Ranged):
         super().__post_init__()
         if not self.penalties:
             raise InputError("a negotiated planner needs penalties: give at least one")
-        if self.last_resort not in ("pibt", "wait"):
-            raise InputError(f"unknown last resort {self.last_resort!r}: choose one of pibt, wait")
-        check_backend(self.backend)
 
     def planned_ahead(self, window: int, horizon: int) -> int:
         """Return the number of timesteps planned without conflict."""

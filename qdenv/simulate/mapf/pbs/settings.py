@@ -1,13 +1,12 @@
 """The settings of priority-based search."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from annotated_types import Interval
 
 from qdenv.ranges import Ranged
 from qdenv.registry import Entry
-from qdenv.types import InputError
 
 MAX_WINDOW = 30  # the timesteps of conflicts are the bits of one word
 _MOST_NODES = 1_000_000
@@ -26,13 +25,6 @@ class PbsConfig(Ranged):
     # most nodes of the search tree that are expanded per window, in units of the number of agents;
     # a window that is still unsolved is driven by PIBT where its best plan has conflicts
     nodes_per_agent: Annotated[float, Interval(ge=0, le=_MOST_NODES)] = 5.0
-
-    def __post_init__(self) -> None:
-        """Refuse an unknown rule."""
-        super().__post_init__()
-        if self.rule not in get_args(Rule):
-            known = ", ".join(get_args(Rule))
-            raise InputError(f"unknown rule {self.rule!r}: choose one of {known}")
 
 
 PBS = Entry(PbsConfig, "qdenv.simulate.mapf.pbs.planner:pbs")
