@@ -38,20 +38,17 @@ _MAZE = RunConfig(
 )
 
 
-def _paper(domain: Any, alpha: float) -> RunConfig:
-    return RunConfig(evaluation=EvaluationConfig(domain=domain, alpha=alpha))
-
+_WAREHOUSES = {"warehouse-even": WarehouseConfig(), "warehouse-uneven": UnevenWarehouseConfig()}
 
 PRESETS: dict[str, RunConfig] = {
     "quick": _QUICK,
-    "laptop": replace(_paper(WarehouseConfig(), 5.0), evaluations=1000),
-    "warehouse-even": _paper(WarehouseConfig(), 5.0),
-    "warehouse-even-a1": _paper(WarehouseConfig(), 1.0),
-    "warehouse-even-a0": _paper(WarehouseConfig(), 0.0),
-    "warehouse-uneven": _paper(UnevenWarehouseConfig(), 5.0),
-    "warehouse-uneven-a1": _paper(UnevenWarehouseConfig(), 1.0),
-    "warehouse-uneven-a0": _paper(UnevenWarehouseConfig(), 0.0),
-    "manufacturing": _paper(ManufacturingConfig(), 5.0),
+    "laptop": RunConfig(evaluations=1000),
+    **{
+        f"{name}{suffix}": RunConfig(evaluation=EvaluationConfig(domain=domain, alpha=alpha))
+        for name, domain in _WAREHOUSES.items()
+        for suffix, alpha in (("", 5.0), ("-a1", 1.0), ("-a0", 0.0))
+    },
+    "manufacturing": RunConfig(evaluation=EvaluationConfig(domain=ManufacturingConfig())),
     "manufacturing-quick": replace(
         _QUICK,
         evaluation=replace(

@@ -20,11 +20,7 @@ from qdenv.types import Array, InputError, Measure, Rules, TaskRule, Tile
 
 
 def environment_entropy(kinds: int, margin: tuple[int, int] = (0, 0)) -> Measure:
-    """Make the axis of the environment entropy of the generated area (section 4 of the paper).
-
-    `kinds` is the number of tiles that the generator can draw, `margin` that of rows and columns of
-    the frame on each side.
-    """
+    """Make the axis of the environment entropy (section 4) of what is drawn with `kinds` tiles."""
 
     def value(layout: jax.Array, runs: Any) -> jax.Array:
         del runs
@@ -69,16 +65,20 @@ class DomainConfig(Ranged):
     @property
     def horizon(self) -> int | None:
         """Timesteps of one simulation; None if the settings do not limit it."""
-        return self.fleet.timesteps if self.fleet else None
+        return getattr(self.fleet or self, "timesteps", None)
 
     def scaled(self, ratio: float, size: KnownSize | None, given: Collection[str]) -> Self:
-        """Scale the numbers that are no numbers of tiles, such as agents or timesteps.
+        """Scale the numbers that are no numbers of tiles: the agents of a fleet, or timesteps.
 
         `ratio` is the generated area of these settings over that of those they were made from.
         Known numbers of this size replace the scaled ones; settings that are `given` do not change.
         """
-        del ratio, size, given
-        return self
+        if self.fleet is None or "agents" in given:
+            return self
+        # The timesteps of a known size are those of reported numbers: a search uses shorter runs.
+        agents = size.agents if size else max(1, round(self.fleet.agents * ratio))
+        settings: Any = replace(self, fleet=replace(self.fleet, agents=agents))  # type: ignore
+        return settings
 
 
 # An entry's maker is called as make(settings) and returns a `Domain`.
@@ -236,10 +236,7 @@ class Domain:
         return None if (rows, cols) == self.shape else self.known.get((rows, cols))
 
     def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> Domain:
-        """Make the same domain at the size of a layout (int8 [H, W]).
-
-        Exact numbers of tiles that `numbers` leaves out are those of the layout.
-        """
+        """Make the same domain at the size of a layout (int8 [H, W]), with its exact numbers."""
         own = {
             name: int((layout == self.tiles.index(symbol)).sum())
             for name, symbol in self.counted.items()

@@ -42,8 +42,15 @@ def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
     `rows` strings of `cols` symbols: digits, ``e`` and ``.``; raises InputError if too few
     stations fit to have one of each kind.
     """
-    draw = station_blocks if min(rows, cols) < _STAND_ALONE_FROM else _stand_alone_stations
-    picture = draw(rows, cols)
+    if min(rows, cols) < _STAND_ALONE_FROM:
+        picture = station_blocks(rows, cols)
+    else:
+        # Single stations with endpoints above and below and a lane on each side (Figure 14b).
+        picture = np.full((rows, cols), ".")
+        for row, symbol in enumerate("ese"):
+            picture[row :: _SPACING[0], 1 : cols - 1 : _SPACING[1]] = symbol
+        if rows % _SPACING[0] == 1:
+            picture[-1] = "."  # endpoints whose station would lie outside
     places = picture == "s"
     numbers = apportion(int(places.sum()), ratio)
     if 0 in numbers:
@@ -77,22 +84,10 @@ def station_blocks(rows: int, cols: int) -> np.ndarray:
     return picture
 
 
-def _stand_alone_stations(rows: int, cols: int) -> np.ndarray:
-    """Draw single stations with endpoints above and below and a lane on each side (Figure 14b)."""
-    picture = np.full((rows, cols), ".")
-    columns = slice(1, cols - 1, _SPACING[1])
-    for row, symbol in ((0, "e"), (1, "s"), (2, "e")):
-        picture[row :: _SPACING[0], columns] = symbol
-    if rows % _SPACING[0] == 1:
-        picture[-1] = "."  # endpoints whose station would lie outside
-    return picture
-
-
 def apportion(total: int, ratio: tuple[int, ...]) -> list[int]:
     """Split `total` in the proportions of `ratio`, the largest remainders rounded up."""
-    exact = [total * part / sum(ratio) for part in ratio]
-    numbers = [int(value) for value in exact]
-    largest = sorted(range(len(ratio)), key=lambda kind: numbers[kind] - exact[kind])
-    for kind in largest[: total - sum(numbers)]:
-        numbers[kind] += 1
-    return numbers
+    exact = np.array(ratio) * total / sum(ratio)
+    numbers = exact.astype(int)
+    largest = np.argsort(numbers - exact, kind="stable")
+    numbers[largest[: total - numbers.sum()]] += 1
+    return list(map(int, numbers))

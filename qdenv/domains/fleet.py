@@ -1,33 +1,15 @@
-"""Base of the domains with a fleet of robots: settings, simulator and objective."""
+"""What domains with a fleet of robots share: simulator and objective."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Any
 
-from qdenv.domains.base import DomainConfig, KnownSize, Simulator
+from qdenv.domains.base import Simulator
 from qdenv.lazy import jax, jnp
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import Array, TaskRule, Traffic
 
 THROUGHPUT = "throughput [tasks per timestep]"
-
-
-@dataclass(frozen=True)
-class FleetDomainConfig(DomainConfig):
-    """Settings of a domain with a fleet."""
-
-    # agents, horizon and planner
-    fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
-
-    def scaled(self, ratio: float, size: KnownSize | None, given: Collection[str]) -> Self:
-        """Scale the number of agents, or take the known one."""
-        if "agents" in given:
-            return self
-        # The timesteps of a known size are those of reported numbers: a search uses shorter runs.
-        agents = size.agents if size else max(1, round(self.fleet.agents * ratio))
-        return replace(self, fleet=replace(self.fleet, agents=agents))
 
 
 def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from qdenv import score
 from qdenv.domains import designs
-from qdenv.domains.base import Domain, KnownSize, environment_entropy
-from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
+from qdenv.domains.base import Domain, DomainConfig, KnownSize, environment_entropy
+from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.grid import of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.registry import Entry
 from qdenv.simulate.mapf.goals import beside_goal
-from qdenv.types import Adjacency, Array, Count, Measure, Rules, TaskRule, Tile, Traffic
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.types import Adjacency, Count, Measure, Rules, TaskRule, Tile, Traffic
 
 TILES = ".012e"
 _STATIONS = "012"
@@ -30,9 +31,11 @@ _STATION_WEIGHT = 5.0  # p_i of a generated station in the similarity (appendix 
 
 
 @dataclass(frozen=True)
-class ManufacturingConfig(FleetDomainConfig):
+class ManufacturingConfig(DomainConfig):
     """The numbers of a factory."""
 
+    # agents, horizon and planner
+    fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
     stays: tuple[int, int, int] = (2, 5, 10)  # timesteps served beside each kind of station
 
 
@@ -46,11 +49,6 @@ def rules(rows: int, cols: int) -> Rules:
         allowed=np.ones((rows, cols, len(TILES)), bool),
         change_cost=np.ones((rows, cols), np.float32),
     )
-
-
-def similarity_weights(layout: Array) -> jax.Array:
-    """Weigh a generated station five times: p_i / max p (float32 [H, W])."""
-    return jnp.where(of_tiles(layout, _STATIONS, TILES), 1.0, 1.0 / _STATION_WEIGHT)
 
 
 def manufacturing(config: ManufacturingConfig) -> Domain:
@@ -75,7 +73,9 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         simulator=fleet_simulator(TaskRule(TILES, ".e", cycle), config.fleet),
         objective=throughput,
         objective_name=THROUGHPUT,
-        similarity_weights=similarity_weights,
+        similarity_weights=lambda layout: jnp.where(
+            of_tiles(layout, _STATIONS, TILES), 1.0, 1.0 / _STATION_WEIGHT
+        ),
         measures=(
             Measure("workstations", 0, 600, 100, workstations, "area"),
             environment_entropy(len(TILES)),

@@ -17,7 +17,7 @@ from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveInt
 from qdenv.registry import Entry
 from qdenv.simulate.maze import policy, world
-from qdenv.types import Array, Measure, Tile
+from qdenv.types import Measure, Tile
 
 if TYPE_CHECKING:
     from qdenv.simulate.maze.episode import Episode
@@ -43,11 +43,6 @@ class MazeConfig(DomainConfig):
     timesteps: PositiveInt = 648  # actions after which an episode fails, T
     agent: str = ""  # an .npz agent; the shipped one unless given
 
-    @property
-    def horizon(self) -> int:
-        """Actions after which an episode fails."""
-        return self.timesteps
-
     def scaled(self, ratio: float, size: KnownSize | None, given: Collection[str]) -> Self:
         """Scale the length of an episode, or take the known one."""
         if "timesteps" in given:
@@ -61,15 +56,8 @@ class EntropyMazeConfig(MazeConfig):
     """The numbers of a maze whose first measure is the environment entropy."""
 
 
-def frame(area: Array) -> jax.Array:
-    """Ring the generated area with walls (int8 [h, w] -> [h + 2, w + 2])."""
-    return jnp.pad(area, 1, constant_values=world.WALL)
-
-
-@lru_cache(maxsize=8)
-def agent_weights(agent: str) -> policy.Weights:
-    """Read an agent's file once (the shipped one for "")."""
-    return policy.load_weights(agent)
+# Reads an agent's file once (the shipped one for "").
+agent_weights = lru_cache(maxsize=8)(policy.load_weights)
 
 
 def checksum_of_agent(agent: str) -> str:
@@ -122,7 +110,7 @@ def maze(config: MazeConfig) -> Domain:
         generated=world.TILES,
         seed_block=("XX", "XX"),
         margin=_MARGIN,
-        frame=frame,
+        frame=lambda area: jnp.pad(area, 1, constant_values=world.WALL),
         rules=None,
         simulator=_maze_simulator(config),
         objective=lambda layout, runs: world.is_solvable(layout).astype(jnp.float32),

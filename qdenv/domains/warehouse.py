@@ -7,21 +7,22 @@ Even: every workstation is drawn alike. Uneven: those on the left border five ti
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
 from qdenv import score
 from qdenv.domains import designs
-from qdenv.domains.base import Domain, KnownSize, environment_entropy
-from qdenv.domains.fleet import THROUGHPUT, FleetDomainConfig, fleet_simulator, throughput
+from qdenv.domains.base import Domain, DomainConfig, KnownSize, environment_entropy
+from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.generate import inside_frame
 from qdenv.grid import parse
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveFloat
 from qdenv.registry import Entry
 from qdenv.simulate.mapf.goals import favour_left, tile_goal
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import (
     Adjacency,
     Array,
@@ -69,9 +70,11 @@ def frame(tiles: Array) -> jax.Array:
 
 
 @dataclass(frozen=True)
-class WarehouseConfig(FleetDomainConfig):
+class WarehouseConfig(DomainConfig):
     """The numbers of a warehouse whose workstations are all drawn alike."""
 
+    # agents, horizon and planner
+    fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
     shelves: int = 240  # how many shelves there are, exactly (N_s)
     # how much likelier a workstation on the left border is than one on the right
     left_odds: PositiveFloat = 1.0
