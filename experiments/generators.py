@@ -6,7 +6,7 @@ from experiments import zoo
 from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
 from qdenv.run.directory import RunDirectory
-from qdenv.shipped import PREFIX, USUAL, Generator, named, names
+from qdenv.shipped import PREFIX, USUAL, NamedGenerator, named, names
 
 GROWERS = ("nca", "nca-s")  # makers of layouts that are generators of the zoo
 
@@ -56,7 +56,7 @@ def open_generator(domain: str, maker: str) -> RunDirectory:
 def most_at_s(domain: str) -> str:
     """Return the name of the generator that moves most at the trained size, and flows there."""
 
-    def moved(one: Generator) -> float:
+    def moved(one: NamedGenerator) -> float:
         driven = one.sizes[0].driven[0]
         return driven.mean if driven.success == 1 else 0.0
 

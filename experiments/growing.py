@@ -16,7 +16,7 @@ from qdenv.pipeline import simulate_layouts
 from qdenv.run.archive import SavedArchive
 from qdenv.run.config import scale
 from qdenv.run.directory import RunDirectory
-from qdenv.shipped import Driven, Grown
+from qdenv.shipped import Driven, GrownLayout
 from qdenv.stats import sample_of
 from qdenv.study import elites as sizes
 from qdenv.study.elites import grow_elite
@@ -121,7 +121,7 @@ class Workshop:
         plan = ("published", "1")
         return self.drive(cell, sized.layout, plan, self.measuring.trial_timesteps).success == 1
 
-    def measure(self, cell: Cell, shape: Shape) -> Grown:
+    def measure(self, cell: Cell, shape: Shape) -> GrownLayout:
         """Grow a chosen elite at one size, and simulate it as is to be reported."""
         sized, how = self.grow(cell, shape), self.measuring
         assert sized is not None
@@ -140,7 +140,7 @@ class Workshop:
             if axis.value is not None and axis.limit != "timesteps"  # that needs simulations
         }
         rows, cols = shape
-        return Grown(
+        return GrownLayout(
             rows=rows,
             cols=cols,
             steps=sized.steps,

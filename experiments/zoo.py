@@ -31,7 +31,7 @@ from qdenv.io.records import read_json
 from qdenv.run.archive import SavedArchive
 from qdenv.run.directory import RunDirectory
 from qdenv.search.registry import ALGORITHMS
-from qdenv.shipped import HOME, TABLE, USUAL, Collection, Generator, Origin
+from qdenv.shipped import HOME, TABLE, USUAL, Collection, NamedGenerator, Origin
 from qdenv.types import InputError, look_up
 
 FILES = ("config.json", "manifest.json", "metrics.csv")
@@ -111,7 +111,11 @@ def origin_of(workshop: Workshop, domain: str) -> Origin:
 
 
 def write(
-    folder: Path, run: RunDirectory, archive: SavedArchive, origin: Origin, found: list[Generator]
+    folder: Path,
+    run: RunDirectory,
+    archive: SavedArchive,
+    origin: Origin,
+    found: list[NamedGenerator],
 ) -> None:
     """Write a folder of the zoo in place of the one that is there."""
     shutil.rmtree(folder, ignore_errors=True)
@@ -149,7 +153,7 @@ def main(
     chosen = choose(workshop, rules)
     archive = workshop.archive
     found = [
-        Generator(
+        NamedGenerator(
             rule.name,
             rule.about,
             cell,

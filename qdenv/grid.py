@@ -1,4 +1,4 @@
-"""The grid: moves, neighbours, components, and text to tiles and back.
+"""The grid: moves, neighbours, and text to tiles and back.
 
 A position is ``row * width + column``. The four moves are right, left, down, up, in this order
 everywhere.
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from qdenv.lazy import jax, jnp
+from qdenv.lazy import jnp
 from qdenv.types import Array, InputError
 
 MOVES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # (row, column) steps: right, left, down, up
@@ -33,10 +33,7 @@ def _library_of(values: Array) -> Any:
 
 
 def shift(values: Array, move: tuple[int, int], fill: object = 0) -> Array:
-    """Look one move (dr, dc) away from every cell of [H, W]: result[r, c] = values[r + dr, c + dc].
-
-    `fill` is what lies outside the grid.
-    """
+    """Look a move (dr, dc) away: result[r, c] = values[r + dr, c + dc], `fill` outside [H, W]."""
     rows, cols = values.shape
     padded = _library_of(values).pad(values, 1, constant_values=fill)
     return padded[1 + move[0] : 1 + move[0] + rows, 1 + move[1] : 1 + move[1] + cols]
@@ -47,28 +44,11 @@ def count_neighbours(mask: Array) -> Array:
     return functools.reduce(operator.add, [shift(mask.astype(np.int32), move) for move in MOVES])
 
 
-def count_components(mask: Array) -> jax.Array:
-    """Count the 4-connected components of `mask` (bool [H, W] -> int32)."""
-    rows, cols = mask.shape
-    labels = jnp.where(mask, jnp.arange(rows * cols, dtype=jnp.int32).reshape(rows, cols), -1)
-
-    def pass_on(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        old, _ = carry
-        new = functools.reduce(jnp.maximum, [shift(old, move, -1) for move in MOVES], old)
-        new = jnp.where(mask, new, -1)
-        # Pointer jumping: a label names a cell, whose own label is at least as large.
-        new = jnp.where(mask, jnp.maximum(new, new.reshape(-1)[new]), -1)
-        return new, (new != old).any()
-
-    final, _ = jax.lax.while_loop(lambda carry: carry[1], pass_on, (labels, jnp.bool_(True)))
-    roots = final.reshape(-1) == jnp.arange(rows * cols)
-    return (roots & mask.reshape(-1)).sum(dtype=jnp.int32)
-
-
-def parse(rows: Sequence[str], tiles: str) -> np.ndarray:
+def parse(rows: Sequence[str], tiles: str, known: str = "") -> np.ndarray:
     """Turn H rows of W symbols into a layout (int8 [H, W]); symbol ``tiles[k]`` is tile ``k``.
 
-    Raises InputError if the drawing is empty or ragged, or holds a symbol outside the alphabet.
+    Raises InputError if the drawing is empty or ragged, or holds a symbol outside the alphabet,
+    which the message lists as `known`, like "this domain knows '.'".
     """
     if not rows or not rows[0]:
         raise InputError("the layout is empty: give at least one row of tiles")
@@ -81,9 +61,9 @@ def parse(rows: Sequence[str], tiles: str) -> np.ndarray:
             )
         for column, symbol in enumerate(row):
             if symbol not in tiles:
+                known = known or f"this domain knows {' '.join(map(repr, tiles))}"
                 raise InputError(
-                    f"unknown tile {symbol!r} at row {index}, column {column}: "
-                    f"this domain knows {' '.join(map(repr, tiles))}"
+                    f"unknown tile {symbol!r} at row {index}, column {column}: {known}"
                 )
     return np.array([[tiles.index(symbol) for symbol in row] for row in rows], dtype=np.int8)
 

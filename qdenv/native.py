@@ -67,10 +67,7 @@ def kernel(function: Function, forceinline: bool = False) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """Compile a `kernel` into every kernel that calls it.
-
-    For the smallest steps: a call hands a record over word by word, seven for each of its arrays.
-    """
+    """Compile a `kernel` into its callers: a call hands over seven words per array of a record."""
     return kernel(function, forceinline=True)
 
 
@@ -96,10 +93,7 @@ def numbers(*names: str) -> Numbers:
 
 @functools.cache
 def _cache_folder(module: str) -> Path | None:
-    """Find the folder for the machine code of a module; None where none is writable.
-
-    It lies in NUMBA_CACHE_DIR where that is set, else in the user's cache.
-    """
+    """Find a module's folder in NUMBA_CACHE_DIR, else in the user's cache; None if read-only."""
     # The files that the module is made of: its own and all those it imports of this package. A
     # module of another package may use any of ours.
     sources = set() if _source(module) else set(_PACKAGE.rglob("*.py"))

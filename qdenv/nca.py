@@ -79,10 +79,7 @@ def make_automaton(
 def grow_population(
     automaton: Automaton, parameters: Array, start: Array, steps: Array | int
 ) -> jax.Array:
-    """Grow every solution from the same start canvas.
-
-    Parameters are float32 [B, P], `start` is float32 [H, W, K], the result float32 [B, H, W, K].
-    """
+    """Grow float32 [B, P] from one canvas `start` (float32 [H, W, K]) to float32 [B, H, W, K]."""
     # One solution after the other: its numbers then cannot depend on how many grow beside it, and
     # a convolution with its own weights per item is no faster batched on a CPU.
     return jax.lax.map(lambda one: automaton.grow(one, start, steps), parameters)

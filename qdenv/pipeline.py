@@ -58,9 +58,7 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     def score(
         unrepaired: jax.Array, repaired: jax.Array, status: jax.Array, runs: Any
     ) -> Evaluation:
-        def one(*item: Any) -> Evaluation:
-            return score_layout(domain, config.alpha, *item)
-
+        one = partial(score_layout, domain, config.alpha)
         return jax.vmap(one)(unrepaired, repaired, status, runs)
 
     return Pipeline(
@@ -172,12 +170,8 @@ class PipelinedEvaluator:
         self._grow = jax.jit(partial(_grow_layouts, pipeline.grow))
         self._score = jax.jit(pipeline.score)
 
-    def __call__(self, parameters: Array, key: Array) -> Evaluation:
-        """Evaluate float32 [B, P]; the same arguments and result as `evaluate`."""
-        return self.begin(parameters, key)()
-
     def begin(self, parameters: Array, key: Array) -> Callable[[], Evaluation]:
-        """Begin to evaluate float32 [B, P]; what it returns waits for the evaluation."""
+        """Begin what `evaluate` does; the function that is returned waits for the evaluation."""
         with mesh.turn:
             unrepaired = np.asarray(self._grow(parameters))
         parts = self._evaluate_layouts(unrepaired, key)

@@ -39,12 +39,9 @@ class Bar:
     ) -> None:
         """Show nothing yet.
 
-        Args:
-            step: the task, like "simulating".
-            total: its size; 0 if unknown, then only the time is shown.
-            shown: whether to show anything; unless given only on a terminal.
-            unit: of `total`, of which the number and the rate are shown; such a bar appears at
-                once and stays at the end. Unless given only the share is shown.
+        Of a `total` of 0, which is unknown, only the time is shown. A bar with a `unit` shows its
+        number and rate, appears at once and stays at the end; others show the share alone. Unless
+        told whether anything is `shown`, it is on a terminal.
         """
         self._terminal, self._unit = sys.stderr.isatty(), unit
         self._bar: Any = None

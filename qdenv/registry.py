@@ -36,10 +36,8 @@ class Registry:
     def __init__(self, what: str, group: str, builtin: Mapping[str, str]) -> None:
         """Import nothing yet.
 
-        Args:
-            what: a choice as messages call it, like "planner".
-            group: entry points of installed packages that add choices, like "qdenv.planners".
-            builtin: name -> ``module:attribute`` of an `Entry`.
+        A choice is called `what` in messages, like "planner". Installed packages add some by entry
+        points of a `group`; `builtin` maps names to ``module:attribute`` of an `Entry`.
         """
         self._what, self._group = what, group
         self._references, self._looked = dict(builtin), False
@@ -58,10 +56,7 @@ class Registry:
         return tuple(dict.fromkeys((*self._references, *self._entries)))
 
     def entry(self, name: str) -> Entry:
-        """Look a choice up by name.
-
-        Raises InputError if nothing has this name, or the plug-in behind it cannot be imported.
-        """
+        """Look a choice up by name; InputError if there is none, or it cannot be imported."""
         if name not in self.names():
             raise InputError(f"unknown {self._what} {name!r}: {choices(name, self.names())}")
         if name not in self._entries:

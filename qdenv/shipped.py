@@ -40,7 +40,7 @@ class Driven:
 
 
 @dataclass(frozen=True)
-class Grown:
+class GrownLayout:
     """A generator's layout of one size."""
 
     rows: int  # of the layout
@@ -55,14 +55,14 @@ class Grown:
 
 
 @dataclass(frozen=True)
-class Generator:
+class NamedGenerator:
     """One generator."""
 
     name: str  # within its domain
     about: str  # a sentence
     cell: tuple[int, ...]  # in the archive, an index along each measure
     objective: float  # in the search
-    sizes: tuple[Grown, ...]  # layouts of it, the trained size first
+    sizes: tuple[GrownLayout, ...]  # layouts of it, the trained size first
 
 
 @dataclass(frozen=True)
@@ -85,19 +85,14 @@ class Collection:
 
     domain: str  # its name
     origin: Origin  # where they come from
-    generators: tuple[Generator, ...]  # the best first
-
-    @property
-    def folder(self) -> Path:
-        """A run directory, which is only read."""
-        return HOME / self.domain
+    generators: tuple[NamedGenerator, ...]  # the best first
 
 
 class Shipped(NamedTuple):
     """A generator of the zoo, which stands for the run it comes from."""
 
     collection: Collection  # the domain's
-    generator: Generator  # of it
+    generator: NamedGenerator  # of it
 
     def __str__(self) -> str:
         """Return its name on command lines."""
@@ -131,11 +126,7 @@ def _read(domain: str) -> Collection:
 
 
 def named(text: str) -> Shipped:
-    """Find the generator ``DOMAIN/NAME``, or the best one of ``DOMAIN``.
-
-    Raises:
-        InputError: nothing has this name; the line lists the choices.
-    """
+    """Find the generator ``DOMAIN/NAME``, or the best one of ``DOMAIN``, or raise InputError."""
     domain, _, name = text.partition("/")
     look_up(names(), domain, "domain of the zoo")
     collection = _read(domain)

@@ -224,7 +224,7 @@ def test_a_file_says_whose_it_is_and_plain_formats_say_nothing(tmp_path):
     for ending in ENDINGS:
         path = tmp_path / f"m{ending}"
         write_layout(path, parse(["X "], " X"), " X", MAZE.meanings, domain="maze-walls")
-        assert read_drawing(path).domain == ("maze-walls" if ending == ".json" else None)
+        assert read_drawing(path)[1] == ("maze-walls" if ending == ".json" else None)
 
 
 def test_an_alphabet_is_listed_with_its_meanings():

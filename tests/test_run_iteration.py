@@ -72,7 +72,7 @@ def test_one_program_in_xla_finds_what_the_pipelined_loop_on_the_host_finds(in_x
     for number in numbers:
         solutions, state = ask(state)
         key = jax.random.fold_in(on_host.evaluation_key, number)
-        evaluation = evaluator(solutions, key)
+        evaluation = evaluator.begin(solutions, key)()
         state = tell(state, solutions, evaluation.score, observed(evaluation))
     apart = on_host.algorithm.archive(state).elites()
     assert len(apart["index"]) >= 1

@@ -74,7 +74,7 @@ def test_jitted_scan_and_pipelined_loop_give_the_same_archive(finished):
     before = len(traces)
     for number in range(3):
         solutions, state = experiment.algorithm.ask(state)
-        evaluator(solutions, jax.random.key(number))
+        evaluator.begin(solutions, jax.random.key(number))()
     assert len(traces) == before + 1
 
 
@@ -189,7 +189,9 @@ def test_failed_evaluations_enter_nothing():
     state = experiment.algorithm.init(experiment.search_key)
     solutions, state = experiment.algorithm.ask(state)
     pipeline = experiment.pipeline
-    evaluation = PipelinedEvaluator(pipeline, Threads(pipeline))(solutions, jax.random.key(0))
+    evaluation = PipelinedEvaluator(pipeline, Threads(pipeline)).begin(
+        solutions, jax.random.key(0)
+    )()
     assert (np.asarray(evaluation.status) == RepairStatus.IMPOSSIBLE).all()
     assert not np.asarray(evaluation.score.success).any()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(evaluation.score))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from qdenv import score
-from qdenv.grid import count_components, parse
+from qdenv.grid import parse
 from qdenv.search.archive import GridArchive
 from qdenv.simulate.mapf.distances import goal_distances
 from qdenv.simulate.mapf.planner import UNREACHABLE
@@ -32,7 +32,9 @@ class EveryVariant(chex.TestCase):
     @EVERY()
     def test_components(self):
         """Three shelves hang together, three stand alone."""
-        found = self.variant(count_components)(jnp.asarray(LAYOUT == 1))
+        found = self.variant(lambda layout: score.components(layout, "@", ".@e"))(
+            jnp.asarray(LAYOUT)
+        )
         assert int(found) == 4
 
     @EVERY()

@@ -19,7 +19,7 @@ from qdenv.io.layouts import read_layout
 from qdenv.run.directory import RunDirectory
 from qdenv.score import entropy
 from qdenv.search.registry import ALGORITHMS
-from qdenv.shipped import Generator, named, names
+from qdenv.shipped import NamedGenerator, named, names
 from qdenv.study.elites import Unrepaired, repair_grown
 from qdenv.types import InputError
 
@@ -50,7 +50,7 @@ def stays_as_it_is() -> Iterator[None]:
     assert stamps() == before
 
 
-def generators_of(domain: str) -> list[Generator]:
+def generators_of(domain: str) -> list[NamedGenerator]:
     return list(named(domain).collection.generators)
 
 

@@ -45,12 +45,12 @@ def pipeline(
     experiment = qdenv.make_experiment(replace(qdenv.find_preset(preset), seed=seed))
     if experiment.pipeline.pool is None:
         raise qdenv.InputError(f"nothing is repaired in {preset}: choose another preset")
-    evaluate = PipelinedEvaluator(experiment.pipeline, Threads(experiment.pipeline))
+    evaluator = PipelinedEvaluator(experiment.pipeline, Threads(experiment.pipeline))
     algorithm = growing(experiment.algorithm)
 
     def step(state: Any, number: int) -> Any:
         solutions, state = algorithm.ask(state)
-        evaluation = evaluate(solutions, fold_in(experiment.evaluation_key, number))
+        evaluation = evaluator.begin(solutions, fold_in(experiment.evaluation_key, number))()
         return algorithm.tell(state, solutions, evaluation.score, observed(evaluation))
 
     first, loop = Stopwatch(), Stopwatch()

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 
-from qdenv.io.files import MEGABYTE, damaged, unreadable, write_atomically
+from qdenv.io.files import MEGABYTE, damaged, write_atomically
 from qdenv.io.records import parse_json, structured
 from qdenv.types import InputError
 
@@ -46,6 +46,8 @@ _DAMAGES = (
     ValueError,
 )
 T = TypeVar("T")
+# An array, or some rows of one ([N, ...], int [n]), which are written piece by piece.
+Content = np.ndarray | tuple[np.ndarray, np.ndarray]
 
 
 class Column(NamedTuple):
@@ -54,19 +56,6 @@ class Column(NamedTuple):
     kinds: str = "biuf"  # of numbers, as numpy's letters: b, i, u, f; U for text
     ndim: int | None = None  # number of axes; None for any
     finite: bool = False  # no NaN, no infinity
-
-
-class Rows(NamedTuple):
-    """Some rows of an array, which are copied piece by piece when they are written."""
-
-    array: np.ndarray  # [N, ...]
-    numbers: np.ndarray  # int [n], which rows
-
-
-class _Schema(NamedTuple):
-    """The fact that every state records."""
-
-    schema: int
 
 
 _ANY = Column("biufU")
@@ -87,7 +76,7 @@ def open_zip(path: Path | str) -> Iterator[zipfile.ZipFile]:
                 _check_members(archive, os.fstat(stream.fileno()).st_size, path)
                 yield archive
     except OSError as error:
-        raise unreadable(path, error) from error
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     except InputError:
         raise
     except _DAMAGES as error:
@@ -142,14 +131,9 @@ def read_arrays(
 ) -> dict[str, np.ndarray]:
     """Read the arrays of an .npz file by name, without pickle.
 
-    Args:
-        path: the file.
-        columns: arrays that must be there, by name.
-        others: what further arrays must be; None: they are not read.
-        known: what some further arrays must be, if they are there.
-
-    Raises:
-        InputError: it cannot be read, or is damaged; the line names the file and the array.
+    `columns` are those that must be there, `known` those that may. Further ones must be like
+    `others`; where that is None they are not read. Raises InputError, which names the file and the
+    array, if it cannot be read, or is damaged.
     """
     with open_zip(path) as archive:
         names = [name[:-4] for name in archive.namelist() if name.endswith(".npy")]
@@ -199,10 +183,8 @@ def _check_header(archive: zipfile.ZipFile, name: str, column: Column, path: Pat
         raise damaged(path, f"{name} has {len(shape)} axes, not {column.ndim}")
 
 
-def write_arrays(
-    path: Path, arrays: Mapping[str, np.ndarray | Rows], compressed: bool = False
-) -> None:
-    """Write named arrays as .npz, atomically; `Rows` become an array of their own."""
+def write_arrays(path: Path, arrays: Mapping[str, Content], compressed: bool = False) -> None:
+    """Write named arrays as .npz, atomically; rows become an array of their own."""
 
     def write(file: BinaryIO) -> None:
         with zipfile.ZipFile(file, "w") as archive:
@@ -210,7 +192,7 @@ def write_arrays(
                 entry = zipfile.ZipInfo(f"{name}.npy")
                 # Fractions are weights, which are noise: compressing them saves a fourteenth and
                 # takes eight times as long as all else.
-                if compressed and (isinstance(content, Rows) or content.dtype.kind != "f"):
+                if compressed and (isinstance(content, tuple) or content.dtype.kind != "f"):
                     entry.compress_type = zipfile.ZIP_DEFLATED
                 with archive.open(entry, "w", force_zip64=True) as member:
                     _write_member(member, content)
@@ -218,20 +200,21 @@ def write_arrays(
     write_atomically(path, write)
 
 
-def _write_member(member: Any, content: np.ndarray | Rows) -> None:
-    if not isinstance(content, Rows):
+def _write_member(member: Any, content: Content) -> None:
+    if not isinstance(content, tuple):
         np.lib.format.write_array(member, np.asarray(content), allow_pickle=False)
         return
-    header = np.lib.format.header_data_from_array_1_0(content.array[:0])
-    header["shape"] = (len(content.numbers), *content.array.shape[1:])
+    array, rows = content
+    header = np.lib.format.header_data_from_array_1_0(array[:0])
+    header["shape"] = (len(rows), *array.shape[1:])
     np.lib.format.write_array_header_1_0(member, header)
-    step = max(1, PIECE // max(content.array[:1].nbytes, 1))
-    for start in range(0, len(content.numbers), step):
-        member.write(content.array[content.numbers[start : start + step]].tobytes())
+    step = max(1, PIECE // max(array[:1].nbytes, 1))
+    for start in range(0, len(rows), step):
+        member.write(array[rows[start : start + step]].tobytes())
 
 
 def write_state(
-    path: Path, arrays: Mapping[str, np.ndarray | Rows], facts: Mapping[str, Any], member: str
+    path: Path, arrays: Mapping[str, Content], facts: Mapping[str, Any], member: str
 ) -> None:
     """Write the arrays of a state and, as `member`, JSON-ready facts about it, atomically."""
     text = json.dumps({"schema": SCHEMA, **facts})
@@ -249,6 +232,7 @@ def read_state(path: Path, member: str, kind: type[T]) -> tuple[dict[str, np.nda
     place = f"{path}, {member}"
     content = parse_json(arrays.pop(member).tobytes().decode(errors="replace"), place)
     # First of all: the rest of a newer one may be of another form.
-    if structured(content, _Schema, place).schema > SCHEMA:
+    schema = structured(content, dict[str, Any], place).get("schema")
+    if structured(schema, int, f"{place}, schema") > SCHEMA:
         raise InputError(f"{path} was written by a newer qdenv: please upgrade")
     return arrays, structured(content, kind, place)

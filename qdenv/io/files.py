@@ -116,20 +116,14 @@ def damaged(source: Path | str, reason: object) -> DamagedError:
     return DamagedError(f"{source}: cannot be read ({reason})")
 
 
-def unreadable(path: Path | str, error: OSError) -> InputError:
-    """Make the error for a file that the system refuses to read."""
-    return InputError(f"{path}: cannot be read ({error.strerror or error})")
-
-
 def read_bytes(path: Path | str, max_bytes: int = MAX_TEXT) -> bytes:
     """Read a whole file, or what a pipe gives; `InputError` if it cannot be read, or is bigger."""
     try:
         with open(path, "rb") as file:
             content = file.read(max_bytes + 1)
-    except OSError as error:
-        raise unreadable(path, error) from error
-    except ValueError as error:  # a name that no file can have
-        raise InputError(f"{path}: cannot be read ({error})") from error
+    except (OSError, ValueError) as error:  # the latter is for a name that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read ({reason})") from error
     if len(content) > max_bytes:
         raise damaged(path, f"bigger than {max_bytes // MEGABYTE} MB")
     return content

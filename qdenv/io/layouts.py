@@ -7,10 +7,11 @@ rows are what is simulated.
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -29,13 +30,9 @@ OPEN, BLOCKED = ".GS", "@OTW"
 _MOVING_AI = str.maketrans({**dict.fromkeys(OPEN, "."), **dict.fromkeys(BLOCKED, "#")})
 
 
-class Drawing(NamedTuple):
-    """The content of a layout file; its symbols are not checked yet."""
-
-    rows: list[str]  # the drawing
-    domain: str | None = None  # the domain that the file names, if it names one
-    # which cells must stay, if the file states it; else empty
-    keep: tuple[str, ...] = ()
+# Rows of a drawing whose symbols are not checked yet; the domain that the file names; which cells
+# must stay. None and () where the file does not state them.
+Drawing = tuple[list[str], str | None, tuple[str, ...]]
 
 
 def read_drawing(path: str | Path) -> Drawing:
@@ -44,21 +41,17 @@ def read_drawing(path: str | Path) -> Drawing:
     A byte-order mark, any kind of line ending and blank lines around the drawing are fine. Raises
     InputError if the file is missing, too big, or not what its ending says.
     """
-    ending = Path(path).suffix.lower()
-    readers = {
-        ".txt": lambda path: Drawing(_lines(path, "text")),
-        ".csv": _csv,
-        ".map": _moving_ai,
-    }
-    read = readers.get(ending, _json)
+    ending, path = Path(path).suffix.lower(), Path(path)
+    readers: dict[str, Callable[[Path], list[str]]] = {".csv": _csv, ".map": _moving_ai}
+    readers[".txt"] = partial(_lines, what="text")
     try:
-        drawing = read(Path(path))
+        drawing = (readers[ending](path), None, ()) if ending in readers else _json(path)
     except DamagedError as error:
         if ending in ENDINGS:
             raise
         raise InputError(f"{error}: layouts end in {', '.join(ENDINGS)}") from error
-    if any(drawing.rows):
-        check_size(len(drawing.rows), max(map(len, drawing.rows)), f"{path}: ")
+    if any(drawing[0]):
+        check_size(len(drawing[0]), max(map(len, drawing[0])), f"{path}: ")
     return drawing
 
 
@@ -91,14 +84,14 @@ def _json(path: Path) -> Drawing:
     if not _are_rows(rows):
         raise damaged(path, 'expected an object with a list of strings under "layout", or the list')
     kept = tuple(keep) if _are_rows(keep) else ()
-    return Drawing(rows, domain if isinstance(domain, str) else None, kept)
+    return rows, domain if isinstance(domain, str) else None, kept
 
 
 def _are_rows(value: Any) -> TypeGuard[list[str]]:
     return isinstance(value, list) and all(isinstance(row, str) for row in value)
 
 
-def _csv(path: Path) -> Drawing:
+def _csv(path: Path) -> list[str]:
     """Join a table's cells, one tile each; lines of one cell are rows as they are."""
     lines = _lines(path, "CSV")
     counts = {one: sum(line.count(one) for line in lines) for one in _DELIMITERS}
@@ -113,7 +106,7 @@ def _csv(path: Path) -> Drawing:
     except csv.Error as error:
         raise damaged(path, f"not a CSV file: {error}") from error
     if all(len(line) == 1 for line in table):
-        return Drawing([line[0] for line in table])
+        return [line[0] for line in table]
     rows = []
     for row, line in enumerate(table):
         tiles = [cell.strip() or " " for cell in line]  # an empty cell is a blank
@@ -122,14 +115,11 @@ def _csv(path: Path) -> Drawing:
                 shown = cell if len(cell) < MAX_SIDE else f"{cell[:MAX_SIDE]}..."
                 raise damaged(path, f"{shown!r} at row {row}, column {col}: a cell holds one tile")
         rows.append("".join(tiles))
-    return Drawing(rows)
+    return rows
 
 
-def _moving_ai(path: Path) -> Drawing:
-    """Read a map of the MovingAI benchmarks: a head that ends with the line ``map``, then rows.
-
-    Open ground becomes ``.`` and everything blocked ``#``; other symbols stay as they are.
-    """
+def _moving_ai(path: Path) -> list[str]:
+    """Read a map of the MovingAI benchmarks; open ground becomes ``.``, all that blocks ``#``."""
     lines = _lines(path, "map")
     names = [line.strip() for line in lines]
     if "map" not in names:
@@ -142,7 +132,7 @@ def _moving_ai(path: Path) -> Drawing:
     for name, number in sizes.items():
         if head.get(name, str(number)) != str(number):
             raise damaged(path, f"the head says {name} {head[name]}, the map has {number}")
-    return Drawing(rows)
+    return rows
 
 
 _NO_MEANINGS: Mapping[str, Tile] = MappingProxyType({})
@@ -157,7 +147,7 @@ def read_layout(
     `tiles` is the domain's alphabet, `meanings` what its symbols mean, and what else draws them.
     Raises InputError if the file is missing, too big, or holds no proper layout.
     """
-    return to_layout(read_drawing(path).rows, path, tiles, meanings)
+    return to_layout(read_drawing(path)[0], path, tiles, meanings)
 
 
 def to_layout(
@@ -172,16 +162,10 @@ def to_layout(
     Raises InputError, which names the file `path` and the domain `whose`, if the drawing is empty
     or ragged, or holds a symbol that means nothing.
     """
-    drawn = respell(rows, aliases(tiles, meanings))
-    for index, row in enumerate(drawn):
-        if strange := row.translate(dict.fromkeys(map(ord, tiles))):
-            column = row.index(strange[0])
-            raise InputError(
-                f"{path}: unknown tile {strange[0]!r} at row {index}, column {column}: "
-                f"{whose} knows {alphabet(tiles, meanings)}"
-            )
+    table = str.maketrans(aliases(tiles, meanings))
+    drawn = [row.translate(table) for row in rows]
     try:
-        return parse(drawn, tiles)
+        return parse(drawn, tiles, f"{whose} knows {alphabet(tiles, meanings)}")
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
@@ -197,12 +181,6 @@ def aliases(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> dict[str
     known = {other: symbol for symbol, tile in meanings.items() for other in tile.also}
     blanks = {other: symbol for symbol in BLANKS if symbol in tiles for other in BLANKS}
     return {other: symbol for other, symbol in (blanks | known).items() if other not in tiles}
-
-
-def respell(rows: Sequence[str], table: Mapping[str, str]) -> list[str]:
-    """Draw rows with other symbols: those of `table` in place of those it names."""
-    codes = {ord(old): new for old, new in table.items()}
-    return [row.translate(codes) for row in rows]
 
 
 def endings_for(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> tuple[str, ...]:
@@ -241,14 +219,14 @@ def write_layout(
                 f"{path}: a .map tells open ground from obstacles only, this layout also has "
                 f"{alphabet(lost, meanings)}: write a .json, .txt or .csv"
             )
-        text = head + "\n".join(respell(rows, table))
+        text = head + "\n".join(rows).translate(str.maketrans(table))
     else:
         size = {"n_row": len(rows), "n_col": len(rows[0])}
         text = json.dumps({**size, **details, "layout": rows}, indent=1)
     write_atomically(Path(path), f"{text}\n".encode())
 
 
-def _on_map(tiles: str, meanings: Mapping[str, Tile]) -> dict[str, str]:
+def _on_map(tiles: str, meanings: Mapping[str, Tile]) -> dict[str, Any]:
     """Pair the symbols that a map can hold with MovingAI's: those that read back as they were."""
     known = {symbol: symbol for symbol in tiles} | aliases(tiles, meanings)
     return {known[read]: drawn for read, drawn in ((".", "."), ("#", "@")) if read in known}

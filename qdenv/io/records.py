@@ -98,18 +98,10 @@ def structured(
 ) -> T:
     """Turn parsed JSON into a record, strictly: only whole numbers become fractions.
 
-    Dataclasses refuse unknown fields, NamedTuples ignore them.
-
-    Args:
-        content: as parsed.
-        kind: type of the record.
-        source: the file, for the message.
-        infinite: whether fractions may be infinite.
-        choices: fields whose type is that of the choice registered under its ``name``.
-
-    Raises:
-        DamagedError: a field is missing, unknown or of the wrong type; the line names it, like
-            ``domain.rows: must be a whole number, not "many"``.
+    Dataclasses refuse unknown fields, NamedTuples ignore them. The type of a field of `choices` is
+    that of the choice registered under its ``name``. Raises DamagedError, which names the `source`
+    and the field that is missing, unknown or of the wrong type, like ``domain.rows: must be a whole
+    number, not "many"``; or a fraction that is infinite, unless these are allowed.
     """
     try:
         record: T = _Reader(infinite, choices).read(content, kind, "")

@@ -43,14 +43,8 @@ def read_table(
 ) -> Iterator[T]:
     """Read a CSV file with a record per row; yield the records.
 
-    Args:
-        path: the file.
-        kind: NamedTuple of the records; columns of fields that have defaults may be missing.
-        infinite: names of the columns that may hold infinite numbers.
-        max_bytes: largest size.
-
-    Raises:
-        InputError: as `read_rows`; the line names row and column.
+    `kind` is their NamedTuple: columns of fields that have defaults may be missing. The `infinite`
+    columns may hold infinite numbers. Raises InputError as `read_rows`, with row and column.
     """
     hints = get_type_hints(kind)
     optional: Collection[str] = getattr(kind, "_field_defaults")  # noqa: B009
@@ -69,10 +63,7 @@ def read_table(
 
 
 def parse_cell(text: str, kind: type, infinite: bool = False) -> Any:
-    """Turn the text of a cell into an int, a float (finite, or not NaN), a bool or a str.
-
-    Raises ValueError if it is none.
-    """
+    """Turn a cell into an int, a float (finite, or not NaN), a bool or a str, or ValueError."""
     if kind is str:
         return text
     try:

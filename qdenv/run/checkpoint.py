@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv.io.arrays import SCHEMA, Rows, read_state, write_state
+from qdenv.io.arrays import SCHEMA, Content, read_state, write_state
 from qdenv.io.files import damaged
 from qdenv.lazy import jax, jnp
 from qdenv.search.store import stores_in
@@ -95,7 +95,7 @@ def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
 
     Raises InputError if the file cannot be written.
     """
-    arrays: dict[str, np.ndarray | Rows] = {}
+    arrays: dict[str, Content] = {}
     leaves = [_as_bits(leaf) for leaf in jax.tree.leaves(state)]
     for number, leaf in enumerate(leaves):
         arrays[f"{number}.rows"] = leaf
@@ -103,7 +103,7 @@ def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
             # Most cells of an archive are empty for most of a run: their rows are zeros.
             held = np.flatnonzero(leaf.reshape(len(leaf), -1).any(axis=1)).astype(np.int32)
             arrays[f"{number}.changed"] = held
-            arrays[f"{number}.rows"] = Rows(leaf, held)
+            arrays[f"{number}.rows"] = leaf, held
     lengths = [leaf.shape[0] if leaf.ndim else 0 for leaf in leaves]
     write_state(path, arrays, {"lengths": lengths, **manifest}, _MANIFEST)
 

@@ -36,7 +36,7 @@ from qdenv.run.archive import ArchiveSchema, Elite, SavedArchive
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
 from qdenv.run.log import METRICS, Metrics, read_metrics
 from qdenv.search.axes import Axis, axes_of
-from qdenv.shipped import Shipped, find
+from qdenv.shipped import HOME, Shipped, find
 from qdenv.types import InputError, Measure
 
 _SCHEMA = 2  # of run directories; 1 was never released
@@ -120,7 +120,7 @@ class RunDirectory:
         Raises InputError if there is none, or a newer qdenv wrote it.
         """
         shipped = find(path)
-        run = cls(shipped.collection.folder, shipped) if shipped else cls(Path(path))
+        run = cls(HOME / shipped.collection.domain, shipped) if shipped else cls(Path(path))
         if not (run.path / "config.json").exists():
             raise InputError(f"{path}: no run here (config.json is missing)")
         if read_json(run.path / "manifest.json", _Version).schema > _SCHEMA:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import DOMAINS, FREE, SAME, Domain, check_shape, find_domain
-from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing, respell, to_layout
+from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing, to_layout
 from qdenv.repair.rules import impossible
 from qdenv.types import InputError
 
@@ -61,8 +61,7 @@ def read_plan(path: str | Path, domain: str | None = None) -> Plan:
     Raises:
         InputError: the file holds no layout, or says that it is another domain's.
     """
-    drawing = read_drawing(path)
-    stated = drawing.domain
+    rows, stated, keep = read_drawing(path)
     if stated and domain and stated != domain and stated in DOMAINS.names():
         raise InputError(f"{path}: the file says {stated}: leave --domain out, or change the file")
     if stated and not domain and stated not in DOMAINS.names():
@@ -71,9 +70,9 @@ def read_plan(path: str | Path, domain: str | None = None) -> Plan:
             f"--domain chooses one of {', '.join(DOMAINS.names())}"
         )
     name = domain or stated
-    found = find_domain(name) if name else _guess_domain(set("".join(drawing.rows)))
-    layout = to_layout(drawing.rows, path, found.tiles, found.meanings, found.name)
-    return Plan(Path(path).stem, layout, found, assumed=not name, keep=drawing.keep)
+    found = find_domain(name) if name else _guess_domain(set("".join(rows)))
+    layout = to_layout(rows, path, found.tiles, found.meanings, found.name)
+    return Plan(Path(path).stem, layout, found, assumed=not name, keep=keep)
 
 
 def _guess_domain(symbols: set[str]) -> Domain:
@@ -98,10 +97,10 @@ def keep_from(path: str | Path, domain: Domain, layout: np.ndarray | None = None
         InputError: the file is no such drawing, asks for what the plan does not hold, or for what
             no layout can be.
     """
-    known = aliases(domain.tiles, domain.meanings)
     # In a drawing of what stays, blanks are no second symbol of a tile.
-    table = {one: symbol for one, symbol in known.items() if one not in BLANKS + FREE + SAME}
-    rows = respell(read_drawing(path).rows, table)
+    known: dict[str, Any] = aliases(domain.tiles, domain.meanings)
+    own = {one: known[one] for one in known if one not in BLANKS + FREE + SAME}
+    rows = [row.translate(str.maketrans(own)) for row in read_drawing(path)[0]]
     try:
         check_shape(rows, domain.shape)
         cells = tuple(
