@@ -21,7 +21,7 @@ from qdenv.generate import GENERATORS
 from qdenv.repair.pool import RepairPool, repair_in_jit
 from qdenv.score import similarity
 from qdenv.settings import EvaluationConfig
-from qdenv.types import Array, Evaluation, Repair, RepairStatus, Score
+from qdenv.types import Array, Evaluation, RepairStatus, Score
 
 
 class Pipeline(NamedTuple):
@@ -129,19 +129,12 @@ def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evalu
     result has a leading axis B.
     """
     unrepaired = _grow_layouts(pipeline.grow, parameters)
-    if pipeline.pool is None:
-        repair = jax.vmap(unrepaired_as_is)(unrepaired)
-    else:
+    repaired, status = unrepaired, jnp.full(len(unrepaired), RepairStatus.OPTIMAL, jnp.int32)
+    if pipeline.pool is not None:
         repair = repair_in_jit(pipeline.pool, unrepaired, pipeline.repair_seed)
-    repaired, status = jnp.asarray(repair.layout), jnp.asarray(repair.status)
+        repaired, status = jnp.asarray(repair.layout), repair.status
     runs = pipeline.simulate(repaired, jnp.arange(unrepaired.shape[0]), key)
     return pipeline.score(unrepaired, repaired, status, runs)
-
-
-def unrepaired_as_is(layout: Array) -> Repair:
-    """Pass a layout of a domain without rules through unchanged."""
-    nothing = np.zeros((), np.float32)
-    return Repair(layout, np.array(RepairStatus.OPTIMAL, np.int32), nothing, nothing, nothing)
 
 
 class Outcomes(NamedTuple):

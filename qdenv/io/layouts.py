@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
@@ -80,15 +80,16 @@ def _json(path: Path) -> Drawing:
     """Find the rows in an object with "layout", or in a plain list."""
     content = parse_json(read_text(path, _MAX_BYTES, "JSON"), path)
     content = content if isinstance(content, dict) else {"layout": content}
-    rows, domain, keep = (content.get(name) for name in ("layout", "domain", "keep"))
-    if not _are_rows(rows):
+    drawings = {
+        name: value
+        for name, value in content.items()
+        if isinstance(value, list) and all(isinstance(row, str) for row in value)
+    }
+    if "layout" not in drawings:
         raise damaged(path, 'expected an object with a list of strings under "layout", or the list')
-    kept = tuple(keep) if _are_rows(keep) else ()
-    return rows, domain if isinstance(domain, str) else None, kept
-
-
-def _are_rows(value: Any) -> TypeGuard[list[str]]:
-    return isinstance(value, list) and all(isinstance(row, str) for row in value)
+    domain = content.get("domain")
+    keep = tuple(drawings.get("keep", ()))
+    return drawings["layout"], domain if isinstance(domain, str) else None, keep
 
 
 def _csv(path: Path) -> list[str]:

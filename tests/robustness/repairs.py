@@ -7,8 +7,15 @@ import highspy
 import numpy as np
 
 import qdenv
-from qdenv.repair.milp.feasibility import is_refuted
-from qdenv.repair.milp.highs import add_cuts, load, new_solver, round_up, separate
+from qdenv.repair.milp.feasibility import build_free
+from qdenv.repair.milp.highs import (
+    add_cuts,
+    load,
+    new_solver,
+    round_up,
+    separate,
+    solve_relaxation,
+)
 from qdenv.repair.milp.program import build, decode
 from qdenv.repair.recipe import repair_layout
 from qdenv.repair.rules import Facts
@@ -81,8 +88,10 @@ def attempt(rng: np.random.Generator, folder: Path) -> Attempt:
     facts, faults = Facts(task.rules), []
     if status < RepairStatus.IMPOSSIBLE:
         faults += faults_of(task, np.asarray(layout), cost, float(repair.lower_bound))
-        if facts.free_cells <= REFUTED and is_refuted(facts):
-            faults.append("a layout was found although the relaxation has none")
+        if facts.free_cells <= REFUTED:
+            relaxed = solve_relaxation(build_free(facts, spanned=True))
+            if relaxed.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
+                faults.append("a layout was found although the relaxation has none")
     elif not np.array_equal(layout, task.layout):
         faults.append(f"{status.name}, but the layout was changed")
     notes = {status.name: 1}

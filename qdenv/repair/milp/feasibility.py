@@ -57,25 +57,20 @@ def find_possible(facts: Facts, progress: Progress = silent) -> Existence:
         return _answers[key]
 
 
-def is_refuted(facts: Facts) -> bool:
-    """Return True if not even the relaxation has a solution: then no layout obeys the rules."""
-    status = solve_relaxation(_build_free(facts, spanned=True)).getModelStatus()
-    return bool(status == highspy.HighsModelStatus.kInfeasible)
-
-
 def _decide(facts: Facts, progress: Progress) -> Existence:
     """Try the relaxation, then the solver or the packer."""
     if facts.free_cells > MAX_CELLS:
         return RepairStatus.FAILED, None
     progress("checking whether any layout exists", 0.0, "")
-    if is_refuted(facts):
+    relaxed = solve_relaxation(build_free(facts, spanned=True))
+    if relaxed.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
         return RepairStatus.IMPOSSIBLE, None
     if facts.free_cells > _BRANCHED_CELLS:
         layout = pack(facts, progress)
         return RepairStatus.FAILED if layout is None else RepairStatus.ANNEALED, layout
     # Solve with more and more connectivity cuts, until a layout obeys every rule or none can. Wide
     # aisles exclude more than a tree, which takes ten times as long.
-    program, rng = _build_free(facts, spanned=facts.rules.aisle <= 1), np.random.default_rng(0)
+    program, rng = build_free(facts, spanned=facts.rules.aisle <= 1), np.random.default_rng(0)
     solver = load(new_solver(0), program)
     solver.setOptionValue("mip_max_nodes", _NODES)
     for _ in range(_ROUNDS):
@@ -97,7 +92,7 @@ def _decide(facts: Facts, progress: Progress) -> Existence:
     return RepairStatus.FAILED, None
 
 
-def _build_free(facts: Facts, spanned: bool) -> Program:
+def build_free(facts: Facts, spanned: bool) -> Program:
     """Build the program in which every layout costs nothing; `spanned` with `_span`'s rows."""
     program = build(facts.any_layout, facts)
     program = program._replace(cost=np.zeros_like(program.cost), constant=0.0)

@@ -19,10 +19,10 @@ import numpy as np
 
 from qdenv import devices
 from qdenv.mesh import turn
-from qdenv.pipeline import Outcomes, Pipeline, joined, make_pipeline, unrepaired_as_is
+from qdenv.pipeline import Outcomes, Pipeline, joined, make_pipeline
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
 from qdenv.run.executors.dask import REMEMBERED, ClusterExecutor, Task
-from qdenv.types import Array, Repair
+from qdenv.types import Array, Repair, RepairStatus
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -81,7 +81,8 @@ def _repair(pipeline: Pipeline, layout: np.ndarray) -> Future[Repair]:
     if pipeline.pool is not None:
         return pipeline.pool.submit(layout, pipeline.repair_seed)
     untouched: Future[Repair] = Future()
-    untouched.set_result(unrepaired_as_is(layout))
+    status, nothing = np.int32(RepairStatus.OPTIMAL), np.float32(0)
+    untouched.set_result(Repair(layout, status, nothing, nothing, nothing))
     return untouched
 
 
