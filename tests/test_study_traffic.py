@@ -209,13 +209,18 @@ def test_compiling_is_not_counted_as_simulating(monkeypatch):
     order = []
     from qdenv.study import engine
 
-    real = engine._Program.drive
+    real = engine.fleet.compile_runs
 
-    def drive(program, world, seed, agents):
-        order.append((seed, agents))
-        return real(program, world, seed, agents)
+    def compile_runs(*given):
+        run = real(*given)
 
-    monkeypatch.setattr(engine._Program, "drive", drive)
+        def drive(world, seed, agents):
+            order.append((seed, agents))
+            return run(world, seed, agents)
+
+        return drive
+
+    monkeypatch.setattr(engine.fleet, "compile_runs", compile_runs)
     # A clock that only runs add to: the first of all, without agents, 17 s, each other one 1 s.
     seconds = {0: 17.0, 7: 1.0}
     clock = lambda: sum(seconds[agents] for _, agents in order)  # noqa: E731
