@@ -14,11 +14,12 @@ from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.layouts import write_layout
+from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.elites import human_layout
-from qdenv.study.plans import read_plan
+from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
 from qdenv.view.page import listed
-from qdenv.view.report_fleet import counts_around
+from qdenv.view.report_fleet import make_request
 from qdenv.view.report_subjects import Subject, find_rival
 from qdenv.view.style import to_svg
 
@@ -217,10 +218,14 @@ def test_layouts_and_runs_are_of_one_domain_and_named_once(folder):
     assert list(page.facts["layouts"]) == ["maze-walls/best", "maze-walls/open"]
 
 
-def test_numbers_of_robots_are_chosen_around_the_one_in_question():
-    assert counts_around(200, 948) == (100, 150, 200, 250, 300)
-    assert counts_around(200, 210) == (100, 150, 200, 210)
-    assert counts_around(1, 9) == (1, 2) and counts_around(2, 9) == (1, 2, 3)
+@pytest.mark.parametrize(
+    ("agents", "counts"),
+    [(200, (100, 150, 200, 250, 300)), (800, (400, 600, 800, 948)), (1, (1, 2)), (2, (1, 2, 3))],
+)
+def test_numbers_of_robots_are_chosen_around_the_one_in_question(agents, counts):
+    plan = Plan("a", human_layout(WAREHOUSE), WAREHOUSE, False)  # of 948 free cells
+    request = make_request([Subject("a", "a.json", plan)], [agents], None, FleetConfig, (0,))
+    assert request.counts == counts and request.config.agents == counts[-1]
 
 
 def test_figures_keep_their_names_apart_and_their_text_as_text():

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from qdenv.io.files import tidy, write_atomically
-from qdenv.stats import Sample, margin
+from qdenv.stats import margin
 from qdenv.study.table import Row
 from qdenv.types import InputError
 
@@ -32,7 +32,7 @@ def listed(values: Sequence[Any]) -> str:
 
 def _interval(row: Row, digits: int) -> str:
     """Write the 95 % interval of a row's mean throughput; "" for one run."""
-    half = margin(Sample(row.mean_of_all, row.error_of_all, row.runs))
+    half = margin(row.sample_of_all)
     if np.isnan(half):
         return ""
     return f"{max(row.mean_of_all - half, 0.0):.{digits}f} to {row.mean_of_all + half:.{digits}f}"
@@ -83,15 +83,10 @@ def make_page(
     packed: Mapping[str, np.ndarray | bytes | str] | None = None,
     **content: Any,
 ) -> Page:
-    """Fill a template.
+    """Fill a template, named without its ending as the scripts are, with the variables `content`.
 
-    Args:
-        template: name of a file in `templates`, without its ending.
-        title: of the browser's window.
-        scripts: names of files in `scripts`, without their endings, in order.
-        facts: JSON-ready values, or numpy's; scripts read them as ``facts``.
-        packed: arrays, bytes, or what `pack` returned; scripts await ``unpack(name)``.
-        **content: the variables of the template.
+    Scripts read ``facts``, which are JSON-ready values, or numpy's, and await ``unpack(name)`` of
+    the packed arrays, bytes, or texts that `pack` returned.
 
     Raises:
         InputError: jinja2 is not installed.

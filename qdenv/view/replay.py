@@ -108,11 +108,10 @@ def about_episode(motion: Motion, seed: int) -> list[str]:
 def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
     """Turn a recording into small arrays, agent by agent.
 
-    Returns:
-        starts and goals: uint32 [A], the first cells; moves: uint8 [A, ceil(E / 3)], three digits
-        to base 5 each, the first one the highest; counts: uint32 [A], tasks finished by each;
-        times and next: uint32 [sum of counts], the step of each, and the goal from then on;
-        headings: uint8 [E + 1], empty for robots.
+    These are starts and goals: uint32 [A], the first cells; moves: uint8 [A, ceil(E / 3)], three
+    digits to base 5 each, the first one the highest; counts: uint32 [A], tasks finished by each;
+    times and next: uint32 [sum of counts], the step of each, and the goal from then on; headings:
+    uint8 [E + 1], empty for robots.
 
     Raises:
         InputError: a robot moved by more than one cell.

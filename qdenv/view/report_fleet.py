@@ -11,7 +11,7 @@ import numpy as np
 from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
-from qdenv.stats import Sample, difference
+from qdenv.stats import difference
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.recordings import FADING, cells_with_half, worst_cells
 from qdenv.study.table import Row, Trial, about, compare, find_capacity, find_peak
@@ -25,6 +25,7 @@ from qdenv.view.style import to_svg
 from qdenv.view.traffic import draw_panel, make_scene
 
 _MAP = 5.6  # inches of maps of floor plans
+_SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)  # of a single number of agents, to compare it with
 
 
 class FleetRequest(NamedTuple):
@@ -77,15 +78,10 @@ def make_request(
     if single is not None:
         every = [*layouts, *(one.layout for one in rivals if one.layout is not None)]
         most = min(int(of_tiles(one, tasks.traversable, tasks.tiles).sum()) for one in every)
-        counts = counts_around(single, max(most, single))
+        shares = {max(1, round(share * single)) for share in _SHARES}
+        counts = tuple(sorted({min(count, max(most, single)) for count in shares}))
     made = config(max(counts), timesteps)
     return FleetRequest(subjects, rivals, single, counts, made, seeds, note, per_hour)
-
-
-def counts_around(agents: int, most: int) -> tuple[int, ...]:
-    """Choose numbers of agents from half of one to half as many again, at most `most`."""
-    shares = (0.5, 0.75, 1.0, 1.25, 1.5)
-    return tuple(sorted({min(max(1, round(share * agents)), most) for share in shares}))
 
 
 def estimate_seconds(request: FleetRequest, row: Row, threads: int) -> float:
@@ -127,16 +123,12 @@ def report_fleet(
         rival, differences = content["rival"], content["differences"]
         layouts.append(content | _draw(one, study, rival, number, config))
         # By the names that `qdenv simulate` and `compare` give them.
-        facts[one.name] = facts_of(study, one.plan.layout) | {"source": one.source}
-        facts[one.name]["hand_made"] = None
-        if differences:
-            facts[one.name]["hand_made"] = {
-                "layout": rival.name,
-                "about": rival.about,
-                "differences": [
-                    {"agents": row.agents, **apart._asdict()} for row, _, apart in differences
-                ],
-            }
+        apart = [{"agents": row.agents, **apart._asdict()} for row, _, apart in differences]
+        against = {"layout": rival.name, "about": rival.about, "differences": apart}
+        facts[one.name] = facts_of(study, one.plan.layout) | {
+            "source": one.source,
+            "hand_made": against if apart else None,
+        }
     return make_report(
         "fleet",
         f"{listed([one.name for one in subjects])}: {agents} robots",
@@ -163,11 +155,9 @@ def _compare(subject: Subject, rival: Rival, rows: list[Row], agents: int) -> di
         theirs = {row.agents: row for row in rows if row.layout == rival.name}
         for row in own:
             # Over all runs, as `qdenv compare` does.
-            samples = [
-                Sample(one.mean_of_all, one.error_of_all, one.runs)
-                for one in (row, theirs[row.agents])
-            ]
-            differences.append((row, theirs[row.agents], difference(*samples)))
+            other = theirs[row.agents]
+            apart = difference(row.sample_of_all, other.sample_of_all)
+            differences.append((row, other, apart))
     row = next(row for row in own if row.agents == agents)
     return {
         "name": subject.name,
@@ -188,10 +178,8 @@ def _draw(
     domain, layout, maps = subject.plan.domain, subject.plan.layout, study.maps
     assert maps is not None
     scene = make_scene(subject.plan, study, config.stop_when_congested)
-    plan, contents = (
-        draw_plan(layout, domain.tiles, domain.names),
-        describe_contents(layout, domain),
-    )
+    plan = draw_plan(layout, domain.tiles, domain.names)
+    contents = describe_contents(layout, domain)
     content = {
         "title": f"{subject.name} ({contents})",
         "contents": contents,

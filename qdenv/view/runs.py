@@ -146,14 +146,9 @@ def plot_run(
 ) -> list[Path]:
     """Draw archive.png, progress.png and best_layout.png of a run, notes.png if it has notes.
 
-    Args:
-        run: the run, or its folder.
-        folder: where to; the run's own unless given.
-        form: ending of the pictures: png, svg or pdf.
-        width: of archive and progress in inches; what suits a screen unless given.
-
-    Returns:
-        the pictures, without one of the best layout if the archive is empty.
+    They go to `folder`, the run's own unless given, in the form png, svg or pdf; archive and
+    progress are `width` inches wide, or suit a screen. Return the pictures, without one of the best
+    layout if the archive is empty.
 
     Raises:
         InputError: the run has saved no archive yet, a file of it is damaged, or it ships with the

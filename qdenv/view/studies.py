@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from qdenv.stats import Sample, margin
+from qdenv.stats import margin
 from qdenv.study.table import Peak, Row, differences
 from qdenv.view import PAGE
 from qdenv.view.style import (
@@ -53,7 +53,6 @@ def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
         below.set_xlabel("agents")
         add_legend(figure, *above.get_legend_handles_labels())
     above.set(ylabel=_THROUGHPUT, ylim=(0, None))
-    _set_rates(below)
     if width < ABREAST:
         meaning = meaning.replace(" above, ", " above,\n").replace(", over all", ",\nover all")
     figure.supxlabel(meaning, fontsize=SMALL, color=GREY)
@@ -84,11 +83,8 @@ def draw_over_agents(rows: Sequence[Row], success: bool = False, width: float = 
     """
     figure = new_figure(width, 0.48 * width)
     axes = figure.subplots()
-    if success:
-        _draw_lines(axes, rows, "success")
-        _set_rates(axes)
-    else:
-        _draw_lines(axes, rows, "mean")
+    _draw_lines(axes, rows, "success" if success else "mean")
+    if not success:
         axes.set(ylabel=_THROUGHPUT, ylim=(0, None))
     axes.set(xlabel="robots")
     axes.grid()
@@ -121,14 +117,15 @@ def _draw_points(
         errors = np.nan_to_num([row.standard_error for row in rows])
     elif kind == "mean":
         values = [row.mean_of_all for row in rows]
-        samples = [Sample(row.mean_of_all, row.error_of_all, row.runs) for row in rows]
-        errors = np.nan_to_num([margin(sample) for sample in samples])
+        errors = np.nan_to_num([margin(row.sample_of_all) for row in rows])
     else:
         values = [row.success_rate for row in rows]
         low = [row.success_rate - row.success_low for row in rows]
         high = [row.success_high - row.success_rate for row in rows]
         # Rounding may put an end of the interval a hair beyond the rate, which matplotlib refuses.
         errors = np.maximum([low, high], 0)
+        axes.set(ylabel="never congested", ylim=(-0.05, 1.05))
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     label, look = format_name(rows[0].layout), _look(number)
     axes.errorbar(places, values, errors, label=label, elinewidth=0.8, **look)
 
@@ -136,11 +133,6 @@ def _draw_points(
 def _look(number: int) -> dict[str, Any]:
     """Return colour and marker of a layout."""
     return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
-
-
-def _set_rates(axes: Axes) -> None:
-    axes.set(ylabel="never congested", ylim=(-0.05, 1.05))
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
 def _by_layout(rows: Sequence[Row]) -> list[list[Row]]:
