@@ -27,6 +27,7 @@ def repair_twice(layouts: np.ndarray, rules: Rules) -> tuple[np.ndarray, np.ndar
     return together.layout, together.cost
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "shape"), SIZES)
 def test_every_random_map_and_every_mutation_of_one_becomes_feasible(kind, shape):
     rules = rules_at_size(kind, shape)

@@ -99,6 +99,7 @@ def test_ways_longer_than_a_short_integer_are_counted_in_full(reverse):
     np.testing.assert_array_equal(found, expected[cells[:: 7 if reverse else -7]])
 
 
+@pytest.mark.slow
 def test_xla_measures_large_grids_with_longer_integers():
     free = snake(259, 264)
     free[16:] = False  # a part of it, which XLA fills in a second

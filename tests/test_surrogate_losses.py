@@ -46,6 +46,7 @@ def first_losses(rng, weights):
     return fitted, samples, losses, surrogate.predict(fitted, samples.drawn)
 
 
+@pytest.mark.slow
 def test_the_loss_of_maps_is_the_mean_cross_entropy_of_their_tiles(rng):
     fitted, samples, losses, _ = first_losses(rng, ())
     network, variables = MapPredictor(4, 1, 3), fitted.learners["repair"].variables
