@@ -24,10 +24,7 @@ from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
 
-PLAN = parse(
-    ROWS,
-    TILES,
-)
+PLAN = parse(ROWS, TILES)
 FLEET = {"agents": 4, "timesteps": 40, "seeds": 2, "planner": "pibt"}
 
 PIBT = {"timesteps": 40, "planner": "pibt"}  # which compiles fast

@@ -39,14 +39,7 @@ ALLOWED = {
     "mesh": set(),
     "pipeline": BASE | STAGES | {"domains.base", "devices", "mesh", "settings"},
     "surrogate": {"types", "ranges"},
-    "search": {
-        "types",
-        "ranges",
-        "lazy",
-        "io",
-        "registry",
-        "surrogate",
-    },
+    "search": {"types", "ranges", "lazy", "io", "registry", "surrogate"},
     "shipped": {"types", "io"},
     "configurations": BASE | STAGES | {"domains", "search", "settings", "surrogate", "run.config"},
     "run": BASE

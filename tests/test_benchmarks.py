@@ -72,10 +72,7 @@ def test_an_outer_loop_is_estimated_from_iterations_and_steps():
 
 @pytest.mark.parametrize(
     ("preset", "shape", "kinds", "repairs", "size"),
-    [
-        ("warehouse-even", (33, 36), 4, True, 33 * 32),
-        ("maze-walls", (18, 18), 2, False, 256),
-    ],
+    [("warehouse-even", (33, 36), 4, True, 33 * 32), ("maze-walls", (18, 18), 2, False, 256)],
 )
 def test_a_preset_decides_what_is_searched(preset, shape, kinds, repairs, size):
     problem = search.search_problem(preset)

@@ -160,16 +160,6 @@ def test_simulate_refuses_what_no_fleet_can_drive_on(rows, agents, reason, tmp_p
     assert reason in said and said.count("\n") == 1 and "Traceback" not in said
 
 
-@pytest.mark.parametrize("command", ["simulate", "repair", "check"])
-@pytest.mark.parametrize("content", ["", "{}", '{"layout": ["..", "."]}', '{"layout": ["?"]}'])
-def test_malformed_layouts_give_one_line(command, content, tmp_path, capsys):
-    path = tmp_path / "bad.json"
-    path.write_text(content)
-    assert run([command, str(path)]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("qdenv: ") and said.count("\n") == 1
-
-
 def test_presets_hold_the_papers_numbers(capsys):
     assert run(["presets"]) == 0
     said = capsys.readouterr().out

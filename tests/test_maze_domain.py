@@ -12,13 +12,7 @@ from qdenv.domains.base import find_domain, make_domain
 from qdenv.domains.maze import MazeConfig
 from qdenv.grid import parse
 from qdenv.nca import NcaConfig
-from qdenv.pipeline import (
-    EvaluationConfig,
-    evaluate,
-    make_pipeline,
-    score_layout,
-    simulate_layouts,
-)
+from qdenv.pipeline import EvaluationConfig, evaluate, make_pipeline, score_layout, simulate_layouts
 from qdenv.score import entropy
 from qdenv.simulate.maze.policy import draw_weights
 from qdenv.types import RepairStatus

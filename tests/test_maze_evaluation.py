@@ -22,7 +22,6 @@ from qdenv.agent.evaluate import (
 from qdenv.cli.main import run
 from qdenv.io.layouts import read_layout
 from qdenv.simulate.maze.policy import load_weights
-from qdenv.stats import wilson_interval
 from qdenv.types import InputError
 from qdenv.view.layouts import COLOURS, MARKS
 from qdenv.view.layouts import draw_mazes as draw_panels
@@ -39,14 +38,6 @@ def random_mazes(seed, count, rows, cols, walls, *which, **how) -> np.ndarray:
 def success_rates(agent, layouts, runs) -> np.ndarray:
     rates = [evaluate_agent(agent, one, seed, runs).rate for seed, one in enumerate(layouts)]
     return np.array(rates)
-
-
-@pytest.mark.parametrize(
-    ("successes", "runs", "low", "high"),
-    [(93, 100, 0.8625, 0.9657), (0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (1, 1, 0.2065, 1.0)],
-)
-def test_wilson_interval(successes, runs, low, high):
-    np.testing.assert_allclose(wilson_interval(successes, runs), (low, high), atol=5e-5)
 
 
 def test_random_mazes_have_the_walls_and_the_path_asked_for():

@@ -61,6 +61,10 @@ MISTAKES = {
     "simulate nowhere.txt": "cannot be read",
     "check ragged.txt": "row 1 of the layout has 3 tiles, row 0 has 11",
     "check strange.txt": "'?' at row 2, column 1",
+    "simulate strange.txt": "'?' at row 2, column 1",
+    "repair ragged.txt": "row 1 of the layout has 3 tiles, row 0 has 11",
+    "repair empty.txt": "empty.txt",
+    "check no_layout.json": "list of strings",
     "check run": "cannot be read",
     "simulate empty.txt": "empty.txt",
     "simulate uneven.json --domain warehouse-even": "warehouse-uneven",
@@ -118,6 +122,21 @@ MISTAKES = {
     "sweep plan.txt --agents 50:10": "agents '50:10'",
     "sweep plan.txt --agents 1:99999999999": "agents",
     "compare plan.txt --agents 1-5": "write 200, or 50,100, or 50:400:50",
+    **{
+        f"{command} {mistake}": said
+        for command in ("compare", "scalability")
+        for mistake, said in {
+            "nowhere.json": "nowhere.json: cannot be read",
+            "plan.txt --agents 900": "plan: 900 agents",
+            "plan.txt --agents many": "write 200, or 50,100",
+            "plan.txt --domain manufacturing": "unknown tile",
+            "plan.txt --domain moon": "unknown domain",
+            "plan.txt --planner moon": "unknown planner",
+            "plan.txt --seeds 0": "at least one seed",
+            "plan.txt --timesteps 0": "timesteps must be at least 1, not 0",
+        }.items()
+    },
+    "scalability": "at least one layout",
     "scalability plan.txt --agents 500": "do not fit",
     "repair plan.txt --shelves 70": "no repair exists",
     # Searches that cannot succeed.
@@ -136,6 +155,7 @@ MISTAKES = {
     "train quick --alpha nan": "alpha must be a finite number",
     "train quick --steps -3": "steps must be at least 1, not -3",
     "train quick --kernel-sizes 2": "odd",
+    "train quick --hidden 0": "hidden must be at least 1, not 0",
     "train-agent --steps 0": "steps must be at least 1, not 0",
     "train-agent --report-every 0": "report-every must be at least 1, not 0",
     "train-agent --levels.textured 1.5": "textured must be at most 1, not 1.5",
@@ -200,6 +220,7 @@ def folder(tmp_path_factory):
     (folder / "ragged.txt").write_text("...........\n...\n")
     (folder / "strange.txt").write_text("....\n....\n.?..\n")
     (folder / "empty.txt").write_text("")
+    (folder / "no_layout.json").write_text("{}")
     (folder / "thin.txt").write_text("....\n" * 5)
     (folder / "sealed.json").touch(0o444)
     (folder / "taken").touch()

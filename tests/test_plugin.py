@@ -57,36 +57,11 @@ def test_the_readme_shows_this_very_package():
 def test_commands_know_the_domain_the_planner_and_the_algorithm(command, tmp_path):
     """`RunDirectory` is not asked for the configuration here: this process lacks the plug-in."""
     path = tmp_path / "run"
-    small = [
-        "--rows",
-        "8",
-        "--cols",
-        "9",
-        "--trees",
-        "9",
-        "--agents",
-        "3",
-        "--timesteps",
-        "40",
-        "--steps",
-        "4",
-        "--hidden",
-        "4",
-    ]
-    small += [
-        "--simulations",
-        "1",
-        "--evaluations",
-        "12",
-        "--batch",
-        "6",
-        "--sigma",
-        "0.5",
-        "--no-progress",
-    ]
+    small = "--rows 8 --cols 9 --trees 9 --agents 3 --timesteps 40 --steps 4 --hidden 4 "
+    small += "--simulations 1 --evaluations 12 --batch 6 --sigma 0.5 --no-progress"
     chosen = ["--domain", "orchard", "--planner", "turns", "--algorithm", "mutate-best"]
     chosen += ["--planner.noise", "2.5"]
-    command("train", "quick", *chosen, *small, "--run-dir", path)
+    command("train", "quick", *chosen, *small.split(), "--run-dir", path)
     config = json.loads((path / "config.json").read_text())
     domain = config["evaluation"]["domain"]
     assert (domain["name"], domain["trees"]) == ("orchard", 9)

@@ -125,14 +125,8 @@ def test_audit_agrees_with_the_slow_oracle_on_every_tiny_layout():
         (yard(3, 4, 13, 13), "only 12 cells"),
         (yard(3, 4, 5, 3), "at least 5 and at most 3"),
         (yard(9, 9, 60, 60), "connected driving area can reach at most"),
-        (
-            shelved(800),
-            "reach at most 726",
-        ),
-        (
-            shelved(5000),
-            "only 1056 cells",
-        ),
+        (shelved(800), "reach at most 726"),
+        (shelved(5000), "only 1056 cells"),
     ],
 )
 def test_impossible_rules_are_named(rules, words):

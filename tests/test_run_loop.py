@@ -34,13 +34,6 @@ class CountedGarden(toy.GardenConfig):
     """A garden whose simulator counts how often it is traced."""
 
 
-def same(left: dict, right: dict) -> bool:
-    """Compare dictionaries of arrays bit for bit."""
-    return left.keys() == right.keys() and all(
-        left[name].tobytes() == right[name].tobytes() for name in left
-    )
-
-
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory) -> RunDirectory:
     path = tmp_path_factory.mktemp("run") / "whole"
@@ -68,7 +61,7 @@ def test_jitted_scan_and_pipelined_loop_give_the_same_archive(finished):
     state = whole(state)
     whole(state)
     assert len(traces) == before + 1
-    assert same(experiment.algorithm.archive(state).elites(), finished.archive.columns)
+    assert toy.same(experiment.algorithm.archive(state).elites(), finished.archive.columns)
 
     evaluator = PipelinedEvaluator(experiment.pipeline, Threads(experiment.pipeline))
     before = len(traces)
@@ -103,7 +96,7 @@ def test_resumed_run_ends_at_the_same_bits(finished, tmp_path):
     config = replace(toy.CONFIG, evaluations=24)
     loop.train(config, tmp_path / "half", progress=False)
     resumed = loop.resume(tmp_path / "half", False, toy.CONFIG.evaluations)
-    assert same(resumed.archive.columns, finished.archive.columns)
+    assert toy.same(resumed.archive.columns, finished.archive.columns)
     without_time = [row._replace(seconds=0) for row in resumed.read_metrics()]
     assert without_time == [row._replace(seconds=0) for row in finished.read_metrics()]
 
@@ -149,7 +142,7 @@ def test_killed_run_resumes_to_the_same_bits(where, finished, tmp_path):
     for file in theirs:
         file.write_text("theirs")
     resumed = loop.resume(path, progress=False)
-    assert same(resumed.archive.columns, finished.archive.columns)
+    assert toy.same(resumed.archive.columns, finished.archive.columns)
     assert {file for file in path.rglob(".*") if file.name != ".lock"} == theirs
 
 
@@ -243,4 +236,4 @@ def test_a_full_disk_keeps_what_was_written(finished, tmp_path, monkeypatch):
     monkeypatch.undo()
     assert before == {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
     resumed = loop.resume(run.path, progress=False, evaluations=48)
-    assert same(resumed.archive.columns, finished.archive.columns)
+    assert toy.same(resumed.archive.columns, finished.archive.columns)

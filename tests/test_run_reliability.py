@@ -28,12 +28,6 @@ HERE = Path(__file__).parent
 SHORT = replace(toy.CONFIG, evaluations=32)  # four iterations, checkpoints after 2 and 4
 
 
-def same(left: dict, right: dict) -> bool:
-    return left.keys() == right.keys() and all(
-        left[name].tobytes() == right[name].tobytes() for name in left
-    )
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> RunDirectory:
     return loop.train(SHORT, tmp_path_factory.mktemp("run") / "whole", progress=False)
@@ -55,7 +49,7 @@ def run(whole, tmp_path) -> RunDirectory:
 def test_a_finished_run_gets_back_what_its_end_did_not_write(lost, whole, run):
     (run.path / lost).unlink()
     again = loop.resume(run.path, progress=False)
-    assert same(again.archive.columns, whole.archive.columns)
+    assert toy.same(again.archive.columns, whole.archive.columns)
     assert (run.path / lost).read_bytes() == (whole.path / lost).read_bytes()
 
 
@@ -65,8 +59,8 @@ def test_an_archive_older_than_the_last_checkpoint_is_brought_up_to_date(whole, 
     old = (half.path / "archive.npz").read_bytes()
     loop.resume(half.path, False, 32)
     (half.path / "archive.npz").write_bytes(old)
-    assert not same(half.archive.columns, whole.archive.columns)
-    assert same(loop.resume(half.path, progress=False).archive.columns, whole.archive.columns)
+    assert not toy.same(half.archive.columns, whole.archive.columns)
+    assert toy.same(loop.resume(half.path, progress=False).archive.columns, whole.archive.columns)
 
 
 DAMAGES = {
@@ -83,7 +77,7 @@ def test_a_damaged_checkpoint_is_passed_over_for_the_one_before(kind, whole, run
     newest = run.path / "checkpoints" / "000004.npz"
     newest.write_bytes(DAMAGES[kind](newest.read_bytes()))
     (run.path / "checkpoints" / "1-notes.npz").write_bytes(b"not ours")
-    assert same(loop.resume(run.path, progress=False).archive.columns, whole.archive.columns)
+    assert toy.same(loop.resume(run.path, progress=False).archive.columns, whole.archive.columns)
     (warning,) = caplog.messages
     assert "000004.npz" in warning and "the checkpoint before it" in warning
     assert (run.path / "checkpoints" / "1-notes.npz").exists()
@@ -189,7 +183,7 @@ def test_a_maze_run_goes_on_with_the_agent_it_began_with_only(tmp_path):
 
 def test_settings_that_decide_no_result_may_change(whole, run):
     edited(run, checkpoint_every=7)
-    assert same(loop.resume(run.path, progress=False).archive.columns, whole.archive.columns)
+    assert toy.same(loop.resume(run.path, progress=False).archive.columns, whole.archive.columns)
 
 
 def test_a_checkpoint_of_an_older_qdenv_that_names_no_settings_goes_on(whole, tmp_path):
@@ -201,7 +195,7 @@ def test_a_checkpoint_of_an_older_qdenv_that_names_no_settings_goes_on(whole, tm
     assert facts.pop("settings")["algorithm.emitters"] == 2
     arrays["manifest"] = np.frombuffer(json.dumps(facts).encode(), np.uint8)
     np.savez(newest, **arrays)
-    assert same(loop.resume(half.path, False, 32).archive.columns, whole.archive.columns)
+    assert toy.same(loop.resume(half.path, False, 32).archive.columns, whole.archive.columns)
 
 
 @pytest.mark.parametrize("evaluations", [8, 24])
@@ -228,7 +222,7 @@ def test_an_interrupted_run_keeps_its_last_iteration(whole, tmp_path, monkeypatc
     stopped = RunDirectory.open(tmp_path / "run")
     assert max(path.name for path in stopped.path.glob("checkpoints/*")) == "000003.npz"
     assert len(stopped.archive) > 0 and len(stopped.read_metrics()) == 3
-    assert same(loop.resume(stopped.path, False).archive.columns, whole.archive.columns)
+    assert toy.same(loop.resume(stopped.path, False).archive.columns, whole.archive.columns)
 
 
 def test_metrics_that_were_cut_do_not_stop_a_run(whole, run, caplog):
@@ -273,30 +267,6 @@ def test_settings_that_make_no_run_are_refused_before_any_folder_is_made(changes
         loop.train(replace(toy.CONFIG, **changes), tmp_path / "run", progress=False)
     assert "\n" not in str(refusal.value)
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize(
-    "option",
-    [
-        ["--archive", "40", "0", "20", "0", "1", "20"],
-        ["--archive", "0", "40", "20"],
-        ["--evaluations", "0"],
-        ["--checkpoint-every", "0"],
-        ["--simulations", "0"],
-        ["--alpha", "nan"],
-        ["--seed", "2147483648"],
-        ["--hidden", "0"],
-    ],
-    ids=" ".join,
-)
-def test_the_command_says_so_in_one_line(option, tmp_path, capsys):
-    try:
-        code = command(["train", "quick", *option, "--run-dir", str(tmp_path / "r")])
-    except SystemExit as stop:  # where the option's own reader refuses
-        code = stop.code
-    assert code == 2
-    assert not (tmp_path / "r").exists()
-    assert "Traceback" not in capsys.readouterr().err
 
 
 FILES = {

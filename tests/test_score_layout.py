@@ -60,15 +60,7 @@ def test_components_agree_with_oracle(area):
 
 
 def test_components_of_a_long_snake():
-    rows = [
-        "@@@@@@@",
-        "......@",
-        "@@@@@@@",
-        "@......",
-        "@@@@@@@",
-        ".......",
-        "@.@.@.@",
-    ]
+    rows = ["@@@@@@@", "......@", "@@@@@@@", "@......", "@@@@@@@", ".......", "@.@.@.@"]
     assert int(score.components(grid.parse(rows, TILES), "@", TILES)) == 5
 
 

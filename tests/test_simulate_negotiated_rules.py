@@ -72,13 +72,7 @@ def test_every_end_has_a_code_of_its_own_that_is_read_back():
             for row, column in np.ndindex(SIDE, SIDE):
                 code = rules.driving_end(leg, conflicts, LEVELS, row, column, SIDE)
                 codes.add(code)
-                assert rules.unpack_end(code, LEVELS, SIDE) == (
-                    leg,
-                    conflicts,
-                    row,
-                    column,
-                    -1,
-                )
+                assert rules.unpack_end(code, LEVELS, SIDE) == (leg, conflicts, row, column, -1)
             for elapsed in range(rules.SERVED_BITS):
                 code = rules.serving_end(leg, conflicts, LEVELS, elapsed, SIDE)
                 codes.add(code)

@@ -36,12 +36,7 @@ def row(agents: int, mean: float, name: str = "a") -> Row:
 def layouts() -> dict[str, np.ndarray]:
     human = WAREHOUSE.resized(9, 12).human()
     narrow = grid.parse(
-        [
-            "............",
-            "w..........w",
-            *["..@@@@@@@@..", "..eeeeeeee.."] * 3,
-            "............",
-        ],
+        ["............", "w..........w", *["..@@@@@@@@..", "..eeeeeeee.."] * 3, "............"],
         WAREHOUSE.tiles,
     )
     return {"human": human, "narrow": narrow}
@@ -191,28 +186,3 @@ def test_commands_compare_and_climb(layouts, tmp_path, capsys):
     assert cli.run(["scalability", *paths, "--agents", "2,60", *out]) == 0
     assert "human: peak " in capsys.readouterr().out
     assert len((tmp_path / "t.csv").read_text().splitlines()) == 5
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ([], "at least one layout"),
-        (["missing.json"], "missing.json: cannot be read"),
-        (["FILE", "--agents", "900"], "human: 900 agents"),
-        (["FILE", "--agents", "many"], "write 200, or 50,100"),
-        (["FILE", "--domain", "manufacturing"], "unknown tile"),
-        (["FILE", "--domain", "moon"], "unknown domain"),
-        (["FILE", "--planner", "moon"], "unknown planner"),
-        (["FILE", "--seeds", "0"], "at least one seed"),
-        (["FILE", "--timesteps", "0"], "timesteps must be at least 1, not 0"),
-    ],
-)
-@pytest.mark.parametrize("command", ["compare", "scalability"])
-def test_mistakes_get_one_line(layouts, tmp_path, capsys, command, arguments, said):
-    path = tmp_path / "human.json"
-    write_layout(path, layouts["human"], WAREHOUSE.tiles)
-    given = [str(path) if part == "FILE" else part for part in arguments]
-    assert cli.run([command, *given, "--out", str(tmp_path / "t.csv")]) == 2
-    line = capsys.readouterr().err.strip()
-    assert said in line
-    assert "\n" not in line

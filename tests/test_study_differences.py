@@ -63,10 +63,12 @@ def test_there_is_no_interval_where_nothing_can_be_said():
 
 
 def test_wilson_interval_agrees_with_published_values():
-    """The bounds for 8 of 10 and for 10 of 10 (Newcombe 1998, method 3)."""
-    np.testing.assert_allclose(wilson_interval(8, 10), (0.4902, 0.9433), atol=1e-4)
-    np.testing.assert_allclose(wilson_interval(10, 10), (0.7225, 1.0), atol=1e-4)
-    assert wilson_interval(0, 10)[0] == 0.0
+    """Newcombe 1998, method 3."""
+    for case, ends in {
+        (8, 10): (0.4902, 0.9433), (10, 10): (0.7225, 1.0), (0, 10): (0.0, 0.2775),
+        (93, 100): (0.8625, 0.9657), (1, 1): (0.2065, 1.0),
+    }.items():  # fmt: skip
+        np.testing.assert_allclose(wilson_interval(*case), ends, atol=5e-5)
 
 
 def test_rows_are_compared_with_the_first_layout_at_the_same_number_of_agents():

@@ -90,3 +90,10 @@ CONFIG = RunConfig(
     evaluations=48,
     checkpoint_every=2,
 )
+
+
+def same(left: dict, right: dict) -> bool:
+    """Compare dictionaries of arrays bit for bit."""
+    return left.keys() == right.keys() and all(
+        left[name].tobytes() == right[name].tobytes() for name in left
+    )
