@@ -64,17 +64,8 @@ def test_it_ends_compiled_code_and_leaves_no_half_written_file(tmp_path, number,
 @pytest.mark.parametrize("moment", ["numpy", "jax", "numba", "a run/config.json"])
 def test_a_command_ends_at_any_moment_and_says_how_to_begin_anew(tmp_path, moment):
     """When it has imported something, or begins to compile for a search of many seconds."""
-    command = [
-        sys.executable,
-        "-X",
-        "importtime",
-        "-m",
-        "qdenv",
-        "train",
-        "quick",
-        "--out",
-        "a run",
-    ]
+    words = "-X importtime -m qdenv train quick --out"
+    command = [sys.executable, *words.split(), "a run"]
     log, imported = tmp_path / "log", re.compile(rf"\| +{moment}$", re.MULTILINE)
     with log.open("w") as said:
         work = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=said)

@@ -80,6 +80,7 @@ def test_annealing_ends_at_the_bound_with_the_layout_of_a_whole_run(kind):
 def test_a_feasible_map_is_proven_in_a_tenth_of_the_time_of_a_random_one():
     rules, (drawn,) = rules_at_size("manufacturing"), random_tiles("manufacturing", 1)
     first = repair_layout(drawn, rules)
-    again = repair_layout(first.layout, rules)
-    assert again.status == RepairStatus.OPTIMAL and again.cost == 0
-    assert again.seconds < first.seconds / 10
+    again = [repair_layout(first.layout, rules) for _ in range(3)]
+    assert all(one.status == RepairStatus.OPTIMAL and one.cost == 0 for one in again)
+    # In CPU time, and the least of three: whatever else runs on the machine.
+    assert min(one.seconds for one in again) < first.seconds / 10

@@ -179,8 +179,8 @@ def test_failed_evaluations_enter_nothing():
         toy.CONFIG, evaluation=replace(toy.CONFIG.evaluation, domain=toy.GardenConfig(hedges=40))
     )
     experiment = make_experiment(config)
-    state = experiment.algorithm.init(experiment.search_key)
-    solutions, state = experiment.algorithm.ask(state)
+    begin = jax.jit(lambda key: experiment.algorithm.ask(experiment.algorithm.init(key)))
+    solutions, state = begin(experiment.search_key)
     pipeline = experiment.pipeline
     evaluation = PipelinedEvaluator(pipeline, Threads(pipeline)).begin(
         solutions, jax.random.key(0)

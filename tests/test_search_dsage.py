@@ -100,7 +100,6 @@ def test_dsage_beats_chance_at_equal_true_evaluations():
     # Measured: 2.0 to 2.2 times as much; 0.97 and more explained, of batches not learnt yet.
     assert min(np.array(found) / np.array(chance)) > 1.7
     assert np.min(learnt, axis=0)[:2].min() > 0.8
-    print(found, chance, learnt)
     assert sorted(search.traced) == ["ask", "init", "tell"]  # though it thought many times
 
 

@@ -113,10 +113,14 @@ ROOM = parse(["....", ".#..", "e..w"], TILES)
 
 def step_once(cells: list[int], actions: list[int]) -> list[int]:
     environment = Environment(ROOM, PLAIN, len(cells))
-    state, _ = environment.reset(jax.random.key(0))
-    fleet = state.fleet._replace(position=jnp.array(cells, jnp.int32))
-    after, _ = environment.step(state._replace(fleet=fleet), np.array(actions))
-    return after.position.tolist()
+
+    @jax.jit
+    def step(key, cells, actions):
+        state, _ = environment.reset(key)
+        fleet = state.fleet._replace(position=cells)
+        return environment.step(state._replace(fleet=fleet), actions)[0].position
+
+    return step(jax.random.key(0), np.array(cells, np.int32), np.array(actions)).tolist()
 
 
 @pytest.mark.parametrize(
