@@ -34,9 +34,9 @@ COMMANDS = {
     "simulate": "qdenv.ops.traffic:simulate_layout",
     "replay": "qdenv.ops.pages:replay",
     "repair": "qdenv.ops.layouts:repair_layout",
-    "compare": "qdenv.ops.studies:compare",
-    "sweep": "qdenv.ops.studies:sweep",
-    "scalability": "qdenv.ops.studies:scalability",
+    "compare": "qdenv.ops.traffic:compare",
+    "sweep": "qdenv.ops.traffic:sweep",
+    "scalability": "qdenv.ops.traffic:scalability",
     "report": "qdenv.ops.pages:report",
     "layout human": "qdenv.ops.layouts:human_layout",
     "layout tile": "qdenv.ops.layouts:tile_layout",
@@ -132,8 +132,10 @@ def _run_command(name: str, typed: list[str]) -> int:
         stated = parse(command(operation), words, program, make_rules(chosen, rest))
         bound, facts_file = stated.arguments, stated.json
         arguments, known = bound.arguments, bound.signature.parameters
-        if "out" in known:  # in Python nothing is written unless named
-            arguments["out"] = arguments.get("out") or AUTO
+        if not known.keys().isdisjoint(("out", "study")):
+            # In Python nothing is written unless named. Studies share options, this one as well.
+            outputs = arguments.setdefault("study", {}) if "study" in known else arguments
+            outputs["out"] = outputs.get("out") or AUTO
         # A page shows the command line that makes it again: as typed.
         if "again" in known:
             arguments["again"] = shlex.join([*program.split(), *typed])

@@ -36,11 +36,7 @@ def parse(
     """Make a value of a type, or call a function, with the words behind the name of a program.
 
     `rules` are for types of our own (see `qdenv.cli.rules`), by default those for numbers alone.
-    With `partly`, unknown words are returned as well, instead of refused.
-
-    Raises:
-        InputError: the words make no sense.
-        SystemExit: help was requested, and printed.
+    With `partly`, unknown words are returned as well; otherwise InputError refuses them.
     """
     rules = rules or number_rules()
 
@@ -146,13 +142,9 @@ def number_rules() -> ConstructorRegistry:
 
 
 def command(operation: Callable) -> Any:
-    """Make the type of a command: the arguments of an operation, and ``--json``.
+    """Make the type of a command: a record of `json` and the `arguments` of a typed function.
 
-    Args:
-        operation: a function with types; its docstring explains its arguments.
-
-    Returns:
-        a record with the fields `arguments` (as `inspect.BoundArguments`) and `json`.
+    The latter are `inspect.BoundArguments`; the function's docstring explains them.
     """
     fields: list[Any] = [
         ("arguments", Annotated[Any, tyro.conf.arg(name="", constructor=_bind(operation))]),
@@ -191,12 +183,10 @@ def _bind(function: Callable) -> Callable[..., inspect.BoundArguments]:
 
 
 def run_program(function: Callable, program: str, words: Sequence[str] | None = None) -> int:
-    """Run a program that is one function, like a benchmark or a study; return its exit code.
+    """Run a program that is one function, whose arguments are its options; return its exit code.
 
-    Args:
-        function: its arguments are the options.
-        program: how it is called, like "python -m experiments.benchmarks maze".
-        words: what follows that on the command line; that of this process unless given.
+    `program` is how it is called, like "python -m experiments.benchmarks maze"; `words` are those
+    of this process unless given.
     """
     interrupt.watch(program)
     try:

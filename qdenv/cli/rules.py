@@ -22,7 +22,7 @@ from typing import (
     is_typeddict,
 )
 
-import tyro
+from tyro.conf import Fixed, arg
 from tyro.constructors import (
     MISSING_NONPROP,
     ConstructorRegistry,
@@ -32,7 +32,7 @@ from tyro.constructors import (
 
 from qdenv.cli.parser import number_rules
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
-from qdenv.ops.options import Mark, PlannerOptions, RunOptions, open_run
+from qdenv.ops.options import FleetOptions, Mark, PlannerOptions, RunOptions, StudyOptions, open_run
 from qdenv.registry import Registry
 from qdenv.shipped import PREFIX
 from qdenv.simulate.mapf.settings import PLANNERS, find_planner
@@ -58,12 +58,14 @@ class Choices:
 def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
     """Make the rules by which the parser reads the types of operations.
 
-    Args:
-        chosen: what the command line chooses by name.
-        rest: its other words.
+    They depend on what the command line chooses by name, and on the `rest` of its words.
     """
     # The parser finds the comments behind the fields of a dictionary itself, not in its base.
-    helps = {field.name: field.helptext for field in _spec_of(RunOptions).fields}
+    helps = {
+        field.name: field.helptext
+        for record in (StudyOptions, FleetOptions, RunOptions)
+        for field in _spec_of(record).fields
+    }
     rules = number_rules()
 
     @rules.struct_rule
@@ -71,12 +73,12 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
         kind, keywords = info.type, get_args(info.type)[1:]
         if is_typeddict(kind) and kind.__name__ != "Options":
             kinds = get_type_hints(kind, include_extras=True)
-            return _options((name, one, helps.get(name)) for name, one in kinds.items())
+            return _options((name, one, helps[name]) for name, one in kinds.items())
         if kind is PlannerOptions:
             settings = find_planner(chosen.effort, chosen.planner or "")
             _check_planner_options(rest, settings)
-            planner = _name(PLANNERS, settings, "who plans, with the defaults below")
-            spec = _options([("planner", planner, None), *_settings(settings, _PLANNER)])
+            planner = ("planner", _name(PLANNERS, settings), "who plans, with the defaults below")
+            spec = _options([planner, *_settings(settings, _PLANNER)])
             # A name and what is stated, as `Fleet` takes them.
             return dataclasses.replace(
                 spec, instantiate=lambda planner=None, **stated: (planner, stated)
@@ -102,9 +104,12 @@ def _spec_of(kind: Any, default: Any = MISSING_NONPROP) -> StructConstructorSpec
 
 def _options(listed: Iterable[tuple[str, Any, Any]]) -> StructConstructorSpec:
     """Make options of names, types and help (None: that of the type), left out unless stated."""
-    listed, plain = list(listed), tyro.conf.arg(prefix_name=False)
-    kinds = {name: Annotated[kind, plain] for name, kind, _ in listed}
-    helps = {name: text for name, _, text in listed}
+    kinds, helps = {}, {}
+    for name, kind, helps[name] in listed:
+        bare, *marks = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+        # Of several marks the last one counts: a default that the type states.
+        unset = arg(prefix_name=False, help_behavior_hint="(default: None)")
+        kinds[name] = Annotated[bare, unset, *marks]
     spec = _spec_of(TypedDict("Options", kinds, total=False))  # type: ignore[operator]
     fields = [
         dataclasses.replace(field, helptext=helps[field.name] or field.helptext)
@@ -114,15 +119,10 @@ def _options(listed: Iterable[tuple[str, Any, Any]]) -> StructConstructorSpec:
 
 
 def _settings(record: Any, prefix: str = "", path: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """List the settings in a record, those inside of its records as well.
+    """List the settings in a dataclass, those inside of its records as well, for `_options`.
 
-    Args:
-        record: a dataclass.
-        prefix: begins the names of its options.
-        path: fields that lead to it, each followed by two underscores.
-
-    Returns:
-        for each setting its path, its type with the name and default of its option, and its help.
+    The names of options begin with `prefix`; `path` are the fields that lead to the record, each
+    followed by two underscores.
     """
     for field in _spec_of(type(record), record).fields:
         value = getattr(record, field.name)
@@ -130,11 +130,9 @@ def _settings(record: Any, prefix: str = "", path: str = "") -> Iterator[tuple[s
             yield from _settings(
                 value, _PLANNER if field.name == "planner" else prefix, f"{path}{field.name}__"
             )
-        elif tyro.conf.Fixed not in getattr(field.type, "__metadata__", ()):
+        elif Fixed not in getattr(field.type, "__metadata__", ()):
             shown = " ".join(map(str, flat(value)))
-            about = tyro.conf.arg(
-                name=f"{prefix}{field.name}", help_behavior_hint=f"(default: {shown})"
-            )
+            about = arg(name=f"{prefix}{field.name}", help_behavior_hint=f"(default: {shown})")
             yield f"{path}{field.name}", Annotated[field.type, about], field.helptext
 
 
@@ -149,11 +147,11 @@ def flat(value: Any) -> Iterator[Any]:
         yield value
 
 
-def _name(registry: Registry, default: Any, about: str) -> Any:
+def _name(registry: Registry, default: Any) -> Any:
     """Make the type of an option that chooses a registered name; `default` holds its settings."""
     metavar = "{" + ",".join(registry.names()) + "}"
     hint = f"(default: {None if default is None else registry.name_of(default)})"
-    return Annotated[str, tyro.conf.arg(metavar=metavar, help=about, help_behavior_hint=hint)]
+    return Annotated[str, arg(metavar=metavar, help_behavior_hint=hint)]
 
 
 def _check_planner_options(words: Sequence[str], settings: Any) -> None:
@@ -194,19 +192,15 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
         _check_planner_options(rest, planner)
     check_strategy(chosen.strategy or "")  # the parser would not say why
     effort = "of the negotiated planner: low inside a search, high for numbers to report"
-    named = {
-        "domain": _name(
-            DOMAINS, config.evaluation.domain, "in place of the preset's domain, at its size"
-        ),
-        "effort": Annotated[
-            Literal["low", "high"], tyro.conf.arg(help=effort, help_behavior_hint="(default: None)")
-        ],
-        "planner": _name(PLANNERS, planner, "with its defaults, which are listed below"),
-        "algorithm": _name(ALGORITHMS, config.algorithm, "with its defaults"),
-    }
-    listed = [(name, kind, None) for name, kind in named.items()]
-    # `Execution` has the number of workers, too.
-    listed += [one for one in _settings(config) if one[0] != "evaluation__repair__workers"]
+    about = "in place of the preset's domain, at its size"
+    listed = [
+        ("domain", _name(DOMAINS, config.evaluation.domain), about),
+        ("effort", Literal["low", "high"], effort),
+        ("planner", _name(PLANNERS, planner), "with its defaults, which are listed below"),
+        ("algorithm", _name(ALGORITHMS, config.algorithm), "with its defaults"),
+        # `Execution` has the number of workers, too.
+        *(one for one in _settings(config) if one[0] != "evaluation__repair__workers"),
+    ]
     # An algorithm comes with the generator that it searches.
     implied = {} if chosen.algorithm is None else {"generator": config.evaluation.generator}
     return dataclasses.replace(_options(listed), instantiate=lambda **stated: implied | stated)
@@ -216,9 +210,6 @@ def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructCons
     """Make an option for each number of tiles that the domain of a command line counts.
 
     That is the domain chosen by name, of a run or of a layout, or the usual one.
-
-    Raises:
-        InputError: the domain is unknown, or the run cannot be read.
     """
     domain = find_domain(chosen.domain or USUAL)
     for word in () if chosen.domain else rest:
@@ -231,11 +222,7 @@ def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructCons
             with contextlib.suppress(InputError):  # no layout, or one that the command refuses
                 domain = read_plan(word).domain
                 break
-    many = get_origin(kind) is not None
-    hint = "(default: )" if many else "(default: None)"
-    number = tuple[int, ...] if many else int
-    listed = []
-    for name, symbol in domain.counted.items():
-        about = tyro.conf.arg(help=f"exact number of tiles {symbol!r}", help_behavior_hint=hint)
-        listed.append((name, Annotated[number, about], None))
-    return _options(listed)
+    many = Annotated[tuple[int, ...], arg(help_behavior_hint="(default: )")]
+    number = int if get_origin(kind) is None else many
+    counted = domain.counted.items()
+    return _options((name, number, f"exact number of tiles {tile!r}") for name, tile in counted)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-import tyro
+from tyro.conf import arg
 
 from qdenv.domains.base import DOMAINS, Domain, find_domain
 from qdenv.io.files import tidy
@@ -18,7 +18,6 @@ from qdenv.ops.output import (
     Table,
     UnsolvedError,
     format_table,
-    list_facts,
     place,
     save_with_picture,
     say,
@@ -119,7 +118,7 @@ def repair_layout(
     seed: args.RepairSeed = 0,
     polish: Polish = "full",
     out: args.Out = None,
-    plot: Annotated[args.Picture, tyro.conf.arg(aliases=("--diff",))] = None,
+    plot: Annotated[args.Picture, arg(aliases=("--diff",))] = None,
     **numbers: args.Number,
 ) -> Layout:
     """Repair a layout: the closest one that obeys every rule of its domain.
@@ -199,7 +198,7 @@ def repair_layout(
 def human_layout(
     rows: int,
     cols: int,
-    domain: Annotated[str, tyro.conf.arg(metavar=args.DOMAIN_NAMES)] = USUAL,
+    domain: Annotated[str, arg(metavar=args.DOMAIN_NAMES)] = USUAL,
     out: args.Out = None,
 ) -> Layout:
     """Draw a layout as people design it by hand, at any size.
@@ -222,10 +221,9 @@ def human_layout(
     drawn = sizes.human_layout(found)
     details = {"domain": found.name, "design": "human"}
     made = Layout(drawn, found, details, {"rows": rows, "cols": cols, **details})
-    if target:
-        names = [found.names.get(tile, repr(tile)) for tile in found.tiles]
-        counts = "".join(f", {(drawn == kind).sum()} {name}" for kind, name in enumerate(names))
-        save_with_picture(made, target, f"{rows} x {cols}{counts}")
+    names = [found.names.get(tile, repr(tile)) for tile in found.tiles]
+    counts = "".join(f", {(drawn == kind).sum()} {name}" for kind, name in enumerate(names))
+    save_with_picture(made, target, f"{rows} x {cols}{counts}")
     # People's designs have other numbers of tiles than the paper's generated layouts.
     for name, number in found.numbers.items():
         has = found.fitted(drawn).numbers[name]
@@ -275,10 +273,7 @@ def tile_layout(
     say(*filter(None, [describe_growth(found, (rows, cols), ["steps", *numbers])]))
     details = sizes.details(tiled) | {"domain": found.name}
     details["tiled_from"] = Path(args.name_of(layout)).name
-    made = Layout(tiled.layout, found, details, details)
-    if target:
-        save_with_picture(made, target, list_facts(details))
-    return made
+    return save_with_picture(Layout(tiled.layout, found, details, details), target)
 
 
 def layout_symbols(domain: args.DomainName = None) -> None:

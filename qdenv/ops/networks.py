@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-import tyro
 from annotated_types import Interval
+from tyro.conf import Positional, arg
 
 from qdenv import interrupt
 from qdenv.agent.settings import TrainConfig
@@ -34,8 +34,8 @@ _MOST_MAZES = 10_000
 
 
 def train_agent(
-    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008 (frozen)
-    path: Annotated[Path, tyro.conf.arg(name="out", aliases=("--run-dir",))] = Path("runs/agent"),
+    config: Annotated[TrainConfig, arg(name="")] = TrainConfig(),  # noqa: B008 (frozen)
+    path: Annotated[Path, arg(name="out", aliases=("--run-dir",))] = Path("runs/agent"),
     resume: bool = False,
     report_every: PositiveInt = 50,
     cpu_seconds: Annotated[float, Interval(gt=0)] = float("inf"),
@@ -91,14 +91,14 @@ class EpisodeOptions(Ranged):
     agent: str = ""  # an agent.npz; the shipped one unless given
     runs: Annotated[int, Interval(ge=1, le=1_000_000)] = 100  # independent episodes, in each maze
     # actions per episode; twice the tiles of the ringed maze unless given
-    timesteps: Annotated[PositiveInt | None, tyro.conf.arg(aliases=("--horizon",))] = None
+    timesteps: Annotated[PositiveInt | None, arg(aliases=("--horizon",))] = None
     seed: Seed = 0  # of headings, actions and random mazes
     reference_batching: bool = False  # repeat the published evaluation's two quirks, for comparison
 
 
 def evaluate_agent(
     layout: args.Source,
-    episodes: Annotated[EpisodeOptions, tyro.conf.arg(name="")] = EpisodeOptions(),
+    episodes: Annotated[EpisodeOptions, arg(name="")] = EpisodeOptions(),
     random_mazes: int = 0,
     out: args.Out = None,
     gif: args.Picture = None,
@@ -210,7 +210,7 @@ def _report_random(
     return facts | {"table": table.path}
 
 
-def convert_agent(checkpoint: tyro.conf.Positional[Path], out: args.Out = None) -> Path:
+def convert_agent(checkpoint: Positional[Path], out: args.Out = None) -> Path:
     """Convert the published agent's checkpoint (model_20000.tar) into an agent of ours.
 
     Args:

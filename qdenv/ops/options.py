@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypedDict
 
 import numpy as np
-import tyro
+from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 from qdenv.domains.base import DOMAINS, find_domain
-from qdenv.ops.output import AUTO, Layout
+from qdenv.ops.output import Layout
 from qdenv.ranges import PositiveFloat, PositiveInt
 from qdenv.simulate.mapf.settings import FleetConfig, describe_planner, find_planner, record_planner
 from qdenv.study.options import TIMESTEPS, parse_counts, parse_seeds
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from qdenv.run.directory import RunDirectory
 
 
-def option(metavar: str, read: Any, nargs: Any = 1, names: Any = None) -> Any:
-    """Describe an option that the command line reads by `read`; without a value it is `AUTO`."""
+def option(metavar: str, read: Any, names: Any = None) -> Any:
+    """Describe an option that the command line reads by `read`."""
     return PrimitiveConstructorSpec(
-        nargs=nargs,
+        nargs=1,
         metavar=metavar,
         choices=names,
-        instance_from_str=lambda words: read(*words) if words else AUTO,
+        instance_from_str=lambda words: read(*words),
         is_instance=lambda value: True,
         str_from_instance=lambda value: [str(value)],
     )
@@ -58,27 +58,22 @@ class PlannerOptions:
 
 
 DOMAIN_NAMES = "{" + ",".join(DOMAINS.names()) + "}"
-_PATHS = tuple[Path, ...]
 # A layout: path of its file, a `Plan`, a `Layout`, or int [H, W] with ``domain=`` beside it.
 Source: TypeAlias = Annotated[
     str | Path | Plan | Layout | np.ndarray | Sequence[Sequence[int]],
-    tyro.conf.Positional,
-    tyro.conf.arg(metavar="LAYOUT", constructor=Path),
+    Positional,
+    arg(metavar="LAYOUT", constructor=Path),
 ]
 Sources: TypeAlias = Annotated[
-    Sequence[Any],
-    tyro.conf.Positional,
-    tyro.conf.arg(metavar="LAYOUT ...", constructor=_PATHS),
+    Sequence[Any], Positional, arg(metavar="LAYOUT ...", constructor=tuple[Path, ...])
 ]
 # A `RunDirectory`, its folder, or zoo:DOMAIN/NAME. Only operations on runs import that record:
 # other refusals are faster without it.
-Run: TypeAlias = Annotated[
-    Any, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", constructor=Path)
-]
+Run: TypeAlias = Annotated[Any, Positional, arg(metavar="RUN", constructor=Path)]
 Runs: TypeAlias = Annotated[
-    Sequence[Any], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", constructor=_PATHS)
+    Sequence[Any], Positional, arg(metavar="RUN ...", constructor=tuple[Path, ...])
 ]
-DomainName: TypeAlias = Annotated[str | None, tyro.conf.arg(metavar=DOMAIN_NAMES)]
+DomainName: TypeAlias = Annotated[str | None, arg(metavar=DOMAIN_NAMES)]
 # 10 for ten runs with the seeds 0 to 9, (3, 5, 9) for these three; on command lines 3,5,9 and 7,
 Seeds: TypeAlias = Annotated[int | Sequence[int], option("N|SEED,...", parse_seeds)]
 # One number of agents or several; on command lines 200 or 50,100 or 50:400:50
@@ -88,65 +83,51 @@ Counts: TypeAlias = Annotated[
 # A file to write; the command line writes one named `AUTO` where none is named
 Out: TypeAlias = Annotated[str | Path | None, option("FILE", Path)]
 # A picture to write; ``--plot`` without a name is `AUTO`
-Picture: TypeAlias = Annotated[str | Path | None, option("[FILE]", Path, nargs=(0, 1))]
+Picture: TypeAlias = Annotated[str | Path | None, option("[FILE]", Path)]
 # Of a picture, in inches; on command lines also column or page of a journal
-Width: TypeAlias = Annotated[
-    float | None,
-    option("{column,page,INCHES}", parse_width),
-    tyro.conf.arg(
-        help="of the picture: column or page of a journal, or inches; what suits it unless given"
-    ),
-]
+Width: TypeAlias = Annotated[float | None, option("{column,page,INCHES}", parse_width)]
 # Exact numbers of tiles by name; one, or one for each of several sizes
 Number: TypeAlias = Annotated[int, Mark.TILES]
 Numbers: TypeAlias = Annotated[Sequence[int], Mark.TILES]
-RepairSeed: TypeAlias = Annotated[int, tyro.conf.arg(aliases=("--repair-seed",))]
+RepairSeed: TypeAlias = Annotated[int, arg(aliases=("--repair-seed",))]
 OnCommandLine: TypeAlias = Annotated[bool, Mark.TRUE]
-
-_UNSET = tyro.conf.arg(help_behavior_hint="(default: None)")
 
 
 class RunOptions(TypedDict, total=False):
     """One run of a fleet."""
 
-    # whose tasks the agents do; what the layout file says unless given
-    domain: Annotated[DomainName, _UNSET]
+    domain: DomainName  # whose tasks the agents do; what the layout file says unless given
     # how long to simulate; 1000, or what is known of the layout's size, unless given
-    timesteps: Annotated[PositiveInt | None, _UNSET]
+    timesteps: PositiveInt | None
     # of the negotiated planner: low for a quick look, high, for numbers to report, unless given
-    effort: Annotated[str | None, tyro.conf.arg(metavar="{low,high}"), _UNSET]
+    effort: Annotated[str | None, arg(metavar="{low,high}")]
     # who plans, with the defaults below: a registered name or settings, like `PbsConfig()`
-    planner: Annotated[Any, tyro.conf.arg(name="", constructor=PlannerOptions)]
+    planner: Annotated[Any, arg(name="", constructor=PlannerOptions)]
     # end a run at its first congested window, as published; --no-stop goes on (Figure 17)
-    stop: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: True)")]
+    stop: Annotated[bool, arg(help_behavior_hint="(default: True)")]
 
 
 class FleetOptions(RunOptions, total=False):
     """Runs of a fleet."""
 
-    seeds: Annotated[
-        Seeds,
-        tyro.conf.arg(
-            help="10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one",
-            help_behavior_hint="(default: 10)",
-        ),
-    ]
-    seconds_per_step: Annotated[
-        PositiveFloat | None,
-        tyro.conf.arg(help="of one timestep, to report tasks per hour, too"),
-        _UNSET,
-    ]
+    # 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one
+    seeds: Annotated[Seeds, arg(help_behavior_hint="(default: 10)")]
+    seconds_per_step: PositiveFloat | None  # of one timestep, to report tasks per hour, too
+
+
+class StudyOptions(FleetOptions, total=False):
+    """Runs of several fleets, a table of them and a picture."""
+
+    out: Out  # CSV file to write; named after the command, for sweeps the layout, unless given
+    plot: Picture  # picture to write; beside the table unless given
+    width: Width  # of the picture in inches; what suits it unless given
 
 
 class Fleet:
     """The options of runs of a fleet, resolved."""
 
     def __init__(self, options: Mapping[str, Any]) -> None:
-        """Resolve those of `FleetOptions` that are given.
-
-        Raises:
-            InputError: a name is unknown, or a number is impossible.
-        """
+        """Resolve `FleetOptions`; raise InputError if one is unknown or impossible."""
         self.domain: str | None = options.get("domain")
         self.timesteps: int | None = options.get("timesteps")
         self.effort: str | None = options.get("effort")
@@ -217,11 +198,7 @@ def read_plan(layout: Any, domain: str | None = None) -> Plan:
 
 
 def open_run(run: Any) -> RunDirectory:
-    """Return a run that is given as its record, its folder or its name in the zoo.
-
-    Raises:
-        InputError: there is no run.
-    """
+    """Return a run that is given as its record, its folder or its name in the zoo."""
     from qdenv.run.directory import RunDirectory
 
     return run if isinstance(run, RunDirectory) else RunDirectory.open(run)

@@ -59,14 +59,11 @@ class Place(NamedTuple):
 def place(
     out: str | Path | None, default: str, endings: Iterable[str] = (), inputs: Iterable[Any] = ()
 ) -> Place | None:
-    """Choose where a result goes, before any work is done.
+    """Choose the file of a result, before any work is done; None if `out` is None.
 
-    Args:
-        out: the file; `AUTO` takes `default`, or the next free name like it (plan-2.json); with
-            None nothing is written.
-        default: name in the current folder.
-        endings: those the file may have; empty for data, which any but a picture's may name.
-        inputs: files that are read and must not be overwritten; other values are ignored.
+    `AUTO` takes `default`, a name in the current folder, or the next free name like it
+    (plan-2.json). Without `endings` it is data, which any but a picture's ending may name. Files
+    among `inputs` are read, and must not be overwritten.
 
     Raises:
         InputError: the ending is none of them, or the place is a folder or an input.
@@ -132,11 +129,6 @@ def format_table(rows: Iterable[Sequence[Any]]) -> list[str]:
     ]
 
 
-def list_facts(facts: Mapping[str, Any]) -> str:
-    """List facts with their names in a line."""
-    return ", ".join(f"{name} {value}" for name, value in facts.items())
-
-
 def format_duration(seconds: float) -> str:
     """Write a duration in a unit that leaves two or three digits."""
     for unit, length in {"days": 86400, "h": 3600, "min": 60}.items():
@@ -190,12 +182,15 @@ class Layout:
         return picture + _table_html([self.facts])
 
 
-def save_with_picture(layout: Layout, target: Place, text: str) -> None:
-    """Write a layout and a picture beside it, and log their names; `text` describes the layout."""
-    picture = target.beside(PICTURES[0])
-    layout.save(target.path)
-    layout.draw(picture.path)
-    say(picture, f"{target}: {text}")
+def save_with_picture(layout: Layout, target: Place | None, text: str = "") -> Layout:
+    """Write a layout and a picture beside it, log both with `text` or all facts; return it."""
+    if target:
+        picture = target.beside(PICTURES[0])
+        layout.save(target.path)
+        layout.draw(picture.path)
+        facts = ", ".join(f"{name} {value}" for name, value in layout.facts.items())
+        say(picture, f"{target}: {text or facts}")
+    return layout
 
 
 class Facts(dict):

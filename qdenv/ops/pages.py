@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, Unpack
 
-import tyro
+from tyro.conf import Positional, Suppress, arg
 
 from qdenv import devices
 from qdenv.ops import options as args
@@ -31,9 +31,7 @@ _LONG = 20.0  # seconds from which on an estimate of the time is logged
 
 # Layouts and runs, one or several; both are named in the same way on command lines.
 Subjects: TypeAlias = Annotated[
-    Any,
-    tyro.conf.Positional,
-    tyro.conf.arg(metavar="RUN|LAYOUT ...", constructor=tuple[Path, ...]),
+    Any, Positional, arg(metavar="RUN|LAYOUT ...", constructor=tuple[Path, ...])
 ]
 
 
@@ -69,7 +67,7 @@ def replay(
     layout: args.Source,
     agents: int | None = None,
     seed: Seed = 0,
-    films: Annotated[FilmOptions, tyro.conf.arg(name="")] = FilmOptions(),
+    films: Annotated[FilmOptions, arg(name="")] = FilmOptions(),
     out: args.Out = None,
     **fleet: Unpack[args.RunOptions],
 ) -> Page:
@@ -213,7 +211,7 @@ def report(
     sources: Subjects,
     agents: args.Counts = None,
     out: args.Out = None,
-    again: tyro.conf.Suppress[str] = "",
+    again: Suppress[str] = "",
     **fleet: Unpack[args.FleetOptions],
 ) -> Page:
     """Make a page to send or print: what floor plans move, where robots wait, how sure that is.

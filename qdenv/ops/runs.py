@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import tyro
+from tyro.conf import arg
 
 from qdenv.domains.base import DOMAINS, make_domain
 from qdenv.io.files import write_csv
@@ -18,7 +18,6 @@ from qdenv.ops.output import (
     AUTO,
     Layout,
     Place,
-    list_facts,
     place,
     place_folder,
     save_with_picture,
@@ -39,7 +38,7 @@ from qdenv.view import PAGE
 def plot(
     runs: args.Runs,
     out: args.Out = None,
-    form: Annotated[Literal["png", "svg", "pdf"], tyro.conf.arg(name="format")] = "png",
+    form: Annotated[Literal["png", "svg", "pdf"], arg(name="format")] = "png",
     width: args.Width = None,
 ) -> list[Path]:
     """Draw a run's archive, progress and best layout again, or several runs side by side.
@@ -50,7 +49,7 @@ def plot(
         out: folder for the pictures; a run's own unless given, for generators of the zoo one
             named after them, for several runs plots.
         form: of the pictures.
-        width: of the pictures in inches.
+        width: of the pictures in inches; what suits them unless given.
 
     Raises:
         InputError: there is no run, or nothing to draw yet.
@@ -107,7 +106,7 @@ class GrowthOptions(Ranged):
     # steps of growth; unless given what is known of the size, or else scaled with it
     steps: PositiveInt | None = None
     # other seeds give other, equally good repairs; the run's own unless given
-    seed: Annotated[int | None, tyro.conf.arg(aliases=("--repair-seed",))] = None
+    seed: Annotated[int | None, arg(aliases=("--repair-seed",))] = None
     # drawing of the layout's shape: ? is free, a tile must be this tile; what the run kept, at its
     # size, unless given
     keep: Path | None = None
@@ -118,9 +117,9 @@ def generate_layout(
     run: args.Run,
     rows: int | None = None,
     cols: int | None = None,
-    elite: Annotated[Any, tyro.conf.arg(metavar="NAME|CELL", constructor=str)] = "best",
+    elite: Annotated[Any, arg(metavar="NAME|CELL", constructor=str)] = "best",
     repair: bool = True,
-    growth: Annotated[GrowthOptions, tyro.conf.arg(name="")] = GrowthOptions(),
+    growth: Annotated[GrowthOptions, arg(name="")] = GrowthOptions(),
     out: args.Out = None,
     **numbers: args.Number,
 ) -> Layout:
@@ -190,10 +189,8 @@ def generate_layout(
         say(*describe_changes(list_changes(grown.layout, layout, domain)))
     facts = {"rows": layout.shape[0], "cols": layout.shape[1], **domain.numbers, **details}
     settings = {"run": str(run), "elite": found.cell, "seed": seed}
-    made = Layout(layout, domain, details, facts | {"settings": settings})
-    if target:
-        save_with_picture(made, target, list_facts(facts))
-    return made
+    made = save_with_picture(Layout(layout, domain, details, facts), target)
+    return dataclasses.replace(made, facts=facts | {"settings": settings})
 
 
 def series(
@@ -201,7 +198,7 @@ def series(
     elite: str = "best",
     sizes: tuple[str, ...] = (),
     steps: tuple[int, ...] = (),
-    seed: Annotated[int | None, tyro.conf.arg(aliases=("--repair-seed",))] = None,
+    seed: Annotated[int | None, arg(aliases=("--repair-seed",))] = None,
     human: bool = False,
     out: args.Out = None,
     **numbers: args.Numbers,
@@ -237,9 +234,9 @@ def series(
         say(*filter(None, [describe_growth(domain, (rows, cols), stated)]))
         grown.append(studies.details(item))
         details = grown[-1] | {"domain": domain.name}
-        layouts.append(Layout(item.layout, domain, details, details))
-        if target := place(folder and folder / f"nca_{rows}x{cols}.json", "layout.json"):
-            save_with_picture(layouts[-1], target, list_facts(details))
+        target = place(folder and folder / f"nca_{rows}x{cols}.json", "layout.json")
+        made = Layout(item.layout, domain, details, details)
+        layouts.append(save_with_picture(made, target))
         if human:
             name = folder and folder / f"human_{rows}x{cols}.json"
             layouts.append(human_layout(rows, cols, domain.name, name))

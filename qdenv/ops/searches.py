@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-import tyro
+from tyro.conf import Positional, Suppress, arg
 
 from qdenv import devices
 from qdenv.agent.settings import TrainConfig
@@ -55,15 +55,13 @@ CPU_SECONDS = {
 }
 # Name of a preset, or a whole configuration.
 Preset: TypeAlias = Annotated[
-    Any,
-    tyro.conf.Positional,
-    args.option("{" + ",".join(PRESETS) + "}", str, names=tuple(PRESETS)),
+    Any, Positional, args.option("{" + ",".join(PRESETS) + "}", str, names=tuple(PRESETS))
 ]
 Folder: TypeAlias = Annotated[
-    str | Path | None,
-    args.option("FOLDER", Path),
-    tyro.conf.arg(name="out", aliases=("--run-dir",)),
+    str | Path | None, args.option("FOLDER", Path), arg(name="out", aliases=("--run-dir",))
 ]
+ZooName: TypeAlias = Annotated[str, Positional, arg(metavar="[DOMAIN[/NAME]]")]
+_ZOO_PLANNERS = {"high": "high effort", "published": "PBS", "agent": "the agent"}
 
 
 def presets() -> Facts:
@@ -103,12 +101,7 @@ def presets() -> Facts:
 
 
 def describe_cost(preset: str, config: RunConfig) -> str:
-    """Return how long a configuration takes here, like "about 8 min"; "" where that is unknown.
-
-    Args:
-        preset: name of the preset that it was made from.
-        config: the configuration.
-    """
+    """Return how long `config`, made from a preset, takes here: "about 8 min", or "" if unknown."""
     base = base_of(preset)
     usual = find_preset(preset) if base else config
     if hasattr(config.algorithm, "surrogate"):
@@ -116,7 +109,8 @@ def describe_cost(preset: str, config: RunConfig) -> str:
         base = preset if type(usual.algorithm) is type(config.algorithm) else ""
     if planner_of(config) != planner_of(usual):  # which may take ten times as long
         return ""
-    measured = base and (_read_costs().get(preset) or _read_costs().get(base))
+    _, costs = _read_costs()
+    measured = base and (costs.get(preset) or costs.get(base))
     # The table's are CPU seconds, which all cores share; measured ones are of the clock.
     seconds = measured or CPU_SECONDS.get(base, 0.0) / devices.count_cores()
     if not seconds:
@@ -142,28 +136,26 @@ def remember_cost(preset: str, rows: Sequence[Metrics]) -> None:
     evaluations = rows[-1].evaluations - rows[0].evaluations
     # A home that cannot be written to is no reason to fail a run.
     with contextlib.suppress(InputError):
-        costs = _read_costs() | {preset: float(f"{seconds / evaluations:.3g}")}
-        write_json(_costs_file(), costs)
+        file, costs = _read_costs()
+        write_json(file, costs | {preset: float(f"{seconds / evaluations:.3g}")})
 
 
-def _costs_file() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "qdenv" / "costs.json"
-
-
-def _read_costs() -> dict[str, float]:
-    try:
-        return read_json(_costs_file(), dict[str, float])
-    except InputError:  # nothing was measured yet
-        return {}
+def _read_costs() -> tuple[Path, dict[str, float]]:
+    """Return the file of seconds for an evaluation, by preset, and what it holds so far."""
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    file, costs = home / "qdenv" / "costs.json", {}
+    with contextlib.suppress(InputError):  # nothing was measured yet
+        costs = read_json(file, dict[str, float])
+    return file, costs
 
 
 def train(
     preset: Preset = "quick",
     path: Folder = None,
     progress: bool = True,
-    execution: Annotated[Execution, tyro.conf.arg(name="")] = Execution(),  # noqa: B008 (frozen)
+    execution: Annotated[Execution, arg(name="")] = Execution(),  # noqa: B008 (frozen)
     keep: Path | None = None,
-    pictures: tyro.conf.Suppress[args.OnCommandLine] = False,
+    pictures: Suppress[args.OnCommandLine] = False,
     **settings: Annotated[Any, args.Mark.PRESET],
 ) -> RunDirectory:
     """Search generators of floor plans: a preset, any setting of which can be overridden.
@@ -228,8 +220,8 @@ def resume(
     run: args.Run,
     progress: bool = True,
     evaluations: int | None = None,
-    execution: Annotated[Execution, tyro.conf.arg(name="")] = Execution(),  # noqa: B008 (frozen)
-    pictures: tyro.conf.Suppress[args.OnCommandLine] = False,
+    execution: Annotated[Execution, arg(name="")] = Execution(),  # noqa: B008 (frozen)
+    pictures: Suppress[args.OnCommandLine] = False,
 ) -> RunDirectory | Path:
     """Continue a run where it stopped, of a search or of an agent's training.
 
@@ -261,10 +253,6 @@ def resume(
     if pictures:
         plot_one(done)
     return done
-
-
-_ZOO_PLANNERS = {"high": "high effort", "published": "PBS", "agent": "the agent"}
-ZooName: TypeAlias = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[DOMAIN[/NAME]]")]
 
 
 def zoo(name: ZooName = "", plot: args.Picture = None) -> Facts:
