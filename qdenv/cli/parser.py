@@ -85,11 +85,10 @@ def _message(event: Any, target: Any, rules: Any) -> str:
     if isinstance(event, events.BadValue):
         return f"{_name_of(event.argument)} needs a value{listed}"
     if isinstance(event, events.MissingArgs):
-        arguments = [one.arg for one in event.missing_arguments]
-        names = [_name_of(one) for one in arguments]
-        texts = [one.field.helptext for one in arguments]
-        about = [((text() if callable(text) else text) or "").rstrip(".") for text in texts]
-        return f"{names[0]} is missing: {about[0]}{listed}"
+        missing = event.missing_arguments[0].arg
+        text = missing.field.helptext
+        about = ((text() if callable(text) else text) or "").rstrip(".")
+        return f"{_name_of(missing)} is missing: {about}{listed}"
     return ""
 
 
@@ -112,9 +111,8 @@ def _close_option(word: str, target: Any, rules: Any) -> str | None:
 
 def completion_spec(script: str) -> dict[str, Any]:
     """Return the description of all options in tyro's completion script for a program."""
-    lines = [line for line in script.splitlines() if line.startswith(SPEC)]
-    spec: dict[str, Any] = ast.literal_eval(lines[0].removeprefix(SPEC))
-    return spec
+    line = next(line for line in script.splitlines() if line.startswith(SPEC))
+    return dict(ast.literal_eval(line.removeprefix(SPEC)))
 
 
 def number_rules() -> ConstructorRegistry:

@@ -72,12 +72,12 @@ def train_agent(
             bar("training the agent", done / config.updates)
             if row:  # a checkpoint was written before
                 interrupt.advise(go_on)
-                exams = ", ".join(
+                exams = [
                     f"{row[name]:.0%} (mean {row[f'mean_{name}']:.0%}) of {name[5:]} walls"
                     for name in row
                     if name.startswith("exam_")
-                )
-                say(f"update {done} of {config.updates}: solves {exams}")
+                ]
+                say(f"update {done} of {config.updates}: solves {', '.join(exams)}")
 
         agent: Path = train(config, path, resume, report_every, cpu_seconds, show)
     say(agent)
@@ -118,12 +118,11 @@ def evaluate_agent(
         InputError: it is no maze, or a number is impossible.
     """
     if random_mazes and not 2 <= random_mazes <= _MOST_MAZES:  # one has no standard error
-        raise InputError(
-            f"--random-mazes {random_mazes}: give 2 to {_MOST_MAZES:,}, or leave it out"
-        )
+        limits = f"give 2 to {_MOST_MAZES:,}, or leave it out"
+        raise InputError(f"--random-mazes {random_mazes}: {limits}")
     if out not in (None, AUTO) and not random_mazes:
         raise InputError("--out is for the table of random mazes: add --random-mazes 100")
-    plan = args.read_plan(layout)
+    plan, name = args.read_plan(layout), args.name_of(layout)
     if plan.domain.name not in MAZES:
         raise InputError(f"{layout}: a layout of {plan.domain.name}, the agent walks in mazes")
     if random_mazes and episodes.reference_batching:
@@ -141,7 +140,6 @@ def evaluate_agent(
 
     maze, weights, seed = plan.layout, load_weights(episodes.agent), episodes.seed
     steps, runs = episodes.timesteps or default_horizon(maze), episodes.runs
-    name = args.name_of(layout)
     with Bar(f"solving {name} {runs} times"):
         result = measure_success(weights, maze, seed, runs, steps, episodes.reference_batching)
     facts = result._asdict()
@@ -150,11 +148,9 @@ def evaluate_agent(
         f"of at most {steps} timesteps, {result.mean_length:.0f} actions on average, shortest path "
         f"{result.shortest} moves"
     )
-    if random_mazes:
+    if number := random_mazes:
         with Bar("drawing random mazes") as bar:
-            others = compare_with_random(
-                weights, maze, random_mazes, runs, seed, steps, progress=bar
-            )
+            others = compare_with_random(weights, maze, number, runs, seed, steps, progress=bar)
         facts["random_mazes"] = _report_random(table, others, plan, result.rate)
     if picture:
         from qdenv.study.recordings import trace_agent

@@ -50,10 +50,8 @@ class FilmOptions(Ranged):
         """Refuse impossible stretches of time."""
         super().__post_init__()
         if self.last is not None and self.last <= self.first:
-            raise InputError(
-                f"--first {self.first} --last {self.last}: give timesteps, the first before the "
-                "last"
-            )
+            stretch = f"--first {self.first} --last {self.last}"
+            raise InputError(f"{stretch}: give timesteps, the first before the last")
         if (self.first or self.last is not None) and not (self.gif or self.mp4):
             raise InputError("--first and --last are for films: add --gif or --mp4")
 
@@ -170,11 +168,8 @@ def _replay_episode(
         motion = studies.trace_agent(plan, seed, timesteps)
     about = about_episode(motion, seed)
     say(*about)
-    facts = {
-        "success": bool(motion.finished.any()),
-        "actions": motion.steps,
-        "shortest": motion.shortest,
-    }
+    success = bool(motion.finished.any())
+    facts = {"success": success, "actions": motion.steps, "shortest": motion.shortest}
     return make_replay(plan, motion, None, about), motion, facts
 
 

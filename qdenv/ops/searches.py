@@ -86,6 +86,7 @@ def presets() -> Facts:
     head = ("preset", "domain", "algorithm", "size", "agents", "steps", "evaluations", "takes")
     say(*format_table([head, *([row[name] for name in head] for row in table)]))
     say("agents: robots in a simulation; steps: its timesteps; evaluations: layouts simulated")
+    say("", "sizes with numbers of their own, which commands take there unless others are stated:")
     for name in dict.fromkeys(str(row["domain"]) for row in table):
         domain = find_domain(name)
         for (rows, cols), size in domain.known.items():
@@ -93,10 +94,8 @@ def presets() -> Facts:
             steps = {"timesteps": size.timesteps, "steps of growth": size.steps}
             numbers = dict(size.numbers) | agents | steps
             sizes.append({"domain": name, "size": f"{rows} x {cols}", **numbers})
-    say("", "sizes with numbers of their own, which commands take there unless others are stated:")
-    for row in sizes:
-        listed = ", ".join(f"{value} {name}" for name, value in list(row.items())[2:])
-        say(f"  {row['domain']}, {row['size']}: {listed}")
+            listed = ", ".join(f"{value} {name}" for name, value in numbers.items())
+            say(f"  {domain.name}, {rows} x {cols}: {listed}")
     return Facts({"presets": table, "sizes": sizes, "settings": {}})
 
 
@@ -181,8 +180,7 @@ def train(
         settings = {"workers": execution.workers, **settings}
     config, scaled = resolve(base, settings)
     find_start(config)  # it refuses what cannot be one before anything is logged
-    workers = config.evaluation.repair.workers
-    execution = dataclasses.replace(execution, workers=workers)
+    execution = dataclasses.replace(execution, workers=config.evaluation.repair.workers)
     if keep is not None:
         kept = keep_from(keep, make_domain(config.evaluation.domain))
         evaluation = dataclasses.replace(config.evaluation, domain=kept.config)
@@ -243,10 +241,8 @@ def resume(
     opened.demand_own()
     total = opened.config.evaluations
     if evaluations is not None and evaluations < total:
-        raise InputError(
-            f"{path}: {total} evaluations are configured already: give a larger number, or leave "
-            "--evaluations out"
-        )
+        more = "give a larger number, or leave --evaluations out"
+        raise InputError(f"{path}: {total} evaluations are configured already: {more}")
     from qdenv.run import loop  # imports both compilers
 
     done = loop.resume(path, progress, evaluations, execution)
@@ -269,11 +265,9 @@ def zoo(name: ZooName = "", plot: args.Picture = None) -> Facts:
     """
     text = name.removeprefix(PREFIX)
     found = [named(one).collection for one in ([text] if text else names())]
-    only = named(text) if "/" in text else None
+    only, picture = named(text) if "/" in text else None, place(plot, "zoo.png", PICTURES)
     if only:
         found = [dataclasses.replace(only.collection, generators=(only.generator,))]
-    picture = place(plot, "zoo.png", PICTURES)
-    if only:
         say(*_describe_generator(only))
     else:
         for number, one in enumerate(found):
@@ -284,15 +278,12 @@ def zoo(name: ZooName = "", plot: args.Picture = None) -> Facts:
         panels = []
         for shipped in [Shipped(one, each) for one in found for each in one.generators]:
             run, sizes = RunDirectory.open(str(shipped)), shipped.generator.sizes
-            text_below = "\n".join(
-                f"{size.rows} x {size.cols}: {_figure(size.driven[0])}" for size in sizes
-            )
+            lines = [f"{size.rows} x {size.cols}: {_figure(size.driven[0])}" for size in sizes]
             title = str(shipped).removeprefix(PREFIX) if len(found) > 1 else shipped.generator.name
-            panels.append((run.best.layout, run.schema.tiles, title, text_below))
+            panels.append((run.best.layout, run.schema.tiles, title, "\n".join(lines)))
         picture.draw(draw_sheet(panels))
-    return Facts(
-        {"domains": [dataclasses.asdict(one) for one in found], "settings": {"name": text}}
-    )
+    domains = [dataclasses.asdict(one) for one in found]
+    return Facts({"domains": domains, "settings": {"name": text}})
 
 
 def _describe_collection(collection: Collection) -> list[str]:

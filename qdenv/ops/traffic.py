@@ -81,21 +81,14 @@ def simulate_layout(
             facts["tasks_per_hour"] = facts["mean_of_all"] * options.per_hour
         return facts
 
+    def log_runs(study: Study) -> None:  # before the runs that the verdict takes
+        head = filter(None, [options.describe(str(agents), timesteps, plan), note])
+        say(*head, *_numbers(facts_with(study)))
+
     # Whoever audits records every step anyway: maps of it cost nothing more.
     maps = audit or picture is not None
-    head = [options.describe(str(agents), timesteps, plan), note]
     with studies.about(name), Bar("simulating") as bar:
-        study = examine(
-            plan,
-            config,
-            options.seeds,
-            audit,
-            maps,
-            verdict,
-            bar,
-            # The numbers are logged before the runs that the verdict takes.
-            on_runs=lambda study: say(*filter(None, head), *_numbers(facts_with(study))),
-        )
+        study = examine(plan, config, options.seeds, audit, maps, verdict, bar, log_runs)
     facts, judgement = facts_with(study), ""
     if "verdict" in facts:
         judgement = f": {facts['verdict']}, {facts['verdict_reason']}"
