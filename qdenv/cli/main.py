@@ -61,8 +61,7 @@ COMMANDS = {
 def run(words: list[str]) -> int:
     """Run one command, given by what follows `qdenv` on the command line; return its exit code.
 
-    Raises:
-        SystemExit: help of a command was requested, and printed.
+    Raises SystemExit after help of a command.
     """
     if words[:1] == ["--version"]:
         print(qdenv.__version__)
@@ -104,10 +103,7 @@ def _unknown(name: str) -> str:
 
 
 def summary_of(command: str) -> str:
-    """Return the first line of a command's docstring, read from its source.
-
-    Importing the module would take its seconds.
-    """
+    """Return the first line of a command's docstring, from its source: imports take seconds."""
     module, _, name = COMMANDS[command].partition(":")
     path = Path(__file__).parents[2].joinpath(*module.split(".")).with_suffix(".py")
     _, _, function = path.read_text().partition(f"\ndef {name}(")
@@ -197,10 +193,7 @@ def _printing() -> Iterator[None]:
 
 
 def _name_pictures(words: list[str]) -> list[str]:
-    """Name the picture of ``--plot`` and its like where no name follows: the operation chooses it.
-
-    A layout may follow: `simulate --plot plan.txt`.
-    """
+    """Name the pictures that have no name `AUTO`; a layout may follow: `--plot plan.txt`."""
     from qdenv.ops.output import AUTO, FILMS, PICTURES
 
     # Some of these are refused, with a reason.

@@ -28,7 +28,6 @@ from qdenv.types import InputError
 
 if TYPE_CHECKING:  # imports jax
     from qdenv.agent.evaluate import Comparison
-    from qdenv.study.surrogate import Evaluated, Split
 
 _MOST_MAZES = 10_000
 
@@ -254,8 +253,7 @@ def fit_surrogate(
     name = file_name(Path(str(run)))
     table, picture = place_table(out, plot, f"{name}_surrogate")
     opened = args.open_run(run)
-    _ = opened.archive  # refuses a folder without one
-    # This imports jax: refusals are faster without it.
+    _ = opened.archive  # refuses a folder without one, before jax is imported
     from qdenv.study.surrogate import read_elites, scores_to_dict, try_surrogate
 
     elites = read_elites(opened)
@@ -269,33 +267,42 @@ def fit_surrogate(
     with Bar("learning", total=1) as bar:
         trials = try_surrogate(elites, config, chosen, bar)
     facts = scores_to_dict(elites, config, trials)
-    head = ("held out", "R2 (s.d.)", "RMSE (s.d.)", "rank correlation (s.d.)")
-    skills = [
-        (name, _figure(one["r2"]), _figure(one["rmse"], ".3g"), _figure(one["rank"]))
-        for name, one in facts["skills"].items()
-    ]
+    skills = [("held out", "R2 (s.d.)", "RMSE (s.d.)", "rank correlation (s.d.)")]
+    for one, score in facts["skills"].items():
+        cells = _figure(score["r2"]), _figure(score["rmse"], ".3g"), _figure(score["rank"])
+        skills.append((one, *cells))
     say(
-        *format_table([head, *skills]),
+        *format_table(skills),
         "R2: 1 is perfect, 0 no better than the mean of the elites held out; s.d. over the splits",
     )
-    if "repaired_tiles_predicted" in facts:
-        say(
-            f"tiles of repaired layouts predicted: {facts['repaired_tiles_predicted']['mean']:.1%}"
-            f" (as drawn, without a surrogate: {facts['repaired_tiles_as_drawn']:.1%})"
-        )
+    if tiles := facts.get("repaired_tiles_predicted"):
+        drawn = f"as drawn, without a surrogate: {facts['repaired_tiles_as_drawn']:.1%}"
+        say(f"tiles of repaired layouts predicted: {tiles['mean']:.1%} ({drawn})")
     if table:
         columns = [f"{word}{one}" for one in elites.names for word in ("", "predicted ")]
         lines = []
         for trial in trials:
-            for row, predicted in zip(trial.held, trial.predicted, strict=True):
-                pairs = np.stack([elites.numbers[row], predicted], axis=1)
+            for row, guess in zip(trial.held, trial.predicted, strict=True):
+                pairs = np.stack([elites.numbers[row], guess], axis=1)
                 cell = ",".join(map(str, elites.cells[row]))
                 lines.append([trial.seed, cell, *(f"{one:.6g}" for one in pairs.flat)])
         write_csv(table.path, ["seed", "cell", *columns], lines)
     if picture:
-        _draw_predictions(picture.path, elites, trials, facts, name)
-    if written := [str(one) for one in (table, picture) if one]:
-        say(", ".join(written))
+        from qdenv.view.archive import draw_predictions  # imports matplotlib
+        from qdenv.view.style import save_figure
+
+        unit = {elites.names[0]: f" [{elites.units}]"} if elites.units else {}
+        panels = {
+            one + unit.get(one, ""): f"R2 {_figure(score['r2'])}, rank {_figure(score['rank'])}"
+            for one, score in facts["skills"].items()
+        }
+        truth = np.concatenate([elites.numbers[trial.held] for trial in trials])
+        predicted = np.concatenate([trial.predicted for trial in trials])
+        many = f"{len(trials)} splits; in brackets the standard deviation over them"
+        splits = many if len(trials) > 1 else "1 split"
+        title = f"{name}: {facts['held_out']} of {facts['elites']} elites held out, {splits}"
+        save_figure(draw_predictions(truth, predicted, panels, title), picture.path)
+    say(*filter(None, [", ".join(str(one) for one in (table, picture) if one)]))
     return Facts(facts | {"settings": {"run": str(run), "seeds": chosen}})
 
 
@@ -305,23 +312,3 @@ def _figure(figure: Mapping[str, Any], form: str = ".2f") -> str:
     if np.isnan(mean):
         return "does not vary"
     return f"{mean:{form}}" + ("" if np.isnan(spread) else f" ({spread:{form}})")
-
-
-def _draw_predictions(
-    path: Path, elites: Evaluated, trials: list[Split], facts: Mapping[str, Any], name: str
-) -> None:
-    """Draw predicted over true values, a panel for each number."""
-    from qdenv.view.archive import draw_predictions  # imports matplotlib
-    from qdenv.view.style import save_figure
-
-    truth = np.concatenate([elites.numbers[trial.held] for trial in trials])
-    predicted = np.concatenate([trial.predicted for trial in trials])
-    panels = {}
-    for number, (one, figures) in enumerate(facts["skills"].items()):
-        unit = f" [{elites.units}]" if number == 0 and elites.units else ""
-        text = f"R2 {_figure(figures['r2'])}, rank {_figure(figures['rank'])}"
-        panels[one + unit] = (truth[:, number], predicted[:, number], text)
-    many = f"{len(trials)} splits; in brackets the standard deviation over them"
-    splits = many if len(trials) > 1 else "1 split"
-    title = f"{name}: {facts['held_out']} of {facts['elites']} elites held out, {splits}"
-    save_figure(draw_predictions(panels, title), path)

@@ -194,10 +194,8 @@ def explore(run: args.Run, growth: NonNegativeInt | None = None, out: args.Out =
         page = make_explorer(opened, growth, bar)
     if target:
         page.save(target.path)
-        say(
-            f"{target}: {page.facts['elites']} elites, {page.facts['growth']} of them grow, "
-            f"{page.facts['megabytes']:.1f} MB"
-        )
+        elites = f"{page.facts['elites']} elites, {page.facts['growth']} of them grow"
+        say(f"{target}: {elites}, {page.facts['megabytes']:.1f} MB")
     settings = {"run": str(run), "growth": growth}
     return dataclasses.replace(page, facts={**page.facts, "settings": settings})
 

@@ -168,8 +168,8 @@ def generate_layout(
             from qdenv.view.style import save_figure
 
             frames = (target or Place(Path("layout.json"), False)).beside(".png", "_frames").path
-            after, drawn = grow_frames(opened, grown, growth.frames)
-            save_figure(draw_frames(drawn, after, domain.tiles), frames)
+            after, grids = grow_frames(opened, grown, growth.frames)
+            save_figure(draw_frames(grids, after, domain.tiles), frames)
             say(f"{frames}: after {', '.join(map(str, after))} steps")
         # With the run's own seed, the elite at its trained size is the layout that was evaluated.
         seed = config.seed if growth.seed is None else growth.seed
@@ -177,10 +177,8 @@ def generate_layout(
     chosen = [*numbers, *["steps"] * bool(growth.steps)]
     say(*filter(None, [describe_growth(trained, domain.shape, chosen)]))
     if trained.config.keep and not domain.config.keep:
-        say(
-            "WARNING: what the run kept is drawn for {} x {}, so nothing is kept at this size: "
-            "--keep FILE draws what shall be".format(*trained.shape)
-        )
+        drawn = "WARNING: what the run kept is drawn for {} x {}".format(*trained.shape)
+        say(f"{drawn}, so nothing is kept at this size: --keep FILE draws what shall be")
     details: dict[str, Any] = {"domain": domain.name, "elite": found.cell, "steps": grown.steps}
     if repaired is not None:
         layout = np.asarray(repaired.layout)

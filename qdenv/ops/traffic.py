@@ -120,10 +120,8 @@ def _numbers(facts: Mapping[str, Any]) -> list[str]:
         after = others if facts["stop"] else ", and went on"
         lines.append(f"congested    {1 - rate:.0%} of the runs{after}")
     checked = "every trajectory valid, " if facts["valid"] else ""
-    lines.append(
-        f"computed     {checked}{facts['cpu_seconds_per_run']:.2f} CPU s per run, "
-        f"compiled in {facts['compile_seconds']:.1f} s"
-    )
+    took = f"{checked}{facts['cpu_seconds_per_run']:.2f} CPU s per run"
+    lines.append(f"computed     {took}, compiled in {facts['compile_seconds']:.1f} s")
     return lines + facts["broken"]
 
 
@@ -149,10 +147,8 @@ def _jams(facts: Mapping[str, Any], plan: Plan) -> list[str]:
         share, waiting = f"{spot['share']:.2%}", f"{spot['waiting']:.0%} of time"
         cell = (str(rank), str(spot["row"]), str(spot["column"]), names[spot["tile"]])
         table.append((*cell, share, waiting, f"{spot['wait_per_visit']:3.1f} steps"))
-    lines.append(
-        "the cells with the most waiting; rows and columns are counted from 0 at the top left:"
-    )
-    return lines + format_table(table)
+    head = "the cells with the most waiting; rows and columns are counted from 0 at the top left:"
+    return [*lines, head, *format_table(table)]
 
 
 def sweep(
@@ -311,13 +307,11 @@ class _Fleets:
 
     def describe_peak(self, peak: Peak) -> str:
         """Return in a line how much a layout moves at most."""
-        per_hour = self._per_hour
-        hour = f" ({peak.throughput * per_hour:,.0f} per hour)" if per_hour else ""
+        rate = self._per_hour
+        hour = f" ({peak.throughput * rate:,.0f} per hour)" if rate else ""
         end = "" if peak.dropped else ", still rising at the last number of agents: try more"
-        return (
-            f"{peak.layout}: peak {peak.throughput:.3f} tasks per timestep{hour} "
-            f"at {peak.agents} agents{end}"
-        )
+        most = f"peak {peak.throughput:.3f} tasks per timestep{hour}"
+        return f"{peak.layout}: {most} at {peak.agents} agents{end}"
 
     def finish(
         self,
@@ -348,8 +342,7 @@ class _Fleets:
                 f"{row.layout}: with {row.agents} agents a jam builds up, throughput falls by "
                 f"{row.fading:.0%} with time: more timesteps show where that ends"
             )
-        if written := [str(one) for one in (self._table, self._picture) if one]:
-            say(", ".join(written))
+        say(*filter(None, [", ".join(str(one) for one in (self._table, self._picture) if one)]))
         lines = [
             row._asdict() | {name: values[number] for name, values in columns.items()}
             for number, row in enumerate(rows)

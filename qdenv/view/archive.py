@@ -109,16 +109,17 @@ def archive_html(columns: Mapping[str, ArrayLike], measures: Sequence[Measure], 
 
 @styled
 def draw_predictions(
-    panels: Mapping[str, tuple[np.ndarray, np.ndarray, str]], title: str
+    true: np.ndarray, guessed: np.ndarray, panels: Mapping[str, str], title: str
 ) -> Figure:
-    """Draw predicted over true numbers of held-out elites, and the diagonal.
+    """Draw predicted over true numbers of held-out elites (float [n, panels]), and the diagonal.
 
-    A panel has the label of its number, true values, predicted values (float [n]) and its title.
+    `panels` are their headings by the label of each number.
     """
     side = 3.4  # inches
     figure = new_figure(side * len(panels), side + 0.45)
     row: Sequence[Axes] = figure.subplots(1, len(panels), squeeze=False)[0]
-    for axes, (label, (truth, predicted, heading)) in zip(row, panels.items(), strict=True):
+    columns = zip(row, panels.items(), true.T, guessed.T, strict=True)
+    for axes, (label, heading), truth, predicted in columns:
         both = np.concatenate([truth, predicted])
         margin = 0.04 * max(float(np.ptp(both)), 1e-6)  # beyond the outermost points
         ends = (both.min() - margin, both.max() + margin)
