@@ -271,10 +271,8 @@ def fit_surrogate(
     for one, score in facts["skills"].items():
         cells = _figure(score["r2"]), _figure(score["rmse"], ".3g"), _figure(score["rank"])
         skills.append((one, *cells))
-    say(
-        *format_table(skills),
-        "R2: 1 is perfect, 0 no better than the mean of the elites held out; s.d. over the splits",
-    )
+    about = "R2: 1 is perfect, 0 no better than the mean of the elites held out"
+    say(*format_table(skills), f"{about}; s.d. over the splits")
     if tiles := facts.get("repaired_tiles_predicted"):
         drawn = f"as drawn, without a surrogate: {facts['repaired_tiles_as_drawn']:.1%}"
         say(f"tiles of repaired layouts predicted: {tiles['mean']:.1%} ({drawn})")
@@ -298,9 +296,9 @@ def fit_surrogate(
         }
         truth = np.concatenate([elites.numbers[trial.held] for trial in trials])
         predicted = np.concatenate([trial.predicted for trial in trials])
-        many = f"{len(trials)} splits; in brackets the standard deviation over them"
-        splits = many if len(trials) > 1 else "1 split"
-        title = f"{name}: {facts['held_out']} of {facts['elites']} elites held out, {splits}"
+        title = f"{name}: {facts['held_out']} of {facts['elites']} elites held out, "
+        title += f"{len(trials)} split{plural}"
+        title += "; in brackets the standard deviation over them" * (len(trials) > 1)
         save_figure(draw_predictions(truth, predicted, panels, title), picture.path)
     say(*filter(None, [", ".join(str(one) for one in (table, picture) if one)]))
     return Facts(facts | {"settings": {"run": str(run), "seeds": chosen}})
