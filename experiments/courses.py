@@ -3,7 +3,6 @@
 import json
 from dataclasses import dataclass
 from datetime import timedelta
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,19 +44,12 @@ class SavedCourse(OfLayout):
     """Runs of one layout with one number of agents."""
 
     kind = "courses"
+    label = "course of {0.seeds} runs of {0.layout.stem}, {0.agents} agents"
+    file = "courses/{0.layout.stem}-{0.agents}.json"
     agents: int = 200  # how many
     timesteps: int = 5000  # horizon T, a multiple of `BIN`
     seeds: int = 100  # how many
     stop: bool = False  # runs end where they congest
-
-    @property
-    def name(self) -> str:
-        """Return its name in lists."""
-        return f"course of {self.seeds} runs of {self.layout.stem}, {self.agents} agents"
-
-    def path(self, folders: Folders) -> Path:
-        """Find its file."""
-        return folders.results / "courses" / f"{self.layout.stem}-{self.agents}.json"
 
     def case(self, folders: Folders) -> Case:
         """Return what is simulated."""

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -22,17 +21,10 @@ class SavedGrowth(Piece):
     """How an automaton of the zoo grows a layout of its trained size."""
 
     kind = "growths"
+    label = "growth of {0.domain}"
+    file = "layouts/{0.domain}-growth.json"
     domain: str  # whose best generator
     every: int = 10  # steps from one frame to the next
-
-    @property
-    def name(self) -> str:
-        """Return its name in lists."""
-        return f"growth of {self.domain}"
-
-    def path(self, folders: Folders) -> Path:
-        """Find its file."""
-        return folders.results / "layouts" / f"{self.domain}-growth.json"
 
     def done(self, folders: Folders) -> float:
         """Return 1 if it is saved and of the generator that ships now."""

@@ -16,12 +16,8 @@ class SavedZoo(Piece):
     """The zoo of one domain."""
 
     kind = "zoos"
+    label = "zoo of {0.domain}"
     domain: str  # its name
-
-    @property
-    def name(self) -> str:
-        """Return its name in lists."""
-        return f"zoo of {self.domain}"
 
     @property
     def run(self) -> SavedRun:

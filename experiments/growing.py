@@ -48,8 +48,7 @@ class Workshop:
     def __init__(self, runs: Sequence[RunDirectory], measuring: Measuring, ledger: Path) -> None:
         """Simulate nothing yet; all runs but the first began at elites of it.
 
-        Raises:
-            InputError: runs were evaluated in different ways.
+        Raises InputError if runs were evaluated in different ways.
         """
         (self.run, *self.further), self.measuring, self.ledger = runs, measuring, ledger
         self.config = self.run.config
@@ -125,15 +124,13 @@ class Workshop:
         """Grow a chosen elite at one size, and simulate it as is to be reported."""
         sized, how = self.grow(cell, shape), self.measuring
         assert sized is not None
-        asked = [("high", how.seeds), ("published", how.pbs_seeds)]
-        if self.fleet:
-            driven = [
-                self.drive(cell, sized.layout, plan, how.timesteps)
-                for plan in asked
-                if plan[1] != NONE
-            ]
-        else:
-            driven = [self.walk(sized.layout, shape)]
+        plans = [("high", how.seeds), ("published", how.pbs_seeds)]
+        plans = [plan for plan in plans if plan[1] != NONE]
+        driven = (
+            [self.drive(cell, sized.layout, plan, how.timesteps) for plan in plans]
+            if self.fleet
+            else [self.walk(sized.layout, shape)]
+        )
         measures = {
             axis.name: tidy(float(axis.value(jnp.asarray(sized.layout), None)))
             for axis in self.at(shape).measures

@@ -54,6 +54,8 @@ class SavedLayout(Piece):
     """A layout of one domain, maker and size."""
 
     kind = "layouts"
+    label = "layout {0.stem}"
+    file = "layouts/{0.stem}.json"
     domain: str  # its name
     # "human", "tiled", "nca" (the zoo's best), "nca-s" (the zoo's that moves most at S), "random-0"
     # and so on (a random maze like the zoo's best), or the end of a preset's name: "a0", "a1",
@@ -65,11 +67,6 @@ class SavedLayout(Piece):
     def stem(self) -> str:
         """Name of its file, and of its rows in tables."""
         return "{}-{}-{}x{}".format(self.domain, self.maker, *self.shape)
-
-    @property
-    def name(self) -> str:
-        """Return its name in lists."""
-        return f"layout {self.stem}"
 
     @property
     def like(self) -> "SavedLayout":
@@ -84,10 +81,6 @@ class SavedLayout(Piece):
         if self.maker in GROWERS:
             return (SavedZoo(self.domain),)
         return () if self.maker == "human" else (self.run(),)
-
-    def path(self, folders: Folders) -> Path:
-        """Find its file."""
-        return folders.results / "layouts" / f"{self.stem}.json"
 
     def done(self, folders: Folders) -> float:
         """Return 1 if it is saved, and made from what it would be made from now."""
@@ -163,8 +156,7 @@ class SavedLayout(Piece):
     def read(self, folders: Folders) -> Made:
         """Read it.
 
-        Raises:
-            InputError: it is not saved.
+        Raises InputError if it is not saved.
         """
         path = self.path(folders)
         try:

@@ -3,7 +3,6 @@
 import time
 from dataclasses import dataclass
 from math import prod
-from pathlib import Path
 from statistics import mean
 from typing import Any, NamedTuple
 
@@ -44,17 +43,10 @@ class SavedSuccess(OfLayout):
     """The shipped agent on a grown maze and on random ones like it."""
 
     kind = "mazes"
+    label = "{0.runs} runs of {0.layout.stem} and of {0.mazes} random mazes like it"
+    file = "mazes/{0.layout.stem}.csv"
     mazes: int = 100  # how many random ones
     runs: int = 100  # on each maze
-
-    @property
-    def name(self) -> str:
-        """Return its name in lists."""
-        return f"{self.runs} runs of {self.layout.stem} and of {self.mazes} random mazes like it"
-
-    def path(self, folders: Folders) -> Path:
-        """Find its file."""
-        return folders.results / "mazes" / f"{self.layout.stem}.csv"
 
     def read(self, folders: Folders) -> list[Solved]:
         """Read what is saved of this agent and this grown maze."""

@@ -25,14 +25,10 @@ class SavedPeak(OfLayout):
     """The peak of one layout (section E.3)."""
 
     kind = "peaks"
+    label = "peak of {0.layout.stem}"
     table: str  # the file in which the runs stand, which peaks share
     timesteps: int  # horizon T
     seeds: int  # how many runs with each number of agents
-
-    @property
-    def name(self) -> str:
-        """Return its name in lists."""
-        return f"peak of {self.layout.stem}"
 
     def traffic(self, agents: Iterable[int]) -> SavedTraffic:
         """Describe the runs with some numbers of agents."""

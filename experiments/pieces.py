@@ -26,10 +26,18 @@ class Piece(Protocol):
     """A saved result."""
 
     kind: ClassVar[str]  # of pieces like it, in the plural: lists count these
+    # Its name in lists, and its file below `Folders.results`; {0} is the piece.
+    label: ClassVar[str] = ""
+    file: ClassVar[str] = ""
 
     @property
     def name(self) -> str:
         """Return its name in lists."""
+        return self.label.format(self)
+
+    def path(self, folders: Folders) -> Path:
+        """Return the path of its file, or of its folder."""
+        return folders.results / self.file.format(self)
 
     @property
     def needs(self) -> tuple["Piece", ...]:

@@ -57,6 +57,8 @@ class SavedRun(Piece):
     """A search, named after its preset and seed."""
 
     kind = "searches"
+    label = "run {0.folder}"
+    file = "runs/{0.folder}"
     preset: str  # whose settings
     seed: int = 0  # of the search
     evaluations: int | None = None  # as many as the preset has unless given
@@ -66,11 +68,6 @@ class SavedRun(Piece):
     def folder(self) -> str:
         """Name of its folder."""
         return (self.row or self.preset) + (f"-seed{self.seed}" if self.seed else "")
-
-    @property
-    def name(self) -> str:
-        """Return its name in lists."""
-        return f"run {self.folder}"
 
     @property
     def config(self) -> RunConfig:
@@ -95,7 +92,7 @@ class SavedRun(Piece):
 
     def make(self, folders: Folders, say: Say) -> None:
         """Begin or continue the run, then summarise it."""
-        summarise(self.whole(folders, say), folders.results / "runs" / self.folder)
+        summarise(self.whole(folders, say), self.path(folders))
 
     def whole(self, folders: Folders, say: Say) -> RunDirectory:
         """Return the finished run with all its weights; see `whole_run`."""
@@ -103,7 +100,7 @@ class SavedRun(Piece):
 
     def read(self, folders: Folders) -> Summary | None:
         """Read what is kept; None where nothing is."""
-        path = folders.results / "runs" / self.folder
+        path = self.path(folders)
         return read_summary(path) if (path / SUMMARY).exists() else None
 
 
@@ -115,8 +112,7 @@ def whole_run(
 ) -> RunDirectory:
     """Return the finished run of a folder; begin or continue it where it is not.
 
-    Raises:
-        InputError: the folder holds a run with other settings.
+    Raises InputError if the folder holds a run with other settings.
     """
     if not (path / "config.json").exists():
         say(f"{path}: begins; an interruption loses minutes at most")

@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import mean
 from typing import Any, NamedTuple
 
@@ -42,18 +41,11 @@ class SavedRuntime(Piece):
     """Growing and repairing the best layout of the zoo at one size."""
 
     kind = "runtimes"
+    label = "runtimes of {0.domain} at {0.shape[0]}x{0.shape[1]}"
+    file = "runtimes/{0.domain}-{0.shape[0]}x{0.shape[1]}.csv"
     domain: str  # its name
     shape: tuple[int, int]  # rows and columns
     seeds: int = SEEDS  # how many repairs
-
-    @property
-    def name(self) -> str:
-        """Return its name in lists."""
-        return "runtimes of {} at {}x{}".format(self.domain, *self.shape)
-
-    def path(self, folders: Folders) -> Path:
-        """Find its file."""
-        return folders.results / "runtimes" / "{}-{}x{}.csv".format(self.domain, *self.shape)
 
     def read(self, folders: Folders) -> list[Runtime]:
         """Read what is saved of the generator that ships now."""

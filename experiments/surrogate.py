@@ -38,8 +38,7 @@ HEAD = ("size", "learnt_from", "held_out", "seed", "number", "r2", "rmse", "rank
 def remembered(run: qdenv.RunDirectory) -> tuple[Samples, Aspect, list[str]]:
     """Read all that a run's surrogate may learn from, and what its numbers are called.
 
-    Raises:
-        InputError: the run's algorithm remembers nothing.
+    Raises InputError if the run's algorithm remembers nothing.
     """
     experiment = qdenv.make_experiment(run.config)
     domain = experiment.pipeline.domain

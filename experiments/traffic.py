@@ -15,6 +15,7 @@ class SavedTraffic(OfLayout):
     """Simulations of one layout."""
 
     kind = "simulations"
+    file = "traffic/{0.table}.csv"
     table: str  # the file they stand in, which figures share
     agents: tuple[int, ...]  # numbers of them
     timesteps: int = 5000  # horizon T
@@ -26,10 +27,6 @@ class SavedTraffic(OfLayout):
         """Return its name in lists."""
         counts = ",".join(map(str, self.agents))
         return f"{self.seeds} runs of {self.layout.stem}, {counts} agents, {self.planner}"
-
-    def path(self, folders: Folders) -> Path:
-        """Find its file."""
-        return folders.results / "traffic" / f"{self.table}.csv"
 
     def cases(self, folders: Folders) -> list[Case]:
         """List what is simulated: nothing where the layout could not be repaired."""

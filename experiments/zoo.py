@@ -50,13 +50,6 @@ def numbers_of(archive: SavedArchive) -> dict[str, np.ndarray]:
     return found | dict(zip(names, measures.T.astype(float), strict=True))
 
 
-def sound(archive: SavedArchive) -> np.ndarray:
-    """List the elites (int [n]) that flowed or were solvable in all simulations of the search."""
-    columns = archive.columns
-    congested = columns.get("congested", np.zeros((len(archive), 1), bool))
-    return np.flatnonzero(~congested.any(axis=1) & (columns["objective"] > 0))
-
-
 def in_order(rule: Rule, numbers: Mapping[str, np.ndarray], elites: np.ndarray) -> np.ndarray:
     """Order the elites (int [n]) that a rule's steps leave; the first of equal ones stays first."""
     for number, share in (*rule.steps, (rule.order, 1.0)):
@@ -76,8 +69,11 @@ def spread(cells: Iterable[Cell], apart: int) -> list[Cell]:
 
 def choose(workshop: Workshop, rules: tuple[Rule, ...]) -> dict[Rule, Cell]:
     """Choose a cell of the archive for each rule."""
-    archive = workshop.archive
-    numbers, elites, cells = numbers_of(archive), sound(archive), archive.cells
+    archive, columns = workshop.archive, workshop.archive.columns
+    numbers, cells = numbers_of(archive), archive.cells
+    # Those that flowed or were solvable in all simulations of the search.
+    congested = columns.get("congested", np.zeros((len(archive), 1), bool))
+    elites = np.flatnonzero(~congested.any(axis=1) & (columns["objective"] > 0))
     chosen: dict[Rule, Cell] = {}
     for rule in rules:
         ordered = (tuple(map(int, cells[row])) for row in in_order(rule, numbers, elites))

@@ -108,8 +108,7 @@ def open_page(
     Yields Playwright's page, and a list of complaints that grows while it is open: errors,
     messages on the console, requests to a network. The size is that of the window in pixels.
 
-    Raises:
-        InputError: there is no browser, or playwright is not installed.
+    Raises InputError if there is no browser, or playwright is not installed.
     """
     program = find_browser()
     if program is None:

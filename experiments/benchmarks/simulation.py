@@ -88,8 +88,7 @@ def own_cases(timesteps: int) -> Iterator[Case]:
 def recorded_cases(reference: Path, layouts: Path, longest: int) -> Iterator[Case]:
     """Yield the cases of a file of recorded runs.
 
-    Raises:
-        InputError: the file or one of its layouts cannot be read.
+    Raises InputError if the file or one of its layouts cannot be read.
     """
     cases: dict[tuple, list[Row]] = {}
     try:

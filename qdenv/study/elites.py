@@ -72,9 +72,8 @@ def grow_series(
 ) -> list[np.ndarray]:
     """Grow a solution (float32 [P]) to framed layouts (int8 [H, W]), one for each number of steps.
 
-    Raises:
-        InputError: the canvas is smaller than the seed block or the frame, or the solution is
-            one of another architecture, or a number of steps is negative.
+    Raises InputError if the canvas is smaller than the seed block or the frame, or the solution is
+    one of another architecture, or a number of steps is negative.
     """
     check_range("steps", tuple(steps), tuple[NonNegativeInt, ...])
     generator = GENERATORS.make(config.generator, domain.canvas)
@@ -109,8 +108,7 @@ def grow_elite(
     the longer side and the generated area. `keep` is a drawing of the layout's shape with the tiles
     that must stay; at the trained size what the run kept unless given.
 
-    Raises:
-        InputError: there is no such elite, the size is impossible, or what must stay is.
+    Raises InputError if there is no such elite, the size is impossible, or what must stay is.
     """
     config = run.config.evaluation
     trained = make_domain(config.domain)
@@ -134,8 +132,7 @@ def repair_grown(
 ) -> Repair | None:
     """Repair a grown layout; None where its domain has no rules.
 
-    Raises:
-        InputError: no layout of this size obeys the rules, or none was found.
+    Raises InputError if no layout of this size obeys the rules, or none was found.
     """
     domain = grown.domain
     if domain.rules is None:
@@ -181,9 +178,8 @@ def grow_sizes(
     `which`, and `steps` and `numbers` for each size, are as in `grow_elite`; `seed` is that of the
     repair, the run's own unless given.
 
-    Raises:
-        InputError: there is no such elite, a size is impossible, or a list has another length
-            than `sizes`.
+    Raises InputError if there is no such elite, a size is impossible, or a list has another length
+    than `sizes`.
     """
     given = dict(numbers or {})
     for name, values in {"steps": steps, **given}.items():
@@ -205,8 +201,7 @@ def grow_frames(
     Return the multiples of `every` and the last step, and the unrepaired layout (int8 [H, W]) after
     each of these numbers of steps.
 
-    Raises:
-        InputError: `every` is not positive, or no elite drew the layout.
+    Raises InputError if `every` is not positive, or no elite drew the layout.
     """
     check_range("every", every, PositiveInt)
     if grown.elite is None:
@@ -274,8 +269,7 @@ def tile_layout(domain: Domain, layout: np.ndarray) -> np.ndarray:
     The copies start in the upper left corner; those at the right and at the bottom are cut. The
     frame is drawn again; nothing is repaired. `domain` is at the larger size.
 
-    Raises:
-        InputError: the larger layout is smaller than the frame.
+    Raises InputError if the larger layout is smaller than the frame.
     """
     inside, (height, width) = inside_frame(layout, domain.margin), domain.generated_shape
     if min(height, width) < 1 or inside.size == 0:
@@ -298,8 +292,7 @@ def tile(
     Numbers of tiles that are left out are those known of the size, or else the small layout's,
     scaled with the area. The domain is at any size.
 
-    Raises:
-        InputError: the size is impossible, or no repair was found.
+    Raises InputError if the size is impossible, or no repair was found.
     """
     larger = domain.fitted(layout).resized(*shape, numbers)
     grown = Unrepaired(larger, None, tile_layout(larger, layout), 0)

@@ -50,8 +50,7 @@ def run_seeds(
     recording, which is dropped afterwards: all recordings together may not fit into memory. Without
     it nothing is recorded. `threads` is the number of runs at a time, None for that of the cores.
 
-    Raises:
-        InputError: the domain has no fleet, or the layout does not suit it.
+    Raises InputError if the domain has no fleet, or the layout does not suit it.
     """
     count = config.agents if agents is None else agents
     tasks = fleet_tasks(layout, tasks, count)

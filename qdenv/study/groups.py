@@ -53,9 +53,8 @@ def band_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def group_runs(runs: Sequence[RunDirectory]) -> list[Group]:
     """Put runs of the same settings together, in the order of their first ones.
 
-    Raises:
-        InputError: a run has no finished iteration, or two are of different objectives, which no
-            scale shows side by side.
+    Raises InputError if a run has no finished iteration, or two are of different objectives, which
+    no scale shows side by side.
     """
     objectives = {run.schema.objective: run for run in runs}
     if len(objectives) > 1:

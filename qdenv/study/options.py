@@ -23,8 +23,7 @@ _MOST_COUNTS = 1000  # numbers of agents in one study
 def parse_seeds(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
     """Read seeds: 10 or "10" for ten seeds from 0 on; (3, 5) or "3,5" for these, (7,) or "7,".
 
-    Raises:
-        InputError: there is no seed, one is named twice, or one is out of range.
+    Raises InputError if there is no seed, one is named twice, or one is out of range.
     """
     # A comma makes it a list: "7," is the seed 7, "7" are seven seeds.
     text = str(seeds) if isinstance(seeds, int | str) else "".join(f"{one}," for one in seeds)
@@ -46,8 +45,8 @@ def parse_seeds(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
 def parse_counts(text: str) -> tuple[int, ...]:
     """Read numbers of agents: "200", "50,100", or "50:400:50", a range with its end.
 
-    Raises:
-        InputError: none of the three, a count below one or named twice, or too many of them.
+    Raises InputError if it is none of the three, a count is below one or named twice, or there are
+    too many.
     """
     counts: Sequence[int]
     try:
@@ -74,8 +73,7 @@ def parse_counts(text: str) -> tuple[int, ...]:
 def find_surrogate(size: str, numbers: Mapping[str, Any]) -> SurrogateConfig:
     """Return the settings of a surrogate: "small" or "published", with changes that are not None.
 
-    Raises:
-        InputError: a name is unknown, or a number is impossible.
+    Raises InputError if a name is unknown, or a number is impossible.
     """
     changes = {name: value for name, value in numbers.items() if value is not None}
     chosen: SurrogateConfig = look_up(_SURROGATES, size, "size")
@@ -87,8 +85,7 @@ def find_surrogate(size: str, numbers: Mapping[str, Any]) -> SurrogateConfig:
 def fleet_tasks(layout: np.ndarray, tasks: TaskRule | None, agents: int) -> TaskRule:
     """Return what the agents do, if a simulation can begin.
 
-    Raises:
-        InputError: no fleet drives in this domain, or that many do not fit the layout.
+    Raises InputError if no fleet drives in this domain, or that many do not fit the layout.
     """
     if tasks is None:
         raise InputError("no fleet drives in this domain: there is no traffic to simulate")

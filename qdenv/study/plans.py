@@ -40,8 +40,7 @@ class Plan(NamedTuple):
         The exact numbers of tiles are the plan's own unless given; `keep` is a drawing of what must
         stay, what the plan's file says unless given.
 
-        Raises:
-            InputError: what must stay is drawn wrong, or can be in no layout.
+        Raises InputError if what must stay is drawn wrong, or can be in no layout.
         """
         domain = self.domain.fitted(self.layout, numbers)
         if keep is not None:
@@ -58,8 +57,7 @@ def read_plan(path: str | Path, domain: str | None = None) -> Plan:
     Unless `domain` names it: what the file says, else the usual one where its tiles fit, else the
     first one whose tiles do.
 
-    Raises:
-        InputError: the file holds no layout, or says that it is another domain's.
+    Raises InputError if the file holds no layout, or says that it is another domain's.
     """
     rows, stated, keep = read_drawing(path)
     if stated and domain and stated != domain and stated in DOMAINS.names():
@@ -93,9 +91,8 @@ def keep_from(path: str | Path, domain: Domain, layout: np.ndarray | None = None
     The file is a drawing of the layout's shape in any format of layout files: ``?`` is free to
     change, ``!`` stays as the plan (int8 [H, W], or None) has it, a tile stays this tile.
 
-    Raises:
-        InputError: the file is no such drawing, asks for what the plan does not hold, or for what
-            no layout can be.
+    Raises InputError if the file is no such drawing, asks for what the plan does not hold, or for
+    what no layout can be.
     """
     # In a drawing of what stays, blanks are no second symbol of a tile.
     known: dict[str, Any] = aliases(domain.tiles, domain.meanings)

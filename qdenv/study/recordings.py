@@ -181,8 +181,7 @@ def record_fleet(
 ) -> tuple[Motion, Traffic]:
     """Simulate and record the run of a fleet that `simulate` counts for this seed.
 
-    Raises:
-        InputError: the fleet cannot work on this layout, or the run is too long to be shown.
+    Raises InputError if the fleet cannot work on this layout, or the run is too long to be shown.
     """
     check_run(config.agents, config.timesteps, seed)
     tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, config.agents)
@@ -223,8 +222,7 @@ def trace_agent(
     The episode fails after `timesteps` actions, as in `evaluate-agent` unless given; the weights
     are those of the shipped agent unless given.
 
-    Raises:
-        InputError: there is nothing to solve, or the seed is none.
+    Raises InputError if there is nothing to solve, or the seed is none.
     """
     check_run(1, timesteps or 1, seed)
     import jax  # here: refusals are faster without it

@@ -46,8 +46,7 @@ class Evaluated:
 def read_elites(run: RunDirectory) -> Evaluated:
     """Read what a surrogate can learn from a run's archive.
 
-    Raises:
-        InputError: nothing is saved yet, or there are fewer than 50 elites.
+    Raises InputError if nothing is saved yet, or there are fewer than 50 elites.
     """
     archive, domain = run.archive, make_domain(run.config.evaluation.domain)
     if len(archive) < FEWEST:

@@ -152,8 +152,7 @@ def climb(
 def check_climb(name: str, layout: np.ndarray, trial: Trial) -> list[int]:
     """Return the numbers of agents that fit on a layout, in ascending order.
 
-    Raises:
-        InputError: agents cannot work on the layout, or not even the smallest number fits.
+    Raises InputError if agents cannot work on the layout, or not even the smallest number fits.
     """
     tasks, counts = trial.tasks, trial.counts
     free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
@@ -270,8 +269,7 @@ def write_rows(
 ) -> None:
     """Write rows as CSV with further columns by name, an entry for each row in each.
 
-    Raises:
-        InputError: the place cannot be written to.
+    Raises InputError if the place cannot be written to.
     """
     columns = columns or {}
     # Six digits are more than any of these numbers means.

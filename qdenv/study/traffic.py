@@ -100,8 +100,7 @@ def examine(
     `verdict` simulates other numbers of agents, too, each with the first few seeds. `on_runs` is
     called with the study before the runs that its verdict takes.
 
-    Raises:
-        InputError: the fleet cannot work on this layout, or is too large to be recorded.
+    Raises InputError if the fleet cannot work on this layout, or is too large to be recorded.
     """
     layout, agents = plan.layout, config.agents
     tasks = fleet_tasks(layout, plan.domain.simulator.tasks, agents)

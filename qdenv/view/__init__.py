@@ -10,8 +10,7 @@ _NARROWEST, _WIDEST = 2.0, 40.0  # inches
 def parse_width(text: str) -> float:
     """Read a picture's width in inches: "column", "page" or a number of inches.
 
-    Raises:
-        InputError: it is none of the three, or nothing could be read at that width.
+    Raises InputError if it is none of the three, or nothing could be read at that width.
     """
     try:
         inches = {"column": COLUMN, "page": PAGE}.get(text) or float(text)

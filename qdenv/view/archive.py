@@ -36,8 +36,7 @@ def draw_heatmap(
     row-major, not finite where a cell is empty; `low` and `high` are those of the darkest and the
     brightest colour, the least and the greatest by default.
 
-    Raises:
-        InputError: there are more than two measures, or the number of cells differs.
+    Raises InputError if there are more than two measures, or the number of cells differs.
     """
     if len(measures) not in (1, 2):
         raise InputError(f"a heat map shows one or two measures, not {len(measures)}")

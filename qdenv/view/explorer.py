@@ -52,9 +52,8 @@ def make_explorer(
     `growth` is the number of elites that the page shows growing, evenly spread over the archive,
     the best among them; unless given as many as fit into 12 MB.
 
-    Raises:
-        InputError: there is no elite, there are more than two measures, `growth` is negative, or a
-            package is not installed.
+    Raises InputError if there is no elite, there are more than two measures, `growth` is negative,
+    or a package is not installed.
     """
     check_range("growth", growth, NonNegativeInt | None)
     if len(run.measures) > 2:

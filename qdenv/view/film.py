@@ -55,8 +55,7 @@ def save_film(
     The layout is int8 [H, W], the window the timesteps at which the film begins and ends, cut to
     those of the run; `progress` is called with the step and its completed share.
 
-    Raises:
-        InputError: the place cannot be written to, or the window is empty.
+    Raises InputError if the place cannot be written to, or the window is empty.
     """
     kind = KINDS[path.suffix.lower()]
     first, last = window[0], min(window[1], motion.steps)

@@ -59,8 +59,7 @@ class Page:
     def save(self, path: str | Path) -> Path:
         """Write the page as one file.
 
-        Raises:
-            InputError: the place cannot be written to.
+        Raises InputError if the place cannot be written to.
         """
         write_atomically(Path(path), self.html.encode())
         return Path(path)
@@ -88,8 +87,7 @@ def make_page(
     Scripts read ``facts``, which are JSON-ready values, or numpy's, and await ``unpack(name)`` of
     the packed arrays, bytes, or texts that `pack` returned.
 
-    Raises:
-        InputError: jinja2 is not installed.
+    Raises InputError if jinja2 is not installed.
     """
     require_package("pages", "jinja2")
     import jinja2

@@ -30,8 +30,7 @@ def make_replay(
     `traffic` is what the simulator counted, None in a maze; `about` are the lines below the title,
     of `about_fleet` or `about_episode`.
 
-    Raises:
-        InputError: jinja2 is not installed, or a planner let a robot jump.
+    Raises InputError if jinja2 is not installed, or a planner let a robot jump.
     """
     # Only here: matplotlib takes half a second to import.
     from qdenv.view import film
@@ -113,8 +112,7 @@ def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
     times and next: uint32 [sum of counts], the step of each, and the goal from then on; headings:
     uint8 [E + 1], empty for robots.
 
-    Raises:
-        InputError: a robot moved by more than one cell.
+    Raises InputError if a robot moved by more than one cell.
     """
     moves = np.full(motion.finished.shape, 255, np.uint8)
     steps = np.diff(motion.positions, axis=0)

@@ -61,8 +61,8 @@ def make_request(
     several, in place of those, or none for the usual number; `timesteps` is None for the usual
     horizon; `config` makes the numbers of a simulation of agents and timesteps.
 
-    Raises:
-        InputError: a fleet cannot work on one of the layouts, or the numbers make no simulation.
+    Raises InputError if a fleet cannot work on one of the layouts, or the numbers make no
+    simulation.
     """
     domain, layouts = subjects[0].plan.domain, [one.plan.layout for one in subjects]
     usual, timesteps, note = usual_fleet(domain, layouts, max(agents, default=None), timesteps)

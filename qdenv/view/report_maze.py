@@ -38,8 +38,7 @@ def report_mazes(
     `timesteps` are the actions per episode, twice the tiles of the ringed maze unless given;
     `command` is the line that makes the page again.
 
-    Raises:
-        InputError: there is nothing to solve in one of them.
+    Raises InputError if there is nothing to solve in one of them.
     """
     weights = load_weights("")
     mazes: list[dict[str, Any]] = []

@@ -47,8 +47,7 @@ def is_run(source: Any) -> bool:
 def subject_of_run(run: RunDirectory) -> Subject:
     """Make a subject of the best elite of a run.
 
-    Raises:
-        InputError: it has none.
+    Raises InputError if it has none.
     """
     elite, domain = run.best, make_domain(run.config.evaluation.domain)
     name = str(run.shipped).removeprefix(PREFIX) if run.shipped else file_name(run.path)
@@ -59,8 +58,7 @@ def subject_of_run(run: RunDirectory) -> Subject:
 def distinct(subjects: Sequence[Subject]) -> list[Subject]:
     """Check that all are of one domain, and rename those of the same name after their source.
 
-    Raises:
-        InputError: there is none, or they are of several domains, or one is named twice.
+    Raises InputError if there is none, or they are of several domains, or one is named twice.
     """
     if not subjects:
         raise InputError("give at least one layout file or run")

@@ -150,9 +150,8 @@ def plot_run(
     progress are `width` inches wide, or suit a screen. Return the pictures, without one of the best
     layout if the archive is empty.
 
-    Raises:
-        InputError: the run has saved no archive yet, a file of it is damaged, or it ships with the
-            package and no other folder is given.
+    Raises InputError if the run has saved no archive yet, a file of it is damaged, or it ships with
+    the package and no other folder is given.
     """
     run = run if isinstance(run, RunDirectory) else RunDirectory.open(run)
     if folder is None:

@@ -138,8 +138,7 @@ def save_figure(figure: Figure, path: str | Path, crop: bool = False) -> None:
     The ending of `path` decides the format (png, pdf, svg), png without one; `crop` cuts the
     picture to what is drawn, labels outside the figure included.
 
-    Raises:
-        InputError: the place cannot be written to.
+    Raises InputError if the place cannot be written to.
     """
     target = Path(path)
     form = target.suffix.lstrip(".") or "png"
