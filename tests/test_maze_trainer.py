@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from functools import partial
+from typing import get_args
 
 import chex
 import jax
@@ -13,8 +14,8 @@ import optax
 import pytest
 
 from qdenv.agent import levels, ppo
-from qdenv.agent.train import choose, load_state, save_weights, train_agent
-from qdenv.agent.update import TrainConfig, start, update
+from qdenv.agent.settings import Method, TrainConfig
+from qdenv.agent.train import choose, load_state, save_weights, start, train_agent, update
 from qdenv.simulate.maze import policy
 from qdenv.simulate.maze.policy import Memory, draw_weights, load_weights
 from qdenv.simulate.maze.world import GOAL, WALL
@@ -28,7 +29,7 @@ CONFIG = TrainConfig(
     steps=3 * 128, units=4, bank=16, fresh=4, exam=2, levels=SMALL,
     ppo=ppo.PPOConfig(lanes=8, timesteps=16, minibatches=2),
 )  # fmt: skip
-REWARDS = ppo.Rewards(CONFIG.reward.novelty, CONFIG.reward.progress, CONFIG.reward.haste)
+REWARDS = CONFIG.reward.novelty, CONFIG.reward.progress, CONFIG.reward.haste
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +108,7 @@ def test_haste_takes_from_the_reward_of_the_goal(recorded):
     env = jax.tree.map(lambda x: x[0], state.envs)._replace(elapsed=jnp.int32(9))
     env = env._replace(level=env.level._replace(horizon=jnp.int32(20)))
     found = [
-        float(ppo._reward(env, env.pose, jnp.bool_(True), ppo.Rewards(0.0, 0.0, haste)))
+        float(ppo._reward(env, env.pose, jnp.bool_(True), (0.0, 0.0, haste)))
         for haste in (0.0, 0.5, 0.9)
     ]
     np.testing.assert_allclose(found, [1, 0.75, 0.55], atol=1e-6)
@@ -116,16 +117,15 @@ def test_haste_takes_from_the_reward_of_the_goal(recorded):
 def test_the_buffer_keeps_the_worthy_and_replaces_the_oldest(buffer):
     buffer = jax.tree.map(lambda x: x[:8], buffer)
     fresh = jax.tree.map(lambda x: x[:3], buffer.level)
-    plr, dr = levels.METHODS["plr"], levels.METHODS["dr"]
     buffer = buffer._replace(score=jnp.arange(8.0))
-    new = levels.insert(buffer, fresh, jnp.array([0.5, 9.0, -1.0]), jnp.int32(4), plr)
+    new = levels.insert(buffer, fresh, jnp.array([0.5, 9.0, -1.0]), jnp.int32(4), on_trial=True)
     np.testing.assert_array_equal(np.sort(new.score), [1, 2, 3, 4, 5, 6, 7, 9])
     assert int((new.last_seen == 4).sum()) == 1
-    new = levels.insert(buffer, fresh, jnp.zeros(3), jnp.int32(4), dr)
+    new = levels.insert(buffer, fresh, jnp.zeros(3), jnp.int32(4), on_trial=False)
     np.testing.assert_array_equal(np.sort(new.serial), np.arange(3, 11))
-    probabilities = levels.replay_probabilities(buffer, jnp.int32(0), plr, staleness=0.5)
+    probabilities = levels.replay_probabilities(buffer, jnp.int32(0), True, staleness=0.5)
     np.testing.assert_allclose(probabilities, 0.5 * np.arange(8) / 28 + 0.5 / 8, atol=1e-6)
-    np.testing.assert_allclose(levels.replay_probabilities(buffer, jnp.int32(0), dr), 1 / 8)
+    np.testing.assert_allclose(levels.replay_probabilities(buffer, jnp.int32(0), False), 1 / 8)
 
 
 def test_scores_are_mean_positive_advantages_of_levels_still_there(buffer):
@@ -256,12 +256,12 @@ def test_a_checkpoint_holds_the_anchor_the_run_began_with(tmp_path):
     config = replace(CONFIG, method="dr", warm_start=str(tmp_path / "first.npz"), anchor=0.5)
     train_agent(config, tmp_path / "run", report_every=1, cpu_seconds=0)
     state, _ = load_state(tmp_path / "run/checkpoint.npz", start(config))
-    chex.assert_trees_all_equal(state.anchor.weights, first)
-    assert np.abs(state.anchor.memory.hidden).max() > 0
+    chex.assert_trees_all_equal(state.anchor[0], first)
+    assert np.abs(state.anchor[1].hidden).max() > 0
     assert (state.weights.actor != first.actor).any()
 
 
-@pytest.mark.parametrize("method", levels.METHODS)
+@pytest.mark.parametrize("method", get_args(Method))
 def test_a_run_may_change_its_method(method):
     state = jax.eval_shape(lambda: start(CONFIG))
     later, _ = jax.eval_shape(lambda state: update(state, replace(CONFIG, method=method)), state)

@@ -80,17 +80,14 @@ class _Unpickler(pickle._Unpickler):
             raise InputError("refused: the checkpoint holds something other than float32 tensors")
         return self._load(pid[2], pid[4])
 
-    def load_names(self) -> None:
-        self.append(_Names())
-
     def load_build(self) -> None:
         # Attributes of a dictionary are ignored: they could shadow its methods.
         self.stack.pop()
         if type(self.stack[-1]) is not _Names:
             raise InputError("refused: the checkpoint sets attributes")
 
-    dispatch = pickle._Unpickler.dispatch | {  # type: ignore[assignment]
-        pickle.EMPTY_DICT[0]: load_names,
+    dispatch = pickle._Unpickler.dispatch | {
+        pickle.EMPTY_DICT[0]: lambda self: self.append(_Names()),
         pickle.BUILD[0]: load_build,
     }
 

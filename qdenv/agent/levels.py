@@ -3,7 +3,6 @@
 All levels have canvases of one size; small mazes lie in the first corner, amid walls.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -101,9 +100,10 @@ def far_pair(key: jax.Array, layout: jax.Array) -> world.Course:
     gap = _distances(kinds, one)
     two = farthest(gap)
     length = jnp.where(useful[-1] > 0, gap[two], 0)
-    return world.Course(
-        world.in_layout(jnp.minimum(one, two), n), world.in_layout(jnp.maximum(one, two), n), length
-    )
+    # From places on the canvas to cells of the layout.
+    row, col = jnp.divmod(jnp.sort(jnp.stack([one, two])), n + 2 * REACH)
+    start, goal = ((row - REACH) * n + col - REACH).astype(jnp.int32)
+    return world.Course(start, goal, length)
 
 
 def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax.Array) -> Level:
@@ -153,7 +153,12 @@ def vary_level(key: jax.Array, level: Level, config: LevelConfig) -> Level:
 
 
 class LevelBuffer(NamedTuple):
-    """The levels under replay, each with a leading axis [C]."""
+    """The levels under replay, each with a leading axis [C].
+
+    Methods of training on trial (robust PLR, https://arxiv.org/abs/2110.02439, and ACCEL) try new
+    levels without learning, and those enter by score; else each replaces the oldest, and all are
+    replayed alike.
+    """
 
     level: Level
     score: jax.Array  # float32, mean positive advantage when last seen
@@ -161,39 +166,24 @@ class LevelBuffer(NamedTuple):
     serial: jax.Array  # int32, number of the level since the beginning
 
 
-class Method(NamedTuple):
-    """How the buffer is renewed."""
-
-    # (key, buffer, replay probabilities [C], config) -> one new level; consumes the key
-    propose: Callable[[jax.Array, LevelBuffer, jax.Array, LevelConfig], Level]
-    # new levels are tried without learning and enter by score (robust PLR,
-    # https://arxiv.org/abs/2110.02439); else each replaces the oldest, and all are replayed alike
-    on_trial: bool
-
-
-def _draw(
-    key: jax.Array, buffer: LevelBuffer, probabilities: jax.Array, config: LevelConfig
+def propose(
+    key: jax.Array,
+    buffer: LevelBuffer,
+    probabilities: jax.Array,
+    config: LevelConfig,
+    edits: bool,
 ) -> Level:
-    del buffer, probabilities
-    return draw_level(key, config)
+    """Draw a new level or, with `edits` in half of the cases, edit one that is worth replaying.
 
-
-def _draw_or_edit(
-    key: jax.Array, buffer: LevelBuffer, probabilities: jax.Array, config: LevelConfig
-) -> Level:
-    """Edit a level that is worth replaying, or draw a new one, each in half of the cases."""
+    The probabilities of replay are float32 [C]. Consumes the key.
+    """
+    if not edits:
+        return draw_level(key, config)
     keys = jax.random.split(key, 4)
     parent = jax.random.choice(keys[0], probabilities.shape[0], p=probabilities)
     edited = vary_level(keys[1], jax.tree.map(lambda x: x[parent], buffer.level), config)
     new = draw_level(keys[2], config)
     return jax.tree.map(lambda a, b: jnp.where(jax.random.bernoulli(keys[3]), a, b), edited, new)
-
-
-METHODS: dict[str, Method] = {
-    "dr": Method(_draw, on_trial=False),
-    "plr": Method(_draw, on_trial=True),
-    "accel": Method(_draw_or_edit, on_trial=True),
-}
 
 
 def new_buffer(key: jax.Array, size: int, config: LevelConfig) -> LevelBuffer:
@@ -206,7 +196,7 @@ def new_buffer(key: jax.Array, size: int, config: LevelConfig) -> LevelBuffer:
 
 
 def replay_probabilities(
-    buffer: LevelBuffer, update: jax.Array, method: Method, staleness: float = 0.3
+    buffer: LevelBuffer, update: jax.Array, on_trial: bool, staleness: float = 0.3
 ) -> jax.Array:
     """Weigh the levels for replay: evenly, or by score with a share for age (float32 [C], sum 1).
 
@@ -214,7 +204,7 @@ def replay_probabilities(
     parts in proportion (PLR ranks the scores): a score is only as good as the policy it was
     measured with, so old ones must be measured again.
     """
-    if not method.on_trial:
+    if not on_trial:
         return jnp.full(buffer.score.shape, 1 / buffer.score.size)
     # The small number keeps a buffer without any score from dividing by zero.
     by_score = (buffer.score + 1e-6) / (buffer.score + 1e-6).sum()
@@ -243,16 +233,16 @@ def update_scores(
 
 
 def insert(
-    buffer: LevelBuffer, levels: Level, score: jax.Array, update: jax.Array, method: Method
+    buffer: LevelBuffer, levels: Level, score: jax.Array, update: jax.Array, on_trial: bool
 ) -> LevelBuffer:
     """Take n <= C new levels in: on trial where they beat the worst, else instead of the oldest."""
     count = score.size
-    rank = buffer.score if method.on_trial else buffer.serial.astype(jnp.float32)
+    rank = buffer.score if on_trial else buffer.serial.astype(jnp.float32)
     _, worst = jax.lax.top_k(-rank, count)
     # The best newcomer meets the worst resident, the second best the second worst, and so on.
     best = jnp.argsort(-score)
     levels, score = jax.tree.map(lambda x: x[best], (levels, score))
-    wins = score > buffer.score[worst] if method.on_trial else jnp.ones(count, bool)
+    wins = score > buffer.score[worst] if on_trial else jnp.ones(count, bool)
     serial = buffer.serial.max() + 1 + jnp.arange(count, dtype=jnp.int32)
     new = LevelBuffer(levels, score, jnp.full(count, update), serial)
     slot = jnp.where(wins, worst, buffer.score.size)  # losers: out of bounds

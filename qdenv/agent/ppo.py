@@ -16,14 +16,8 @@ from qdenv.simulate.maze.policy import Memory, Weights
 from qdenv.simulate.maze.world import Pose, image, step, view
 
 _Learner: TypeAlias = tuple[Weights, optax.OptState]
-
-
-class Rewards(NamedTuple):
-    """`RewardConfig` at one moment of the training."""
-
-    novelty: jax.Array | float
-    progress: float
-    haste: float
+# The numbers of `RewardConfig` at one moment of the training: novelty, progress, haste.
+Rewards: TypeAlias = tuple[jax.Array | float, float, float]
 
 
 class EnvState(NamedTuple):
@@ -96,12 +90,13 @@ def _step_env(
 
 def _reward(env: EnvState, pose: Pose, success: jax.Array, rewards: Rewards) -> jax.Array:
     """Reward the goal, the sooner the more, and first visits and progress as configured."""
+    novelty, progress, haste = rewards
     # With a haste of 0.9 the goal's part is that of MiniGrid, 1 - 0.9 t / T, positive to the end.
     distance, here = env.level.distance, env.pose.position
     nearer = distance[here] - jnp.where(success, 0, distance[pose.position])
     new = ~env.visited[pose.position]
-    goal = jnp.where(success, 1 - rewards.haste * (env.elapsed + 1) / env.level.horizon, 0.0)
-    return goal + rewards.novelty * new + rewards.progress * nearer
+    goal = jnp.where(success, 1 - haste * (env.elapsed + 1) / env.level.horizon, 0.0)
+    return goal + novelty * new + progress * nearer
 
 
 def collect(

@@ -60,23 +60,15 @@ def blank_memory(weights: Weights, batch: tuple[int, ...] = ()) -> Memory:
     return Memory(zeros, zeros)
 
 
-def _trailing(bias: Array, axes: int) -> jax.Array:
-    """Give a vector leading axes of length one, `axes` in all."""
-    return jnp.expand_dims(bias, tuple(range(axes - 1)))
-
-
 def _affine(inputs: Array, kernel: Array, bias: Array) -> jax.Array:
     """Multiply by `kernel` [m, n] and add `bias` [n] (float32 [..., m] -> [..., n])."""
-    return jnp.matmul(inputs, kernel) + _trailing(bias, inputs.ndim)
+    return jnp.matmul(inputs, kernel) + jnp.expand_dims(bias, tuple(range(inputs.ndim - 1)))
 
 
 def encode(weights: Weights, image: Array, compass: Array) -> jax.Array:
     """Turn observations into the input of the LSTM's gates (float32 [..., 4 L]).
 
-    Args:
-        weights: the agent.
-        image: float32 [..., 5, 5, 3], indexed [x, y, channel].
-        compass: float32 [..., 4], one-hot heading.
+    The image is float32 [..., 5, 5, 3], indexed [x, y, channel], the compass a one-hot heading.
     """
     # The valid convolution as one matrix [75, 144]: rows x, y, channel, columns filter, x, y.
     dense = jnp.zeros((VIEW, VIEW, CHANNELS, FILTERS, PATCHES, PATCHES), weights.kernel.dtype)
@@ -89,7 +81,7 @@ def encode(weights: Weights, image: Array, compass: Array) -> jax.Array:
     facing = _affine(compass, weights.compass, weights.compass_bias)
     split = seen.shape[-1]
     gates = jax.nn.relu(seen) @ weights.gates_in[:split] + facing @ weights.gates_in[split:]
-    return gates + _trailing(weights.gates_bias, gates.ndim)
+    return gates + jnp.expand_dims(weights.gates_bias, tuple(range(gates.ndim - 1)))
 
 
 def recur(weights: Weights, gates: Array, memory: Memory) -> Memory:

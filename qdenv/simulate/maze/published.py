@@ -7,7 +7,7 @@ random seed, hence the sequence of first headings. Not the default: that is `epi
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TypeAlias
 
 from qdenv.lazy import jax, jnp
 from qdenv.simulate.maze.episode import Episode, choose
@@ -18,17 +18,11 @@ from qdenv.types import Array
 FIRST_HEADINGS = (3, 0, 1, 2, 3, 1)  # the published seed's; later ones are drawn
 
 
-class _Batch(NamedTuple):
-    """All environments under way, and the episodes counted so far; E environments."""
-
-    key: jax.Array  # random key
-    pose: Pose  # each [E]
-    memory: Memory  # each [E, L]
-    elapsed: jax.Array  # int32 [E], actions of the episode
-    round: jax.Array  # int32 [E], episodes this environment has finished
-    counted: jax.Array  # int32, episodes counted so far
-    success: jax.Array  # bool [episodes]
-    length: jax.Array  # int32 [episodes]
+# All E environments under way: random key; poses; memories [E, L]; actions of the episode of each
+# and episodes that it has finished (int32 [E]). Then the episodes counted so far (int32), and their
+# success (bool) and length (int32), each [episodes].
+_Array: TypeAlias = "jax.Array"
+_Batch: TypeAlias = tuple[_Array, Pose, Memory, _Array, _Array, _Array, _Array, _Array]
 
 
 def reference_episodes(
@@ -47,44 +41,45 @@ def reference_episodes(
     known = min(len(FIRST_HEADINGS), episodes + 1)
     headings = headings.at[:known].set(jnp.asarray(FIRST_HEADINGS[:known]))
     zeros = jnp.zeros(envs, jnp.int32)
-    first = _Batch(
-        key=key,
-        pose=Pose(jnp.full((envs,), start), jnp.full((envs,), headings[0])),
-        memory=blank_memory(weights, (envs,)),
-        elapsed=zeros,
-        round=zeros,
-        counted=jnp.where(course.length > 0, 0, episodes),  # nothing runs where there is no goal
-        success=jnp.zeros(episodes, bool),
-        length=jnp.zeros(episodes, jnp.int32),
+    first = (
+        key,
+        Pose(jnp.full((envs,), start), jnp.full((envs,), headings[0])),
+        blank_memory(weights, (envs,)),
+        zeros,
+        zeros,
+        jnp.where(course.length > 0, 0, episodes),  # nothing runs where there is no goal
+        jnp.zeros(episodes, bool),
+        jnp.zeros(episodes, jnp.int32),
     )
 
     def act_all(now: _Batch) -> _Batch:
-        key, draw_key = jax.random.split(now.key)
-        compass = jax.nn.one_hot(now.pose.heading, 4).max(0)  # the first quirk: the union
-        seen = jax.vmap(lambda pose: view(kinds, pose.position, pose.heading))(now.pose)
+        key, before, memory, elapsed, rounds, counted, successes, lengths = now
+        key, draw_key = jax.random.split(key)
+        compass = jax.nn.one_hot(before.heading, 4).max(0)  # the first quirk: the union
+        seen = jax.vmap(lambda pose: view(kinds, pose.position, pose.heading))(before)
         gates = encode(weights, image(seen), jnp.broadcast_to(compass, (envs, 4)))
-        memory = recur(weights, gates, now.memory)
+        memory = recur(weights, gates, memory)
         action = choose(act(weights, memory.hidden), jax.random.uniform(draw_key, (envs,)))
-        pose, success = jax.vmap(lambda pose, action: step(kinds, pose, action))(now.pose, action)
-        elapsed = now.elapsed + 1
+        pose, success = jax.vmap(lambda pose, action: step(kinds, pose, action))(before, action)
+        elapsed = elapsed + 1
         done = success | (elapsed >= timesteps)
         # Episodes count in the order of environments; those beyond the last place are dropped.
-        place = jnp.where(done, now.counted + jnp.cumsum(done) - 1, episodes)
-        finished = now.round + done
+        place = jnp.where(done, counted + jnp.cumsum(done) - 1, episodes)
+        finished = rounds + done
         heading = headings[jnp.minimum(finished, episodes)]
         restart = Pose(jnp.full_like(pose.position, start), heading)
-        return _Batch(
-            key=key,
-            pose=jax.tree.map(lambda a, b: jnp.where(done, a, b), restart, pose),
-            memory=Memory(*(jnp.where(done[:, None], 0.0, part) for part in memory)),
-            elapsed=jnp.where(done, 0, elapsed),
-            round=finished,
-            counted=now.counted + done.sum(),
-            success=now.success.at[place].set(success, mode="drop"),
-            length=now.length.at[place].set(elapsed, mode="drop"),
+        return (
+            key,
+            jax.tree.map(lambda a, b: jnp.where(done, a, b), restart, pose),
+            Memory(*(jnp.where(done[:, None], 0.0, part) for part in memory)),
+            jnp.where(done, 0, elapsed),
+            finished,
+            counted + done.sum(),
+            successes.at[place].set(success, mode="drop"),
+            lengths.at[place].set(elapsed, mode="drop"),
         )
 
-    last = jax.lax.while_loop(lambda now: now.counted < episodes, act_all, first)
+    *_, success, length = jax.lax.while_loop(lambda now: now[5] < episodes, act_all, first)
     shortest = jnp.full((episodes,), course.length)
     nowhere = jnp.zeros((episodes, *layout.shape))  # the published loop draws no such map
-    return Episode(last.success, last.length, shortest, nowhere)
+    return Episode(success, length, shortest, nowhere)

@@ -113,12 +113,6 @@ def on_canvas(position: jax.Array, width: int) -> jax.Array:
     return (position // width + REACH) * (width + 2 * REACH) + position % width + REACH
 
 
-def in_layout(place: jax.Array, width: int) -> jax.Array:
-    """Turn a flat index of a canvas into the cell of its layout `width` wide (of `on_canvas`)."""
-    row, col = jnp.divmod(place, width + 2 * REACH)
-    return ((row - REACH) * width + col - REACH).astype(jnp.int32)
-
-
 def step(kinds: Array, pose: Pose, action: Array | int) -> tuple[Pose, jax.Array]:
     """Act once on a `canvas`; `pose.position` is a flat index of it.
 
