@@ -17,7 +17,7 @@ from qdenv.repair.anneal.loop import anneal
 from qdenv.repair.audit import audit
 from qdenv.repair.rules import Facts
 from qdenv.score import similarity
-from qdenv.simulate.mapf import tasks
+from qdenv.simulate.mapf import planner
 
 DOMAIN = find_domain("manufacturing")
 GOOD = ["..e..", ".e0e.", "..e..", "e1.2e", ".e.e."]
@@ -97,9 +97,9 @@ def test_goals_are_endpoints_weighed_by_their_stations():
 
 def test_an_endpoint_between_two_stations_is_drawn_twice_as_often():
     layout = grid.parse(["0e0.e0", "1e.2e."], TILES)
-    table = tasks.goal_table(layout, DOMAIN.simulator.tasks, 8)
+    table = planner.goal_table(layout, DOMAIN.simulator.tasks, 8)
     assert bool(table.complete)
-    draws = tasks.draw_goals(table, np.zeros(6000, np.int32), jnp.uint32(0))
+    draws = planner.draw_goals(table, np.zeros(6000, np.int32), jnp.uint32(0))
     cells = Counter(np.asarray(table.cells)[np.asarray(draws)].tolist())
     assert set(cells) == {1, 4}  # the e between two zeros and the e beside one
     assert cells[1] / 6000 == pytest.approx(2 / 3, abs=0.02)  # three standard deviations

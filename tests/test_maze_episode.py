@@ -13,7 +13,7 @@ from qdenv.agent.train import save_weights
 from qdenv.grid import parse
 from qdenv.simulate.maze import episode as maze
 from qdenv.simulate.maze import policy
-from qdenv.simulate.maze.published import FIRST_HEADINGS, reference_episodes
+from qdenv.simulate.maze.episode import FIRST_HEADINGS, reference_episodes
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow

@@ -29,9 +29,8 @@ from qdenv.simulate.mapf.goals import beside_goal, check_playable, tile_goal
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 from qdenv.simulate.mapf.pibt.planner import rollout
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.planner import Planner
+from qdenv.simulate.mapf.planner import Planner, draw_goals, goal_table
 from qdenv.simulate.mapf.settings import PLANNERS
-from qdenv.simulate.mapf.tasks import draw_goals, goal_table
 from qdenv.types import InputError, TaskRule
 
 pytestmark = pytest.mark.slow

@@ -28,8 +28,7 @@ from qdenv.simulate.mapf.metrics import Block
 from qdenv.simulate.mapf.pbs.planner import collect_goals, pbs, solve
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.pbs.workspace import Workspace, make_workspace
-from qdenv.simulate.mapf.planner import World, pad
-from qdenv.simulate.mapf.tasks import GoalTable
+from qdenv.simulate.mapf.planner import GoalTable, World, pad
 
 pytestmark = pytest.mark.slow
 
@@ -246,7 +245,7 @@ def test_two_agents_that_want_to_swap_in_a_corridor_stand_still():
     assert not plain.solved
     for rule in RULES:
         run = run_of(CORRIDOR)
-        run_to_the_end(pbs(PbsConfig(rule)).host, run)
+        run_to_the_end(pbs(PbsConfig(rule)), run)
         assert run.block.positions.tolist() == [[5, 6]] * 6
 
 

@@ -30,9 +30,8 @@ from qdenv.simulate.mapf.negotiated.numba.search import Agent, find_path, make_a
 from qdenv.simulate.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
 from qdenv.simulate.mapf.negotiated.xla.rounds import add_paths, choose, pack
 from qdenv.simulate.mapf.negotiated.xla.search import STRIDE, around, find_paths, gather
-from qdenv.simulate.mapf.planner import UNREACHABLE, AgentState, World
+from qdenv.simulate.mapf.planner import UNREACHABLE, AgentState, GoalTable, World
 from qdenv.simulate.mapf.settings import PLANNERS
-from qdenv.simulate.mapf.tasks import GoalTable
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow

@@ -14,8 +14,7 @@ from qdenv.simulate.mapf.fleet import FleetConfig, drive, place, prepare, run_se
 from qdenv.simulate.mapf.goals import tile_goal
 from qdenv.simulate.mapf.host.state import drive_window, make_run
 from qdenv.simulate.mapf.metrics import Block
-from qdenv.simulate.mapf.planner import pad, unpad
-from qdenv.simulate.mapf.tasks import serve
+from qdenv.simulate.mapf.planner import pad, serve, unpad
 from qdenv.types import TaskRule
 
 TILES = ".#12"

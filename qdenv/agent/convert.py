@@ -114,8 +114,7 @@ def _cut(storage: Any, offset: Any, size: Any, stride: Any, *flags: Any) -> np.n
 def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
     """Read the tensors of a `torch.save` zip (float32, by name); no code of the file is ever run.
 
-    Raises:
-        InputError: missing, damaged, or asking for anything but float32 tensors.
+    Raises InputError if it is missing, damaged, or asks for anything but float32 tensors.
     """
     path = Path(path)
     if not path.exists():

@@ -7,9 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.simulate.maze.episode import Episode, run_episode, run_episodes
+from qdenv.simulate.maze.episode import Episode, reference_episodes, run_episode, run_episodes
 from qdenv.simulate.maze.policy import Weights, prepare
-from qdenv.simulate.maze.published import reference_episodes
 from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.stats import standard_error, wilson_interval
 from qdenv.types import Array, InputError
@@ -130,7 +129,7 @@ def evaluate_agent(
 
     The maze (int8 [H, W]) may have a ring of walls. Each of the independent runs ends after
     `horizon` actions, `default_horizon` unless given. With `reference_batching` the published loop
-    with its quirks runs instead (`qdenv.simulate.maze.published`).
+    with its quirks runs instead (`reference_episodes`).
 
     Raises:
         InputError: no runs, or a maze in which no two empty tiles touch.
@@ -155,10 +154,8 @@ def draw_mazes(
     """Draw random mazes with exactly `walls` walls (host side).
 
     Only those are kept whose longest shortest path has an accepted length: by default every maze
-    that can be solved.
-
-    Raises:
-        InputError: `tries` mazes were not enough, or more walls than tiles.
+    that can be solved. Raises InputError if `tries` mazes were not enough, or for more walls than
+    tiles.
     """
     rows, cols = shape
     if not 0 <= walls <= rows * cols:

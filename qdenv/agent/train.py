@@ -242,10 +242,8 @@ def train_agent(
     `report_every` updates the log gets a line, with a checkpoint and an exam; the run stops after
     about `cpu_seconds`, ready to be resumed. To `resume`, `config` may have more steps or another
     method, but no other sizes. `progress` is called with the number of updates, and after some of
-    them the log's new line.
-
-    Raises:
-        InputError: impossible numbers, no checkpoint to resume, or one of other sizes.
+    them the log's new line. Raises InputError without a checkpoint to resume, or for one of other
+    sizes.
     """
     state, used = start(config), 0.0
     checkpoint = out / "checkpoint.npz"

@@ -23,10 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.grid import MOVES, of_tiles
-from qdenv.simulate.mapf import chance, tasks
+from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.fleet import Fleet, drive, place
 from qdenv.simulate.mapf.goals import check_playable
-from qdenv.simulate.mapf.planner import NOBODY, World
+from qdenv.simulate.mapf.planner import NOBODY, World, goal_table
 from qdenv.types import Array, InputError, TaskRule
 
 RIGHT, LEFT, DOWN, UP, WAIT = range(len(MOVES) + 1)
@@ -96,8 +96,7 @@ class Environment:
     ) -> None:
         """Prepare a layout; `observe`, traceable, makes the observation of a state.
 
-        Raises:
-            InputError: the fleet could not work on this layout, or a number is below one.
+        Raises InputError if the fleet could not work on this layout, or a number is below one.
         """
         if agents < 1 or timesteps < 1:
             raise InputError("an environment needs at least one robot and one timestep")
@@ -107,7 +106,7 @@ class Environment:
         self._observe = observe
         self._world = World(
             traversable=jnp.asarray(self.free),
-            goals=tasks.goal_table(layout, rule, layout.size),
+            goals=goal_table(layout, rule, layout.size),
             # No planner needs to know how far it is.
             distance=jnp.zeros((0, layout.size), jnp.int16),
             service_time=jnp.array([goal.stay for goal in rule.cycle], jnp.int32),

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.grid import of_tiles
-from qdenv.simulate.mapf import chance, tasks
+from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.distances import Fields, goal_distances, measure_fields, rows_of
 from qdenv.simulate.mapf.host.run import simulate_in_callback, simulate_into
 from qdenv.simulate.mapf.host.state import RunSettings
@@ -28,7 +28,18 @@ from qdenv.simulate.mapf.metrics import (
     recording_of,
     summarise,
 )
-from qdenv.simulate.mapf.planner import NOBODY, AgentState, World, distance_type, pad, unpad_grid
+from qdenv.simulate.mapf.planner import (
+    KNOWN,
+    NOBODY,
+    AgentState,
+    World,
+    distance_type,
+    draw_goals,
+    goal_table,
+    pad,
+    serve,
+    unpad_grid,
+)
 from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.types import Array, InputError, TaskRule, Traffic
 
@@ -53,8 +64,7 @@ class Fleet(NamedTuple):
 def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     """Build what all runs on one layout (int8 [H, W]) share: goals, distances, walls.
 
-    Raises:
-        InputError: the window, or a stay at a goal, is longer than the planner understands.
+    Raises InputError if the window, or a stay at a goal, is longer than the planner understands.
     """
     chex.assert_rank(layout, 2)
     chex.assert_type(layout, int)
@@ -73,7 +83,7 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     rows, cols = layout.shape
     capacity = config.goal_capacity or rows * cols
     traversable = jnp.asarray(of_tiles(layout, rule.traversable, rule.tiles))
-    goals = tasks.goal_table(layout, rule, capacity)
+    goals = goal_table(layout, rule, capacity)
     distance, (kind, far) = None, distance_type(layout.size)
     table_bytes = capacity * layout.size * np.dtype(kind).itemsize
     if not planner.on_host and table_bytes <= _TABLE_BYTES:
@@ -108,7 +118,7 @@ def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Flee
     zero = jnp.zeros(active.shape, jnp.int32)
     cycle = world.service_time.shape[0]
     goal = [
-        tasks.draw_goals(world.goals, (zero + ahead) % cycle, chance.draw(seed, purpose))
+        draw_goals(world.goals, (zero + ahead) % cycle, chance.draw(seed, purpose))
         for ahead, purpose in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL))
     ]
     still = jnp.broadcast_to(position, (window + 1, agents))
@@ -130,11 +140,11 @@ def drive(
     cycle = world.service_time.shape[0]
     service_time = world.service_time[fleet.kind]
     # An agent does not stay at a goal that its planner did not know.
-    known = (fleet.legs < tasks.KNOWN) | (service_time == 0)
+    known = (fleet.legs < KNOWN) | (service_time == 0)
     on_goal = (cell == world.goals.cells[fleet.goal[0]]) & active & known
-    remaining, finished = tasks.serve(fleet.remaining_service, on_goal, service_time)
+    remaining, finished = serve(fleet.remaining_service, on_goal, service_time)
     kind = jnp.where(finished, (fleet.kind + 1) % cycle, fleet.kind)
-    drawn = tasks.draw_goals(world.goals, (kind + 1) % cycle, seed)
+    drawn = draw_goals(world.goals, (kind + 1) % cycle, seed)
     return fleet._replace(
         position=cell,
         kind=kind,
@@ -219,10 +229,10 @@ def _run(
 ) -> Outcome:
     """Simulate until T or congestion, keeping every step if `keep`."""
     planner = config.make_planner()
-    if planner.host is not None:
+    if planner.on_host:
         like = jax.eval_shape(lambda: blank_outcome(world, config, keep))
         settings = run_settings(config)
-        return simulate_in_callback(planner.host, world, seed, active.sum(), settings, like)
+        return simulate_in_callback(planner, world, seed, active.sum(), settings, like)
     first = place(world, config.window, active, seed)
     metrics, _, _, room = blank_outcome(world, config, keep)
 
@@ -304,8 +314,8 @@ def compile_runs(
     program of XLA's: what XLA compiles around a callback it forgets with the process. The worlds
     are of numpy arrays there.
     """
-    host, count = config.make_planner().host, jax.ShapeDtypeStruct((), np.int32)
-    if host is None:
+    planner, count = config.make_planner(), jax.ShapeDtypeStruct((), np.int32)
+    if not planner.on_host:
         whole = jax.jit(lambda world, key, agents: _simulate(world, key, config, agents, keep))
         program = whole.lower(world, jax.random.key(0), count).compile()
         return lambda world, seed, agents: program(world, jax.random.key(seed), np.int32(agents))
@@ -322,7 +332,7 @@ def compile_runs(
         # Too many agents for the layout: none drives, and the report calls that congested.
         if agents <= min(int(np.asarray(world.traversable).sum()), config.agents):
             settings = run_settings(config, int(chance.seed_of(jax.random.key(seed))))
-            simulate_into(outcome, host, world, agents, settings)
+            simulate_into(outcome, planner, world, agents, settings)
         return program(world, outcome, np.int32(agents))
 
     return run

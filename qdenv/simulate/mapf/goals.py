@@ -40,11 +40,10 @@ def favour_left(goal: Goal, odds: float) -> Goal:
 
 
 def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:
-    """Refuse a layout (int8 [H, W]) on which the fleet could not work.
+    """Raise InputError for a layout (int8 [H, W]) on which the fleet could not work.
 
-    Raises:
-        InputError: there are fewer free cells than agents, a kind of goal has no cell, or some
-            free cells cannot be reached from the others.
+    It has fewer free cells than agents, a kind of goal has no cell, or some free cells cannot be
+    reached from the others.
     """
     free = np.asarray(of_tiles(layout, rule.traversable, rule.tiles))
     if free.sum() < agents:

@@ -1,4 +1,4 @@
-"""The interface of a planner: its input, its result and its limits; the padded grid it plans on.
+"""What a planner gets, gives and understands: the world and its goals, the agents, the limits.
 
 A planner gives every agent a path of `window` steps, of which the next `horizon` are driven before
 it plans again (RHCR, Li et al. 2021, https://arxiv.org/abs/2005.07371). Those must obey the
@@ -19,9 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.native import shared
-from qdenv.simulate.mapf.tasks import GoalTable
-from qdenv.types import Array
+from qdenv.simulate.mapf import chance
+from qdenv.types import Array, TaskRule
 
+Cells = TypeVar("Cells", int, jax.Array, np.ndarray)
+Counts = TypeVar("Counts", int, jax.Array)
+
+KNOWN = 2  # goals that planners know of each agent: the current and the next
 NOBODY = -1  # in place of an agent's number
 UNREACHABLE = 32_000  # steps to where no way leads, on grids of at most this many cells
 _UNREACHABLE_AFAR = 1 << 20  # the same on larger ones, of a thousand rows and columns at most
@@ -33,6 +37,15 @@ def distance_type(cells: int) -> tuple[type[np.int16] | type[np.int32], int]:
     No way is longer than the grid.
     """
     return (np.int16, UNREACHABLE) if cells <= UNREACHABLE else (np.int32, _UNREACHABLE_AFAR)
+
+
+class GoalTable(NamedTuple):
+    """The goals of one layout; G is the goal capacity, n the number of kinds in the cycle."""
+
+    cells: jax.Array  # int32 [G], the goal cells in row-major order; unused slots hold 0
+    used: jax.Array  # bool [G]
+    odds: jax.Array  # float32 [n, G], cumulated odds of each slot within its kind, ending in 1
+    complete: jax.Array  # bool, every kind has a goal and no goal was left out for want of slots
 
 
 @flax.struct.dataclass
@@ -67,15 +80,6 @@ class AgentState(NamedTuple):
     row: jax.Array  # int32 [2, A], the rows of `distance` that belong to `goal`
 
 
-class HostPlanner(NamedTuple):
-    """A planner in compiled host code, for whole runs; see `qdenv.simulate.mapf.host.run`."""
-
-    # (run, size) -> what the planner works on; the size is 1, and doubled when that is too small
-    make_plan: Callable[[Any, int], Any]
-    run_windows: Callable[..., int]  # from `compile_windows`
-    fallback_waits: bool = False  # whether agents without a path stand still instead of PIBT's plan
-
-
 class Planner(NamedTuple):
     """A planner and its limits."""
 
@@ -86,15 +90,58 @@ class Planner(NamedTuple):
     max_window: int = 1000  # most timesteps it plans ahead
     max_service: int = 1000  # longest service at a goal that it understands
     margin: int = 1  # rows and columns of walls that it needs around the grid, at least 1
-    host: HostPlanner | None = None  # used instead of `plan` where there is one
+    # from `host.run.compile_windows`: whole runs in compiled host code instead of `plan`
+    run_windows: Callable[..., int] | None = None
+    # (run, size) -> what those work on; the size is 1, and doubled when that is too small
+    make_plan: Callable[[Any, int], Any] = lambda run, size: None
+    fallback_waits: bool = False  # whether agents without a path stand still instead of PIBT's plan
 
     @property
     def on_host(self) -> bool:
         """Whether runs are computed by compiled host code instead of XLA."""
-        return self.host is not None
+        return self.run_windows is not None
 
 
-Cells = TypeVar("Cells", int, jax.Array, np.ndarray)
+def goal_table(layout: Array, rule: TaskRule, capacity: int) -> GoalTable:
+    """List the goals of `layout` (int8 [H, W]) in `capacity` slots."""
+    weights = jnp.stack([goal.weight(layout).reshape(-1) for goal in rule.cycle])
+    weights = weights.astype(jnp.float32)
+    is_goal = (weights > 0).any(0)
+    cells = jnp.nonzero(is_goal, size=capacity, fill_value=0)[0].astype(jnp.int32)
+    used = jnp.arange(capacity) < is_goal.sum()
+    cumulated = jnp.cumsum(jnp.where(used, weights[:, cells], 0.0), axis=1)
+    total = cumulated[:, -1:]
+    complete = (total > 0).all() & (is_goal.sum() <= capacity)
+    return GoalTable(cells, used, cumulated / jnp.maximum(total, 1e-6), complete)
+
+
+def draw_goals(table: GoalTable, kinds: jax.Array, seed: jax.Array) -> jax.Array:
+    """Draw one goal slot per agent (int32 [A]), independently and with the odds of its kind.
+
+    `kinds` (int32 [A]) are indices into the cycle. Agent i's goal does not depend on the number of
+    agents.
+    """
+    values = chance.uniform(chance.draw(seed, jnp.arange(kinds.shape[0])))
+    per_kind = jax.vmap(lambda odds: jnp.searchsorted(odds, values, side="right"))(table.odds)
+    slots = jnp.take_along_axis(per_kind, kinds[None].astype(jnp.int32), axis=0)[0]
+    return jnp.minimum(slots, table.cells.shape[0] - 1).astype(jnp.int32)
+
+
+@shared
+def serve(
+    remaining_service: Counts, on_goal: Counts, service_time: Counts
+) -> tuple[Counts, Counts]:
+    """Begin, continue and end services; the one place that has the rule, for both backends.
+
+    An agent that is `on_goal` (bool [A]) after a step by which it drove begins to serve there, for
+    `service_time` timesteps (int32 [A]). The task is finished when nothing is left to serve, at
+    once where a goal has no service. `remaining_service` (int32 [A]) is 0 while driving. Returns
+    what remains after the step and who finished a task (bool [A]).
+    """
+    serving = remaining_service > 0
+    arrived = (remaining_service == 0) & on_goal
+    left = arrived * service_time + serving * (remaining_service - 1)
+    return left, (arrived | serving) & (left == 0)
 
 
 @shared

@@ -71,14 +71,9 @@ OWN = "negotiated"  # the planner where none is named, and the only one with eff
 def find_planner(effort: str | None = None, planner: Any = "", usual: str = "high") -> Any:
     """Choose a planner's settings by an effort, a planner's name, or the settings themselves.
 
-    Args:
-        effort: "low" or "high", of the negotiated planner; None for the usual one.
-        planner: the name of a registered planner stands for its defaults, "" for the negotiated.
-        usual: the effort where none is given.
-
-    Raises:
-        InputError: a name is unknown, settings are no planner's, or an effort is given with them
-            or for another planner.
+    Efforts are those of the negotiated planner, `usual` where none is given. A name stands for the
+    planner's defaults, "" for the negotiated one. Raises InputError if a name is unknown, settings
+    are no planner's, or an effort is given with them or for another planner.
     """
     if isinstance(planner, str):
         if planner in ("", OWN):

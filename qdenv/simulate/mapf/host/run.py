@@ -20,7 +20,7 @@ from qdenv.simulate.mapf.host.state import (
 )
 from qdenv.simulate.mapf.metrics import Outcome
 from qdenv.simulate.mapf.pibt.numba import Rollout, make_rollout, roll_out
-from qdenv.simulate.mapf.planner import HostPlanner, World
+from qdenv.simulate.mapf.planner import Planner, World
 
 _SPARE_ROWS = 64  # fields of distances for more goals than two per agent
 # What `plan_window` and a whole run end with: done, or a buffer that was too small.
@@ -103,7 +103,7 @@ def _adopt(run: HostRun, fields: DistanceFields, fallback: Fallback, seed: int) 
 
 
 def simulate_in_callback(
-    planner: HostPlanner,
+    planner: Planner,
     world: World,
     seed: jax.Array,
     agents: jax.Array,
@@ -134,7 +134,7 @@ def steps_under_way() -> int:
 
 
 def simulate_into(
-    outcome: Any, planner: HostPlanner, world: World, agents: int, settings: RunSettings
+    outcome: Any, planner: Planner, world: World, agents: int, settings: RunSettings
 ) -> None:
     """Run a simulation of `agents` agents and write what happens into the arrays of an `Outcome`.
 
@@ -156,7 +156,7 @@ def simulate_into(
     outcome.heading[:agents] = run.grid.goals[run.goal[0]]
 
 
-def run_to_the_end(planner: HostPlanner, run: HostRun) -> None:
+def run_to_the_end(planner: Planner, run: HostRun) -> None:
     """Drive a run whose agents have been placed.
 
     A window for which a buffer is too small is planned again with a larger one.
@@ -172,6 +172,7 @@ def run_to_the_end(planner: HostPlanner, run: HostRun) -> None:
         planner.fallback_waits,
     )
     plan = planner.make_plan(run, size)
+    assert planner.run_windows is not None  # else runs are computed by XLA
     while (status := planner.run_windows(run, fields, plan, fallback)) != DONE:
         if status == FIELDS_FULL:
             fields = make_room(fields, run.goal.reshape(-1))

@@ -11,8 +11,7 @@ from qdenv.grid import move_steps
 from qdenv.native import Numbers, formula, kernel, numbers
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.metrics import Block
-from qdenv.simulate.mapf.planner import World, unpad
-from qdenv.simulate.mapf.tasks import KNOWN, serve
+from qdenv.simulate.mapf.planner import KNOWN, World, serve, unpad
 
 # Orders of agents are sorted as single numbers: what ranks an agent (below 2^38), then the agent.
 AGENT_BITS = 24
@@ -170,7 +169,7 @@ def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
         kind = (kind + 1) % grid.service_time.size
         run.kind[agent], run.age[agent] = kind, 0
         run.legs[agent] += 1
-        # Draw the goal after the next with the odds of its kind, as `tasks.draw_goals` does.
+        # Draw the goal after the next with the odds of its kind, as `planner.draw_goals` does.
         bits = chance.mix(drawn, agent) >> (32 - chance.CHANCE_BITS)
         value = np.float32(bits) * np.float32(2.0**-chance.CHANCE_BITS)
         odds = grid.odds[(kind + 1) % grid.service_time.size]

@@ -17,12 +17,14 @@ do those in conflict with one that fell back. The last resort is a joint plan wi
 (PIBT, Okumura et al. 2022, https://arxiv.org/abs/1901.11282), so the result never has any.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 
 from qdenv.devices import runs_on_host
 from qdenv.simulate.mapf import chance
-from qdenv.simulate.mapf.negotiated.numba.rounds import host_planner
+from qdenv.simulate.mapf.negotiated.numba.rounds import make_plan, run_windows
 from qdenv.simulate.mapf.negotiated.settings import (
     MARGIN,
     MAX_SERVICE,
@@ -30,13 +32,13 @@ from qdenv.simulate.mapf.negotiated.settings import (
     NegotiatedConfig,
 )
 from qdenv.simulate.mapf.negotiated.xla.rounds import negotiate, path_conflicts
-from qdenv.simulate.mapf.pibt import planner as pibt
+from qdenv.simulate.mapf.pibt.planner import rollout
 from qdenv.simulate.mapf.planner import AgentState, Planner, World
 
 
 def negotiated(config: NegotiatedConfig) -> Planner:
     """Make the planner; both backends give the same paths to the bit."""
-    last_resort = pibt.wait if config.last_resort == "wait" else pibt.rollout
+    waits = config.last_resort == "wait"  # as PBS does, which congests
 
     def plan(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:
         window, agents = state.previous.shape[0] - 1, state.position.shape[0]
@@ -44,7 +46,8 @@ def negotiated(config: NegotiatedConfig) -> Planner:
         near = state._replace(previous=state.previous[: ahead + 1])
 
         def fall_back(_: None) -> jax.Array:
-            resort = last_resort(world, near, horizon, key)
+            still = jnp.broadcast_to(near.position, near.previous.shape)
+            resort = still if waits else rollout(world, near, horizon, key)
             conflicts = path_conflicts(result.paths[: horizon + 1], resort[: horizon + 1])
             conflicts = conflicts & ~jnp.eye(agents, dtype=bool)
             conflicts = conflicts & state.active[:, None] & state.active[None, :]
@@ -68,5 +71,6 @@ def negotiated(config: NegotiatedConfig) -> Planner:
         rest = jnp.broadcast_to(paths[-1], (window - ahead, agents))
         return jnp.concatenate([paths, rest])
 
-    on_host = host_planner(config) if runs_on_host(config.backend) else None
-    return Planner(plan, MAX_WINDOW, MAX_SERVICE, MARGIN, on_host)
+    on_host = run_windows if runs_on_host(config.backend) else None
+    limits = MAX_WINDOW, MAX_SERVICE, MARGIN
+    return Planner(plan, *limits, on_host, partial(make_plan, config), waits)

@@ -24,8 +24,7 @@ from qdenv.simulate.mapf.host.state import GridMap, HostRun
 from qdenv.simulate.mapf.pbs import conflicts
 from qdenv.simulate.mapf.pbs.settings import MAX_WINDOW, PbsConfig
 from qdenv.simulate.mapf.pbs.workspace import FIRST_DEPTH, Goals, Workspace, make_workspace
-from qdenv.simulate.mapf.planner import NOBODY, HostPlanner, Planner
-from qdenv.simulate.mapf.tasks import KNOWN
+from qdenv.simulate.mapf.planner import KNOWN, NOBODY, Planner
 
 _PREFERRED = 1 << 60  # taken off a conflict that comes first
 
@@ -36,7 +35,7 @@ def pbs(settings: PbsConfig) -> Planner:
     def make_plan(run: HostRun, size: int) -> Workspace:
         return make_workspace(run, settings, FIRST_DEPTH * size)
 
-    return Planner(None, MAX_WINDOW, host=HostPlanner(make_plan, _run_windows))
+    return Planner(None, MAX_WINDOW, run_windows=_run_windows, make_plan=make_plan)
 
 
 @shared

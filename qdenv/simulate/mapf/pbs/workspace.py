@@ -11,8 +11,7 @@ from qdenv.grid import move_steps
 from qdenv.native import Numbers, numbers
 from qdenv.simulate.mapf.host.state import HostRun
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
-from qdenv.simulate.mapf.planner import NOBODY
-from qdenv.simulate.mapf.tasks import KNOWN
+from qdenv.simulate.mapf.planner import KNOWN, NOBODY
 
 DONE = KNOWN  # the leg of an agent that has served both known goals; legs 0 and 1 lead to one
 HOLDING = DONE + 1  # added to the leg while an agent stays at its start against all reservations

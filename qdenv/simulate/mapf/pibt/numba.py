@@ -17,8 +17,7 @@ from qdenv.native import formula, kernel, shared
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields, distance
 from qdenv.simulate.mapf.host.state import AGENT, AGENT_BITS, HostRun, sort
-from qdenv.simulate.mapf.planner import NOBODY
-from qdenv.simulate.mapf.tasks import serve
+from qdenv.simulate.mapf.planner import NOBODY, serve
 
 Number = TypeVar("Number", int, jax.Array)
 

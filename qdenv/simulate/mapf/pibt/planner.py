@@ -30,8 +30,7 @@ from qdenv.simulate.mapf.pibt.numba import (
     urgency,
 )
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.planner import NOBODY, AgentState, HostPlanner, Planner, World
-from qdenv.simulate.mapf.tasks import serve
+from qdenv.simulate.mapf.planner import NOBODY, AgentState, Planner, World, serve
 
 # The agents within a rollout, each int32 [A]: cells; 0 on the way to the current goal, 1 later;
 # timesteps left to serve; timesteps since the last finished task.
@@ -56,8 +55,7 @@ _run_windows = compile_windows(_plan_window)
 
 def pibt(settings: PibtConfig) -> Planner:
     """Make the planner; both backends give the same paths to the bit."""
-    on_host = HostPlanner(lambda run, size: None, _run_windows)
-    return Planner(rollout, host=on_host if runs_on_host(settings.backend) else None)
+    return Planner(rollout, run_windows=_run_windows if runs_on_host(settings.backend) else None)
 
 
 def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:
@@ -161,9 +159,3 @@ def one_step(
         lambda chain: (chain[5] < count) | (chain[4] != NOBODY), visit, chain
     )
     return chain[0][:count]
-
-
-def wait(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:
-    """Let all agents stand still, the last resort that congests as PBS does."""
-    del world, horizon, key
-    return jnp.broadcast_to(state.position, state.previous.shape)

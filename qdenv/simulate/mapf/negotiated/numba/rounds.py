@@ -21,7 +21,6 @@ from qdenv.simulate.mapf.negotiated.numba.search import (
     reserve,
 )
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
-from qdenv.simulate.mapf.planner import HostPlanner
 
 
 class HostNegotiation(NamedTuple):
@@ -43,37 +42,32 @@ class HostNegotiation(NamedTuple):
     work: SearchArrays  # of one search
 
 
-def host_planner(config: NegotiatedConfig) -> HostPlanner:
-    """Make the planner for the host."""
-
-    def make_plan(run: HostRun, size: int) -> HostNegotiation:
-        del size  # no buffer can be too small
-        agents, horizon = run.position.size, run.settings.horizon
-        window = config.planned_ahead(run.settings.window, horizon)
-        lanes, costs = min(config.lanes, agents), config.penalty_costs(rules.COST_UNIT)
-        heap, order, tie_break, attempts = np.empty((4, agents), np.int64)
-        return HostNegotiation(
-            int(config.max_rounds(agents)),
-            window - horizon if config.remember else 0,
-            numbers("waiting"),
-            heap,
-            order,
-            tie_break,
-            attempts,
-            np.empty(lanes, np.int64),
-            np.empty(lanes, np.bool_),
-            np.empty((2, lanes), np.bool_),
-            np.empty((lanes, lanes), np.bool_),
-            ReservationWords(
-                np.empty(run.grid.free.size, np.int64),
-                np.empty((run.grid.free.size, window + 1), np.int32),
-                np.zeros((agents, window + 1), np.int64),
-                np.zeros(agents, np.int64),
-            ),
-            make_arrays(window, config.conflict_levels, costs),
-        )
-
-    return HostPlanner(make_plan, _run_windows, config.last_resort == "wait")
+def make_plan(config: NegotiatedConfig, run: HostRun, size: int) -> HostNegotiation:
+    """Make what the planner works on; no buffer can be too small, so the size is 1."""
+    agents, horizon = run.position.size, run.settings.horizon
+    window = config.planned_ahead(run.settings.window, horizon)
+    lanes, costs = min(config.lanes, agents), config.penalty_costs(rules.COST_UNIT)
+    heap, order, tie_break, attempts = np.empty((4, agents), np.int64)
+    return HostNegotiation(
+        int(config.max_rounds(agents)),
+        window - horizon if config.remember else 0,
+        numbers("waiting"),
+        heap,
+        order,
+        tie_break,
+        attempts,
+        np.empty(lanes, np.int64),
+        np.empty(lanes, np.bool_),
+        np.empty((2, lanes), np.bool_),
+        np.empty((lanes, lanes), np.bool_),
+        ReservationWords(
+            np.empty(run.grid.free.size, np.int64),
+            np.empty((run.grid.free.size, window + 1), np.int32),
+            np.zeros((agents, window + 1), np.int64),
+            np.zeros(agents, np.int64),
+        ),
+        make_arrays(window, config.conflict_levels, costs),
+    )
 
 
 @shared
@@ -92,7 +86,7 @@ def _plan_window(
     return DONE
 
 
-_run_windows = compile_windows(_plan_window)
+run_windows = compile_windows(_plan_window)
 
 
 @kernel
