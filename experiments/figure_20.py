@@ -7,7 +7,7 @@ from matplotlib.ticker import EngFormatter
 from experiments.archives import ALGORITHMS, RUNS, read_all
 from experiments.pieces import Drawn, Experiment, Folders
 from experiments.published import TABLE_4
-from qdenv.run.log import Metrics
+from qdenv.run.directory import Metrics
 from qdenv.study.groups import band_of
 from qdenv.view.style import new_figure
 

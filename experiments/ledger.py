@@ -13,7 +13,7 @@ import numpy as np
 from qdenv.domains.base import Domain
 from qdenv.io.files import write_csv
 from qdenv.io.tables import read_table
-from qdenv.run.executors.dask import ClusterExecutor
+from qdenv.run.executors import ClusterExecutor
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig

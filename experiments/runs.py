@@ -14,9 +14,8 @@ from experiments.pieces import Folders, Piece, Say
 from qdenv.io.files import write_csv
 from qdenv.ops.searches import CPU_SECONDS, base_of
 from qdenv.run.config import RunConfig
-from qdenv.run.directory import RunDirectory
+from qdenv.run.directory import Metrics, RunDirectory
 from qdenv.run.executors import Execution
-from qdenv.run.log import Metrics
 from qdenv.run.loop import resume
 from qdenv.types import Measure
 from qdenv.view.archive import scatter_objectives

@@ -23,19 +23,20 @@ import tyro
 import qdenv
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
-from qdenv.run.checkpoint import Checkpoints
+from qdenv.run.checkpoint import load_newest
 from qdenv.search.base import growing
 from qdenv.study.surrogate import score_predictions, split_elites
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
-from qdenv.surrogate.surrogate import Aspect, make_surrogate
+from qdenv.surrogate.surrogate import Surrogate
+from qdenv.types import Encoding
 
 SIZES = {"small": SurrogateConfig(), "published": PUBLISHED}
 CHUNK = 50  # layouts predicted at a time
 HEAD = ("size", "learnt_from", "held_out", "seed", "number", "r2", "rmse", "rank", "cpu_seconds")
 
 
-def remembered(run: qdenv.RunDirectory) -> tuple[Samples, Aspect, list[str]]:
+def remembered(run: qdenv.RunDirectory) -> tuple[Samples, Encoding, list[str]]:
     """Read all that a run's surrogate may learn from, and what its numbers are called.
 
     Raises InputError if the run's algorithm remembers nothing.
@@ -43,28 +44,28 @@ def remembered(run: qdenv.RunDirectory) -> tuple[Samples, Aspect, list[str]]:
     experiment = qdenv.make_experiment(run.config)
     domain = experiment.pipeline.domain
     initial = growing(experiment.algorithm).init(experiment.search_key)
-    _, state = Checkpoints(run.path).load_newest(initial, {})
+    _, state = load_newest(run.path, initial, {})
     if not hasattr(state, "model"):
         raise qdenv.InputError(f"{run.path}: its algorithm has no surrogate: use `qdenv surrogate`")
     ring = state.model.ring
     samples = jax.tree.map(lambda leaf: np.asarray(leaf)[: int(ring.known)], ring.samples)
     measures = [axis.name for axis in experiment.measures]
     usage = bool(samples.usage.any())
-    aspect = Aspect(domain.shape, len(domain.tiles), len(measures), domain.rules is not None, usage)
+    encoding = Encoding(domain.shape, len(domain.tiles), domain.rules is not None, usage)
     return (
         samples,
-        aspect,
+        encoding,
         ["learning objective", domain.objective_name.partition(" [")[0], *measures],
     )
 
 
 def try_once(
-    config: SurrogateConfig, aspect: Aspect, samples: Samples, counts: list[int], seed: int
+    config: SurrogateConfig, encoding: Encoding, samples: Samples, counts: list[int], seed: int
 ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray, float]]:
     """Learn from some of the samples and predict those held out; yields one result per count."""
     known, held = split_elites(len(samples.numbers), seed)
     known = np.random.default_rng(seed).permutation(known)
-    surrogate = make_surrogate(config, aspect)
+    surrogate = Surrogate(config, encoding, samples.numbers.shape[1] - 2)
     fit, predict = jax.jit(surrogate.fit), jax.jit(surrogate.predict)
     rows = np.resize(held, -(-len(held) // CHUNK) * CHUNK).reshape(-1, CHUNK)
     for count in counts:
@@ -102,12 +103,12 @@ def main(
         seeds: of the split and the networks.
         out: table to write.
     """
-    samples, aspect, names = remembered(qdenv.RunDirectory.open(run))
+    samples, encoding, names = remembered(qdenv.RunDirectory.open(run))
     rows: list[tuple] = []
     for size in sizes:
         for seed in range(seeds):
             for known, held, predicted, truth, spent in try_once(
-                SIZES[size], aspect, samples, list(counts), seed
+                SIZES[size], encoding, samples, list(counts), seed
             ):
                 for place, name in enumerate(names):
                     skill = score_predictions(predicted[:, place], truth[:, place])

@@ -153,7 +153,7 @@ LayoutEvaluator = Callable[[np.ndarray, Array], Sequence[Future[Outcomes]]]
 class PipelinedEvaluator:
     """Evaluate populations with repair and simulation overlapping, wherever they are done.
 
-    `evaluate_layouts` repairs and simulates, like `run.executors.layouts.Threads`. Several
+    `evaluate_layouts` repairs and simulates, like `run.evaluate.Threads`. Several
     populations may be under way at once.
     """
 

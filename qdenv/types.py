@@ -27,8 +27,10 @@ if TYPE_CHECKING:
     import jax
 
     Array: TypeAlias = jax.Array | np.ndarray
+    MeasureFunction: TypeAlias = Callable[[jax.Array, Any], jax.Array]
 else:  # a name in annotations is no reason to import jax
     Array: TypeAlias = Any
+    MeasureFunction: TypeAlias = Any
 Number: TypeAlias = Any  # one, or with leading axes an array of them
 
 _LONGEST_LINE = 2000  # characters of a message; a damaged file could fill gigabytes
@@ -170,7 +172,7 @@ class Measure(NamedTuple):
     cells: int  # number of cells in between
     # (repaired layout int8 [H, W], runs with leading axis S) -> float32; None where the measures
     # come from elsewhere
-    value: Callable[[jax.Array, Any], jax.Array] | None = None
+    value: MeasureFunction | None = None
     # name of the number that it cannot exceed, with which its axis grows: one of the domain's
     # settings, or "area", the cells of the generated area; "" for none
     limit: str = ""
@@ -183,6 +185,18 @@ class Score(NamedTuple):
     result_objective: Array  # float32, objective of the result archive (f_res)
     measures: Array  # float32 [M]
     success: Array  # bool, False when a stage failed: enters no archive
+
+
+class Encoding(NamedTuple):
+    """How solutions encode layouts, and what an evaluation observes of these."""
+
+    shape: tuple[int, int]  # rows H and columns W
+    kinds: int  # kinds of tile K
+    repairs: bool = False  # layouts are repaired before they are simulated: "repaired" is observed
+    usage: bool = False  # "usage", the share of agent-steps on each cell, is observed
+    # float [B, P] -> int8 [B, H, W], traceable
+    draw: Callable[[jax.Array], jax.Array] = lambda layouts: layouts
+    choices: int = 0  # how many tiles each parameter may name; 0 where parameters are real numbers
 
 
 class Evaluation(NamedTuple):

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from qdenv.search.base import Algorithm, Encoding, Problem
+from qdenv.search.base import Algorithm, Problem
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.registry import ALGORITHMS, make_algorithm
 from qdenv.search.settings import DsageConfig, ScreenedConfig
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.types import Measure, Score
+from qdenv.types import Encoding, Measure, Score
 
 DIM = 12
 GRID = (Measure("x", -1, 1, 8), Measure("y", -1, 1, 9))

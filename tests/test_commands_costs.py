@@ -5,7 +5,7 @@ import pytest
 from qdenv.configurations import PRESETS
 from qdenv.ops import output, searches
 from qdenv.run.config import choose_algorithm, choose_planner
-from qdenv.run.log import Metrics
+from qdenv.run.directory import Metrics
 
 
 @pytest.fixture(autouse=True)

@@ -146,7 +146,7 @@ def test_a_search_and_what_it_grows_keep_every_cell(name, tmp_path, capsys):
     archive = run.archive.columns
     assert len(archive["repaired"]) > 0
     for layout in archive["repaired"]:
-        assert holds(draw(layout, run.tiles), drawing)
+        assert holds(draw(layout, run.schema.tiles), drawing)
         assert audit(layout, make_domain(run.config.evaluation.domain).rules()) == []
     best = json.loads((run.path / "best_layout.json").read_text())["layout"]
     assert holds(best, drawing)

@@ -12,7 +12,6 @@ import pytest
 
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.mesh import count_parts
-from qdenv.run.executors.layouts import chunk_size
 
 pytestmark = pytest.mark.slow
 
@@ -78,8 +77,3 @@ def test_only_what_the_devices_compute_themselves_is_shared_out(monkeypatch):
     assert by_xla.num_devices == 1
     monkeypatch.setattr("qdenv.devices.count", lambda: 8)
     assert (by_xla.num_devices, on_host.num_devices) == (8, 1)
-
-
-def test_chunks_are_equal_and_as_large_as_allowed():
-    sizes = {(50, 10): 10, (36, 10): 9, (7, 10): 7, (50, 80): 50, (13, 8): 1, (50, 1): 1}
-    assert {given: chunk_size(*given) for given in sizes} == sizes

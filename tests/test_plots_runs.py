@@ -12,8 +12,7 @@ from scipy import stats
 from qdenv.cli.main import run as qdenv
 from qdenv.io.files import write_csv
 from qdenv.run import loop
-from qdenv.run.directory import RunDirectory
-from qdenv.run.log import METRICS, Metrics
+from qdenv.run.directory import METRICS, Metrics, RunDirectory
 from qdenv.study.groups import band_of, group_runs, tell_apart
 from qdenv.types import InputError, Measure
 from qdenv.view.runs import draw_archives, draw_progress

@@ -12,9 +12,9 @@ import pytest
 import toy
 from search_harness import compiled, extras_of, score_of
 
-from qdenv.run import evaluate_async, loop
+from qdenv.run import evaluate, loop
 from qdenv.run.directory import RunDirectory
-from qdenv.run.evaluate_async import AsyncEvaluation, Search
+from qdenv.run.evaluate import AsyncEvaluation, Search
 from qdenv.run.experiment import make_experiment, make_iteration
 from qdenv.search.base import Algorithm
 from qdenv.search.cma_mae import CmaMaeConfig
@@ -68,7 +68,7 @@ class Shuffled:
 
 @pytest.mark.parametrize("ahead", [0, 1, 3])
 def test_population_i_is_asked_when_all_up_to_i_minus_1_minus_ahead_are_told(ahead, monkeypatch):
-    monkeypatch.setattr(evaluate_async, "observed", lambda evaluation: {})
+    monkeypatch.setattr(evaluate, "observed", lambda evaluation: {})
     algorithm, log = scribe(ahead)
     evaluator, total = Shuffled(), 7
     search = Search.begin(algorithm, jax.random.key(0))

@@ -7,7 +7,7 @@ import pytest
 import toy
 
 from qdenv.run.config import choose_algorithm
-from qdenv.run.log import NOTES, read_notes
+from qdenv.run.directory import NOTES, RunDirectory
 from qdenv.run.loop import resume, train
 from qdenv.search.settings import CmaEsConfig, DsageConfig, ScreenedConfig
 from qdenv.study.elites import grow_elite
@@ -44,7 +44,7 @@ def test_a_resumed_search_with_a_surrogate_equals_an_uninterrupted_one(name, tmp
 
 def test_notes_are_blank_until_the_surrogate_has_learnt(tmp_path):
     run = train(dataclasses.replace(SEARCHES["dsage"], evaluations=32), tmp_path, progress=False)
-    notes = read_notes(run.path / NOTES)
+    notes = run.read_notes()
     assert [note["evaluations"] for note in notes] == [8, 16, 24, 32]
     assert np.isnan([note["rmse_paths"] for note in notes]).tolist() == [True, True, False, False]
     assert notes[-1]["loss_repair"] > 0 and 0 <= notes[-1]["tiles_right"] <= 1
@@ -57,8 +57,8 @@ def test_notes_are_blank_until_the_surrogate_has_learnt(tmp_path):
 def test_damaged_notes_are_one_line_and_stop_no_run(damage, tmp_path, caplog):
     (tmp_path / NOTES).write_bytes(damage)
     with pytest.raises(InputError, match=r"notes\.csv: cannot be read"):
-        read_notes(tmp_path / NOTES)
-    assert read_notes(tmp_path / NOTES, salvage=True) == []
+        RunDirectory(tmp_path).read_notes()
+    assert RunDirectory(tmp_path).read_notes(salvage=True) == []
     assert "what follows row 0 is lost" in caplog.text
 
 

@@ -13,10 +13,9 @@ from experiments.ledger import Case, complete, read_runs
 from qdenv.cli.main import run as qdenv
 from qdenv.domains.base import find_domain
 from qdenv.repair import pool as pools
-from qdenv.run import executors, loop
+from qdenv.run import evaluate, executors, loop
 from qdenv.run.directory import RunDirectory
-from qdenv.run.executors import Execution, dask, layouts
-from qdenv.run.executors.dask import ClusterExecutor, WrongWorkerError, versions
+from qdenv.run.executors import ClusterExecutor, Execution, WrongWorkerError, versions
 from qdenv.run.experiment import make_experiment
 from qdenv.types import InputError, RepairStatus
 
@@ -71,7 +70,7 @@ def test_a_cluster_finds_bit_for_bit_what_threads_find(whole, local, tmp_path):
 
 
 def test_short_layouts_share_tasks_and_nothing_else_changes(whole, local, tmp_path, monkeypatch):
-    monkeypatch.setattr(layouts, "_LONGEST", 1000.0)
+    monkeypatch.setattr(evaluate, "_LONGEST", 1000.0)
     sizes, submit = [], ClusterExecutor.submit
 
     def record(self, work, *arguments):
@@ -122,8 +121,8 @@ def test_workers_that_are_killed_cost_time_and_no_results(whole, local, tmp_path
 
 def test_the_layouts_of_a_worker_that_hangs_go_to_another(whole, local, tmp_path, monkeypatch):
     now = [0.0]  # of a clock that moves only when nobody but the worker that hangs has work
-    monkeypatch.setattr(dask, "monotonic", lambda: now[0])
-    monkeypatch.setattr(dask, "_TICK", 0.02)
+    monkeypatch.setattr(executors, "monotonic", lambda: now[0])
+    monkeypatch.setattr(executors, "_TICK", 0.02)
     with distributed.Client(local.scheduler_address) as client:
         wait_for_both(client, local)
         stopped, pid = next(iter(client.run(os.getpid).items()))
@@ -132,7 +131,7 @@ def test_the_layouts_of_a_worker_that_hangs_go_to_another(whole, local, tmp_path
         def lose_patience():
             processing = client.processing()
             if [worker for worker, tasks in processing.items() if tasks] == [stopped]:
-                now[0] += 1000 * dask.PATIENCE
+                now[0] += 1000 * executors.PATIENCE
                 moved.append(1)
 
         os.kill(pid, signal.SIGSTOP)
@@ -189,7 +188,7 @@ def test_without_its_scheduler_an_executor_fails_instead_of_waiting_for_ever(loc
 
 def make_foreign() -> None:
     """Pretend, on a worker, that other packages are installed there."""
-    dask.versions = lambda: "python 2.7"
+    executors.versions = lambda: "python 2.7"
 
 
 def test_a_worker_of_other_versions_is_sent_away(whole, local, tmp_path):
@@ -209,7 +208,7 @@ def test_where_every_worker_has_other_versions_the_search_is_refused(whole, loca
 
 def test_a_worker_of_another_version_computes_nothing():
     with pytest.raises(WrongWorkerError, match=versions()):
-        dask.perform("another", pow, (2, 5))
+        executors.perform("another", pow, (2, 5))
 
 
 @pytest.mark.parametrize(

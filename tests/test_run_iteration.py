@@ -10,7 +10,7 @@ import qdenv
 from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
-from qdenv.run.executors.layouts import Threads
+from qdenv.run.evaluate import Threads
 from qdenv.run.experiment import observed
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.simulate.mapf.fleet import FleetConfig

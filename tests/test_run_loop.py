@@ -20,7 +20,7 @@ from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.registry import Entry
 from qdenv.run import loop
 from qdenv.run.directory import RunDirectory
-from qdenv.run.executors.layouts import Threads
+from qdenv.run.evaluate import Threads
 from qdenv.run.experiment import make_experiment, make_iteration, observed
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.types import InputError, RepairStatus
@@ -107,25 +107,24 @@ import os, signal, sys
 sys.path.insert(0, {here!r})
 import toy
 from qdenv.io import files
-from qdenv.run import checkpoint, evaluate_async, loop
+from qdenv.run import evaluate, loop
 
 def die(*args, **kwargs):
     os.kill(os.getpid(), signal.SIGKILL)
 
 if {where!r} == "iteration":
-    original, calls = evaluate_async.observed, []
+    original, calls = evaluate.observed, []
     def observe(evaluation):
         calls.append(1)
         return original(evaluation) if len(calls) < 5 else die()
-    evaluate_async.observed = observe
+    evaluate.observed = observe
 else:
-    original = checkpoint.save_checkpoint
-    def save(path, state, manifest):
-        if manifest["iteration"] < 4:
-            return original(path, state, manifest)
-        os.replace = die  # the temporary file is written, its renaming never happens
-        original(path, state, manifest)
-    checkpoint.save_checkpoint = save
+    original = loop.save_checkpoint
+    def save(path, iteration, state, settings):
+        if iteration >= 4:
+            os.replace = die  # the temporary file is written, its renaming never happens
+        original(path, iteration, state, settings)
+    loop.save_checkpoint = save
 loop.train(toy.CONFIG, {path!r}, progress=False)
 """
 

@@ -10,11 +10,11 @@ import pytest
 from search_harness import QUICK, assert_same, compile_search
 
 from qdenv.search import base
-from qdenv.search.base import Encoding, Problem
+from qdenv.search.base import Problem
 from qdenv.search.dsage import dsage
 from qdenv.search.settings import DsageConfig
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.types import InputError, Measure, Score
+from qdenv.types import Encoding, InputError, Measure, Score
 
 pytestmark = pytest.mark.slow
 
@@ -27,7 +27,7 @@ def encoding(rows, cols, **stages):
     def draw(solutions):
         return jnp.asarray(solutions, jnp.int8).reshape(-1, rows, cols)
 
-    return Encoding(draw, (rows, cols), KINDS, KINDS, **stages)
+    return Encoding((rows, cols), KINDS, draw=draw, choices=KINDS, **stages)
 
 
 TOY = Problem(SIDE**2, COUNTS, {"runs": np.zeros(2, np.float32)}, encoding(SIDE, SIDE))

@@ -13,14 +13,13 @@ from qdenv.search.emitters import (
     RANKERS,
     SELECTIONS,
     EmittersState,
-    Scored,
     make_emitters,
     restart_rule,
 )
 from qdenv.search.strategies import make_strategy
 from qdenv.search.strategies.base import StrategyState
 from qdenv.search.strategies.cma_es import refresh_gap
-from qdenv.types import Measure
+from qdenv.types import Measure, Score
 
 pytestmark = pytest.mark.slow
 
@@ -122,10 +121,9 @@ def test_emitters_rank_select_and_restart_as_pyribs(name, ranker, selection, res
     @jax.jit
     def step(archive, state, solutions, objective, measures):
         archive, insertion = archive.insert(solutions, objective, measures)
-        usable = jnp.ones(len(objective), bool)
-        key = jax.random.key(0)
-        scored = Scored(solutions, insertion, objective, usable)
-        return archive, emitters.tell(state, key, scored, archive)
+        score = Score(objective, objective, measures, jnp.ones(len(objective), bool))
+        rows = solutions, score, insertion
+        return archive, emitters.tell(state, jax.random.key(0), rows, archive)
 
     archive = GridArchive.empty(np.zeros(dim), MEASURES, None, 0.1, 0.0)
     restarts, iterations = jnp.zeros(count, jnp.int32), jnp.int32(0)

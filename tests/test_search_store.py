@@ -8,11 +8,10 @@ from search_harness import CONFIGS, EXTRAS, GRID, PROBLEM, extras_of, score_of
 
 from qdenv.search import base
 from qdenv.search.archive import GridArchive
-from qdenv.search.base import Problem, StoredArchive, collector
+from qdenv.search.base import ROW, Problem, Store, StoredArchive, collector
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.map_elites import MapElitesConfig
 from qdenv.search.registry import make_algorithm
-from qdenv.search.store import ROW, Store
 
 BATCH = 7
 SEARCHES = {name: CONFIGS[name] for name in ("cma-mae", "cma-me", "random")} | {

@@ -60,19 +60,19 @@ def test_every_strategy_learns_from_the_ranks_it_is_given(name):
     # Ranked by the distance to a far point, the mean comes nearer; told the reverse, it flees.
     dim, batch = 20, 10
     target = jnp.full(dim, 2.0)
-    member = make_member(*make_strategy(name, dim, batch, 0.3))
+    init, ask, tell, _ = make_member(*make_strategy(name, dim, batch, 0.3))
 
     @functools.partial(jax.jit, compiler_options=QUICK)
     def distance(sign):
         def step(carry, key):
-            solutions, state, tell_key = member.ask(carry[0], key)
+            solutions, state, tell_key = ask(carry[0], key)
             order = jnp.argsort(sign * jnp.square(solutions - target[None]).sum(-1))
             told = solutions, order, jnp.ones(batch, bool), batch // 2
-            return (member.tell(state, tell_key, *told), tell_key), None
+            return (tell(state, tell_key, *told), tell_key), None
 
-        start = member.init(jnp.zeros(dim), jax.random.key(0))
+        start = init(jnp.zeros(dim), jax.random.key(0))
         (state, _), _ = jax.lax.scan(step, start, jax.random.split(jax.random.key(1), 25))
-        means = member.ask(state, jax.random.key(2))[0]
+        means = ask(state, jax.random.key(2))[0]
         return jnp.linalg.norm(means.mean(axis=0) - target)
 
     away = float(jnp.linalg.norm(target))

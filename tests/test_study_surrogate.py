@@ -29,8 +29,8 @@ from qdenv.study.surrogate import (
 )
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Aspect, make_surrogate, stages_of
-from qdenv.types import InputError
+from qdenv.surrogate.surrogate import Surrogate
+from qdenv.types import Encoding, InputError
 
 pytestmark = pytest.mark.slow
 
@@ -146,13 +146,12 @@ def test_a_fit_in_pieces_is_the_fit():
     samples = Samples(*map(jnp.asarray, (maps, maps, np.zeros(maps.shape, np.float16), numbers)))
     ring = Ring(samples, jnp.int32(20))
     config = SurrogateConfig(channels=2, blocks=0, epochs=4, minibatch=8)
-    aspect = Aspect((6, 6), 3, 1, usage=False)
-    surrogate = make_surrogate(config, aspect)
+    surrogate = Surrogate(config, Encoding((6, 6), 3, repairs=True), 1)
     fit_part = jax.jit(surrogate.fit_part, static_argnames="name")
     key = jax.random.key(1)
     start = parts = jax.jit(surrogate.init)(key)
     whole, losses = jax.jit(surrogate.fit)(start, ring, key)
-    for name in stages_of(aspect):
+    for name in surrogate.stages:
         for first, last in ((0, 1), (1, 4)):
             parts, loss = fit_part(parts, ring, key, name, first, last)
         np.testing.assert_allclose(loss, losses[name], rtol=1e-5)

@@ -13,14 +13,12 @@ from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.surrogate.surrogate import (
     STAGES,
-    Aspect,
     Learner,
+    Surrogate,
     errors,
     learn,
-    make_surrogate,
-    stages_of,
 )
-from qdenv.types import InputError
+from qdenv.types import Encoding, InputError
 
 pytestmark = pytest.mark.slow
 
@@ -54,8 +52,8 @@ def full_ring(samples):
     return Ring.empty(count, tuple(shape), heads).add(samples, jnp.ones(count, bool))
 
 
-def compiled(config, aspect):
-    surrogate = make_surrogate(config, aspect)
+def compiled(config, encoding):
+    surrogate = Surrogate(config, encoding, 2)
     parts = surrogate.init, surrogate.fit, surrogate.predict
     return [jax.jit(function, compiler_options=QUICK) for function in parts]
 
@@ -74,8 +72,7 @@ def explained(prediction, samples):
 )
 def test_a_small_surrogate_explains_layouts_that_it_has_not_seen(shape, all_stages, least):
     config = SurrogateConfig(channels=8, epochs=20, minibatch=32, samples=512)
-    aspect = Aspect(shape, KINDS, 2, repairs=all_stages, usage=all_stages)
-    init, fit, predict = compiled(config, aspect)
+    init, fit, predict = compiled(config, Encoding(shape, KINDS, all_stages, all_stages))
     rng = np.random.default_rng(0)
     ring, unseen = full_ring(truth(rng, 512, shape)), truth(rng, 256, shape)
     untaught = init(jax.random.key(0))
@@ -83,7 +80,7 @@ def test_a_small_surrogate_explains_layouts_that_it_has_not_seen(shape, all_stag
     assert explained(predict(untaught, unseen.drawn), unseen).max() < 0.1
     prediction = predict(fitted, unseen.drawn)
     assert explained(prediction, unseen).min() > least
-    assert set(losses) == set(stages_of(aspect)) == set(fitted.learners)
+    assert set(losses) == set(STAGES if all_stages else STAGES[2:]) == set(fitted.learners)
     if all_stages:
         assert (prediction.repaired == unseen.repaired).mean() > 0.98
         even = jnp.abs(unseen.usage - 1 / 56).mean()
@@ -107,8 +104,7 @@ def test_a_surrogate_of_a_few_cells_does_without_what_a_domain_lacks(shape, repa
         standardise=usage,
         weights=(1, 1, 10, 0),
     )
-    aspect = Aspect(shape, KINDS, 2, repairs, usage)
-    init, fit, predict = compiled(config, aspect)
+    init, fit, predict = compiled(config, Encoding(shape, KINDS, repairs, usage))
     untaught, samples = init(jax.random.key(0)), truth(np.random.default_rng(0), 16, shape)
     assert ("repair" in untaught.learners, "usage" in untaught.learners) == (repairs, usage)
 
@@ -151,7 +147,7 @@ def test_settings_that_learn_nothing_are_refused(settings, word):
 
 def test_weights_for_another_number_of_heads_are_refused():
     with pytest.raises(InputError, match="3 weights: give 4"):
-        make_surrogate(SurrogateConfig(weights=(1, 1, 10)), Aspect((4, 4), KINDS, 2))
+        Surrogate(SurrogateConfig(weights=(1, 1, 10)), Encoding((4, 4), KINDS), 2)
 
 
 def test_a_sample_is_seen_as_often_as_any_other_by_the_last_minibatch_too():
@@ -179,7 +175,7 @@ def test_a_sample_is_seen_as_often_as_any_other_by_the_last_minibatch_too():
 @pytest.mark.parametrize("name", STAGES)
 def test_no_network_learns_by_scatters(name):
     # XLA would take seconds to fold one of a map's size, and say so on the screen.
-    surrogate = make_surrogate(SurrogateConfig(samples=8), Aspect((4, 4), KINDS, 2))
+    surrogate = Surrogate(SurrogateConfig(samples=8), Encoding((4, 4), KINDS, True, True), 2)
     arguments = jax.eval_shape(
         lambda key: (surrogate.init(key), Ring.empty(8, (4, 4), 4), key), jax.random.key(0)
     )

@@ -11,7 +11,8 @@ from search_harness import QUICK
 from qdenv.surrogate.networks import MapPredictor
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Aspect, _scale, errors, make_surrogate, usage_loss
+from qdenv.surrogate.surrogate import Surrogate, _scale, errors, usage_loss
+from qdenv.types import Encoding
 
 usage_loss, scale = jax.jit(usage_loss, static_argnums=2), jax.jit(_scale)
 
@@ -30,7 +31,7 @@ def first_losses(rng, weights):
     config = SurrogateConfig(
         channels=4, blocks=1, epochs=1, minibatch=6, samples=6, standardise=False, weights=weights
     )
-    surrogate = make_surrogate(config, Aspect((4, 5), 3, 1, usage=False))
+    surrogate = Surrogate(config, Encoding((4, 5), 3, repairs=True), 1)
     drawn, repaired = rng.integers(0, 3, (2, 6, 4, 5)).astype(np.int8)
     samples = Samples(
         *map(jnp.asarray, (drawn, repaired, np.zeros(drawn.shape))), jnp.zeros((6, 3))

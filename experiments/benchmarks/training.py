@@ -22,9 +22,8 @@ from jax.random import fold_in
 import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, save, show
 from qdenv.pipeline import PipelinedEvaluator
-from qdenv.run.executors import Execution
-from qdenv.run.executors.dask import ClusterExecutor, Task
-from qdenv.run.executors.layouts import Threads
+from qdenv.run.evaluate import Threads
+from qdenv.run.executors import ClusterExecutor, Execution, Task
 from qdenv.run.experiment import observed
 from qdenv.search.base import growing
 

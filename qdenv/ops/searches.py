@@ -23,9 +23,8 @@ from qdenv.ops.networks import train_agent
 from qdenv.ops.output import PICTURES, Facts, format_duration, format_table, place, say
 from qdenv.ops.runs import plot_one
 from qdenv.run.config import RunConfig, planner_of, resolve
-from qdenv.run.directory import RunDirectory, find_start
+from qdenv.run.directory import Metrics, RunDirectory, find_start
 from qdenv.run.executors import Execution
-from qdenv.run.log import Metrics
 from qdenv.search.registry import ALGORITHMS
 from qdenv.shipped import PREFIX, Collection, Driven, Origin, Shipped, named, names
 from qdenv.simulate.mapf.settings import describe_planner

@@ -34,11 +34,11 @@ Columns = Mapping[str, np.ndarray]
 
 
 class ArchiveSchema(NamedTuple):
-    """What the columns of a run's archive mean."""
+    """What the columns of a run's archive mean, as manifest.json says beside other things."""
 
     measures: tuple[Measure, ...]  # the axes of the archive
     tiles: str  # the alphabet of the layouts
-    names: Mapping[str, str]  # what pictures call the tiles, by their symbols
+    tile_names: Mapping[str, str] = {}  # what pictures call the tiles, by their symbols
     objective: str = "objective"  # what is maximised, with its unit
     # the column that chooses among elites of equal objective; None for none
     tie_break: str | None = None
@@ -65,7 +65,8 @@ class Elite(NamedTuple):
         # Here: matplotlib takes half a second to import.
         from qdenv.view.layouts import layout_html
 
-        return f"<p>{self!r}</p>{layout_html(self.layout, self.schema.tiles, self.schema.names)}"
+        schema = self.schema
+        return f"<p>{self!r}</p>{layout_html(self.layout, schema.tiles, schema.tile_names)}"
 
 
 def best_row(columns: Columns, tie_break: str | None) -> int:

@@ -4,20 +4,19 @@ Only rows that hold anything but zeros are stored, and they are copied piece by 
 copy of an archive is ever made.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from qdenv.io.arrays import SCHEMA, Content, read_state, write_state
 from qdenv.io.files import damaged
-from qdenv.lazy import jax, jnp
-from qdenv.search.store import stores_in
+from qdenv.search.base import stores_in
 from qdenv.types import DamagedError, InputError
 
 _MANIFEST = "manifest"
@@ -36,64 +35,11 @@ class Manifest(NamedTuple):
     settings: Mapping[str, Any] = {}  # what decides the run's result
 
 
-class Checkpoints:
-    """The checkpoints of a run; only the newest are kept."""
+def save_checkpoint(run: Path, iteration: int, state: Any, settings: Mapping[str, Any]) -> None:
+    """Write the state of a search after `iteration`, a pytree of arrays; older ones are deleted.
 
-    def __init__(self, run: Path) -> None:
-        """Read nothing yet; `run` is the run directory."""
-        self._run = run
-
-    def save(self, iteration: int, state: Any, settings: dict[str, Any]) -> None:
-        """Write the state of a search after `iteration`, a pytree of arrays.
-
-        `settings`, JSON-ready, are what decides the run's result. Raises InputError if the file
-        cannot be written.
-        """
-        target = self._run / "checkpoints" / f"{iteration:06d}.npz"
-        save_checkpoint(target, state, {"iteration": iteration, "settings": settings})
-        for old in self._list()[:-_KEPT]:
-            old.unlink(missing_ok=True)
-
-    def load_newest(self, initial: Any, settings: Mapping[str, Any]) -> tuple[int, Any]:
-        """Load the newest undamaged checkpoint, with a warning where a newer one is damaged.
-
-        Returns (iteration, state); 0 and `initial`, the state of a search that begins, where none
-        is saved. Raises InputError if all are damaged, or they are of another search, other
-        `settings` or a newer qdenv.
-        """
-        saved = self._list()
-        for path in reversed(saved):
-            try:
-                state, manifest = load_checkpoint(path, initial)
-            except DamagedError as error:
-                if path == saved[0]:
-                    raise InputError(
-                        f"{error}: no checkpoint is whole, delete {path.parent} to begin anew"
-                    ) from error
-                _LOG.warning("%s: going on from the checkpoint before it", error)
-                continue
-            for name, value in settings.items():
-                # Only names in both are compared, as new versions add some.
-                if manifest.settings.get(name, value) != value:
-                    raise InputError(
-                        f"{self._run}: its checkpoint was made with {name} "
-                        f"{manifest.settings[name]}, now it is {value}: put that back, or train "
-                        "anew in another folder"
-                    )
-            return manifest.iteration, state
-        return 0, initial
-
-    def _list(self) -> list[Path]:
-        """List the checkpoints, the newest last; files of other names are not ours."""
-        every = (self._run / "checkpoints").glob("*.npz")
-        ours = (path for path in every if re.fullmatch(r"[0-9]{6,9}", path.stem))
-        return sorted(ours, key=lambda path: int(path.stem))
-
-
-def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
-    """Write a pytree of arrays and JSON-ready facts of `Manifest`, atomically.
-
-    Raises InputError if the file cannot be written.
+    `run` is the run directory; `settings`, JSON-ready, are what decides the run's result. Raises
+    InputError if the file cannot be written.
     """
     arrays: dict[str, Content] = {}
     leaves = [_as_bits(leaf) for leaf in jax.tree.leaves(state)]
@@ -105,16 +51,50 @@ def save_checkpoint(path: Path, state: Any, manifest: dict[str, Any]) -> None:
             arrays[f"{number}.changed"] = held
             arrays[f"{number}.rows"] = leaf, held
     lengths = [leaf.shape[0] if leaf.ndim else 0 for leaf in leaves]
-    write_state(path, arrays, {"lengths": lengths, **manifest}, _MANIFEST)
+    manifest = {"lengths": lengths, "iteration": iteration, "settings": settings}
+    write_state(run / "checkpoints" / f"{iteration:06d}.npz", arrays, manifest, _MANIFEST)
+    for old in _list(run)[:-_KEPT]:
+        old.unlink(missing_ok=True)
 
 
-def load_checkpoint(path: Path, initial: Any) -> tuple[Any, Manifest]:
-    """Read a checkpoint back, bit for bit: (state, manifest).
+def load_newest(run: Path, initial: Any, settings: Mapping[str, Any]) -> tuple[int, Any]:
+    """Load the newest undamaged checkpoint, with a warning where a newer one is damaged.
 
-    `initial` is an initial state of the same search; stores of solutions may have other lengths.
-    Raises DamagedError if the file is damaged, InputError if it is of a newer schema, or of another
-    configuration.
+    Returns (iteration, state), bit for bit; 0 and `initial`, the state of a search that begins,
+    where none is saved. Raises InputError if all are damaged, or they are of another search, other
+    `settings` or a newer qdenv.
     """
+    saved = _list(run)
+    for path in reversed(saved):
+        try:
+            state, manifest = _load(path, initial)
+        except DamagedError as error:
+            if path == saved[0]:
+                raise InputError(
+                    f"{error}: no checkpoint is whole, delete {path.parent} to begin anew"
+                ) from error
+            _LOG.warning("%s: going on from the checkpoint before it", error)
+            continue
+        for name, value in settings.items():
+            # Only names in both are compared, as new versions add some.
+            if manifest.settings.get(name, value) != value:
+                raise InputError(
+                    f"{run}: its checkpoint was made with {name} {manifest.settings[name]}, now "
+                    f"it is {value}: put that back, or train anew in another folder"
+                )
+        return manifest.iteration, state
+    return 0, initial
+
+
+def _list(run: Path) -> list[Path]:
+    """List the checkpoints of a run, the newest last; files of other names are not ours."""
+    every = (run / "checkpoints").glob("*.npz")
+    ours = (path for path in every if re.fullmatch(r"[0-9]{6,9}", path.stem))
+    return sorted(ours, key=lambda path: int(path.stem))
+
+
+def _load(path: Path, initial: Any) -> tuple[Any, Manifest]:
+    """Read a checkpoint: (state, manifest); stores may be longer or shorter than in `initial`."""
     arrays, manifest = read_state(path, _MANIFEST, Manifest)
     if manifest.iteration < 0:
         raise damaged(path, f"iteration {manifest.iteration}")

@@ -14,15 +14,16 @@ RUN/.lock                   held by the process that writes here
 from __future__ import annotations
 
 import contextlib
-import dataclasses
+import logging
+import math
 import platform
 import subprocess
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -31,35 +32,43 @@ from qdenv.generate import GENERATORS
 from qdenv.io.arrays import Column, read_arrays, write_arrays
 from qdenv.io.files import damaged, sweep, write_csv, write_json
 from qdenv.io.records import read_json
+from qdenv.io.tables import parse_cell, read_rows, read_table
 from qdenv.lazy import jax
 from qdenv.run.archive import ArchiveSchema, Elite, SavedArchive
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
-from qdenv.run.log import METRICS, Metrics, read_metrics
-from qdenv.search.axes import Axis, axes_of
+from qdenv.search.axes import check_measures
 from qdenv.shipped import HOME, Shipped, find
 from qdenv.types import InputError, Measure
 
 _SCHEMA = 2  # of run directories; 1 was never released
+_AXIS = ("name", "low", "high", "cells")  # fields of a `Measure` in manifest.json
 _PACKAGES = ("qdenv", "jax", "jaxlib", "numpy", "flax", "qdax", "evosax", "highspy", "numba")
 
-
-class _Version(NamedTuple):
-    """What is read first of a manifest: the rest of a newer one may be of another form."""
-
-    schema: int = 0
-
-
-class _Manifest(NamedTuple):
-    """What is read of a manifest; it holds more, for people."""
-
-    measures: list[Axis]
-    tiles: str
-    tile_names: Mapping[str, str] = {}
-    objective: str = "objective"
-    tie_break: str | None = None
+METRICS, NOTES = "metrics.csv", "notes.csv"
+_LOG = logging.getLogger(__name__)
+Note = dict[str, float]  # numbers by name, like a surrogate's losses; NaN where there is none
+T = TypeVar("T")
 
 
-@dataclasses.dataclass(frozen=True, repr=False)
+class Metrics(NamedTuple):
+    """One row of metrics.csv: the search after an iteration."""
+
+    iteration: int
+    evaluations: int
+    qd_score: float
+    coverage: float
+    best_objective: float
+    seconds: float  # wall clock, summed over interruptions
+    failed_repairs: int = 0  # of this iteration's layouts, those without a feasible repair
+    congested_runs: int = 0  # of this iteration's simulations
+
+    def __str__(self) -> str:
+        """Show how the search stands."""
+        best = f"best {self.best_objective:.3f}"
+        return f"QD-score {self.qd_score:.1f}, coverage {self.coverage:.1%}, {best}"
+
+
+@dataclass(frozen=True, repr=False)
 class RunDirectory:
     """The files of one run in the folder `path`; every write leaves the old file or the new one.
 
@@ -94,7 +103,7 @@ class RunDirectory:
         domain = make_domain(config.evaluation.domain)
         manifest = {
             "schema": _SCHEMA,
-            "measures": [Axis(*measure[:4])._asdict() for measure in measures],
+            "measures": [dict(zip(_AXIS, measure[:4], strict=True)) for measure in measures],
             "tiles": domain.tiles,
             "tile_names": domain.names,
             "objective": domain.objective_name,
@@ -123,7 +132,9 @@ class RunDirectory:
         run = cls(HOME / shipped.collection.domain, shipped) if shipped else cls(Path(path))
         if not (run.path / "config.json").exists():
             raise InputError(f"{path}: no run here (config.json is missing)")
-        if read_json(run.path / "manifest.json", _Version).schema > _SCHEMA:
+        # Before the rest, which may be of another form in a newer one.
+        schema = read_json(run.path / "manifest.json", dict[str, Any]).get("schema", 0)
+        if type(schema) is not int or schema > _SCHEMA:
             raise InputError(f"{run.path}: written by a newer qdenv, please upgrade")
         return run
 
@@ -176,21 +187,19 @@ class RunDirectory:
     def schema(self) -> ArchiveSchema:
         """What the archive means: its axes, the alphabet of its layouts, its objective."""
         path = self.path / "manifest.json"
-        content = read_json(path, _Manifest)
-        axes = axes_of(content.measures, path)
-        if not content.tiles:
+        schema = read_json(path, ArchiveSchema)
+        try:
+            schema = schema._replace(measures=check_measures(schema.measures))
+        except InputError as error:
+            raise damaged(path, error) from error
+        if not schema.tiles:
             raise damaged(path, "tiles: there must be one")
-        return ArchiveSchema(axes, *content[1:])
+        return schema
 
     @property
     def measures(self) -> tuple[Measure, ...]:
         """The axes of the archive."""
         return self.schema.measures
-
-    @property
-    def tiles(self) -> str:
-        """The alphabet of the layouts."""
-        return self.schema.tiles
 
     @property
     def archive(self) -> SavedArchive:
@@ -214,8 +223,18 @@ class RunDirectory:
         return self.archive.elite(which, measures)
 
     def read_metrics(self, salvage: bool = False) -> list[Metrics]:
-        """Read metrics.csv as `log.read_metrics` does."""
-        return read_metrics(self.path / METRICS, salvage)
+        """Read metrics.csv; missing columns that have defaults take them.
+
+        With `salvage`, the rows before a damage are returned and it is logged, in place of an
+        error.
+        """
+        # Without a success there is no best objective: it is infinite.
+        return _collect(read_table(self.path / METRICS, Metrics, ("best_objective",)), salvage)
+
+    def read_notes(self, salvage: bool = False) -> list[Note]:
+        """Read notes.csv as `read_metrics` does; an algorithm without notes has no such file."""
+        path = self.path / NOTES
+        return _collect(_iterate_notes(path), salvage) if path.exists() else []
 
     def read_start(self) -> np.ndarray | None:
         """Read the parameters from which the search began, float [P]; None for zeros.
@@ -255,6 +274,31 @@ class RunDirectory:
             return f"<p>{self!r}</p><p>{error}</p>"
 
 
+def _iterate_notes(path: Path) -> Iterator[Note]:
+    for number, row in enumerate(read_rows(path), start=1):
+        if not row.keys() >= {"iteration", "evaluations"}:
+            raise damaged(path, "one of the columns evaluations, iteration is missing")
+        try:
+            yield {
+                name: parse_cell(text, float, infinite=True) if text else math.nan
+                for name, text in row.items()
+            }
+        except ValueError as error:
+            raise damaged(path, f"row {number}: {error}") from error
+
+
+def _collect(rows: Iterable[T], salvage: bool) -> list[T]:
+    collected = []
+    try:
+        for row in rows:  # one by one: those before the damage count
+            collected.append(row)
+    except InputError as error:
+        if not salvage:
+            raise
+        _LOG.warning("%s: what follows row %d is lost", error, len(collected))
+    return collected
+
+
 def package_versions(packages: Sequence[str] = _PACKAGES) -> dict[str, str]:
     """Return the versions of packages, "not installed" for those that are not."""
     versions = dict.fromkeys(packages, "not installed")
@@ -274,9 +318,9 @@ def find_start(config: RunConfig) -> np.ndarray | None:
     source, _, cell = config.start.partition("@")
     run = RunDirectory.open(source)
     elite = run.archive.elite(cell or "best")
-    tiles = make_domain(config.evaluation.domain).tiles
-    if run.tiles != tiles:
-        raise InputError(f"start {config.start}: it draws {run.tiles}, this domain has {tiles}")
+    domain, drawn = make_domain(config.evaluation.domain), run.schema.tiles
+    if drawn != domain.tiles:
+        raise InputError(f"start {config.start}: it draws {drawn}, this domain has {domain.tiles}")
     theirs, ours = run.config.evaluation.generator, config.evaluation.generator
     if hasattr(theirs, "steps") and type(ours) is type(theirs):
         theirs = replace(theirs, steps=ours.steps)  # the same automaton grows for any time

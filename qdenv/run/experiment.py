@@ -12,9 +12,9 @@ import numpy as np
 from qdenv.pipeline import Pipeline, evaluate, make_pipeline
 from qdenv.run.config import RunConfig, archive_axes, config_to_json
 from qdenv.run.directory import find_start
-from qdenv.search.base import Algorithm, Encoding, Problem
+from qdenv.search.base import Algorithm, Problem
 from qdenv.search.registry import make_algorithm
-from qdenv.types import Array, Evaluation, InputError, Measure
+from qdenv.types import Array, Encoding, Evaluation, InputError, Measure
 
 # Settings that decide how long a run takes or how far it goes, but none of its results.
 _WITHOUT_EFFECT = ("evaluations", "checkpoint_every", "workers", "backend")
@@ -71,12 +71,12 @@ def problem_of(pipeline: Pipeline, measures: tuple[Measure, ...]) -> Problem:
     )
     usage = columns.pop("usage", None)  # observed, but not archived
     encoding = Encoding(
-        lambda solutions: pipeline.grow(jnp.asarray(solutions)),
         domain.shape,
         len(domain.tiles),
-        pipeline.choices,
         repairs=domain.rules is not None,
         usage=usage is not None,
+        draw=lambda solutions: pipeline.grow(jnp.asarray(solutions)),
+        choices=pipeline.choices,
     )
     extras = {name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in columns.items()}
     return Problem(pipeline.solution_size, measures, extras, encoding)

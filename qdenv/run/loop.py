@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 import shlex
 import time
 from collections.abc import Callable
@@ -11,22 +12,23 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from qdenv.interrupt import advise, save_first, undisturbed
 from qdenv.io.arrays import write_arrays
+from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
-from qdenv.pipeline import Pipeline, PipelinedEvaluator
+from qdenv.pipeline import PipelinedEvaluator
 from qdenv.progress import Bar
 from qdenv.run.archive import best_row
-from qdenv.run.checkpoint import Checkpoints
+from qdenv.run.checkpoint import load_newest, save_checkpoint
 from qdenv.run.config import RunConfig, check
-from qdenv.run.directory import RunDirectory, find_start
-from qdenv.run.evaluate_async import AsyncEvaluation, Search
+from qdenv.run.directory import METRICS, NOTES, Metrics, RunDirectory, find_start
+from qdenv.run.evaluate import AsyncEvaluation, Search, open_evaluator
 from qdenv.run.executors import Execution
 from qdenv.run.experiment import Experiment, make_experiment
-from qdenv.run.log import Log
-from qdenv.search.base import Algorithm, collector, growing, is_whole
-from qdenv.types import InputError
+from qdenv.search.base import Algorithm, collector, growing
+from qdenv.types import Evaluation, InputError, RepairStatus
 
 _SAVING_SHARE = 0.03  # of a run's time, for checkpoints beyond those that its settings state
 _LONGEST = 240.0  # seconds without a checkpoint, whatever it costs: no more is ever lost
@@ -92,17 +94,24 @@ def _run(
     execution: Execution,
 ) -> RunDirectory:
     """Iterate until all evaluations are done, from the newest checkpoint."""
-    batch, key = experiment.algorithm.batch_size, experiment.evaluation_key
+    algorithm, pipeline = experiment.algorithm, experiment.pipeline
+    batch, settings = algorithm.batch_size, experiment.settings(config)
     total = -(-config.evaluations // batch)
     advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
     bar = Bar("", total * batch, progress, unit="eval")
-    algorithm, pipeline = _announced(bar, experiment)
-    algorithm = growing(algorithm)
-    publisher = Publisher(run, experiment, algorithm, experiment.settings(config))
+    announced = partial(_announced, bar)
+    pipeline = pipeline._replace(
+        grow=announced("generator and repair", pipeline.grow),
+        simulate=announced("simulator", pipeline.simulate),
+        score=announced("score", pipeline.score),
+    )
+    ask, tell = announced("search", algorithm.ask), announced("search", algorithm.tell)
+    algorithm = growing(algorithm._replace(ask=ask, tell=tell))
     with contextlib.ExitStack() as stack:
-        layouts = stack.enter_context(execution.open(config, pipeline, bar.update))
+        layouts = stack.enter_context(open_evaluator(execution, config, pipeline, bar.update))
         initial = Search.begin(algorithm, experiment.search_key)
-        begun, search = publisher.checkpoints.load_newest(initial, publisher.settings)
+        publisher = Publisher(run, experiment, algorithm, settings)
+        begun, search = publisher.load(initial)
         if config != run.config:
             if total < begun:
                 raise InputError(
@@ -110,12 +119,11 @@ def _run(
                     "--evaluations out"
                 )
             run.write_config(config)
-        log = Log(run.path, begun)
         if begun >= total:
             publisher.publish(search)  # it may be older, where a run was killed at its very end
         bar.begin("", total * batch, begun * batch)
         stack.enter_context(bar)  # not before: a run that is refused shows its line alone
-        evaluator = PipelinedEvaluator(pipeline, layouts)
+        evaluator, key = PipelinedEvaluator(pipeline, layouts), experiment.evaluation_key
         in_flight = AsyncEvaluation(algorithm, evaluator, key, total, begun, search)
         try:
             while in_flight.done < total:
@@ -126,47 +134,35 @@ def _run(
                 with undisturbed:
                     in_flight.collect(evaluation)
                     done, search = in_flight.done, in_flight.search
-                    summary, spent = publisher.summary(search), time.perf_counter() - start
-                    notes = algorithm.notes(search.state)
-                    bar.note(str(log.add(done * batch, summary, spent, evaluation, notes)))
+                    bar.note(str(publisher.log(done, search, evaluation, start)))
                     save_first(partial(publisher.save, done, search))
                     if done % config.checkpoint_every == 0 or done == total or publisher.has_time:
                         save_first(None)
                         publisher.save(done, search)
         except KeyboardInterrupt:  # in notebooks; programs end otherwise, see `interrupt`
             done, search = in_flight.done, in_flight.search
-            if done > begun and publisher.saved != done and is_whole(search):
+            arrays = [leaf for leaf in jax.tree.leaves(search) if isinstance(leaf, jax.Array)]
+            # What `tell` has consumed in part cannot be read any more.
+            whole = not any(array.is_deleted() for array in arrays)
+            if done > begun and publisher.saved != done and whole:
                 publisher.save(done, search)
             raise
     return run
 
 
-def _announced(bar: Bar, experiment: Experiment) -> tuple[Algorithm, Pipeline]:
-    """Have the bar name each function while jax traces it, which is when it is compiled next."""
+def _announced(bar: Bar, what: str, function: Callable) -> Callable:
+    """Have the bar name a function while jax traces it, which is when it is compiled next."""
 
-    def announced(what: str, function: Callable) -> Callable:
-        @wraps(function)
-        def traced(*arguments: Any) -> Any:
-            bar.wait_for(f"compiling and running the {what}")
-            return function(*arguments)
+    @wraps(function)
+    def traced(*arguments: Any) -> Any:
+        bar.wait_for(f"compiling and running the {what}")
+        return function(*arguments)
 
-        return traced
-
-    algorithm, pipeline = experiment.algorithm, experiment.pipeline
-    return (
-        algorithm._replace(
-            ask=announced("search", algorithm.ask), tell=announced("search", algorithm.tell)
-        ),
-        pipeline._replace(
-            grow=announced("generator and repair", pipeline.grow),
-            simulate=announced("simulator", pipeline.simulate),
-            score=announced("score", pipeline.score),
-        ),
-    )
+    return traced
 
 
 class Publisher:
-    """Writes a search into its run directory, except for the log."""
+    """Writes a search into its run directory."""
 
     def __init__(
         self,
@@ -175,13 +171,12 @@ class Publisher:
         algorithm: Algorithm,
         settings: dict[str, Any],
     ) -> None:
-        """Compile nothing yet."""
-        self._run, self._experiment, self.settings = run, experiment, settings
-        self.checkpoints = Checkpoints(run.path)
+        """Compile nothing yet; `settings` are what decides the run's result."""
+        self._run, self._experiment, self._settings = run, experiment, settings
         self.saved = 0  # iteration after which this process has saved the search
         self._spent, self._last = 0.0, 0.0
         self._begun = self._since = time.perf_counter()
-        self._collect = collector(algorithm)
+        self._algorithm, self._collect = algorithm, collector(algorithm)
 
         def summarise(state: Any) -> tuple[jax.Array, jax.Array, int, jax.Array]:
             archive = algorithm.archive(state)
@@ -190,10 +185,47 @@ class Publisher:
 
         self._summarise = jax.jit(summarise)
 
-    def summary(self, search: Search) -> tuple[float, float, float]:
-        """Compute QD-score, coverage and best objective, and wait for them."""
-        qd_score, filled, cells, best = map(float, self._summarise(search.state))
-        return qd_score, filled / cells, best
+    def load(self, initial: Search) -> tuple[int, Search]:
+        """Load the newest checkpoint, or `initial`, and the log up to it: later rows are repeated.
+
+        Returns the number of iterations done, and the search after them.
+        """
+        done, search = load_newest(self._run.path, initial, self._settings)
+        metrics, notes = self._run.read_metrics(salvage=True), self._run.read_notes(salvage=True)
+        self._rows = [row for row in metrics if row.iteration <= done]
+        self._notes = [note for note in notes if note["iteration"] <= done]
+        self._seconds = self._rows[-1].seconds if self._rows else 0.0
+        return done, search
+
+    def log(self, iteration: int, search: Search, evaluation: Evaluation, start: float) -> Metrics:
+        """Write the rows of an iteration that began at `start` (`time.perf_counter`)."""
+        qd_score, filled, cells, best = map(float, self._summarise(search.state))  # this waits
+        self._seconds += time.perf_counter() - start
+        failed = np.asarray(evaluation.status) >= RepairStatus.IMPOSSIBLE
+        # A simulator whose runs cannot congest has no such field.
+        congested = np.asarray(getattr(evaluation.runs, "congested", False))
+        row = Metrics(
+            iteration,
+            iteration * len(failed),
+            qd_score,
+            filled / cells,
+            best,
+            round(self._seconds, 3),
+            int(failed.sum()),
+            int(congested.sum()),
+        )
+        self._rows.append(row)
+        write_csv(self._run.path / METRICS, Metrics._fields, self._rows)
+        notes = self._algorithm.notes(search.state)
+        place = {"iteration": float(iteration), "evaluations": float(row.evaluations)}
+        self._notes.append(place | {name: float(value) for name, value in notes.items()})
+        if notes:
+            table = [  # six digits: the numbers come from single precision
+                ["" if math.isnan(value) else f"{value:g}" for value in note.values()]
+                for note in self._notes
+            ]
+            write_csv(self._run.path / NOTES, list(self._notes[0]), table)
+        return row
 
     @property
     def has_time(self) -> bool:
@@ -205,7 +237,7 @@ class Publisher:
     def save(self, iteration: int, search: Search) -> None:
         """Write a checkpoint, then the archive and its best layout."""
         begun = time.perf_counter()
-        self.checkpoints.save(iteration, search, self.settings)
+        save_checkpoint(self._run.path, iteration, search, self._settings)
         self.publish(search)
         self._since = time.perf_counter()
         self._last = self._since - begun

@@ -2,7 +2,6 @@
 
     axes            measures to cells
     archive         the grid archive, elitist or soft (a qdax repertoire)
-    store           the solutions of several archives, each once
     base            `Algorithm`: init, ask, tell; the archives of a search; compiled for the host
     strategies/     evolution strategies: evosax algorithms, ours and evosax' own
     emitters        strategies that an archive ranks, and that restart from its elites

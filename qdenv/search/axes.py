@@ -5,33 +5,13 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.io.files import damaged
 from qdenv.types import InputError, Measure
 
 _MOST_CELLS = 1_000_000  # each holds two layouts: of size S 2.4 GB in all
 _EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
-
-
-class Axis(NamedTuple):
-    """One axis of an archive as a file holds it."""
-
-    name: str
-    low: float
-    high: float
-    cells: int
-
-
-def axes_of(written: Sequence[Axis], source: Path | str) -> tuple[Measure, ...]:
-    """Make the axes that a file holds; raise DamagedError, naming `source`, if they are unfit."""
-    try:
-        return check_measures([Measure(*axis) for axis in written])
-    except InputError as error:
-        raise damaged(source, error) from error
 
 
 def check_measures(measures: Sequence[Measure]) -> tuple[Measure, ...]:

@@ -1,5 +1,9 @@
-"""The interface of all search algorithms: `init / ask / tell` on a single pytree of state."""
+"""The interface of all search algorithms: `init / ask / tell` on a single pytree of state.
 
+Solutions that several archives hold are stored once, in a `Store`; the archives refer to its rows.
+"""
+
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
@@ -9,22 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.search.archive import GridArchive, Insertion
-from qdenv.search.store import ROW, Store, is_store, stores_in
-from qdenv.types import Array, InputError, Measure, Score
+from qdenv.types import Array, Encoding, InputError, Measure, Score
 
+ROW = jax.ShapeDtypeStruct((), jnp.int32)  # what an archive holds in place of a solution
 _FIRST_ROWS = 1024  # of a store that grows; it doubles when need be, so a search compiles few times
 _COLLECTED_AT_ONCE = 1024  # elites: enough that calls cost little, few beside the archive's cells
-
-
-class Encoding(NamedTuple):
-    """How solutions encode layouts, for algorithms that look at layouts."""
-
-    draw: Callable[[Array], jax.Array]  # float [B, P] -> int8 [B, H, W], traceable
-    shape: tuple[int, int]  # rows H and columns W
-    kinds: int  # kinds of tile K
-    choices: int = 0  # how many tiles each parameter may name; 0 where parameters are real numbers
-    repairs: bool = False  # layouts are changed before they are scored; `tell` has "repaired"
-    usage: bool = False  # `tell` has "usage", the share of agent-steps on each cell
 
 
 class Problem(NamedTuple):
@@ -35,6 +28,62 @@ class Problem(NamedTuple):
     # one example of what the result archive stores beside each elite
     extras: Mapping[str, Any] | None = None
     encoding: Encoding | None = None  # None where solutions are nothing but numbers
+
+
+class Store(NamedTuple):
+    """The solutions of several archives by row, each once, and which rows are free.
+
+    Row 0 is what empty cells refer to: zeros, never handed out. A search with few elites stores
+    little.
+    """
+
+    cells: jax.Array  # int32 [R], the cell that each row was last written for
+    used: jax.Array  # bool [R], whether an archive refers to the row
+    solutions: jax.Array  # float [R, P]
+
+    @classmethod
+    def empty(cls, solution: jax.Array, batch: int, *archives: GridArchive) -> Self:
+        """Make a store of solutions like `solution` (float [P]) with free rows for every batch."""
+        # An archive refers to at most one row for each of its cells.
+        rows = 1 + batch + sum(math.prod(axis.cells for axis in a.measures) for a in archives)
+        blank = jnp.zeros((rows, *solution.shape), solution.dtype)
+        return cls(jnp.zeros(rows, jnp.int32), jnp.arange(rows) == 0, blank)
+
+    def free_rows(self, count: int) -> jax.Array:
+        """List `count` free rows, int32 [count]; there must be that many."""
+        # XLA has a fast partial sort on CPUs for float32 alone; of equals the first come first.
+        return jax.lax.top_k((~self.used).astype(jnp.float32), count)[1]
+
+    def write(
+        self, rows: jax.Array, solutions: jax.Array, cells: jax.Array, *archives: GridArchive
+    ) -> Self:
+        """Write the solutions that an archive took in, and free rows that no archive refers to.
+
+        `rows` (int32 [B]) come from `free_rows`, `cells` are int32 [B]; `archives` are all that
+        refer to this store, after the batch.
+        """
+        written_for = self.cells.at[rows].set(cells)
+        index = jnp.arange(len(self.used))
+        # A row can only be referred to by the cell it was written for: one look-up suffices.
+        used = index == 0
+        for archive in archives:
+            used |= archive.genotypes[written_for] == index
+        target = jnp.where(used[rows], rows, len(self.used))  # others: out of bounds
+        written = self.solutions.at[target].set(solutions, mode="drop")
+        return self._replace(cells=written_for, used=used, solutions=written)
+
+    def resized(self, rows: int) -> Self:
+        """Cut or lengthen the store to `rows`; rows cut off must be free."""
+        more = (0, max(rows - len(self.used), 0))
+        return jax.tree.map(
+            lambda leaf: jnp.pad(leaf[:rows], [more] + [(0, 0)] * (leaf.ndim - 1)), self
+        )
+
+
+def stores_in(state: Any) -> list[Store]:
+    """List the stores in the state of a search."""
+    nodes = jax.tree.leaves(state, is_leaf=lambda node: isinstance(node, Store))
+    return [node for node in nodes if isinstance(node, Store)]
 
 
 class StoredArchive(NamedTuple):
@@ -62,7 +111,7 @@ class StoredArchive(NamedTuple):
         result, learning = GridArchive.empty(ROW, problem.measures, problem.extras), None
         if thresholds:
             learning = GridArchive.empty(ROW, problem.measures, None, *thresholds)
-        archives = [archive for archive in (learning, result) if archive is not None]
+        archives = [result] if learning is None else [learning, result]
         return cls(learning, result, Store.empty(solution, batch, *archives))
 
     def add(
@@ -73,17 +122,16 @@ class StoredArchive(NamedTuple):
         Returns them, and how the learning archive (the result archive where there is none) received
         each row.
         """
-        rows = self.store.free_rows(len(solutions))
+        rows, learning = self.store.free_rows(len(solutions)), self.learning
         measures, success = score.measures, score.success
         result, insertion = self.result.insert(
             rows, score.result_objective, measures, extras, success
         )
-        cells = result.cells_of(measures)
-        if self.learning is None:
-            store = self.store.write(rows, solutions, cells, result)
-            return type(self)(None, result, store), insertion
-        learning, insertion = self.learning.insert(rows, score.objective, measures, None, success)
-        store = self.store.write(rows, solutions, cells, learning, result)
+        archives, cells = [result], result.cells_of(measures)
+        if learning is not None:
+            learning, insertion = learning.insert(rows, score.objective, measures, None, success)
+            archives = [learning, result]
+        store = self.store.write(rows, solutions, cells, *archives)
         return type(self)(learning, result, store), insertion
 
     def sample_solutions(self, key: jax.Array, count: int, fallback: jax.Array) -> jax.Array:
@@ -98,6 +146,16 @@ class StoredArchive(NamedTuple):
     def dense(self) -> GridArchive:
         """Return the result archive with a solution in every cell, zeros in the empty ones."""
         return self.result.replace(genotypes=self.store.solutions[self.result.genotypes])
+
+
+class SearchState(NamedTuple):
+    """State of a search by emitters, or by its archives alone; one pytree."""
+
+    key: jax.Array
+    # `EmittersState` or `GroupsState`, which the learning archive steers; None where parents are
+    # drawn from that archive, or nothing is learnt
+    emitters: Any
+    archives: StoredArchive
 
 
 class Algorithm(NamedTuple):
@@ -122,11 +180,7 @@ class Algorithm(NamedTuple):
 
 
 def check_batch(solutions: Array, score: Score) -> tuple[jax.Array, Score]:
-    """Check the arguments of `tell`; rows that hold anything not finite count as failed.
-
-    Raises:
-        AssertionError: a shape is wrong (when tracing).
-    """
+    """Check the arguments of `tell`; rows that hold anything not finite count as failed."""
     solutions = jnp.asarray(solutions)
     score = Score(*(jnp.asarray(column) for column in score))
     chex.assert_rank([solutions, score.measures], 2)
@@ -165,11 +219,9 @@ def growing(algorithm: Algorithm) -> Algorithm:
     """Compile an algorithm for a loop on the host; its stores grow between iterations.
 
     Every `Store` in the state starts small and doubles before a batch might not fit, up to the
-    size at which it always does. The results are those of `algorithm` bit for bit.
-
-    Returns:
-        the same search as jitted functions (`archive` is left as it is). `tell` consumes the state
-        that it is given, `ask` leaves it whole and copies no archive and no store.
+    size at which it always does. The results are those of `algorithm` bit for bit, the functions
+    are jitted (`archive` is left as it is). `tell` consumes the state that it is given, `ask`
+    leaves it whole and copies no archive and no store.
     """
     shapes = jax.eval_shape(algorithm.init, jax.random.key(0))
     full = [len(store.used) for store in stores_in(shapes)]
@@ -180,12 +232,12 @@ def growing(algorithm: Algorithm) -> Algorithm:
         left = iter(sizes)
 
         def fit(node: Any) -> Any:
-            if not is_store(node):
+            if not isinstance(node, Store):
                 return node
             rows = next(left)
             return node if rows == len(node.used) else node.resized(rows)
 
-        return jax.tree.map(fit, state, is_leaf=is_store)
+        return jax.tree.map(fit, state, is_leaf=lambda node: isinstance(node, Store))
 
     @jax.jit
     def init(key: jax.Array) -> Any:
@@ -222,21 +274,12 @@ def growing(algorithm: Algorithm) -> Algorithm:
     return algorithm._replace(init=init, ask=ask, tell=tell)
 
 
-def is_whole(state: Any) -> bool:
-    """Return True if a state can be read: `tell` has not consumed any part of it."""
-    arrays = [leaf for leaf in jax.tree.leaves(state) if isinstance(leaf, jax.Array)]
-    return not any(array.is_deleted() for array in arrays)
-
-
 def collector(algorithm: Algorithm) -> Callable[[Any], dict[str, np.ndarray]]:
     """Make the function state -> `GridArchive.elites` of the result archive, for large searches.
 
     On the way no archive is made that holds a solution for every cell.
     """
-
-    @jax.jit
-    def filled(state: Any) -> jax.Array:
-        return algorithm.archive(state).filled
+    filled = jax.jit(lambda state: algorithm.archive(state).filled)
 
     @jax.jit
     def take(state: Any, cells: jax.Array) -> dict[str, jax.Array]:

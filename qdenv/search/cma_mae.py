@@ -8,13 +8,13 @@ adaptation for the rapid illumination of behavior space", https://arxiv.org/abs/
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import jax
 
 from qdenv.search.base import (
     Algorithm,
     Problem,
+    SearchState,
     StoredArchive,
     check_batch,
     plain_key,
@@ -24,9 +24,6 @@ from qdenv.search.emitters import (
     RANKERS,
     SELECTIONS,
     Emitters,
-    EmittersState,
-    GroupsState,
-    Scored,
     make_emitters,
     make_groups,
     restart_rule,
@@ -34,14 +31,6 @@ from qdenv.search.emitters import (
 from qdenv.search.settings import CmaEsConfig, CmaMaeConfig
 from qdenv.search.strategies import make_strategy
 from qdenv.types import Array, Score, look_up
-
-
-class CmaMaeState(NamedTuple):
-    """State of CMA-MAE; one pytree."""
-
-    key: jax.Array
-    emitters: EmittersState | GroupsState
-    archives: StoredArchive  # the learning archive steers the emitters
 
 
 def emitters_of(config: CmaMaeConfig, start: jax.Array) -> Emitters:
@@ -62,36 +51,34 @@ def cma_mae(config: CmaMaeConfig, problem: Problem, x0: Array | None = None) -> 
 
     All E * b rows enter both archives as one batch; then every emitter ranks its own rows by
     how the learning archive received them, and restarts from an elite of that archive. All start at
-    `x0` (float [P]; zeros where None).
-
-    Raises:
-        InputError: a setting is out of range or unknown.
+    `x0` (float [P]; zeros where None). Raises InputError if a setting is unknown.
     """
     start = start_solution(x0, problem.solution_dim)
     emitters = emitters_of(config, start)
     batch_size = config.emitters * config.batch
 
-    def init(key: jax.Array) -> CmaMaeState:
+    def init(key: jax.Array) -> SearchState:
         key, emitters_key = jax.random.split(plain_key(key))
         thresholds = config.learning_rate, config.threshold_min
         archives = StoredArchive.empty(problem, start, batch_size, thresholds)
-        return CmaMaeState(key, emitters.init(emitters_key), archives)
+        return SearchState(key, emitters.init(emitters_key), archives)
 
-    def ask(state: CmaMaeState) -> tuple[jax.Array, CmaMaeState]:
+    def ask(state: SearchState) -> tuple[jax.Array, SearchState]:
         key, ask_key = jax.random.split(state.key)
         solutions, changed = emitters.ask(state.emitters, ask_key)
         return solutions, state._replace(key=key, emitters=changed)
 
     def tell(
-        state: CmaMaeState, solutions: Array, score: Score, extras: Mapping[str, Array]
-    ) -> CmaMaeState:
+        state: SearchState, solutions: Array, score: Score, extras: Mapping[str, Array]
+    ) -> SearchState:
         solutions, score = check_batch(solutions, score)
         key, tell_key = jax.random.split(state.key)
         archives, insertion = state.archives.add(solutions, score, extras)
         # Rows are ranked against the archive before the batch, but restarts draw from the archive
         # that holds it: the order of pyribs' scheduler.
-        rows = Scored(solutions, insertion, score.objective, score.success)
-        return CmaMaeState(key, emitters.tell(state.emitters, tell_key, rows, archives), archives)
+        rows = solutions, score, insertion
+        changed = emitters.tell(state.emitters, tell_key, rows, archives)
+        return SearchState(key, changed, archives)
 
     return Algorithm(
         init, ask, tell, lambda state: state.archives.dense(), batch_size, ahead=config.ahead
@@ -102,9 +89,6 @@ def cma_es(config: CmaEsConfig, problem: Problem, x0: Array | None = None) -> Al
     """Make CMA-ES: emitters that rank by the objective and recombine the better half.
 
     The measures steer nothing here. All start at `x0` (float [P]; zeros where None).
-
-    Raises:
-        InputError: a setting is out of range or unknown.
     """
     # The archive has to be there, though nothing ranks by it: the plainest, an elitist one.
     settings = CmaMaeConfig(

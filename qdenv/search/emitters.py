@@ -14,12 +14,12 @@ import jax.numpy as jnp
 from qdenv.search.archive import GridArchive, Insertion
 from qdenv.search.base import StoredArchive
 from qdenv.search.strategies.base import SMALLEST_STEP, Strategy
-from qdenv.types import InputError
+from qdenv.types import Array, InputError, Score
 
 _FLAT = 1e-12  # best and worst ranking values closer than this restart the emitter (pyribs)
 
 # A ranker turns (insertion, objective) into sort keys, the most important first.
-Ranker = Callable[[Insertion, jax.Array], tuple[jax.Array, ...]]
+Ranker = Callable[[Insertion, Array], tuple[Array, ...]]
 RANKERS: dict[str, Ranker] = {
     "imp": lambda insertion, objective: (insertion.value,),
     "2imp": lambda insertion, objective: (insertion.status, insertion.value),
@@ -37,14 +37,9 @@ SELECTIONS: dict[str, Selection] = {
 # A restart rule decides from (accepted rows of each emitter int32 [E], iterations int32): bool [E].
 RestartRule = Callable[[jax.Array, jax.Array], jax.Array]
 
-
-class Scored(NamedTuple):
-    """The rows of a batch, with a leading axis E * b, as emitters learn from them."""
-
-    solutions: jax.Array  # float [E * b, P]
-    insertion: Insertion  # how the learning archive received them
-    objective: Any  # float [E * b]
-    usable: Any  # bool [E * b], those that did not fail
+# A batch as emitters learn from it: (solutions float [E * b, P], `Score` [E * b], how the learning
+# archive received them). Rows whose score is no success have failed.
+Scored = tuple[jax.Array, Score, Insertion]
 
 
 class EmittersState(NamedTuple):
@@ -66,7 +61,7 @@ class Emitters(NamedTuple):
     tell: Callable[[Any, jax.Array, Scored, Any], Any]
 
 
-def rank(keys: tuple[jax.Array, ...], usable: jax.Array) -> jax.Array:
+def rank(keys: tuple[Array, ...], usable: Array) -> jax.Array:
     """Order rows best first (int32 [b]) by keys [b], the most important first.
 
     Rows that are not `usable` (bool [b]) come last, ties are reversed (pyribs).
@@ -74,7 +69,7 @@ def rank(keys: tuple[jax.Array, ...], usable: jax.Array) -> jax.Array:
     return jnp.flip(jnp.lexsort((*reversed(keys), usable)))
 
 
-def is_flat(keys: tuple[jax.Array, ...], order: jax.Array, successes: jax.Array) -> jax.Array:
+def is_flat(keys: tuple[Array, ...], order: jax.Array, successes: jax.Array) -> jax.Array:
     """Return True if the best and the worst of at least two usable rows rank the same."""
     last = order[jnp.maximum(successes - 1, 0)]
     gaps = jnp.stack([(key[order[0]] - key[last]).astype(float) for key in keys])
@@ -82,11 +77,7 @@ def is_flat(keys: tuple[jax.Array, ...], order: jax.Array, successes: jax.Array)
 
 
 def restart_rule(rule: str | int) -> RestartRule:
-    """Look up the restart rule of a setting.
-
-    Raises:
-        InputError: the rule is neither "no_improvement", "basic" nor a positive period.
-    """
+    """Look up the restart rule of a setting: "no_improvement", "basic" or a positive period."""
     if rule == "no_improvement":
         return lambda accepted, iterations: accepted == 0
     if rule == "basic":
@@ -98,23 +89,17 @@ def restart_rule(rule: str | int) -> RestartRule:
     )
 
 
-class Member(NamedTuple):
-    """One emitter's evolution strategy as functions: an evosax algorithm that is fed ranks."""
-
-    init: Callable[[jax.Array, jax.Array], tuple]  # (mean float [P], key) -> (state, next key)
-    ask: Callable[[Any, jax.Array], tuple]  # (state, key) -> (solutions, state, next key)
-    # (state, key, rows float [b, P], their order int32 [b] best first, usable bool [b], the number
-    # of parents int32) -> state
-    tell: Callable[..., Any]
-    is_degenerate: Callable[[Any], jax.Array]  # state -> bool, it must restart
-
-
-def make_member(strategy: Any, params: Any) -> Member:
-    """Drive an evosax algorithm by ranks.
+def make_member(strategy: Any, params: Any) -> tuple[Callable, Callable, Callable, Callable]:
+    """Drive an evosax algorithm by ranks; return its init, ask, tell and is_degenerate.
 
     Of ours the emitter decides how many of the best are recombined, and failed rows have a fitness
     of NaN. Any other algorithm has its own number of parents: it is fed only if there are any, and
     failed rows rank last and are moved to the mean, where they do not pull.
+
+    Init takes (mean float [P], key) and returns (state, next key), ask takes (state, key) and
+    returns (solutions, state, next key), tell takes (state, key, rows float [b, P], their order
+    int32 [b] best first, usable bool [b], number of parents int32) and returns the state. A state
+    that is degenerate must restart.
     """
     batch = strategy.population_size
 
@@ -123,15 +108,9 @@ def make_member(strategy: Any, params: Any) -> Member:
         return jnp.zeros(batch, dtype).at[order].set(jnp.arange(batch))
 
     if isinstance(strategy, Strategy):
-
-        def init_ours(mean: jax.Array, key: jax.Array) -> tuple:
-            # The best so far and its fitness serve optimisation alone: ranks of two generations do
-            # not compare, and the archive has the best. Checkpoints do not hold these fields.
-            blank = {"best_solution": None, "best_fitness": None, "generation_counter": None}
-            return strategy.init(key, mean, params).replace(**blank), None
-
-        def ask_ours(state: Any, key: jax.Array) -> tuple:
-            return *strategy._ask(key, state, params), None
+        # The best so far and its fitness serve optimisation alone: ranks of two generations do
+        # not compare, and the archive has the best. Checkpoints do not hold these fields.
+        blank = {"best_solution": None, "best_fitness": None, "generation_counter": None}
 
         def tell_ours(
             state: Any, key: Any, rows: Any, order: Any, usable: Any, parents: Any
@@ -139,7 +118,12 @@ def make_member(strategy: Any, params: Any) -> Member:
             fitness = jnp.where(usable, ranks(order, rows.dtype), jnp.nan)
             return strategy._tell(key, rows, fitness, state, params.replace(num_elites=parents))
 
-        return Member(init_ours, ask_ours, tell_ours, strategy.is_degenerate)
+        return (
+            lambda mean, key: (strategy.init(key, mean, params).replace(**blank), None),
+            lambda state, key: (*strategy._ask(key, state, params), None),
+            tell_ours,
+            strategy.is_degenerate,
+        )
 
     def strong(leaf: Any) -> jax.Array:
         """Fix the dtype of a leaf: a Python number in a state would be traced twice."""
@@ -167,7 +151,7 @@ def make_member(strategy: Any, params: Any) -> Member:
         healthy = (step >= SMALLEST_STEP) & jnp.isfinite(step)
         return ~(healthy & jnp.isfinite(state.mean).all())
 
-    return Member(init, ask, tell, getattr(strategy, "is_degenerate", is_degenerate))
+    return init, ask, tell, getattr(strategy, "is_degenerate", is_degenerate)
 
 
 def make_emitters(
@@ -185,10 +169,11 @@ def make_emitters(
     from a random elite (from `x0` while the archive is empty) by the rule, when its rows all rank
     the same or when its distribution is degenerate.
     """
-    member, batch = make_member(strategy, params), strategy.population_size
+    batch = strategy.population_size
+    init_one, ask_one, tell_one, is_degenerate = make_member(strategy, params)
 
     def fresh(means: jax.Array, key: jax.Array) -> tuple:
-        return jax.vmap(member.init)(means, jax.random.split(key, emitters))
+        return jax.vmap(init_one)(means, jax.random.split(key, emitters))
 
     def init(key: jax.Array) -> EmittersState:
         states, keys = fresh(jnp.broadcast_to(x0, (emitters, *x0.shape)), key)
@@ -196,25 +181,26 @@ def make_emitters(
 
     def ask(state: EmittersState, key: jax.Array) -> tuple[jax.Array, EmittersState]:
         each = jax.random.split(key, emitters)
-        solutions, states, keys = jax.vmap(member.ask)(state.strategy, each)
+        solutions, states, keys = jax.vmap(ask_one)(state.strategy, each)
         chex.assert_shape(solutions, (emitters, batch, x0.shape[0]))
         return solutions.reshape(emitters * batch, -1), state._replace(strategy=states, keys=keys)
 
     def adapt(state: Any, key: Any, rows: Scored) -> tuple[Any, jax.Array, jax.Array]:
         """Adapt one emitter to its b rows: (state, accepted rows int32, must restart bool)."""
-        keys = ranker(rows.insertion, rows.objective)
-        order = rank(keys, rows.usable)
+        solutions, score, insertion = rows
+        keys = ranker(insertion, score.objective)
+        order = rank(keys, score.success)
         # Failed rows rank last, so the first `successes` places of the order are real.
-        successes = rows.usable.sum(dtype=jnp.int32)
-        accepted = (rows.insertion.status > 0).sum(dtype=jnp.int32)
+        successes = score.success.sum(dtype=jnp.int32)
+        accepted = (insertion.status > 0).sum(dtype=jnp.int32)
         parents = selection(accepted, successes, batch)
-        state = member.tell(state, key, rows.solutions, order, rows.usable, parents)
-        return state, accepted, member.is_degenerate(state) | is_flat(keys, order, successes)
+        state = tell_one(state, key, solutions, order, score.success, parents)
+        return state, accepted, is_degenerate(state) | is_flat(keys, order, successes)
 
     def tell(
         state: EmittersState, key: jax.Array, rows: Scored, archive: GridArchive | StoredArchive
     ) -> EmittersState:
-        chex.assert_shape(rows.solutions, (emitters * batch, x0.shape[0]))
+        chex.assert_shape(rows[0], (emitters * batch, x0.shape[0]))
         rows = jax.tree.map(lambda leaf: leaf.reshape(emitters, batch, *leaf.shape[1:]), rows)
         elite_key, fresh_key = jax.random.split(key)
         # Emitters never see each other's rows, so a vmap over them is exact.
@@ -226,11 +212,13 @@ def make_emitters(
         def pick(new: jax.Array, old: jax.Array) -> jax.Array:
             return jnp.where(again.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
-        def renew(old: Any) -> Any:
-            return jax.tree.map(pick, fresh(means, fresh_key), old)
-
         # Restarts are rare and a fresh full covariance matrix is not free: most iterations skip it.
-        states, keys = jax.lax.cond(again.any(), renew, lambda old: old, (states, state.keys))
+        states, keys = jax.lax.cond(
+            again.any(),
+            lambda old: jax.tree.map(pick, fresh(means, fresh_key), old),
+            lambda old: old,
+            (states, state.keys),
+        )
         return EmittersState(states, keys, iterations, state.restarts + again)
 
     return Emitters(init, ask, tell)
@@ -254,25 +242,22 @@ def make_groups(emitters: Emitters, groups: int) -> Emitters:
     if groups == 1:
         return emitters
 
-    def take(state: GroupsState, index: jax.Array) -> Any:
-        return jax.tree.map(lambda leaf: leaf[index], state.groups)
-
-    def put(state: GroupsState, index: jax.Array, group: Any) -> GroupsState:
-        new = jax.tree.map(lambda leaf, one: leaf.at[index].set(one), state.groups, group)
-        return state._replace(groups=new)
-
     def init(key: jax.Array) -> GroupsState:
         states = jax.vmap(emitters.init)(jax.random.split(key, groups))
         return GroupsState(states, jnp.int32(0), jnp.int32(0))
 
     def ask(state: GroupsState, key: jax.Array) -> tuple[jax.Array, GroupsState]:
         index = state.drawn % groups
-        solutions, group = emitters.ask(take(state, index), key)
-        return solutions, put(state, index, group)._replace(drawn=state.drawn + 1)
+        group = jax.tree.map(lambda leaf: leaf[index], state.groups)
+        solutions, group = emitters.ask(group, key)
+        new = jax.tree.map(lambda leaf, one: leaf.at[index].set(one), state.groups, group)
+        return solutions, state._replace(groups=new, drawn=state.drawn + 1)
 
     def tell(state: GroupsState, key: jax.Array, rows: Scored, archive: Any) -> GroupsState:
         index = state.scored % groups
-        group = emitters.tell(take(state, index), key, rows, archive)
-        return put(state, index, group)._replace(scored=state.scored + 1)
+        group = jax.tree.map(lambda leaf: leaf[index], state.groups)
+        group = emitters.tell(group, key, rows, archive)
+        new = jax.tree.map(lambda leaf, one: leaf.at[index].set(one), state.groups, group)
+        return state._replace(groups=new, scored=state.scored + 1)
 
     return Emitters(init, ask, tell)

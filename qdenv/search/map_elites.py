@@ -6,7 +6,6 @@ by leveraging interspecies correlation", https://arxiv.org/abs/1804.03906.
 """
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
 
 import jax
 from qdax.core.emitters.mutation_operators import isoline_variation
@@ -14,6 +13,7 @@ from qdax.core.emitters.mutation_operators import isoline_variation
 from qdenv.search.base import (
     Algorithm,
     Problem,
+    SearchState,
     StoredArchive,
     check_batch,
     plain_key,
@@ -21,13 +21,6 @@ from qdenv.search.base import (
 )
 from qdenv.search.settings import MapElitesConfig, RandomSearchConfig
 from qdenv.types import Array, Score
-
-
-class MapElitesState(NamedTuple):
-    """State of MAP-Elites and of random search; one pytree."""
-
-    key: jax.Array
-    archives: StoredArchive  # of MAP-Elites the learning archive holds the parents
 
 
 def map_elites(config: MapElitesConfig, problem: Problem, x0: Array | None = None) -> Algorithm:
@@ -40,7 +33,7 @@ def map_elites(config: MapElitesConfig, problem: Problem, x0: Array | None = Non
     batch_size = config.emitters * config.batch
     thresholds = config.learning_rate, config.threshold_min
 
-    def ask(state: MapElitesState) -> tuple[jax.Array, MapElitesState]:
+    def ask(state: SearchState) -> tuple[jax.Array, SearchState]:
         key, pair_key, noise_key = jax.random.split(state.key, 3)
         pairs = state.archives.sample_solutions(pair_key, 2 * batch_size, start)
         first, second = pairs[:batch_size], pairs[batch_size:]
@@ -56,7 +49,7 @@ def random_search(
     """Make random search: every solution is drawn from N(x0, sigma^2 I); x0 is zeros where None."""
     start = start_solution(x0, problem.solution_dim)
 
-    def ask(state: MapElitesState) -> tuple[jax.Array, MapElitesState]:
+    def ask(state: SearchState) -> tuple[jax.Array, SearchState]:
         key, noise_key = jax.random.split(state.key)
         noise = jax.random.normal(noise_key, (config.batch, problem.solution_dim), start.dtype)
         return start[None] + config.sigma * noise, state._replace(key=key)
@@ -65,22 +58,22 @@ def random_search(
 
 
 def _passive(
-    ask: Callable[[MapElitesState], tuple[jax.Array, MapElitesState]],
+    ask: Callable[[SearchState], tuple[jax.Array, SearchState]],
     problem: Problem,
     start: jax.Array,
     batch_size: int,
     ahead: int,
     thresholds: tuple[float, float] | None = None,
 ) -> Algorithm:
-    """Make an algorithm whose only memory is its archives."""
+    """Make an algorithm whose only memory is its archives; the learning one holds the parents."""
 
-    def init(key: jax.Array) -> MapElitesState:
+    def init(key: jax.Array) -> SearchState:
         archives = StoredArchive.empty(problem, start, batch_size, thresholds)
-        return MapElitesState(plain_key(key), archives)
+        return SearchState(plain_key(key), None, archives)
 
     def tell(
-        state: MapElitesState, solutions: Array, score: Score, extras: Mapping[str, Array]
-    ) -> MapElitesState:
+        state: SearchState, solutions: Array, score: Score, extras: Mapping[str, Array]
+    ) -> SearchState:
         archives, _ = state.archives.add(*check_batch(solutions, score), extras)
         return state._replace(archives=archives)
 

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.search.base import Encoding, Problem
+from qdenv.search.base import Problem
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Aspect, Fitted, Surrogate, errors, make_surrogate, stages_of
-from qdenv.types import Array, InputError, Score
+from qdenv.surrogate.surrogate import Fitted, Surrogate, errors
+from qdenv.types import Array, Encoding, InputError, Score
 
 
 class ModelState(NamedTuple):
@@ -44,22 +44,19 @@ class Model(NamedTuple):
 def make_model(config: SurrogateConfig, problem: Problem, name: str) -> Model:
     """Make the surrogate of a search; `name` is that of its algorithm, for messages.
 
-    Raises:
-        InputError: solutions are nothing but numbers, or a setting is impossible.
+    Raises InputError if solutions are nothing but numbers, or a setting is impossible.
     """
     encoding, measures = problem.encoding, problem.measures
     if encoding is None:
         raise InputError(f"{name} learns from layouts: the solutions of this problem encode none")
-    flags = encoding.repairs, encoding.usage
-    aspect = Aspect(encoding.shape, encoding.kinds, len(measures), *flags)
-    surrogate = make_surrogate(config, aspect)
+    surrogate = Surrogate(config, encoding, len(measures))
 
     def init(key: jax.Array) -> ModelState:
         zeros = jnp.zeros(surrogate.heads)
         return ModelState(
             fitted=surrogate.init(key),
             ring=Ring.empty(config.samples, encoding.shape, surrogate.heads),
-            losses={stage: jnp.float32(0) for stage in stages_of(aspect)},
+            losses={stage: jnp.float32(0) for stage in surrogate.stages},
             rmse=zeros,
             r2=zeros,
             tiles=jnp.float32(0),

@@ -10,7 +10,7 @@ from qdax.core.emitters.emitter import Emitter, EmitterState
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import check_batch, plain_key, start_solution
 from qdenv.search.cma_mae import emitters_of
-from qdenv.search.emitters import EmittersState, GroupsState, Scored
+from qdenv.search.emitters import EmittersState, GroupsState
 from qdenv.search.settings import CmaMaeConfig
 from qdenv.types import Array, Measure, Score
 
@@ -98,6 +98,6 @@ class CmaMaeEmitter(Emitter):
         learning, insertion = emitter_state.learning.insert(
             solutions, score.objective, score.measures, None, score.success
         )
-        rows = Scored(solutions, insertion, score.objective, score.success)
+        rows = solutions, score, insertion
         emitters = self._emitters.tell(extra_scores["emitters"], tell_key, rows, learning)
         return CmaMaeEmitterState(key, emitters, learning)

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.search.base import Algorithm, Problem, check_batch, plain_key
-from qdenv.search.cma_mae import CmaMaeState, cma_mae
+from qdenv.search.base import Algorithm, Problem, SearchState, check_batch, plain_key
+from qdenv.search.cma_mae import cma_mae
 from qdenv.search.model import ModelState, make_model
 from qdenv.search.settings import ScreenedConfig
 from qdenv.types import Array, Score
@@ -21,7 +21,7 @@ class ScreenedState(NamedTuple):
     """State of the search; one pytree."""
 
     key: jax.Array
-    inner: CmaMaeState
+    inner: SearchState  # of CMA-MAE
     iteration: jax.Array  # int32, batches scored so far
     model: ModelState  # the surrogate
 
@@ -31,10 +31,7 @@ def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) 
 
     Each place of a batch is drawn `screen` times by its emitter; the surrogate chooses the one that
     it expects to exceed the threshold of its cell by most. It is fitted every `refit` iterations;
-    before the first fit nothing is screened.
-
-    Raises:
-        InputError: a setting is out of range or unknown, or solutions encode no layouts.
+    before the first fit nothing is screened. Raises InputError if solutions encode no layouts.
     """
     model = make_model(config.surrogate, problem, "cma-mae-screened")
     inner = cma_mae(config, problem, x0)
@@ -53,12 +50,9 @@ def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) 
             lambda: model.surrogate.fit(known.fitted, known.ring, fit_key),
             lambda: (known.fitted, known.losses),
         )
-
-        def draw(inner_state: CmaMaeState, _: None) -> tuple[CmaMaeState, jax.Array]:
-            solutions, inner_state = inner.ask(inner_state)
-            return inner_state, solutions
-
-        inner_state, offspring = jax.lax.scan(draw, state.inner, None, config.screen)
+        inner_state, offspring = jax.lax.scan(
+            lambda drawn, _: inner.ask(drawn)[::-1], state.inner, None, config.screen
+        )
         learning = state.inner.archives.learning
         assert learning is not None  # CMA-MAE always has one
 

@@ -17,8 +17,8 @@ from qdenv.progress import Progress, silent
 from qdenv.run.directory import RunDirectory
 from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Aspect, make_surrogate, stages_of
-from qdenv.types import InputError
+from qdenv.surrogate.surrogate import Surrogate
+from qdenv.types import Encoding, InputError
 
 _HELD_OUT = 0.2  # share of the elites
 FEWEST = 50  # elites: scores of fewer than ten held-out elites are mostly noise
@@ -118,15 +118,15 @@ def try_surrogate(
 ) -> list[Split]:
     """Learn from four fifths of the elites and predict the others, once per seed.
 
-    The networks are those of `make_surrogate` without the tile usage, which archives do not hold:
+    The networks are those of `Surrogate` without the tile usage, which archives do not hold:
     they predict the repaired layout from the drawn one, then objective and measures from that. A
     seed is that of the split and of the networks' initial weights.
     """
     shape = elites.drawn.shape[1], elites.drawn.shape[2]
     measures = elites.numbers.shape[1] - 1
-    aspect = Aspect(shape, elites.kinds, measures, elites.repairs, usage=False)
-    init, fit_part, predict = _compile(config, aspect)
-    parts = [(name, epoch) for name in stages_of(aspect) for epoch in range(config.epochs)]
+    encoding = Encoding(shape, elites.kinds, elites.repairs)
+    stages, init, fit_part, predict = _compile(config, encoding, measures)
+    parts = [(name, epoch) for name in stages for epoch in range(config.epochs)]
     splits = []
     for number, seed in enumerate(seeds):
         known, held = split_elites(len(elites), seed)
@@ -160,11 +160,13 @@ def try_surrogate(
 
 
 @functools.lru_cache(maxsize=4)
-def _compile(config: SurrogateConfig, aspect: Aspect) -> tuple[Callable, Callable, Callable]:
-    """Return the surrogate's init, fit_part and predict, compiled at their first calls."""
-    surrogate = make_surrogate(config, aspect)
+def _compile(
+    config: SurrogateConfig, encoding: Encoding, measures: int
+) -> tuple[list[str], Callable, Callable, Callable]:
+    """Return the surrogate's stages, init, fit_part and predict, compiled at their first calls."""
+    surrogate = Surrogate(config, encoding, measures)
     part = jax.jit(surrogate.fit_part, static_argnames="name")
-    return jax.jit(surrogate.init), part, jax.jit(surrogate.predict)
+    return surrogate.stages, jax.jit(surrogate.init), part, jax.jit(surrogate.predict)
 
 
 def average_splits(values: Sequence[float]) -> dict[str, Any]:

@@ -13,11 +13,6 @@ from flax import linen as nn
 LAYOUT = ("NHWC", "HWIO", "NHWC")
 
 
-def _pad(kernel: int, stride: int) -> int:
-    """Return how many zeros on each side preserve the size, or divide it by the stride."""
-    return (kernel - stride + 1) // 2
-
-
 def _plain(maps: jax.Array, kernel: jax.Array, stride: int, around: int) -> jax.Array:
     """Convolve with as many zeros around; fast in compiled loops, unlike its gradients."""
     zeros = ((around, around), (around, around))
@@ -33,17 +28,12 @@ def convolve(maps: jax.Array, kernel: jax.Array, stride: int) -> jax.Array:
     A stride of 2, with a kernel of width 4, halves the sides; the last row and column of odd sides
     count, too. In a compiled loop XLA has no fast code on CPUs for the gradients: 7 to 40 times
     slower than outside of one. Here the gradient by the kernel is one product of matrices, that by
-    the maps another convolution.
-
-    Returns:
-        float32 [B, H // stride, W // stride, F].
-
-    Raises:
-        AssertionError: kernel and stride do not go together (when tracing).
+    the maps another convolution. The result is float32 [B, H // stride, W // stride, F].
     """
     size = kernel.shape[0]
     assert (size % 2, stride) == (1, 1) or (size, stride) == (4, 2), "no such convolution"
-    return _plain(maps, kernel, stride, _pad(size, stride))
+    # So many zeros on each side preserve the size, or divide it by the stride.
+    return _plain(maps, kernel, stride, (size - stride + 1) // 2)
 
 
 def _backward(
@@ -52,7 +42,7 @@ def _backward(
     """Compute the gradients by the maps and by the kernel."""
     maps, kernel = inputs
     (_, rows, cols, channels), size = maps.shape, kernel.shape[0]
-    many, around = size // stride, _pad(size, stride)
+    many, around = size // stride, (size - stride + 1) // 2
     # By the maps: the gradient convolved with the kernel turned around, once for each place in a
     # stride, because cells of one parity are reached by every second row and column of the kernel
     # alone.
@@ -104,11 +94,8 @@ class Convolution(nn.Module):
 
 _SLOPE = 0.2  # of the leaky rectifier below zero
 _SMALLEST = 4  # side of the last map
-
-
-def _normalise(train: bool) -> nn.BatchNorm:
-    """Make a batch normalisation with torch's numbers, from which the published sizes come."""
-    return nn.BatchNorm(use_running_average=not train, momentum=0.9, epsilon=1e-5)
+# Torch's numbers, from which the published sizes come.
+_Normalisation = functools.partial(nn.BatchNorm, momentum=0.9, epsilon=1e-5)
 
 
 class MapPredictor(nn.Module):
@@ -121,10 +108,11 @@ class MapPredictor(nn.Module):
     @nn.compact
     def __call__(self, maps: jax.Array, train: bool) -> jax.Array:
         """Map float32 [B, H, W, K] to [B, H, W, outputs]."""
-        hidden = nn.relu(_normalise(train)(Convolution(self.channels, bias=False)(maps)))
+        known = not train  # statistics: those of the minibatch, or those known from learning
+        hidden = nn.relu(_Normalisation(known)(Convolution(self.channels, bias=False)(maps)))
         for _ in range(self.blocks):
-            inner = nn.relu(_normalise(train)(Convolution(self.channels, bias=False)(hidden)))
-            inner = _normalise(train)(Convolution(self.channels, bias=False)(inner))
+            inner = nn.relu(_Normalisation(known)(Convolution(self.channels, bias=False)(hidden)))
+            inner = _Normalisation(known)(Convolution(self.channels, bias=False)(inner))
             hidden = nn.relu(hidden + inner)
         return Convolution(self.outputs, size=1)(hidden)
 
@@ -143,7 +131,7 @@ class ScorePredictor(nn.Module):
         while maps.shape[1] > _SMALLEST:
             first = channels == self.channels
             maps = Convolution(channels, size=4, stride=2, bias=False)(maps)
-            maps = nn.leaky_relu(maps if first else _normalise(train)(maps), _SLOPE)
+            maps = nn.leaky_relu(maps if first else _Normalisation(not train)(maps), _SLOPE)
             channels *= 2
         return nn.Dense(self.heads)(maps.reshape(len(maps), -1))
 

@@ -1,4 +1,4 @@
-"""The surrogate as a record of functions: init, fit, predict; its losses and its learning.
+"""The surrogate: init, fit, predict; its losses, its learning, its errors.
 
 Three networks in a row, each learnt while those before it are fixed (the surrogate of Zhang et
 al. 2023, after Bhatt et al. 2022, https://arxiv.org/abs/2206.04199): the repaired map from the
@@ -16,7 +16,7 @@ import optax
 from qdenv.surrogate.networks import MapPredictor, ScorePredictor
 from qdenv.surrogate.samples import Ring, Samples, shuffled, spread_of
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.types import InputError, Score
+from qdenv.types import Encoding, InputError, Score
 
 
 def usage_loss(predicted: jax.Array, usage: jax.Array, kind: str) -> jax.Array:
@@ -55,14 +55,11 @@ def learn(
     key: jax.Array,
     first: int | jax.Array = 0,
 ) -> tuple[Learner, jax.Array]:
-    """Fit one network to all samples of a ring; traceable, with loops over epochs and steps.
+    """Fit one network to all samples of a ring; return it, and the mean loss of its last epoch.
 
     The last minibatch of an epoch is filled up with the epoch's first samples. Epochs are counted
     from `first`, so that a fit may be cut in pieces. Without samples the network stays as it is.
     Consumes `key`.
-
-    Returns:
-        the network, and the mean loss of its last epoch.
     """
     size, count = ring.samples.numbers.shape[0], ring.known
     steps = (count + minibatch - 1) // minibatch
@@ -91,24 +88,8 @@ def learn(
 STAGES = ("repair", "usage", "score")  # the networks, in the order in which they learn
 
 
-class Aspect(NamedTuple):
-    """The inputs and outputs of a surrogate."""
-
-    shape: tuple[int, int]  # rows H and columns W
-    kinds: int  # kinds of tile K
-    measures: int  # how many measures are predicted
-    repairs: bool = True  # layouts are repaired before they are simulated
-    usage: bool = True  # samples hold how much each cell is used
-
-
-def stages_of(aspect: Aspect) -> list[str]:
-    """List the networks of a surrogate, in the order in which they learn."""
-    present = {"repair": aspect.repairs, "usage": aspect.usage, "score": True}
-    return [name for name in STAGES if present[name]]
-
-
 class Fitted(NamedTuple):
-    """A fitted surrogate; one pytree."""
+    """What a surrogate has learnt; one pytree."""
 
     learners: dict[str, Learner]  # its networks, by the names of `STAGES` that there are
     centre: jax.Array  # float32 [heads], what is subtracted from objective and measures
@@ -124,137 +105,141 @@ class Prediction(NamedTuple):
     usage: jax.Array  # float32 [B, H, W], in units of an even share; zeros where no usage is learnt
 
 
-class Surrogate(NamedTuple):
-    """A surrogate of true evaluations."""
+class Surrogate:
+    """A surrogate of true evaluations; all its methods are traceable."""
 
-    init: Callable[[jax.Array], Fitted]  # key -> untrained `Fitted`; consumes the key
-    # (fitted, ring, key) -> (fitted, mean losses of each network's last epoch by the names of
-    # `STAGES`); consumes the key
-    fit: Callable[[Fitted, Ring, jax.Array], tuple[Fitted, dict[str, jax.Array]]]
-    # (fitted, ring, key, one of `STAGES`, first epoch, the one after the last) -> (fitted, mean
-    # loss): the same in pieces, to show progress between them; all with the same key
-    fit_part: Callable[..., tuple[Fitted, jax.Array]]
-    # (fitted, drawn layouts int8 [B, H, W]) -> `Prediction`
-    predict: Callable[[Fitted, jax.Array], Prediction]
-    heads: int  # numbers predicted of a layout: objective, result objective, measures
+    def __init__(self, config: SurrogateConfig, encoding: Encoding, measures: int) -> None:
+        """Make the networks for layouts of one shape; `measures` is how many are predicted.
 
+        Raises InputError if there is another number of weights than of numbers to predict.
+        """
+        self.heads = 2 + measures  # numbers: objective, result objective, measures
+        if config.weights and len(config.weights) != self.heads:
+            raise InputError(
+                f"{len(config.weights)} weights: give {self.heads}, for objective, result "
+                "objective and each measure"
+            )
+        self._config, self._encoding = config, encoding
+        present = encoding.repairs, encoding.usage, True
+        # The networks that there are, in the order in which they learn.
+        self.stages = [name for name, there in zip(STAGES, present, strict=True) if there]
+        self._networks: dict[str, Any] = {
+            "repair": MapPredictor(config.channels, config.blocks, encoding.kinds),
+            "usage": MapPredictor(config.channels, config.blocks, 1),
+            "score": ScorePredictor(config.channels, self.heads),
+        }
+        self._optimiser = optax.adam(config.rate)
 
-class _Chain(NamedTuple):
-    """The networks in a row, fixed while they learn."""
-
-    config: SurrogateConfig
-    aspect: Aspect
-    networks: dict[str, Any]  # Flax modules by the names of `STAGES`
-
-    def inputs(self, learners: dict[str, Learner], drawn: jax.Array) -> dict[str, jax.Array]:
+    def _inputs(self, learners: dict[str, Learner], drawn: jax.Array) -> dict[str, jax.Array]:
         """Compute the maps that each network takes, up to the first that is not made yet."""
-        aspect = self.aspect
+        encoding = self._encoding
 
         def output(name: str, maps: jax.Array) -> jax.Array:
-            return self.networks[name].apply(learners[name].variables, maps, False)
+            return self._networks[name].apply(learners[name].variables, maps, False)
 
-        tiles = jax.nn.one_hot(drawn, aspect.kinds)
+        tiles = jax.nn.one_hot(drawn, encoding.kinds)
         maps = {"repair": tiles}
-        if aspect.repairs:
+        if encoding.repairs:
             if "repair" not in learners:
                 return maps
             tiles = output("repair", tiles)
         maps["usage"] = tiles
         # The score network sees tiles that are decided, as the simulator does, not their odds.
-        decided = jax.nn.one_hot(tiles.argmax(axis=-1), aspect.kinds)
-        if not aspect.usage:
+        decided = jax.nn.one_hot(tiles.argmax(axis=-1), encoding.kinds)
+        if not encoding.usage:
             return maps | {"score": decided}
         if "usage" not in learners:
             return maps
         usage = output("usage", tiles)
-        if self.config.usage_loss == "kl":
+        if self._config.usage_loss == "kl":
             # A distribution over the cells, in units of an even one.
             flat = usage.reshape(len(usage), -1)
             usage = (jax.nn.softmax(flat, axis=-1) * flat.shape[-1]).reshape(usage.shape)
         return maps | {"score": jnp.concatenate([decided, usage], axis=-1)}
 
-    def loss(
+    def _loss(
         self, name: str, learners: dict[str, Learner], scale: tuple[jax.Array, jax.Array]
     ) -> Loss:
         """Make the loss of one network; those before it are fixed."""
 
         def loss(variables: Any, batch: Samples) -> tuple[jax.Array, Any]:
-            maps = self.inputs(learners, batch.drawn)[name]
-            result, changed = self.networks[name].apply(
+            maps = self._inputs(learners, batch.drawn)[name]
+            result, changed = self._networks[name].apply(
                 variables, maps, True, mutable=["batch_stats"]
             )
             stats = changed.get("batch_stats", {})
             if name == "repair":
                 # The gradient of looking a label up is a scatter: XLA takes seconds to compile
                 # it, and warns.
-                labels = jax.nn.one_hot(batch.repaired, self.aspect.kinds)
+                labels = jax.nn.one_hot(batch.repaired, self._encoding.kinds)
                 return optax.softmax_cross_entropy(result, labels).mean(), stats
             if name == "usage":
-                return usage_loss(result[..., 0], batch.usage, self.config.usage_loss), stats
+                return usage_loss(result[..., 0], batch.usage, self._config.usage_loss), stats
             target = (batch.numbers - scale[0][None]) / scale[1][None]
-            weights = jnp.asarray(self.config.weights or (1.0,) * target.shape[-1])
+            weights = jnp.asarray(self._config.weights or (1.0,) * target.shape[-1])
             return (jnp.square(result - target) * weights[None]).mean(), stats
 
         return loss
 
-
-def make_surrogate(config: SurrogateConfig, aspect: Aspect) -> Surrogate:
-    """Make the surrogate of layouts of one shape.
-
-    Raises:
-        InputError: there is another number of weights than of numbers to predict.
-    """
-    heads = 2 + aspect.measures
-    if config.weights and len(config.weights) != heads:
-        raise InputError(
-            f"{len(config.weights)} weights: give {heads}, for objective, result objective and "
-            "each measure"
-        )
-    networks: dict[str, Any] = {
-        "repair": MapPredictor(config.channels, config.blocks, aspect.kinds),
-        "usage": MapPredictor(config.channels, config.blocks, 1),
-        "score": ScorePredictor(config.channels, heads),
-    }
-    chain, stages = _Chain(config, aspect, networks), stages_of(aspect)
-    optimiser = optax.adam(config.rate)
-
-    def init(key: jax.Array) -> Fitted:
+    def init(self, key: jax.Array) -> Fitted:
+        """Draw the networks' first parameters; consumes `key`."""
         learners: dict[str, Learner] = {}
-        blank = jnp.zeros((1, *aspect.shape), jnp.int8)
-        for number, name in enumerate(stages):
-            maps = chain.inputs(learners, blank)[name]
-            variables = networks[name].init(jax.random.fold_in(key, number), maps, False)
+        blank = jnp.zeros((1, *self._encoding.shape), jnp.int8)
+        for number, name in enumerate(self.stages):
+            maps = self._inputs(learners, blank)[name]
+            variables = self._networks[name].init(jax.random.fold_in(key, number), maps, False)
             # A network without running statistics has the same form as the others.
             variables = {"batch_stats": {}, **variables}
-            learners[name] = Learner(variables, optimiser.init(variables["params"]))
-        return Fitted(learners, jnp.zeros(heads), jnp.ones(heads), jnp.int32(0))
+            learners[name] = Learner(variables, self._optimiser.init(variables["params"]))
+        return Fitted(learners, jnp.zeros(self.heads), jnp.ones(self.heads), jnp.int32(0))
 
     def fit_part(
-        fitted: Fitted, ring: Ring, key: jax.Array, name: str, first: Any, last: Any
+        self, fitted: Fitted, ring: Ring, key: jax.Array, name: str, first: Any, last: Any
     ) -> tuple[Fitted, jax.Array]:
+        """Fit the network `name` from epoch `first` to the one before `last`.
+
+        Returns what is learnt, and the mean loss of the last epoch. This is `fit` in pieces, to
+        show progress between them; all take the same key.
+        """
+        config = self._config
         scale = _scale(ring) if config.standardise else (fitted.centre, fitted.spread)
-        loss = chain.loss(name, fitted.learners, scale)
-        learner, key = fitted.learners[name], jax.random.fold_in(key, stages.index(name))
-        learner, mean = learn(loss, learner, optimiser, ring, config.minibatch, last, key, first)
+        learner, mean = learn(
+            self._loss(name, fitted.learners, scale),
+            fitted.learners[name],
+            self._optimiser,
+            ring,
+            config.minibatch,
+            last,
+            jax.random.fold_in(key, self.stages.index(name)),
+            first,
+        )
         return Fitted({**fitted.learners, name: learner}, *scale, fitted.fits), mean
 
-    def fit(fitted: Fitted, ring: Ring, key: jax.Array) -> tuple[Fitted, dict[str, jax.Array]]:
+    def fit(
+        self, fitted: Fitted, ring: Ring, key: jax.Array
+    ) -> tuple[Fitted, dict[str, jax.Array]]:
+        """Fit all networks; return what is learnt, and each one's mean loss of its last epoch.
+
+        Consumes `key`.
+        """
         losses = {}
-        for name in stages:
-            fitted, losses[name] = fit_part(fitted, ring, key, name, 0, config.epochs)
+        for name in self.stages:
+            fitted, losses[name] = self.fit_part(fitted, ring, key, name, 0, self._config.epochs)
         return fitted._replace(fits=fitted.fits + (ring.known > 0)), losses
 
-    def predict(fitted: Fitted, drawn: jax.Array) -> Prediction:
-        maps = chain.inputs(fitted.learners, drawn)
-        result = networks["score"].apply(fitted.learners["score"].variables, maps["score"], False)
+    def predict(self, fitted: Fitted, drawn: jax.Array) -> Prediction:
+        """Predict what becomes of layouts as they are drawn (int8 [B, H, W])."""
+        maps = self._inputs(fitted.learners, drawn)
+        variables = fitted.learners["score"].variables
+        result = self._networks["score"].apply(variables, maps["score"], False)
         numbers = result * fitted.spread[None] + fitted.centre[None]
         success = jnp.isfinite(numbers).all(axis=-1)
         score = Score(numbers[:, 0], numbers[:, 1], numbers[:, 2:], success)
         repaired = maps["usage"].argmax(axis=-1).astype(jnp.int8)
-        usage = maps["score"][..., aspect.kinds] if aspect.usage else jnp.zeros(drawn.shape)
+        encoding, usage = self._encoding, jnp.zeros(drawn.shape)
+        if encoding.usage:
+            usage = maps["score"][..., encoding.kinds]
         return Prediction(score, repaired, usage)
-
-    return Surrogate(init, fit, fit_part, predict, heads)
 
 
 def _scale(ring: Ring) -> tuple[jax.Array, jax.Array]:

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter, StrMethodFormatter
 
 from qdenv.domains.base import make_domain
-from qdenv.run.directory import RunDirectory
-from qdenv.run.log import NOTES, Note, read_notes
+from qdenv.run.directory import Note, RunDirectory
 from qdenv.study.groups import CURVES, Group, band_of, group_runs
 from qdenv.types import Measure
 from qdenv.view import PAGE
@@ -163,13 +162,13 @@ def plot_run(
     draw_archive(heatmap, objectives, schema.measures, label=schema.objective)
     save_figure(heatmap, pictures[0])
     save_figure(draw_progress(group_runs([run]), schema.objective, width or PAGE), pictures[1])
-    if notes := read_notes(run.path / NOTES):
+    if notes := run.read_notes():
         pictures.append(place / f"notes.{form}")
         save_figure(_draw_notes(notes), pictures[-1])
     if len(archive := run.archive):
         layout, domain = archive.best.layout, make_domain(run.config.evaluation.domain)
         pictures.append(place / f"best_layout.{form}")
-        figure = draw_plan(layout, schema.tiles, schema.names, numbered=False)
+        figure = draw_plan(layout, schema.tiles, schema.tile_names, numbered=False)
         draw_marks(figure.axes[0], domain.mark_cells(layout))
         save_figure(figure, pictures[-1], crop=True)
     return pictures

@@ -1,8 +1,7 @@
 """Evolution strategies: evosax algorithms, ours and evosax' own.
 
-    base              what ours share
-    cma_es            CMA-ES with an isotropic, a diagonal (Ros and Hansen 2008), a full matrix
-    limited_memory    LM-MA-ES, Loshchilov, Glasmachers and Beyer 2017
+    base      what ours share
+    cma_es    CMA-ES with an isotropic, a diagonal, a full matrix; LM-MA-ES
 
 Numbers in brackets, like (43), are equations of Hansen's tutorial,
 https://arxiv.org/abs/1604.00772v1. Where pyribs departs from it, so do ours, with a comment.
@@ -16,8 +15,7 @@ import jax.numpy as jnp
 import optax
 
 from qdenv.search.settings import check_strategy
-from qdenv.search.strategies.cma_es import Full, Isotropic, Separable
-from qdenv.search.strategies.limited_memory import LimitedMemory
+from qdenv.search.strategies.cma_es import Full, Isotropic, LimitedMemory, Separable
 from qdenv.types import InputError, look_up
 
 MIRRORED = ("CR_FM_NES", "Open_ES", "PGPE")  # draw every solution together with its mirror image
@@ -43,8 +41,7 @@ STRATEGIES: dict[str, Callable[..., Any]] = {
 def make_strategy(name: str, dim: int, batch: int, sigma0: float) -> tuple[Any, Any]:
     """Make the strategy `name` for `dim` parameters P: (evosax algorithm, its parameters).
 
-    Raises:
-        InputError: the name is unknown, or the strategy unsound or unfit for the batch b.
+    Raises InputError if the name is unknown, or the strategy unsound or unfit for the batch b.
     """
     check_strategy(name)
     make = look_up(STRATEGIES, name, "strategy")

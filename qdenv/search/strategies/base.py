@@ -3,6 +3,7 @@
 evosax (https://github.com/RobertTLange/evosax) ships no types. Equations as in `strategies`.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -117,12 +118,15 @@ class RankedBatch(NamedTuple):
 class Strategy(DistributionBasedAlgorithm):
     """Base class of our strategies: evosax algorithms with pyribs' update rules.
 
-    `init`, `ask` and `tell` are evosax'; subclasses define `_ask` and `_update(state, batch)`. Like
-    evosax they minimise, and only the order of the fitness counts: ranks do. A fitness of NaN marks
-    a failed evaluation, which is never a parent. `tell` draws nothing: its key may be None.
+    `init`, `ask` and `tell` are evosax'. Subclasses define `_sample(state, noise)`, which makes
+    solutions of draws from N(0, I), float [b, P] (38), and `_update(state, batch)`. Like evosax
+    they minimise, and only the order of the fitness counts: ranks do. A fitness of NaN marks a
+    failed evaluation, which is never a parent. `tell` draws nothing: its key may be None.
     """
 
+    state_type: type = StrategyState
     covariance_rates: CovarianceRates = staticmethod(full_rates)
+    smallest_step = SMALLEST_STEP
 
     def __init__(
         self,
@@ -141,10 +145,10 @@ class Strategy(DistributionBasedAlgorithm):
         return Params(std_init=jnp.asarray(1.0), num_elites=jnp.int32(self.num_elites))
 
     def _init(self, key: jax.Array, params: Params) -> Any:
-        return StrategyState(**self._init_fields(params))
+        return self.state_type(**self._init_fields(params))
 
     def _init_fields(self, params: Params) -> dict[str, Any]:
-        """Return the fields of `StrategyState` at the start."""
+        """Return the fields of the state at the start."""
         zeros = jnp.zeros_like(self.solution_flat)
         return {
             "best_solution": zeros,
@@ -155,9 +159,9 @@ class Strategy(DistributionBasedAlgorithm):
             "p_std": zeros,
         }
 
-    def _draw_noise(self, key: jax.Array, state: StrategyState) -> jax.Array:
-        """Draw from N(0, I), float [b, P] (38)."""
-        return jax.random.normal(key, (self.population_size, self.num_dims), state.mean.dtype)
+    def _ask(self, key: jax.Array, state: Any, params: Params) -> tuple[jax.Array, Any]:
+        shape = self.population_size, self.num_dims
+        return self._sample(state, jax.random.normal(key, shape, state.mean.dtype))
 
     def _tell(self, key: Any, population: Any, fitness: Any, state: Any, params: Params) -> Any:
         evaluated = (~jnp.isnan(fitness)).sum(dtype=jnp.int32)
@@ -170,7 +174,7 @@ class Strategy(DistributionBasedAlgorithm):
 
     def is_degenerate(self, state: Any) -> jax.Array:
         """Return True if the distribution is too narrow to search on, or not finite."""
-        return ~((state.std >= SMALLEST_STEP) & jnp.isfinite(state.std))
+        return ~((state.std >= self.smallest_step) & jnp.isfinite(state.std))
 
 
 def ranked_parents(
@@ -197,6 +201,5 @@ def update_step_size(state: Any, step: jax.Array, rates: Rates) -> tuple[jax.Arr
     return state.std * jnp.exp(jnp.minimum(1, rates.path / rates.damping * excess / 2)), p_std
 
 
-def matmul(left: jax.Array, right: jax.Array) -> jax.Array:
-    """Multiply matrices at full precision, also where the device would round to fewer bits."""
-    return jnp.matmul(left, right, precision="highest")
+# Matrices are multiplied at full precision, also where the device would round to fewer bits.
+matmul = functools.partial(jnp.matmul, precision="highest")

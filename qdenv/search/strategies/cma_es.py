@@ -1,4 +1,4 @@
-"""CMA-ES with an isotropic, a diagonal and a full covariance matrix, by pyribs' rules."""
+"""CMA-ES by pyribs' rules: an isotropic, a diagonal, a full and a limited-memory covariance."""
 
 from typing import Any
 
@@ -16,10 +16,12 @@ from qdenv.search.strategies.base import (
     StrategyState,
     full_rates,
     matmul,
+    ranked_parents,
     rates_row,
     separable_rates,
     update_step_size,
 )
+from qdenv.types import InputError
 
 
 class Isotropic(Strategy):
@@ -29,8 +31,7 @@ class Isotropic(Strategy):
     `refresh_gap` evaluations of an emitter; at the paper's sizes that is the whole run.
     """
 
-    def _ask(self, key: jax.Array, state: Any, params: Params) -> tuple[jax.Array, Any]:
-        noise = self._draw_noise(key, state)
+    def _sample(self, state: Any, noise: jax.Array) -> tuple[jax.Array, Any]:
         return state.mean[None] + state.std * noise, state  # (39) and (40), C = I
 
     def _update(self, state: Any, batch: RankedBatch) -> Any:
@@ -40,11 +41,17 @@ class Isotropic(Strategy):
 
 @struct.dataclass
 class CovarianceState(StrategyState):
-    """The search distribution N(mean, std^2 C)."""
+    """The search distribution N(mean, std^2 C).
+
+    Where C is a matrix, its eigensystem is in the state, renewed when it is due; else None.
+    """
 
     evaluations: jax.Array  # int32, successful ones since the last restart
     p_c: jax.Array  # float [P], evolution path of the covariance
     C: jax.Array  # covariance: float [P], its diagonal, or [P, P]
+    B: Any = None  # float [P, P], eigenvectors of the covariance at the last refresh
+    eigenvalues: Any = None  # float [P], at the last refresh
+    refreshed: Any = None  # int32, `evaluations` at the last refresh
 
 
 class _Covariance(Strategy):
@@ -55,9 +62,12 @@ class _Covariance(Strategy):
     weighted sum of the outer products of steps [n, P] with themselves, of the form of C.
     """
 
+    state_type = CovarianceState
+
     def _init_fields(self, params: Params) -> dict[str, Any]:
         fields = super()._init_fields(params)
-        return fields | {"evaluations": jnp.int32(0), "p_c": fields["mean"]}
+        ones = jnp.ones_like(fields["mean"])
+        return fields | {"evaluations": jnp.int32(0), "p_c": fields["mean"], "C": ones}
 
     def _update(self, state: Any, batch: RankedBatch) -> Any:
         rates, step = batch.rates, batch.mean - state.mean
@@ -86,7 +96,7 @@ class _Covariance(Strategy):
     def is_degenerate(self, state: Any) -> jax.Array:
         """Return True if the distribution is too narrow, too lopsided or not finite."""
         # Those of a diagonal are its entries.
-        eigenvalues = state.eigenvalues if isinstance(state, FullState) else state.C
+        eigenvalues = state.C if state.eigenvalues is None else state.eigenvalues
         largest, smallest = eigenvalues.max(), eigenvalues.min()
         area = state.std * jnp.sqrt(largest)
         healthy = (largest / smallest <= LARGEST_CONDITION) & (area >= SMALLEST_STEP)
@@ -102,13 +112,8 @@ class Separable(_Covariance):
 
     covariance_rates = staticmethod(separable_rates)
 
-    def _init(self, key: jax.Array, params: Params) -> CovarianceState:
-        fields = self._init_fields(params)
-        return CovarianceState(**fields, C=jnp.ones_like(fields["mean"]))
-
-    def _ask(self, key: jax.Array, state: Any, params: Params) -> tuple[jax.Array, Any]:
+    def _sample(self, state: Any, noise: jax.Array) -> tuple[jax.Array, Any]:
         deviations = state.std * jnp.sqrt(state.C)
-        noise = self._draw_noise(key, state)
         return state.mean[None] + deviations[None] * noise, state  # (39) and (40)
 
     def _whiten(self, state: CovarianceState, step: jax.Array) -> jax.Array:
@@ -119,15 +124,6 @@ class Separable(_Covariance):
         return (weights[:, None] * jnp.square(steps)).sum(axis=0)
 
 
-@struct.dataclass
-class FullState(CovarianceState):
-    """State of `Full`: C is a matrix, whose eigensystem is renewed when it is due."""
-
-    B: jax.Array  # float [P, P], eigenvectors of the covariance at the last refresh
-    eigenvalues: jax.Array  # float [P], at the last refresh
-    refreshed: jax.Array  # int32, `evaluations` at the last refresh
-
-
 class Full(_Covariance):
     """CMA-ES with a full matrix, O(b P^2) per iteration and O(P^3) per eigendecomposition.
 
@@ -136,20 +132,18 @@ class Full(_Covariance):
     vmap becomes a select.
     """
 
-    def _init(self, key: jax.Array, params: Params) -> FullState:
-        fields = self._init_fields(params)
-        ones = jnp.ones_like(fields["mean"])
-        identity = jnp.diag(ones)
-        return FullState(
-            **fields, C=identity, B=identity, eigenvalues=ones, refreshed=fields["evaluations"]
-        )
+    def _init_fields(self, params: Params) -> dict[str, Any]:
+        fields = super()._init_fields(params)
+        ones, identity = fields["C"], jnp.diag(fields["C"])
+        eigensystem = {"B": identity, "eigenvalues": ones, "refreshed": fields["evaluations"]}
+        return fields | {"C": identity} | eigensystem
 
-    def _ask(self, key: jax.Array, state: Any, params: Params) -> tuple[jax.Array, Any]:
+    def _sample(self, state: Any, noise: jax.Array) -> tuple[jax.Array, Any]:
         gap = np.float32(refresh_gap(self.num_dims, self.population_size))
         due = state.evaluations > state.refreshed + gap
         covariance, basis, eigenvalues = _refresh_if(due, state.C, state.B, state.eigenvalues)
         transform = basis * jnp.sqrt(eigenvalues)[None]
-        solutions = matmul(self._draw_noise(key, state), transform.T)  # (39)
+        solutions = matmul(noise, transform.T)  # (39)
         return state.mean[None] + state.std * solutions, state.replace(  # (40)
             C=covariance,
             B=basis,
@@ -157,7 +151,7 @@ class Full(_Covariance):
             refreshed=jnp.where(due, state.evaluations, state.refreshed),
         )
 
-    def _whiten(self, state: FullState, step: jax.Array) -> jax.Array:
+    def _whiten(self, state: CovarianceState, step: jax.Array) -> jax.Array:
         # By way of the eigenbasis, in which the root is a division.
         return matmul(state.B, matmul(step, state.B) / jnp.sqrt(state.eigenvalues))
 
@@ -211,3 +205,76 @@ def _decompose(covariance: jax.Array, basis: jax.Array, eigenvalues: jax.Array) 
     # Rounding may leave tiny negative values, of which there is no root.
     eigenvalues = jnp.maximum(jnp.abs(eigenvalues), jnp.finfo(eigenvalues.dtype).tiny)
     return covariance, basis, eigenvalues
+
+
+@struct.dataclass
+class LimitedMemoryState(StrategyState):
+    """State of `LimitedMemory`."""
+
+    generations: jax.Array  # int32, since the last restart
+    memory: jax.Array  # float [b, P], directions of past steps
+    noise: jax.Array  # float [b, P], the standard normal draws of the last ask
+
+
+class LimitedMemory(Strategy):
+    """LM-MA-ES: a matrix remembered as direction vectors, as many as the batch, O(b^2 P).
+
+    Loshchilov, Glasmachers and Beyer 2017, "Limited-memory matrix adaptation for large scale
+    black-box optimization", https://arxiv.org/abs/1705.06693.
+    """
+
+    state_type = LimitedMemoryState
+    smallest_step = SMALLEST_STEP / 10  # pyribs
+
+    def __init__(self, population_size: int, solution: Any, **settings: Any) -> None:
+        """Compute the rates; raise InputError if the batch is larger than the solution."""
+        super().__init__(population_size, solution, **settings)
+        batch, dim = population_size, self.num_dims
+        if batch > dim:
+            raise InputError(
+                f"the lm_ma strategy needs a batch of at most {dim} (the parameters), not {batch}"
+            )
+        self.path_rate = 2 * batch / dim  # c_sigma
+        # How far each of the b vectors bends a draw (c_d), and how fast it learns (c_c): each
+        # remembers four times as long as the one before it, so that together they span the
+        # directions of many generations in O(b P) numbers.
+        self.bend_rates = 1 / (1.5 ** np.arange(batch) * dim)
+        self.memory_rates = batch / (4.0 ** np.arange(batch) * dim)
+
+    def _init_fields(self, params: Params) -> dict[str, Any]:
+        blank = jnp.zeros((self.population_size, self.num_dims), self.solution_flat.dtype)
+        own = {"generations": jnp.int32(0), "memory": blank, "noise": blank}
+        return super()._init_fields(params) | own
+
+    def _sample(self, state: Any, noise: jax.Array) -> tuple[jax.Array, Any]:
+        # A vector counts from the generation in which it was first filled.
+        used = jnp.arange(self.population_size) < state.generations
+        rates = jnp.where(used, jnp.asarray(self.bend_rates, noise.dtype), 0)
+
+        def bend(rows: jax.Array, vector_rate: tuple) -> tuple[jax.Array, None]:
+            vector, rate = vector_rate
+            projected = matmul(rows, vector)[:, None] * vector[None]
+            return (1 - rate) * rows + rate * projected, None
+
+        # Stretched along the vectors of the memory, one after the other.
+        bent = jax.lax.scan(bend, noise, (state.memory, rates))[0]
+        return state.mean[None] + state.std * bent, state.replace(noise=noise)
+
+    def _update(self, state: Any, batch: RankedBatch) -> Any:
+        rates, mean, some = batch.rates, batch.mean, batch.parents > 0
+        # The draws z rather than the solutions: they are white whatever the memory has learnt.
+        blank = jnp.zeros_like(state.mean)
+        draws = ranked_parents(state.noise, batch.order, batch.parents, blank)
+        draw = (rates.weights[:, None] * draws).sum(axis=0)
+        along = jnp.where(some, self.path_rate, 0)
+        into = jnp.where(some, jnp.asarray(self.memory_rates, mean.dtype), 0)[:, None]
+        p_std = (1 - along) * state.p_std + jnp.sqrt(rates.mu_eff * along * (2 - along)) * draw
+        memory = (1 - into) * state.memory + jnp.sqrt(rates.mu_eff * into * (2 - into)) * draw[None]
+        excess = jnp.square(p_std).sum() / self.num_dims - 1
+        return state.replace(
+            mean=mean,
+            std=state.std * jnp.exp(along / 2 * excess),
+            p_std=p_std,
+            generations=state.generations + 1,
+            memory=memory,
+        )

@@ -1,35 +1,42 @@
-"""A Dask cluster as a `concurrent.futures.Executor` (https://distributed.dask.org).
+"""Where the layouts of a search are repaired and simulated: in this process, or on a cluster.
 
-Workers that are killed, that hang or that have other versions cost time, never a result: a task's
-result depends on the task alone, so any copy of it will do. Dask's own `Client.get_executor` gives
-up on a task whose worker hangs, and would accept results of other versions.
+A Dask cluster (https://distributed.dask.org) is a `concurrent.futures.Executor` here. Workers that
+are killed, that hang or that have other versions cost time, never a result: a task's result depends
+on the task alone, so any copy of it will do. Dask's own `Client.get_executor` gives up on a task
+whose worker hangs, and would accept results of other versions.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
 import platform
 import queue
 import statistics
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
 from concurrent.futures import Executor, Future, InvalidStateError
+from dataclasses import dataclass
 from functools import lru_cache
-from logging import getLogger
 from pathlib import Path
 from time import monotonic, perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
+from qdenv import devices
+from qdenv.ranges import PositiveInt, Ranged
 from qdenv.run.directory import package_versions
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
     import distributed
 
-_LOG = getLogger(__name__)
+ExecutorName = Literal["threads", "dask"]
+_ANSWER = 20  # seconds that a scheduler may take to answer
+_ARRIVAL = 120  # seconds that the first worker may take to join
+_LOG = logging.getLogger(__name__)
 # Packages whose version decides a result.
 _PACKAGES = ("jax", "jaxlib", "numpy", "numba", "highspy", "flax")
 # A task's own errors repeat; one that a full disk or a broken network caused passes within three.
@@ -43,6 +50,59 @@ REMEMBERED = 100  # tasks whose duration is remembered
 _TICK = 0.5  # seconds between two looks for overdue tasks
 
 
+@dataclass(frozen=True)
+class Execution(Ranged):
+    """Where layouts are repaired and simulated; decides how long a run takes, not what it finds."""
+
+    executor: ExecutorName = "threads"  # threads of this process, or a Dask cluster
+    # address of the cluster's scheduler; a cluster on this machine unless given
+    scheduler: str | None = None
+    # threads that repair, or processes of a cluster on this machine; one per core unless given
+    workers: PositiveInt | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself, and a cluster without Dask."""
+        super().__post_init__()
+        if self.executor == "threads":
+            if self.scheduler:
+                raise InputError("--scheduler is for a cluster: add --executor dask")
+            return
+        if self.scheduler and self.workers:
+            raise InputError("--workers is for a cluster on this machine: leave --scheduler out")
+        try:
+            import distributed  # noqa: F401
+        except ImportError as error:
+            raise InputError("--executor dask needs dask: pip install 'qdenv[dask]'") from error
+
+    @contextlib.contextmanager
+    def connect(self) -> Iterator[distributed.Client]:
+        """Connect to a cluster that has a worker; one on this machine ends with the context."""
+        import dask
+        from distributed import Client, LocalCluster
+
+        with contextlib.ExitStack() as stack:
+            # Workers would sample a hundred times a second what they do, for a dashboard that
+            # nobody sees.
+            stack.enter_context(dask.config.set({"distributed.worker.profile.enabled": False}))
+            place = self.scheduler
+            if place is None:
+                local = LocalCluster(
+                    n_workers=self.workers or devices.count_cores(),
+                    threads_per_worker=1,
+                    memory_limit=0,  # a worker is not ended for what a layout needs
+                    dashboard_address=None,
+                    silence_logs=logging.CRITICAL,
+                )
+                place = stack.enter_context(local).scheduler_address
+            try:
+                client = stack.enter_context(Client(place, timeout=_ANSWER))
+                client.wait_for_workers(1, timeout=_ARRIVAL)
+            except (OSError, ValueError, TimeoutError) as error:
+                hint = f"start `dask scheduler` and `dask worker {place}` first"
+                raise InputError(f"{place}: no worker answers ({error}): {hint}") from error
+            yield client
+
+
 class WrongWorkerError(RuntimeError):
     """A worker has other versions than this process: none of its results may be used."""
 
@@ -51,7 +111,7 @@ class WrongWorkerError(RuntimeError):
 def versions() -> str:
     """Return what decides a result: versions of packages, a hash of this one's code and agent."""
     code = hashlib.blake2b(digest_size=8)
-    home = Path(__file__).parents[2]
+    home = Path(__file__).parents[1]
     files = (path for path in home.rglob("*") if path.suffix in (".py", ".npz"))  # and the agent
     for path in sorted(files):
         code.update(path.relative_to(home).as_posix().encode() + path.read_bytes())
@@ -122,11 +182,6 @@ class ClusterExecutor(Executor):
         self._events.put(None)
         if wait:
             self._thread.join()
-
-    @property
-    def workers(self) -> int:
-        """The number of workers; 1 while all are being replaced."""
-        return max(len(self._client.nthreads()), 1)
 
     def _supervise(self) -> None:
         """Manage all tasks until the executor ends, in a thread of its own."""

@@ -1,4 +1,8 @@
-"""Repair and simulate the layouts of a population: in threads of this process, or on a cluster."""
+"""Evaluate populations: in threads or on a cluster, several in flight at once.
+
+`Threads` and `Cluster` repair and simulate layouts (`pipeline.LayoutEvaluator`), `AsyncEvaluation`
+collects populations in the order of their submission.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +11,31 @@ import json
 import math
 import statistics
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import jax
 import numpy as np
 
 from qdenv import devices
 from qdenv.mesh import turn
-from qdenv.pipeline import Outcomes, Pipeline, joined, make_pipeline
+from qdenv.pipeline import (
+    LayoutEvaluator,
+    Outcomes,
+    Pipeline,
+    PipelinedEvaluator,
+    joined,
+    make_pipeline,
+)
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
-from qdenv.run.executors.dask import REMEMBERED, ClusterExecutor, Task
-from qdenv.types import Array, Repair, RepairStatus
+from qdenv.run.executors import REMEMBERED, ClusterExecutor, Execution, Task
+from qdenv.run.experiment import observed
+from qdenv.search.base import Algorithm
+from qdenv.types import Array, Evaluation, Repair, RepairStatus
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -57,7 +70,10 @@ class Threads:
     def __call__(self, unrepaired: np.ndarray, key: Array) -> list[Future[Outcomes]]:
         """Begin to repair and simulate int8 [B, H, W]; return the parts of the population."""
         count = len(unrepaired)
-        chunks = np.arange(count, dtype=np.int32).reshape(-1, chunk_size(count, self._chunk))
+        # The greatest divisor of the number of layouts: equal chunks compile once.
+        most = range(1, min(count, self._chunk) + 1)
+        size = max(part for part in most if count % part == 0)
+        chunks = np.arange(count, dtype=np.int32).reshape(-1, size)
         # All repairs are submitted first, so that none waits for a simulation.
         repairs = [[_repair(self._pipeline, unrepaired[one]) for one in chunk] for chunk in chunks]
         return [
@@ -86,11 +102,6 @@ def _repair(pipeline: Pipeline, layout: np.ndarray) -> Future[Repair]:
     return untouched
 
 
-def chunk_size(size: int, most: int) -> int:
-    """Return the greatest divisor of `size` up to `most`: equal chunks compile once."""
-    return max(part for part in range(1, min(size, most) + 1) if size % part == 0)
-
-
 class Cluster:
     """Repair and simulate the layouts of a search on the workers of a cluster.
 
@@ -106,8 +117,8 @@ class Cluster:
         progress: Callable[[int], None] = lambda layouts: None,
     ) -> None:
         """Send nothing yet."""
+        self._client, self._progress = client, progress
         self.executor = ClusterExecutor(client, self._note)
-        self._progress = progress
         self._seconds: deque[float] = deque(maxlen=REMEMBERED)  # of recent layouts
         evaluation = config.evaluation
         alone = replace(evaluation, repair=replace(evaluation.repair, workers=1))
@@ -122,7 +133,7 @@ class Cluster:
         """
         usual = statistics.median(self._seconds) if self._seconds else math.inf
         most = max(round(_LONGEST / usual), 1) if usual else 1
-        workers = max(self.executor.workers, 2)
+        workers = max(len(self._client.nthreads()), 2)  # none while all are being replaced
         firsts = [0]
         while (left := len(unrepaired) - firsts[-1]) > 1:
             firsts.append(firsts[-1] + min(math.ceil(left / workers), most))
@@ -162,3 +173,102 @@ def _evaluate_layouts(settings: str, layouts: np.ndarray, first: int, key: np.nd
         status = np.array([repair.status], np.int32)
         parts.append(Outcomes(repaired, status, jax.tree.map(np.asarray, runs)))
     return joined(parts)
+
+
+@contextlib.contextmanager
+def open_evaluator(
+    execution: Execution,
+    config: RunConfig,
+    pipeline: Pipeline,
+    progress: Callable[[int], None],
+) -> Iterator[LayoutEvaluator]:
+    """Yield what repairs and simulates the layouts of a run; it ends with the context.
+
+    `progress` is called with the number of layouts that were completed. Raises InputError if
+    nothing answers at the scheduler's address, or no worker joins.
+    """
+    if execution.executor == "threads":
+        yield Threads(pipeline, progress=progress)
+        return
+    with execution.connect() as client:
+        cluster = Cluster(client, config, progress)
+        try:
+            yield cluster
+        finally:
+            cluster.executor.shutdown(cancel_futures=True)
+
+
+class Search(NamedTuple):
+    """A search between two iterations; one pytree, which checkpoints hold."""
+
+    state: Any  # of the algorithm
+    # float [B, P] each, the populations in flight, the oldest first: `Algorithm.ahead` of them
+    in_flight: tuple[Array, ...]
+
+    @classmethod
+    def begin(cls, algorithm: Algorithm, key: jax.Array) -> Self:
+        """Start a search with as many populations in flight as `algorithm.ahead` states."""
+        state, in_flight = algorithm.init(key), []
+        for _ in range(algorithm.ahead):
+            solutions, state = algorithm.ask(state)
+            in_flight.append(solutions)
+        return cls(state, tuple(in_flight))
+
+
+class AsyncEvaluation:
+    """The populations of a run that are in flight.
+
+    Population i comes from the search that has seen the results of all up to i - 1 - ahead, however
+    fast the others were evaluated: the results do not depend on the speed of workers.
+    """
+
+    def __init__(
+        self,
+        algorithm: Algorithm,
+        evaluator: PipelinedEvaluator,
+        key: jax.Array,
+        total: int,
+        done: int,
+        search: Search,
+    ) -> None:
+        """Submit the populations that the search already holds.
+
+        Iteration ``i`` is evaluated with ``fold_in(key, i)``, so a resumed run draws the same.
+        `total` is the number of iterations of the run: later populations are drawn but not
+        evaluated. `done` is the number of those that `search` has seen.
+        """
+        self.done, self.search = done, search
+        self._algorithm, self._evaluator, self._key, self._total = algorithm, evaluator, key, total
+        self._in_flight = deque(search.in_flight)
+        self._evaluations: deque[Callable[[], Evaluation]] = deque()
+        # One population further than `search`, between `submit` and `collect`.
+        self._state = search.state
+        for solutions in self._in_flight:
+            self._begin(solutions)
+
+    def submit(self) -> None:
+        """Draw one more population and begin to evaluate it."""
+        solutions, self._state = jax.block_until_ready(self._algorithm.ask(self._state))
+        self._in_flight.append(solutions)
+        self._begin(solutions)
+
+    def wait(self) -> Evaluation:
+        """Wait for the evaluation of the oldest population."""
+        return self._evaluations[0]()
+
+    def collect(self, evaluation: Evaluation) -> None:
+        """Give the search the evaluation of the oldest population, which `wait` returned."""
+        solutions = self._in_flight.popleft()
+        self._evaluations.popleft()
+        scores = evaluation.score, observed(evaluation)
+        self._state = self._algorithm.tell(self._state, solutions, *scores)
+        self.search = Search(self._state, tuple(self._in_flight))
+        self.done += 1
+
+    def _begin(self, solutions: Array) -> None:
+        # Iterations count from 1. Populations beyond the total are drawn, as the state of the
+        # search would differ otherwise, but their results would never be collected.
+        number = self.done + len(self._evaluations) + 1
+        if number <= self._total:
+            key = jax.random.fold_in(self._key, number)
+            self._evaluations.append(self._evaluator.begin(solutions, key))
