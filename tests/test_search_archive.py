@@ -104,7 +104,7 @@ def test_thresholds_stay_numbers_next_to_the_largest_number(rate, sign):
     accepted = objective[objective > -largest].astype(float)
     kept = (1 - rate) ** len(accepted)
     expected = kept * -largest + (1 - kept) * accepted.mean()
-    cell = int(archive.best)
+    cell = int(archive.objectives.argmax())
     np.testing.assert_allclose(archive.thresholds[cell], expected, rtol=1e-6, atol=1e32)
     better = np.nextafter(archive.thresholds[cell], np.float32(np.inf))
     if np.isfinite(better):
@@ -130,7 +130,7 @@ def test_ties_go_to_the_first_and_extras_follow_their_elite():
     layouts = np.arange(12, dtype=np.int8).reshape(3, 2, 2)
     archive, insertion = add(archive, [1.0, 3.0, 3.0], np.zeros((3, 2)), layout=layouts)
     assert insertion.status.tolist() == [2, 2, 2]
-    cell = int(archive.best)
+    cell = int(archive.objectives.argmax())
     assert float(archive.genotypes[cell, 0]) == 1.0
     np.testing.assert_array_equal(archive.extra_scores["layout"][cell], layouts[1])
     assert archive.extra_scores["layout"].dtype == jnp.int8
@@ -180,7 +180,7 @@ def test_rows_that_failed_or_are_not_finite_enter_nothing(soft):
 
 def test_scores_and_samples_of_an_empty_archive_are_defined():
     archive = GridArchive.empty(np.zeros(3, np.float32), GRID)
-    numbers = archive.qd_score(), archive.coverage, archive.best
+    numbers = archive.qd_score(), archive.coverage, archive.objectives.argmax()
     assert [float(number) for number in numbers] == [0, 0, 0]
     key = jax.random.key(0)
     assert archive.sample_solutions(key, 2, jnp.full(3, 7.0)).tolist() == [[7.0] * 3] * 2

@@ -67,7 +67,8 @@ def test_every_strategy_learns_from_the_ranks_it_is_given(name):
         def step(carry, key):
             solutions, state, tell_key = ask(carry[0], key)
             order = jnp.argsort(sign * jnp.square(solutions - target[None]).sum(-1))
-            told = solutions, order, jnp.ones(batch, bool), batch // 2
+            ranks = jnp.argsort(order).astype(solutions.dtype)
+            told = solutions, ranks, jnp.ones(batch, bool), batch // 2
             return (tell(state, tell_key, *told), tell_key), None
 
         start = init(jnp.zeros(dim), jax.random.key(0))

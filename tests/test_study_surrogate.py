@@ -27,9 +27,8 @@ from qdenv.study.surrogate import (
     split_elites,
     try_surrogate,
 )
-from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Surrogate
+from qdenv.surrogate.surrogate import Ring, Samples, Surrogate
 from qdenv.types import Encoding, InputError
 
 pytestmark = pytest.mark.slow

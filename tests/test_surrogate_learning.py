@@ -9,11 +9,12 @@ import optax
 import pytest
 from search_harness import QUICK
 
-from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
 from qdenv.surrogate.surrogate import (
     STAGES,
     Learner,
+    Ring,
+    Samples,
     Surrogate,
     errors,
     learn,

@@ -9,9 +9,8 @@ from scipy.stats import entropy
 from search_harness import QUICK
 
 from qdenv.surrogate.networks import MapPredictor
-from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Surrogate, _scale, errors, usage_loss
+from qdenv.surrogate.surrogate import Ring, Samples, Surrogate, _scale, errors, usage_loss
 from qdenv.types import Encoding
 
 usage_loss, scale = jax.jit(usage_loss, static_argnums=2), jax.jit(_scale)

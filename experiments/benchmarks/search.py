@@ -18,10 +18,10 @@ from qdenv.run.config import archive_axes
 from qdenv.run.experiment import problem_of
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.dsage import search_surrogate
-from qdenv.search.model import make_model
+from qdenv.search.model import Model
 from qdenv.search.settings import DsageConfig
-from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
+from qdenv.surrogate.surrogate import Ring, Samples
 
 GRID = (qdenv.Measure("x", -1, 1, 100), qdenv.Measure("y", -1, 1, 100))
 MAZE = (qdenv.Measure("walls", 0, 256, 256), qdenv.Measure("path length", 0, 648, 162))
@@ -180,7 +180,7 @@ def surrogate(
     problem = search_problem(preset)
     count = MINIBATCH * rounds
     config = replace(SURROGATES[size], samples=count, epochs=1, minibatch=MINIBATCH)
-    model = make_model(config, problem, "dsage")
+    model = Model(config, problem, "dsage")
     encoding, networks = model.encoding, model.surrogate
     fitted = jax.jit(networks.init)(jax.random.key(0))
     ring = random_samples(count, encoding, networks.heads)

@@ -194,15 +194,9 @@ def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[R
 
     Numbers of tiles and agents grow with the generated area, steps of growth with the longer side,
     an axis with the number that its measure cannot exceed; at a size that the domain knows the
-    first three are what it knows.
-
-    Args:
-        config: the configuration, of any size.
-        base: the one it was made from, whose numbers belong to its own size.
-        given: names of the settings that were stated and stay.
-
-    Returns:
-        the configuration, and a list of what was scaled ("" for nothing).
+    first three are what it knows. `base` is the configuration that this one was made from, whose
+    numbers belong to its own size; the settings named in `given` stay. Returns the configuration,
+    and a list of what was scaled ("" for nothing).
     """
     before = settings = config.evaluation.domain
     old = make_domain(base.evaluation.domain)

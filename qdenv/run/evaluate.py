@@ -110,12 +110,7 @@ class Cluster:
     layouts that were completed.
     """
 
-    def __init__(
-        self,
-        client: Client,
-        config: RunConfig,
-        progress: Callable[[int], None] = lambda layouts: None,
-    ) -> None:
+    def __init__(self, client: Client, config: RunConfig, progress: Callable[[int], None]) -> None:
         """Send nothing yet."""
         self._client, self._progress = client, progress
         self.executor = ClusterExecutor(client, self._note)

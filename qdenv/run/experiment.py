@@ -106,10 +106,8 @@ def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
 
     Under `jax.jit` the repair is the only thing that leaves the device (where the planner's
     backend is XLA); under `lax.scan` a run is one program. `train` runs the same iteration in
-    parts instead, so that repairs and simulations overlap.
-
-    Raises:
-        InputError: the algorithm draws populations ahead, which takes several at once.
+    parts instead, so that repairs and simulations overlap. Raises InputError if the algorithm draws
+    populations ahead, which takes several at once.
     """
     if experiment.algorithm.ahead:
         raise InputError("a whole iteration as one function draws nothing ahead: leave ahead at 0")

@@ -42,15 +42,8 @@ def train(
 ) -> RunDirectory:
     """Search generators and leave everything in a new run directory.
 
-    Args:
-        config: the resolved configuration.
-        path: the run directory to make.
-        progress: show a progress bar.
-        execution: where layouts are repaired and simulated.
-
-    Raises:
-        InputError: a setting is impossible, no layout could count, the folder holds a run already
-            or is read-only.
+    Raises InputError if a setting is impossible, no layout could count, the folder holds a run
+    already or is read-only.
     """
     check(config)
     start = find_start(config)
@@ -69,11 +62,9 @@ def resume(
 ) -> RunDirectory:
     """Continue a run from its newest checkpoint, to the same archive bit for bit.
 
-    `evaluations` is a new total, to go on beyond the configured one; the others are as for `train`.
-
-    Raises:
-        InputError: there is no run, it was written by a newer version or with other settings,
-            more evaluations are done already, or another process is at work on it.
+    `evaluations` is a new total, to go on beyond the configured one. Raises InputError if there is
+    no run, it was written by a newer version or with other settings, more evaluations are done
+    already, or another process is at work on it.
     """
     run = RunDirectory.open(path)
     with run.locked():

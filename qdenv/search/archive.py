@@ -66,10 +66,8 @@ class GridArchive(MapElitesRepertoire):
 
         Of `solution` and `extras`, examples of what is stored in each cell, shapes and dtypes are
         read. The learning rate of thresholds lies in [0, 1], and is 1 where that of an empty cell,
-        `threshold_min`, is -inf; None makes an elitist archive.
-
-        Raises:
-            InputError: the measures make no grid, or the two numbers do not go together.
+        `threshold_min`, is -inf; None makes an elitist archive. Raises InputError if the measures
+        make no grid, or the two numbers do not go together.
         """
         axes = check_measures(measures)
         extras = dict(extras or {})
@@ -105,8 +103,7 @@ class GridArchive(MapElitesRepertoire):
     def from_elites(cls, columns: Mapping[str, np.ndarray], measures: Sequence[Measure]) -> Self:
         """Make an elitist archive of the columns of `elites`, like those of a run's archive.npz.
 
-        Raises:
-            InputError: the columns do not belong to an archive over these measures.
+        Raises InputError if the columns do not belong to an archive over these measures.
         """
         rows = {name: values for name, values in columns.items() if name != "threshold"}
         index, solution, objective, places = (
@@ -184,11 +181,7 @@ class GridArchive(MapElitesRepertoire):
         The winner of a cell is the best accepted solution, the first one on a tie (pyribs'
         ``GridArchive.add``). Rows that failed (`success`, bool [B]), or whose objective [B] or
         measures [B, M] are not finite, enter nothing. The `extras` [B, ...] must hold the keys
-        declared at construction.
-
-        Raises:
-            InputError: a declared extra is missing (when tracing, not inside jit).
-            AssertionError: a shape is wrong (when tracing).
+        declared at construction: InputError, when tracing, if one is missing.
         """
         objective = jnp.asarray(objective, self.fitnesses.dtype)
         measures = jnp.asarray(measures, self.descriptors.dtype)
@@ -264,11 +257,6 @@ class GridArchive(MapElitesRepertoire):
         """Return the share of filled cells, in [0, 1]."""
         return self.filled.mean()
 
-    @property
-    def best(self) -> jax.Array:
-        """Return the cell of the best elite, int32; the first on a tie, 0 when empty."""
-        return jnp.argmax(self.objectives).astype(jnp.int32)
-
     def sample_solutions(self, key: jax.Array, count: int, fallback: Any) -> Any:
         """Draw elites uniformly with replacement: their solutions, pytree of [count, ...].
 
@@ -289,10 +277,8 @@ class GridArchive(MapElitesRepertoire):
         """Return arrays over all cells by the names that files hold.
 
         They are ``solution``, ``objective``, ``measures``, for a soft archive ``threshold``, and
-        every extra.
-
-        Raises:
-            InputError: the solutions are no single array [C, P], or an extra takes a column's name.
+        every extra. Raises InputError if the solutions are no single array [C, P], or an extra
+        takes a column's name.
         """
         if not hasattr(self.genotypes, "shape"):
             raise InputError("only an archive whose solutions are one array [C, P] can be exported")

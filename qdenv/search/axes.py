@@ -17,9 +17,8 @@ _EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge i
 def check_measures(measures: Sequence[Measure]) -> tuple[Measure, ...]:
     """Reduce measures to their axes, which are compared and hashed as static fields of an archive.
 
-    Raises:
-        InputError: there is no measure, a range is empty or infinite, an axis has no cell, or there
-            are too many in all.
+    Raises InputError if there is no measure, a range is empty or infinite, an axis has no cell, or
+    there are too many in all.
     """
     if not measures:
         raise InputError("an archive needs at least one measure")

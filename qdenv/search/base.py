@@ -239,11 +239,9 @@ def growing(algorithm: Algorithm) -> Algorithm:
 
         return jax.tree.map(fit, state, is_leaf=lambda node: isinstance(node, Store))
 
-    @jax.jit
-    def init(key: jax.Array) -> Any:
-        # XLA makes no more of the zeros of an empty store than the rows that are left of them.
-        sizes = [min(rows, max(_FIRST_ROWS, 1 + algorithm.batch_size)) for rows in full]
-        return resize(algorithm.init(key), sizes)
+    # XLA makes no more of the zeros of an empty store than the rows that are left of them.
+    first = [min(rows, max(_FIRST_ROWS, 1 + algorithm.batch_size)) for rows in full]
+    init = jax.jit(lambda key: resize(algorithm.init(key), first))
 
     @jax.jit
     def ask_for_changes(state: Any) -> tuple[jax.Array, list[jax.Array]]:

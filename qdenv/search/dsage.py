@@ -15,7 +15,7 @@ import numpy as np
 
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import Algorithm, Problem, StoredArchive, check_batch, plain_key
-from qdenv.search.model import ModelState, make_model
+from qdenv.search.model import Model, ModelState
 from qdenv.search.settings import DsageConfig
 from qdenv.types import Array, InputError, Measure, Score
 
@@ -39,12 +39,10 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
 
     When the queue is empty, `ask` fits the surrogate to the newest evaluations, fills a fresh
     archive by its predictions, and queues one elite of every block of cells, and as many more as
-    fill the last batch. `x0` must be None: a search of tiles begins with random ones.
-
-    Raises:
-        InputError: solutions are no tiles, or a setting is out of range.
+    fill the last batch. `x0` must be None: a search of tiles begins with random ones. Raises
+    InputError if solutions are no tiles.
     """
-    model = make_model(config.surrogate, problem, "dsage")
+    model = Model(config.surrogate, problem, "dsage")
     batch, size, choices = config.batch, problem.solution_dim, model.encoding.choices
     if choices < 2:
         raise InputError(
@@ -105,9 +103,9 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
         init,
         ask,
         tell,
-        archive=lambda state: state.archives.dense(),
-        batch_size=batch,
-        notes=lambda state: model.notes(state.model),
+        lambda state: state.archives.dense(),
+        batch,
+        lambda state: model.notes(state.model),
     )
 
 
@@ -170,10 +168,7 @@ def blocks_along(measures: Sequence[Measure], blocks: Sequence[int]) -> tuple[in
     """Return the number of blocks along each measure: `blocks`, at most one per cell.
 
     Half of the cells along the first measure and a quarter along the others if `blocks` is empty,
-    as published for the warehouse.
-
-    Raises:
-        InputError: the number of axes is another.
+    as published for the warehouse. Raises InputError if the number of axes is another.
     """
     if blocks and len(blocks) != len(measures):
         raise InputError(f"downsample: give {len(measures)} numbers of blocks, one per measure")
@@ -206,10 +201,8 @@ def choose_waiting(
     """Choose what is evaluated next: an elite of each block, and others up to whole batches.
 
     Random solutions, the rows of `fresh` (int8 [Q, P], a batch more than there are blocks), fill
-    the last batch where the archive of the inner loop has too few elites. Consumes `key`.
-
-    Returns:
-        the queue int8 [Q, P], and how many of its first rows wait (int32).
+    the last batch where the archive of the inner loop has too few elites. Returns the queue int8
+    [Q, P], and how many of its first rows wait (int32). Consumes `key`.
     """
     block_key, order_key = jax.random.split(key)
     drawn, cells = draw_per_block(block_key, predicted.filled, block), len(block)

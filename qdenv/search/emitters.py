@@ -97,25 +97,19 @@ def make_member(strategy: Any, params: Any) -> tuple[Callable, Callable, Callabl
     failed rows rank last and are moved to the mean, where they do not pull.
 
     Init takes (mean float [P], key) and returns (state, next key), ask takes (state, key) and
-    returns (solutions, state, next key), tell takes (state, key, rows float [b, P], their order
-    int32 [b] best first, usable bool [b], number of parents int32) and returns the state. A state
-    that is degenerate must restart.
+    returns (solutions, state, next key), tell takes (state, key, rows float [b, P], their ranks
+    float [b], 0 for the best, usable bool [b], number of parents int32) and returns the state. A
+    state that is degenerate must restart.
     """
-    batch = strategy.population_size
-
-    def ranks(order: jax.Array, dtype: Any) -> jax.Array:
-        """Rank rows as evosax does, which minimises: the best has rank 0."""
-        return jnp.zeros(batch, dtype).at[order].set(jnp.arange(batch))
-
     if isinstance(strategy, Strategy):
         # The best so far and its fitness serve optimisation alone: ranks of two generations do
         # not compare, and the archive has the best. Checkpoints do not hold these fields.
         blank = {"best_solution": None, "best_fitness": None, "generation_counter": None}
 
         def tell_ours(
-            state: Any, key: Any, rows: Any, order: Any, usable: Any, parents: Any
+            state: Any, key: Any, rows: Any, ranks: Any, usable: Any, parents: Any
         ) -> Any:
-            fitness = jnp.where(usable, ranks(order, rows.dtype), jnp.nan)
+            fitness = jnp.where(usable, ranks, jnp.nan)
             return strategy._tell(key, rows, fitness, state, params.replace(num_elites=parents))
 
         return (
@@ -139,10 +133,10 @@ def make_member(strategy: Any, params: Any) -> tuple[Callable, Callable, Callabl
             solutions, state = strategy.ask(ask_key, state, params)
         return solutions, state, tell_key
 
-    def tell(state: Any, key: Any, rows: Any, order: Any, usable: Any, parents: Any) -> Any:
+    def tell(state: Any, key: Any, rows: Any, ranks: Any, usable: Any, parents: Any) -> Any:
         rows = jnp.where(usable[:, None], rows, state.mean[None])
         with jax.numpy_rank_promotion("allow"):
-            changed, _ = strategy.tell(key, rows, ranks(order, rows.dtype), state, params)
+            changed, _ = strategy.tell(key, rows, ranks, state, params)
         choose = lambda new, old: strong(jnp.where(parents > 0, new, old))  # noqa: E731
         return jax.tree.map(choose, changed, state)
 
@@ -194,7 +188,9 @@ def make_emitters(
         successes = score.success.sum(dtype=jnp.int32)
         accepted = (insertion.status > 0).sum(dtype=jnp.int32)
         parents = selection(accepted, successes, batch)
-        state = tell_one(state, key, solutions, order, score.success, parents)
+        # As evosax ranks, which minimises.
+        ranks = jnp.zeros(batch, solutions.dtype).at[order].set(jnp.arange(batch))
+        state = tell_one(state, key, solutions, ranks, score.success, parents)
         return state, accepted, is_degenerate(state) | is_flat(keys, order, successes)
 
     def tell(

@@ -1,16 +1,15 @@
 """The surrogate of a search: it learns from true evaluations and reports its errors."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from qdenv.search.base import Problem
-from qdenv.surrogate.samples import Ring, Samples
 from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Fitted, Surrogate, errors
-from qdenv.types import Array, Encoding, InputError, Score
+from qdenv.surrogate.surrogate import Fitted, Ring, Samples, Surrogate, errors
+from qdenv.types import Array, InputError, Score
 
 
 class ModelState(NamedTuple):
@@ -27,47 +26,47 @@ class ModelState(NamedTuple):
     tiles: jax.Array  # float32, the share of tiles of repaired maps that were predicted
 
 
-class Model(NamedTuple):
-    """The surrogate of a search as a record of functions."""
+class Model:
+    """The surrogate of a search."""
 
-    encoding: Encoding  # of the solutions
-    surrogate: Surrogate
-    init: Callable[[jax.Array], ModelState]  # consumes a key
-    # (fitted, solutions [B, P]) -> their predicted `Score` with leading axis B
-    predict: Callable[[Fitted, jax.Array], Score]
-    # (state, solutions float [B, P], `Score`, extras), the last two as `Algorithm.tell` has them ->
-    # state: the errors on this batch are measured, and its successes can be learnt from
-    observe: Callable[[ModelState, jax.Array, Score, Mapping[str, Array]], ModelState]
-    notes: Callable[[ModelState], dict[str, jax.Array]]  # what a run logs; NaN before the first fit
+    def __init__(self, config: SurrogateConfig, problem: Problem, name: str) -> None:
+        """Make the surrogate; `name` is that of the search's algorithm, for messages.
 
+        Raises InputError if solutions are nothing but numbers, or a setting is impossible.
+        """
+        if problem.encoding is None:
+            raise InputError(
+                f"{name} learns from layouts: the solutions of this problem encode none"
+            )
+        self.encoding, self._measures = problem.encoding, problem.measures
+        self._samples = config.samples
+        self.surrogate = Surrogate(config, self.encoding, len(self._measures))
 
-def make_model(config: SurrogateConfig, problem: Problem, name: str) -> Model:
-    """Make the surrogate of a search; `name` is that of its algorithm, for messages.
-
-    Raises InputError if solutions are nothing but numbers, or a setting is impossible.
-    """
-    encoding, measures = problem.encoding, problem.measures
-    if encoding is None:
-        raise InputError(f"{name} learns from layouts: the solutions of this problem encode none")
-    surrogate = Surrogate(config, encoding, len(measures))
-
-    def init(key: jax.Array) -> ModelState:
-        zeros = jnp.zeros(surrogate.heads)
+    def init(self, key: jax.Array) -> ModelState:
+        """Begin without samples; consumes `key`."""
+        zeros = jnp.zeros(self.surrogate.heads)
         return ModelState(
-            fitted=surrogate.init(key),
-            ring=Ring.empty(config.samples, encoding.shape, surrogate.heads),
-            losses={stage: jnp.float32(0) for stage in surrogate.stages},
+            fitted=self.surrogate.init(key),
+            ring=Ring.empty(self._samples, self.encoding.shape, self.surrogate.heads),
+            losses={stage: jnp.float32(0) for stage in self.surrogate.stages},
             rmse=zeros,
             r2=zeros,
             tiles=jnp.float32(0),
         )
 
-    def predict(fitted: Fitted, solutions: jax.Array) -> Score:
-        return surrogate.predict(fitted, encoding.draw(solutions.astype(jnp.float32))).score
+    def predict(self, fitted: Fitted, solutions: jax.Array) -> Score:
+        """Predict the `Score` of solutions [B, P], with a leading axis B."""
+        drawn = self.encoding.draw(solutions.astype(jnp.float32))
+        return self.surrogate.predict(fitted, drawn).score
 
     def observe(
-        state: ModelState, solutions: jax.Array, score: Score, extras: Mapping[str, Array]
+        self, state: ModelState, solutions: jax.Array, score: Score, extras: Mapping[str, Array]
     ) -> ModelState:
+        """Measure the errors on a batch, whose successes can be learnt from afterwards.
+
+        `score` and `extras` are as `Algorithm.tell` has them.
+        """
+        encoding = self.encoding
         drawn = encoding.draw(solutions)
         samples = Samples(
             drawn,
@@ -76,7 +75,7 @@ def make_model(config: SurrogateConfig, problem: Problem, name: str) -> Model:
             _numbers(score),
         )
         # Predicted before it is learnt from: the errors are those on unseen layouts.
-        prediction, valid = surrogate.predict(state.fitted, drawn), jnp.asarray(score.success)
+        prediction, valid = self.surrogate.predict(state.fitted, drawn), jnp.asarray(score.success)
         rmse, r2 = errors(_numbers(prediction.score), samples.numbers, valid)
         alike = (prediction.repaired == samples.repaired).mean(axis=(1, 2))
         tiles = jnp.mean(alike, where=valid)
@@ -88,8 +87,9 @@ def make_model(config: SurrogateConfig, problem: Problem, name: str) -> Model:
             tiles=jnp.where(some, tiles, state.tiles),
         )
 
-    def notes(state: ModelState) -> dict[str, jax.Array]:
-        heads = ["objective", "result", *(axis.name.replace(" ", "_") for axis in measures)]
+    def notes(self, state: ModelState) -> dict[str, jax.Array]:
+        """Return what a run logs; NaN before the first fit."""
+        heads = ["objective", "result", *(axis.name.replace(" ", "_") for axis in self._measures)]
         numbers = {f"loss_{stage}": value for stage, value in state.losses.items()}
         numbers |= {f"rmse_{head}": state.rmse[i] for i, head in enumerate(heads)}
         numbers |= {f"r2_{head}": state.r2[i] for i, head in enumerate(heads)}
@@ -98,8 +98,6 @@ def make_model(config: SurrogateConfig, problem: Problem, name: str) -> Model:
         return {"fits": fits} | {
             number: jnp.where(fits > 0, value, jnp.nan) for number, value in numbers.items()
         }
-
-    return Model(encoding, surrogate, init, predict, observe, notes)
 
 
 def _numbers(score: Score) -> jax.Array:

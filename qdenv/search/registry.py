@@ -28,9 +28,8 @@ ALGORITHMS = Registry(
 def make_algorithm(config: Any, problem: "Problem", x0: Any = None) -> "Algorithm":
     """Make the algorithm that `config` chooses, beginning at x0 (float [P]) unless that is None.
 
-    Raises:
-        InputError: no algorithm is registered for this type of config, it takes no x0, or a
-            setting is impossible.
+    Raises InputError if no algorithm is registered for this type of config, it takes no x0, or a
+    setting is impossible.
     """
     if x0 is None:
         return ALGORITHMS.make(config, problem)

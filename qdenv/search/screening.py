@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from qdenv.search.base import Algorithm, Problem, SearchState, check_batch, plain_key
 from qdenv.search.cma_mae import cma_mae
-from qdenv.search.model import ModelState, make_model
+from qdenv.search.model import Model, ModelState
 from qdenv.search.settings import ScreenedConfig
 from qdenv.types import Array, Score
 
@@ -33,7 +33,7 @@ def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) 
     it expects to exceed the threshold of its cell by most. It is fitted every `refit` iterations;
     before the first fit nothing is screened. Raises InputError if solutions encode no layouts.
     """
-    model = make_model(config.surrogate, problem, "cma-mae-screened")
+    model = Model(config.surrogate, problem, "cma-mae-screened")
     inner = cma_mae(config, problem, x0)
 
     def init(key: jax.Array) -> ScreenedState:

@@ -2,8 +2,7 @@
 
     settings     what a user may choose
     networks     maps from maps, numbers from maps; a convolution fast in compiled loops
-    samples      true evaluations, the newest in a ring
-    surrogate    `Surrogate`: init, fit, predict; losses, learning, errors
+    surrogate    `Surrogate`: init, fit, predict; true evaluations, the newest in a `Ring`
 
 Nothing here knows what a layout means.
 """

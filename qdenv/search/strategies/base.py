@@ -12,10 +12,9 @@ import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
-from evosax.algorithms.distribution_based.base import DistributionBasedAlgorithm, metrics_fn
+from evosax.algorithms.distribution_based.base import DistributionBasedAlgorithm
 from evosax.algorithms.distribution_based.base import Params as EvosaxParams
 from evosax.algorithms.distribution_based.base import State as EvosaxState
-from evosax.core.fitness_shaping import identity_fitness_shaping_fn
 from flax import struct
 
 SMALLEST_STEP = 1e-11  # a search distribution narrower than this restarts (pyribs)
@@ -128,15 +127,9 @@ class Strategy(DistributionBasedAlgorithm):
     covariance_rates: CovarianceRates = staticmethod(full_rates)
     smallest_step = SMALLEST_STEP
 
-    def __init__(
-        self,
-        population_size: int,
-        solution: Any,
-        fitness_shaping_fn: Callable = identity_fitness_shaping_fn,
-        metrics_fn: Callable = metrics_fn,
-    ) -> None:
+    def __init__(self, population_size: int, solution: Any, **settings: Any) -> None:
         """Tabulate the rates (the arguments are those of every evosax algorithm)."""
-        super().__init__(population_size, solution, fitness_shaping_fn, metrics_fn)
+        super().__init__(population_size, solution, **settings)
         self.elite_ratio = 0.5
         self.table = rates_table(population_size, self.num_dims, self.covariance_rates)
 

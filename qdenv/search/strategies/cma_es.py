@@ -188,12 +188,11 @@ def _refresh_each(size: int, batched: list[bool], *given: jax.Array) -> tuple[_E
         for leaf, own in zip(given, batched, strict=True)
     ]
 
-    def each(due: jax.Array, *systems: jax.Array) -> _Eigensystem:
-        one = lambda row: jax.lax.cond(row[0], _decompose, lambda *same: same, *row[1:])  # noqa: E731
-        return jax.lax.map(one, (due, *systems))
-
+    one = lambda row: jax.lax.cond(row[0], _decompose, lambda *same: same, *row[1:])  # noqa: E731
     # Not a vmap of the branch: under it both sides would be computed at every ask.
-    new = jax.lax.cond(rows[0].any(), each, lambda due, *same: same, *rows)
+    new = jax.lax.cond(
+        rows[0].any(), lambda *systems: jax.lax.map(one, systems), lambda due, *same: same, *rows
+    )
     return new, (True, True, True)
 
 
