@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax.traverse_util import flatten_dict
 
 from qdenv.pipeline import Pipeline, evaluate, make_pipeline
 from qdenv.run.config import RunConfig, archive_axes, config_to_json
@@ -31,20 +32,16 @@ class Experiment(NamedTuple):
 
     def settings(self, config: RunConfig) -> dict[str, Any]:
         """List what decides the result, by the names of config.json (``algorithm.sigma0``)."""
-        reads = self.pipeline.domain.reads()
-        settings: dict[str, Any] = {f"the {name} of checksum": reads[name] for name in reads}
-
-        def collect(content: dict[str, Any], prefix: str) -> None:
-            for name, value in content.items():
-                if isinstance(value, dict):
-                    collect(value, f"{prefix}{name}.")
-                elif name not in _WITHOUT_EFFECT:
-                    settings[f"{prefix}{name}"] = value
-
         axes = tuple((float(axis.low), float(axis.high), axis.cells) for axis in self.measures)
         content = config_to_json(dataclasses.replace(config, archive=axes))
-        collect(json.loads(json.dumps(content)), "")  # comparable with what a checkpoint holds
-        return settings
+        # As text and back: comparable with what a checkpoint holds.
+        settings = flatten_dict(json.loads(json.dumps(content)), sep=".")
+        reads = self.pipeline.domain.reads()
+        return {f"the {name} of checksum": reads[name] for name in reads} | {
+            name: value
+            for name, value in settings.items()
+            if name.rpartition(".")[2] not in _WITHOUT_EFFECT
+        }
 
 
 def make_experiment(config: RunConfig, start: np.ndarray | None = None) -> Experiment:
