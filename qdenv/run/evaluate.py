@@ -234,17 +234,16 @@ class AsyncEvaluation:
         """
         self.done, self.search = done, search
         self._algorithm, self._evaluator, self._key, self._total = algorithm, evaluator, key, total
-        self._in_flight = deque(search.in_flight)
+        self._in_flight: deque[Array] = deque()
         self._evaluations: deque[Callable[[], Evaluation]] = deque()
         # One population further than `search`, between `submit` and `collect`.
         self._state = search.state
-        for solutions in self._in_flight:
+        for solutions in search.in_flight:
             self._begin(solutions)
 
     def submit(self) -> None:
         """Draw one more population and begin to evaluate it."""
         solutions, self._state = jax.block_until_ready(self._algorithm.ask(self._state))
-        self._in_flight.append(solutions)
         self._begin(solutions)
 
     def wait(self) -> Evaluation:
@@ -263,7 +262,8 @@ class AsyncEvaluation:
     def _begin(self, solutions: Array) -> None:
         # Iterations count from 1. Populations beyond the total are drawn, as the state of the
         # search would differ otherwise, but their results would never be collected.
-        number = self.done + len(self._evaluations) + 1
+        number = self.done + len(self._in_flight) + 1
+        self._in_flight.append(solutions)
         if number <= self._total:
             key = jax.random.fold_in(self._key, number)
             self._evaluations.append(self._evaluator.begin(solutions, key))
