@@ -82,19 +82,14 @@ _MAZE_DSAGE = replace(
     downsample=(32, 27),
     surrogate=replace(DSAGE.surrogate, epochs=200, usage_loss="mse"),
 )
+_FLEETS = {"map-elites": _SOFT, "cma-es": CmaEsConfig(), "dsage": DSAGE}
+_MAZES = {"map-elites": MapElitesConfig(batch=30), "dsage": _MAZE_DSAGE}
 _COMPARED: dict[str, dict[str, Any]] = {
-    "warehouse-even": {"map-elites": _SOFT, "cma-es": CmaEsConfig(), "dsage": DSAGE},
-    "warehouse-uneven": {"map-elites": _SOFT, "cma-es": CmaEsConfig(), "dsage": DSAGE},
-    "manufacturing": {
-        "map-elites": _SOFT,
-        "cma-es": CmaEsConfig(),
-        "dsage": replace(DSAGE, downsample=(25, 10)),
-    },
-    "maze-walls": {"map-elites": MapElitesConfig(batch=30), "dsage": _MAZE_DSAGE},
-    "maze-entropy": {
-        "map-elites": MapElitesConfig(batch=30),
-        "dsage": replace(_MAZE_DSAGE, downsample=(25, 27)),
-    },
+    "warehouse-even": _FLEETS,
+    "warehouse-uneven": _FLEETS,
+    "manufacturing": _FLEETS | {"dsage": replace(DSAGE, downsample=(25, 10))},
+    "maze-walls": _MAZES,
+    "maze-entropy": _MAZES | {"dsage": replace(_MAZE_DSAGE, downsample=(25, 27))},
 }
 PRESETS |= {
     f"{base}-{name}": choose_algorithm(PRESETS[base], algorithm)

@@ -7,7 +7,6 @@ after the last step.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
 
 import chex
 import jax
@@ -45,19 +44,14 @@ class NCA(nn.Module):
         return cells
 
 
-class Automaton(NamedTuple):
-    """An NCA addressed by one flat parameter vector."""
-
-    size: int  # number of parameters P
-    unravel: Callable[[jax.Array], Any]  # flat float32 [P] -> the module's variables
-    # (flat float32 [P], start float32 [H, W, K], steps) -> cells float32 [H, W, K]
-    grow: Callable[[jax.Array, Array, Array | int], jax.Array]
-
-
 def make_automaton(
     kinds: int, kernel_sizes: tuple[int, ...] = (3, 3, 3), hidden: int = 32
-) -> Automaton:
-    """Build the automaton of an architecture; it works on canvases of any size."""
+) -> tuple[int, Callable[[jax.Array, Array, Array | int], jax.Array]]:
+    """Build the automaton of an architecture; it works on canvases of any size.
+
+    Returns the number of parameters P, and a function from a flat vector of them (float32 [P]), a
+    canvas to start from (float32 [H, W, K]) and a number of steps to cells (float32 [H, W, K]).
+    """
     module = NCA(kinds, tuple(kernel_sizes), hidden)
     canvas = jnp.zeros((1, 1, kinds))
     variables = jax.tree.map(
@@ -73,16 +67,7 @@ def make_automaton(
         weights = unravel(parameters)
         return jax.lax.fori_loop(0, steps, lambda _, cells: module.apply(weights, cells), start)
 
-    return Automaton(flat.size, unravel, grow)
-
-
-def grow_population(
-    automaton: Automaton, parameters: Array, start: Array, steps: Array | int
-) -> jax.Array:
-    """Grow float32 [B, P] from one canvas `start` (float32 [H, W, K]) to float32 [B, H, W, K]."""
-    # One solution after the other: its numbers then cannot depend on how many grow beside it, and
-    # a convolution with its own weights per item is no faster batched on a CPU.
-    return jax.lax.map(lambda one: automaton.grow(one, start, steps), parameters)
+    return flat.size, grow
 
 
 def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> np.ndarray:
@@ -107,15 +92,17 @@ def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> n
 def nca(config: NcaConfig, canvas: Canvas) -> Generator:
     """Make the generator that grows a canvas from its seed block, which must fit on it."""
     start = seed_canvas(canvas.seed_block, canvas.rows, canvas.cols, canvas.tiles)
-    automaton = make_automaton(len(canvas.tiles), config.kernel_sizes, config.hidden)
+    size, grow_one = make_automaton(len(canvas.tiles), config.kernel_sizes, config.hidden)
 
     def grow(solutions: jax.Array, steps: jax.Array | int) -> jax.Array:
-        return choose_tiles(grow_population(automaton, solutions, start, steps))
+        # One solution after the other: its numbers then cannot depend on how many grow beside it,
+        # and a convolution with its own weights per item is no faster batched on a CPU.
+        return choose_tiles(jax.lax.map(lambda one: grow_one(one, start, steps), solutions))
 
     def frames(solutions: jax.Array, steps: int) -> jax.Array:
         def one(weights: jax.Array) -> jax.Array:
             def step(cells: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
-                grown = automaton.grow(weights, cells, 1)
+                grown = grow_one(weights, cells, 1)
                 return grown, choose_tiles(grown)
 
             first = jnp.asarray(start)
@@ -124,4 +111,4 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
 
         return jax.lax.map(one, solutions)
 
-    return Generator(automaton.size, config.steps, grow, frames=frames)
+    return Generator(size, config.steps, grow, frames=frames)

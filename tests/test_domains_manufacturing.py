@@ -119,7 +119,7 @@ def test_the_generator_starts_from_the_block_of_figure_9():
     canvas = seed_canvas(DOMAIN.seed_block, 33, 36, DOMAIN.generated).argmax(-1)
     assert grid.draw(canvas[15:18, 16:20], TILES) == ["eeee", "0221", "eeee"]
     assert int((canvas != 0).sum()) == 12
-    assert make_automaton(5, (3, 1, 1)).size == 2693
+    assert make_automaton(5, (3, 1, 1))[0] == 2693
 
 
 @pytest.mark.parametrize(
