@@ -8,10 +8,6 @@ from typing import Literal
 from qdenv.lazy import jax
 
 Backend = Literal["auto", "xla", "host"]  # where a planner runs; auto: host on a CPU, else xla
-
-# Runs of a simulator that an accelerator computes side by side. On a CPU runs go one after the
-# other, because then each pays only for its own work.
-_ACCELERATOR_LANES = 128
 ACCELERATOR_CHUNK = 10  # layouts simulated by one call on an accelerator
 
 
@@ -25,8 +21,9 @@ def runs_on_host(backend: Backend) -> bool:
     return backend == "host" or (backend == "auto" and on_cpu())
 
 
-def lanes(on_accelerator: int = _ACCELERATOR_LANES, on_host: int = 1) -> int:
+def lanes(on_accelerator: int, on_host: int = 1) -> int:
     """Choose how many items to compute side by side (vmap); the rest wait in line (scan)."""
+    # On a CPU by themselves: then each pays only for its own work.
     return on_host if on_cpu() else on_accelerator
 
 

@@ -39,9 +39,9 @@ class Bar:
     ) -> None:
         """Show nothing yet.
 
-        Of a `total` of 0, which is unknown, only the time is shown. A bar with a `unit` shows its
-        number and rate, appears at once and stays at the end; others show the share alone. Unless
-        told whether anything is `shown`, it is on a terminal.
+        A `total` of 0 is unknown: then only the time is shown. A bar with a `unit` shows its number
+        and rate, appears at once and stays at the end; others show the share alone. `shown`
+        defaults to whether standard error is a terminal.
         """
         self._terminal, self._unit = sys.stderr.isatty(), unit
         self._bar: Any = None
