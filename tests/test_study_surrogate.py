@@ -174,7 +174,7 @@ def test_progress_is_told_from_nothing_to_nearly_all(elites):
 
 
 def test_nothing_is_predicted_where_the_numbers_were_shuffled(elites):
-    order = np.random.default_rng(5).permutation(len(elites))
+    order = np.random.default_rng(5).permutation(len(elites.numbers))
     shuffled = replace(elites, numbers=elites.numbers[order])
     for trial in try_surrogate(shuffled, TINY, (0, 1)):
         assert max(skill["r2"] for skill in trial.skills) < 0.1

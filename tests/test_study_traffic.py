@@ -15,7 +15,6 @@ from qdenv.study.engine import run_seeds
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import (
     Maps,
-    average,
     cells_with_half,
     map_run,
     throughput_over_time,
@@ -95,7 +94,6 @@ def test_the_worst_cells_come_first_with_their_share_and_wait_per_visit():
     assert len(worst_cells(layout, maps, 1)) == 1
     calm = maps._replace(waiting=np.zeros((2, 3)))
     assert worst_cells(layout, calm) == [] and cells_with_half(calm) == 0
-    assert average([maps, calm]).waiting[1, 0] == pytest.approx(0.3)
 
 
 def run_of(finished, congested=False, end=None) -> Traffic:

@@ -260,8 +260,8 @@ def fit_surrogate(
     _, rows, cols = elites.drawn.shape
     plural, blocks = "s" * (len(chosen) > 1), "s" * (config.blocks != 1)
     say(
-        f"{name}: {len(elites)} elites of {rows} x {cols}, a fifth held out, {len(chosen)} random "
-        f"split{plural}; surrogate of {config.channels} channels, {config.blocks} residual "
+        f"{name}: {len(elites.numbers)} elites of {rows} x {cols}, a fifth held out, {len(chosen)} "
+        f"random split{plural}; surrogate of {config.channels} channels, {config.blocks} residual "
         f"block{blocks}, {config.epochs} epochs"
     )
     with Bar("learning", total=1) as bar:

@@ -255,8 +255,7 @@ def spread(cells: np.ndarray, first: int) -> Iterator[int]:
 def human_layout(domain: Domain) -> np.ndarray:
     """Draw what people design for `domain` at its size (int8 [H, W]; appendix D.2).
 
-    Raises:
-        InputError: no layouts of this domain are designed by hand, or the size is too small.
+    Raises InputError if nobody designs layouts of this domain by hand, or the size is too small.
     """
     if domain.human is None:
         raise InputError(f"nobody designs layouts of {domain.name} by hand: choose another domain")

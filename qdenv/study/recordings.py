@@ -83,11 +83,6 @@ def map_run(shape: tuple[int, int], run: Traffic, recording: Recording) -> Maps:
     )
 
 
-def average(maps: Sequence[Maps]) -> Maps:
-    """Average the maps of several runs."""
-    return Maps(*(np.mean(part, axis=0) for part in zip(*maps, strict=True)))
-
-
 def worst_cells(layout: np.ndarray, maps: Maps, most: int = 10) -> list[Spot]:
     """List the cells of a layout (int8 [H, W]) with the most waiting, the worst first."""
     waiting, total = maps.waiting.reshape(-1), maps.waiting.sum()

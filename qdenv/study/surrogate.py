@@ -37,10 +37,6 @@ class Evaluated:
     kinds: int  # kinds of tile
     repairs: bool  # the domain repairs its layouts
 
-    def __len__(self) -> int:
-        """Count the elites."""
-        return len(self.numbers)
-
 
 def read_elites(run: RunDirectory) -> Evaluated:
     """Read what a surrogate can learn from a run's archive.
@@ -128,7 +124,7 @@ def try_surrogate(
     parts = [(name, epoch) for name in stages for epoch in range(config.epochs)]
     splits = []
     for number, seed in enumerate(seeds):
-        known, held = split_elites(len(elites), seed)
+        known, held = split_elites(len(elites.numbers), seed)
         first, second = jax.random.split(jax.random.key(seed))
         numbers = elites.numbers[known]
         samples = Samples(
@@ -192,8 +188,8 @@ def scores_to_dict(
         for number, name in enumerate(elites.names)
     }
     facts = {
-        "elites": len(elites),
-        "learnt_from": len(elites) - held,
+        "elites": len(elites.numbers),
+        "learnt_from": len(elites.numbers) - held,
         "held_out": held,
         "seeds": [split.seed for split in splits],
         "surrogate": dataclasses.asdict(config),

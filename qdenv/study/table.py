@@ -96,8 +96,7 @@ def compare(
     Return a row for each layout and number of agents, layout by layout; `on_row` is called with
     each when it is finished.
 
-    Raises:
-        InputError: before the first run, if agents cannot work on a layout, which it names.
+    Raises InputError, before the first run, if agents cannot work on a layout, which it names.
     """
     for name, layout in layouts.items():
         with about(name):
@@ -130,8 +129,7 @@ def climb(
     Of the trial's numbers those that fit are tried, in ascending order. Return a row for each;
     `find_peak` reads them.
 
-    Raises:
-        InputError: see `check_climb`.
+    Raises InputError as `check_climb` does.
     """
     fitting = check_climb(name, layout, trial)
     rows: list[Row] = []

@@ -36,7 +36,6 @@ from qdenv.study.plans import Plan
 from qdenv.study.recordings import (
     FADING,
     Maps,
-    average,
     cells_with_half,
     fading,
     map_run,
@@ -136,10 +135,11 @@ def examine(
         runs = run_seeds(layout, tasks, config, few, number, no_reader, threads, report).runs
         return point_of(number, runs)
 
+    every = zip(*(one for one, _ in done.readings), strict=True)
     study = Study(
         row=summarise("", layout, agents, done.runs, done.cpu_seconds, config.stop_when_congested),
         done=done,
-        maps=average([one for one, _ in done.readings]) if maps else None,
+        maps=Maps(*(np.mean(part, axis=0) for part in every)) if maps else None,
         verdict=None,
         broken=[rule for _, broken in done.readings for rule in broken] if audit else None,
     )

@@ -181,8 +181,7 @@ def plot_runs(
 
     The arguments are those of `plot_run`; all runs have one objective.
 
-    Raises:
-        InputError: see `groups.group_runs`; or an archive has more than two measures.
+    Raises InputError as `groups.group_runs` does, or if an archive has more than two measures.
     """
     groups, objective = group_runs(runs), runs[0].schema.objective
     pictures = [folder / f"archives.{form}", folder / f"progress.{form}"]
