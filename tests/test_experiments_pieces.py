@@ -17,7 +17,7 @@ from experiments import figure_16, figure_20, figure_21, table_4
 from experiments.catalogue import find, names
 from experiments.layouts import SavedLayout
 from experiments.panels import FIGURES, Panel, panels_of
-from experiments.pieces import RESULTS, Drawn, Experiment, Folders
+from experiments.pieces import RESULTS, Experiment, Folders
 from experiments.published import TABLE_4
 from experiments.runs import SavedRun, read_summary, summarise
 from qdenv.configurations import PRESETS
@@ -166,38 +166,6 @@ def test_a_zoo_is_chosen_from_its_run_before_it_draws_layouts(folders, monkeypat
     assert chosen == {"found": zoo.run.whole(folders, silent).path}
     chosen["warehouse-even"] = chosen["found"]
     assert grown.missing(folders) == [layout] and zoo.cost(folders) == 0
-
-
-class Cheap:
-    """A piece that takes as many turns to make as it is told."""
-
-    def __init__(self, name: str, seconds: float):
-        """Begin unmade."""
-        self.name, self.kind, self.needs = name, "things", ()
-        self.seconds, self.made = seconds, False
-
-    def done(self, folders: Folders) -> float:
-        """Say whether it was made."""
-        return float(self.made)
-
-    def cost(self, folders: Folders) -> float:
-        """Say what it takes."""
-        return 0.0 if self.made else self.seconds
-
-    def make(self, folders: Folders, say) -> None:
-        """Make it, unless it is the one that fails."""
-        self.made = self.seconds != 99
-
-
-def test_what_is_missing_is_made_cheapest_first_and_a_piece_that_fails_is_said(folders, capsys):
-    dear, cheap, never = Cheap("dear", 50), Cheap("cheap", 3), Cheap("never", 99)
-    command.make(Experiment("two", (dear, cheap), lambda _: Drawn(None)), folders)
-    said = capsys.readouterr().out
-    assert (
-        said.index("2 pieces, about 53 s of one core: cheap") < said.index("1 pieces") and dear.made
-    )
-    with pytest.raises(InputError, match="never: was made and is still not whole"):
-        command.make(Experiment("one", (never,), lambda _: Drawn(None)), folders)
 
 
 def test_the_command_draws_lists_and_refuses(folders, capsys, tmp_path):

@@ -20,6 +20,7 @@ from experiments import (
     runtimes,
     table_5,
 )
+from experiments.__main__ import make
 from experiments.courses import SavedCourse
 from experiments.layouts import S_EVAL, S, SavedLayout
 from experiments.ledger import Case, Run
@@ -92,11 +93,12 @@ def cells(line: str) -> list[str]:
 
 
 class Made:
-    """A piece that writes down that it was made."""
+    """A piece that writes down that it was made; one of 99 seconds never is."""
 
     def __init__(self, name: str, seconds: float, *needs: "Made"):
         """Begin unmade."""
-        self.name, self.seconds, self.needs, self.there = name, seconds, needs, False
+        self.name, self.kind, self.needs = name, "things", needs
+        self.seconds, self.there = seconds, False
 
     def done(self, folders: Folders) -> float:
         """Say whether it was made."""
@@ -104,20 +106,18 @@ class Made:
 
     def cost(self, folders: Folders) -> float:
         """Say what it takes."""
-        return self.seconds
+        return 0.0 if self.there else self.seconds
 
     def make(self, folders: Folders, say) -> None:
         """Make it; all that it needs must be there."""
         assert all(piece.there for piece in self.needs)
-        self.there = True
+        self.there = self.seconds != 99
         folders.results.mkdir(parents=True, exist_ok=True)
         with (folders.results / "order").open("a") as file:
             file.write(f"{self.name} ")
 
 
 def test_what_a_piece_needs_is_made_before_it_once_and_only_if_the_piece_is_missing(folders):
-    from experiments.__main__ import make
-
     run = Made("run", 90)
     layout = Made("layout", 5, run)
     some, other = Made("some", 1, layout), Made("other", 2, layout)
@@ -129,6 +129,16 @@ def test_what_a_piece_needs_is_made_before_it_once_and_only_if_the_piece_is_miss
     run.there, other.there = False, False
     # The layout is there: nobody needs the run that drew it.
     assert shown.missing(folders) == [other]
+
+
+def test_what_is_missing_is_made_cheapest_first_and_a_piece_that_fails_is_said(folders, capsys):
+    dear, cheap, never = Made("dear", 50), Made("cheap", 3), Made("never", 99)
+    make(Experiment("two", (dear, cheap), lambda _: Drawn(None)), folders)
+    said = capsys.readouterr().out
+    first = said.index("2 pieces, about 53 s of one core: cheap")
+    assert first < said.index("1 pieces") and dear.there
+    with pytest.raises(InputError, match="never: was made and is still not whole"):
+        make(Experiment("one", (never,), lambda _: Drawn(None)), folders)
 
 
 def test_a_course_adds_up_its_runs_and_goes_on_where_it_was_left(folders, monkeypatch):
