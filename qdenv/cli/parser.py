@@ -80,8 +80,8 @@ def _message(event: Any, target: Any, rules: Any) -> str:
             return f"{name} does not have the form {event.argument.lowered.metavar}{listed}"
         return message
     if isinstance(event, events.InvalidChoice):
-        choices = ", ".join(event.choices)
-        return f"{_name_of(event.argument)} {event.value}: choose one of {choices}{listed}"
+        known = ", ".join(event.choices)
+        return f"{_name_of(event.argument)} {event.value}: choose one of {known}{listed}"
     if isinstance(event, events.BadValue):
         return f"{_name_of(event.argument)} needs a value{listed}"
     if isinstance(event, events.MissingArgs):

@@ -127,9 +127,8 @@ def _settings(record: Any, prefix: str = "", path: str = "") -> Iterator[tuple[s
     for field in _spec_of(type(record), record).fields:
         value = getattr(record, field.name)
         if dataclasses.is_dataclass(value):
-            yield from _settings(
-                value, _PLANNER if field.name == "planner" else prefix, f"{path}{field.name}__"
-            )
+            own = _PLANNER if field.name == "planner" else prefix
+            yield from _settings(value, own, f"{path}{field.name}__")
         elif Fixed not in getattr(field.type, "__metadata__", ()):
             shown = " ".join(map(str, flat(value)))
             about = arg(name=f"{prefix}{field.name}", help_behavior_hint=f"(default: {shown})")
@@ -138,10 +137,8 @@ def _settings(record: Any, prefix: str = "", path: str = "") -> Iterator[tuple[s
 
 def flat(value: Any) -> Iterator[Any]:
     """List the values in nested sequences and dictionaries."""
-    if isinstance(value, dict):
-        value = list(value.values())
-    if isinstance(value, list | tuple):
-        for one in value:
+    if isinstance(value, list | tuple | dict):
+        for one in value.values() if isinstance(value, dict) else value:
             yield from flat(one)
     else:
         yield value

@@ -176,9 +176,8 @@ def repair_layout(
         "valid": not audit(repaired, rules),
     }
     say(*(f"{key:13} {value}" for key, value in tidy(facts).items()))
-    settings: dict[str, Any] = {"layout": name, "domain": fitted.name, "keep": keep, "seed": seed}
-    settings |= {"polish": polish, "numbers": numbers}
-    facts |= {"changes": changes, "settings": settings}
+    settings = {"layout": name, "domain": fitted.name, "keep": keep, "numbers": numbers}
+    facts |= {"changes": changes, "settings": settings | {"seed": seed, "polish": polish}}
     if not facts["valid"]:
         less = ", or keep fewer cells" if fitted.config.keep else ""
         raise UnsolvedError(f"{name}: no feasible layout was found: try another seed{less}", facts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import itertools
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -112,11 +113,8 @@ def place_folder(out: str | Path, default: str) -> Path:
 
 def _free(path: Path) -> Path:
     """Return the first name of this kind that is not in use: plan.json, plan-2.json, ..."""
-    number, free = 1, path
-    while free.exists():
-        number += 1
-        free = path.with_name(f"{path.stem}-{number}{path.suffix}")
-    return free
+    numbered = (path.with_name(f"{path.stem}-{n}{path.suffix}") for n in itertools.count(2))
+    return next(free for free in itertools.chain([path], numbered) if not free.exists())
 
 
 def format_table(rows: Iterable[Sequence[Any]]) -> list[str]:

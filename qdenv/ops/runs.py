@@ -150,9 +150,9 @@ def generate_layout(
     growth = dataclasses.replace(growth, **stated)
     # A size that is not stated is the trained one, which needs no check.
     check_size(1 if rows is None else rows, 1 if cols is None else cols)
-    opened, found = args.open_run(run), elite
-    if not isinstance(elite, Elite):
-        found = opened.archive.elite(elite, growth.measures or None)
+    opened = args.open_run(run)
+    named = not isinstance(elite, Elite)
+    found = opened.archive.elite(elite, growth.measures or None) if named else elite
     # This imports jax: refusals are faster without it.
     from qdenv.study.elites import grow_elite, repair_grown
 
