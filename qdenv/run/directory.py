@@ -197,6 +197,11 @@ class RunDirectory:
         return schema
 
     @property
+    def tiles(self) -> str:
+        """The symbols of the tiles of its layouts."""
+        return self.schema.tiles
+
+    @property
     def measures(self) -> tuple[Measure, ...]:
         """The axes of the archive."""
         return self.schema.measures

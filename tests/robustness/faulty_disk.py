@@ -102,7 +102,8 @@ class FaultyDisk:
         def do() -> int:
             return self._real_os_open(place, flags, *rest, **options)
 
-        if not flags & WRITING or not self._inside(place):
+        # A file without a name, in a folder, is how the library of the lock tries what it can do.
+        if not flags & WRITING or not self._inside(place) or os.path.isdir(place):
             return do()
         handle: int = self.step(do, True, os.close)
         if not str(place).endswith(LOCK):
