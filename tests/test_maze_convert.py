@@ -12,7 +12,8 @@ import jax
 import numpy as np
 import pytest
 
-from qdenv.agent.convert import convert_agent, from_torch, read_checkpoint
+from qdenv.agent.convert import from_torch, read_checkpoint
+from qdenv.ops.networks import convert_agent
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.types import InputError
 

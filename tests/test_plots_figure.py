@@ -12,7 +12,7 @@ from small_warehouse import ROWS
 
 from qdenv.cli.main import run
 from qdenv.study.groups import CURVES, Group
-from qdenv.study.recordings import Maps, Spot
+from qdenv.study.recordings import Maps
 from qdenv.study.table import Peak, Row
 from qdenv.types import InputError, Measure
 from qdenv.view import COLUMN, PAGE, parse_width
@@ -50,7 +50,7 @@ def scene():
     free = np.ones((12, 16), bool)
     maps = Maps(*(RNG.random((12, 16)) for _ in range(4)), 10.0)
     over_time = np.array([np.arange(1, 41) * 25.0, RNG.random(40) + 5, np.full(40, 0.3)])
-    worst = [Spot(2, place, 0, 0.1, 0.2, 1.0) for place in range(3)]
+    worst = [{"row": 2, "column": place} for place in range(3)]
     return Scene(free, maps, worst, over_time, [300], 5)
 
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 from qdenv.study.recordings import Motion
 from qdenv.types import InputError
-from qdenv.view.film import KINDS, MOST, TITLE, WARMTH, floor_colours, save_film
+from qdenv.view.film import MOST, PARTS, RATES, SIDES, TITLE, WARMTH, floor_colours, save_film
 from qdenv.view.layouts import MARKS
 
 TILES = ".@ew"
@@ -53,27 +53,27 @@ def corner(picture, row, column, cell):
 
 
 def test_a_gif_shows_every_timestep_and_who_drives_waits_and_is_served(tmp_path, motion):
-    path, kind = tmp_path / "run.gif", KINDS[".gif"]
+    path, side, parts = tmp_path / "run.gif", SIDES[".gif"], PARTS[".gif"]
     save_film(path, LAYOUT, TILES, motion, (0, 100))
-    (info, pictures), cell = pictures_of(path), kind.side // 6
-    assert len(pictures) == STEPS * kind.parts + 1
+    (info, pictures), cell = pictures_of(path), side // 6
+    assert len(pictures) == STEPS * parts + 1
     assert pictures[0].size == (6 * cell, 4 * cell + TITLE)
-    assert (info["loop"], info["duration"]) == (0, round(1000 / kind.rate))
-    third = pictures[3 * kind.parts]
+    assert (info["loop"], info["duration"]) == (0, round(1000 / RATES[".gif"]))
+    third = pictures[3 * parts]
     for row, column, name in ((0, 3, "driving"), (3, 0, "waiting"), (3, 5, "serving")):
         np.testing.assert_array_equal(middle(third, row, column, cell), levels(MARKS[name]))
     np.testing.assert_array_equal(middle(third, 2, 1, cell), levels(floor_colours(TILES)[1]))
     np.testing.assert_array_equal(corner(third, 3, 0, cell), (255, 255, 255))
-    jammed = pictures[10 * kind.parts]  # robot 1 has waited for ten timesteps
+    jammed = pictures[10 * parts]  # robot 1 has waited for ten timesteps
     np.testing.assert_array_equal(corner(jammed, 3, 0, cell), levels(WARMTH[1]))
     np.testing.assert_array_equal(corner(jammed, 3, 5, cell), (255, 255, 255))
 
 
 def test_between_two_timesteps_a_robot_is_between_two_cells(tmp_path, motion):
-    path, kind = tmp_path / "run.gif", KINDS[".gif"]
+    path, side, parts = tmp_path / "run.gif", SIDES[".gif"], PARTS[".gif"]
     save_film(path, LAYOUT, TILES, motion, (2, 4))
-    (_, pictures), cell = pictures_of(path), kind.side // 6
-    assert (len(pictures), kind.parts) == (5, 2)
+    (_, pictures), cell = pictures_of(path), side // 6
+    assert (len(pictures), parts) == (5, 2)
     half = np.asarray(pictures[1])[TITLE + cell // 2]  # timestep 2.5
     dark = np.flatnonzero((half == levels(MARKS["driving"])).all(1))
     assert dark.mean() == pytest.approx(3 * cell, abs=1)
@@ -81,16 +81,16 @@ def test_between_two_timesteps_a_robot_is_between_two_cells(tmp_path, motion):
 
 def test_a_film_decodes_to_all_its_pictures(tmp_path, motion):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    path, kind = tmp_path / "run.mp4", KINDS[".mp4"]
+    path, side, parts = tmp_path / "run.mp4", SIDES[".mp4"], PARTS[".mp4"]
     save_film(path, LAYOUT, TILES, motion, (0, STEPS))
     command = [ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-i", str(path)]
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     raw = subprocess.run(command, capture_output=True, check=True).stdout
-    cell = kind.side // 6
+    cell = side // 6
     shape = (4 * cell + TITLE, 6 * cell, 3)
     pictures = np.frombuffer(raw, np.uint8).reshape(-1, *shape)
-    assert len(pictures) == STEPS * kind.parts + 1
-    third = pictures[3 * kind.parts]
+    assert len(pictures) == STEPS * parts + 1
+    third = pictures[3 * parts]
     for row, column, name in ((0, 3, "driving"), (3, 0, "waiting"), (3, 5, "serving")):
         apart = middle(third, row, column, cell) - levels(MARKS[name])
         assert np.abs(apart).max() < 12, name
@@ -108,7 +108,7 @@ def test_the_agent_of_a_maze_leaves_its_way_behind(tmp_path):
         headings=np.array([3, 0, 0], np.int8),
         shortest=2,
     )
-    path, cell = tmp_path / "walk.gif", KINDS[".gif"].side // 4
+    path, cell = tmp_path / "walk.gif", SIDES[".gif"] // 4
     save_film(path, layout, " X", motion, (0, 2))
     last = pictures_of(path)[1][-1]
     np.testing.assert_array_equal(middle(last, 1, 2, cell), levels(MARKS["agent"]))
@@ -129,7 +129,7 @@ def test_a_long_episode_skips_actions_but_not_its_end(tmp_path):
         headings=np.zeros(steps + 1, np.int8),
         shortest=1,
     )
-    path, cell = tmp_path / "walk.gif", KINDS[".gif"].side // 3
+    path, cell = tmp_path / "walk.gif", SIDES[".gif"] // 3
     save_film(path, layout, " X", motion, (0, steps))
     with Image.open(path) as film:
         assert film.n_frames <= MOST + 1

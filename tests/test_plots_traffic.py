@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from qdenv.study.recordings import Maps, Spot
+from qdenv.study.recordings import Maps
 from qdenv.view.style import save_figure
 from qdenv.view.traffic import Scene, draw_traffic
 
@@ -17,7 +17,7 @@ def scene() -> Scene:
     waiting, finished = np.zeros((6, 9)), np.zeros((6, 9))
     waiting[1, 4], waiting[3, 3], finished[0, 8] = 0.5, 0.25, 1.5
     maps = Maps(usage, waiting, usage, finished, 10.0)
-    worst = [Spot(1, 4, 0, 2 / 3, 0.5, 3.0), Spot(3, 3, 0, 1 / 3, 0.25, 1.0)]
+    worst = [{"row": 1, "column": 4}, {"row": 3, "column": 3}]
     over_time = np.array([[50.0, 100.0], [1.0, 2.0], [0.1, 0.2]])
     return Scene(free, maps, worst, over_time, [80], 5)
 

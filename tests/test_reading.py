@@ -15,7 +15,7 @@ from qdenv.io.arrays import Column, read_arrays, read_state, write_arrays, write
 from qdenv.io.files import read_bytes
 from qdenv.io.records import read_json, structured
 from qdenv.io.tables import read_table
-from qdenv.simulate.maze.policy import load_weights, shipped_agent
+from qdenv.simulate.maze.policy import SHIPPED_AGENT, load_weights
 from qdenv.types import DamagedError, InputError
 
 ARRAYS = {
@@ -274,7 +274,7 @@ def test_facts_of_a_state_are_read_strictly(facts, tmp_path):
 
 
 def test_every_flipped_byte_of_an_agent_is_refused_or_changes_nothing(tmp_path):
-    whole, rng = shipped_agent().read_bytes(), np.random.default_rng(5)
+    whole, rng = SHIPPED_AGENT.read_bytes(), np.random.default_rng(5)
     good = load_weights()
     for _ in range(200):
         broken = bytearray(whole)

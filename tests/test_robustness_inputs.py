@@ -15,7 +15,7 @@ from qdenv import InputError
 from qdenv.agent.convert import read_checkpoint
 from qdenv.io.arrays import read_arrays
 from qdenv.io.layouts import ENDINGS, read_drawing
-from qdenv.simulate.maze.policy import load_weights, shipped_agent
+from qdenv.simulate.maze.policy import SHIPPED_AGENT, load_weights
 
 pytestmark = pytest.mark.slow
 
@@ -79,7 +79,7 @@ def test_every_promise_is_checked(changes, message):
 
 
 def test_inputs_are_the_same_for_the_same_seed(tmp_path, monkeypatch):
-    checkpoint = shipped_agent().read_bytes()
+    checkpoint = SHIPPED_AGENT.read_bytes()
     files = {"config.json": b"{}", "metrics.csv": b"a", "checkpoint.npz": checkpoint}
     monkeypatch.setattr(inputs, "run_files", lambda made_by=(): files)
     drawn = []
@@ -112,7 +112,7 @@ def test_corrupt_layouts_are_read_or_refused_in_one_line(rng, ending, tmp_path_f
 @given(rng=RNGS)
 def test_corrupt_agents_are_read_or_refused_in_one_line(rng, tmp_path_factory):
     path = tmp_path_factory.mktemp("agent") / "a.npz"
-    path.write_bytes(corrupt.corrupt(rng, path.name, shipped_agent().read_bytes()))
+    path.write_bytes(corrupt.corrupt(rng, path.name, SHIPPED_AGENT.read_bytes()))
     try:
         assert all(np.isfinite(array).all() for array in load_weights(path))
     except InputError as error:

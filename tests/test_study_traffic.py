@@ -144,9 +144,9 @@ def probing(throughputs):
     ],
 )
 def test_a_verdict_follows_from_the_runs_with_other_numbers(here, others, word, reason, probed):
-    verdict = judge(here, probing(others), 300)
-    assert verdict.word == word and reason in verdict.reason
-    assert [one.agents for one in verdict.points] == [here.agents, *probed]
+    judged, because, points = judge(here, probing(others), 300)
+    assert judged == word and reason in because
+    assert [one.agents for one in points] == [here.agents, *probed]
 
 
 def test_fading_is_told_from_chance():
@@ -164,9 +164,9 @@ def test_fading_is_told_from_chance():
 def test_a_lane_between_two_halls_jams_with_its_agents(agents, word):
     config = FleetConfig(agents, 300, planner=PibtConfig())
     study = examine(HALLS, config, (0, 1, 2))
-    assert study.verdict.word == word and study.broken == []
+    assert study.verdict[0] == word and study.broken == []
     if agents == 12:  # beside the two mouths of the lane
-        worst = {(spot.row, spot.column) for spot in worst_cells(LANE, study.maps, 4)}
+        worst = {(spot["row"], spot["column"]) for spot in worst_cells(LANE, study.maps, 4)}
         assert worst == {(0, 3), (2, 3), (0, 9), (2, 9)}
 
 
@@ -174,8 +174,8 @@ def test_nine_hundred_robots_on_948_cells_are_past_the_peak():
     config = FleetConfig(900, 100, planner=find_planner("low"))
     study = examine(HALLS._replace(layout=WAREHOUSE.human()), config, (0,), False, False)
     assert not study.done.runs[0].congested  # the jam rule sees nothing
-    assert study.verdict.word == "past its peak"
-    assert "675 agents would move" in study.verdict.reason
+    assert study.verdict[0] == "past its peak"
+    assert "675 agents would move" in study.verdict[1]
 
 
 def test_a_verdict_changes_no_number_of_the_runs():

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from qdenv.agent.train import save_weights
 from qdenv.io.arrays import open_zip
 from qdenv.simulate.maze.policy import Weights, check_weights
 from qdenv.types import InputError
@@ -186,8 +185,3 @@ def from_torch(tensors: dict[str, np.ndarray], source: str = "checkpoint") -> We
     if first.shape != second.shape:
         raise InputError(f"{source} is not the maze agent: its two gate biases differ in shape")
     return check_weights(Weights(**named, gates_bias=first + second), source)
-
-
-def convert_agent(checkpoint: Path, out: Path) -> None:
-    """Write the published agent (`model_20000.tar`) as an .npz agent; InputError if it is not."""
-    save_weights(from_torch(read_checkpoint(checkpoint), str(checkpoint)), out)

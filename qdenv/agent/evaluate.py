@@ -1,12 +1,14 @@
 """Evaluate the maze agent: how often it reaches the goal of one maze, or of each of some."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qdenv.progress import Progress, silent
 from qdenv.simulate.maze.episode import Episode, reference_episodes, run_episode, run_episodes
 from qdenv.simulate.maze.policy import Weights, prepare
 from qdenv.simulate.maze.world import WALL, longest_path
@@ -14,9 +16,6 @@ from qdenv.stats import standard_error, wilson_interval
 from qdenv.types import Array, InputError
 
 BAND = (0.8, 1.2)  # lengths of random mazes' paths, as shares of the given maze's
-
-# Called with what is being done and which share of it is done, as `Bar` is.
-Progress = Callable[[str, float], None]
 
 
 class Success(NamedTuple):
@@ -71,6 +70,7 @@ def default_horizon(layout: Array) -> int:
     return 2 * (rows + 2) * (cols + 2)
 
 
+@partial(jax.jit, static_argnums=(3, 4))
 def run_batch(
     weights: Weights, layouts: Array, key: jax.Array, episodes: int, horizon: int
 ) -> Episode:
@@ -87,6 +87,7 @@ def run_batch(
     return jax.vmap(one)(layouts, jax.random.split(key, layouts.shape[0]))
 
 
+@partial(jax.jit, static_argnums=(3, 4))
 def run_alone(
     weights: Weights, layout: Array, key: jax.Array, episodes: int, horizon: int
 ) -> Episode:
@@ -95,7 +96,6 @@ def run_alone(
     return run_episodes(weights, prepare(weights, layout), keys, horizon)
 
 
-_run_alone = jax.jit(run_alone, static_argnums=(3, 4))
 _run_published = jax.jit(reference_episodes, static_argnums=(3, 4))
 _longest_path = jax.jit(longest_path)
 
@@ -109,7 +109,7 @@ def _measure(
     reference_batching: bool = False,
 ) -> Success:
     """Sum up the episodes of one maze; consumes the key."""
-    play = _run_published if reference_batching else _run_alone
+    play = _run_published if reference_batching else run_alone
     episodes = play(weights, jnp.asarray(layout), key, runs, horizon)
     successes = int(episodes.success.sum())
     low, high = wilson_interval(successes, runs)
@@ -129,10 +129,8 @@ def evaluate_agent(
 
     The maze (int8 [H, W]) may have a ring of walls. Each of the independent runs ends after
     `horizon` actions, `default_horizon` unless given. With `reference_batching` the published loop
-    with its quirks runs instead (`reference_episodes`).
-
-    Raises:
-        InputError: no runs, or a maze in which no two empty tiles touch.
+    with its quirks runs instead (`reference_episodes`). Raises InputError if there are no runs, or
+    no two empty tiles of the maze touch.
     """
     wilson_interval(0, runs)  # refuses a number of runs below one before any work is done
     horizon, key = horizon or default_horizon(layout), jax.random.key(seed)
@@ -149,7 +147,7 @@ def draw_mazes(
     walls: int,
     accept: Callable[[int], bool] = lambda length: length > 0,
     tries: int = 100_000,
-    progress: Progress = lambda doing, share: None,
+    progress: Progress = silent,
 ) -> list[Drawn]:
     """Draw random mazes with exactly `walls` walls (host side).
 
@@ -171,7 +169,7 @@ def draw_mazes(
         course = _longest_path(layout)
         if accept(int(course.length)):
             kept.append(Drawn(layout, *map(int, course)))
-            progress("drawing random mazes", len(kept) / count)
+            progress("drawing random mazes", len(kept) / count, "")
     if len(kept) < count:
         raise InputError(
             f"only {len(kept)} of {tries} random mazes have such a path: widen the bounds"
@@ -187,22 +185,15 @@ def compare_with_random(
     seed: int = 0,
     horizon: int | None = None,
     band: tuple[float, float] = BAND,
-    progress: Progress = lambda doing, share: None,
+    progress: Progress = silent,
 ) -> Comparison:
     """Measure the agent on random mazes of like size, walls and path length (host side).
 
-    Args:
-        weights: the agent.
-        layout: int8 [H, W], the maze to compare with, with or without a ring of walls.
-        mazes: number of random mazes.
-        runs: independent episodes per maze, each of at most `horizon` actions.
-        seed: of walls, headings and actions.
-        horizon: `default_horizon` unless given.
-        band: least and largest length of the longest shortest path, as shares of the given maze's.
-        progress: called with the progress.
-
-    Raises:
-        InputError: fewer than two mazes, or no such mazes within 100,000 tries.
+    They resemble the maze `layout` (int8 [H, W], with or without a ring of walls): the `band` holds
+    the least and largest length of the longest shortest path, as shares of its own. Each of the
+    episodes per maze ends after `horizon` actions, `default_horizon` unless given; the seed is that
+    of walls, headings and actions. Raises InputError for fewer than two mazes, or if 100,000 tries
+    give no such mazes.
     """
     if mazes < 2:
         raise InputError("a standard error needs at least two mazes")
@@ -217,7 +208,7 @@ def compare_with_random(
     results = []
     for maze, key in zip(drawn, jax.random.split(jax.random.key(seed), mazes), strict=True):
         results.append(_measure(weights, maze.layout, key, runs, horizon))
-        progress("solving random mazes", len(results) / mazes)
+        progress("solving random mazes", len(results) / mazes, "")
     rates = [result.rate for result in results]
     error = float(standard_error(rates))
     return Comparison(walls, given, drawn, horizon, results, rates, float(np.mean(rates)), error)

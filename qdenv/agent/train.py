@@ -27,7 +27,6 @@ _FACTS = "facts"
 _EXAM_WALLS = (60, 90)  # of the held-out mazes, in a maze of 16 x 16
 _EXAM_EPISODES = 8  # in each of them
 
-Progress = Callable[[int, dict[str, Any] | None], None]
 Examine = Callable[[Weights], dict[str, float]]
 
 
@@ -85,18 +84,16 @@ def _renew(
     )(jax.random.split(keys[0], fresh))
     score = jnp.zeros(fresh)
     if on_trial:
-
-        def same_level(
-            draw: jax.Array, env: jax.Array
-        ) -> tuple[levels.Level, jax.Array, jax.Array]:
-            del draw
-            return jax.tree.map(lambda x: x[env], proposed), env, env
-
         trial, number = jax.random.split(keys[1]), jnp.arange(fresh)
         heading = jax.random.randint(trial[0], (fresh,), 0, 4)
         envs = _reset_all(state.weights, proposed, number, number, heading)
         _, steps, last_value = collect(
-            trial[1], state.weights, envs, same_level, config.ppo.timesteps, rewards
+            trial[1],
+            state.weights,
+            envs,
+            lambda _, env: (jax.tree.map(lambda x: x[env], proposed), env, env),  # the same level
+            config.ppo.timesteps,
+            rewards,
         )
         score = jnp.maximum(advantages(steps, last_value, config.ppo), 0).mean(0)
     return levels.insert(state.buffer, proposed, score, state.update, on_trial)
@@ -158,7 +155,6 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Arra
     return State(weights, optimiser, envs, buffer, key, state.update + 1, anchor), log
 
 
-_play = jax.jit(run_batch, static_argnums=(3, 4))
 _update = jax.jit(update, static_argnums=1)
 
 
@@ -199,7 +195,7 @@ def _exam(config: TrainConfig) -> Examine:
         key = jax.random.key(99)
         return {
             name: float(
-                _play(weights, jnp.asarray(batch), key, _EXAM_EPISODES, horizon).success.mean()
+                run_batch(weights, jnp.asarray(batch), key, _EXAM_EPISODES, horizon).success.mean()
             )
             for name, batch in batches.items()
         }
@@ -233,7 +229,7 @@ def train_agent(
     resume: bool = False,
     report_every: int = 50,
     cpu_seconds: float = float("inf"),
-    progress: Progress = lambda done, row: None,
+    progress: Callable[[int, dict[str, Any] | None], None] = lambda done, row: None,
 ) -> Path:
     """Train an agent and keep its log, checkpoint and weights in a folder (host side).
 

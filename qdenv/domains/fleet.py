@@ -6,7 +6,7 @@ from typing import Any
 
 from qdenv.domains.base import Simulator
 from qdenv.lazy import jax, jnp
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
 from qdenv.types import Array, TaskRule, Traffic
 
 THROUGHPUT = "throughput [tasks per timestep]"
@@ -26,7 +26,7 @@ def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
 
         return fleet.simulate(world, key, config)
 
-    return Simulator(prepare, run, tasks, on_host=lambda: config.make_planner().on_host)
+    return Simulator(prepare, run, tasks, on_host=lambda: PLANNERS.make(config.planner).on_host)
 
 
 def throughput(layout: Any, runs: Traffic) -> jax.Array:

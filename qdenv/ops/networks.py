@@ -217,9 +217,11 @@ def convert_agent(checkpoint: Positional[Path], out: args.Out = None) -> Path:
     """
     target = place(out or AUTO, "agent.npz", (".npz",), [checkpoint])
     assert target is not None
-    from qdenv.agent import convert  # imports jax
+    # These import jax.
+    from qdenv.agent.convert import from_torch, read_checkpoint
+    from qdenv.agent.train import save_weights
 
-    convert.convert_agent(checkpoint, target.path)
+    save_weights(from_torch(read_checkpoint(checkpoint), str(checkpoint)), target.path)
     say(target)
     return target.path
 

@@ -162,15 +162,18 @@ def _replay_episode(
     """Let the agent walk through a maze once and make its page."""
     films.check_end(timesteps)
     studies.check_run(1, timesteps or 1, seed)
-    from qdenv.view.replay import about_episode, make_replay
+    from qdenv.view.replay import make_replay
 
     with Bar("walking"):
         motion = studies.trace_agent(plan, seed, timesteps)
-    about = about_episode(motion, seed)
-    say(*about)
     success = bool(motion.finished.any())
+    about = (
+        f"goal {'reached' if success else 'not reached'} after {motion.steps:,} actions of at most "
+        f"{motion.timesteps:,}, shortest path {motion.shortest} moves, seed {seed}"
+    )
+    say(about)
     facts = {"success": success, "actions": motion.steps, "shortest": motion.shortest}
-    return make_replay(plan, motion, None, about), motion, facts
+    return make_replay(plan, motion, None, [about]), motion, facts
 
 
 def explore(run: args.Run, growth: NonNegativeInt | None = None, out: args.Out = None) -> Page:
@@ -256,7 +259,7 @@ def report(
 
 def _report_fleet(request: FleetRequest, again: str) -> Page:
     """Simulate, log how long that will take, and make the page."""
-    from qdenv.view.report_fleet import estimate_seconds, report_fleet
+    from qdenv.view.report_fleet import report_fleet
 
     # The first row tells what all the others will take.
     first = True
@@ -264,7 +267,10 @@ def _report_fleet(request: FleetRequest, again: str) -> Page:
 
         def show(row: Row) -> None:
             nonlocal first
-            rest = estimate_seconds(request, row, devices.threads())
+            # A run costs as much as it has agents.
+            per_agent = row.cpu_seconds_per_run * row.runs / row.agents / devices.threads()
+            closely = (request.agents or max(request.counts)) * len(request.subjects)
+            rest = per_agent * (len(request.layouts) * sum(request.counts) + closely)
             if first and rest > _LONG:
                 say(f"this takes about {format_duration(rest)} in all (an estimate)")
             first = False

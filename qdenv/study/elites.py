@@ -83,12 +83,10 @@ def grow_series(
             if generator.choices
             else f"{len(solution)} parameters given, this generator has {generator.size}"
         )
-
-    @jax.jit
-    def grow(number: jax.Array) -> jax.Array:
-        # As a population of one, the very way layouts grow during a search.
-        return jnp.asarray(domain.frame(generator.grow(jnp.asarray(solution)[None], number)[0]))
-
+    # As a population of one, the very way layouts grow during a search.
+    grow = jax.jit(
+        lambda number: domain.frame(generator.grow(jnp.asarray(solution)[None], number)[0])
+    )
     return [np.asarray(grow(jnp.asarray(number, jnp.int32))) for number in steps]
 
 
@@ -106,9 +104,8 @@ def grow_elite(
     columns) of the framed layout, None for the trained ones. Steps of growth, and exact `numbers`
     of tiles by the settings' names, are those known of the size unless given, or else scaled with
     the longer side and the generated area. `keep` is a drawing of the layout's shape with the tiles
-    that must stay; at the trained size what the run kept unless given.
-
-    Raises InputError if there is no such elite, the size is impossible, or what must stay is.
+    that must stay; at the trained size what the run kept unless given. Raises InputError if there
+    is no such elite, the size is impossible, or what must stay is.
     """
     config = run.config.evaluation
     trained = make_domain(config.domain)
@@ -176,10 +173,8 @@ def grow_sizes(
     """Grow one elite at several sizes (rows, columns), and yield each layout when it is repaired.
 
     `which`, and `steps` and `numbers` for each size, are as in `grow_elite`; `seed` is that of the
-    repair, the run's own unless given.
-
-    Raises InputError if there is no such elite, a size is impossible, or a list has another length
-    than `sizes`.
+    repair, the run's own unless given. Raises InputError if there is no such elite, a size is
+    impossible, or a list has another length than `sizes`.
     """
     given = dict(numbers or {})
     for name, values in {"steps": steps, **given}.items():
@@ -199,9 +194,8 @@ def grow_frames(
     """Grow an elite of a run once more and keep what it drew on the way (Figure 6).
 
     Return the multiples of `every` and the last step, and the unrepaired layout (int8 [H, W]) after
-    each of these numbers of steps.
-
-    Raises InputError if `every` is not positive, or no elite drew the layout.
+    each of these numbers of steps. Raises InputError if `every` is not positive, or no elite drew
+    the layout.
     """
     check_range("every", every, PositiveInt)
     if grown.elite is None:
@@ -266,9 +260,8 @@ def tile_layout(domain: Domain, layout: np.ndarray) -> np.ndarray:
     """Repeat the generated area of a small layout until it fills a larger one (section E.4).
 
     The copies start in the upper left corner; those at the right and at the bottom are cut. The
-    frame is drawn again; nothing is repaired. `domain` is at the larger size.
-
-    Raises InputError if the larger layout is smaller than the frame.
+    frame is drawn again; nothing is repaired. `domain` is at the larger size. Raises InputError if
+    the larger layout is smaller than the frame.
     """
     inside, (height, width) = inside_frame(layout, domain.margin), domain.generated_shape
     if min(height, width) < 1 or inside.size == 0:
@@ -289,9 +282,8 @@ def tile(
     """Tile a small layout (int8 [h, w], framed) to a larger shape and repair it (section E.4).
 
     Numbers of tiles that are left out are those known of the size, or else the small layout's,
-    scaled with the area. The domain is at any size.
-
-    Raises InputError if the size is impossible, or no repair was found.
+    scaled with the area. The domain is at any size. Raises InputError if the size is impossible, or
+    no repair was found.
     """
     larger = domain.fitted(layout).resized(*shape, numbers)
     grown = Unrepaired(larger, None, tile_layout(larger, layout), 0)

@@ -13,13 +13,14 @@ import numpy as np
 from qdenv import devices
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.host.run import steps_under_way
+from qdenv.simulate.mapf.host.run import runs_under_way
 from qdenv.simulate.mapf.metrics import Recording
+from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.study.options import fleet_tasks
 from qdenv.types import TaskRule, Traffic
 
 _POLL_SECONDS = 0.2  # between two reports of the progress
-# (seed, metrics, recording of every step) -> anything, see `run_seeds`
+# (seed, traffic, recording of every step) -> anything, see `run_seeds`
 Reader: TypeAlias = Callable[[int, Traffic, Recording], Any]
 
 
@@ -49,7 +50,6 @@ def run_seeds(
     most ``config.agents``, and as many unless given. `read` is called with every run and its
     recording, which is dropped afterwards: all recordings together may not fit into memory. Without
     it nothing is recorded. `threads` is the number of runs at a time, None for that of the cores.
-
     Raises InputError if the domain has no fleet, or the layout does not suit it.
     """
     count = config.agents if agents is None else agents
@@ -82,7 +82,8 @@ def run_seeds(
             ended = len(futures) - len(left)
             # A run that has just ended is for a moment counted neither as running nor as ended,
             # and progress must not go back.
-            share = max(share, (ended + steps_under_way() / config.timesteps) / len(futures))
+            driven = sum(int(run.counters.time) for run in list(runs_under_way.values()))
+            share = max(share, (ended + driven / config.timesteps) / len(futures))
             note = f"run {min(ended + 1, len(futures))} of {len(futures)}"
             progress("simulating", min(share, 1.0), note)
         results = [future.result() for future in futures]
@@ -118,6 +119,6 @@ def _program(
     prepare = jax.jit(lambda layout: fleet.prepare(layout, tasks, config))
     run = fleet.compile_runs(jax.eval_shape(prepare, layout), config, record)
     compiled = prepare.lower(layout).compile()
-    if not config.make_planner().on_host:
+    if not PLANNERS.make(config.planner).on_host:
         return _Program(compiled, run, False)
     return _Program(lambda layout: jax.tree.map(np.asarray, compiled(layout)), run, True)

@@ -106,17 +106,14 @@ def usual_fleet(
     """
     shapes = {layout.shape for layout in layouts}
     size = domain.known_size(*shapes.pop()) if len(shapes) == 1 else None
-    given = {"agents": agents, "timesteps": timesteps}
-    numbers = {"agents": AGENTS, "timesteps": TIMESTEPS}
-    if size is not None:
-        numbers = {"agents": size.agents, "timesteps": size.timesteps}
-    taken = {name: number for name, number in numbers.items() if given[name] is None}
+    usual = (AGENTS, TIMESTEPS) if size is None else (size.agents, size.timesteps)
+    taken = {}
+    if agents is None:
+        agents = taken["agents"] = usual[0]
+    if timesteps is None:
+        timesteps = taken["timesteps"] = usual[1]
     note = "" if size is None else _describe_size(layouts[0].shape, size, taken)
-    return (
-        numbers["agents"] if agents is None else agents,
-        numbers["timesteps"] if timesteps is None else timesteps,
-        note,
-    )
+    return agents, timesteps, note
 
 
 def describe_growth(domain: Domain, shape: tuple[int, int], given: Collection[str]) -> str:

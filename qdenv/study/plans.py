@@ -38,9 +38,8 @@ class Plan(NamedTuple):
         """Make the domain that the plan is measured by: its size, its numbers, what must stay.
 
         The exact numbers of tiles are the plan's own unless given; `keep` is a drawing of what must
-        stay, what the plan's file says unless given.
-
-        Raises InputError if what must stay is drawn wrong, or can be in no layout.
+        stay, what the plan's file says unless given. Raises InputError if what must stay is drawn
+        wrong, or can be in no layout.
         """
         domain = self.domain.fitted(self.layout, numbers)
         if keep is not None:
@@ -55,9 +54,8 @@ def read_plan(path: str | Path, domain: str | None = None) -> Plan:
     """Read a layout (.json, .txt, .csv or .map) and find its domain.
 
     Unless `domain` names it: what the file says, else the usual one where its tiles fit, else the
-    first one whose tiles do.
-
-    Raises InputError if the file holds no layout, or says that it is another domain's.
+    first one whose tiles do. Raises InputError if the file holds no layout, or says that it is
+    another domain's.
     """
     rows, stated, keep = read_drawing(path)
     if stated and domain and stated != domain and stated in DOMAINS.names():
@@ -89,10 +87,9 @@ def keep_from(path: str | Path, domain: Domain, layout: np.ndarray | None = None
     """Read which cells must stay, and demand it of a domain at the layout's size.
 
     The file is a drawing of the layout's shape in any format of layout files: ``?`` is free to
-    change, ``!`` stays as the plan (int8 [H, W], or None) has it, a tile stays this tile.
-
-    Raises InputError if the file is no such drawing, asks for what the plan does not hold, or for
-    what no layout can be.
+    change, ``!`` stays as the plan (int8 [H, W], or None) has it, a tile stays this tile. Raises
+    InputError if the file is no such drawing, asks for what the plan does not hold, or for what no
+    layout can be.
     """
     # In a drawing of what stays, blanks are no second symbol of a tile.
     known: dict[str, Any] = aliases(domain.tiles, domain.meanings)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -47,17 +47,6 @@ class Maps(NamedTuple):
         return float(self.waiting.sum() / max(self.agents, 1))
 
 
-class Spot(NamedTuple):
-    """A cell where agents wait."""
-
-    row: int  # of the cell, from 0 at the top
-    column: int  # of the cell, from 0 at the left
-    tile: int  # index of what lies there
-    share: float  # of all waiting, in 0 to 1
-    waiting: float  # share of time in which an agent waits there
-    wait_per_visit: float  # timesteps that an agent waits there each time it comes by
-
-
 def map_run(shape: tuple[int, int], run: Traffic, recording: Recording) -> Maps:
     """Count what happened on each cell of a layout of this shape in one recorded run.
 
@@ -83,21 +72,26 @@ def map_run(shape: tuple[int, int], run: Traffic, recording: Recording) -> Maps:
     )
 
 
-def worst_cells(layout: np.ndarray, maps: Maps, most: int = 10) -> list[Spot]:
-    """List the cells of a layout (int8 [H, W]) with the most waiting, the worst first."""
+def worst_cells(layout: np.ndarray, maps: Maps, most: int = 10) -> list[dict[str, Any]]:
+    """List the cells of a layout (int8 [H, W]) with the most waiting, the worst first.
+
+    Return for each row and column (from 0 at the top left), tile (index of what lies there), share
+    (of all waiting, in 0 to 1), waiting (share of time in which an agent waits there) and
+    wait_per_visit (timesteps that an agent waits there each time it comes by).
+    """
     waiting, total = maps.waiting.reshape(-1), maps.waiting.sum()
     # Stable: of equal cells the first ones of the layout, on every machine.
     worst = np.argsort(-waiting, kind="stable")[:most]
     visits, tiles = maps.visits.reshape(-1), np.asarray(layout).reshape(-1)
     return [
-        Spot(
-            row=int(cell // layout.shape[1]),
-            column=int(cell % layout.shape[1]),
-            tile=int(tiles[cell]),
-            share=float(waiting[cell] / total),
-            waiting=float(waiting[cell]),
-            wait_per_visit=float(waiting[cell] / visits[cell]),
-        )
+        {
+            "row": int(cell // layout.shape[1]),
+            "column": int(cell % layout.shape[1]),
+            "tile": int(tiles[cell]),
+            "share": float(waiting[cell] / total),
+            "waiting": float(waiting[cell]),
+            "wait_per_visit": float(waiting[cell] / visits[cell]),
+        }
         for cell in worst
         if waiting[cell] > 0
     ]
@@ -180,33 +174,30 @@ def record_fleet(
     """
     check_run(config.agents, config.timesteps, seed)
     tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, config.agents)
-    from qdenv.study.engine import run_seeds  # imports the simulator
+    # These import the simulator.
+    from qdenv.simulate.mapf.audit import jammed_windows
+    from qdenv.study.engine import run_seeds
 
     def read(seed: int, run: Traffic, recording: Recording) -> Motion:
         end = int(run.end_timestep)
+        positions = np.asarray(recording.positions)[: end + 1]
+        serving = np.asarray(recording.remaining_service)[: end + 1] > 0
+        stretches: list[tuple[int, int]] = []
+        for jam in jammed_windows(positions, serving, config.horizon):
+            since = jam - config.horizon
+            if stretches and stretches[-1][1] == since:
+                since, _ = stretches.pop()
+            stretches.append((since, jam))
         return Motion(
-            positions=np.asarray(recording.positions)[: end + 1],
+            positions=positions,
             goals=np.asarray(recording.goals)[: end + 1],
             finished=np.asarray(recording.finished)[:end],
-            congested=_congested(recording, end, config.horizon),
+            congested=tuple(stretches),
             timesteps=config.timesteps,
         )
 
     done = run_seeds(plan.layout, tasks, config, (seed,), read=read, progress=progress)
     return done.readings[0], done.runs[0]
-
-
-def _congested(recording: Recording, end: int, horizon: int) -> tuple[tuple[int, int], ...]:
-    """Find the windows in which more than half of the agents are stuck, as `simulate` does."""
-    positions, serving = recording.positions, recording.remaining_service > 0
-    stretches: list[tuple[int, int]] = []
-    for begin in range(0, end // horizon * horizon, horizon):
-        window = slice(begin, begin + horizon)
-        stuck = (positions[window] == positions[begin]).all(0) & ~serving[window].any(0)
-        if stuck.sum() > stuck.size // 2:
-            since = stretches.pop()[0] if stretches and stretches[-1][1] == begin else begin
-            stretches.append((since, begin + horizon))
-    return tuple(stretches)
 
 
 def trace_agent(
@@ -215,9 +206,8 @@ def trace_agent(
     """Record one walk of an agent through a maze; its first heading and actions are of a seed.
 
     The episode fails after `timesteps` actions, as in `evaluate-agent` unless given; the weights
-    are those of the shipped agent unless given.
-
-    Raises InputError if there is nothing to solve, or the seed is none.
+    are those of the shipped agent unless given. Raises InputError if there is nothing to solve, or
+    the seed is none.
     """
     check_run(1, timesteps or 1, seed)
     import jax  # here: refusals are faster without it

@@ -94,9 +94,8 @@ def compare(
     """Simulate layouts (int8 [H, W], by name) with the same numbers of agents and the same seeds.
 
     Return a row for each layout and number of agents, layout by layout; `on_row` is called with
-    each when it is finished.
-
-    Raises InputError, before the first run, if agents cannot work on a layout, which it names.
+    each when it is finished. Raises InputError, before the first run, if agents cannot work on a
+    layout, which it names.
     """
     for name, layout in layouts.items():
         with about(name):
@@ -127,9 +126,7 @@ def climb(
     """Add agents until the mean throughput over all runs drops (section E.3).
 
     Of the trial's numbers those that fit are tried, in ascending order. Return a row for each;
-    `find_peak` reads them.
-
-    Raises InputError as `check_climb` does.
+    `find_peak` reads them. Raises InputError as `check_climb` does.
     """
     fitting = check_climb(name, layout, trial)
     rows: list[Row] = []

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import ceil, floor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -64,13 +64,9 @@ class Point(NamedTuple):
     fading: float  # see `recordings.fading`
 
 
-class Verdict(NamedTuple):
-    """How a layout bears a fleet."""
-
-    word: str  # "flows", "near capacity", "past its peak" or "congested"
-    reason: str  # what shows it, in one line
-    # the evidence: this number of agents first, then those that were probed
-    points: tuple[Point, ...]
+# How a layout bears a fleet: "flows", "near capacity", "past its peak" or "congested"; what shows
+# it, in one line; the evidence, this number of agents first, then those that were probed.
+Verdict: TypeAlias = tuple[str, str, list[Point]]
 
 
 class Study(NamedTuple):
@@ -97,9 +93,8 @@ def examine(
 
     `audit` checks every trajectory against the rules, `maps` counts where agents wait and work,
     `verdict` simulates other numbers of agents, too, each with the first few seeds. `on_runs` is
-    called with the study before the runs that its verdict takes.
-
-    Raises InputError if the fleet cannot work on this layout, or is too large to be recorded.
+    called with the study before the runs that its verdict takes. Raises InputError if the fleet
+    cannot work on this layout, or is too large to be recorded.
     """
     layout, agents = plan.layout, config.agents
     tasks = fleet_tasks(layout, plan.domain.simulator.tasks, agents)
@@ -178,21 +173,18 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
         points.append(probe(agents))
         return points[-1]
 
-    def verdict(word: str, reason: str) -> Verdict:
-        return Verdict(word, reason, tuple(points))
-
     if here.congested >= _JAMMED * here.runs:
         stuck = "more than half of the agents stood still at once"
-        return verdict(_CONGESTED, f"in {here.congested} of {here.runs} runs {stuck}")
+        return _CONGESTED, f"in {here.congested} of {here.runs} runs {stuck}", points
     if here.congested:
-        return verdict(_PAST, f"{here.congested} of {here.runs} runs congested")
+        return _PAST, f"{here.congested} of {here.runs} runs congested", points
     if here.fading > FADING:
-        return verdict(_PAST, f"a jam builds up: throughput falls by {here.fading:.0%} with time")
+        return _PAST, f"a jam builds up: throughput falls by {here.fading:.0%} with time", points
     worth = 1.0
     if here.agents > 1:
         fewer = at(floor(_FEWER * here.agents))
         if _gain(here, fewer) > _GAIN:
-            return verdict(_PAST, _compared(here, fewer))
+            return _PAST, _compared(here, fewer), points
         worth = value_of_an_agent(fewer[:2], here[:2])
         reason = f"the last {here.agents - fewer.agents} agents add {-_gain(here, fewer):.0%}"
     if worth < WORTH:
@@ -200,13 +192,13 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
         for share in _FAR_FEWER:
             fewer = at(max(1, floor(share * here.agents)))
             if _gain(here, fewer) > _GAIN:
-                return verdict(_PAST, _compared(here, fewer))
-        return verdict(_NEAR, reason)
+                return _PAST, _compared(here, fewer), points
+        return _NEAR, reason, points
     if here.agents < most:
         more = at(min(most, ceil(_MORE * here.agents)))
         word = _NEAR if value_of_an_agent(here[:2], more[:2]) < WORTH else _FLOWS
-        return verdict(word, _compared(here, more))
-    return verdict(_FLOWS, "every free cell holds an agent")
+        return word, _compared(here, more), points
+    return _FLOWS, "every free cell holds an agent", points
 
 
 def _gain(here: Point, other: Point) -> float:
@@ -261,10 +253,11 @@ def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:
     if maps is not None:
         facts |= {
             "waiting_share": maps.waiting_share,
-            "worst_cells": [spot._asdict() for spot in worst_cells(layout, maps)],
+            "worst_cells": worst_cells(layout, maps),
             "cells_with_half_of_waiting": cells_with_half(maps),
         }
     if verdict is not None:
-        points = [point._asdict() for point in verdict.points]
-        facts |= {"verdict": verdict.word, "verdict_reason": verdict.reason, "evidence": points}
+        word, reason, points = verdict
+        facts |= {"verdict": word, "verdict_reason": reason}
+        facts["evidence"] = [point._asdict() for point in points]
     return facts

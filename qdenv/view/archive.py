@@ -34,9 +34,8 @@ def draw_heatmap(
 
     The first measure runs to the right, the second upwards. The objectives are float [C],
     row-major, not finite where a cell is empty; `low` and `high` are those of the darkest and the
-    brightest colour, the least and the greatest by default.
-
-    Raises InputError if there are more than two measures, or the number of cells differs.
+    brightest colour, the least and the greatest by default. Raises InputError if there are more
+    than two measures, or the number of cells differs.
     """
     if len(measures) not in (1, 2):
         raise InputError(f"a heat map shows one or two measures, not {len(measures)}")

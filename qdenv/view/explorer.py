@@ -50,10 +50,8 @@ def make_explorer(
     """Make the explorer of a run's archive; its facts are a summary.
 
     `growth` is the number of elites that the page shows growing, evenly spread over the archive,
-    the best among them; unless given as many as fit into 12 MB.
-
-    Raises InputError if there is no elite, there are more than two measures, `growth` is negative,
-    or a package is not installed.
+    the best among them; unless given as many as fit into 12 MB. Raises InputError if there is no
+    elite, there are more than two measures, `growth` is negative, or a package is not installed.
     """
     check_range("growth", growth, NonNegativeInt | None)
     if len(run.measures) > 2:
@@ -134,40 +132,37 @@ def _pack_columns(
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the facts and the values of what is known of each elite, its measures first."""
     data, repairs = archive.columns, domain.rules is not None
-    columns: list[dict[str, str]] = []
-    values: list[np.ndarray] = []
-
-    def add(key: str, label: str, form: str, numbers: np.ndarray) -> None:
-        columns.append({"key": key, "label": label, "form": form})
-        values.append(numbers)
-
-    for number, axis in enumerate(archive.schema.measures):
-        add(f"measure{number}", axis.name, "number", data["measures"][:, number])
-    add("objective", archive.schema.objective, "number", data["objective"])
+    # Key, label, form and values of each.
+    columns: list[tuple[str, str, str, np.ndarray]] = [
+        (f"measure{number}", axis.name, "number", data["measures"][:, number])
+        for number, axis in enumerate(archive.schema.measures)
+    ]
+    columns.append(("objective", archive.schema.objective, "number", data["objective"]))
     success = None  # bool [elites, S]
     if "congested" in data:
         success = ~data["congested"].astype(bool)
-        add("success", "runs without congestion", "share", success.mean(axis=1))
+        columns.append(("success", "runs without congestion", "share", success.mean(axis=1)))
     elif "success" in data:
         success = data["success"].astype(bool)
-        add("success", "runs that reach the goal", "share", success.mean(axis=1))
+        columns.append(("success", "runs that reach the goal", "share", success.mean(axis=1)))
     if repairs and "unrepaired" in data:
         changed = (data["repaired"] != data["unrepaired"]).sum(axis=(1, 2))
-        add("changed", "cells changed by the repair", "whole", changed)
+        columns.append(("changed", "cells changed by the repair", "whole", changed))
     others = set(data) - _HIDDEN - (set() if repairs else {"similarity"})
     for name in sorted(others, key=[*_LABELS, *sorted(others)].index):
         label, form = _LABELS.get(name, (name.replace("_", " "), "number"))
         means = data[name].astype(np.float64).reshape(len(archive), -1).mean(axis=1)
-        shown = any(np.allclose(means, one, _ALIKE) for one in values)
+        shown = any(np.allclose(means, one, _ALIKE) for *_, one in columns)
         if data[name].ndim <= 2 and not shown:
-            add(name, label, form, means)
-    finite = [_finite(one) for one in values]
+            columns.append((name, label, form, means))
+    finite = [_finite(one) for *_, one in columns]
     # The map is first coloured by the first column that is not the same nearly everywhere.
     first = len(archive.schema.measures)
     ends = [np.nanquantile(one, (0.02, 0.98)) for one in finite[first:]]
     colour = next((first + k for k, (low, high) in enumerate(ends) if low < high), first)
     simulations = 0 if success is None else success.shape[1]
-    facts: dict[str, Any] = {"columns": columns, "colour": colour, "runs": None}
+    described = [{"key": key, "label": label, "form": form} for key, label, form, _ in columns]
+    facts: dict[str, Any] = {"columns": described, "colour": colour, "runs": None}
     # The interval of the rate for each number of runs that went well.
     facts["wilson"] = [
         wilson_interval(good, simulations) for good in range(simulations + 1) if simulations
@@ -252,7 +247,5 @@ def pack_bits(tiles: np.ndarray, bits: int) -> np.ndarray:
 
     `tiles` is uint8 [n, cells]; the result uint8 [n, bytes], each row filled up with zeros.
     """
-    each = 8 // bits
-    padded = np.pad(tiles, ((0, 0), (0, -tiles.shape[1] % each)))
-    parts = (padded[:, part::each] << (bits * part) for part in range(each))
-    return sum(parts, np.zeros((len(tiles), padded.shape[1] // each), np.uint8))
+    lowest = np.unpackbits(tiles[:, :, None], axis=2, count=bits, bitorder="little")
+    return np.packbits(lowest.reshape(len(tiles), -1), axis=1, bitorder="little")

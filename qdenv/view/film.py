@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain, product
 from pathlib import Path
 from subprocess import PIPE, Popen
-from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from matplotlib import font_manager
@@ -16,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from PIL.ImageColor import getrgb
 
 from qdenv.io.files import write_atomically
+from qdenv.progress import Progress, silent
 from qdenv.study.recordings import Motion
 from qdenv.types import InputError
 from qdenv.view.layouts import COLOURS, MARKS, UNKNOWN
@@ -30,15 +30,10 @@ TITLE = 26  # pixels above the layout
 _FINE = 4  # a mark is drawn so much larger, then reduced: its edge is smooth
 
 
-class _Kind(NamedTuple):
-    """How films of one kind are drawn."""
-
-    side: int  # pixels of the layout's longer side, about
-    parts: int  # pictures from one timestep to the next
-    rate: float  # pictures a second
-
-
-KINDS = {".gif": _Kind(600, 2, 12.5), ".mp4": _Kind(720, 3, 24)}
+# By a film's ending:
+SIDES = {".gif": 600, ".mp4": 720}  # pixels of the layout's longer side, about
+PARTS = {".gif": 2, ".mp4": 3}  # pictures from one timestep to the next
+RATES = {".gif": 12.5, ".mp4": 24}  # pictures a second
 MOST = 600  # pictures of an episode in a maze, which may take thousands of actions
 
 
@@ -48,30 +43,29 @@ def save_film(
     tiles: str,
     motion: Motion,
     window: tuple[int, int],
-    progress: Callable[[str, float], None] = lambda step, share: None,
+    progress: Progress = silent,
 ) -> None:
     """Draw a stretch of a run as a film; the ending of `path` chooses GIF or MP4.
 
     The layout is int8 [H, W], the window the timesteps at which the film begins and ends, cut to
-    those of the run; `progress` is called with the step and its completed share.
-
-    Raises InputError if the place cannot be written to, or the window is empty.
+    those of the run. Raises InputError if the place cannot be written to, or the window is empty.
     """
-    kind = KINDS[path.suffix.lower()]
+    kind = path.suffix.lower()
+    parts, side = PARTS[kind], SIDES[kind]
     first, last = window[0], min(window[1], motion.steps)
     if not 0 <= first < last:
         raise InputError(f"there is nothing to draw from timestep {first} to {last} of the run")
-    times = [first + part / kind.parts for part in range((last - first) * kind.parts + 1)]
+    times = [first + part / parts for part in range((last - first) * parts + 1)]
     if motion.headings is not None and len(times) > MOST:
         # Evenly, and always the end: whether the goal is reached.
         times = [*range(first, last, -(-(last - first) // MOST)), last]
 
     def pictures() -> Iterator[Image.Image]:
-        for number, picture in enumerate(_draw(layout, tiles, motion, times, kind.side)):
-            progress(f"drawing {path}", number / len(times))
+        for number, picture in enumerate(_draw(layout, tiles, motion, times, side)):
+            progress(f"drawing {path}", number / len(times), "")
             yield picture
 
-    if path.suffix.lower() == ".gif":
+    if kind == ".gif":
         _save_gif(path, pictures(), len(times), tiles)
     else:
         _save_mp4(path, pictures())
@@ -196,13 +190,9 @@ def _save_gif(path: Path, pictures: Iterator[Image.Image], count: int, tiles: st
     palette = Image.new("P", (1, 1))
     palette.putpalette(levels + levels[:3] * (256 - len(colours)))
     reduced = (one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures)
-    times = [round(1000 / KINDS[".gif"].rate)] * (count - 1) + [1000]  # milliseconds
-    look = {"duration": times, "loop": 0, "disposal": 1}
-
-    def write(file: BinaryIO) -> None:
-        next(reduced).save(file, "GIF", save_all=True, append_images=reduced, **look)
-
-    write_atomically(path, write)
+    times = [round(1000 / RATES[".gif"])] * (count - 1) + [1000]  # milliseconds
+    look = {"duration": times, "loop": 0, "disposal": 1, "save_all": True, "append_images": reduced}
+    write_atomically(path, lambda file: next(reduced).save(file, "GIF", **look))
 
 
 def _save_mp4(path: Path, pictures: Iterator[Image.Image]) -> None:
@@ -214,7 +204,7 @@ def _save_mp4(path: Path, pictures: Iterator[Image.Image]) -> None:
         film = Path(folder) / "film.mp4"
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-f", "rawvideo"]
         command += ["-pix_fmt", "rgb24", "-s", "{}x{}".format(*first.size)]
-        command += ["-r", f"{KINDS['.mp4'].rate}", "-i", "-"]
+        command += ["-r", f"{RATES['.mp4']}", "-i", "-"]
         # H.264 in the form that every browser plays, and from its beginning before all of it is
         # there.
         command += ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "28", "-preset", "veryfast"]

@@ -85,9 +85,8 @@ def make_page(
     """Fill a template, named without its ending as the scripts are, with the variables `content`.
 
     Scripts read ``facts``, which are JSON-ready values, or numpy's, and await ``unpack(name)`` of
-    the packed arrays, bytes, or texts that `pack` returned.
-
-    Raises InputError if jinja2 is not installed.
+    the packed arrays, bytes, or texts that `pack` returned. Raises InputError if jinja2 is not
+    installed.
     """
     require_package("pages", "jinja2")
     import jinja2

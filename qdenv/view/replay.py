@@ -27,9 +27,7 @@ def make_replay(
 ) -> Page:
     """Make the page that plays a run.
 
-    `traffic` is what the simulator counted, None in a maze; `about` are the lines below the title,
-    of `about_fleet` or `about_episode`.
-
+    `traffic` is what the simulator counted, None in a maze; `about` are the lines below the title.
     Raises InputError if jinja2 is not installed, or a planner let a robot jump.
     """
     # Only here: matplotlib takes half a second to import.
@@ -95,24 +93,13 @@ def about_fleet(
     ]
 
 
-def about_episode(motion: Motion, seed: int) -> list[str]:
-    """Describe a walk through a maze in a line."""
-    end = "reached" if motion.finished.any() else "not reached"
-    return [
-        f"goal {end} after {motion.steps:,} actions of at most {motion.timesteps:,}, shortest path "
-        f"{motion.shortest} moves, seed {seed}"
-    ]
-
-
 def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
     """Turn a recording into small arrays, agent by agent.
 
     These are starts and goals: uint32 [A], the first cells; moves: uint8 [A, ceil(E / 3)], three
     digits to base 5 each, the first one the highest; counts: uint32 [A], tasks finished by each;
     times and next: uint32 [sum of counts], the step of each, and the goal from then on; headings:
-    uint8 [E + 1], empty for robots.
-
-    Raises InputError if a robot moved by more than one cell.
+    uint8 [E + 1], empty for robots. Raises InputError if a robot moved by more than one cell.
     """
     moves = np.full(motion.finished.shape, 255, np.uint8)
     steps = np.diff(motion.positions, axis=0)

@@ -59,10 +59,8 @@ def make_request(
 
     The subjects are of one domain. `agents` is one number, around which others are chosen, or
     several, in place of those, or none for the usual number; `timesteps` is None for the usual
-    horizon; `config` makes the numbers of a simulation of agents and timesteps.
-
-    Raises InputError if a fleet cannot work on one of the layouts, or the numbers make no
-    simulation.
+    horizon; `config` makes the numbers of a simulation of agents and timesteps. Raises InputError
+    if a fleet cannot work on one of the layouts, or the numbers make no simulation.
     """
     domain, layouts = subjects[0].plan.domain, [one.plan.layout for one in subjects]
     usual, timesteps, note = usual_fleet(domain, layouts, max(agents, default=None), timesteps)
@@ -82,13 +80,6 @@ def make_request(
         counts = tuple(sorted({min(count, max(most, single)) for count in shares}))
     made = config(max(counts), timesteps)
     return FleetRequest(subjects, rivals, single, counts, made, seeds, note, per_hour)
-
-
-def estimate_seconds(request: FleetRequest, row: Row, threads: int) -> float:
-    """Estimate the duration of a study from its first row: a run costs as much as it has agents."""
-    per_agent = row.cpu_seconds_per_run * row.runs / row.agents / threads
-    closely = (request.agents or max(request.counts)) * len(request.subjects)
-    return per_agent * (len(request.layouts) * sum(request.counts) + closely)
 
 
 def report_fleet(
@@ -176,14 +167,16 @@ def _draw(
 ) -> dict[str, Any]:
     """Return the pictures of one layout, and what its study found."""
     domain, layout, maps = subject.plan.domain, subject.plan.layout, study.maps
-    assert maps is not None
+    assert maps is not None and study.verdict is not None
+    verdict, reason, _ = study.verdict
     scene = make_scene(subject.plan, study, config.stop_when_congested)
     plan = draw_plan(layout, domain.tiles, domain.names)
     contents = describe_contents(layout, domain)
     content = {
         "title": f"{subject.name} ({contents})",
         "contents": contents,
-        "verdict": study.verdict,
+        "verdict": verdict,
+        "reason": reason,
         "plan": to_svg(plan, f"plan-{number}", crop=True),
         "usage": to_svg(draw_panel(scene, "usage", _MAP), f"usage-{number}"),
         "waiting": to_svg(draw_panel(scene, "waiting", _MAP), f"waiting-figure-{number}"),

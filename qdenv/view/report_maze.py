@@ -24,8 +24,6 @@ from qdenv.view.traffic import draw_arrivals, draw_walks
 _EPISODES, _SEED = 100, 0  # those of `qdenv evaluate-agent`
 _MAP = 5.0  # inches of a map of a maze
 
-_run = jax.jit(run_alone, static_argnums=(3, 4))
-
 
 def report_mazes(
     subjects: list[Subject],
@@ -36,9 +34,8 @@ def report_mazes(
     """Let the agent walk through mazes, as `qdenv evaluate-agent` does, and make the page.
 
     `timesteps` are the actions per episode, twice the tiles of the ringed maze unless given;
-    `command` is the line that makes the page again.
-
-    Raises InputError if there is nothing to solve in one of them.
+    `command` is the line that makes the page again. Raises InputError if there is nothing to solve
+    in one of them.
     """
     weights = load_weights("")
     mazes: list[dict[str, Any]] = []
@@ -51,7 +48,7 @@ def report_mazes(
             success = evaluate_agent(weights, layout, _SEED, _EPISODES, horizon)
         # The same episodes again, now with their paths.
         key = jax.random.key(_SEED)
-        episodes = _run(weights, jnp.asarray(layout), key, _EPISODES, horizon)
+        episodes = run_alone(weights, jnp.asarray(layout), key, _EPISODES, horizon)
         # Actions to the goal, NaN where it was not reached.
         arrivals = np.where(np.asarray(episodes.success), np.asarray(episodes.length), np.nan)
         usage = np.asarray(episodes.usage).mean(axis=0)

@@ -147,10 +147,8 @@ def plot_run(
 
     They go to `folder`, the run's own unless given, in the form png, svg or pdf; archive and
     progress are `width` inches wide, or suit a screen. Return the pictures, without one of the best
-    layout if the archive is empty.
-
-    Raises InputError if the run has saved no archive yet, a file of it is damaged, or it ships with
-    the package and no other folder is given.
+    layout if the archive is empty. Raises InputError if the run has saved no archive yet, a file of
+    it is damaged, or it ships with the package and no other folder is given.
     """
     run = run if isinstance(run, RunDirectory) else RunDirectory.open(run)
     if folder is None:
@@ -179,9 +177,8 @@ def plot_runs(
 ) -> list[Path]:
     """Draw the archives of several runs on one colour scale, and their progress by groups.
 
-    The arguments are those of `plot_run`; all runs have one objective.
-
-    Raises InputError as `groups.group_runs` does, or if an archive has more than two measures.
+    The arguments are those of `plot_run`; all runs have one objective. Raises InputError as
+    `groups.group_runs` does, or if an archive has more than two measures.
     """
     groups, objective = group_runs(runs), runs[0].schema.objective
     pictures = [folder / f"archives.{form}", folder / f"progress.{form}"]

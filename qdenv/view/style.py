@@ -136,9 +136,8 @@ def save_figure(figure: Figure, path: str | Path, crop: bool = False) -> None:
     """Write a figure in one step: a reader never sees half a file.
 
     The ending of `path` decides the format (png, pdf, svg), png without one; `crop` cuts the
-    picture to what is drawn, labels outside the figure included.
-
-    Raises InputError if the place cannot be written to.
+    picture to what is drawn, labels outside the figure included. Raises InputError if the place
+    cannot be written to.
     """
     target = Path(path)
     form = target.suffix.lstrip(".") or "png"

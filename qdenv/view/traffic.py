@@ -14,7 +14,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import PercentFormatter
 
 from qdenv.grid import of_tiles
-from qdenv.study.recordings import Maps, Spot, throughput_over_time, worst_cells
+from qdenv.study.recordings import Maps, throughput_over_time, worst_cells
 from qdenv.view import SCREEN
 from qdenv.view.style import ABREAST, PALETTE, WARNING, add_legend, new_figure, styled
 
@@ -34,7 +34,7 @@ class Scene(NamedTuple):
 
     free: np.ndarray  # bool [H, W], cells that agents may drive on
     maps: Maps  # averaged over the runs
-    worst: Sequence[Spot]  # the worst cells, the worst first
+    worst: Sequence[Mapping[str, Any]]  # the worst cells, see `recordings.worst_cells`
     # [3, n]: ends of windows of time, mean throughput in each, its standard error
     over_time: np.ndarray
     jams: Sequence[int]  # timesteps at which runs congested
@@ -116,10 +116,11 @@ def _draw_panel(axes: Axes, scene: Scene, kind: str) -> None:
         side = 72 * inches / max(scene.free.shape)  # points of a cell
         look: Any = {"mfc": "none", "mec": "black", "mew": 0.7}
         for rank, spot in enumerate(scene.worst, 1):
-            axes.plot(spot.column, spot.row, "s", markersize=max(0.9 * side, 3), **look)
+            across, down = spot["column"], spot["row"]
+            axes.plot(across, down, "s", markersize=max(0.9 * side, 3), **look)
             if side >= _KEY:
                 place: Any = {"ha": "center", "va": "center", "fontsize": _KEY}
-                text = axes.text(spot.column, spot.row, str(rank), **place)
+                text = axes.text(across, down, str(rank), **place)
                 text.set_path_effects([withStroke(linewidth=1.4, foreground="white")])
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from qdenv.cli.main import run as qdenv
 from qdenv.io.layouts import ENDINGS
-from qdenv.simulate.maze.policy import shipped_agent
+from qdenv.simulate.maze.policy import SHIPPED_AGENT
 from robustness.campaign import Attack, Attempt
 from robustness.corrupt import Rng, corrupt, damage, hostile_checkpoint, pick
 from robustness.sandbox import Sandbox
@@ -165,7 +165,7 @@ def corrupt_training(rng: Rng, folder: Path) -> Input:
 
 
 def corrupt_agent(rng: Rng, folder: Path) -> Input:
-    agent = corrupt(rng, "a.npz", shipped_agent().read_bytes())
+    agent = corrupt(rng, "a.npz", SHIPPED_AGENT.read_bytes())
     write(folder, {"a.npz": agent, "maze.txt": layout_file(MAZE, ".txt")})
     argv = (*line("evaluate-agent", MAZE="maze.txt"), "--agent", "a.npz")
     return Input("agents", argv, "a.npz")

@@ -63,8 +63,3 @@ def seed_of(key: jax.Array) -> jax.Array:
     """Make a seed (uint32) of a key of `jax.random`, of whichever kind."""
     words = key if jnp.issubdtype(key.dtype, jnp.uint32) else jax.random.key_data(key)
     return functools.reduce(draw, words.reshape(-1).astype(jnp.uint32))
-
-
-def uniform(bits: jax.Array) -> jax.Array:
-    """Turn bits into chances (float32 in [0, 1))."""
-    return (bits >> (32 - CHANCE_BITS)).astype(jnp.float32) * 2.0**-CHANCE_BITS

@@ -24,7 +24,7 @@ import numpy as np
 
 from qdenv.grid import MOVES, of_tiles
 from qdenv.simulate.mapf import chance
-from qdenv.simulate.mapf.fleet import Fleet, drive, place
+from qdenv.simulate.mapf.fleet import FleetState, drive, place
 from qdenv.simulate.mapf.goals import check_playable
 from qdenv.simulate.mapf.planner import NOBODY, World, goal_table
 from qdenv.types import Array, InputError, TaskRule
@@ -35,7 +35,7 @@ RIGHT, LEFT, DOWN, UP, WAIT = range(len(MOVES) + 1)
 class EnvironmentState(NamedTuple):
     """A simulation between two steps."""
 
-    fleet: Fleet  # the robots, as the simulator knows them
+    fleet: FleetState  # the robots, as the simulator knows them
     goal: jax.Array  # int32 [2, A], cells of the current and of the next goal
     time: jax.Array  # int32, steps so far
     seed: jax.Array  # uint32, of all that is drawn

@@ -7,21 +7,22 @@ the layout is traced, so all layouts of one size share one compiled program.
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental.buffer_callback import buffer_callback
 
 from qdenv.grid import of_tiles
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.distances import Fields, goal_distances, measure_fields, rows_of
-from qdenv.simulate.mapf.host.run import simulate_in_callback, simulate_into
+from qdenv.simulate.mapf.host.run import simulate_into
 from qdenv.simulate.mapf.host.state import RunSettings
 from qdenv.simulate.mapf.metrics import (
     Block,
-    Metrics,
+    Counters,
     Outcome,
     Recording,
     accumulate,
@@ -48,7 +49,7 @@ _TABLE_BYTES = 1 << 27  # of a table of all distances; above, agents measure the
 _Report: TypeAlias = tuple[Traffic, Recording | None]
 
 
-class Fleet(NamedTuple):
+class FleetState(NamedTuple):
     """The agents between two windows."""
 
     position: jax.Array  # int32 [A]
@@ -68,7 +69,7 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     """
     chex.assert_rank(layout, 2)
     chex.assert_type(layout, int)
-    planner = config.make_planner()
+    planner = PLANNERS.make(config.planner)
     service_time = np.array([goal.stay for goal in rule.cycle], np.int32)
     if config.window > planner.max_window:
         raise InputError(
@@ -102,7 +103,7 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
     )
 
 
-def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Fleet:
+def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> FleetState:
     """Put the agents in `active` (bool [A]) on distinct random cells; draw their first goals.
 
     The others, padding, stand on cell 0, a wall. `window` timesteps are planned ahead.
@@ -130,12 +131,12 @@ def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Flee
             jnp.full((2, agents), NOBODY, jnp.int32),
             jnp.zeros((agents,), bool),
         )
-    return Fleet(position, zero, jnp.stack(goal), zero, zero, zero, still, fields)
+    return FleetState(position, zero, jnp.stack(goal), zero, zero, zero, still, fields)
 
 
 def drive(
-    world: World, fleet: Fleet, cell: jax.Array, active: jax.Array, seed: jax.Array
-) -> tuple[Fleet, jax.Array]:
+    world: World, fleet: FleetState, cell: jax.Array, active: jax.Array, seed: jax.Array
+) -> tuple[FleetState, jax.Array]:
     """Move every agent to `cell` (int32 [A]) and serve goals; returns who finished (bool [A])."""
     cycle = world.service_time.shape[0]
     service_time = world.service_time[fleet.kind]
@@ -158,11 +159,11 @@ def drive(
 def _run_window(
     world: World,
     config: FleetConfig,
-    fleet: Fleet,
+    fleet: FleetState,
     active: jax.Array,
     seed: jax.Array,
     time: jax.Array,
-) -> tuple[Fleet, Block]:
+) -> tuple[FleetState, Block]:
     """Plan the window that begins at `time` and drive its first steps."""
     fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))
     distance, row, cycle = world.distance, fleet.goal, world.service_time.shape[0]
@@ -170,7 +171,7 @@ def _run_window(
         fields = measure_fields(world, fleet.fields, fleet.goal)
         fleet = fleet._replace(fields=fields)
         distance, row = fields.distance, rows_of(fields)
-    plan = config.make_planner().plan
+    plan = PLANNERS.make(config.planner).plan
     assert plan is not None and distance is not None  # else runs are computed on the host
     state = AgentState(
         position=fleet.position,
@@ -190,7 +191,7 @@ def _run_window(
     chex.assert_shape(paths, (config.window + 1, config.agents))
     goals = chance.draw(seed, chance.GOALS)
 
-    def step(fleet: Fleet, inputs: tuple[jax.Array, jax.Array]) -> tuple[Fleet, Block]:
+    def step(fleet: FleetState, inputs: tuple[jax.Array, jax.Array]) -> tuple[FleetState, Block]:
         heading = world.goals.cells[fleet.goal[0]]
         drawn = chance.draw(goals, inputs[1])
         fleet, finished = drive(world, fleet, inputs[0], active, drawn)
@@ -207,14 +208,14 @@ def blank_outcome(world: World, config: FleetConfig, keep: bool) -> Outcome:
     windows = -(-config.timesteps // config.horizon) * config.horizon
     nowhere = jnp.zeros((config.agents,), jnp.int32)
     blank = jnp.zeros((windows if keep else 0, config.agents), jnp.int32)
-    metrics = Metrics(
+    counters = Counters(
         time=jnp.int32(0),
         congested_at=jnp.int32(0),
         finished=jnp.zeros((windows,), jnp.int32),
         visits=jnp.zeros((world.traversable.size,), jnp.int32),
         moves=jnp.int32(0),
     )
-    return Outcome(metrics, nowhere, nowhere, Block(blank, blank, blank.astype(bool), blank))
+    return Outcome(counters, nowhere, nowhere, Block(blank, blank, blank.astype(bool), blank))
 
 
 def run_settings(config: FleetConfig, seed: int = 0) -> RunSettings:
@@ -228,33 +229,41 @@ def _run(
     world: World, seed: jax.Array, config: FleetConfig, active: jax.Array, keep: bool
 ) -> Outcome:
     """Simulate until T or congestion, keeping every step if `keep`."""
-    planner = config.make_planner()
+    planner = PLANNERS.make(config.planner)
     if planner.on_host:
+
+        def on_host(_: Any, *buffers: Any) -> None:
+            # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
+            outcome, world, seed, agents = jax.tree.map(np.asarray, buffers)
+            simulate_into(outcome, planner, world, int(agents), run_settings(config, int(seed)))
+
         like = jax.eval_shape(lambda: blank_outcome(world, config, keep))
-        settings = run_settings(config)
-        return simulate_in_callback(planner, world, seed, active.sum(), settings, like)
+        # The callback works on jax's own buffers.
+        simulate_there = buffer_callback(on_host, like, vmap_method="sequential")
+        outcome: Outcome = simulate_there(world, seed, active.sum())
+        return outcome
     first = place(world, config.window, active, seed)
-    metrics, _, _, room = blank_outcome(world, config, keep)
+    counters, _, _, room = blank_outcome(world, config, keep)
 
-    def is_going(run: tuple[Fleet, Metrics, Block]) -> jax.Array:
-        metrics = run[1]
-        halted = (metrics.congested_at > 0) & config.stop_when_congested
-        return world.valid & (metrics.time < config.timesteps) & ~halted
+    def is_going(run: tuple[FleetState, Counters, Block]) -> jax.Array:
+        counters = run[1]
+        halted = (counters.congested_at > 0) & config.stop_when_congested
+        return world.valid & (counters.time < config.timesteps) & ~halted
 
-    def run_window(run: tuple[Fleet, Metrics, Block]) -> tuple[Fleet, Metrics, Block]:
-        fleet, metrics, kept = run
+    def run_window(run: tuple[FleetState, Counters, Block]) -> tuple[FleetState, Counters, Block]:
+        fleet, counters, kept = run
         at_work = active & is_going(run)  # a finished lane of a batch has no agents left to plan
-        after, block = _run_window(world, config, fleet, at_work, seed, metrics.time)
+        after, block = _run_window(world, config, fleet, at_work, seed, counters.time)
         if keep:
-            begin = (metrics.time, 0)
+            begin = (counters.time, 0)
             kept = jax.tree.map(
                 lambda rows, part: jax.lax.dynamic_update_slice(rows, part, begin), kept, block
             )
         before = fleet.position, fleet.remaining_service
-        return after, accumulate(metrics, *before, block, active, config.timesteps), kept
+        return after, accumulate(counters, *before, block, active, config.timesteps), kept
 
-    fleet, metrics, kept = jax.lax.while_loop(is_going, run_window, (first, metrics, room))
-    return Outcome(metrics, world.goals.cells[fleet.goal[0]], first.position, kept)
+    fleet, counters, kept = jax.lax.while_loop(is_going, run_window, (first, counters, room))
+    return Outcome(counters, world.goals.cells[fleet.goal[0]], first.position, kept)
 
 
 def _select_active_agents(
@@ -273,7 +282,7 @@ def _report(
 ) -> _Report:
     """Turn what a run leaves behind into records; the recording is None unless `keep`."""
     recording = recording_of(outcome, active, world, config.timesteps) if keep else None
-    return summarise(world, outcome.metrics, active, config.timesteps), recording
+    return summarise(world, outcome.counters, active, config.timesteps), recording
 
 
 def _simulate(
@@ -314,7 +323,7 @@ def compile_runs(
     program of XLA's: what XLA compiles around a callback it forgets with the process. The worlds
     are of numpy arrays there.
     """
-    planner, count = config.make_planner(), jax.ShapeDtypeStruct((), np.int32)
+    planner, count = PLANNERS.make(config.planner), jax.ShapeDtypeStruct((), np.int32)
     if not planner.on_host:
         whole = jax.jit(lambda world, key, agents: _simulate(world, key, config, agents, keep))
         program = whole.lower(world, jax.random.key(0), count).compile()

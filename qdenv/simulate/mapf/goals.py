@@ -6,7 +6,7 @@ import numpy as np
 
 from qdenv.grid import count_neighbours, of_tiles
 from qdenv.lazy import ndimage
-from qdenv.types import Array, Goal, InputError, TaskRule
+from qdenv.types import Goal, InputError, TaskRule
 
 
 def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
@@ -21,22 +21,23 @@ def beside_goal(symbol: str, station: str, stay: int, tiles: str) -> Goal:
 
     Agents spend `stay` timesteps on the goal after arriving.
     """
-
-    def weight(layout: Array) -> Array:
-        stations = count_neighbours(of_tiles(layout, station, tiles))
-        return (of_tiles(layout, symbol, tiles) * stations).astype(np.float32)
-
-    return Goal(weight, stay, f"{symbol!r} beside {station!r}")
+    return Goal(
+        lambda layout: (
+            of_tiles(layout, symbol, tiles) * count_neighbours(of_tiles(layout, station, tiles))
+        ).astype(np.float32),
+        stay,
+        f"{symbol!r} beside {station!r}",
+    )
 
 
 def favour_left(goal: Goal, odds: float) -> Goal:
     """Make goals in column 0 `odds` times likelier (uneven warehouse of appendix B.1: 5)."""
-
-    def weight(layout: Array) -> Array:
-        left = np.arange(layout.shape[1]) == 0
-        return np.where(left, np.float32(odds), np.float32(1))[None, :] * goal.weight(layout)
-
-    return goal._replace(weight=weight)
+    return goal._replace(
+        weight=lambda layout: (
+            np.where(np.arange(layout.shape[1])[None] == 0, np.float32(odds), np.float32(1))
+            * goal.weight(layout)
+        )
+    )
 
 
 def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:

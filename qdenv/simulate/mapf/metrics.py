@@ -18,7 +18,7 @@ class Block(NamedTuple):
     goals: jax.Array  # int32, goal cells before the step
 
 
-class Metrics(NamedTuple):
+class Counters(NamedTuple):
     """What was counted so far; T is rounded up to whole windows."""
 
     time: jax.Array  # int32, timesteps driven
@@ -42,20 +42,20 @@ class Recording(NamedTuple):
 class Outcome(NamedTuple):
     """What a run leaves behind."""
 
-    metrics: Metrics  # what was counted
+    counters: Counters  # what was counted
     heading: jax.Array  # int32 [A], the goal cells at the end
     start: jax.Array  # int32 [A], the first positions
     block: Block  # every step, each [T, A]; without rows where nothing is recorded
 
 
 def accumulate(
-    metrics: Metrics,
+    counters: Counters,
     position: jax.Array,
     remaining_service: jax.Array,
     block: Block,
     active: jax.Array,
     timesteps: int,
-) -> Metrics:
+) -> Counters:
     """Count the driven steps of a window, and look for a jam.
 
     Steps beyond `timesteps` and padding agents do not count. More than half of the agents stuck
@@ -67,35 +67,35 @@ def accumulate(
     remaining = jnp.concatenate([remaining_service[None], block.remaining_service])[:-1]
     stuck = (path[:-1] == path[:1]).all(0) & ~(remaining > 0).any(0) & active
     # A window that T cuts short is no window of the jam rule.
-    whole = metrics.time + horizon <= timesteps
-    first = whole & (stuck.sum() > active.sum() // 2) & (metrics.congested_at == 0)
-    counts = (metrics.time + jnp.arange(horizon) < timesteps)[:, None] & active[None, :]
+    whole = counters.time + horizon <= timesteps
+    first = whole & (stuck.sum() > active.sum() // 2) & (counters.congested_at == 0)
+    counts = (counters.time + jnp.arange(horizon) < timesteps)[:, None] & active[None, :]
     finished = (block.finished & counts).sum(1, dtype=jnp.int32)
-    time = jnp.minimum(metrics.time + horizon, timesteps)
-    return Metrics(
+    time = jnp.minimum(counters.time + horizon, timesteps)
+    return Counters(
         time=time,
-        congested_at=jnp.where(first, time, metrics.congested_at),
-        finished=jax.lax.dynamic_update_slice(metrics.finished, finished, (metrics.time,)),
-        visits=metrics.visits.at[block.positions].add(counts.astype(jnp.int32)),
-        moves=metrics.moves + ((block.positions != path[:-1]) & counts).sum(dtype=jnp.int32),
+        congested_at=jnp.where(first, time, counters.congested_at),
+        finished=jax.lax.dynamic_update_slice(counters.finished, finished, (counters.time,)),
+        visits=counters.visits.at[block.positions].add(counts.astype(jnp.int32)),
+        moves=counters.moves + ((block.positions != path[:-1]) & counts).sum(dtype=jnp.int32),
     )
 
 
-def summarise(world: World, metrics: Metrics, active: jax.Array, timesteps: int) -> Traffic:
+def summarise(world: World, counters: Counters, active: jax.Array, timesteps: int) -> Traffic:
     """Turn the counts into the record that other stages read."""
-    finished = metrics.finished[:timesteps]
-    visits = unpad_grid(metrics.visits.reshape(world.traversable.shape), world.margin)
-    steps = jnp.maximum(metrics.time * active.sum(), 1).astype(jnp.float32)
+    finished = counters.finished[:timesteps]
+    visits = unpad_grid(counters.visits.reshape(world.traversable.shape), world.margin)
+    steps = jnp.maximum(counters.time * active.sum(), 1).astype(jnp.float32)
     total = finished.sum()
     return Traffic(
         throughput=total / jnp.float32(timesteps),
-        congested=(metrics.congested_at > 0) | ~world.valid,
-        end_timestep=metrics.time,
+        congested=(counters.congested_at > 0) | ~world.valid,
+        end_timestep=counters.time,
         finished=finished,
         usage=visits / jnp.maximum(visits.sum(), 1).astype(jnp.float32),
-        waiting=1.0 - metrics.moves / steps,
-        path_length=metrics.moves / jnp.maximum(total, 1).astype(jnp.float32),
-        congested_at=metrics.congested_at,
+        waiting=1.0 - counters.moves / steps,
+        path_length=counters.moves / jnp.maximum(total, 1).astype(jnp.float32),
+        congested_at=counters.congested_at,
     )
 
 
@@ -104,13 +104,13 @@ def recording_of(outcome: Outcome, active: jax.Array, world: World, timesteps: i
 
     An agent that takes no part (`active`, bool [A]) is nowhere, all zeros.
     """
-    metrics, heading, start, block = outcome
+    counters, heading, start, block = outcome
     cols = world.traversable.shape[1] - 2 * world.margin
-    row = jnp.minimum(jnp.arange(timesteps), jnp.maximum(metrics.time - 1, 0))
-    driven = (jnp.arange(timesteps) < metrics.time)[:, None]
+    row = jnp.minimum(jnp.arange(timesteps), jnp.maximum(counters.time - 1, 0))
+    driven = (jnp.arange(timesteps) < counters.time)[:, None]
     # The last block may reach beyond T: then it knows the goals at T, else the fleet does.
     total = block.goals.shape[0]
-    known = jnp.where(metrics.time == timesteps, total, metrics.time)
+    known = jnp.where(counters.time == timesteps, total, counters.time)
     time = jnp.arange(timesteps + 1)
     goals = block.goals[jnp.minimum(time, total - 1)]
     goals = jnp.where((time < known)[:, None], goals, heading[None])

@@ -121,7 +121,8 @@ def draw_goals(table: GoalTable, kinds: jax.Array, seed: jax.Array) -> jax.Array
     `kinds` (int32 [A]) are indices into the cycle. Agent i's goal does not depend on the number of
     agents.
     """
-    values = chance.uniform(chance.draw(seed, jnp.arange(kinds.shape[0])))
+    bits = chance.draw(seed, jnp.arange(kinds.shape[0])) >> (32 - chance.CHANCE_BITS)
+    values = bits.astype(jnp.float32) * 2.0**-chance.CHANCE_BITS  # in [0, 1)
     per_kind = jax.vmap(lambda odds: jnp.searchsorted(odds, values, side="right"))(table.odds)
     slots = jnp.take_along_axis(per_kind, kinds[None].astype(jnp.int32), axis=0)[0]
     return jnp.minimum(slots, table.cells.shape[0] - 1).astype(jnp.int32)

@@ -6,15 +6,12 @@ A planner is chosen by its name, an effort or its settings, and described in rep
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.registry import Registry
 from qdenv.simulate.mapf.negotiated.settings import EFFORTS, LOW
 from qdenv.types import InputError, look_up
-
-if TYPE_CHECKING:
-    from qdenv.simulate.mapf.planner import Planner
 
 _MOST_TIMESTEPS = 10_000_000
 MOST_STEPS = 2**31 - 1  # agent-steps, which are counted in 32 bits
@@ -59,10 +56,6 @@ class FleetConfig(Ranged):
         if self.horizon > self.window:
             raise InputError(f"a horizon of {self.horizon} is beyond the window, {self.window}")
         PLANNERS.name_of(self.planner)
-
-    def make_planner(self) -> Planner:
-        """Make the planner that the settings choose."""
-        return PLANNERS.make(self.planner)
 
 
 OWN = "negotiated"  # the planner where none is named, and the only one with efforts

@@ -21,6 +21,7 @@ VIEW, WINDOW, CHANNELS, FILTERS, COMPASS, HEAD = 5, 3, 3, 16, 5, 32
 PATCHES = VIEW - WINDOW + 1
 _FEATURES = FILTERS * PATCHES * PATCHES + COMPASS
 _NUMBERS = Column()
+SHIPPED_AGENT = Path(str(resources.files("qdenv.simulate.maze") / "agent.npz"))
 
 
 class Weights(NamedTuple):
@@ -158,14 +159,9 @@ def check_weights(weights: Weights, source: str) -> Weights:
     return Weights(*(np.asarray(array, np.float32) for array in weights))
 
 
-def shipped_agent() -> Path:
-    """Name the file of the agent that comes with the package."""
-    return Path(str(resources.files("qdenv.simulate.maze") / "agent.npz"))
-
-
 def load_weights(path: str | Path = "") -> Weights:
     """Read an agent's .npz file, the shipped one by default; InputError if it is none."""
-    path = Path(path) if path else shipped_agent()
+    path = Path(path or SHIPPED_AGENT)
     if not path.exists():
         raise InputError(f"there is no agent {path}: train or convert one first")
     arrays = read_arrays(path, dict.fromkeys(Weights._fields, _NUMBERS), others=None)

@@ -3,9 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
-from jax.experimental.buffer_callback import buffer_callback
 
 from qdenv.native import kernel
 from qdenv.simulate.mapf import chance
@@ -18,7 +16,6 @@ from qdenv.simulate.mapf.host.state import (
     paths_meet,
     place_agents,
 )
-from qdenv.simulate.mapf.metrics import Outcome
 from qdenv.simulate.mapf.pibt.numba import Rollout, make_rollout, roll_out
 from qdenv.simulate.mapf.planner import Planner, World
 
@@ -102,35 +99,7 @@ def _adopt(run: HostRun, fields: DistanceFields, fallback: Fallback, seed: int) 
     return True
 
 
-def simulate_in_callback(
-    planner: Planner,
-    world: World,
-    seed: jax.Array,
-    agents: jax.Array,
-    settings: RunSettings,
-    like: Outcome,
-) -> Outcome:
-    """Run a simulation in a callback that works on jax's own buffers.
-
-    The seed (uint32) and the number of agents (int32) are traced; the seed of the settings does not
-    count. The result has the shapes of `like`.
-    """
-
-    def on_host(_: Any, *buffers: Any) -> None:
-        # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
-        outcome, world, seed, agents = jax.tree.map(np.asarray, buffers)
-        simulate_into(outcome, planner, world, int(agents), settings._replace(seed=int(seed)))
-
-    result: Outcome = buffer_callback(on_host, like, vmap_method="sequential")(world, seed, agents)
-    return result
-
-
-_runs: dict[int, HostRun] = {}  # those that are being driven now, in any thread
-
-
-def steps_under_way() -> int:
-    """Count the timesteps driven so far by all runs of this process that have not ended yet."""
-    return sum(int(run.counters.time) for run in list(_runs.values()))
+runs_under_way: dict[int, HostRun] = {}  # those that are being driven now, in any thread
 
 
 def simulate_into(
@@ -144,15 +113,15 @@ def simulate_into(
     if world.valid:
         place_agents(run)
         outcome.start[:agents] = run.position
-        _runs[id(run)] = run
+        runs_under_way[id(run)] = run
         try:
             run_to_the_end(planner, run)
         finally:
-            del _runs[id(run)]
-    metrics, counters = outcome.metrics, run.counters
-    metrics.time[...], metrics.congested_at[...] = counters.time, counters.congested_at
-    metrics.moves[...] = counters.moves
-    metrics.finished[...], metrics.visits[...] = run.finished, run.visits
+            del runs_under_way[id(run)]
+    counted, counters = outcome.counters, run.counters
+    counted.time[...], counted.congested_at[...] = counters.time, counters.congested_at
+    counted.moves[...] = counters.moves
+    counted.finished[...], counted.visits[...] = run.finished, run.visits
     outcome.heading[:agents] = run.grid.goals[run.goal[0]]
 
 

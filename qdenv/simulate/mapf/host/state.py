@@ -41,7 +41,7 @@ class RunSettings(NamedTuple):
 
 
 class HostRun(NamedTuple):
-    """One run between two windows; what it counts is explained in `metrics.Metrics`.
+    """One run between two windows; what it counts is explained in `metrics.Counters`.
 
     A agents take part, and plan w steps ahead.
     """
@@ -112,7 +112,7 @@ def place_agents(run: HostRun) -> None:
     for ahead, purpose in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL)):
         bits = chance.draw_on_host(chance.draw_on_host(seed, purpose), np.arange(count))
         whole = (bits >> (32 - chance.CHANCE_BITS)).astype(np.float32)
-        value = whole * np.float32(2.0**-chance.CHANCE_BITS)  # as `chance.uniform`
+        value = whole * np.float32(2.0**-chance.CHANCE_BITS)  # as `planner.draw_goals`
         odds = grid.odds[ahead % grid.service_time.size]
         drawn = np.searchsorted(odds, value, side="right")
         run.goal[ahead] = np.minimum(drawn, grid.goals.size - 1)

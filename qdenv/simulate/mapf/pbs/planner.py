@@ -31,11 +31,12 @@ _PREFERRED = 1 << 60  # taken off a conflict that comes first
 
 def pbs(settings: PbsConfig) -> Planner:
     """Make the planner, which exists in compiled host code only."""
-
-    def make_plan(run: HostRun, size: int) -> Workspace:
-        return make_workspace(run, settings, FIRST_DEPTH * size)
-
-    return Planner(None, MAX_WINDOW, run_windows=_run_windows, make_plan=make_plan)
+    return Planner(
+        plan=None,
+        max_window=MAX_WINDOW,
+        run_windows=_run_windows,
+        make_plan=lambda run, size: make_workspace(run, settings, FIRST_DEPTH * size),
+    )
 
 
 @shared
