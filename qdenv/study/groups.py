@@ -125,12 +125,13 @@ def _group(label: str, runs: Sequence[RunDirectory]) -> Group:
             raise InputError(f"{run}: nothing is done yet; `qdenv resume {run}` begins")
     shortest = min(metrics, key=lambda rows: rows[-1].evaluations)
     evaluations = np.array([row.evaluations for row in shortest])
-    lines: dict[str, list[np.ndarray]] = {name: [] for name in CURVES}
+    # Of each run the last row that it had written by then: batches may differ.
+    written = []
     for rows in metrics:
-        done = [row.evaluations for row in rows]
-        # The last row that a run had written by then: batches may differ.
-        last = np.maximum(np.searchsorted(done, evaluations, side="right") - 1, 0)
-        for name, curves in lines.items():
-            curves.append(np.array([getattr(row, name) for row in rows])[last])
-    curves_of = {name: np.stack(curves) for name, curves in lines.items()}
-    return Group(label, tuple(runs), evaluations, curves_of)
+        last = np.searchsorted([row.evaluations for row in rows], evaluations, side="right") - 1
+        written.append([rows[index] for index in np.maximum(last, 0)])
+    curves = {
+        name: np.array([[getattr(row, name) for row in rows] for rows in written])
+        for name in CURVES
+    }
+    return Group(label, tuple(runs), evaluations, curves)

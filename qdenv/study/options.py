@@ -107,7 +107,7 @@ def usual_fleet(
     shapes = {layout.shape for layout in layouts}
     size = domain.known_size(*shapes.pop()) if len(shapes) == 1 else None
     usual = (AGENTS, TIMESTEPS) if size is None else (size.agents, size.timesteps)
-    taken = {}
+    taken: dict[str, int] = {}
     if agents is None:
         agents = taken["agents"] = usual[0]
     if timesteps is None:

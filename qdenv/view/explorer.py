@@ -248,4 +248,4 @@ def pack_bits(tiles: np.ndarray, bits: int) -> np.ndarray:
     `tiles` is uint8 [n, cells]; the result uint8 [n, bytes], each row filled up with zeros.
     """
     lowest = np.unpackbits(tiles[:, :, None], axis=2, count=bits, bitorder="little")
-    return np.packbits(lowest.reshape(len(tiles), -1), axis=1, bitorder="little")
+    return np.packbits(lowest.reshape(len(tiles), bits * tiles.shape[1]), axis=1, bitorder="little")
