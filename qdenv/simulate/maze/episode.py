@@ -99,21 +99,31 @@ def run_episodes(weights: Weights, tables: Tables, keys: jax.Array, timesteps: i
     little. Widths are fixed at compile time, so this is traceable. Consumes the keys.
     """
     now, draws = jax.vmap(lambda key: _begin(weights, tables, key, timesteps))(keys)
-    act_all = jax.vmap(partial(_act_once, weights, tables))
     place, t = jnp.arange(keys.shape[0]), jnp.int32(0)  # which episodes `now` holds
     last = now
     while place.size:
         rest = place.size // 2 if place.size >= _FEWEST else 0
-        # Until at most `rest` of them are under way, or T is reached.
-        t, now = jax.lax.while_loop(
-            lambda pair, rest=rest: (pair[0] < timesteps) & ((~pair[1].done).sum() > rest),
-            lambda pair, draws=draws[place]: (pair[0] + 1, act_all(pair[1], draws[:, pair[0]])),
-            (t, now),
-        )
+        t, now = _until_few(weights, tables, draws[place], rest, (t, now))
         last = jax.tree.map(lambda x, part, place=place: x.at[place].set(part), last, now)
         keep = jnp.argsort(now.done)[:rest]  # those under way come first
         place, now = jax.tree.map(lambda x, keep=keep: x[keep], (place, now))
     return jax.vmap(partial(_report, tables))(last)
+
+
+def _until_few(
+    weights: Weights,
+    tables: Tables,
+    draws: jax.Array,
+    rest: int,
+    first: tuple[jax.Array, EpisodeState],
+) -> tuple[jax.Array, EpisodeState]:
+    """Act in all episodes until at most `rest` of them are under way, or T is reached."""
+    act_all = jax.vmap(partial(_act_once, weights, tables))
+    return jax.lax.while_loop(
+        lambda pair: (pair[0] < draws.shape[1]) & ((~pair[1].done).sum() > rest),
+        lambda pair: (pair[0] + 1, act_all(pair[1], draws[:, pair[0]])),
+        first,
+    )
 
 
 def trace_episode(
