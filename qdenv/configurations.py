@@ -37,7 +37,6 @@ _MAZE = RunConfig(
     checkpoint_every=20,
 )
 
-
 _WAREHOUSES = {"warehouse-even": WarehouseConfig(), "warehouse-uneven": UnevenWarehouseConfig()}
 
 PRESETS: dict[str, RunConfig] = {

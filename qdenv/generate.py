@@ -43,10 +43,7 @@ class Generator(NamedTuple):
 GENERATORS = Registry(
     "generator",
     "qdenv.generators",
-    {
-        "nca": "qdenv.generate:NCA_GENERATOR",
-        "direct": "qdenv.generate:DIRECT_GENERATOR",
-    },
+    {"nca": "qdenv.generate:NCA_GENERATOR", "direct": "qdenv.generate:DIRECT_GENERATOR"},
 )
 
 
@@ -88,11 +85,9 @@ def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:
 
 def direct(config: DirectConfig, canvas: Canvas) -> Generator:
     """Make the generator whose parameters are the numbers of the tiles, row by row."""
-    del config
     choices = len(canvas.tiles)
 
     def read(solutions: jax.Array, steps: jax.Array | int) -> jax.Array:
-        del steps
         tiles = jnp.clip(jnp.round(solutions), 0, choices - 1).astype(jnp.int8)
         return tiles.reshape(-1, canvas.rows, canvas.cols)
 

@@ -55,12 +55,7 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
         return simulate_layouts(domain.simulator, layouts, keys, config.simulations)
 
-    def score(
-        unrepaired: jax.Array, repaired: jax.Array, status: jax.Array, runs: Any
-    ) -> Evaluation:
-        one = partial(score_layout, domain, config.alpha)
-        return jax.vmap(one)(unrepaired, repaired, status, runs)
-
+    score = jax.vmap(partial(score_layout, domain, config.alpha))
     return Pipeline(
         domain, generator.size, generator.choices, grow, pool, repair_seed, simulate, score
     )
@@ -137,14 +132,9 @@ def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evalu
     return pipeline.score(unrepaired, repaired, status, runs)
 
 
-class Outcomes(NamedTuple):
-    """Layouts of a population, repaired and simulated."""
-
-    layout: np.ndarray  # int8 [B, H, W], repaired
-    status: np.ndarray  # int32 [B], how the repairs ended
-    runs: Any  # of the simulator, with leading axes B, S
-
-
+# Repaired layouts of a population (int8 [B, H, W]), how the repairs ended (int32 [B]), and the runs
+# of the simulator, with leading axes B, S.
+Outcomes = tuple[np.ndarray, np.ndarray, Any]
 # Begins to repair and simulate unrepaired layouts int8 [B, H, W] from a key, and returns futures of
 # the parts of the population, in order. Item ``i`` draws from ``fold_in(key, i)`` on any worker.
 LayoutEvaluator = Callable[[np.ndarray, Array], Sequence[Future[Outcomes]]]

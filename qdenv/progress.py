@@ -1,11 +1,4 @@
-"""How far a long task is: the one protocol that tasks call, and the one bar that shows it.
-
-with Bar("simulating", total=10) as bar:
-for seed in range(10):
-...
-bar.update()
-bar.print(f"seed {seed}: done")
-"""
+"""How far a long task is: the one protocol that tasks call, and the one bar that shows it."""
 
 import contextlib
 import sys

@@ -31,6 +31,7 @@ PositiveFloat = Annotated[float, Interval(gt=0, lt=math.inf)]
 NonNegativeFloat = Annotated[float, Interval(ge=0, lt=math.inf)]
 Share = Annotated[float, Interval(ge=0, le=1)]
 Seed = Annotated[int, Interval(ge=0, le=LARGEST_SEED)]
+_type_hints = cache(get_type_hints)
 # Marks a `Literal` to whose names a user may add: nothing is checked here.
 OPEN = "open"
 
@@ -40,12 +41,11 @@ class Ranged:
 
     def __post_init__(self) -> None:
         """Raise InputError, which names the field, if a value is none of those it may have."""
-        record: Any = type(self)
-        for name, kind in _checked(record):
+        for name, kind in _type_hints(type(self), include_extras=True).items():
             value = getattr(self, name)
-            if get_origin(kind) is not Literal:
+            if _has_range(kind):
                 check_range(name, value, kind)
-            elif value not in get_args(kind):
+            elif get_origin(kind) is Literal and value not in get_args(kind):
                 listed = choices(str(value), get_args(kind))
                 raise InputError(f"unknown {name.replace('_', ' ')} {value!r}: {listed}")
 
@@ -61,13 +61,6 @@ def check_range(name: str, value: Any, kind: Any) -> None:
             if limit is not None and not holds(number, limit):
                 expected = f"{phrase} {limit}" if math.isfinite(number) else "a finite number"
                 raise InputError(f"{label} must be {expected}, not {number}")
-
-
-@cache
-def _checked(record: type) -> tuple[tuple[str, Any], ...]:
-    """List the fields that name a choice, or have a range somewhere in their type."""
-    hints = get_type_hints(record, include_extras=True).items()
-    return tuple(one for one in hints if get_origin(one[1]) is Literal or _has_range(one[1]))
 
 
 def _has_range(kind: Any) -> bool:

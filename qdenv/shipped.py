@@ -98,21 +98,6 @@ class Shipped(NamedTuple):
         """Return its name on command lines."""
         return f"{PREFIX}{self.collection.domain}/{self.generator.name}"
 
-    @property
-    def refusal(self) -> str:
-        """The reason why nothing is written there, and what to do."""
-        preset = self.collection.origin.run
-        return (
-            f"{self}: ships with qdenv and stays as it is: `qdenv train {preset}` makes a run of "
-            "your own"
-        )
-
-    @property
-    def cells(self) -> dict[str, tuple[int, ...]]:
-        """Cells of the archive by name; "best" is this generator's."""
-        every = {one.name: one.cell for one in self.collection.generators}
-        return every | {USUAL: self.generator.cell}
-
 
 def names() -> dict[str, tuple[str, ...]]:
     """Return the domains of the zoo, each with the names of its generators."""

@@ -88,7 +88,7 @@ def test_domains_scale_and_read_their_own_numbers():
     assert warehouse.fitted(layout).numbers == {"shelves": 26}
     assert warehouse.fitted(layout).shape == (9, 18)
     with pytest.raises(InputError, match="manufacturing has no number of shelves"):
-        find_domain("manufacturing").with_numbers({"shelves": 5})
+        find_domain("manufacturing").resized(33, 36, {"shelves": 5})
 
 
 def test_the_backend_follows_the_device_unless_it_is_chosen():

@@ -16,7 +16,7 @@ TILES = ".@ew"
 
 def shelved(shelves: int) -> Rules:
     """The even warehouse of size S with another number of shelves."""
-    return find_domain("warehouse-even").with_numbers({"shelves": shelves}).rules()
+    return find_domain("warehouse-even").resized(33, 36, {"shelves": shelves}).rules()
 
 
 def yard(rows: int, cols: int, low: int, high: int | None, **changes) -> Rules:

@@ -23,7 +23,6 @@ def environment_entropy(kinds: int, margin: tuple[int, int] = (0, 0)) -> Measure
     """Make the axis of the environment entropy (section 4) of what is drawn with `kinds` tiles."""
 
     def value(layout: jax.Array, runs: Any) -> jax.Array:
-        del runs
         area = inside_frame(layout, margin)
         # A tile that no generator draws occurs only in locked cells. It counts as the first tile,
         # because the patterns are numbered over the generated kinds alone.
@@ -219,7 +218,8 @@ class Domain:
         """Make the same domain at another size; cells stay locked only if the size is the same.
 
         Exact numbers of tiles that `numbers` leaves out are the known ones of the size, or scale
-        with the generated area. Raises InputError if this domain's own size has none.
+        with the generated area. Raises InputError for numbers that are not of this domain, or if
+        this domain's own size has no generated area.
         """
         stays = {} if (rows, cols) == self.shape else {"keep": ()}
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
@@ -229,7 +229,13 @@ class Domain:
         area, own_area = empty.area, self.area
         scaled = {name: round(one * area / own_area) for name, one in self.numbers.items()}
         size = self.known_size(rows, cols)
-        return empty.with_numbers(scaled | dict(size.numbers if size else {}) | dict(numbers or {}))
+        chosen = scaled | dict(size.numbers if size else {}) | dict(numbers or {})
+        for name, number in chosen.items():
+            if name not in self.counted:
+                raise InputError(f"{self.name} has no number of {name}: leave --{name} out")
+            if number < 0:
+                raise InputError(f"{number} {name}: give 0 or more")
+        return make_domain(replace(empty.config, **chosen))
 
     def known_size(self, rows: int, cols: int) -> KnownSize | None:
         """Return the known numbers of another size; None if they scale from those of this one."""
@@ -243,19 +249,6 @@ class Domain:
         }
         rows, cols = layout.shape
         return self.resized(rows, cols, own | dict(numbers or {}))
-
-    def keeping(self, keep: tuple[str, ...]) -> Domain:
-        """Make the same domain with another drawing of cells that must stay, see `DomainConfig`."""
-        return make_domain(replace(self.config, keep=keep))
-
-    def with_numbers(self, numbers: Mapping[str, int]) -> Domain:
-        """Make the same domain with other exact numbers of tiles, which must be its own."""
-        for name, number in numbers.items():
-            if name not in self.counted:
-                raise InputError(f"{self.name} has no number of {name}: leave --{name} out")
-            if number < 0:
-                raise InputError(f"{number} {name}: give 0 or more")
-        return make_domain(replace(self.config, **numbers))
 
 
 @lru_cache(maxsize=64)
@@ -280,20 +273,17 @@ def make_domain(config: Any) -> Domain:
                 )
     # The tile that each cell must hold, -1 for any.
     locked = np.array([[codes[symbol] for symbol in row] for row in config.keep], np.int8)
-    make_rules = domain.rules
-
-    def frame(area: Array) -> jax.Array:
-        return jnp.where(locked >= 0, locked, domain.frame(area))
-
+    draw, make_rules = domain.frame, domain.rules
+    domain = replace(domain, frame=lambda area: jnp.where(locked >= 0, locked, draw(area)))
     if make_rules is None:
-        return replace(domain, frame=frame)
+        return domain
 
     def rules() -> Rules:
         base = make_rules()
         only = np.eye(len(base.tiles), dtype=bool)[locked]
         return base._replace(allowed=np.where((locked >= 0)[..., None], only, base.allowed))
 
-    return replace(domain, frame=frame, rules=rules)
+    return replace(domain, rules=rules)
 
 
 def find_domain(name: str) -> Domain:

@@ -35,5 +35,4 @@ def throughput(layout: Any, runs: Traffic) -> jax.Array:
     A run that congests ends early and counts with what it had finished, so a layout is paid for
     every run it spoils. Studies of single layouts report the mean of successful runs instead.
     """
-    del layout
     return jnp.asarray(runs.throughput).mean()

@@ -26,7 +26,6 @@ _MEANINGS: dict[str, Tile] = {
     "2": Tile("station 2", "the third kind, the last of a task", True),
     "e": Tile("endpoint", "robots stay here while served; needs a station beside it"),
 }
-_SIZES = {(101, 102): KnownSize(steps=200, timesteps=5000, agents=1800)}  # S_eval of the paper
 _STATION_WEIGHT = 5.0  # p_i of a generated station in the similarity (appendix C.2.1)
 
 
@@ -83,7 +82,7 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         # As many stations of each kind as agents stay there, so that none is a bottleneck.
         human=lambda: parse(designs.stations(*shape, config.stays), TILES),
         meanings=_MEANINGS,
-        known=_SIZES,
+        known={(101, 102): KnownSize(steps=200, timesteps=5000, agents=1800)},  # S_eval
     )
 
 

@@ -27,8 +27,6 @@ _MEANINGS = {
     " ": Tile("empty", "the agent walks here; the longest path joins start and goal"),
     "X": Tile("wall", "the agent goes around it", True, also="#@"),
 }
-# S_eval of the paper: the horizon is twice the tiles.
-_SIZES = {(66, 66): KnownSize(steps=200, timesteps=8712)}
 # On an accelerator all episodes of a population run side by side to the horizon; on a CPU one
 # layout's at a time, because then the layout's episodes may stop with the last of them.
 _ACCELERATOR_LANES = 7500
@@ -118,12 +116,9 @@ def maze(config: MazeConfig) -> Domain:
         # Nearly every maze is solvable; among those the one with the longest way shows most.
         tie_break="shortest",
         marks=start_and_goal,
-        measures=(
-            first,
-            Measure("mean agent path length", 0, 648, 162, path_length, "timesteps"),
-        ),
+        measures=(first, Measure("mean agent path length", 0, 648, 162, path_length, "timesteps")),
         meanings=_MEANINGS,
-        known=_SIZES,
+        known={(66, 66): KnownSize(steps=200, timesteps=2 * 66 * 66)},  # S_eval of the paper
         reads=lambda: {"agent": checksum_of_agent(config.agent)},
     )
 

@@ -6,9 +6,7 @@ Even: every workstation is drawn alike. Uneven: those on the left border five ti
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
@@ -23,17 +21,7 @@ from qdenv.ranges import PositiveFloat
 from qdenv.registry import Entry
 from qdenv.simulate.mapf.goals import favour_left, tile_goal
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.types import (
-    Adjacency,
-    Array,
-    Count,
-    InputError,
-    Measure,
-    Rules,
-    TaskRule,
-    Tile,
-    Traffic,
-)
+from qdenv.types import Adjacency, Array, Count, InputError, Measure, Rules, TaskRule, Tile, Traffic
 
 _TILES = ".@ew"
 _GENERATED = ".@e"
@@ -45,10 +33,6 @@ _MEANINGS = {
 }
 _MARGIN = (0, 2)
 _STATION_SPACING = 3  # a workstation in rows 1, 4, 7, ..., never in the last row
-# S_eval of the paper (Table 1, and the numbers of agents that its throughputs were taken with).
-_S_EVAL = KnownSize(steps=200, timesteps=5000, agents=1400, numbers={"shelves": 2500})
-_EVEN_SIZES = {(101, 102): _S_EVAL}
-_UNEVEN_SIZES = {(101, 102): _S_EVAL._replace(agents=1000)}
 
 
 def _border(rows: int, cols: int) -> np.ndarray:
@@ -106,11 +90,12 @@ def rules(config: WarehouseConfig) -> Rules:
     )
 
 
-def warehouse(
-    config: WarehouseConfig, known: Mapping[tuple[int, int], KnownSize] = _EVEN_SIZES
-) -> Domain:
-    """Make a warehouse of one size; `known` are the sizes whose numbers are known."""
+def warehouse(config: WarehouseConfig) -> Domain:
+    """Make a warehouse of one size."""
     cycle = (tile_goal("e", _TILES), favour_left(tile_goal("w", _TILES), config.left_odds))
+    # S_eval of the paper (Table 1, and the numbers of agents that its throughputs were taken with).
+    agents = 1000 if isinstance(config, UnevenWarehouseConfig) else 1400
+    known = KnownSize(steps=200, timesteps=5000, agents=agents, numbers={"shelves": 2500})
 
     def components(layout: jax.Array, runs: Traffic) -> jax.Array:
         return score.components(layout, "@", _TILES)
@@ -139,9 +124,9 @@ def warehouse(
         human=human,
         counted={"shelves": "@"},
         meanings=_MEANINGS,
-        known=known,
+        known={(101, 102): known},
     )
 
 
 EVEN = Entry(WarehouseConfig, warehouse)
-UNEVEN = Entry(UnevenWarehouseConfig, partial(warehouse, known=_UNEVEN_SIZES))
+UNEVEN = Entry(UnevenWarehouseConfig, warehouse)

@@ -118,9 +118,8 @@ def _check_members(archive: zipfile.ZipFile, size: int, source: Path | str) -> N
         raise damaged(source, "members overlap")
     expanded = sum(one.file_size for one in members)
     if expanded > max(MAX_EXPANDED, MAX_RATIO * size):
-        raise damaged(
-            source, f"would take {expanded // MEGABYTE:,} MB, the file has {size:,} bytes"
-        )
+        reason = f"would take {expanded // MEGABYTE:,} MB, the file has {size:,} bytes"
+        raise damaged(source, reason)
 
 
 def read_arrays(
@@ -195,22 +194,18 @@ def write_arrays(path: Path, arrays: Mapping[str, Content], compressed: bool = F
                 if compressed and (isinstance(content, tuple) or content.dtype.kind != "f"):
                     entry.compress_type = zipfile.ZIP_DEFLATED
                 with archive.open(entry, "w", force_zip64=True) as member:
-                    _write_member(member, content)
+                    if not isinstance(content, tuple):
+                        np.lib.format.write_array(member, np.asarray(content), allow_pickle=False)
+                        continue
+                    array, rows = content
+                    header = np.lib.format.header_data_from_array_1_0(array[:0])
+                    header["shape"] = (len(rows), *array.shape[1:])
+                    np.lib.format.write_array_header_1_0(member, header)
+                    step = max(1, PIECE // max(array[:1].nbytes, 1))
+                    for start in range(0, len(rows), step):
+                        member.write(array[rows[start : start + step]].tobytes())
 
     write_atomically(path, write)
-
-
-def _write_member(member: Any, content: Content) -> None:
-    if not isinstance(content, tuple):
-        np.lib.format.write_array(member, np.asarray(content), allow_pickle=False)
-        return
-    array, rows = content
-    header = np.lib.format.header_data_from_array_1_0(array[:0])
-    header["shape"] = (len(rows), *array.shape[1:])
-    np.lib.format.write_array_header_1_0(member, header)
-    step = max(1, PIECE // max(array[:1].nbytes, 1))
-    for start in range(0, len(rows), step):
-        member.write(array[rows[start : start + step]].tobytes())
 
 
 def write_state(

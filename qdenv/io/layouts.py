@@ -28,8 +28,6 @@ _DELIMITERS = ";,\t"
 # Swamp is open ground; water is none, as it cannot be entered from the ground.
 OPEN, BLOCKED = ".GS", "@OTW"
 _MOVING_AI = str.maketrans({**dict.fromkeys(OPEN, "."), **dict.fromkeys(BLOCKED, "#")})
-
-
 # Rows of a drawing whose symbols are not checked yet; the domain that the file names; which cells
 # must stay. None and () where the file does not state them.
 Drawing = tuple[list[str], str | None, tuple[str, ...]]

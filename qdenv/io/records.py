@@ -15,6 +15,7 @@ from qdenv.io.files import MEGABYTE, damaged, read_text
 from qdenv.registry import Registry
 from qdenv.types import InputError
 
+_MAX_BYTES = 32 * MEGABYTE  # of a file
 _MAX_DEPTH = 40  # nested brackets
 _MAX_VALUES = 1_000_000
 _MAX_DIGITS = 40  # of a whole number
@@ -36,12 +37,12 @@ _NO_CHOICES: Choices = MappingProxyType({})
 T = TypeVar("T")
 
 
-def read_json(path: Path | str, kind: type[T], max_bytes: int = 32 * MEGABYTE) -> T:
+def read_json(path: Path | str, kind: type[T]) -> T:
     """Read a JSON file as a record of type `kind`, see `structured`.
 
     Raises InputError, which names the file and the field, if it cannot be read, or is damaged.
     """
-    return structured(parse_json(read_text(path, max_bytes, "JSON"), path), kind, path)
+    return structured(parse_json(read_text(path, _MAX_BYTES, "JSON"), path), kind, path)
 
 
 def parse_json(text: str, source: Path | str) -> Any:
@@ -80,10 +81,7 @@ def parse_json(text: str, source: Path | str) -> Any:
             raise damaged(source, f"not a JSON file of ours: {what}")
     try:
         return json.loads(
-            text,
-            parse_int=parse_int,
-            parse_constant=parse_constant,
-            object_pairs_hook=parse_object,
+            text, parse_int=parse_int, parse_constant=parse_constant, object_pairs_hook=parse_object
         )
     except ValueError as error:
         raise damaged(source, f"not a JSON file: {error}") from error

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from qdenv.io.files import MAX_TEXT, damaged, read_text
+from qdenv.io.files import damaged, read_text
 
 # Far beyond what a run writes; a hostile file may not fill the memory.
 _MAX_COLUMNS = 1000
@@ -17,12 +17,12 @@ _TYPE_NAMES = {int: "a whole number", float: "a number", bool: "True or False"}
 T = TypeVar("T", bound=tuple)
 
 
-def read_rows(path: Path | str, max_bytes: int = MAX_TEXT) -> Iterator[dict[str, str]]:
+def read_rows(path: Path | str) -> Iterator[dict[str, str]]:
     """Read a CSV file with a head; yield the cells of each row by the names of the columns.
 
     Raises InputError if it cannot be read, or is damaged, after the rows before the damage.
     """
-    rows = csv.reader(read_text(path, max_bytes, "CSV").splitlines(keepends=True), strict=True)
+    rows = csv.reader(read_text(path, what="CSV").splitlines(keepends=True), strict=True)
     number = 0
     try:
         head = next(rows, [])
@@ -38,9 +38,7 @@ def read_rows(path: Path | str, max_bytes: int = MAX_TEXT) -> Iterator[dict[str,
         raise damaged(path, f"not a CSV file after row {number}: {error}") from error
 
 
-def read_table(
-    path: Path | str, kind: type[T], infinite: Collection[str] = (), max_bytes: int = MAX_TEXT
-) -> Iterator[T]:
+def read_table(path: Path | str, kind: type[T], infinite: Collection[str] = ()) -> Iterator[T]:
     """Read a CSV file with a record per row; yield the records.
 
     `kind` is their NamedTuple: columns of fields that have defaults may be missing. The `infinite`
@@ -48,7 +46,7 @@ def read_table(
     """
     hints = get_type_hints(kind)
     optional: Collection[str] = getattr(kind, "_field_defaults")  # noqa: B009
-    for number, row in enumerate(read_rows(path, max_bytes), start=1):
+    for number, row in enumerate(read_rows(path), start=1):
         unlike = [name for name in row if name not in hints]
         unlike += [name for name in hints if name not in row and name not in optional]
         if unlike:

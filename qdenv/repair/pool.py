@@ -110,11 +110,12 @@ def repair_in_jit(pool: RepairPool, layouts: Array, seed: Array | int) -> Repair
     shapes = layouts.shape, batch, batch, batch, batch
     dtypes = np.int8, np.int32, np.float32, np.float32, np.float32
     fields: Any = map(jax.ShapeDtypeStruct, shapes, dtypes)
-    expected = Repair(*fields)
-
-    def on_host(layouts: Array, seed: Array) -> Repair:
+    repaired: Repair = jax.pure_callback(
         # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
-        return pool.repair(np.asarray(layouts), int(np.asarray(seed)))
-
-    repaired: Repair = jax.pure_callback(on_host, expected, layouts, seed, vmap_method="sequential")
+        lambda layouts, seed: pool.repair(np.asarray(layouts), int(np.asarray(seed))),
+        Repair(*fields),
+        layouts,
+        seed,
+        vmap_method="sequential",
+    )
     return repaired

@@ -72,8 +72,7 @@ class Facts:
     def keeps(self, layout: np.ndarray) -> np.ndarray:
         """Mark the cells that may keep the tile of `layout` (int8 [H, W] -> bool [H, W])."""
         rows, cols = np.indices(layout.shape)
-        kept: np.ndarray = self.rules.allowed[rows, cols, layout]
-        return kept
+        return np.asarray(self.rules.allowed[rows, cols, layout])
 
     def cost(self, candidate: np.ndarray, layout: np.ndarray) -> float:
         """Sum the costs of the cells in which `candidate` differs from the input `layout`."""
@@ -173,27 +172,20 @@ def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
         joints = serves & (count_neighbours(driving & ~serves) > 0)
         sides = int(2 * (serves.sum() + (holds & ~serves).sum()) + max(2, int(joints.sum())))
         if bound.low > (most := sides // 3):
-            return (
-                f"{bound.low} {bound.tiles!r} are required but a connected driving area "
-                f"can reach at most {most}"
-            )
+            reach = f"a connected driving area can reach at most {most}"
+            return f"{bound.low} {bound.tiles!r} are required but {reach}"
     for tiles, others in rules.adjacency:
         alone = facts.must(tiles) & (count_neighbours(facts.may(others)) == 0)
         if alone.any():
-            row, col = np.argwhere(alone)[0]
-            return (
-                f"{tiles!r} needs {others!r}, which no cell beside row {row}, column {col} may hold"
-            )
+            where = "row {}, column {}".format(*np.argwhere(alone)[0])
+            return f"{tiles!r} needs {others!r}, which no cell beside {where} may hold"
     if rules.connected:
         labels, _ = ndimage.label(facts.may(rules.connected))
         always = facts.must(rules.connected)
         parts = np.unique(labels[always])
         if parts.size > 1:
-            row, col = np.argwhere(always & (labels == parts[1]))[0]
-            return (
-                f"fixed obstacles cut row {row}, column {col} off from the rest of "
-                f"{rules.connected!r}"
-            )
+            where = "row {}, column {}".format(*np.argwhere(always & (labels == parts[1]))[0])
+            return f"fixed obstacles cut {where} off from the rest of {rules.connected!r}"
     return None
 
 

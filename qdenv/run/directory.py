@@ -37,7 +37,7 @@ from qdenv.lazy import jax
 from qdenv.run.archive import ArchiveSchema, Elite, SavedArchive
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
 from qdenv.search.axes import check_measures
-from qdenv.shipped import HOME, Shipped, find
+from qdenv.shipped import HOME, USUAL, Shipped, find
 from qdenv.types import InputError, Measure
 
 _SCHEMA = 2  # of run directories; 1 was never released
@@ -171,7 +171,8 @@ class RunDirectory:
     def demand_own(self) -> None:
         """Raise InputError if the folder is one of the zoo's, by name or by path."""
         if shipped := self.shipped or find(self.path):
-            raise InputError(shipped.refusal)
+            train = f"`qdenv train {shipped.collection.origin.run}` makes a run of your own"
+            raise InputError(f"{shipped}: ships with qdenv and stays as it is: {train}")
 
     def write_config(self, config: RunConfig) -> None:
         """Write config.json."""
@@ -213,7 +214,10 @@ class RunDirectory:
         if not path.exists():
             hint = f"`qdenv resume {self.path}` goes on"
             raise InputError(f"{self.path}: no archive was saved yet; {hint}")
-        names = self.shipped.cells if self.shipped else {}
+        names: dict[str, tuple[int, ...]] = {}  # of cells; "best" is the generator's own
+        if self.shipped:
+            names = {one.name: one.cell for one in self.shipped.collection.generators}
+            names[USUAL] = self.shipped.generator.cell
         return SavedArchive.read(path, self.schema, str(self), names)
 
     @property

@@ -89,7 +89,7 @@ class Threads:
         with self._turn:
             runs = jax.tree.map(np.asarray, self._simulate(layouts, chunk, key))
         self._progress(len(chunk))
-        return Outcomes(layouts, status, runs)
+        return layouts, status, runs
 
 
 def _repair(pipeline: Pipeline, layout: np.ndarray) -> Future[Repair]:
@@ -166,7 +166,7 @@ def _evaluate_layouts(settings: str, layouts: np.ndarray, first: int, key: np.nd
         repaired = np.asarray(repair.layout)[None]
         runs: Any = simulate(repaired, np.array([index], np.int32), whole)
         status = np.array([repair.status], np.int32)
-        parts.append(Outcomes(repaired, status, jax.tree.map(np.asarray, runs)))
+        parts.append((repaired, status, jax.tree.map(np.asarray, runs)))
     return joined(parts)
 
 

@@ -2,12 +2,13 @@
 
 import contextlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv.domains.base import DOMAINS, FREE, SAME, Domain, check_shape, find_domain
+from qdenv.domains.base import DOMAINS, FREE, SAME, Domain, check_shape, find_domain, make_domain
 from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing, to_layout
 from qdenv.repair.rules import impossible
 from qdenv.types import InputError
@@ -45,7 +46,7 @@ class Plan(NamedTuple):
         if keep is not None:
             return keep_from(keep, domain, self.layout)
         try:
-            return domain.keeping(self.keep) if self.keep else domain
+            return make_domain(replace(domain.config, keep=self.keep)) if self.keep else domain
         except InputError as error:
             raise InputError(f'{self.name}: its file\'s key "keep": {error}') from error
 
@@ -101,7 +102,7 @@ def keep_from(path: str | Path, domain: Domain, layout: np.ndarray | None = None
             "".join(_resolve(symbol, row, col, domain, layout) for col, symbol in enumerate(drawn))
             for row, drawn in enumerate(rows)
         )
-        kept = domain.keeping(cells)
+        kept = make_domain(replace(domain.config, keep=cells))
         reason = None if kept.rules is None else impossible(kept.rules())
     except InputError as error:
         raise InputError(f"{path}: {error}") from error

@@ -1,5 +1,6 @@
 """Layouts of fixed seeds for the golden corpus."""
 
+import dataclasses
 import zlib
 
 import adapter
@@ -42,4 +43,4 @@ def keep_some(layout: np.ndarray, domain: adapter.qdenv.Domain, name: str) -> ob
         "".join(domain.tiles[tile] if keep else "?" for tile, keep in zip(*both, strict=True))
         for both in zip(layout, kept, strict=True)
     ]
-    return domain.keeping(tuple(rows))
+    return adapter.qdenv.make_domain(dataclasses.replace(domain.config, keep=tuple(rows)))

@@ -36,7 +36,6 @@ _MAX_BOOST = 20.0  # factor on the penalty, at most
 _BOOST_STEP = 1.05  # a period: a factor of 20 within 62 periods, fewer than are left
 _ACCEPT_BITS = (36, 10)  # of a move's second random word: one of the `RISE_LIMITS`
 
-
 # Temperatures in units of the mean cost of a cell, penalty weights in units of the largest. Chosen
 # on published and random layouts of the paper's sizes: a last penalty weight of 1.5 and less left
 # layouts infeasible.

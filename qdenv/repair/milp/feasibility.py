@@ -15,16 +15,7 @@ from scipy import ndimage
 from qdenv.progress import Progress, silent
 from qdenv.repair.anneal.packing import pack
 from qdenv.repair.audit import audit
-from qdenv.repair.milp.highs import (
-    MAX_CELLS,
-    add_cuts,
-    load,
-    mend,
-    new_solver,
-    run_limited,
-    separate,
-    solve_relaxation,
-)
+from qdenv.repair.milp import highs
 from qdenv.repair.milp.program import Constraints, Program, at_least, build, decode
 from qdenv.repair.rules import Facts, assign_kinds
 from qdenv.types import RepairStatus
@@ -59,10 +50,10 @@ def find_possible(facts: Facts, progress: Progress = silent) -> Existence:
 
 def _decide(facts: Facts, progress: Progress) -> Existence:
     """Try the relaxation, then the solver or the packer."""
-    if facts.free_cells > MAX_CELLS:
+    if facts.free_cells > highs.MAX_CELLS:
         return RepairStatus.FAILED, None
     progress("checking whether any layout exists", 0.0, "")
-    relaxed = solve_relaxation(build_free(facts, spanned=True))
+    relaxed = highs.solve_relaxation(build_free(facts, spanned=True))
     if relaxed.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
         return RepairStatus.IMPOSSIBLE, None
     if facts.free_cells > _BRANCHED_CELLS:
@@ -71,10 +62,10 @@ def _decide(facts: Facts, progress: Progress) -> Existence:
     # Solve with more and more connectivity cuts, until a layout obeys every rule or none can. Wide
     # aisles exclude more than a tree, which takes ten times as long.
     program, rng = build_free(facts, spanned=facts.rules.aisle <= 1), np.random.default_rng(0)
-    solver = load(new_solver(0), program)
+    solver = highs.load(highs.new_solver(0), program)
     solver.setOptionValue("mip_max_nodes", _NODES)
     for _ in range(_ROUNDS):
-        run_limited(solver, _INTERRUPT_BUDGET)
+        highs.run_limited(solver, _INTERRUPT_BUDGET)
         status = solver.getModelStatus()
         if status == highspy.HighsModelStatus.kInfeasible:
             return RepairStatus.IMPOSSIBLE, None
@@ -82,13 +73,13 @@ def _decide(facts: Facts, progress: Progress) -> Existence:
             break
         roles = decode(program.cells, np.array(solver.getSolution().col_value))
         solution = assign_kinds(roles, facts.any_layout, facts, rng)
-        cuts = separate(facts.driving[solution], facts.must(facts.rules.connected))
-        for candidate in (solution, mend(solution, solution, facts, rng)):
+        cuts = highs.separate(facts.driving[solution], facts.must(facts.rules.connected))
+        for candidate in (solution, highs.mend(solution, solution, facts, rng)):
             if not audit(candidate, facts.rules):
                 return RepairStatus.ANNEALED, candidate
         if not cuts:
             break
-        add_cuts(solver, program.cells, facts, cuts)
+        highs.add_cuts(solver, program.cells, facts, cuts)
     return RepairStatus.FAILED, None
 
 

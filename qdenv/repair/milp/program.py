@@ -46,10 +46,6 @@ class Constraints(NamedTuple):
         """Mark the terms that are there (bool [rows, terms])."""
         return (self.columns >= 0) & (self.values != 0)
 
-    def select(self, rows: np.ndarray) -> "Constraints":
-        """Select rows (bool [rows])."""
-        return Constraints(*(field[rows] for field in self))
-
 
 class Program(NamedTuple):
     """Minimise ``cost @ v + constant`` within the rows and ``0 <= v <= upper``."""
@@ -145,7 +141,8 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
         *(_aisles(cells, squares, facts) if aisle > 1 else ()),
     ]
     # A row without variables matters only where fixed cells break it.
-    rows = [part.select(part.terms().any(1) | (part.low > 0) | (part.high < 0)) for part in rows]
+    used = [part.terms().any(1) | (part.low > 0) | (part.high < 0) for part in rows]
+    rows = [Constraints(*(x[use] for x in part)) for part, use in zip(rows, used, strict=True)]
     upper, integer = np.ones(size), np.ones(size, bool)
     upper[[column for pair in retypes.values() for column in pair]] = layout.size
     # A square is open when its cells are: no need to branch on it.
@@ -215,11 +212,7 @@ def _aisles(cells: Cells, squares: np.ndarray, facts: Facts) -> list[Constraints
 
 
 def _cost(
-    cells: Cells,
-    retypes: dict[int, tuple[int, int]],
-    facts: Facts,
-    layout: np.ndarray,
-    size: int,
+    cells: Cells, retypes: dict[int, tuple[int, int]], facts: Facts, layout: np.ndarray, size: int
 ) -> tuple[np.ndarray, float]:
     """Price what is not kept; a kind that leaves its cell to another costs its cheapest cell."""
     kept, roles = facts.keeps(layout), np.arange(len(facts.roles))
@@ -263,5 +256,4 @@ def decode(cells: Cells, values: np.ndarray) -> np.ndarray:
     # What the binaries leave over is the base role's, of fixed cells all of it.
     rows, cols = np.nonzero(cells.base >= 0)
     holds[rows, cols, cells.base[rows, cols]] = 1.0 - holds[rows, cols].sum(-1)
-    role: np.ndarray = holds.argmax(-1)
-    return role
+    return np.asarray(holds.argmax(-1))

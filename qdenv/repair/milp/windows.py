@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from qdenv.grid import count_neighbours
 from qdenv.progress import Progress, silent
-from qdenv.repair.milp.highs import Cut, add_cuts, load, new_solver, separate
+from qdenv.repair.milp.highs import add_cuts, load, new_solver, separate
 from qdenv.repair.milp.program import Cells, Constraints, Program, demand, total
 from qdenv.repair.rules import Facts, excess
 
@@ -71,7 +71,9 @@ class WindowSearch:
         rows, cols = np.nonzero(inside)
         places = rows + near[0].start, cols + near[1].start
         columns, own, kept = cells.columns[inside], self.layout[places], self.candidate[places]
-        before = self.facts.driving[self.candidate[box]]
+        before, outside = self.facts.driving[self.candidate[box]], np.ones(self.layout.shape, bool)
+        outside[box] = False
+        edges = np.asarray(count_neighbours(outside)[box] > 0)
         # A role costs nothing where the input's tile has it and may stay. A cell whose role stays
         # keeps the kind that it has been given.
         keeps = self.facts.rules.allowed[(*places, own)]
@@ -97,7 +99,9 @@ class WindowSearch:
             chosen = np.where(columns >= 0, values[columns], -1.0).argmax(1)
             self._place(places, chosen)
             gain = float(paid - self.price[places][self.candidate[places] != own].sum())
-            cuts = self._find_cuts(before, box)
+            after = self.facts.driving[self.candidate[box]]
+            whole = not self.facts.rules.connected or stays_connected(before, after, edges)
+            cuts = [] if whole else separate(after, self.always[box])
             if gain >= 0 and not cuts and excess(self.counts, self.facts) == 0:
                 self.roles[places] = chosen
                 return gain
@@ -136,7 +140,8 @@ class WindowSearch:
             # the negative terms at most one is set, as a cell takes one role.
             terms = needed.terms()
             least = np.where(terms, needed.values, 0.0).min(-1)
-            columns, values, low, high = needed.select(terms.any(1) & (least < needed.low))
+            used = terms.any(1) & (least < needed.low)
+            columns, values, low, high = (field[used] for field in needed)
             rows.append(Constraints(columns, -values, -high, -low))
         outside = np.bincount(self.roles.ravel(), minlength=len(facts.roles))
         outside -= np.bincount(self.roles[box].ravel(), minlength=outside.size)
@@ -161,16 +166,6 @@ class WindowSearch:
             self.candidate[row, col] = tile
             self.counts[stood] -= 1
             self.counts[tile] += 1
-
-    def _find_cuts(self, before: np.ndarray, box: _Box) -> list[Cut]:
-        """Find cuts where the driving area, one piece with `before` in a box, may fall apart."""
-        outside = np.ones(self.layout.shape, bool)
-        outside[box] = False
-        edges = np.asarray(count_neighbours(outside)[box] > 0)
-        after = self.facts.driving[self.candidate[box]]
-        if not self.facts.rules.connected or stays_connected(before, after, edges):
-            return []
-        return separate(after, self.always[box])
 
 
 def stays_connected(before: np.ndarray, after: np.ndarray, edges: np.ndarray) -> bool:
