@@ -41,7 +41,8 @@ class Ranged:
 
     def __post_init__(self) -> None:
         """Raise InputError, which names the field, if a value is none of those it may have."""
-        for name, kind in _type_hints(type(self), include_extras=True).items():
+        record: Any = type(self)
+        for name, kind in _type_hints(record, include_extras=True).items():
             value = getattr(self, name)
             if _has_range(kind):
                 check_range(name, value, kind)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from qdenv.io.arrays import Column, read_arrays, read_state, write_arrays, write_state
-from qdenv.io.files import read_bytes
+from qdenv.io.files import read_text
 from qdenv.io.records import read_json, structured
 from qdenv.io.tables import read_table
 from qdenv.simulate.maze.policy import SHIPPED_AGENT, load_weights
@@ -249,10 +249,10 @@ def test_tables_are_read_strictly_and_rows_before_the_damage_come_first(tmp_path
 
 def test_nothing_larger_than_allowed_is_read_not_even_from_a_device():
     with pytest.raises(DamagedError, match="bigger than 1 MB"):
-        read_bytes("/dev/zero", 2**20)
+        read_text("/dev/zero", 2**20)
     for name in ("a\0b", "x" * 5000):
         with pytest.raises(InputError):
-            read_bytes(name)
+            read_text(name)
 
 
 class Facts(NamedTuple):
