@@ -12,17 +12,34 @@ if __name__ == "__main__":
     interrupt.watch("python -m experiments")
 
 from functools import partial
+from importlib import import_module
 
 import tyro
 
-from experiments.catalogue import find, names
+from experiments.panels import FIGURES
 from experiments.pieces import RESULTS, Experiment, Folders
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_atomically
 from qdenv.ops.output import format_duration
 from qdenv.run.executors import Execution, ExecutorName
-from qdenv.types import InputError
+from qdenv.types import InputError, look_up
 from qdenv.view.style import save_figure, styled
+
+
+def names() -> list[str]:
+    """Return the names of the experiments: scripts with an `EXPERIMENT`, and those of `panels`."""
+    scripts = ("figure_*.py", "table_*.py", "maze_success.py", "runtimes.py")
+    folder = Path(__file__).parent
+    return sorted([*FIGURES, *(path.stem for form in scripts for path in folder.glob(form))])
+
+
+def find(name: str) -> Experiment:
+    """Find an experiment; raise InputError if none has this name."""
+    look_up(dict.fromkeys(names()), name, "experiment")
+    if name in FIGURES:
+        return FIGURES[name]
+    found: Experiment = import_module(f"experiments.{name}").EXPERIMENT
+    return found
 
 
 def list_all(folders: Folders) -> None:

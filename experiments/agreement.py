@@ -115,17 +115,13 @@ def correlate(kind: str, ours: np.ndarray, theirs: np.ndarray, seed: int = 0) ->
     if len(ours) < 3:
         return Correlation(np.nan, np.nan, np.nan)
     measure = {"spearman": stats.spearmanr, "kendall": stats.kendalltau}[kind]
-
-    def statistic(ours: np.ndarray, theirs: np.ndarray) -> float:
-        return float(measure(ours, theirs).statistic)
-
     options: Any = {"n_resamples": RESAMPLES, "paired": True, "vectorized": False}
+    options["random_state"] = np.random.default_rng(seed)
     with warnings.catch_warnings():  # a resample of equal layouts has no correlation
         warnings.simplefilter("ignore")
-        rng = np.random.default_rng(seed)
-        found = stats.bootstrap((ours, theirs), statistic, random_state=rng, **options)
-        ends = found.confidence_interval
-        return Correlation(statistic(ours, theirs), float(ends.low), float(ends.high))
+        found = stats.bootstrap((ours, theirs), lambda *pair: measure(*pair).statistic, **options)
+        low, high = found.confidence_interval
+        return Correlation(float(measure(ours, theirs).statistic), float(low), float(high))
 
 
 def compare(subjects: Sequence[Subject], judged: Judged) -> dict[tuple[str, str], Agreement]:
@@ -147,21 +143,6 @@ def compare(subjects: Sequence[Subject], judged: Judged) -> dict[tuple[str, str]
             chosen = np.isfinite(ours) & (flows | (over == "all"))
             found[name, over] = agree(ours[chosen], theirs[chosen])
     return found
-
-
-def print_agreements(found: dict[tuple[str, str], Agreement]) -> None:
-    """Print the correlations as a markdown table."""
-    head = (f"against {PAPER}", "layouts", "Spearman (95 %)", "Kendall (95 %)", "ratio")
-    rows = [
-        (
-            name,
-            f"{one.layouts} {over}",
-            *("{:.3f} ({:.3f} to {:.3f})".format(*each) for each in (one.spearman, one.kendall)),
-            f"{one.ratio.mean:.4f} +- {one.ratio.error:.4f}",
-        )
-        for (name, over), one in found.items()
-    ]
-    print("\n".join(table(head, rows)))
 
 
 def print_parting(
@@ -286,7 +267,13 @@ def main(
     title = f"{domain.name}, {agents} agents, {timesteps} timesteps, {len(chosen)} seeds"
     draw(out / "agreement.png", subjects, judged, title)
     print(f"\n{title}; intervals: 95 %, bootstrap over layouts\n")
-    print_agreements(compare(subjects, judged))
+    head = (f"against {PAPER}", "layouts", "Spearman (95 %)", "Kendall (95 %)", "ratio")
+    rows: list[tuple[object, ...]] = []
+    for (name, over), one in compare(subjects, judged).items():
+        both = ("{:.3f} ({:.3f} to {:.3f})".format(*each) for each in (one.spearman, one.kendall))
+        ratio = f"{one.ratio.mean:.4f} +- {one.ratio.error:.4f}"
+        rows.append((name, f"{one.layouts} {over}", *both, ratio))
+    print("\n".join(table(head, rows)))
     for planner in ("low", "high", "plain"):
         print_parting(subjects, judged, planner, axes)
     print(", ".join(str(out / name) for name in ("runs.csv", "agreement.csv", "agreement.png")))

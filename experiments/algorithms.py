@@ -17,18 +17,22 @@ from typing import NamedTuple
 import numpy as np
 
 import qdenv
+from experiments.lines import draw_band
 from experiments.published import TABLE_4
 from experiments.runs import whole_run
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
-from qdenv.ops.output import format_duration
+from qdenv.ops.output import format_duration, format_table
 from qdenv.run.config import choose_algorithm
 from qdenv.study.groups import band_of
 from qdenv.view.style import new_figure, save_figure, styled
 
 ALGORITHMS = ("cma-mae", "cma-me", "map-elites", "cma-es", "random", "dsage")
-COLOURS = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#999999", "#CC79A7")  # Okabe and Ito 2008
-STYLES = ("-", "--", "-", "--", ":", "-.")  # grey prints tell them apart, too
+# Colours (Okabe and Ito 2008) and styles, which grey prints tell apart, too.
+LOOKS = (
+    *(("#0072B2", "-"), ("#56B4E9", "--"), ("#D55E00", "-"), ("#E69F00", "--")),
+    *(("#999999", ":"), ("#CC79A7", "-.")),
+)
 METRICS = {"qd_score": "QD-score", "coverage": "coverage", "best_objective": "best objective"}
 ENTROPY = ("mean_entropy", "lowest_entropy", "share_below_half")
 
@@ -63,8 +67,8 @@ def write_table(path: Path, found: dict[str, Runs], domain: str) -> None:
     print(
         "mean +- half of its 95 % interval (Student's t); share: of elites with entropy below 0.5"
     )
-    titles = "".join(f"{title:18}" for title in METRICS.values())
-    print(f"algorithm    {titles}entropy  lowest  share  Table 4: QD-score, coverage")
+    paper = "Table 4: QD-score, coverage"
+    shown = [("algorithm", *METRICS.values(), "entropy", "lowest", "share", paper)]
     head = ["algorithm", "seeds", "evaluations"]
     head += [name for metric in METRICS for name in (metric, f"{metric}_margin")]
     rows = []
@@ -77,8 +81,9 @@ def write_table(path: Path, found: dict[str, Runs], domain: str) -> None:
             for (m, half), digits in zip(pairs, (1, 4, 3), strict=True)
         ]
         mean, lowest, share = runs.entropy
-        line = f"{name:11}  {''.join(f'{cell:18}' for cell in cells)}{mean:7.2f}  {lowest:6.2f}  "
-        print(f"{line}{share:5.1%}  {TABLE_4.get((domain, name), '')}".rstrip())
+        cells += [f"{mean:.2f}", f"{lowest:.2f}", f"{share:.1%}"]
+        shown.append((name, *cells, str(TABLE_4.get((domain, name), ""))))
+    print("\n".join(format_table(shown)))
     write_csv(path, [*head, *ENTROPY], rows)
 
 
@@ -88,13 +93,8 @@ def draw(path: Path, found: dict[str, Runs], title: str) -> None:
     figure = new_figure(10, 3.6, dpi=110)
     panels = figure.subplots(1, len(METRICS))
     for column, (axes, label) in enumerate(zip(panels, METRICS.values(), strict=True)):
-        for (name, runs), colour, style in zip(found.items(), COLOURS, STYLES, strict=False):
-            mean, half = band_of(runs.metrics[:, :, column])
-            axes.plot(runs.evaluations, mean, style, color=colour, label=name)
-            half = np.nan_to_num(half)
-            axes.fill_between(
-                runs.evaluations, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0
-            )
+        for (name, runs), look in zip(found.items(), LOOKS, strict=False):
+            draw_band(axes, runs.evaluations, runs.metrics[:, :, column], look, name)
         axes.set(title=label, xlabel="true evaluations")
     figure.suptitle(title, fontsize="medium")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)

@@ -27,7 +27,7 @@ import qdenv
 from experiments.ledger import Case, Outcome, complete, outcomes_of, read_runs
 from experiments.pieces import table
 from experiments.published import TRAFFIC
-from experiments.traffic import moved_in, name_layouts, rate_of
+from experiments.traffic import describe, name_layouts
 from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
 from qdenv.study.options import parse_counts, parse_seeds
@@ -66,7 +66,7 @@ def cells_of(row: Outcome) -> tuple[object, ...]:
     jams = f"{row.jam_median:.0f} ({row.jam_least:.0f} to {row.jam_most:.0f})"
     return (
         *(f"{row.layout} ({row.domain})", row.agents, row.timesteps, who(row)),
-        *(rate_of(row), moved_in(row), paper_on(row), f"{row.cpu_seconds:.2f}"),
+        *(*describe([row]), paper_on(row), f"{row.cpu_seconds:.2f}"),
         "" if np.isnan(row.jam_median) else jams,
     )
 

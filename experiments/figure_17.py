@@ -5,14 +5,14 @@ from itertools import product
 import numpy as np
 
 from experiments.courses import BIN, SavedCourse
-from experiments.layouts import SavedLayout
+from experiments.layouts import S, SavedLayout
 from experiments.lines import LOOKS, draw_line, finish, new_panels
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import AGENTS, FLEETS, TRAFFIC
 
 MAKERS = ("nca", "human")
 COURSES = {
-    (domain, maker): SavedCourse(SavedLayout(domain, maker), agents=AGENTS[domain][0])
+    (domain, maker): SavedCourse(SavedLayout(domain, maker), agents=AGENTS[domain][S])
     for domain, maker in product(FLEETS, MAKERS)
 }
 HEAD = (

@@ -11,10 +11,10 @@ from experiments.archives import note
 from experiments.courses import SavedCourse
 from experiments.layouts import S_EVAL, SavedLayout
 from experiments.lines import LOOKS
-from experiments.makers import TABLE, own_agents
 from experiments.panels import show_layout
 from experiments.pieces import Drawn, Experiment, Folders, Piece, table
-from experiments.published import FLEETS, TRAFFIC
+from experiments.published import AGENTS, FLEETS, TRAFFIC
+from experiments.table_5 import TABLE
 from experiments.traffic import SavedTraffic, describe
 from qdenv.view.style import new_figure
 
@@ -26,11 +26,11 @@ MAKERS = ("tiled", "nca")
 RUNS = {
     (domain, maker): TABLE[domain, "nca", S_EVAL, "high"]
     if maker == "nca"
-    else SavedTraffic(SavedLayout(domain, maker, S_EVAL), "tiled", (own_agents(domain, S_EVAL),))
+    else SavedTraffic(SavedLayout(domain, maker, S_EVAL), "tiled", (AGENTS[domain][S_EVAL],))
     for domain, maker in product(FLEETS, MAKERS)
 }
 USAGE = {
-    (domain, maker): SavedCourse(saved.layout, own_agents(domain, S_EVAL), seeds=MAPPED, stop=True)
+    (domain, maker): SavedCourse(saved.layout, AGENTS[domain][S_EVAL], seeds=MAPPED, stop=True)
     for (domain, maker), saved in RUNS.items()
 }
 HEAD = (
@@ -52,19 +52,16 @@ def draw(folders: Folders) -> Drawn:
     if drawn:
         label = "time on the cell, times an even spread over the free cells"
         figure.colorbar(drawn[0], ax=panels[1:], shrink=0.5, extend="max", label=label)
-    rows = [row_of(domain, maker, folders) for domain, maker in RUNS]
+    rows: list[tuple[object, ...]] = []
+    for (domain, maker), saved in RUNS.items():
+        (agents,), layout, refusal = saved.agents, saved.layout, saved.layout.refusal(folders)
+        known = layout.done(folders) and not refusal
+        changed = layout.read(folders).facts["changed"] if known else ""
+        moved = describe(saved.outcomes(folders), refusal)
+        paper = TRAFFIC[domain, maker, agents]
+        rows.append((domain, LOOKS[maker].label, agents, changed, *moved, paper))
     said = f"T = 5000; usage: share of all agents' time, mean of {MAPPED} runs"
     return Drawn(figure, (*table(HEAD, rows), "", f"{said}, until they congest."))
-
-
-def row_of(domain: str, maker: str, folders: Folders) -> tuple[object, ...]:
-    """Write what one layout moves."""
-    saved, layout = RUNS[domain, maker], RUNS[domain, maker].layout
-    (agents,), refusal = saved.agents, layout.refusal(folders)
-    known = layout.done(folders) and not refusal
-    changed = layout.read(folders).facts["changed"] if known else ""
-    moved = describe(saved.outcomes(folders), refusal)
-    return (domain, LOOKS[maker].label, agents, changed, *moved, TRAFFIC[domain, maker, agents])
 
 
 def show_usage(axes: Axes, saved: SavedCourse, folders: Folders) -> None:

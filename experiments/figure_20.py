@@ -1,28 +1,15 @@
 """Figure 20: QD-score and coverage over evaluations, with the paper's final values."""
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.ticker import EngFormatter
 
 from experiments.archives import ALGORITHMS, RUNS, read_all
+from experiments.lines import draw_band
 from experiments.pieces import Drawn, Experiment, Folders
 from experiments.published import TABLE_4
-from qdenv.run.directory import Metrics
-from qdenv.study.groups import band_of
 from qdenv.view.style import new_figure
 
 METRICS = {"qd_score": "QD-score", "coverage": "coverage"}
-
-
-def draw_curve(axes: Axes, runs: list[list[Metrics]], metric: str, name: str) -> None:
-    """Draw the mean of some runs as far as all of them came, its 95 % interval shaded."""
-    colour, style = ALGORITHMS[name]
-    length = min(map(len, runs))
-    values = np.array([[getattr(row, metric) for row in rows[:length]] for rows in runs])
-    at, (mean, half) = [row.evaluations for row in runs[0][:length]], band_of(values)
-    axes.plot(at, mean, style, color=colour, label=f"{name} ({len(runs)})")
-    if len(runs) > 1:
-        axes.fill_between(at, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0)
 
 
 def draw(folders: Folders) -> Drawn:
@@ -33,7 +20,11 @@ def draw(folders: Folders) -> Drawn:
     for metric, line in zip(METRICS, panels, strict=True):
         for (domain, runs), axes in zip(found.items(), line, strict=True):
             for name, own in runs.items():
-                draw_curve(axes, [one.metrics for one in own], metric, name)
+                length = min(len(one.metrics) for one in own)  # as far as all of them came
+                tables = [one.metrics[:length] for one in own]
+                values = [[getattr(row, metric) for row in rows] for rows in tables]
+                at = [row.evaluations for row in tables[0]]
+                draw_band(axes, at, np.array(values), ALGORITHMS[name], f"{name} ({len(own)})")
             end = axes.dataLim.x1
             for name, (colour, _) in ALGORITHMS.items():
                 if paper := TABLE_4.get((domain, name)):

@@ -1,12 +1,20 @@
 """Figure 22: throughput over agents, of layouts by CMA-ES and by CMA-MAE, at S and S_eval."""
 
-from experiments.layouts import S_EVAL, S
+from itertools import product
+
+from experiments.layouts import S_EVAL, S, SavedLayout
 from experiments.lines import LOOKS, draw_line, finish, new_panels
-from experiments.makers import CURVE_RUNS, CURVES, MAKERS, RUNS, SIZES, own_agents
 from experiments.pieces import Drawn, Experiment, Folders, table
-from experiments.published import FLEETS
+from experiments.published import AGENTS, FLEETS
+from experiments.table_5 import MAKERS, RUNS, runs_of
+from experiments.traffic import SavedTraffic
 from qdenv.stats import margin
 
+SIZES = {S: "S", S_EVAL: "S_eval"}
+# Of N_a: numbers of agents over which Figure 22 draws throughput.
+SHARES = {S: (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0), S_EVAL: (0.4, 0.6, 0.8, 1.0, 1.2, 1.4)}
+# A run at S_eval takes ten times as long or more; where nothing jams they differ by few per mille.
+CURVE_RUNS = {S: RUNS, S_EVAL: 10}
 HEAD = ("domain", "size", "layout", "runs", "most tasks / timestep", "agents then", "success then")
 NOTES = (
     "Mean of all runs, congested ones too, with its 95 % interval; dotted: N_a of Table 5. "
@@ -15,6 +23,17 @@ NOTES = (
     "The paper: at S both are alike; at S_eval CMA-ES's generators are far behind "
     "(warehouse-uneven), or their drawings cannot be repaired.",
 )
+
+
+def curve(domain: str, maker: str, shape: tuple[int, int]) -> tuple[SavedTraffic, ...]:
+    """Return the runs of one curve: with N_a agents those of the table, with others fewer."""
+    layout, own = SavedLayout(domain, maker, shape), AGENTS[domain][shape]
+    counts = (round(share * own) for share in SHARES[shape])
+    return tuple(runs_of(layout, n, runs=RUNS if n == own else CURVE_RUNS[shape]) for n in counts)
+
+
+# With each number of agents, by domain, maker and size.
+CURVES = {key: curve(*key) for key in product(FLEETS, MAKERS, SIZES)}
 
 
 def draw(folders: Folders) -> Drawn:
@@ -42,7 +61,7 @@ def draw(folders: Folders) -> Drawn:
         line[0].set_ylabel(f"{name}: tasks / timestep")
         for axes, domain in zip(line, FLEETS, strict=True):
             axes.set_xlabel("agents")
-            axes.axvline(own_agents(domain, shape), color="grey", ls=":", lw=1)
+            axes.axvline(AGENTS[domain][shape], color="grey", ls=":", lw=1)
     finish(figure, panels)
     return Drawn(figure, (*table(HEAD, rows), "", *NOTES))
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from experiments.ledger import Case, complete
 from qdenv.domains.base import Domain, make_domain
+from qdenv.io.files import tidy
 from qdenv.pipeline import simulate_layouts
 from qdenv.run.archive import SavedArchive
 from qdenv.run.config import scale
@@ -78,9 +79,8 @@ class Workshop:
 
     def at(self, shape: Shape) -> Domain:
         """Make the domain at a size, with all numbers that follow from it."""
-        rows, cols = shape
         evaluation = self.config.evaluation
-        domain = replace(evaluation.domain, rows=rows, cols=cols)
+        domain = replace(evaluation.domain, rows=shape[0], cols=shape[1])
         asked = replace(self.config, evaluation=replace(evaluation, domain=domain))
         return make_domain(scale(asked, self.config, ())[0].evaluation.domain)
 
@@ -102,14 +102,12 @@ class Workshop:
 
         -1 where it cannot be repaired, congests, or cannot be solved.
         """
-        shape, timesteps = self.shapes[-1], self.measuring.trial_timesteps
-        sized = self.grow(cell, shape)
+        sized = self.grow(cell, self.shapes[-1])
         if sized is None:
             return -1.0
         if not self.fleet:
-            share = self.walk(sized.layout, shape).success
-            return share if share > 0 else -1.0
-        trial = self.drive(cell, sized.layout, ("high", "1"), timesteps)
+            return self.walk(sized.layout).success or -1.0
+        trial = self.drive(cell, sized.layout, ("high", "1"), self.measuring.trial_timesteps)
         return trial.mean if trial.success == 1 else -1.0
 
     def flows(self, cell: Cell) -> bool:
@@ -124,29 +122,19 @@ class Workshop:
         """Grow a chosen elite at one size, and simulate it as is to be reported."""
         sized, how = self.grow(cell, shape), self.measuring
         assert sized is not None
-        plans = [("high", how.seeds), ("published", how.pbs_seeds)]
-        plans = [plan for plan in plans if plan[1] != NONE]
-        driven = (
-            [self.drive(cell, sized.layout, plan, how.timesteps) for plan in plans]
-            if self.fleet
-            else [self.walk(sized.layout, shape)]
-        )
+        if self.fleet:
+            plans = [("high", how.seeds), ("published", how.pbs_seeds)]
+            plans = [plan for plan in plans if plan[1] != NONE]
+            driven = [self.drive(cell, sized.layout, plan, how.timesteps) for plan in plans]
+        else:
+            driven = [self.walk(sized.layout)]
         measures = {
             axis.name: tidy(float(axis.value(jnp.asarray(sized.layout), None)))
             for axis in self.at(shape).measures
             if axis.value is not None and axis.limit != "timesteps"  # that needs simulations
         }
-        rows, cols = shape
-        return GrownLayout(
-            rows=rows,
-            cols=cols,
-            steps=sized.steps,
-            numbers=sized.numbers,
-            repair=sized.repair,
-            changed=sized.changed,
-            measures=measures,
-            driven=tuple(driven),
-        )
+        numbers = (sized.steps, sized.numbers, sized.repair, sized.changed)
+        return GrownLayout(*shape, *numbers, measures, tuple(driven))
 
     def drive(
         self, cell: Cell, layout: np.ndarray, plan: tuple[str, str], timesteps: int
@@ -162,15 +150,15 @@ class Workshop:
         flowed = np.mean([not run.congested for run in runs])
         return make_row(plan[0], agents, timesteps, values, float(flowed))
 
-    def walk(self, layout: np.ndarray, shape: Shape) -> Driven:
+    def walk(self, layout: np.ndarray) -> Driven:
         """Evaluate the agent in a maze (int8 [H, W])."""
-        domain, keys = self.at(shape), jax.random.split(jax.random.key(0), 1)
-        simulator, episodes = domain.simulator, self.measuring.episodes
-        if shape not in self._walks:
-            self._walks[shape] = jax.jit(
-                lambda mazes: simulate_layouts(simulator, mazes, keys, episodes)
-            )
-        runs = jax.tree.map(np.asarray, self._walks[shape](jnp.asarray(layout)[None]))
+        domain, keys = self.at(layout.shape), jax.random.split(jax.random.key(0), 1)
+        episodes = self.measuring.episodes
+        walk = self._walks.setdefault(
+            layout.shape,
+            jax.jit(lambda mazes: simulate_layouts(domain.simulator, mazes, keys, episodes)),
+        )
+        runs = jax.tree.map(np.asarray, walk(jnp.asarray(layout)[None]))
         lengths = runs.length.reshape(-1).astype(float)
         return make_row("agent", 1, domain.config.timesteps, lengths, float(runs.success.mean()))
 
@@ -179,11 +167,6 @@ def make_row(
     planner: str, agents: int, timesteps: int, values: np.ndarray, success: float
 ) -> Driven:
     """Condense the runs of one layout (values: float [runs])."""
-    error = tidy(sample_of(values).error) if len(values) > 1 else None
-    mean = tidy(float(values.mean()))
-    return Driven(planner, agents, timesteps, len(values), mean, error, tidy(success))
-
-
-def tidy(value: float) -> float:
-    """Round a number to as many digits as files keep."""
-    return float(f"{value:.6g}")
+    mean, error, _ = sample_of(values)
+    found = tidy([mean, error, success])  # no error, a NaN, is null in files
+    return Driven(planner, agents, timesteps, len(values), *found)

@@ -1,4 +1,4 @@
-"""Saved layouts: grown by an elite, drawn as people do, or tiled; with what the repair changed."""
+"""Saved layouts: grown by an elite of a run or the zoo, drawn as people do, or tiled; repaired."""
 
 import json
 import zlib
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from experiments.generators import GROWERS, SavedZoo, open_generator
+from experiments import zoo
 from experiments.ledger import Case
 from experiments.pieces import Folders, Piece, Say
 from experiments.runs import SavedRun
@@ -19,6 +19,8 @@ from qdenv.domains.base import Domain, find_domain
 from qdenv.grid import draw, of_tiles, parse
 from qdenv.io.layouts import write_layout
 from qdenv.repair.settings import RepairConfig
+from qdenv.run.directory import RunDirectory
+from qdenv.shipped import PREFIX, USUAL, NamedGenerator, named, names
 from qdenv.simulate.maze.world import WALL, longest_path
 from qdenv.study import elites as sizes
 from qdenv.study.elites import Unrepaired
@@ -26,8 +28,57 @@ from qdenv.types import Array, InputError
 
 S, S_EVAL = (33, 36), (101, 102)
 MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
+GROWERS = ("nca", "nca-s")  # makers of layouts that are generators of the zoo
 _longest_path = jax.jit(longest_path)
 SECONDS = {S: 4.0, S_EVAL: 10.0}  # CPU seconds of growing and repairing
+
+
+@dataclass(frozen=True)
+class SavedZoo(Piece):
+    """The zoo of one domain."""
+
+    kind = "zoos"
+    label = "zoo of {0.domain}"
+    domain: str  # its name
+
+    @property
+    def run(self) -> SavedRun:
+        """Return the run that elites are chosen from, of the preset of the domain's name."""
+        return SavedRun(self.domain)
+
+    @property
+    def needs(self) -> tuple[Piece, ...]:
+        """The run."""
+        return (self.run,)
+
+    def done(self, folders: Folders) -> float:
+        """Return 1 if the package has one."""
+        return float(self.domain in names())
+
+    def seconds(self, folders: Folders) -> float:
+        """Estimate the CPU seconds of choosing and measuring about ten."""
+        return 1200.0
+
+    def make(self, folders: Folders, say: Say) -> None:
+        """Choose the generators and write them into the package."""
+        say(f"{self.name}: is being chosen; {zoo.HOME} will hold it")
+        zoo.main(self.run.whole(folders, say).path)
+
+
+def open_generator(domain: str, maker: str) -> RunDirectory:
+    """Open the zoo's generator: its best for the maker "nca", `most_at_s` for "nca-s"."""
+    name = USUAL if maker == "nca" else most_at_s(domain)
+    return RunDirectory.open(f"{PREFIX}{domain}/{name}")
+
+
+def most_at_s(domain: str) -> str:
+    """Return the name of the generator that moves most at the trained size, and flows there."""
+
+    def moved(one: NamedGenerator) -> float:
+        driven = one.sizes[0].driven[0]
+        return driven.mean if driven.success == 1 else 0.0
+
+    return max(named(domain).collection.generators, key=moved).name
 
 
 class Made(NamedTuple):
@@ -147,8 +198,10 @@ class SavedLayout(Piece):
             drawn = random_like(self.like.read(folders).layout, int(self.maker[7:]))
             layout = np.asarray(domain.frame(drawn))
         else:
-            zoo = self.maker in GROWERS
-            run = open_generator(self.domain, self.maker) if zoo else self.run().whole(folders, say)
+            if self.maker in GROWERS:
+                run = open_generator(self.domain, self.maker)
+            else:
+                run = self.run().whole(folders, say)
             grown = sizes.grow_elite(run, "best", self.shape)
             return grown, run.config.evaluation.repair, run.config.seed
         return Unrepaired(domain, None, layout, 0), RepairConfig(), 0

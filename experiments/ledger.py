@@ -55,10 +55,8 @@ class Case(NamedTuple):
     @property
     def fleet(self) -> FleetConfig:
         """The settings of its simulation."""
-        planner = DRIVERS[self.planner]
-        return FleetConfig(
-            self.agents, self.timesteps, planner=planner, stop_when_congested=self.stop
-        )
+        how: Any = {"planner": DRIVERS[self.planner], "stop_when_congested": self.stop}
+        return FleetConfig(self.agents, self.timesteps, **how)
 
 
 class Run(NamedTuple):

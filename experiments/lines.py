@@ -8,6 +8,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from qdenv.study.groups import band_of
 from qdenv.view.style import new_figure
 
 PANEL = (3.9, 3.1)  # inches
@@ -29,7 +30,6 @@ LOOKS = {
     "human": Look("hand-made", "#D55E00", "--", "s"),
     "cma-es": Look("CMA-ES + NCA", "#E69F00", "-.", "^"),
     "tiled": Look("tiled", "#009E73", ":", "v"),
-    "dsage": Look("DSAGE", "#CC79A7", ":", "D"),
 }
 
 
@@ -54,6 +54,19 @@ def draw_line(axes: Axes, places: Values, mean: Values, half: Values, maker: str
     )
 
 
+def draw_band(
+    axes: Axes, places: Values, values: np.ndarray, look: tuple[str, str], label: str
+) -> None:
+    """Draw the mean of runs (float [runs, places]) in a colour and style, its 95 % interval shaded.
+
+    One run has no interval.
+    """
+    (colour, style), (mean, half) = look, band_of(values)
+    axes.plot(places, mean, style, color=colour, label=label)
+    if len(values) > 1:
+        axes.fill_between(places, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0)
+
+
 def finish(figure: Figure, panels: np.ndarray) -> None:
     """Add one legend for all panels, and a note to those without lines."""
     named: dict[str, Artist] = {}
@@ -67,9 +80,5 @@ def finish(figure: Figure, panels: np.ndarray) -> None:
             continue
         axes.set_ylim(0, 1.05 * axes.get_ylim()[1])  # a margin even where all is one point
     if named:
-        figure.legend(
-            list(named.values()),
-            list(named),
-            loc="outside lower center",
-            ncols=len(named),
-        )
+        handles, labels = list(named.values()), list(named)
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(named))

@@ -139,14 +139,8 @@ def draw_rates(axes: Axes, found: list[Solved]) -> tuple[object, ...]:
         rate, (low, high) = row.successes / row.runs, wilson_interval(row.successes, row.runs)
         own = (f"{rate:.0%} ({low:.0%} to {high:.0%})", row.shortest, row.walls)
         ends = np.maximum([[rate - low], [high - rate]], 0)
-        look: Any = {
-            "fmt": "o",
-            "color": LOOKS["nca"].colour,
-            "ms": 8,
-            "capsize": 4,
-            "label": "grown",
-        }
-        axes.errorbar([row.shortest], [rate], ends, **look)
+        look: Any = {"color": LOOKS["nca"].colour, "ms": 8, "capsize": 4, "label": "grown"}
+        axes.errorbar([row.shortest], [rate], ends, fmt="o", **look)
     if not others:
         return (*own, "not made yet", 0, "")
     sample = sample_of(np.array(rates))

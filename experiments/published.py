@@ -4,9 +4,12 @@ from math import isnan, nan
 from typing import NamedTuple
 
 FLEETS = ("warehouse-even", "warehouse-uneven", "manufacturing")  # domains that fleets drive in
-# By domain: agents at 33 x 36 and at 101 x 102; the latter as many as fit the throughputs.
-AGENTS = {"warehouse-even": (200, 1400), "warehouse-uneven": (200, 1000)}
-AGENTS |= {"manufacturing": (200, 1800)}
+# N_a by domain and size; of the larger size as many as fit the throughputs.
+AGENTS = {
+    "warehouse-even": {(33, 36): 200, (101, 102): 1400},
+    "warehouse-uneven": {(33, 36): 200, (101, 102): 1000},
+    "manufacturing": {(33, 36): 200, (101, 102): 1800},
+}
 
 
 class Found(NamedTuple):

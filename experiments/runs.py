@@ -40,11 +40,6 @@ class Summary(NamedTuple):
         return self.metrics[-1]
 
     @property
-    def whole(self) -> bool:
-        """Whether it used all evaluations that it was configured for."""
-        return self.last.evaluations >= self.config.evaluations
-
-    @property
     def objectives(self) -> np.ndarray:
         """The objectives of all cells, float [C], NaN where empty."""
         columns = {"index": self.elites["cell"].astype(int), "objective": self.elites["objective"]}

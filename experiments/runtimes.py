@@ -82,11 +82,8 @@ class SavedRuntime(Piece):
             seconds = round(compiled - begin, 4), round(time.process_time() - compiled, 4)
             sized = finish(grown, config.repair, seed)
             ended: Any = (sized.cpu_seconds, sized.repair, sized.changed, best_of(self.domain))
-            write_csv(
-                self.path(folders),
-                Runtime._fields,
-                [*known, Runtime(seed, grown.steps, *seconds, *ended)],
-            )
+            known.append(Runtime(seed, grown.steps, *seconds, *ended))
+            write_csv(self.path(folders), Runtime._fields, known)
             say(f"{self.name}: {seed + 1} of {self.seeds}, repair {sized.cpu_seconds:.1f} s")
 
 
@@ -118,7 +115,13 @@ def draw(folders: Folders) -> Drawn:
     for domain in LOOKS:
         own = {one.shape: found for one, found in every.items() if one.domain == domain}
         draw_domain(axes, domain, own)
-        rows += [row_of(domain, shape, found) for shape, found in own.items()]
+        for shape, found in own.items():
+            named = (domain, "{} x {}".format(*shape), found[0].steps)
+            took = [seconds_of(found, name) for name in Runtime._fields[2:5]]
+            seconds = [f"{sample.mean:.2f} +- {sample.error:.2f}" for sample in took]
+            changed = sample_of(np.array([row.changed for row in found])).mean
+            ended = ", ".join(sorted({row.repair for row in found}))
+            rows.append((*named, *seconds, len(found), f"{changed:.0f}", ended))
     missing = len(PIECES) - len(every)
     axes.set(xscale="log", yscale="log", xlabel="cells", ylabel="CPU seconds")
     ticks = [rows * cols for rows, cols in (MAZE_S, *SIZES[::2], S_EVAL)]
@@ -142,33 +145,14 @@ def draw_domain(axes: Axes, domain: str, own: dict[tuple[int, int], list[Runtime
         if not any(sample.mean for sample in samples):
             continue
         means, errors, _ = zip(*samples, strict=True)
-        look: Any = {
-            "color": colour,
-            "marker": marker,
-            "ls": style,
-            "mfc": fill,
-            "ms": 5,
-            "capsize": 2,
-        }
+        look: Any = {"color": colour, "marker": marker, "ls": style, "mfc": fill, "ms": 5}
         label = f"{domain}, {label}"
-        axes.errorbar(cells, means, np.nan_to_num(errors), label=label, **look)
+        axes.errorbar(cells, means, np.nan_to_num(errors), label=label, capsize=2, **look)
 
 
 def seconds_of(found: list[Runtime], name: str) -> Sample:
     """Average one of the durations."""
     return sample_of(np.array([getattr(row, name) for row in found]))
-
-
-def row_of(domain: str, shape: tuple[int, int], found: list[Runtime]) -> tuple[object, ...]:
-    """Write what one size took."""
-    seconds = []
-    for name in ("compile_seconds", "grow_seconds", "repair_seconds"):
-        sample = seconds_of(found, name)
-        seconds.append(f"{sample.mean:.2f} +- {sample.error:.2f}")
-    changed = sample_of(np.array([row.changed for row in found])).mean
-    ended = ", ".join(sorted({row.repair for row in found}))
-    named = (domain, "{} x {}".format(*shape), found[0].steps)
-    return (*named, *seconds, len(found), f"{changed:.0f}", ended)
 
 
 EXPERIMENT = Experiment("CPU seconds of growth and repair, by size", PIECES, draw)

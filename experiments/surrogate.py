@@ -51,11 +51,8 @@ def remembered(run: qdenv.RunDirectory) -> tuple[Samples, Encoding, list[str]]:
     measures = [axis.name for axis in experiment.measures]
     usage = bool(samples.usage.any())
     encoding = Encoding(domain.shape, len(domain.tiles), domain.rules is not None, usage)
-    return (
-        samples,
-        encoding,
-        ["learning objective", domain.objective_name.partition(" [")[0], *measures],
-    )
+    objective = domain.objective_name.partition(" [")[0]
+    return samples, encoding, ["learning objective", objective, *measures]
 
 
 def try_once(
@@ -72,14 +69,12 @@ def try_once(
         first, second = jax.random.split(jax.random.key(seed))
         # Every ring has the same size, so that one program learns from all of them.
         chosen = np.resize(known[:count], len(known))
-        ring = Ring(
-            jax.tree.map(lambda leaf, at=chosen: jnp.asarray(leaf[at]), samples), jnp.int32(count)
-        )
-        fitted, _ = fit(surrogate.init(first), ring, second)
-        said: list[Any] = [predict(fitted, jnp.asarray(samples.drawn[one])).score for one in rows]
-        parts = [
-            np.column_stack([one.objective, one.result_objective, one.measures]) for one in said
-        ]
+        learnt = jax.tree.map(lambda leaf, at=chosen: jnp.asarray(leaf[at]), samples)
+        fitted, _ = fit(surrogate.init(first), Ring(learnt, jnp.int32(count)), second)
+        parts = []
+        for one in rows:
+            score: Any = predict(fitted, jnp.asarray(samples.drawn[one])).score
+            parts += [np.column_stack([score.objective, score.result_objective, score.measures])]
         predicted = np.concatenate(parts)[: len(held)]
         spent = time.process_time() - begun
         true = np.asarray(samples.numbers[held])

@@ -13,13 +13,7 @@ HEAD = [
     *("domain", "algorithm", "runs", "evaluations", "QD-score", "coverage"),
     *("best objective", "paper: QD-score, coverage", "ours / paper's"),
 ]
-
-
-def spread(values: list[float], form: str) -> str:
-    """Write a mean with its standard error, where there is one."""
-    sample = sample_of(np.array(values))
-    error = "" if np.isnan(sample.error) else f" ± {sample.error:{form}}"
-    return f"{sample.mean:{form}}{error}"
+FORMS = {"qd_score": ",.0f", "coverage": ".3f", "best_objective": ".3f"}
 
 
 def draw(folders: Folders) -> Drawn:
@@ -31,15 +25,12 @@ def draw(folders: Folders) -> Drawn:
         last = [one.last for one in found.get(domain, {}).get(algorithm, [])]
         if last:
             made = sorted({f"{one.evaluations:,}" for one in last})
-            scores = [one.qd_score for one in last]
-            ratio = f"{np.mean(scores) / paper.qd_score:.2f}" if paper else ""
-            numbers = (
-                spread(scores, ",.0f"),
-                spread([one.coverage for one in last], ".3f"),
-                spread([one.best_objective for one in last], ".3f"),
-            )
-            runs = (domain, algorithm, len(last), ", ".join(made))
-            rows.append((*runs, *numbers, paper or "", ratio))
+            cells: list[object] = [domain, algorithm, len(last), ", ".join(made)]
+            for name, form in FORMS.items():
+                mean, error, _ = sample_of(np.array([getattr(one, name) for one in last]))
+                cells.append(f"{mean:{form}}" + (f" ± {error:{form}}" if len(last) > 1 else ""))
+            score = np.mean([one.qd_score for one in last])
+            rows.append((*cells, paper or "", f"{score / paper.qd_score:.2f}" if paper else ""))
         elif paper:
             rows.append((domain, algorithm, 0, *["not run"] * 4, paper, ""))
     return Drawn(None, table(HEAD, rows))

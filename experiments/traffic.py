@@ -68,18 +68,13 @@ def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:
     return {path.stem if stems[path.stem] == 1 else str(path): path for path in paths}
 
 
-def describe(found: Sequence[Outcome], refusal: str) -> tuple[str, str]:
-    """Write success and throughput of a case, or why there is none, into two cells of a table."""
-    if found:
-        return rate_of(found[0]), moved_in(found[0])
-    return ("N/A", refusal) if refusal else ("not made yet", "")
+def describe(found: Sequence[Outcome], refusal: str = "") -> tuple[str, str]:
+    """Write two cells of a table: the first case's success rate, and what successful runs move.
 
-
-def rate_of(row: Outcome) -> str:
-    """Write a success rate with its Wilson interval, as tables do."""
-    return f"{row.successes}/{row.runs} ({row.low:.0%} to {row.high:.0%})"
-
-
-def moved_in(row: Outcome) -> str:
-    """Write the throughput of successful runs with its standard error, as tables do."""
-    return f"{row.throughput:.3f} +- {row.error:.3f}" if row.successes else "none"
+    Where there is no case they say why.
+    """
+    if not found:
+        return ("N/A", refusal) if refusal else ("not made yet", "")
+    row = found[0]
+    moved = f"{row.throughput:.3f} +- {row.error:.3f}" if row.successes else "none"
+    return f"{row.successes}/{row.runs} ({row.low:.0%} to {row.high:.0%})", moved

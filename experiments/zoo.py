@@ -21,20 +21,19 @@ import numpy as np
 import tyro
 
 from experiments.growing import Cell, Measuring, Workshop
+from experiments.runs import FILES
 from experiments.zoo_rules import RULES, Rule
 from qdenv.cli.parser import run_program
 from qdenv.configurations import PRESETS
 from qdenv.domains.base import DOMAINS
 from qdenv.io.arrays import write_arrays
-from qdenv.io.files import write_json
+from qdenv.io.files import tidy, write_json
 from qdenv.io.records import read_json
 from qdenv.run.archive import SavedArchive
 from qdenv.run.directory import RunDirectory
 from qdenv.search.registry import ALGORITHMS
 from qdenv.shipped import HOME, TABLE, USUAL, Collection, NamedGenerator, Origin
 from qdenv.types import InputError, look_up
-
-FILES = ("config.json", "manifest.json", "metrics.csv")
 
 
 def numbers_of(archive: SavedArchive) -> dict[str, np.ndarray]:
@@ -106,25 +105,6 @@ def origin_of(workshop: Workshop, domain: str) -> Origin:
     return Origin(preset, algorithm, config.seed, done, version, created, counted, more)
 
 
-def write(
-    folder: Path,
-    run: RunDirectory,
-    archive: SavedArchive,
-    origin: Origin,
-    found: list[NamedGenerator],
-) -> None:
-    """Write a folder of the zoo in place of the one that is there."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    for name in FILES:
-        shutil.copyfile(run.path / name, folder / name)
-    places = [int(np.ravel_multi_index(one.cell, archive.shape)) for one in found]
-    rows = [int(np.flatnonzero(archive.columns["index"] == place)[0]) for place in places]
-    columns = {name: one[rows] for name, one in archive.columns.items()}
-    write_arrays(folder / "archive.npz", columns, compressed=True)
-    write_json(folder / TABLE, asdict(Collection(folder.name, origin, tuple(found))))
-
-
 def main(
     run_dir: tyro.conf.Positional[Path],
     measuring: Annotated[Measuring, tyro.conf.arg(name="")] = Measuring(),  # noqa: B008 (frozen)
@@ -153,14 +133,24 @@ def main(
             rule.name,
             rule.about,
             cell,
-            float(f"{archive.elite(cell).objective:.6g}"),
+            tidy(archive.elite(cell).objective),
             tuple(workshop.measure(cell, shape) for shape in workshop.shapes),
         )
         for rule, cell in chosen.items()
     ]
-    write(out / domain, run, archive, origin_of(workshop, domain), found)
-    size = sum(path.stat().st_size for path in (out / domain).iterdir())
-    print(f"{out / domain}: {len(found)} generators, {size / 1e6:.2f} MB")
+    collection = Collection(domain, origin_of(workshop, domain), tuple(found))
+    folder = out / domain
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for name in FILES:
+        shutil.copyfile(run.path / name, folder / name)
+    places = [int(np.ravel_multi_index(one.cell, archive.shape)) for one in found]
+    rows = [int(np.flatnonzero(archive.columns["index"] == place)[0]) for place in places]
+    columns = {name: one[rows] for name, one in archive.columns.items()}
+    write_arrays(folder / "archive.npz", columns, compressed=True)
+    write_json(folder / TABLE, asdict(collection))
+    size = sum(path.stat().st_size for path in folder.iterdir())
+    print(f"{folder}: {len(found)} generators, {size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

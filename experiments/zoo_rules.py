@@ -28,18 +28,16 @@ class Rule(NamedTuple):
 def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]:
     """List the rules of a domain whose elites differ in entropy and in a number of `things`."""
     tenth, third = ((f"-{ENTROPY}", 0.1),), (f"-{ENTROPY}", 0.3)
+    best = "moves most at the largest size, and flows there under both planners"
+    regular = f"the best of the regular ones with few {noun}"
     return (
+        Rule(USUAL, best, "objective", tried=24, apart=8),
         Rule("regular", "one pattern all over: the lowest entropy", f"-{ENTROPY}"),
         Rule("varied", "no two corners alike: the highest entropy", ENTROPY),
         Rule(f"few-{noun}", few, f"-{things}"),
         Rule(f"many-{noun}", many, things),
         Rule("orderly", "the best of the most regular tenth", "objective", tenth),
-        Rule(
-            f"orderly-few-{noun}",
-            f"the best of the regular ones with few {noun}",
-            "objective",
-            (third, (f"-{things}", 0.3)),
-        ),
+        Rule(f"orderly-few-{noun}", regular, "objective", (third, (f"-{things}", 0.3))),
         Rule("clean", "draws plans that the repair changes least", "similarity"),
         Rule("calm", "robots wait the least", "-waiting"),
         Rule("short-ways", "the shortest ways from one finished task to the next", "-path_length"),
@@ -57,7 +55,9 @@ def in_mazes(
     far, near = (SURE, ("shortest", 0.2)), (SURE, ("-shortest", 0.3))
     dense, sparse = (SURE, (thing, 0.1)), (SURE, (f"-{thing}", 0.1))
     missed = (("shortest", 0.2), ("success", 0.7))
+    best = "a long way that the agent finds most surely at the largest size"
     return (
+        Rule(USUAL, best, "shortest", (SURE,), tried=8),
         Rule("straight", "a far goal that is found with few detours", f"-{ACTIONS}", far),
         Rule("winding", "a goal that is near and found late", ACTIONS, near),
         Rule("wandering", "the most actions of the agent that arrives", ACTIONS, (SURE,)),
@@ -69,53 +69,29 @@ def in_mazes(
     )
 
 
-# Rule and order of the candidates for the best, and the rules of the others.
-FLEET_BEST = Rule(
-    USUAL,
-    "moves most at the largest size, and flows there under both planners",
-    "objective",
-    tried=24,
-    apart=8,
+_WAREHOUSE = with_fleets(
+    "connected shelf components",
+    "blocks",
+    "long shelves: the fewest connected blocks",
+    "short shelves: the most connected blocks",
 )
-MAZE_BEST = Rule(
-    USUAL,
-    "a long way that the agent finds most surely at the largest size",
-    "shortest",
-    (SURE,),
-    tried=8,
-)
-_WAREHOUSE = (
-    FLEET_BEST,
-    *with_fleets(
-        "connected shelf components",
-        "blocks",
-        "long shelves: the fewest connected blocks",
-        "short shelves: the most connected blocks",
-    ),
-)
+# By domain: the rule of the best, which orders its candidates, and those of the others.
 RULES: Mapping[str, tuple[Rule, ...]] = {
     "warehouse-even": _WAREHOUSE,
     "warehouse-uneven": _WAREHOUSE,
-    "manufacturing": (
-        FLEET_BEST,
-        *with_fleets("workstations", "stations", "the fewest stations", "the most stations"),
+    "manufacturing": with_fleets(
+        "workstations", "stations", "the fewest stations", "the most stations"
     ),
-    "maze-walls": (
-        MAZE_BEST,
-        *in_mazes(
-            "number of walls",
-            ("dense", "open"),
-            ("the most walls", "the fewest walls"),
-            ("many walls", "few walls"),
-        ),
+    "maze-walls": in_mazes(
+        "number of walls",
+        ("dense", "open"),
+        ("the most walls", "the fewest walls"),
+        ("many walls", "few walls"),
     ),
-    "maze-entropy": (
-        MAZE_BEST,
-        *in_mazes(
-            ENTROPY,
-            ("varied", "regular"),
-            ("the most irregular walls", "the most regular walls"),
-            ("irregular walls", "regular walls"),
-        ),
+    "maze-entropy": in_mazes(
+        ENTROPY,
+        ("varied", "regular"),
+        ("the most irregular walls", "the most regular walls"),
+        ("irregular walls", "regular walls"),
     ),
 }

@@ -1,36 +1,36 @@
 """Every script of experiments/ runs at a toy size, and prints and writes what it promises."""
 
-import csv
 import dataclasses
-import importlib.util
 import json
 import re
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
 
 import qdenv
+from experiments import (
+    agreement,
+    algorithms,
+    congestion,
+    own_objective,
+    sphere,
+    surrogate,
+    which_nca,
+    zoo,
+)
 from experiments.ledger import Run, read_runs
 from qdenv.configurations import PRESETS
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
+from qdenv.io.tables import read_rows
 from qdenv.run.directory import RunDirectory
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
 
 FOLDER = Path(__file__).parents[1] / "experiments"
-
-
-def load(name: str) -> ModuleType:
-    """Import an experiment, which lies in no package."""
-    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def numbers(text: str) -> list[float]:
@@ -67,10 +67,9 @@ def test_surrogate_judges_what_a_run_remembers(tmp_path, monkeypatch, capsys):
     tiny = SurrogateConfig(channels=4, epochs=1, minibatch=8, samples=64)
     search = ScreenedConfig(emitters=2, batch=4, screen=1, refit=1000, surrogate=tiny)
     train(choose_algorithm(toy.CONFIG, search), tmp_path / "run", progress=False)
-    script = load("surrogate")
-    monkeypatch.setitem(script.SIZES, "small", tiny)
-    script.main(tmp_path / "run", counts=(10, 1000), seeds=1, out=tmp_path / "table.csv")
-    rows = list(csv.DictReader((tmp_path / "table.csv").read_text().splitlines()))
+    monkeypatch.setitem(surrogate.SIZES, "small", tiny)
+    surrogate.main(tmp_path / "run", counts=(10, 1000), seeds=1, out=tmp_path / "table.csv")
+    rows = list(read_rows(tmp_path / "table.csv"))
     # 48 evaluations: a fifth is held out, and whoever asks for more than the others gets these.
     assert {(row["learnt_from"], row["held_out"]) for row in rows} == {("10", "10"), ("38", "10")}
     names = {"learning objective", "objective", "paths", "flowers on top"}
@@ -78,11 +77,11 @@ def test_surrogate_judges_what_a_run_remembers(tmp_path, monkeypatch, capsys):
     assert all(float(row["rmse"]) > 0 and float(row["r2"]) < 1 for row in rows)
     with pytest.raises(InputError, match="has no surrogate"):
         train(toy.CONFIG, tmp_path / "plain", progress=False)
-        script.main(tmp_path / "plain")
+        surrogate.main(tmp_path / "plain")
 
 
 def test_which_nca_prints_the_final_metrics_of_each_automaton(preset, tmp_path, capsys):
-    load("which_nca").main(preset, 1, 6, ("sep",), tmp_path)
+    which_nca.main(preset, 1, 6, ("sep",), tmp_path)
     rows = capsys.readouterr().out.splitlines()[2:]
     assert [row[:9] for row in rows] == ["(3, 3, 3)", "(3, 1, 1)"]
     for row, kernels in zip(rows, ("333", "311"), strict=True):
@@ -93,15 +92,15 @@ def test_which_nca_prints_the_final_metrics_of_each_automaton(preset, tmp_path, 
 
 
 def test_algorithms_averages_seeds_draws_and_goes_on(preset, tmp_path, capsys):
-    compare, names = load("algorithms"), ("map-elites", "random")
-    compare.main(preset, 1, 50, ("random",), tmp_path)
-    compare.main(preset, 2, 100, names, tmp_path)  # goes on with one run, begins three
+    names = ("map-elites", "random")
+    algorithms.main(preset, 1, 50, ("random",), tmp_path)
+    algorithms.main(preset, 2, 100, names, tmp_path)  # goes on with one run, begins three
     said = capsys.readouterr().out
     runs = {
         name: [RunDirectory.open(tmp_path / f"small-{name}-{seed}") for seed in (0, 1)]
         for name in names
     }
-    rows = list(csv.DictReader((tmp_path / "algorithms.csv").read_text().splitlines()))
+    rows = list(read_rows(tmp_path / "algorithms.csv"))
     assert [(row["algorithm"], row["seeds"], row["evaluations"]) for row in rows] == [
         (name, "2", "100") for name in names
     ]
@@ -116,16 +115,16 @@ def test_algorithms_averages_seeds_draws_and_goes_on(preset, tmp_path, capsys):
         elites = [run.archive.columns["measures"][:, 1] for run in runs[row["algorithm"]]]
         lowest = np.mean([values.min() for values in elites])
         assert float(row["lowest_entropy"]) == pytest.approx(lowest, rel=1e-5)
-        assert f"{row['algorithm']:11}  {float(row['qd_score']):.1f} +- " in said
+        assert f"{row['algorithm']:10}  {float(row['qd_score']):.1f} +- " in said
     assert "6,893 ± 1,292, 0.15" in said and "4 of 4: " in said
     assert imread(tmp_path / "algorithms.png").shape[:2] == (396, 1100)
     before = [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*/*"))]
-    compare.main(preset, 2, 100, names, tmp_path)  # everything is done: runs are only read
+    algorithms.main(preset, 2, 100, names, tmp_path)  # everything is done: runs are only read
     assert [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*/*"))] == before
     with pytest.raises(InputError, match="give a larger number"):
-        compare.main(preset, 2, 50, names, tmp_path)
+        algorithms.main(preset, 2, 50, names, tmp_path)
     with pytest.raises(InputError, match="other settings"):
-        compare.main("quick", 2, 100, names, rename(tmp_path))
+        algorithms.main("quick", 2, 100, names, rename(tmp_path))
 
 
 def rename(folder: Path) -> Path:
@@ -136,7 +135,7 @@ def rename(folder: Path) -> Path:
 
 
 def test_sphere_averages_its_seeds(tmp_path, capsys):
-    load("sphere").main(20, 2, 10, "full", 2, 6, tmp_path / "sphere.png")
+    sphere.main(20, 2, 10, "full", 2, 6, tmp_path / "sphere.png")
     *seeds, mean = capsys.readouterr().out.splitlines()
     scores = [numbers(line.split(":")[1])[:2] for line in seeds]
     assert len(scores) == 2 and scores[0] != scores[1]
@@ -146,10 +145,9 @@ def test_sphere_averages_its_seeds(tmp_path, capsys):
 
 
 def test_own_objective_saves_a_row_per_elite(tmp_path, capsys):
-    load("own_objective").main("cma-mae", 4, 0, tmp_path / "chain")
+    own_objective.main("cma-mae", 4, 0, tmp_path / "chain")
     coverage = numbers(capsys.readouterr().out)[-1]
-    with (tmp_path / "chain.csv").open() as file:
-        elites = len(list(csv.reader(file))) - 1
+    elites = len(list(read_rows(tmp_path / "chain.csv")))
     assert 0 < elites < 3600
     assert coverage == pytest.approx(100 * elites / 3600, abs=0.051)
     assert (tmp_path / "chain.png").exists()
@@ -158,14 +156,14 @@ def test_own_objective_saves_a_row_per_elite(tmp_path, capsys):
 def test_agreement_judges_elites_and_files_and_simulates_nothing_again(
     small_run, tmp_path, capsys, monkeypatch
 ):
-    script, settings = load("agreement"), dict(agents=6, timesteps=20, seeds="2", out=tmp_path)
-    monkeypatch.setattr(script, "RESAMPLES", 20)
+    settings = dict(agents=6, timesteps=20, seeds="2", out=tmp_path)
+    monkeypatch.setattr(agreement, "RESAMPLES", 20)
     hall = tmp_path / "hall.json"
     write_layout(hall, small_run.best.layout, small_run.tiles)
-    script.main(small_run.path, (hall,), 3, **settings)
+    agreement.main(small_run.path, (hall,), 3, **settings)
     runs, first = read_runs(tmp_path / "runs.csv"), capsys.readouterr().out
-    assert len(runs) == 4 * 4 * 2 and {run.planner for run in runs} == set(script.PLANNERS)
-    table = list(csv.DictReader((tmp_path / "agreement.csv").read_text().splitlines()))
+    assert len(runs) == 4 * 4 * 2 and {run.planner for run in runs} == set(agreement.PLANNERS)
+    table = list(read_rows(tmp_path / "agreement.csv"))
     assert [row["layout"].split()[0] for row in table] == ["elite", "elite", "elite", "hall"]
     for row in table:
         own = [
@@ -174,21 +172,20 @@ def test_agreement_judges_elites_and_files_and_simulates_nothing_again(
         assert float(row["low"]) == pytest.approx(np.mean(own), rel=1e-5)
     assert (tmp_path / "agreement.png").exists()
     monkeypatch.setattr("experiments.ledger.simulate", None)  # nobody may simulate now
-    script.main(small_run.path, (hall,), 3, **settings)
+    agreement.main(small_run.path, (hall,), 3, **settings)
     again = capsys.readouterr().out
     assert again[again.index("|") :] == first[first.index("|") :]
 
 
 def test_agreement_leaves_out_what_congests_under_either_planner(monkeypatch):
-    script = load("agreement")
-    monkeypatch.setattr(script, "RESAMPLES", 20)
+    monkeypatch.setattr(agreement, "RESAMPLES", 20)
     paper, low = np.array([1, 2, 3, 4, 5, 0.0]), np.array([2, 1, 3, 5, 4, 9.0])
     means = {"low": low, "high": paper, "plain": paper, "published": paper}
     jams = {name: np.zeros(6, int) for name in means}
     jams["low"][5] = 1
-    judged = script.Judged({name: one[:, None] for name, one in means.items()}, jams)
-    subjects = [script.Subject(str(one), None, np.nan, True, None) for one in range(6)]
-    found = script.compare(subjects, judged)
+    judged = agreement.Judged({name: one[:, None] for name, one in means.items()}, jams)
+    subjects = [agreement.Subject(str(one), None, np.nan, True, None) for one in range(6)]
+    found = agreement.compare(subjects, judged)
     # Squared differences of ranks sum to 4: 1 - 6 * 4 / (5 * 24); two of ten pairs swapped.
     assert found["low", "flowing"].layouts == 5
     assert found["low", "flowing"].spearman.value == pytest.approx(0.8)
@@ -199,9 +196,9 @@ def test_agreement_leaves_out_what_congests_under_either_planner(monkeypatch):
 
 
 def test_congestion_puts_several_files_into_one_table(own_layout, tmp_path, capsys, monkeypatch):
-    script, layout = load("congestion"), own_layout("warehouse_human")
+    layout = own_layout("warehouse_human")
     settings = dict(agents="5,8", timesteps=20, seeds="2", planners="low")
-    script.main((layout,), **settings, out=tmp_path / "a.csv")
+    congestion.main((layout,), **settings, out=tmp_path / "a.csv")
     runs = read_runs(tmp_path / "a.csv")
     assert [(run.agents, run.seed) for run in runs] == [(5, 0), (5, 1), (8, 0), (8, 1)]
     jammed = [run._replace(agents=200, throughput=1.5, congested=True) for run in runs[:2]]
@@ -210,27 +207,26 @@ def test_congestion_puts_several_files_into_one_table(own_layout, tmp_path, caps
     write_csv(tmp_path / "b.csv", Run._fields, [*jammed, good])
     capsys.readouterr()
     monkeypatch.setattr("experiments.ledger.simulate", None)  # nobody may simulate now
-    script.main((layout,), **settings, out=tmp_path / "a.csv", read=(tmp_path / "b.csv",))
+    congestion.main((layout,), **settings, out=tmp_path / "a.csv", read=(tmp_path / "b.csv",))
     said = capsys.readouterr().out.splitlines()
     # One of three succeeds: Wilson's interval is 6 to 79 %; runs end at 20 and 30.
     start = "| warehouse_human (warehouse-even) | 200 | 20 | low | 1/3 (6% to 79%) | 5.000 +- nan "
     assert said[2].startswith(start + "| congests |") and said[2].endswith("| 25 (20 to 30) |")
     assert [line.split(" | ")[1] for line in said[3:5]] == ["5", "8"]
-    rows = list(csv.DictReader((tmp_path / "a-table.csv").read_text().splitlines()))
+    rows = list(read_rows(tmp_path / "a-table.csv"))
     assert [int(row["runs"]) for row in rows] == [3, 2, 2]
     assert float(rows[0]["mean_of_all"]) == pytest.approx(8 / 3)
     assert (tmp_path / "a.png").exists()
     with pytest.raises(InputError, match="no runs"):
-        script.main(out=tmp_path / "c.csv")
+        congestion.main(out=tmp_path / "c.csv")
 
 
 def test_zoo_chooses_measures_and_writes_the_same_files_again(small_run, tmp_path, monkeypatch):
-    script = load("zoo")
-    rules = script.RULES["warehouse-even"]
+    rules = zoo.RULES["warehouse-even"]
     best_of_two = rules[0]._replace(tried=2, apart=0)
-    monkeypatch.setattr(script, "RULES", {"warehouse-even": (best_of_two, rules[1])})
-    how = script.Measuring(sizes=("9x10", "13x12"), timesteps=20, seeds="2", trial_timesteps=10)
-    script.main(small_run.path, how, tmp_path / "runs.csv", tmp_path / "zoo")
+    monkeypatch.setattr(zoo, "RULES", {"warehouse-even": (best_of_two, rules[1])})
+    how = zoo.Measuring(sizes=("9x10", "13x12"), timesteps=20, seeds="2", trial_timesteps=10)
+    zoo.main(small_run.path, how, tmp_path / "runs.csv", tmp_path / "zoo")
     folder, archive = tmp_path / "zoo" / "warehouse-even", small_run.archive
     content = json.loads((folder / "generators.json").read_text())
     assert content["origin"]["algorithm"] == "cma-mae"
@@ -259,10 +255,10 @@ def test_zoo_chooses_measures_and_writes_the_same_files_again(small_run, tmp_pat
         assert high["mean"] == pytest.approx(np.mean(own), rel=1e-5)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     monkeypatch.setattr("experiments.ledger.simulate", None)  # nobody may simulate now
-    script.main(small_run.path, how, tmp_path / "runs.csv", tmp_path / "zoo")
+    zoo.main(small_run.path, how, tmp_path / "runs.csv", tmp_path / "zoo")
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     with pytest.raises(InputError, match="too few elites"):
-        script.choose(script.Workshop([small_run], how, tmp_path / "runs.csv"), rules * 3)
+        zoo.choose(zoo.Workshop([small_run], how, tmp_path / "runs.csv"), rules * 3)
 
 
 def best_two(run: RunDirectory) -> list[tuple[int, ...]]:
@@ -274,11 +270,10 @@ def best_two(run: RunDirectory) -> list[tuple[int, ...]]:
 
 
 def test_elites_of_further_runs_count_like_the_runs_own(small_run, tmp_path):
-    script = load("zoo")
     cell = ",".join(map(str, small_run.best.cell))
     config = dataclasses.replace(small_run.config, start=f"{small_run.path}@{cell}", seed=1)
     further = qdenv.train(config, tmp_path / "further", progress=False)
-    workshop = script.Workshop([small_run, further], script.Measuring(), tmp_path / "runs.csv")
+    workshop = zoo.Workshop([small_run, further], zoo.Measuring(), tmp_path / "runs.csv")
     found, runs = workshop.archive, (small_run.archive, further.archive)
     taken = [
         dict(zip(map(tuple, one.cells), one.columns["objective"], strict=True)) for one in runs
@@ -289,29 +284,28 @@ def test_elites_of_further_runs_count_like_the_runs_own(small_run, tmp_path):
     assert len(expected) > len(runs[0]) and len(found) == len(expected)
     for cell, objective in expected.items():
         assert found.elite(cell).objective == objective
-    origin = script.origin_of(workshop, "warehouse-even")
+    origin = zoo.origin_of(workshop, "warehouse-even")
     assert origin.further == further.read_metrics()[-1].evaluations
     other = dataclasses.replace(config, evaluation=dataclasses.replace(config.evaluation, alpha=1))
     strange = qdenv.train(other, tmp_path / "strange", progress=False)
     with pytest.raises(InputError, match="its objectives mean something else"):
-        script.Workshop([small_run, strange], script.Measuring(), tmp_path / "runs.csv")
+        zoo.Workshop([small_run, strange], zoo.Measuring(), tmp_path / "runs.csv")
 
 
 def test_one_elite_is_tried_in_each_square_of_the_archive():
     cells = [(9, 9), (8, 15), (0, 7), (7, 0), (8, 16)]
-    assert load("zoo").spread(cells, 8) == [(9, 9), (0, 7), (8, 16)]
-    assert load("zoo").spread(cells, 0) == cells
+    assert zoo.spread(cells, 8) == [(9, 9), (0, 7), (8, 16)]
+    assert zoo.spread(cells, 0) == cells
 
 
 def test_zoos_rules_narrow_down_before_they_order():
-    script = load("zoo")
     numbers = {
         "objective": np.array([5.0, 4.0, 3.0, 2.0, 1.0]),
         "environment entropy": np.array([0.5, 0.1, 0.4, 0.1, 0.0]),
     }
-    regular = script.Rule("regular", "", "-environment entropy")
+    regular = zoo.Rule("regular", "", "-environment entropy")
     # The better half of five are two; of equal ones the first stays first.
-    assert script.in_order(regular, numbers, np.arange(5)).tolist() == [1, 0]
-    twice = script.Rule("x", "", "-environment entropy", (("objective", 0.8),))
-    assert script.in_order(twice, numbers, np.arange(5)).tolist() == [1, 3, 2, 0]
-    assert script.in_order(twice, numbers, np.array([4])).tolist() == [4]
+    assert zoo.in_order(regular, numbers, np.arange(5)).tolist() == [1, 0]
+    twice = zoo.Rule("x", "", "-environment entropy", (("objective", 0.8),))
+    assert zoo.in_order(twice, numbers, np.arange(5)).tolist() == [1, 3, 2, 0]
+    assert zoo.in_order(twice, numbers, np.array([4])).tolist() == [4]

@@ -1,6 +1,5 @@
 """The experiments by name: made once, drawn from what is saved, listed with their costs."""
 
-import csv
 import re
 import signal
 import subprocess
@@ -14,13 +13,15 @@ from matplotlib.image import imread
 
 from experiments import __main__ as command
 from experiments import figure_16, figure_20, figure_21, table_4
-from experiments.catalogue import find, names
+from experiments.__main__ import find, names
 from experiments.layouts import SavedLayout
 from experiments.panels import FIGURES, Panel, panels_of
 from experiments.pieces import RESULTS, Experiment, Folders
 from experiments.published import TABLE_4
 from experiments.runs import SavedRun, read_summary, summarise
 from qdenv.configurations import PRESETS
+from qdenv.io.files import write_csv
+from qdenv.io.tables import read_rows
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
@@ -65,7 +66,7 @@ def test_a_summary_holds_the_numbers_of_the_archive(small_run, tmp_path):
     kept, columns = read_summary(tmp_path / "kept"), small_run.archive.columns
     order = np.argsort(columns["index"])
     assert kept.config == small_run.config and kept.measures == small_run.measures
-    assert kept.metrics == small_run.read_metrics() and kept.whole
+    assert kept.metrics == small_run.read_metrics()
     np.testing.assert_array_equal(kept.elites["cell"], columns["index"][order])
     for name, values in {
         "objective": columns["objective"],
@@ -124,12 +125,9 @@ def test_several_seeds_are_averaged_with_their_standard_error(folders, small_run
     other.mkdir()
     for file in kept.iterdir():
         (other / file.name).write_bytes(file.read_bytes())
-    rows = list(csv.DictReader((other / "metrics.csv").read_text().splitlines()))
+    rows = list(read_rows(other / "metrics.csv"))
     rows[-1]["qd_score"] = str(float(rows[-1]["qd_score"]) + 100)
-    with (other / "metrics.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(other / "metrics.csv", list(rows[0]), [list(row.values()) for row in rows])
     own = [cell.strip() for cell in table_4.draw(folders).lines[2].split("|")]
     mean, error = (float(number) for number in own[5].split(" ± "))
     assert own[3] == "2"
@@ -157,7 +155,7 @@ def test_layouts_are_drawn_once_and_shown_with_what_the_repair_changed(folders):
 def test_a_zoo_is_chosen_from_its_run_before_it_draws_layouts(folders, monkeypatch):
     chosen: dict[str, Path] = {}
     monkeypatch.setattr("experiments.zoo.main", lambda path: chosen.update(found=path))
-    monkeypatch.setattr("experiments.generators.names", lambda: chosen)
+    monkeypatch.setattr("experiments.layouts.names", lambda: chosen)
     layout = SavedLayout("warehouse-even", "nca", (13, 16))
     grown = panels_of("plans", (Panel("grown", layout),))
     (zoo,) = layout.needs

@@ -39,9 +39,8 @@ class Stopwatch:
 def best_of(repeats: int, call: Callable[[], Any], items: int = 1) -> Row:
     """Time a call that compiles the first time.
 
-    Returns:
-        cpu_ms and wall_ms per item of the fastest of `repeats` calls, worst_cpu_ms of the
-        slowest, first_cpu_s: CPU seconds of the call before them, compilation included.
+    Return cpu_ms and wall_ms per item of the fastest of `repeats` calls, worst_cpu_ms of the
+    slowest, first_cpu_s: CPU seconds of the call before them, compilation included.
     """
     watches = [Stopwatch() for _ in range(repeats + 1)]
     for watch in watches:

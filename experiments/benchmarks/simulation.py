@@ -209,17 +209,15 @@ def scale(
 
     measure(shapes[0])  # compiles what all sizes share
     rows = show("sizes, CPU seconds", map(measure, shapes))
-    slopes = {name: slope(rows, name) for name in TIMED} if len(rows) > 1 else {}
+    slopes = {}
+    if len(rows) > 1:  # exponents of the costs over the cells: least squares, log over log
+        cells = np.log([row["cells"] for row in rows])
+        costs = {name: np.log([max(row[name], 1e-9) for row in rows]) for name in TIMED}
+        slopes = {name: float(np.polyfit(cells, cost, 1)[0]) for name, cost in costs.items()}
     print("slopes over the cells:", {name: round(value, 2) for name, value in slopes.items()})
     if plot:
         save_figure(draw(rows, slopes), plot)
     return save(json, sizes=rows, slopes=[slopes])
-
-
-def slope(rows: list[Row], name: str) -> float:
-    """Fit the exponent of a cost over the number of cells (least squares, log over log)."""
-    cells, costs = (np.log([max(row[key], 1e-9) for row in rows]) for key in ("cells", name))
-    return float(np.polyfit(cells, costs, 1)[0])
 
 
 def draw(rows: list[Row], slopes: dict[str, float]) -> Figure:
@@ -295,10 +293,8 @@ def maze(
     episodes, horizon, big_horizon = 50, 648, default_horizon(big)
 
     def in_line(weights: Any, batch: jax.Array, key: jax.Array) -> Any:
-        def evaluate(item: tuple[jax.Array, jax.Array]) -> Any:
-            return run_alone(weights, item[0], item[1], episodes, horizon)
-
-        return jax.lax.map(evaluate, (batch, jax.random.split(key, mazes)))
+        items = batch, jax.random.split(key, mazes)
+        return jax.lax.map(lambda item: run_alone(weights, *item, episodes, horizon), items)
 
     together = jax.jit(partial(run_batch, episodes=episodes, horizon=horizon))
     one_by_one = jax.jit(in_line)

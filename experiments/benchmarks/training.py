@@ -27,6 +27,8 @@ from qdenv.run.executors import ClusterExecutor, Execution, Task
 from qdenv.run.experiment import observed
 from qdenv.search.base import growing
 
+CLUSTER = {"threads_per_worker": 1, "memory_limit": 0, "dashboard_address": None}
+
 
 def pipeline(
     preset: str = "warehouse-even", iterations: int = 3, seed: int = 0, json: Path | None = None
@@ -176,8 +178,7 @@ def train_and_kill(
                     os.kill(rng.choice(pids), signal.SIGKILL)
                     killed[0] += 1
 
-    limits = {"threads_per_worker": 1, "memory_limit": 0, "dashboard_address": None}
-    with LocalCluster(n_workers=workers, **limits) as cluster:
+    with LocalCluster(n_workers=workers, **CLUSTER) as cluster:
         killer = threading.Thread(target=kill, args=(cluster.scheduler_address,))
         killer.start()
         execution = Execution("dask", scheduler=cluster.scheduler_address)
@@ -197,9 +198,8 @@ def sleep(workers: int, batch: int, seed: int, ahead: int) -> Row:
 
     # Seconds of 20 populations at size S: about 2 with a spread of a quarter.
     lengths = np.random.default_rng(seed).gamma(16, 2 / 16, (20, batch))
-    limits = {"threads_per_worker": 1, "memory_limit": 0, "dashboard_address": None}
     with (
-        LocalCluster(n_workers=workers, processes=False, **limits) as cluster,
+        LocalCluster(n_workers=workers, processes=False, **CLUSTER) as cluster,
         Client(cluster) as client,
     ):
         executor, in_flight = ClusterExecutor(client), deque[list[Task]]()
@@ -220,10 +220,8 @@ def sleep(workers: int, batch: int, seed: int, ahead: int) -> Row:
 def shortest_time(lengths: np.ndarray, workers: int, ahead: int) -> float:
     """Return the seconds that workers need if each takes the next task as soon as it is free.
 
-    Args:
-        lengths: float [populations, B], seconds of each task.
-        workers: number of workers.
-        ahead: a population begins when all but that many before it are finished.
+    `lengths` are the seconds of each task, float [populations, B]; a population begins when all but
+    `ahead` populations before it are finished.
     """
     free, finished = [0.0] * workers, [0.0] * (ahead + 1)
     for population in lengths.tolist():
