@@ -11,7 +11,6 @@ from qdenv import interrupt
 if __name__ == "__main__":
     interrupt.watch("python -m experiments")
 
-from functools import partial
 from importlib import import_module
 
 import tyro
@@ -75,7 +74,7 @@ def make(experiment: Experiment, folders: Folders) -> None:
         missing = experiment.missing(folders)
         left = sum(piece.cost(folders) for piece in missing)
         print(f"{len(missing)} pieces, about {format_duration(left)} of one core: {ready[0].name}")
-        ready[0].make(folders, partial(print, flush=True))
+        ready[0].make(folders)
         if ready[0].done(folders) < 1:
             raise InputError(f"{ready[0].name}: was made and is still not whole")
 

@@ -10,7 +10,6 @@ runs.csv and is not simulated again, so this can be stopped and started again.
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -257,7 +256,7 @@ def main(
         for subject in subjects
         for planner in PLANNERS
     ]
-    runs = complete(out / "runs.csv", cases, chosen, say=partial(print, flush=True))
+    runs = complete(out / "runs.csv", cases, chosen)
     # Runs come layout by layout, planner by planner, seed by seed.
     order = (len(subjects), len(PLANNERS), -1)
     throughput = np.array([run.throughput for run in runs]).reshape(order).swapaxes(0, 1)

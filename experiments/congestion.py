@@ -13,7 +13,6 @@ name says whose layout it is: nca_a0, nca_a1, nca_a5, dsage, human or tiled.
 
 import sys
 from collections.abc import Sequence
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -142,7 +141,7 @@ def main(
             plans.items(), parse_counts(agents), planners.split(",")
         )
     ]
-    complete(out, cases, parse_seeds(seeds), read, partial(print, flush=True))
+    complete(out, cases, parse_seeds(seeds), read)
     files = [*read, *([out] if out.exists() else [])]
     rows = outcomes_of(run for path in files for run in read_runs(path))
     if not rows:

@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.layouts import OfLayout
 from experiments.ledger import RATES, Case
-from experiments.pieces import Folders, Say
+from experiments.pieces import Folders, say
 from qdenv.io.files import write_json
 from qdenv.stats import Sample, margin
 from qdenv.study.engine import run_seeds
@@ -79,7 +79,7 @@ class SavedCourse(OfLayout):
         usual = RATES["high"] * self.agents * self.timesteps
         return self.seeds * (found.cpu_seconds / found.runs if found else usual)
 
-    def make(self, folders: Folders, say: Say) -> None:
+    def make(self, folders: Folders) -> None:
         """Simulate what is missing, and save it every few runs."""
         case, found = self.case(folders), self.read(folders)
         while found is None or found.runs < self.seeds:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.layouts import best_of
-from experiments.pieces import Drawn, Experiment, Folders, Piece, Say
+from experiments.pieces import Drawn, Experiment, Folders, Piece
 from qdenv.domains.base import Domain, find_domain
 from qdenv.grid import draw as draw_rows
 from qdenv.grid import parse
@@ -36,7 +36,7 @@ class SavedGrowth(Piece):
         """Estimate the CPU seconds of growing once more."""
         return 10.0
 
-    def make(self, folders: Folders, say: Say) -> None:
+    def make(self, folders: Folders) -> None:
         """Grow it and keep the frames."""
         run = RunDirectory.open(f"zoo:{self.domain}/best")
         grown = grow_elite(run, "best")

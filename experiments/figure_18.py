@@ -8,7 +8,7 @@ from math import inf, prod
 from experiments.layouts import OfLayout, SavedLayout
 from experiments.ledger import RATES, Outcome
 from experiments.lines import LOOKS, draw_line, finish, new_panels
-from experiments.pieces import Drawn, Experiment, Folders, Say, table
+from experiments.pieces import Drawn, Experiment, Folders, say, table
 from experiments.published import FLEETS
 from experiments.traffic import SavedTraffic
 from qdenv.stats import difference, margin
@@ -79,10 +79,10 @@ class SavedPeak(OfLayout):
         work = RUNS * LIKELY * prod(self.layout.shape)
         return RATES["high"] * self.timesteps * self.seeds * work
 
-    def make(self, folders: Folders, say: Say) -> None:
+    def make(self, folders: Folders) -> None:
         """Climb in large steps until throughput falls, then locate the top in small ones."""
         while wanted := self.wanted(folders):
-            self.traffic(wanted).make(folders, say)
+            self.traffic(wanted).make(folders)
         if (peak := self.read(folders)) is not None:
             say(f"{self.layout.stem}: {peak.mean_of_all:.3f} with {peak.agents} agents")
 

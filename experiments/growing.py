@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TypeAlias
 
@@ -144,8 +144,7 @@ class Workshop:
         agents = domain.config.fleet.agents
         name = f"{','.join(map(str, cell))} {layout.shape[0]}x{layout.shape[1]}"
         case = Case(name, layout, domain, agents, timesteps, plan[0])
-        say: Callable[[str], None] = partial(print, flush=True)
-        runs = complete(self.ledger, [case], parse_seeds(plan[1]), say=say)
+        runs = complete(self.ledger, [case], parse_seeds(plan[1]))
         values = np.array([run.throughput for run in runs])
         flowed = np.mean([not run.congested for run in runs])
         return make_row(plan[0], agents, timesteps, values, float(flowed))

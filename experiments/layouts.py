@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments import zoo
 from experiments.ledger import Case
-from experiments.pieces import Folders, Piece, Say
+from experiments.pieces import Folders, Piece, say
 from experiments.runs import SavedRun
 from qdenv.agent.evaluate import BAND, draw_mazes, without_ring
 from qdenv.domains.base import Domain, find_domain
@@ -59,10 +59,10 @@ class SavedZoo(Piece):
         """Estimate the CPU seconds of choosing and measuring about ten."""
         return 1200.0
 
-    def make(self, folders: Folders, say: Say) -> None:
+    def make(self, folders: Folders) -> None:
         """Choose the generators and write them into the package."""
         say(f"{self.name}: is being chosen; {zoo.HOME} will hold it")
-        zoo.main(self.run.whole(folders, say).path)
+        zoo.main(self.run.whole(folders).path)
 
 
 def open_generator(domain: str, maker: str) -> RunDirectory:
@@ -161,13 +161,13 @@ class SavedLayout(Piece):
         """Estimate the CPU seconds of making it."""
         return 0.0 if self.maker == "human" else SECONDS.get(self.shape, 8.0)
 
-    def make(self, folders: Folders, say: Say) -> None:
+    def make(self, folders: Folders) -> None:
         """Grow, draw or tile it, repair it, and write it with what it was before.
 
         Where no repair is found the file says so, and holds what could not be repaired.
         """
         say(f"{self.stem}: is being made")
-        (grown, config, seed), refused = self._draw(folders, say), {}
+        (grown, config, seed), refused = self._draw(folders), {}
         try:
             made = sizes.finish(grown, config, seed)
         except InputError as error:
@@ -186,7 +186,7 @@ class SavedLayout(Piece):
             unrepaired=draw(grown.layout, grown.domain.tiles),
         )
 
-    def _draw(self, folders: Folders, say: Say) -> tuple[Unrepaired, RepairConfig, int]:
+    def _draw(self, folders: Folders) -> tuple[Unrepaired, RepairConfig, int]:
         """Make the unrepaired layout; return it with the limits and the seed of its repair."""
         domain = find_domain(self.domain).resized(*self.shape)
         if self.maker == "human":
@@ -201,7 +201,7 @@ class SavedLayout(Piece):
             if self.maker in GROWERS:
                 run = open_generator(self.domain, self.maker)
             else:
-                run = self.run().whole(folders, say)
+                run = self.run().whole(folders)
             grown = sizes.grow_elite(run, "best", self.shape)
             return grown, run.config.evaluation.repair, run.config.seed
         return Unrepaired(domain, None, layout, 0), RepairConfig(), 0

@@ -2,7 +2,7 @@
 
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from experiments.pieces import say
 from qdenv.domains.base import Domain
 from qdenv.io.files import write_csv
 from qdenv.io.tables import read_table
@@ -91,14 +92,13 @@ def complete(
     cases: Sequence[Case],
     seeds: Sequence[int],
     others: Sequence[Path] = (),
-    say: Callable[[str], None] = lambda line: None,
     client: Any = None,
 ) -> list[Run]:
     """Simulate what no file holds, write each run down as it ends; return all, case by case.
 
-    `path` is the file that grows; `others` are only read; `say` is called every half minute with a
-    line on the progress; `client` is of a cluster whose workers simulate, else this process does,
-    run by run. Several processes may share a file: if two write in the same instant a row can get
+    `path` is the file that grows; `others` are only read; `client` is of a cluster whose workers
+    simulate, else this process does, run by run. Every half minute a line on the progress is
+    printed. Several processes may share a file: if two write in the same instant a row can get
     lost, and is simulated again the next time.
 
     Raises InputError if a case cannot be simulated, or a file is no table of runs.

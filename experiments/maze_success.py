@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from experiments.layouts import MAZE_S, MAZE_S_EVAL, OfLayout, SavedLayout, checksum, random_like
 from experiments.lines import LOOKS, finish, new_panels
-from experiments.pieces import Drawn, Experiment, Folders, Say, table
+from experiments.pieces import Drawn, Experiment, Folders, say, table
 from experiments.published import MAZES
 from qdenv.agent.evaluate import evaluate_agent, without_ring
 from qdenv.io.files import write_csv
@@ -69,7 +69,7 @@ class SavedSuccess(OfLayout):
         known = [row.cpu_seconds for row in self.read(folders)]
         return (self.mazes + 1) * mean(known or [0.8e-3 * prod(self.layout.shape)])
 
-    def make(self, folders: Folders, say: Say) -> None:
+    def make(self, folders: Folders) -> None:
         """Evaluate the agent in each maze; each result is saved as it comes."""
         weights, grown = load_weights(), self.layout.read(folders).layout
         known = self.read(folders)

@@ -2,15 +2,16 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 from matplotlib.figure import Figure
 
 from qdenv.run.executors import Execution
 
 RESULTS = Path(__file__).parent / "results"
-Say: TypeAlias = Callable[[str], None]
+say = partial(print, flush=True)  # a line on the progress, which a pipe would hold back
 
 
 class Folders(NamedTuple):
@@ -56,11 +57,8 @@ class Piece(Protocol):
         left = 1 - self.done(folders)
         return left * self.seconds(folders) if left else 0.0
 
-    def make(self, folders: Folders, say: Say) -> None:
-        """Make the rest once what it needs is there, so that an interruption loses little.
-
-        `say` is called with lines on the progress.
-        """
+    def make(self, folders: Folders) -> None:
+        """Make the rest once what it needs is there, so that an interruption loses little."""
 
 
 class Drawn(NamedTuple):

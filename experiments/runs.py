@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 import qdenv
-from experiments.pieces import Folders, Piece, Say
+from experiments.pieces import Folders, Piece, say
 from qdenv.io.files import write_csv
 from qdenv.ops.searches import CPU_SECONDS, base_of
 from qdenv.run.config import RunConfig
@@ -84,13 +85,13 @@ class SavedRun(Piece):
             return 0.0
         return CPU_SECONDS[base_of(self.preset)] * max(self.config.evaluations - made, 0)
 
-    def make(self, folders: Folders, say: Say) -> None:
+    def make(self, folders: Folders) -> None:
         """Begin or continue the run, then summarise it."""
-        summarise(self.whole(folders, say), self.path(folders))
+        summarise(self.whole(folders), self.path(folders))
 
-    def whole(self, folders: Folders, say: Say) -> RunDirectory:
+    def whole(self, folders: Folders) -> RunDirectory:
         """Return the finished run with all its weights; see `whole_run`."""
-        return whole_run(self.config, folders.runs / self.folder, say, folders.execution)
+        return whole_run(self.config, folders.runs / self.folder, folders.execution, say)
 
     def read(self, folders: Folders) -> Summary | None:
         """Read what is kept; None where nothing is."""
@@ -101,15 +102,15 @@ class SavedRun(Piece):
 def whole_run(
     config: RunConfig,
     path: Path,
-    say: Say = lambda line: None,
     execution: Execution = Execution(),  # noqa: B008 (frozen)
+    report: Callable[[str], None] = lambda line: None,
 ) -> RunDirectory:
     """Return the finished run of a folder; begin or continue it where it is not.
 
     Raises InputError if the folder holds a run with other settings.
     """
     if not (path / "config.json").exists():
-        say(f"{path}: begins; an interruption loses minutes at most")
+        report(f"{path}: begins; an interruption loses minutes at most")
         return qdenv.train(config, path, execution=execution)
     run = RunDirectory.open(path)
     if replace(run.config, evaluations=config.evaluations) != config:
@@ -118,7 +119,7 @@ def whole_run(
     done = rows and rows[-1].evaluations >= config.evaluations
     if done and (path / "archive.npz").exists():
         return run
-    say(f"{path}: goes on")
+    report(f"{path}: goes on")
     return resume(path, evaluations=config.evaluations, execution=execution)
 
 

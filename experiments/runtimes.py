@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SECONDS, best_of
-from experiments.pieces import Drawn, Experiment, Folders, Piece, Say, table
+from experiments.pieces import Drawn, Experiment, Folders, Piece, say, table
 from experiments.published import FLEETS
 from qdenv.generate import GENERATORS
 from qdenv.io.files import write_csv
@@ -63,7 +63,7 @@ class SavedRuntime(Piece):
         known = [sum(row[2:5]) for row in self.read(folders)]
         return self.seeds * mean(known or [SECONDS.get(self.shape, 8.0)])
 
-    def make(self, folders: Folders, say: Say) -> None:
+    def make(self, folders: Folders) -> None:
         """Grow and repair once per seed; each is saved as it ends."""
         run = RunDirectory.open(f"zoo:{self.domain}/best")
         grown = grow_elite(run, "best", self.shape)

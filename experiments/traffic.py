@@ -7,7 +7,7 @@ from pathlib import Path
 
 from experiments.layouts import OfLayout
 from experiments.ledger import Case, Outcome, Run, complete, outcomes_of, rate, read_runs
-from experiments.pieces import Folders, Say
+from experiments.pieces import Folders
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,10 @@ class SavedTraffic(OfLayout):
         each = rate(self.planner, self.read(folders)) * self.timesteps
         return each * sum(self.agents) * self.seeds
 
-    def make(self, folders: Folders, say: Say) -> None:
+    def make(self, folders: Folders) -> None:
         """Simulate what is missing."""
         given = self.path(folders), self.cases(folders), range(self.seeds)
-        complete(*given, say=say, client=folders.client)
+        complete(*given, client=folders.client)
 
 
 def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:

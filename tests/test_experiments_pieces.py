@@ -27,10 +27,6 @@ from qdenv.types import InputError
 pytestmark = pytest.mark.slow
 
 
-def silent(line: str) -> None:
-    pass
-
-
 @pytest.fixture
 def folders(small_run, tmp_path, monkeypatch) -> Folders:
     """Folders of results, without any, and of the small run as if it were a preset's."""
@@ -89,7 +85,7 @@ def test_a_run_is_made_once_and_goes_on_where_it_was_left(folders, monkeypatch):
     run = SavedRun("warehouse-even")
     monkeypatch.setattr("qdenv.train", None)  # the folder holds it: nobody may begin it anew
     assert run.done(folders) == 0 and run.cost(folders) == 0
-    run.make(folders, silent)
+    run.make(folders)
     assert run.done(folders) == 1 and run.cost(folders) == 0
     more = replace(run, evaluations=12)
     assert more.done(folders) == 0.5
@@ -97,11 +93,11 @@ def test_a_run_is_made_once_and_goes_on_where_it_was_left(folders, monkeypatch):
     with pytest.raises(InputError, match="other settings"):
         config = replace(PRESETS["warehouse-even"], archive=())
         monkeypatch.setitem(PRESETS, "warehouse-even", config)
-        run.make(folders, silent)
+        run.make(folders)
 
 
 def test_tables_and_pictures_of_archives_say_what_is_run_and_what_not(folders, small_run):
-    SavedRun("warehouse-even").make(folders, silent)
+    SavedRun("warehouse-even").make(folders)
     last = small_run.read_metrics()[-1]
     lines = table_4.draw(folders).lines
     own = [cell.strip() for cell in lines[2].split("|")]
@@ -119,7 +115,7 @@ def test_tables_and_pictures_of_archives_say_what_is_run_and_what_not(folders, s
 
 def test_several_seeds_are_averaged_with_their_standard_error(folders, small_run):
     run = SavedRun("warehouse-even")
-    run.make(folders, silent)
+    run.make(folders)
     kept = folders.results / "runs" / "warehouse-even"
     other = folders.results / "runs" / "warehouse-even-seed1"
     other.mkdir()
@@ -140,7 +136,7 @@ def test_layouts_are_drawn_once_and_shown_with_what_the_repair_changed(folders):
     absent = SavedLayout("warehouse-even", "cma-es", (13, 16))
     shown = panels_of("halls", (Panel("by hand", hall), Panel("searched", absent)))
     assert not shown.drawable(folders) and hall.done(folders) == 0
-    hall.make(folders, silent)
+    hall.make(folders)
     made = hall.read(folders)
     assert shown.missing(folders) == [absent.run(), absent] and shown.drawable(folders)
     assert made.layout.shape == (13, 16) and (made.layout == made.unrepaired).all()
@@ -160,14 +156,14 @@ def test_a_zoo_is_chosen_from_its_run_before_it_draws_layouts(folders, monkeypat
     grown = panels_of("plans", (Panel("grown", layout),))
     (zoo,) = layout.needs
     assert grown.missing(folders) == [zoo.run, zoo, layout]
-    zoo.make(folders, silent)
-    assert chosen == {"found": zoo.run.whole(folders, silent).path}
+    zoo.make(folders)
+    assert chosen == {"found": zoo.run.whole(folders).path}
     chosen["warehouse-even"] = chosen["found"]
     assert grown.missing(folders) == [layout] and zoo.cost(folders) == 0
 
 
 def test_the_command_draws_lists_and_refuses(folders, capsys, tmp_path):
-    SavedRun("warehouse-even").make(folders, silent)
+    SavedRun("warehouse-even").make(folders)
     where = dict(runs=folders.runs, results=folders.results, out=tmp_path / "out")
     command.main(("table_4", "figure_20"), **where)
     said = capsys.readouterr().out

@@ -55,10 +55,6 @@ pytestmark = pytest.mark.slow
 HALL = SavedLayout("warehouse-even", "human", (9, 12))
 
 
-def silent(line: str) -> None:
-    pass
-
-
 @pytest.fixture
 def folders(tmp_path, monkeypatch) -> Folders:
     """Folders without anything in them, and a zoo of the same generator in every domain."""
@@ -108,7 +104,7 @@ class Made:
         """Say what it takes."""
         return 0.0 if self.there else self.seconds
 
-    def make(self, folders: Folders, say) -> None:
+    def make(self, folders: Folders) -> None:
         """Make it; all that it needs must be there."""
         assert all(piece.there for piece in self.needs)
         self.there = self.seconds != 99
@@ -144,7 +140,7 @@ def test_what_is_missing_is_made_cheapest_first_and_a_piece_that_fails_is_said(f
 def test_a_course_adds_up_its_runs_and_goes_on_where_it_was_left(folders, monkeypatch):
     monkeypatch.setattr(courses, "CHUNK", 2)
     saved, simulate = SavedCourse(HALL, 8, 100, 5), courses.simulate
-    HALL.make(folders, silent)
+    HALL.make(folders)
     asked: list[range] = []
 
     def stop_at_four(case: Case, seeds: range):
@@ -155,9 +151,9 @@ def test_a_course_adds_up_its_runs_and_goes_on_where_it_was_left(folders, monkey
 
     monkeypatch.setattr(courses, "simulate", stop_at_four)
     with pytest.raises(KeyboardInterrupt):
-        saved.make(folders, silent)
+        saved.make(folders)
     assert saved.done(folders) == 0.8
-    saved.make(folders, silent)
+    saved.make(folders)
     assert asked == [range(2), range(2, 4), range(4, 5), range(4, 5)]
     case, found = saved.case(folders), saved.read(folders)
     done = run_seeds(case.tiles, case.domain.simulator.tasks, case.fleet, range(5))
@@ -188,9 +184,9 @@ def test_a_peak_is_located_within_five_per_cent_and_nothing_is_simulated_twice(
 
     monkeypatch.setattr(ledger, "simulate", simulate)
     saved = SavedPeak(SavedLayout("warehouse-even", "human"), "peaks", 1000, 2)
-    saved.layout.make(folders, silent)
+    saved.layout.make(folders)
     assert saved.done(folders) == 0 and saved.read(folders) is None
-    saved.make(folders, silent)
+    saved.make(folders)
     peak = saved.read(folders)
     assert abs(peak.agents / 100 - 1) <= 0.05
     tried = sorted({agents for agents, _ in asked})
@@ -198,7 +194,7 @@ def test_a_peak_is_located_within_five_per_cent_and_nothing_is_simulated_twice(
     assert all(more / less < 1.06 for less, more in pairwise(near))
     assert max(tried) < 100 * 1.05**12 and len(asked) == 2 * len(tried)
     assert saved.cost(folders) == 0
-    saved.make(folders, silent)
+    saved.make(folders)
     assert len(asked) == 2 * len(tried)
     # With one run forgotten the peak is not known: of those that were there only it is simulated.
     rows = ledger.read_runs(folders.results / "traffic" / "peaks.csv")
@@ -207,7 +203,7 @@ def test_a_peak_is_located_within_five_per_cent_and_nothing_is_simulated_twice(
         folders.results / "traffic" / "peaks.csv", Run._fields, [one for one in rows if one != gone]
     )
     assert saved.done(folders) < 1
-    saved.make(folders, silent)
+    saved.make(folders)
     again = [one for one, times in Counter(asked).items() if times > 1]
     assert again == [(peak.agents, gone.seed)] and saved.read(folders).agents == peak.agents
 
@@ -230,7 +226,7 @@ def test_figure_18_compares_the_peaks_that_are_located(folders, monkeypatch):
     for maker in figure_18.MAKERS:
         saved = figure_18.PEAKS["manufacturing", S, maker]
         save(saved.layout, folders)
-        saved.make(folders, silent)
+        saved.make(folders)
     lines = figure_18.draw(folders).lines
     (row,) = (cells(line) for line in lines if line.startswith("| manufacturing | 33 x 36"))
     ours, theirs = (float(cell.split(", ")[1]) for cell in row[2:4])
@@ -276,7 +272,7 @@ def test_a_layout_that_cannot_be_repaired_is_saved_with_the_reason(folders, monk
     monkeypatch.setattr(sizes, "finish", fail)
     save(SavedLayout("warehouse-even", "nca"), folders)
     tiled = SavedLayout("warehouse-even", "tiled", (33, 40))
-    tiled.make(folders, silent)
+    tiled.make(folders)
     made = tiled.read(folders)
     assert tiled.done(folders) == 1 and tiled.refusal(folders) == "no repair of 33 x 40"
     assert made.layout.shape == (33, 40) and (made.layout == made.unrepaired).all()
@@ -289,8 +285,8 @@ def test_figures_17_and_19_draw_what_is_there_and_say_what_is_not(folders, monke
     small = replace(saved, layout=HALL, agents=8, timesteps=500, seeds=2)
     monkeypatch.setitem(figure_17.COURSES, ("warehouse-even", "human"), small)
     monkeypatch.setitem(TRAFFIC, ("warehouse-even", "human", 8), "congests")
-    HALL.make(folders, silent)
-    small.make(folders, silent)
+    HALL.make(folders)
+    small.make(folders)
     mean = small.read(folders).rates[0]
     drawn = figure_17.draw(folders)
     (row,) = (cells(line) for line in drawn.lines if "hand-made | 2 of 2" in line)
@@ -338,10 +334,10 @@ def test_the_agent_is_measured_on_each_maze_once(folders, monkeypatch):
 
     monkeypatch.setattr(maze_success, "evaluate_agent", walk)
     monkeypatch.setattr(maze_success, "PIECES", (saved,))
-    replace(saved, mazes=1).make(folders, silent)
+    replace(saved, mazes=1).make(folders)
     assert saved.done(folders) == 0.5
     before = saved.read(folders)
-    saved.make(folders, silent)
+    saved.make(folders)
     rows = saved.read(folders)
     assert rows[:2] == before and [row.maze for row in rows] == [GROWN, 0, 1, 2]
     assert {row.walls for row in rows} == {4}
@@ -393,7 +389,7 @@ def test_a_runtime_is_that_of_the_repair_that_other_commands_make(folders, tmp_p
     )
     monkeypatch.setattr(runtimes.RunDirectory, "open", lambda path: run)
     saved = SavedRuntime("warehouse-even", (14, 13), seeds=1)
-    saved.make(folders, silent)
+    saved.make(folders)
     (row,) = saved.read(folders)
     sized = next(sizes.grow_sizes(run, "best", [(14, 13)], seed=0))
     assert (row.seed, row.steps, row.repair, row.changed) == (

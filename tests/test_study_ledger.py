@@ -93,17 +93,15 @@ def test_an_interrupted_study_keeps_what_was_done(simulated, tmp_path, monkeypat
     assert [run.seed for run in read_runs(tmp_path / "runs.csv")] == [0, 1]
 
 
-def test_what_is_left_is_reckoned_from_runs_of_the_same_planner(simulated, tmp_path):
+def test_what_is_left_is_reckoned_from_runs_of_the_same_planner(simulated, tmp_path, capsys):
     slow = Run(*CASE.key(0), 1.0, False, 20, 8.0)  # 0.1 s for each of 4 agents and 20 timesteps
     fast = slow._replace(planner="plain", cpu_seconds=0.8)
     cases = [CASE._replace(agents=8), CASE._replace(planner="plain")]
     assert seconds_for(cases, [slow, fast]) == pytest.approx(16 + 0.8)
     assert seconds_for(cases[1:], [slow]) == pytest.approx(8)
-    said: list[str] = []
-    complete(tmp_path / "runs.csv", [CASE], (0, 1), say=said.append)
-    assert said == [
-        "2 of 2 runs, about 0:00:00 of one core left: hall, 4 agents, low, seed 1: 2.500"
-    ]
+    complete(tmp_path / "runs.csv", [CASE], (0, 1))
+    said = "2 of 2 runs, about 0:00:00 of one core left: hall, 4 agents, low, seed 1: 2.500\n"
+    assert capsys.readouterr().out == said
 
 
 def test_mistakes_are_refused_before_anything_is_simulated(simulated, tmp_path):
