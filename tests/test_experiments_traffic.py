@@ -32,18 +32,10 @@ from experiments.runtimes import Runtime, SavedRuntime
 from experiments.table_5 import TABLE
 from experiments.traffic import SavedTraffic
 from qdenv.agent.evaluate import Success
-from qdenv.domains.base import find_domain, make_domain
-from qdenv.domains.warehouse import WarehouseConfig
-from qdenv.generate import GENERATORS
+from qdenv.domains.base import find_domain
 from qdenv.grid import draw as draw_rows
-from qdenv.io.arrays import write_arrays
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
-from qdenv.nca import NcaConfig
-from qdenv.pipeline import EvaluationConfig
-from qdenv.run.config import RunConfig
-from qdenv.run.directory import RunDirectory
-from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.simulate.maze.world import longest_path
 from qdenv.stats import wilson_interval
 from qdenv.study import elites as sizes
@@ -370,33 +362,14 @@ def test_runtimes_are_averaged_over_repairs(folders):
     assert drawn.lines[-1] == "Not made yet: 22 of 23."
 
 
-def test_a_runtime_is_that_of_the_repair_that_other_commands_make(folders, tmp_path, monkeypatch):
-    evaluation = EvaluationConfig(
-        domain=WarehouseConfig(rows=11, cols=12, shelves=12, fleet=FleetConfig(4, 20)),
-        generator=NcaConfig(steps=8, kernel_sizes=(3, 1, 1), hidden=8),
-    )
-    config = RunConfig(evaluation=evaluation, seed=1)
-    domain = make_domain(evaluation.domain)
-    run = RunDirectory.create(tmp_path / "run", config, domain.measures)
-    solution = np.random.default_rng(1).normal(
-        0, 0.6, GENERATORS.make(evaluation.generator, domain.canvas).size
-    )
-    layout = np.zeros((1, 11, 12), np.int8)
-    write_arrays(
-        run.path / "archive.npz",
-        {"index": np.array([0]), "solution": solution[None].astype(np.float32), "repaired": layout}
-        | {"objective": np.ones(1, np.float32), "measures": np.array([[141.0, 0.01]])},
-    )
-    monkeypatch.setattr(runtimes.RunDirectory, "open", lambda path: run)
-    saved = SavedRuntime("warehouse-even", (14, 13), seeds=1)
+def test_runtimes_are_those_of_repairs_that_other_commands_make(folders, small_run, monkeypatch):
+    monkeypatch.setattr(runtimes.RunDirectory, "open", lambda path: small_run)
+    saved = SavedRuntime("warehouse-even", (14, 13), seeds=2)
     saved.make(folders)
-    (row,) = saved.read(folders)
-    sized = next(sizes.grow_sizes(run, "best", [(14, 13)], seed=0))
-    assert (row.seed, row.steps, row.repair, row.changed) == (
-        0,
-        sized.steps,
-        sized.repair,
-        sized.changed,
-    )
-    assert min(row.grow_seconds, row.compile_seconds) > 0 and row.changed > 0
+    rows = saved.read(folders)
+    assert [row.seed for row in rows] == [0, 1]
+    for row in rows:
+        sized = next(sizes.grow_sizes(small_run, "best", [(14, 13)], seed=row.seed))
+        assert (row.steps, row.repair, row.changed) == (sized.steps, sized.repair, sized.changed)
+        assert min(row.grow_seconds, row.compile_seconds) > 0 and row.changed > 0
     assert saved.done(folders) == 1 and saved.cost(folders) == 0
