@@ -133,8 +133,8 @@ class Workshop:
             for axis in self.at(shape).measures
             if axis.value is not None and axis.limit != "timesteps"  # that needs simulations
         }
-        numbers = (sized.steps, sized.numbers, sized.repair, sized.changed)
-        return GrownLayout(*shape, *numbers, measures, tuple(driven))
+        steps, numbers, repair, changed = sized[1:5]
+        return GrownLayout(*shape, steps, numbers, repair, changed, measures, tuple(driven))
 
     def drive(
         self, cell: Cell, layout: np.ndarray, plan: tuple[str, str], timesteps: int

@@ -293,8 +293,8 @@ def maze(
     episodes, horizon, big_horizon = 50, 648, default_horizon(big)
 
     def in_line(weights: Any, batch: jax.Array, key: jax.Array) -> Any:
-        items = batch, jax.random.split(key, mazes)
-        return jax.lax.map(lambda item: run_alone(weights, *item, episodes, horizon), items)
+        evaluate = partial(run_alone, weights, episodes=episodes, horizon=horizon)
+        return jax.lax.map(lambda item: evaluate(*item), (batch, jax.random.split(key, mazes)))
 
     together = jax.jit(partial(run_batch, episodes=episodes, horizon=horizon))
     one_by_one = jax.jit(in_line)
