@@ -301,11 +301,5 @@ def archive_axes(
             axis._replace(low=low, high=high, cells=cells)
             for axis, (low, high, cells) in zip(measures, ranges, strict=True)
         )
-    for axis in axes:
-        if not axis.low < axis.high or axis.cells < 1:
-            raise InputError(
-                f"axis {axis.name!r}: {axis.low:g} to {axis.high:g} in {axis.cells} cells is "
-                "empty: give LOW < HIGH and at least one cell"
-            )
     check_measures(axes)
     return axes

@@ -24,12 +24,13 @@ def check_measures(measures: Sequence[Measure]) -> tuple[Measure, ...]:
         raise InputError("an archive needs at least one measure")
     axes = tuple(Measure(str(m.name), float(m.low), float(m.high), int(m.cells)) for m in measures)
     for axis in axes:
-        if not (math.isfinite(axis.low) and math.isfinite(axis.high) and axis.low < axis.high):
-            raise InputError(f"measure {axis.name!r}: the range {axis.low}..{axis.high} is empty")
-        if axis.cells < 1:
-            raise InputError(f"measure {axis.name!r}: give at least one cell, not {axis.cells}")
-    cells = math.prod(axis.cells for axis in axes)
-    if cells > _MOST_CELLS:
+        # False for NaN as well.
+        if not (-math.inf < axis.low < axis.high < math.inf and axis.cells >= 1):
+            raise InputError(
+                f"axis {axis.name!r}: {axis.low:g} to {axis.high:g} in {axis.cells} cells is "
+                "empty: give LOW < HIGH and at least one cell"
+            )
+    if (cells := math.prod(axis.cells for axis in axes)) > _MOST_CELLS:
         raise InputError(f"an archive of {cells:,} cells: give {_MOST_CELLS:,} at most")
     return axes
 
