@@ -53,15 +53,13 @@ class Threads:
     """
 
     def __init__(
-        self,
-        pipeline: Pipeline,
-        chunk: int | None = None,
-        progress: Callable[[int], None] = lambda layouts: None,
+        self, pipeline: Pipeline, progress: Callable[[int], None] = lambda layouts: None
     ) -> None:
-        """Compile nothing yet; `chunk` is the number of layouts that one call simulates at most."""
+        """Compile nothing yet."""
         self._pipeline, self._progress = pipeline, progress
         sharing = pipeline.domain.simulator.num_devices
-        self._chunk = chunk or sharing * devices.lanes(devices.ACCELERATOR_CHUNK)
+        # The number of layouts that one call simulates at most.
+        self._chunk = sharing * devices.lanes(devices.ACCELERATOR_CHUNK)
         self._simulate = jax.jit(pipeline.simulate)
         # Devices that share one call must get their calls in one order, or they wait for ever.
         self._turn = turn if sharing > 1 else contextlib.nullcontext()
@@ -172,10 +170,7 @@ def _evaluate_layouts(settings: str, layouts: np.ndarray, first: int, key: np.nd
 
 @contextlib.contextmanager
 def open_evaluator(
-    execution: Execution,
-    config: RunConfig,
-    pipeline: Pipeline,
-    progress: Callable[[int], None],
+    execution: Execution, config: RunConfig, pipeline: Pipeline, progress: Callable[[int], None]
 ) -> Iterator[LayoutEvaluator]:
     """Yield what repairs and simulates the layouts of a run; it ends with the context.
 
@@ -183,7 +178,7 @@ def open_evaluator(
     nothing answers at the scheduler's address, or no worker joins.
     """
     if execution.executor == "threads":
-        yield Threads(pipeline, progress=progress)
+        yield Threads(pipeline, progress)
         return
     with execution.connect() as client:
         cluster = Cluster(client, config, progress)
