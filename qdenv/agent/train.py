@@ -11,14 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from numpy.typing import DTypeLike
 
 from qdenv.agent import levels
 from qdenv.agent.evaluate import default_horizon, draw_mazes, run_batch
 from qdenv.agent.ppo import Batch, EnvState, Rewards, advantages, collect, learn, reset_env, unroll
 from qdenv.agent.settings import TrainConfig
 from qdenv.io.arrays import read_state, write_arrays, write_state
-from qdenv.io.files import write_json
+from qdenv.io.files import refuse_second_run, write_json
 from qdenv.simulate.maze import policy
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.types import InputError
@@ -158,27 +157,25 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Arra
 _update = jax.jit(update, static_argnums=1)
 
 
-class Facts(NamedTuple):
-    """What a checkpoint of a training says beside its arrays."""
-
-    cpu_seconds: float = 0.0  # spent so far
-
-
-def save_weights(weights: Weights, path: Path, dtype: DTypeLike = np.float32) -> None:
+def save_weights(weights: Weights, path: Path) -> None:
     """Write an agent that `policy.load_weights` reads; InputError where that is impossible."""
     named = zip(Weights._fields, weights, strict=True)
-    arrays: dict[str, np.ndarray] = {name: np.asarray(array, dtype) for name, array in named}
+    arrays: dict[str, np.ndarray] = {name: np.asarray(array, np.float32) for name, array in named}
     write_arrays(path, arrays, compressed=True)
 
 
-def load_state(path: Path, like: Any) -> tuple[Any, Facts]:
-    """Read a checkpoint into the structure of `like`; InputError if damaged or of other sizes."""
+def load_state(path: Path, like: Any) -> tuple[Any, float]:
+    """Read a checkpoint into the structure of `like`: (state, CPU seconds spent so far).
+
+    Raises InputError if it is damaged or of other sizes.
+    """
     leaves, structure = jax.tree.flatten(like)
-    arrays, facts = read_state(path, _FACTS, Facts)
+    arrays, facts = read_state(path, _FACTS, dict[str, float])
     sizes = {str(number): (leaf.shape, leaf.dtype) for number, leaf in enumerate(leaves)}
     if {name: (leaf.shape, leaf.dtype) for name, leaf in arrays.items()} != sizes:
         raise InputError(f"{path} belongs to a run with other sizes: keep units, lanes and bank")
-    return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in sizes]), facts
+    leaves = [jnp.asarray(arrays[name]) for name in sizes]
+    return jax.tree.unflatten(structure, leaves), facts.get("cpu_seconds", 0.0)
 
 
 def _exam(config: TrainConfig) -> Examine:
@@ -244,10 +241,9 @@ def train_agent(
     state, used = start(config), 0.0
     checkpoint = out / "checkpoint.npz"
     if resume:
-        state, facts = load_state(checkpoint, state)
-        used = facts.cpu_seconds
-    elif checkpoint.exists():
-        raise InputError(f"{out}: holds a run already; `qdenv resume {out}` continues it")
+        state, used = load_state(checkpoint, state)
+    else:
+        refuse_second_run(checkpoint)
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "config.json", asdict(config))
     examine = _exam(config)

@@ -67,8 +67,15 @@ def _message(event: Any, target: Any, rules: Any) -> str:
         word = event.tokens[0].partition("=")[0]
         if not word.startswith("-"):
             return f"unknown argument {word}{listed}"
-        close = _close_option(word, target, rules)
-        return f"unknown option {word}" + (f": did you mean {close}?" if close else "") + listed
+        # tyro lists the options of a program nowhere but in its script for shells.
+        with contextlib.redirect_stdout(io.StringIO()) as script, contextlib.suppress(SystemExit):
+            parse(target, ["--tyro-print-completion", "bash"], "qdenv", rules)
+        options = completion_spec(script.getvalue())["options"]
+        known = [name for option in options for name in option["flags"]]
+        # --lanes for --planner.lanes is less of a mistake than any other letter.
+        alike = [name for name in known if name.rpartition(".")[2] == word.lstrip("-")]
+        close = [*alike, *difflib.get_close_matches(word, known, 1)]
+        return f"unknown option {word}" + (f": did you mean {close[0]}?" if close else "") + listed
     if isinstance(event, events.InstantiationFailure):
         message = event.message.partition("\n")[0]
         if event.argument is None:  # a record refused its values
@@ -95,18 +102,6 @@ def _message(event: Any, target: Any, rules: Any) -> str:
 def _name_of(argument: Any) -> str:
     lowered = argument.lowered
     return str(lowered.metavar if argument.is_positional() else lowered.name_or_flags[0])
-
-
-def _close_option(word: str, target: Any, rules: Any) -> str | None:
-    """Return the option that may have been meant; one whose last part is equal comes first."""
-    # tyro lists the options of a program nowhere but in its script for shells.
-    with contextlib.redirect_stdout(io.StringIO()) as script, contextlib.suppress(SystemExit):
-        parse(target, ["--tyro-print-completion", "bash"], "qdenv", rules)
-    options = completion_spec(script.getvalue())["options"]
-    known = [name for option in options for name in option["flags"]]
-    # --lanes for --planner.lanes is less of a mistake than any other letter.
-    alike = [name for name in known if name.rpartition(".")[2] == word.lstrip("-")]
-    return next(iter(alike + difflib.get_close_matches(word, known, 1)), None)
 
 
 def completion_spec(script: str) -> dict[str, Any]:

@@ -217,7 +217,7 @@ def write_state(
 
 
 def read_state(path: Path, member: str, kind: type[T]) -> tuple[dict[str, np.ndarray], T]:
-    """Read what `write_state` wrote: (arrays, facts); `kind` is the NamedTuple of the facts.
+    """Read what `write_state` wrote: (arrays, facts); `kind` is the type of the facts.
 
     Raises DamagedError if the file is damaged, InputError if it does not exist or is newer.
     """

@@ -111,6 +111,13 @@ def tidy(value: Any) -> Any:
     return value if isinstance(value, str | None) else str(value)
 
 
+def refuse_second_run(file: Path) -> None:
+    """Raise InputError if a folder holds a run already; `file` is one that every run has."""
+    if file.exists():
+        folder = file.parent
+        raise InputError(f"{folder}: holds a run already; `qdenv resume {folder}` continues it")
+
+
 def damaged(source: Path | str, reason: object) -> DamagedError:
     """Make the error for a file with wrong content."""
     return DamagedError(f"{source}: cannot be read ({reason})")

@@ -14,10 +14,10 @@ from tyro.conf import Positional, arg
 
 from qdenv import interrupt
 from qdenv.agent.settings import TrainConfig
-from qdenv.io.files import write_csv
+from qdenv.io.files import refuse_second_run, write_csv
 from qdenv.io.records import read_json
 from qdenv.ops import options as args
-from qdenv.ops.output import AUTO, Facts, Layout, Place, format_table, place, place_table, say
+from qdenv.ops.output import AUTO, Layout, Place, Result, format_table, place, place_table, say
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged, Seed
 from qdenv.shipped import file_name
@@ -51,14 +51,14 @@ def train_agent(
     Raises:
         InputError: there is a run in the folder already, or none to resume.
     """
-    begun = (path / "checkpoint.npz").exists()
+    checkpoint = path / "checkpoint.npz"
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: that is a file: name a folder")
-    if not resume and begun:
-        raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
-    if resume and not begun:
+    if not resume:
+        refuse_second_run(checkpoint)
+    elif not checkpoint.exists():
         raise InputError(f"{path}: no run to resume (checkpoint.npz is missing)")
-    if resume and config.steps < read_json(path / "config.json", TrainConfig).steps:
+    elif config.steps < read_json(path / "config.json", TrainConfig).steps:
         raise InputError(f"{path}: more steps are configured already: give as many, or more")
     from qdenv.agent.train import train_agent as train  # imports jax and optax
 
@@ -101,7 +101,7 @@ def evaluate_agent(
     random_mazes: int = 0,
     out: args.Out = None,
     gif: args.Picture = None,
-) -> Facts:
+) -> Result:
     """Let the agent solve a maze many times: success rate with its 95 % interval.
 
     Args:
@@ -127,10 +127,10 @@ def evaluate_agent(
     if random_mazes and episodes.reference_batching:
         raise InputError("--reference-batching is for one maze: leave --random-mazes out")
     picture = place(gif, "episode.gif", (".gif",), [layout])
-    table = place(out, f"{plan.name}_random.csv", (".csv",), [layout])
-    if not random_mazes:  # the command line always names a table
-        table = None
-    elif table and table.beside("").path.is_file():
+    table = None
+    if random_mazes:  # the command line always names a table
+        table = place(out, f"{plan.name}_random.csv", (".csv",), [layout])
+    if table and table.beside("").path.is_file():
         raise InputError(f"{table.beside('').path}: that is a file, and random mazes need a folder")
     # These import jax: refusals are faster without it.
     from qdenv.agent.evaluate import compare_with_random, default_horizon
@@ -160,7 +160,7 @@ def evaluate_agent(
         say(picture)
     agent = episodes.agent or "the shipped one"
     settings = {"layout": name, "timesteps": steps, "seed": seed, "agent": agent}
-    return Facts(facts | {"settings": settings})
+    return Result(facts | {"settings": settings})
 
 
 def _report_random(
@@ -233,7 +233,7 @@ def fit_surrogate(
     plot: args.Picture = None,
     size: Literal["small", "published"] = "small",
     **settings: Annotated[Any, args.Mark.SURROGATE],
-) -> Facts:
+) -> Result:
     """Predict a run's elites by a surrogate: how much of throughput and measures it can tell.
 
     The surrogate is DSAGE's. It learns from four fifths of the elites and predicts the others:
@@ -303,7 +303,7 @@ def fit_surrogate(
         title += "; in brackets the standard deviation over them" * (len(trials) > 1)
         save_figure(draw_predictions(truth, predicted, panels, title), picture.path)
     say(*filter(None, [", ".join(str(one) for one in (table, picture) if one)]))
-    return Facts(facts | {"settings": {"run": str(run), "seeds": chosen}})
+    return Result(facts | {"settings": {"run": str(run), "seeds": chosen}})
 
 
 def _figure(figure: Mapping[str, Any], form: str = ".2f") -> str:

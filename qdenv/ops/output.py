@@ -64,10 +64,8 @@ def place(
 
     `AUTO` takes `default`, a name in the current folder, or the next free name like it
     (plan-2.json). Without `endings` it is data, which any but a picture's ending may name. Files
-    among `inputs` are read, and must not be overwritten.
-
-    Raises:
-        InputError: the ending is none of them, or the place is a folder or an input.
+    among `inputs` are read, and must not be overwritten. Raises InputError if the ending is none of
+    them, or the place is a folder or an input.
     """
     if out is None:
         return None
@@ -145,11 +143,7 @@ class Layout:
     facts: Mapping[str, Any] = field(default_factory=dict)  # as `--json` writes them
 
     def save(self, path: str | Path) -> Path:
-        """Write a layout file with the domain and the details in it.
-
-        Raises:
-            InputError: the place cannot be written to.
-        """
+        """Write a layout file with the domain and the details in it; InputError if impossible."""
         details = {**self.domain.details, **self.details}
         write_layout(path, self.layout, self.domain.tiles, self.domain.meanings, **details)
         return Path(path)
@@ -191,8 +185,8 @@ def save_with_picture(layout: Layout, target: Place | None, text: str = "") -> L
     return layout
 
 
-class Facts(dict):
-    """Findings by name, as `--json` writes them."""
+class Result(dict):
+    """What an operation finds, by name, as `--json` writes it."""
 
     def _repr_html_(self) -> str:
         return _table_html([self])

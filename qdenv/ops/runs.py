@@ -14,15 +14,7 @@ from qdenv.io.files import write_csv
 from qdenv.io.layouts import check_size, endings_for
 from qdenv.ops import options as args
 from qdenv.ops.layouts import human_layout
-from qdenv.ops.output import (
-    AUTO,
-    Layout,
-    Place,
-    place,
-    place_folder,
-    save_with_picture,
-    say,
-)
+from qdenv.ops.output import AUTO, Layout, Place, place, place_folder, save_with_picture, say
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.run.archive import Elite
@@ -154,7 +146,7 @@ def generate_layout(
     named = not isinstance(elite, Elite)
     found = opened.archive.elite(elite, growth.measures or None) if named else elite
     # This imports jax: refusals are faster without it.
-    from qdenv.study.elites import grow_elite, repair_grown
+    from qdenv.study.elites import grow_elite, grow_frames, repair_grown
 
     config = opened.config
     trained = make_domain(config.evaluation.domain)
@@ -163,8 +155,7 @@ def generate_layout(
         grown = grow_elite(opened, found, (rows, cols), growth.steps, numbers, growth.keep)
         domain, layout = grown.domain, grown.layout
         if growth.frames is not None:
-            from qdenv.study.elites import grow_frames
-            from qdenv.view.layouts import draw_frames
+            from qdenv.view.layouts import draw_frames  # imports matplotlib
             from qdenv.view.style import save_figure
 
             frames = (target or Place(Path("layout.json"), False)).beside(".png", "_frames").path

@@ -16,11 +16,11 @@ from qdenv import devices
 from qdenv.agent.settings import TrainConfig
 from qdenv.configurations import PRESETS, find_preset
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
-from qdenv.io.files import write_json
+from qdenv.io.files import refuse_second_run, write_json
 from qdenv.io.records import read_json
 from qdenv.ops import options as args
 from qdenv.ops.networks import train_agent
-from qdenv.ops.output import PICTURES, Facts, format_duration, format_table, place, say
+from qdenv.ops.output import PICTURES, Result, format_duration, format_table, place, say
 from qdenv.ops.runs import plot_one
 from qdenv.run.config import RunConfig, planner_of, resolve
 from qdenv.run.directory import Metrics, RunDirectory, find_start
@@ -63,7 +63,7 @@ ZooName: TypeAlias = Annotated[str, Positional, arg(metavar="[DOMAIN[/NAME]]")]
 _ZOO_PLANNERS = {"high": "high effort", "published": "PBS", "agent": "the agent"}
 
 
-def presets() -> Facts:
+def presets() -> Result:
     """List the presets: what they search, and how long that takes on this machine."""
     table, sizes = [], []
     for name, config in PRESETS.items():
@@ -95,7 +95,7 @@ def presets() -> Facts:
             sizes.append({"domain": name, "size": f"{rows} x {cols}", **numbers})
             listed = ", ".join(f"{value} {name}" for name, value in numbers.items())
             say(f"  {domain.name}, {rows} x {cols}: {listed}")
-    return Facts({"presets": table, "sizes": sizes, "settings": {}})
+    return Result({"presets": table, "sizes": sizes, "settings": {}})
 
 
 def describe_cost(preset: str, config: RunConfig) -> str:
@@ -194,8 +194,7 @@ def train(
     for parent in (path, *path.parents):
         if parent.exists() and not parent.is_dir():
             raise InputError(f"{path}: {parent} is a file: name a folder")
-    if (path / "config.json").exists():
-        raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
+    refuse_second_run(path / "config.json")
     if scaled:
         say(f"for this size: {scaled}")
     cost, planner = describe_cost(name, config), planner_of(config)
@@ -250,7 +249,7 @@ def resume(
     return done
 
 
-def zoo(name: ZooName = "", plot: args.Picture = None) -> Facts:
+def zoo(name: ZooName = "", plot: args.Picture = None) -> Result:
     """List the trained generators that ship, with what their floor plans are worth.
 
     Every command that takes a run takes zoo:DOMAIN/NAME as well.
@@ -282,7 +281,7 @@ def zoo(name: ZooName = "", plot: args.Picture = None) -> Facts:
             panels.append((run.best.layout, run.schema.tiles, title, "\n".join(lines)))
         picture.draw(draw_sheet(panels))
     domains = [dataclasses.asdict(one) for one in found]
-    return Facts({"domains": domains, "settings": {"name": text}})
+    return Result({"domains": domains, "settings": {"name": text}})
 
 
 def _describe_collection(collection: Collection) -> list[str]:

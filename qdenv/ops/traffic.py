@@ -12,7 +12,7 @@ import numpy as np
 
 from qdenv.grid import of_tiles
 from qdenv.ops import options as args
-from qdenv.ops.output import PICTURES, Facts, Table, format_table, place, place_table, say
+from qdenv.ops.output import PICTURES, Result, Table, format_table, place, place_table, say
 from qdenv.progress import Bar
 from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.stats import Difference
@@ -40,7 +40,7 @@ def simulate_layout(
     plot: args.Picture = None,
     width: args.Width = None,
     **fleet: Unpack[args.FleetOptions],
-) -> Facts:
+) -> Result:
     """Simulate a fleet on a layout: its throughput, where it jams, whether more agents would help.
 
     Args:
@@ -101,7 +101,7 @@ def simulate_layout(
         title = f"{format_name(plan.name)}, {agents} agents{judgement}"
         scene = make_scene(plan, study, options.stop)
         picture.draw(draw_traffic(scene, title, width or SCREEN))
-    return Facts(facts | {"settings": options.settings(timesteps)})
+    return Result(facts | {"settings": options.settings(timesteps)})
 
 
 def _numbers(facts: Mapping[str, Any]) -> list[str]:

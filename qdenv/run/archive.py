@@ -27,8 +27,8 @@ _COLUMNS = {
     "objective": Column("iuf", 1, finite=True),
     "measures": Column("iuf", 2, finite=True),
 }
-_REPAIRED = {"repaired": Column("iu", 3)}  # of the archive of a run: the layouts
-# Those that it may have: the layouts before the repair, and how each simulation ended.
+# What that of a run may have beside the repaired layouts: those before the repair, and how each
+# simulation ended.
 _KNOWN = {"unrepaired": Column("iu", 3), "congested": Column("b", 2), "success": Column("b", 2)}
 Columns = Mapping[str, np.ndarray]
 
@@ -102,7 +102,7 @@ class SavedArchive:
         It may be no archive over these measures: a column is missing or of another length, a cell
         lies outside, or a tile means nothing.
         """
-        columns = read_arrays(path, _COLUMNS | _REPAIRED, Column(), _KNOWN)
+        columns = read_arrays(path, _COLUMNS | {"repaired": Column("iu", 3)}, Column(), _KNOWN)
         index, cells = columns["index"], math.prod(one.cells for one in schema.measures)
         alike = all(column.ndim and len(column) == len(index) for column in columns.values())
         inside = ((index >= 0) & (index < cells)).all() and len(np.unique(index)) == len(index)

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.io.arrays import SCHEMA, Content, read_state, write_state
+from qdenv.io.arrays import Content, read_state, write_state
 from qdenv.io.files import damaged
 from qdenv.search.base import stores_in
 from qdenv.types import DamagedError, InputError
@@ -30,7 +30,6 @@ class Manifest(NamedTuple):
     """What a checkpoint holds beside its arrays."""
 
     iteration: int  # the last that is in it
-    schema: int = SCHEMA  # of the checkpoint
     lengths: tuple[int, ...] = ()  # rows of each leaf
     settings: Mapping[str, Any] = {}  # what decides the run's result
 

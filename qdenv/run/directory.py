@@ -30,7 +30,7 @@ import numpy as np
 from qdenv.domains.base import make_domain
 from qdenv.generate import GENERATORS
 from qdenv.io.arrays import Column, read_arrays, write_arrays
-from qdenv.io.files import damaged, sweep, write_csv, write_json
+from qdenv.io.files import damaged, refuse_second_run, sweep, write_csv, write_json
 from qdenv.io.records import read_json
 from qdenv.io.tables import parse_cell, read_rows, read_table
 from qdenv.lazy import jax
@@ -92,12 +92,10 @@ class RunDirectory:
         which the search begins, float [P], or None for zeros.
         """
         run = cls(Path(path))
-        if (run.path / "config.json").exists():
-            raise InputError(f"{path}: holds a run already; `qdenv resume {path}` continues it")
+        refuse_second_run(run.path / "config.json")
         git = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
         try:
-            output = subprocess.run(git, capture_output=True, text=True, check=True).stdout
-            revision = output.strip()
+            revision = subprocess.check_output(git, text=True, stderr=subprocess.DEVNULL).strip()
         except (OSError, subprocess.CalledProcessError):  # the package was installed
             revision = None
         domain = make_domain(config.evaluation.domain)

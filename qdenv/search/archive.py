@@ -187,10 +187,10 @@ class GridArchive(MapElitesRepertoire):
         measures = jnp.asarray(measures, self.descriptors.dtype)
         chex.assert_rank(objective, 1)
         chex.assert_shape(measures, (*objective.shape, len(self.measures)))
-        missing = [key for key in self.keys_extra_scores if key not in (extras or {})]
-        if missing:
+        extras = extras or {}
+        if missing := [key for key in self.keys_extra_scores if key not in extras]:
             raise InputError(f"this archive stores {missing[0]!r} beside each elite: hand it in")
-        stored = {key: (extras or {})[key] for key in self.keys_extra_scores}
+        stored = {key: extras[key] for key in self.keys_extra_scores}
         chex.assert_tree_shape_prefix((solutions, stored), objective.shape)
         # A failed row gets the objective that beats no threshold: it needs no case of its own.
         valid = success & jnp.isfinite(objective) & jnp.isfinite(measures).all(axis=-1)
@@ -289,8 +289,7 @@ class GridArchive(MapElitesRepertoire):
         }
         if self.thresholds is not None:
             columns["threshold"] = self.thresholds
-        taken = {*columns, "index", "threshold"} & self.extra_scores.keys()
-        if taken:
+        if taken := {*columns, "index", "threshold"} & self.extra_scores.keys():
             raise InputError(f"rename the extra {sorted(taken)[0]!r}: an archive has that field")
         return {**columns, **self.extra_scores}
 
