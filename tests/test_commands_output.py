@@ -39,7 +39,7 @@ def test_a_file_that_is_named_may_be_replaced_and_that_is_said(folder):
 def test_a_picture_lies_beside_its_data(folder):
     assert place(Path("a/table.csv"), "x.csv").beside(".png") == Place(Path("a/table.png"), False)
     (folder / "table_frames.png").touch()
-    beside = place(Path("table.csv"), "x.csv").beside(".png", "_frames")
+    beside = place(Path("table.csv"), "x.csv").beside("_frames.png")
     assert beside == Place(Path("table_frames.png"), True)
 
 

@@ -44,9 +44,9 @@ class Place(NamedTuple):
         """Return the path as commands print it."""
         return f"{self.path} (replaced)" if self.replaces else str(self.path)
 
-    def beside(self, ending: str, suffix: str = "") -> Place:
+    def beside(self, ending: str) -> Place:
         """Return the place of another result: the same name, another ending."""
-        path = self.path.with_name(f"{self.path.stem}{suffix}{ending}")
+        path = self.path.with_name(f"{self.path.stem}{ending}")
         return Place(path, path.exists())
 
     def draw(self, figure: Figure, crop: bool = False) -> None:

@@ -158,7 +158,7 @@ def generate_layout(
             from qdenv.view.layouts import draw_frames  # imports matplotlib
             from qdenv.view.style import save_figure
 
-            frames = (target or Place(Path("layout.json"), False)).beside(".png", "_frames").path
+            frames = (target or Place(Path("layout.json"), False)).beside("_frames.png").path
             after, grids = grow_frames(opened, grown, growth.frames)
             save_figure(draw_frames(grids, after, domain.tiles), frames)
             say(f"{frames}: after {', '.join(map(str, after))} steps")
