@@ -73,7 +73,7 @@ def try_once(
         fitted, _ = fit(surrogate.init(first), Ring(learnt, jnp.int32(count)), second)
         parts = []
         for one in rows:
-            score: Any = predict(fitted, jnp.asarray(samples.drawn[one])).score
+            score: Any = predict(fitted, jnp.asarray(samples.drawn[one]))[0]
             parts += [np.column_stack([score.objective, score.result_objective, score.measures])]
         predicted = np.concatenate(parts)[: len(held)]
         spent = time.process_time() - begun

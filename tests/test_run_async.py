@@ -93,10 +93,10 @@ def test_the_answers_to_a_team_change_that_team_alone():
     first, state = algorithm.ask(state)
     second, state = algorithm.ask(state)
     for turn, solutions in enumerate((first, second)):
-        before = jax.tree.map(np.asarray, state.emitters.groups)
+        before = jax.tree.map(np.asarray, state.emitters[0])
         solutions = np.asarray(solutions)
         state = algorithm.tell(state, solutions, score_of(solutions), extras_of(solutions))
-        moved = np.asarray(state.emitters.groups.strategy.mean != before.strategy.mean)
+        moved = np.asarray(state.emitters[0].strategy.mean != before.strategy.mean)
         assert moved[turn].any() and not moved[1 - turn].any()
 
 
@@ -105,7 +105,7 @@ def test_teams_learn_from_their_own_solutions_as_one_team_does_alone():
     alone = CmaEsConfig(emitters=1, batch=8)
     team, single = compiled(replace(alone, ahead=1)), compiled(alone)
     both, one = team.init(jax.random.key(0)), single.init(jax.random.key(0))
-    inner = jax.tree.map(lambda leaf: leaf[0], both.emitters.groups)
+    inner = jax.tree.map(lambda leaf: leaf[0], both.emitters[0])
     one = one._replace(emitters=inner)
     waiting = []
     for iteration in range(8):
@@ -117,7 +117,7 @@ def test_teams_learn_from_their_own_solutions_as_one_team_does_alone():
         if iteration:
             told = waiting.pop(0)
             both = team.tell(both, told, score_of(told), extras_of(told))
-    learnt = jax.tree.map(lambda leaf: np.asarray(leaf[0]), both.emitters.groups.strategy)
+    learnt = jax.tree.map(lambda leaf: np.asarray(leaf[0]), both.emitters[0].strategy)
     jax.tree.map(
         lambda ours, theirs: np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-6),
         learnt,

@@ -43,7 +43,7 @@ def first_losses(rng, weights):
         name: float(fit(fitted, ring, jax.random.key(1), name, 0, 1)[1])
         for name in ("repair", "score")
     }
-    return fitted, samples, losses, surrogate.predict(fitted, samples.drawn)
+    return fitted, samples, losses, surrogate.predict(fitted, samples.drawn)[0]
 
 
 @pytest.mark.slow
@@ -105,8 +105,8 @@ def test_a_map_that_nobody_used_says_nothing(rng):
 
 @pytest.mark.parametrize("weights", [(), (1, 2, 10)])
 def test_the_loss_of_scores_weighs_its_numbers(rng, weights):
-    _, samples, losses, prediction = first_losses(rng, weights)
-    score = prediction.score  # of a map this small no layer normalises: as while it learns
+    # Of a map this small no layer normalises: as while it learns.
+    _, samples, losses, score = first_losses(rng, weights)
     predicted = np.column_stack([score.objective, score.result_objective, score.measures])
     squared = np.square(predicted - samples.numbers) * np.array(weights or (1, 1, 1))
     np.testing.assert_allclose(losses["score"], squared.mean(), rtol=1e-5)

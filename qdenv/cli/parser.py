@@ -71,10 +71,10 @@ def _message(event: Any, target: Any, rules: Any) -> str:
         with contextlib.redirect_stdout(io.StringIO()) as script, contextlib.suppress(SystemExit):
             parse(target, ["--tyro-print-completion", "bash"], "qdenv", rules)
         options = completion_spec(script.getvalue())["options"]
-        known = [name for option in options for name in option["flags"]]
+        flags = [name for option in options for name in option["flags"]]
         # --lanes for --planner.lanes is less of a mistake than any other letter.
-        alike = [name for name in known if name.rpartition(".")[2] == word.lstrip("-")]
-        close = [*alike, *difflib.get_close_matches(word, known, 1)]
+        alike = [name for name in flags if name.rpartition(".")[2] == word.lstrip("-")]
+        close = [*alike, *difflib.get_close_matches(word, flags, 1)]
         return f"unknown option {word}" + (f": did you mean {close[0]}?" if close else "") + listed
     if isinstance(event, events.InstantiationFailure):
         message = event.message.partition("\n")[0]

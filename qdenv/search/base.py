@@ -152,8 +152,8 @@ class SearchState(NamedTuple):
     """State of a search by emitters, or by its archives alone; one pytree."""
 
     key: jax.Array
-    # `EmittersState` or `GroupsState`, which the learning archive steers; None where parents are
-    # drawn from that archive, or nothing is learnt
+    # that of `Emitters`, which the learning archive steers; None where parents are drawn from that
+    # archive, or nothing is learnt
     emitters: Any
     archives: StoredArchive
 

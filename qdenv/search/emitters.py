@@ -220,40 +220,34 @@ def make_emitters(
     return Emitters(init, ask, tell)
 
 
-class GroupsState(NamedTuple):
-    """State of G groups of emitters that take turns."""
-
-    groups: Any  # pytree of a group's state, leading axis G
-    drawn: jax.Array  # int32, populations drawn so far
-    scored: jax.Array  # int32, populations whose scores have come
-
-
 def make_groups(emitters: Emitters, groups: int) -> Emitters:
     """Join G groups of the same emitters; population i is of group i mod G.
 
     A group draws again only after its last population was scored, so each adapts to its own
     solutions as it would alone, and up to G populations are evaluated at once. All share one
-    archive.
+    archive. The state is that of the groups, with a leading axis G, and the numbers of populations
+    drawn and scored so far (int32).
     """
     if groups == 1:
         return emitters
 
-    def init(key: jax.Array) -> GroupsState:
+    def init(key: jax.Array) -> tuple:
         states = jax.vmap(emitters.init)(jax.random.split(key, groups))
-        return GroupsState(states, jnp.int32(0), jnp.int32(0))
+        return states, jnp.int32(0), jnp.int32(0)
 
-    def ask(state: GroupsState, key: jax.Array) -> tuple[jax.Array, GroupsState]:
-        index = state.drawn % groups
-        group = jax.tree.map(lambda leaf: leaf[index], state.groups)
-        solutions, group = emitters.ask(group, key)
-        new = jax.tree.map(lambda leaf, one: leaf.at[index].set(one), state.groups, group)
-        return solutions, state._replace(groups=new, drawn=state.drawn + 1)
+    def ask(state: tuple, key: jax.Array) -> tuple[jax.Array, tuple]:
+        states, drawn, scored = state
+        index = drawn % groups
+        solutions, group = emitters.ask(jax.tree.map(lambda leaf: leaf[index], states), key)
+        states = jax.tree.map(lambda leaf, one: leaf.at[index].set(one), states, group)
+        return solutions, (states, drawn + 1, scored)
 
-    def tell(state: GroupsState, key: jax.Array, rows: Scored, archive: Any) -> GroupsState:
-        index = state.scored % groups
-        group = jax.tree.map(lambda leaf: leaf[index], state.groups)
+    def tell(state: tuple, key: jax.Array, rows: Scored, archive: Any) -> tuple:
+        states, drawn, scored = state
+        index = scored % groups
+        group = jax.tree.map(lambda leaf: leaf[index], states)
         group = emitters.tell(group, key, rows, archive)
-        new = jax.tree.map(lambda leaf, one: leaf.at[index].set(one), state.groups, group)
-        return state._replace(groups=new, scored=state.scored + 1)
+        states = jax.tree.map(lambda leaf, one: leaf.at[index].set(one), states, group)
+        return states, drawn, scored + 1
 
     return Emitters(init, ask, tell)

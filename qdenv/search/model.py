@@ -57,7 +57,7 @@ class Model:
     def predict(self, fitted: Fitted, solutions: jax.Array) -> Score:
         """Predict the `Score` of solutions [B, P], with a leading axis B."""
         drawn = self.encoding.draw(solutions.astype(jnp.float32))
-        return self.surrogate.predict(fitted, drawn).score
+        return self.surrogate.predict(fitted, drawn)[0]
 
     def observe(
         self, state: ModelState, solutions: jax.Array, score: Score, extras: Mapping[str, Array]
@@ -75,9 +75,10 @@ class Model:
             _numbers(score),
         )
         # Predicted before it is learnt from: the errors are those on unseen layouts.
-        prediction, valid = self.surrogate.predict(state.fitted, drawn), jnp.asarray(score.success)
-        rmse, r2 = errors(_numbers(prediction.score), samples.numbers, valid)
-        alike = (prediction.repaired == samples.repaired).mean(axis=(1, 2))
+        predicted, repaired, _ = self.surrogate.predict(state.fitted, drawn)
+        valid = jnp.asarray(score.success)
+        rmse, r2 = errors(_numbers(predicted), samples.numbers, valid)
+        alike = (repaired == samples.repaired).mean(axis=(1, 2))
         tiles = jnp.mean(alike, where=valid)
         some = valid.any()
         return state._replace(

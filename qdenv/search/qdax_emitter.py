@@ -10,7 +10,6 @@ from qdax.core.emitters.emitter import Emitter, EmitterState
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import check_batch, plain_key, start_solution
 from qdenv.search.cma_mae import emitters_of
-from qdenv.search.emitters import EmittersState, GroupsState
 from qdenv.search.settings import CmaMaeConfig
 from qdenv.types import Array, Measure, Score
 
@@ -19,7 +18,7 @@ class CmaMaeEmitterState(EmitterState):
     """State of `CmaMaeEmitter`; the driver's repertoire is the result archive."""
 
     key: jax.Array  # uint32 [2]
-    emitters: EmittersState | GroupsState  # the evolution strategies
+    emitters: Any  # of the evolution strategies
     learning: GridArchive  # the soft archive that ranks solutions
 
 

@@ -144,9 +144,9 @@ def try_surrogate(
         # Whole chunks, so that one compiled program predicts all of them.
         rows = np.resize(held, -(-len(held) // _CHUNK) * _CHUNK).reshape(-1, _CHUNK)
         reports = [predict(fitted, jnp.asarray(elites.drawn[chunk])) for chunk in rows]
-        columns = [(one.score.result_objective, one.score.measures) for one in reports]
+        columns = [(score.result_objective, score.measures) for score, _, _ in reports]
         predicted = np.concatenate([np.column_stack(one) for one in columns])[: len(held)]
-        repaired = np.concatenate([one.repaired for one in reports])[: len(held)]
+        repaired = np.concatenate([tiles for _, tiles, _ in reports])[: len(held)]
         truth = elites.numbers[held]
         skills = tuple(map(score_predictions, predicted.T, truth.T))
         alike = float((repaired == elites.repaired[held]).mean())

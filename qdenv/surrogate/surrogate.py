@@ -168,14 +168,6 @@ class Fitted(NamedTuple):
     fits: jax.Array  # int32, how often it was fitted to samples
 
 
-class Prediction(NamedTuple):
-    """Predictions for layouts."""
-
-    score: Score  # `Score` with leading axis B; a success where every number is finite
-    repaired: jax.Array  # int8 [B, H, W]
-    usage: jax.Array  # float32 [B, H, W], in units of an even share; zeros where no usage is learnt
-
-
 class Surrogate:
     """A surrogate of true evaluations; all its methods are traceable."""
 
@@ -298,8 +290,12 @@ class Surrogate:
             fitted, losses[name] = self.fit_part(fitted, ring, key, name, 0, self._config.epochs)
         return fitted._replace(fits=fitted.fits + (ring.known > 0)), losses
 
-    def predict(self, fitted: Fitted, drawn: jax.Array) -> Prediction:
-        """Predict what becomes of layouts as they are drawn (int8 [B, H, W])."""
+    def predict(self, fitted: Fitted, drawn: jax.Array) -> tuple[Score, jax.Array, jax.Array]:
+        """Predict what becomes of layouts as they are drawn (int8 [B, H, W]).
+
+        Returns their `Score`, a success where every number is finite, the repaired maps, and the
+        usage in units of an even share, float32 [B, H, W], which is zeros where none is learnt.
+        """
         maps = self._inputs(fitted.learners, drawn)
         variables = fitted.learners["score"].variables
         result = self._networks["score"].apply(variables, maps["score"], False)
@@ -310,7 +306,7 @@ class Surrogate:
         encoding, usage = self._encoding, jnp.zeros(drawn.shape)
         if encoding.usage:
             usage = maps["score"][..., encoding.kinds]
-        return Prediction(score, repaired, usage)
+        return score, repaired, usage
 
 
 def _scale(ring: Ring) -> tuple[jax.Array, jax.Array]:
