@@ -34,7 +34,7 @@ def watch(program: str = "qdenv") -> None:
     """
     if signal.getsignal(signal.SIGINT) is _ignore:
         return
-    advise(f"`{program} {shlex.join(sys.argv[1:])}` begins anew")
+    advise(f"`{program} {shlex.join(sys.argv[1:])}` starts over")
     reader, writer = socket.socketpair()
     writer.setblocking(False)
     # Python's own handler does nothing; the number of the signal arrives at the socket at once.

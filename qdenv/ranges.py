@@ -43,7 +43,7 @@ class Ranged:
         """Raise InputError, which names the field, if a value is none of those it may have."""
         record: Any = type(self)
         for name, kind in _type_hints(record, include_extras=True).items():
-            value = getattr(self, name)
+            value = getattr(self, name, None)  # None: a class variable without a value
             if _has_range(kind):
                 check_range(name, value, kind)
             elif get_origin(kind) is Literal and value not in get_args(kind):

@@ -298,7 +298,7 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 25_271,
+    "lines": 25_272,
     "files": 165,
     "records": 169,
     "public names": 997,

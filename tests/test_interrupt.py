@@ -75,8 +75,8 @@ def test_a_command_ends_at_any_moment_and_says_how_to_begin_anew(tmp_path, momen
     work.send_signal(signal.SIGINT)
     assert work.wait(timeout=60) == 130
     last = re.findall("^qdenv: .*", log.read_text(), re.MULTILINE)[-1]
-    anew = "qdenv: stopped; `qdenv train quick --out 'a run'` begins anew"
-    assert last in (anew, "qdenv: stopped; `qdenv resume 'a run'` goes on")
+    over = "qdenv: stopped; `qdenv train quick --out 'a run'` starts over"
+    assert last in (over, "qdenv: stopped; `qdenv resume 'a run'` goes on")
     assert "Traceback" not in log.read_text()
 
 

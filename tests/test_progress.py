@@ -99,4 +99,4 @@ def test_the_time_left_is_estimated_without_the_compilation(quick, monkeypatch, 
         for _ in range(50):
             bar.update()
             now[0] += 0.125
-        wait_for("50/600 [00:06<01:08,  8.00eval/s]", capsys)
+        assert wait_for("50/600 [00:06<01:08,  8.00eval/s]", capsys)

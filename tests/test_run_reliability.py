@@ -86,7 +86,7 @@ def test_a_damaged_checkpoint_is_passed_over_for_the_one_before(kind, whole, run
 def test_with_no_whole_checkpoint_the_line_says_what_to_delete(run):
     for path in (run.path / "checkpoints").iterdir():
         path.write_bytes(b"")
-    with pytest.raises(InputError, match=r"delete .*checkpoints to begin anew"):
+    with pytest.raises(InputError, match=r"delete .*checkpoints to start over"):
         loop.resume(run.path, progress=False)
 
 

@@ -256,6 +256,7 @@ def test_runs_that_do_not_fit_are_refused_in_one_line(tmp_path, capsys):
     assert "no run here" in refusal(["generate", str(tmp_path / "nothing")], capsys)
     for name, file, change, said in [
         ("newer", "manifest.json", {"schema": 99}, "newer qdenv"),
+        ("broken", "manifest.json", {"schema": "one"}, "must be a whole number"),
         ("foreign", "config.json", {"domain": {"name": "moon"}}, "unknown domain 'moon'"),
         ("other", "config.json", {"domain": {"name": "manufacturing"}}, "this generator has"),
     ]:

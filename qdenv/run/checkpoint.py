@@ -70,7 +70,7 @@ def load_newest(run: Path, initial: Any, settings: Mapping[str, Any]) -> tuple[i
         except DamagedError as error:
             if path == saved[0]:
                 raise InputError(
-                    f"{error}: no checkpoint is whole, delete {path.parent} to begin anew"
+                    f"{error}: no checkpoint is whole, delete {path.parent} to start over"
                 ) from error
             _LOG.warning("%s: going on from the checkpoint before it", error)
             continue
@@ -79,7 +79,7 @@ def load_newest(run: Path, initial: Any, settings: Mapping[str, Any]) -> tuple[i
             if manifest.settings.get(name, value) != value:
                 raise InputError(
                     f"{run}: its checkpoint was made with {name} {manifest.settings[name]}, now "
-                    f"it is {value}: put that back, or train anew in another folder"
+                    f"it is {value}: put that back, or train in another folder"
                 )
         return manifest.iteration, state
     return 0, initial

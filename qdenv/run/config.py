@@ -266,7 +266,7 @@ def check(config: RunConfig) -> None:
         raise InputError(f"no layout of {rows} x {cols} obeys the rules: {reason}")
     tasks, fleet = domain.simulator.tasks, settings.fleet
     if rules and tasks and fleet:
-        # Tiles that must be there and that nobody drives on leave so many cells for agents at most.
+        # Tiles that must be there and that no agent drives on leave this many cells at most.
         drivable = set(tasks.traversable)
         blocked = sum(bound.low for bound in rules.counts if not drivable & set(bound.tiles))
         free = rows * cols - blocked

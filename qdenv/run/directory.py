@@ -31,7 +31,7 @@ from qdenv.domains.base import make_domain
 from qdenv.generate import GENERATORS
 from qdenv.io.arrays import Column, read_arrays, write_arrays
 from qdenv.io.files import damaged, refuse_second_run, sweep, write_csv, write_json
-from qdenv.io.records import read_json
+from qdenv.io.records import read_json, structured
 from qdenv.io.tables import parse_cell, read_rows, read_table
 from qdenv.lazy import jax
 from qdenv.run.archive import ArchiveSchema, Elite, SavedArchive
@@ -131,8 +131,9 @@ class RunDirectory:
         if not (run.path / "config.json").exists():
             raise InputError(f"{path}: no run here (config.json is missing)")
         # Before the rest, which may be of another form in a newer one.
-        schema = read_json(run.path / "manifest.json", dict[str, Any]).get("schema", 0)
-        if type(schema) is not int or schema > _SCHEMA:
+        path = run.path / "manifest.json"
+        schema = structured(read_json(path, dict[str, Any]).get("schema", 0), int, path)
+        if schema > _SCHEMA:
             raise InputError(f"{run.path}: written by a newer qdenv, please upgrade")
         return run
 
@@ -252,7 +253,7 @@ class RunDirectory:
             return None
         path = self.path / "start.npz"
         if not path.exists():
-            raise InputError(f"{path} is missing: copy it back, or train anew in another folder")
+            raise InputError(f"{path} is missing: copy it back, or train in another folder")
         return read_arrays(path, {"solution": Column("f", 1)}, None)["solution"]
 
     def __str__(self) -> str:

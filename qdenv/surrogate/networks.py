@@ -32,7 +32,7 @@ def convolve(maps: jax.Array, kernel: jax.Array, stride: int) -> jax.Array:
     """
     size = kernel.shape[0]
     assert (size % 2, stride) == (1, 1) or (size, stride) == (4, 2), "no such convolution"
-    # So many zeros on each side preserve the size, or divide it by the stride.
+    # This number of zeros on each side preserves the size, or divides it by the stride.
     return _plain(maps, kernel, stride, (size - stride + 1) // 2)
 
 
