@@ -12,6 +12,7 @@ from qdenv.domains.base import find_domain
 from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.host import run as host_run
 from qdenv.simulate.mapf.host.distances import empty_fields
+from qdenv.simulate.mapf.host.state import make_run
 from qdenv.simulate.mapf.negotiated.settings import LOW, NegotiatedConfig
 from qdenv.simulate.mapf.pibt import numba as pibt_on_host
 from qdenv.simulate.mapf.pibt import planner as pibt_in_xla
@@ -116,6 +117,12 @@ def test_the_host_pushes_as_xla_does():
     size, count = SHAPE[0] * SHAPE[1], 70
     in_xla = jax.jit(lambda *given: pibt_in_xla.one_step(*given, size))
     rollout = pibt_on_host.make_rollout(count, 1, size)
+    config = fleet.FleetConfig(agents=count, planner=PibtConfig("host"), window=1, horizon=1)
+    layout = random_layout(np.random.default_rng(0), 0.1)
+    world = jax.tree.map(np.asarray, fleet.prepare(layout, PLAIN, config))
+    block = fleet.blank_outcome(world, config, False).block
+    run = make_run(world, fleet.run_settings(config), count, jax.tree.map(np.asarray, block))
+    fields = empty_fields(world.traversable.shape, len(run.grid.goals), 1)
     moved = 0
     for seed in range(200):
         rng = np.random.default_rng(seed)
@@ -136,7 +143,7 @@ def test_the_host_pushes_as_xla_does():
         rollout.path[:, 0], rollout.candidates[:] = position, candidates
         rollout.num_allowed[:], rollout.occupant[position] = allowed, np.arange(count)
         rollout.order[:] = order
-        pibt_on_host.push_along(rollout, 0)
+        pibt_on_host.push_along(run, fields, rollout, 0, False)
         host = rollout.path[:, 1]
         np.testing.assert_array_equal(in_xla(candidates, position, allowed, order), host)
         assert len(set(host.tolist())) == count

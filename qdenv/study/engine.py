@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from qdenv import devices
+from qdenv.grid import NUM_MOVES
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.host.run import runs_under_way
@@ -103,7 +104,7 @@ def run_seeds(
 class _Program:
     """The simulation of layouts of one size."""
 
-    prepare: Callable  # layout -> world
+    prepare: Callable  # (layout, and fixed costs where there are some) -> world
     run: Callable  # (world, seed, number of agents) -> traffic and recording
     on_host: bool  # runs are driven by compiled code of the host
     ready: bool = False  # that code has been loaded or compiled
@@ -112,13 +113,19 @@ class _Program:
 # A study of several sizes and capacities compiles each program once.
 @functools.lru_cache(maxsize=32)
 def _program(
-    tasks: TaskRule, config: fleet.FleetConfig, shape: tuple[int, int], record: bool
+    tasks: TaskRule,
+    config: fleet.FleetConfig,
+    shape: tuple[int, int],
+    record: bool,
+    has_costs: bool = False,
 ) -> _Program:
     """Compile the preparation and the simulation of layouts of one size."""
-    layout = jax.ShapeDtypeStruct(shape, np.int8)
-    prepare = jax.jit(lambda layout: fleet.prepare(layout, tasks, config))
-    run = fleet.compile_runs(jax.eval_shape(prepare, layout), config, record)
-    compiled = prepare.lower(layout).compile()
+    inputs = [jax.ShapeDtypeStruct(shape, np.int8)]
+    if has_costs:
+        inputs.append(jax.ShapeDtypeStruct((NUM_MOVES, *shape), np.int32))
+    prepare = jax.jit(lambda layout, *costs: fleet.prepare(layout, tasks, config, *costs))
+    run = fleet.compile_runs(jax.eval_shape(prepare, *inputs), config, record)
+    compiled = prepare.lower(*inputs).compile()
     if not PLANNERS.make(config.planner).on_host:
         return _Program(compiled, run, False)
-    return _Program(lambda layout: jax.tree.map(np.asarray, compiled(layout)), run, True)
+    return _Program(lambda *inputs: jax.tree.map(np.asarray, compiled(*inputs)), run, True)

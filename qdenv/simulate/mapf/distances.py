@@ -9,8 +9,8 @@ from typing import NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 
-from qdenv.grid import MOVES, shift
-from qdenv.simulate.mapf.planner import World, distance_type
+from qdenv.grid import MOVES, move_steps, shift
+from qdenv.simulate.mapf.planner import UNREACHABLE_COST, World, distance_type
 
 _Planes: TypeAlias = tuple[jax.Array, ...]
 # A search between two epochs: uint32 [G / 32, H, W], one bit for each goal that reaches a cell;
@@ -69,6 +69,37 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
     return jnp.where(unpack(reached) == 1, distance, kind(far))
 
 
+def goal_costs(
+    traversable: jax.Array, costs: jax.Array, cells: jax.Array, used: jax.Array
+) -> jax.Array:
+    """Measure the cheapest way from every cell to every goal, by relaxation until nothing changes.
+
+    Args:
+        traversable: bool [H, W], with walls all around.
+        costs: int32 [5, H * W], the cost of each move at each cell, 0 where it is not allowed.
+        cells: int32 [G], goal cells.
+        used: bool [G], slots that hold a goal.
+
+    Returns:
+        int32 [G, H * W]; `UNREACHABLE_COST` where no way leads, and in unused slots.
+    """
+    size, free = traversable.size, traversable.reshape(-1)
+    neighbour = jnp.arange(size)[None] + jnp.asarray(move_steps(traversable.shape[1]))[1:, None]
+    neighbour = jnp.clip(neighbour, 0, size - 1)
+    exists = free[None] & free[neighbour] & (costs[1:] > 0)
+    ahead = jnp.where(exists, costs[1:], UNREACHABLE_COST)
+    start = jnp.full((cells.shape[0], size), UNREACHABLE_COST, jnp.int32)
+    begin = jnp.where(used & free[cells], 0, UNREACHABLE_COST)
+    start = start.at[jnp.arange(cells.shape[0]), cells].set(begin)
+
+    def relax(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        before, _ = carry
+        after = jnp.minimum(before, (before[:, neighbour] + ahead[None]).min(axis=1))
+        return after, (after != before).any()
+
+    return jax.lax.while_loop(lambda carry: carry[1], relax, (start, jnp.bool_(True)))[0]
+
+
 class Fields(NamedTuple):
     """Distances to the goals that agents have; two rows for each of A agents."""
 
@@ -102,7 +133,10 @@ def measure_fields(world: World, fields: Fields, goal: jax.Array) -> Fields:
         slot = current[jnp.minimum(row, count - 1)]
         cells = world.goals.cells[slot]
         used = (row < count) & world.goals.used[slot] & world.traversable.reshape(-1)[cells]
-        steps = goal_distances(world.traversable, cells, used)
+        if world.costs is None:
+            steps = goal_distances(world.traversable, cells, used)
+        else:
+            steps = goal_costs(world.traversable, world.costs, cells, used)
         distance = distance.at[row].set(steps, mode="drop")
         return distance, measured.at[row].set(slot, mode="drop")
 

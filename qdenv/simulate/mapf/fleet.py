@@ -15,9 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 
-from qdenv.grid import of_tiles
+from qdenv.grid import NUM_MOVES, of_tiles
 from qdenv.simulate.mapf import chance
-from qdenv.simulate.mapf.distances import Fields, goal_distances, measure_fields, rows_of
+from qdenv.simulate.mapf.distances import (
+    Fields,
+    goal_costs,
+    goal_distances,
+    measure_fields,
+    rows_of,
+)
 from qdenv.simulate.mapf.host.run import simulate_into
 from qdenv.simulate.mapf.host.state import RunSettings
 from qdenv.simulate.mapf.metrics import (
@@ -62,10 +68,14 @@ class FleetState(NamedTuple):
     fields: Fields | None  # distances measured on demand; None where the world has a table of all
 
 
-def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
+def prepare(
+    layout: Array, rule: TaskRule, config: FleetConfig, costs: Array | None = None
+) -> World:
     """Build what all runs on one layout (int8 [H, W]) share: goals, distances, walls.
 
-    Raises InputError if the window, or a stay at a goal, is longer than the planner understands.
+    `costs` are those of each move at each cell (int32 [5, H, W], see `guidance.fixed_costs`).
+    Raises InputError if the window, or a stay at a goal, is longer than the planner understands, or
+    if it knows no costs of moves.
     """
     chex.assert_rank(layout, 2)
     chex.assert_type(layout, int)
@@ -81,24 +91,36 @@ def prepare(layout: Array, rule: TaskRule, config: FleetConfig) -> World:
             f"the planner {PLANNERS.name_of(config.planner)!r} lets agents stay at a goal for at "
             f"most {planner.max_service} timesteps, not {service_time.max()}: shorten the stay"
         )
+    if costs is not None and not planner.reads_costs:
+        raise InputError(
+            f"the planner {PLANNERS.name_of(config.planner)!r} knows no costs of moves: choose pibt"
+        )
     rows, cols = layout.shape
     capacity = config.goal_capacity or rows * cols
     traversable = jnp.asarray(of_tiles(layout, rule.traversable, rule.tiles))
     goals = goal_table(layout, rule, capacity)
-    distance, (kind, far) = None, distance_type(layout.size)
+    distance, (kind, far) = None, distance_type(layout.size, costs is not None)
+    sides = (planner.margin, planner.margin)
+    walled = jnp.pad(traversable, planner.margin)
+    if costs is not None:
+        costs = jnp.pad(jnp.asarray(costs), ((0, 0), sides, sides)).reshape(NUM_MOVES, -1)
     table_bytes = capacity * layout.size * np.dtype(kind).itemsize
     if not planner.on_host and table_bytes <= _TABLE_BYTES:
         used = goals.used & traversable.reshape(-1)[goals.cells]
-        distance = goal_distances(traversable, goals.cells, used).reshape(capacity, rows, cols)
-        sides = (planner.margin, planner.margin)
-        distance = jnp.pad(distance, ((0, 0), sides, sides), constant_values=far)
-        distance = distance.reshape(capacity, -1)
+        if costs is None:
+            distance = goal_distances(traversable, goals.cells, used).reshape(capacity, rows, cols)
+            distance = jnp.pad(distance, ((0, 0), sides, sides), constant_values=far)
+            distance = distance.reshape(capacity, -1)
+        else:
+            cells = pad(goals.cells, cols, planner.margin)
+            distance = goal_costs(walled, costs, cells, used)
     return World(
-        traversable=jnp.pad(traversable, planner.margin),
+        traversable=walled,
         goals=goals._replace(cells=pad(goals.cells, cols, planner.margin)),
         distance=distance,
         service_time=jnp.asarray(service_time),
         valid=goals.complete,
+        costs=costs,
         margin=planner.margin,
     )
 
@@ -125,7 +147,7 @@ def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Flee
     still = jnp.broadcast_to(position, (window + 1, agents))
     fields, size = None, world.traversable.size
     if world.distance is None:
-        kind, far = distance_type(size)
+        kind, far = distance_type(size, world.costs is not None)
         fields = Fields(
             jnp.full((2 * agents, size), far, kind),
             jnp.full((2, agents), NOBODY, jnp.int32),

@@ -29,13 +29,18 @@ KNOWN = 2  # goals that planners know of each agent: the current and the next
 NOBODY = -1  # in place of an agent's number
 UNREACHABLE = 32_000  # steps to where no way leads, on grids of at most this many cells
 _UNREACHABLE_AFAR = 1 << 20  # the same on larger ones, of a thousand rows and columns at most
+UNREACHABLE_COST = 1 << 23  # the same where moves have costs; twice as much is what PIBT can rank
 
 
-def distance_type(cells: int) -> tuple[type[np.int16] | type[np.int32], int]:
+def distance_type(
+    cells: int, has_costs: bool = False
+) -> tuple[type[np.int16] | type[np.int32], int]:
     """Return the type of distances on a grid of this many cells, and the number for no way.
 
-    No way is longer than the grid.
+    No way is longer than the grid, where no move has a cost of its own.
     """
+    if has_costs:
+        return np.int32, UNREACHABLE_COST
     return (np.int16, UNREACHABLE) if cells <= UNREACHABLE else (np.int32, _UNREACHABLE_AFAR)
 
 
@@ -62,6 +67,9 @@ class World:
     # rows and columns of walls on each side, so that planners look around without testing for the
     # border; compile-time
     margin: int = flax.struct.field(pytree_node=False)
+    # int32 [5, H' * W'], the cost of each move at each cell (`guidance.fixed_costs`), 0 where it is
+    # not allowed; None where every move costs one step. With costs, distances are sums of them.
+    costs: jax.Array | None = None
 
 
 class AgentState(NamedTuple):
@@ -95,6 +103,8 @@ class Planner(NamedTuple):
     # (run, size) -> what those work on; the size is 1, and doubled when that is too small
     make_plan: Callable[[Any, int], Any] = lambda run, size: None
     fallback_waits: bool = False  # whether agents without a path stand still instead of PIBT's plan
+    fallback_swaps: bool = False  # whether PIBT's plan lets agents change places in passages
+    reads_costs: bool = False  # whether it drives by the costs of a world that has some
 
     @property
     def on_host(self) -> bool:

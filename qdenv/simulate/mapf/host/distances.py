@@ -28,6 +28,8 @@ _LOW_SHARE = 4  # buffers grow if no more than one row or page in this many is f
 _SLACK = 12  # steps longer than the shortest way that a first search measures as well
 _REACHES = 6  # searches of a field after which the next one measures all of it
 _COMPLETE = 127  # of `DistanceFields.extent`, which else counts the searches
+BUCKETS = 1024  # above every cost of a move
+_NO_ENTRY = -1
 INDICES = (1 << 31) - 1  # a masked index is known not to count from the end
 
 
@@ -50,16 +52,19 @@ class DistanceFields(NamedTuple):
     found: np.ndarray
     order: np.ndarray  # int32 [N], the cells of `found`, as they were found
     unreachable: int  # the distance to where no way leads
+    buckets: np.ndarray  # int32 [BUCKETS], `_NO_ENTRY` between two searches by cost
 
 
-def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) -> DistanceFields:
+def empty_fields(
+    shape: tuple[int, int], goals: int, rows: int, pages: int = 0, has_costs: bool = False
+) -> DistanceFields:
     """Make fields of a padded grid [H', W'], none measured.
 
     At most `rows` fields and `pages` pages at a time; 0 pages stands for what the fields are
     expected to need.
     """
     cells = shape[0] * shape[1]
-    kind, unreachable = distance_type(cells)
+    kind, unreachable = distance_type(cells, has_costs)
     side = _WHOLE_SIDE if max(shape) <= _WHOLE_SIDE else _PAGE_SIDE
     row, column = np.divmod(np.arange(cells, dtype=np.int32), shape[1])
     tiles_across = -(-shape[1] // side)
@@ -84,6 +89,7 @@ def empty_fields(shape: tuple[int, int], goals: int, rows: int, pages: int = 0) 
         found=np.full(cells, _UNKNOWN, kind),
         order=np.empty(cells, np.int32),
         unreachable=unreachable,
+        buckets=np.full(BUCKETS, _NO_ENTRY, np.int32),
     )
 
 
@@ -148,7 +154,10 @@ def _measure(fields: DistanceFields, grid: GridMap, goal: int, cell: int) -> int
         return fields.unreachable
     # Small fields are cheap, and goals that many agents head for are soon needed everywhere.
     before = fields.extent[row]
-    if before == _REACHES or fields.page.shape[1] == 1:
+    if grid.costs.size > 0:
+        fields.extent[row] = _COMPLETE
+        count = _settle(fields, grid, begin)
+    elif before == _REACHES or fields.page.shape[1] == 1:
         fields.extent[row] = _COMPLETE
         count = _flood(fields, grid, begin)
     else:
@@ -196,6 +205,39 @@ def _flood(fields: DistanceFields, grid: GridMap, begin: int) -> int:
             if grid.free[other] and found[other] == _UNKNOWN:
                 found[other], order[count] = found[cell] + 1, other
                 count += 1
+    return count
+
+
+@kernel
+def _settle(fields: DistanceFields, grid: GridMap, begin: int) -> int:
+    """Find the costs from all cells, the cheapest first; returns their number.
+
+    Dial 1969 (https://doi.org/10.1145/363269.363610): no cost reaches `BUCKETS`, so cells that wait
+    lie in a ring of lists, one for each cost. A cell may wait in several; the first one counts.
+    """
+    found, entry_cell, entry_next = fields.found, fields.queue[0], fields.queue[1]
+    fields.buckets[0], entry_cell[0], entry_next[0] = 0, begin, _NO_ENTRY
+    entries, waiting, count, cost = 1, 1, 0, 0
+    while waiting > 0:
+        bucket = cost % BUCKETS
+        while fields.buckets[bucket] != _NO_ENTRY:
+            entry = fields.buckets[bucket]
+            fields.buckets[bucket] = entry_next[entry]
+            waiting -= 1
+            cell = entry_cell[entry]
+            if found[cell] != _UNKNOWN:
+                continue
+            found[cell], fields.order[count] = min(cost, fields.unreachable), cell
+            count += 1
+            for move in range(1, NUM_MOVES):
+                other = cell - grid.steps[move]  # from where the move leads to the cell
+                price = grid.costs[move, other]
+                if price > 0 and grid.free[other] and found[other] == _UNKNOWN:
+                    after = (cost + price) % BUCKETS
+                    entry_cell[entries], entry_next[entries] = other, fields.buckets[after]
+                    fields.buckets[after] = entries
+                    entries, waiting = entries + 1, waiting + 1
+        cost += 1
     return count
 
 

@@ -32,6 +32,7 @@ class Fallback(NamedTuple):
     rollout: Rollout  # h steps of all agents by PIBT
     queue: np.ndarray  # int64 [A], agents that fall back and may make others fall back
     waits: bool  # the rollout is to stand still, instead of PIBT's
+    swaps: bool  # agents of the rollout change places where there is no room for two
 
 
 def compile_windows(plan_window: Callable[..., int]) -> Callable[..., int]:
@@ -78,7 +79,7 @@ def _adopt(run: HostRun, fields: DistanceFields, fallback: Fallback, seed: int) 
             waiting += 1
     if waiting > 0:
         last, planned = horizon, is_used.size - waiting
-        roll_out(run, fields, fallback.rollout, seed, fallback.waits)
+        roll_out(run, fields, fallback.rollout, seed, fallback.waits, fallback.swaps)
         if fields.numbers.is_full:
             return False
     rollout = fallback.rollout.path
@@ -132,13 +133,15 @@ def run_to_the_end(planner: Planner, run: HostRun) -> None:
     """
     grid, agents, size = run.grid, run.position.size, 1
     rows = min(grid.goals.size, 2 * agents + _SPARE_ROWS)
-    fields = empty_fields((grid.free.size // grid.width, grid.width), grid.goals.size, rows)
+    shape = (grid.free.size // grid.width, grid.width)
+    fields = empty_fields(shape, grid.goals.size, rows, has_costs=grid.costs.size > 0)
     fallback = Fallback(
         np.zeros_like(run.paths),
         np.zeros(agents, np.bool_),
         make_rollout(agents, run.settings.horizon, grid.free.size),
         np.zeros(agents, np.int64),
         planner.fallback_waits,
+        planner.fallback_swaps,
     )
     plan = planner.make_plan(run, size)
     assert planner.run_windows is not None  # else runs are computed by XLA

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.grid import move_steps
+from qdenv.grid import NUM_MOVES, move_steps
 from qdenv.native import Numbers, formula, kernel, numbers
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.metrics import Block
@@ -28,6 +28,8 @@ class GridMap(NamedTuple):
     steps: np.ndarray  # int64 [5], what each move adds to a position: wait, right, left, down, up
     width: int  # columns of the padded grid
     margin: int  # rows and columns of walls on each side
+    # int32 [5, N], the cost of each move at each cell, 0 where it is not allowed; [5, 0] without
+    costs: np.ndarray = np.zeros((NUM_MOVES, 0), np.int32)
 
 
 class RunSettings(NamedTuple):
@@ -74,6 +76,7 @@ def grid_map(world: World) -> GridMap:
         move_steps(width),
         width,
         world.margin,
+        np.zeros((NUM_MOVES, 0), np.int32) if world.costs is None else np.array(world.costs),
     )
 
 

@@ -17,12 +17,14 @@ from qdenv.native import formula, kernel, shared
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.host.distances import DistanceFields, distance
 from qdenv.simulate.mapf.host.state import AGENT, AGENT_BITS, HostRun, sort
+from qdenv.simulate.mapf.pibt.swap import pull
 from qdenv.simulate.mapf.planner import NOBODY, serve
 
 Number = TypeVar("Number", int, jax.Array)
 
 RANKS, TIE_BREAKS = 0, 1  # what is drawn for a rollout; the ties of step t by TIE_BREAKS + t
 RANK_BITS, TIE_BITS = 12, 5
+_PATIENCE = 100  # timesteps without a finished task after which agents that swap change their turn
 _OLDEST = (1 << 17) - 1  # agents that have waited longer are equally urgent
 
 
@@ -76,6 +78,7 @@ class Rollout(NamedTuple):
     num_allowed: np.ndarray  # int64 [A], how many of its candidates count
     num_tried: np.ndarray  # int64 [A], how many were tried
     pusher: np.ndarray  # int64 [A], the agent that pushed it, or `NOBODY`
+    partner: np.ndarray  # int64 [A], the agent it pulls along, or `NOBODY`
     candidates: np.ndarray  # int64 [A, 5], the cells each may go to, from best to worst
     key: np.ndarray  # int64 [5], what orders the candidates of one agent
     # int32 [N], the agent on each cell, or `NOBODY`; between two steps `NOBODY` everywhere
@@ -87,15 +90,20 @@ def make_rollout(agents: int, horizon: int, cells: int) -> Rollout:
     """Make the arrays of rollouts."""
     path, candidates = (np.zeros((agents, size), np.int64) for size in (horizon + 1, NUM_MOVES))
     occupant, claimant = np.full((2, cells), NOBODY, np.int32)
-    stage, remaining, age, order, allowed, tried, pusher = np.zeros((7, agents), np.int64)
+    stage, remaining, age, order, allowed, tried, pusher, partner = np.zeros((8, agents), np.int64)
     key = np.zeros(NUM_MOVES, np.int64)
-    state = path, stage, remaining, age, order, allowed, tried, pusher
+    state = path, stage, remaining, age, order, allowed, tried, pusher, partner
     return Rollout(*state, candidates, key, occupant, claimant)
 
 
 @kernel
 def roll_out(
-    run: HostRun, fields: DistanceFields, rollout: Rollout, seed: int, stands_still: bool
+    run: HostRun,
+    fields: DistanceFields,
+    rollout: Rollout,
+    seed: int,
+    stands_still: bool,
+    swaps: bool,
 ) -> None:
     """Find where PIBT drives all agents, as `planner.rollout` does; or let all stand still."""
     grid, kinds = run.grid, run.grid.service_time.size
@@ -113,13 +121,17 @@ def roll_out(
         tie_break = chance.mix(ties, TIE_BREAKS + t)
         for agent in range(run.position.size):
             fixed = rollout.remaining_service[agent] > 0
-            turn = urgency(fixed, rollout.age[agent], chance.mix(rank, agent))
+            age = rollout.age[agent]
+            if swaps and age > _PATIENCE:
+                # Agents that hold one another up for good get another order every few timesteps.
+                age = (chance.mix(chance.mix(ties, agent), age >> 4) >> 8) % _PATIENCE
+            turn = urgency(fixed, age, chance.mix(rank, agent))
             rollout.order[agent] = (turn << AGENT_BITS) | agent
             rollout.occupant[rollout.path[agent, t]] = agent
         for agent in range(run.position.size):
             _prefer(run, fields, rollout, agent, t, chance.mix(tie_break, agent))
         sort(rollout.order)
-        push_along(rollout, t)
+        push_along(run, fields, rollout, t, swaps)
         for agent in range(run.position.size):
             stage = rollout.stage[agent]
             service_time = grid.service_time[(run.kind[agent] + stage) % kinds]
@@ -141,12 +153,18 @@ def _prefer(
     cell, slot = rollout.path[agent, t], run.goal[rollout.stage[agent], agent]
     ways = 1 if rollout.remaining_service[agent] > 0 else NUM_MOVES
     candidates, keys, count = rollout.candidates, rollout.key, 0
+    has_costs = run.grid.costs.size > 0
     for way in range(ways):
         other = cell + run.grid.steps[way]
         if not run.grid.free[other]:
             continue
         taken = way > 0 and rollout.occupant[other] != NOBODY
-        key = preference(distance(fields, run.grid, slot, other), taken, bits, way)
+        to_go = distance(fields, run.grid, slot, other)
+        if has_costs:
+            if way > 0 and run.grid.costs[way, cell] == 0:
+                continue
+            to_go += run.grid.costs[way, cell]
+        key = preference(to_go, taken, bits, way)
         # An insertion keeps equal keys in the order of the moves, as a stable sort does in XLA.
         place = count
         while place > 0 and keys[place - 1] > key:
@@ -158,7 +176,7 @@ def _prefer(
 
 
 @kernel
-def push_along(rollout: Rollout, t: int) -> None:
+def push_along(run: HostRun, fields: DistanceFields, rollout: Rollout, t: int, swaps: bool) -> None:
     """Move all agents by one step, to t + 1: the most urgent first, after those in its way.
 
     The recursion of the paper is a chain that each agent leaves towards its pusher.
@@ -167,11 +185,14 @@ def push_along(rollout: Rollout, t: int) -> None:
     for agent in range(path.shape[0]):
         path[agent, t + 1] = NOBODY
         rollout.num_tried[agent], rollout.pusher[agent] = 0, NOBODY
+        rollout.partner[agent] = NOBODY
     for index in range(path.shape[0]):
         first = rollout.order[index] & AGENT
         agent = first if path[first, t + 1] == NOBODY else NOBODY
         while agent != NOBODY:
             here, behind = path[agent, t], rollout.pusher[agent]
+            if swaps and rollout.num_allowed[agent] > 1:
+                pull(run, fields, rollout, agent, t)
             if rollout.num_tried[agent] >= rollout.num_allowed[agent]:
                 # Nowhere to go: stay, and let the pusher try on.
                 path[agent, t + 1] = here

@@ -55,7 +55,13 @@ _run_windows = compile_windows(_plan_window)
 
 def pibt(settings: PibtConfig) -> Planner:
     """Make the planner; both backends give the same paths to the bit."""
-    return Planner(rollout, run_windows=_run_windows if runs_on_host(settings.backend) else None)
+    on_host = settings.swap or runs_on_host(settings.backend)
+    return Planner(
+        None if settings.swap else rollout,
+        run_windows=_run_windows if on_host else None,
+        fallback_swaps=settings.swap,
+        reads_costs=True,
+    )
 
 
 def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> jax.Array:
@@ -83,8 +89,11 @@ def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> ja
         taken = jnp.zeros((size,), bool).at[position].set(True)[cells] & (way > 0)
         to_go = state.distance.reshape(-1)[rows[:, None] * size + cells].astype(jnp.int32)
         tie_break = chance.draw(chance.draw(ties, TIE_BREAKS + t), jnp.arange(count))
-        keys = preference(to_go, taken, tie_break[:, None], way.astype(jnp.uint32))
         may_go = traversable[cells] & (~fixed[:, None] | (way == 0))
+        if world.costs is not None:
+            cost = world.costs.T[position]
+            to_go, may_go = to_go + cost, may_go & ((cost > 0) | (way == 0))
+        keys = preference(to_go, taken, tie_break[:, None], way.astype(jnp.uint32))
         # Above all preferences: what an agent may not do comes last.
         best_first = jnp.argsort(jnp.where(may_go, keys.astype(jnp.int32), 2**30), axis=1)
         position = one_step(

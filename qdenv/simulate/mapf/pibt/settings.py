@@ -14,6 +14,9 @@ class PibtConfig(Ranged):
     # "host" for compiled code in a callback, "xla" for code without a callback, "auto" for the host
     # where jax computes on a CPU. The results are the same.
     backend: Backend = "auto"
+    # whether agents change places where there is no room for two to pass (Okumura 2023): for floors
+    # with dead ends and narrow passages; always computed on the host
+    swap: bool = False
 
 
 PIBT = Entry(PibtConfig, "qdenv.simulate.mapf.pibt.planner:pibt")

@@ -1,0 +1,96 @@
+"""Guidance: the cost of each move at each cell, by which robots prefer one way to another.
+
+A cheap direction beside a dear one makes a lane (Zhang et al. 2024, "Guidance graph optimization
+for lifelong multi-agent path finding", https://arxiv.org/abs/2402.01446). Costs change nothing
+that a robot may do, but for a move without a finite cost, which is not allowed: a one-way lane.
+
+Costs are float [5, H, W] in the order of `grid`: waiting, then right, left, down, up. Only their
+ratios count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+from qdenv.grid import DOWN, LEFT, MOVES, NUM_MOVES, RIGHT, UP, move_steps
+from qdenv.simulate.mapf.host.distances import BUCKETS
+from qdenv.types import InputError
+
+# Makes the costs of a floor: (traversable bool [H, W]) -> float [5, H, W], or None for no guidance.
+Guidance: TypeAlias = Callable[[np.ndarray], np.ndarray | None]
+
+_ONE = 64  # the mean cost of a move as a whole number; `_ONE` / 64 to 16 `_ONE` can be told apart
+
+
+def fixed_costs(costs: np.ndarray, traversable: np.ndarray) -> np.ndarray:
+    """Round costs to whole numbers, in which host and XLA agree to the bit.
+
+    Args:
+        costs: float [5, H, W], infinite for a move that is not allowed.
+        traversable: bool [H, W].
+
+    Returns:
+        int32 [5, H, W], 64 for the mean cost of a move, 1 to 1023; 0 where a move is not allowed.
+
+    Raises:
+        InputError: a cost is negative, zero or no number, a robot may not wait somewhere, or some
+            free cell cannot be reached from another.
+    """
+    costs, free = np.asarray(costs, float), np.asarray(traversable, bool)
+    if costs.shape != (NUM_MOVES, *free.shape):
+        raise InputError(
+            f"costs of moves have the shape {NUM_MOVES} x rows x columns, here "
+            f"{(NUM_MOVES, *free.shape)}, not {costs.shape}"
+        )
+    moves = existing_moves(free)
+    if not (costs[moves] > 0).all() or np.isinf(costs[0][free]).any():
+        raise InputError("costs of moves are above zero, and finite for waiting")
+    allowed = moves & np.isfinite(costs)
+    fixed = np.zeros(costs.shape, np.int32)
+    ratio = costs[allowed] / costs[allowed].mean()
+    fixed[allowed] = np.clip(np.rint(ratio * _ONE), 1, BUCKETS - 1)
+    if (fixed[moves] == 0).any():
+        _check_connected(fixed, free)
+    return fixed
+
+
+def existing_moves(traversable: np.ndarray) -> np.ndarray:
+    """Return which moves exist (bool [5, H, W]): from a free cell to a free cell."""
+    free = np.pad(traversable, 1)
+    rows, cols = traversable.shape
+    ahead = [free[1 + r : 1 + r + rows, 1 + c : 1 + c + cols] for r, c in ((0, 0), *MOVES)]
+    return np.stack(ahead) & traversable
+
+
+def _check_connected(fixed: np.ndarray, free: np.ndarray) -> None:
+    """Refuse one-way lanes by which some cell cannot be reached from another."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    move, row, column = np.nonzero(fixed)
+    begin = row * free.shape[1] + column
+    edges = np.ones(len(begin)), (begin, begin + move_steps(free.shape[1])[move])
+    _, label = connected_components(coo_array(edges, shape=(free.size,) * 2), connection="strong")
+    labels = label[free.reshape(-1)]
+    if (labels != labels[0]).any():
+        cell = np.flatnonzero(free.reshape(-1))[np.argmax(labels != labels[0])]
+        raise InputError(
+            f"one-way lanes cut off row {cell // free.shape[1]}, column {cell % free.shape[1]}: "
+            "give a way there and a way back"
+        )
+
+
+def crisscross(traversable: np.ndarray) -> np.ndarray:
+    """Halve the cost of one direction, alternately, in rows and in columns (as published).
+
+    To the right in even rows, to the left in odd ones; up in even columns, down in odd ones.
+    """
+    costs = np.ones((NUM_MOVES, *traversable.shape))
+    costs[RIGHT, ::2] = costs[LEFT, 1::2] = costs[UP, :, ::2] = costs[DOWN, :, 1::2] = 0.5
+    return costs
+
+
+GUIDANCE: dict[str, Guidance] = {"none": lambda traversable: None, "crisscross": crisscross}

@@ -1,0 +1,195 @@
+"""Costs of moves: the same runs on host and XLA, distances by scipy, published throughputs."""
+
+import csv
+import json
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import STUDY_DATA
+from fleet_runs import AGENTS, PLAIN, SHAPE, random_layout
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP, WAIT, move_steps, of_tiles, parse
+from qdenv.simulate.mapf import fleet
+from qdenv.simulate.mapf.audit import audit
+from qdenv.simulate.mapf.distances import goal_costs
+from qdenv.simulate.mapf.goals import tile_goal
+from qdenv.simulate.mapf.guidance import crisscross, existing_moves, fixed_costs
+from qdenv.simulate.mapf.host.distances import distance, empty_fields
+from qdenv.simulate.mapf.host.state import grid_map
+from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.simulate.mapf.planner import UNREACHABLE_COST
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.engine import _program
+from qdenv.types import InputError, TaskRule, Traffic
+
+pytestmark = pytest.mark.slow
+TILES = ".e@w"
+MOVES = {"RIGHT": RIGHT, "UP": UP, "LEFT": LEFT, "DOWN": DOWN, "WAIT": WAIT}
+
+
+def random_costs(rng: np.random.Generator, layout: np.ndarray, one_way: float) -> np.ndarray:
+    """Draw costs of moves, some of them one way, by which all cells still reach all others."""
+    free = layout != 1
+    while True:
+        costs = rng.uniform(0.3, 3, (NUM_MOVES, *layout.shape))
+        costs[1:][rng.random(costs[1:].shape) < one_way] = np.inf
+        try:
+            fixed_costs(costs, free)
+        except InputError:
+            one_way /= 2
+            continue
+        return costs
+
+
+def simulate(
+    layout: np.ndarray,
+    costs: np.ndarray | None,
+    config: FleetConfig,
+    seeds: int = 3,
+    rule: TaskRule = PLAIN,
+) -> tuple[list[Traffic], list[np.ndarray]]:
+    """Run and audit each seed; return what moved, and where the agents were."""
+    program = _program(rule, config, layout.shape, True, costs is not None)
+    free = np.asarray(of_tiles(layout, rule.traversable, rule.tiles))
+    fixed = () if costs is None else (fixed_costs(costs, free),)
+    world = program.prepare(layout, *fixed)
+    done = [program.run(world, seed, config.agents) for seed in range(seeds)]
+    runs, recordings = zip(*jax.tree.map(np.asarray, done), strict=True)
+    for run, recording in zip(runs, recordings, strict=True):
+        assert audit(layout, rule, recording, run, config.horizon) == []
+    return list(runs), [recording.positions for recording in recordings]
+
+
+@pytest.mark.parametrize("backend", ["host", "xla"])
+def test_costs_of_one_change_nothing(backend):
+    config = FleetConfig(40, 60, planner=PibtConfig(backend), stop_when_congested=False)
+    for seed in range(3):
+        layout = random_layout(np.random.default_rng(seed), 0.15)
+        with_ones = simulate(layout, np.ones((NUM_MOVES, *SHAPE)), config)
+        jax.tree.map(np.testing.assert_array_equal, with_ones, simulate(layout, None, config))
+
+
+@pytest.mark.parametrize("one_way", [0.0, 0.3])
+def test_the_host_drives_by_costs_as_xla_does(one_way):
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        layout = random_layout(rng, 0.15)
+        costs = random_costs(rng, layout, one_way)
+        host, xla = (
+            simulate(layout, costs, FleetConfig(AGENTS, 60, planner=PibtConfig(backend)))
+            for backend in ("host", "xla")
+        )
+        jax.tree.map(np.testing.assert_array_equal, host, xla)
+        for positions in host[1]:  # nobody drives against a one-way lane
+            begin, step = positions[:-1], np.diff(positions, axis=0)
+            for move, size in enumerate(move_steps(SHAPE[1])):
+                here = begin[step == size]
+                assert np.isfinite(costs[move].reshape(-1)[here]).all()
+
+
+def test_distances_are_the_cheapest_sums():
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        layout = random_layout(rng, 0.2)
+        fixed = fixed_costs(random_costs(rng, layout, 0.2), layout != 1)
+        config = FleetConfig(4, planner=PibtConfig("host"))
+        world = jax.tree.map(np.asarray, fleet.prepare(layout, PLAIN, config, fixed))
+        grid, width = grid_map(world), world.traversable.shape[1]
+        move, begin = np.nonzero(world.costs[1:] * world.traversable.reshape(-1))
+        edges = world.costs[1 + move, begin], (begin, begin + move_steps(width)[1 + move])
+        keep = grid.free[edges[1][1]]
+        graph = coo_array((edges[0][keep], (begin[keep], edges[1][1][keep])), (grid.free.size,) * 2)
+        far = dijkstra(graph.T.tocsr(), indices=grid.goals)
+        expected = np.where(np.isinf(far), UNREACHABLE_COST, far).astype(int)
+        used = jnp.asarray(world.goals.used)
+        in_xla = goal_costs(jnp.asarray(world.traversable), world.costs, grid.goals, used)
+        count = int(world.goals.used.sum())
+        np.testing.assert_array_equal(in_xla[:count], expected[:count])
+        fields = empty_fields(world.traversable.shape, len(grid.goals), count, has_costs=True)
+        for cell in np.flatnonzero(grid.free):
+            for goal in range(count):
+                assert distance(fields, grid, goal, cell) == expected[goal, cell]
+
+
+def test_impossible_costs_are_refused():
+    free = np.ones((3, 4), bool)
+    ones = np.ones((NUM_MOVES, 3, 4))
+    for costs, message in (
+        (ones[:4], "shape 5 x rows x columns"),
+        (-ones, "above zero"),
+        (np.full_like(ones, np.nan), "above zero"),
+        (np.where(np.arange(5)[:, None, None] == WAIT, np.inf, ones), "finite for waiting"),
+        (np.where(np.arange(5)[:, None, None] == LEFT, np.inf, ones), "one-way lanes cut off"),
+    ):
+        with pytest.raises(InputError, match=message):
+            fixed_costs(costs, free)
+    with pytest.raises(InputError, match="knows no costs of moves: choose pibt"):
+        layout = random_layout(np.random.default_rng(0), 0.1)
+        simulate(layout, np.ones((NUM_MOVES, *SHAPE)), FleetConfig(4))
+
+
+def test_agents_swap_in_a_dead_end():
+    """One robot stands at the end of a blind aisle, another one wants to get there."""
+    layout = parse(["@@@@@.@", "w.....e", "@@@@@.@"], TILES)
+    rule = TaskRule(TILES, ".ew", (tile_goal("w", TILES), tile_goal("e", TILES)))
+    finished = []
+    for swap in (False, True):
+        config = FleetConfig(3, 400, 1, 1, PibtConfig(swap=swap), stop_when_congested=False)
+        runs, _ = simulate(layout, None, config, 8, rule)
+        finished.append([int(run.finished[200:].sum()) for run in runs])
+    assert min(finished[1]) > 20
+    assert min(finished[0]) == 0
+
+
+def read_graph(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Read a published map and its guidance graph; skip where nobody has a copy."""
+    folder = STUDY_DATA / "guidance"
+    if not folder.exists():
+        pytest.skip("no published guidance graphs here (QDENV_STUDY_DATA names their folder)")
+    layout = parse(json.loads((folder / f"{name}.json").read_text())["layout"], TILES)
+    table = next(folder.glob(f"{name}*.csv"))
+    costs = np.full((NUM_MOVES, *layout.shape), np.inf)
+    for row in csv.DictReader(table.read_text().splitlines()):
+        place = divmod(int(row["id"]), layout.shape[1])
+        for name, move in MOVES.items():
+            key = "weight_for_WAIT" if name == "WAIT" else f"weight_to_{name}"
+            costs[(move, *place)] = float(row[key])
+    return layout, costs
+
+
+@pytest.mark.parametrize(
+    ("name", "agents", "swap", "published"),
+    [
+        ("pibt_warehouse-33x36_w_mode_cma-es_400_agents_four-way-move", 400, False, 7.64),
+        ("pibt_empty-48-48_cma-es_1000_agents_four-way-move", 1000, False, 24.04),
+        ("pibt_random_cma-es_32x32_400_agents_four-way-move", 400, True, 7.78),
+    ],
+)
+def test_published_graphs_move_what_was_published(name, agents, swap, published):
+    """Table 3 of Zhang et al. 2024, within 1.5 % and twice the error of ten seeds."""
+    layout, costs = read_graph(name)
+    kinds = "we" if "w" in name.split("_")[1] else "."
+    rule = TaskRule(TILES, ".ew", tuple(tile_goal(kind, TILES) for kind in kinds))
+    config = FleetConfig(agents, 1000, 1, 1, PibtConfig(swap=swap), stop_when_congested=False)
+    runs, _ = simulate(layout, costs, config, 10, rule)
+    moved = np.array([float(run.throughput) for run in runs])
+    error = moved.std(ddof=1) / math.sqrt(len(moved))
+    assert abs(moved.mean() - published) < 0.015 * published + 2 * error
+
+
+def test_crisscross_is_the_published_one():
+    folder = STUDY_DATA / "guidance"
+    if not folder.exists():
+        pytest.skip("no published guidance graphs here (QDENV_STUDY_DATA names their folder)")
+    file = folder / "pibt_warehouse_33x36_w_mode_alternate_baseline_bi-directed.json"
+    graph = json.loads(file.read_text())
+    free = parse(graph["layout"], TILES) != 2
+    costs, moves = crisscross(free), existing_moves(free)
+    order = [RIGHT, UP, LEFT, DOWN]
+    ours = np.moveaxis(costs[order], 0, -1)[np.moveaxis(moves[order], 0, -1)]
+    assert graph["weights"] == [1.0] * int(free.sum()) + ours.tolist()
