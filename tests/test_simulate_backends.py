@@ -185,9 +185,9 @@ def test_little_room_for_distances_changes_nothing(monkeypatch):
 
     expected, rooms = outcome(), []
 
-    def little(shape, goals, rows):
+    def little(shape, goals, rows, has_costs):
         rooms.append(rows)
-        return empty_fields(shape, goals, 2, 3)
+        return empty_fields(shape, goals, 2, 3, has_costs)
 
     monkeypatch.setattr(host_run, "empty_fields", little)
     jax.tree.map(np.testing.assert_array_equal, outcome(), expected)
