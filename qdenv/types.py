@@ -81,6 +81,20 @@ class Tile(NamedTuple):
     also: str = ""  # other symbols that drawings may use for it
 
 
+class Floor(NamedTuple):
+    """A layout, and what moves cost there."""
+
+    layout: np.ndarray  # int8 [H, W]
+    # int32 [5, H, W], of each move at each cell (`guidance.fixed_costs`), 0 where it is not
+    # allowed; None where every move costs one step
+    costs: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, layout: np.ndarray | Floor) -> Floor:
+        """Take a layout alone as a floor without costs."""
+        return layout if isinstance(layout, Floor) else cls(layout)
+
+
 class Count(NamedTuple):
     """Bound the number of cells that hold one of `tiles`: ``low <= count <= high``."""
 

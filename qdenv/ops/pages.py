@@ -270,7 +270,7 @@ def _report_fleet(request: FleetRequest, again: str) -> Page:
             # A run costs as much as it has agents.
             per_agent = row.cpu_seconds_per_run * row.runs / row.agents / devices.threads()
             closely = (request.agents or max(request.counts)) * len(request.subjects)
-            rest = per_agent * (len(request.layouts) * sum(request.counts) + closely)
+            rest = per_agent * (len(request.floors) * sum(request.counts) + closely)
             if first and rest > _LONG:
                 say(f"this takes about {format_duration(rest)} in all (an estimate)")
             first = False

@@ -171,7 +171,7 @@ def sweep(
     name = f"{Path(args.name_of(layout)).stem}_sweep"
     fleets = _Fleets([layout], agents, SWEEP, name, study)
     with Bar("simulating") as bar:
-        rows = studies.compare(fleets.layouts, fleets.trial, fleets.show, bar)
+        rows = studies.compare(fleets.floors, fleets.trial, fleets.show, bar)
     # Numbers of agents may be stated in any order; the peak is read along ascending ones.
     rows.sort(key=lambda row: row.agents)
     peak, worth = find_peak(rows), find_capacity(rows)
@@ -199,9 +199,9 @@ def compare(
     """
     fleets = _Fleets(layouts, agents, (AGENTS, AGENTS, 1), "compare", study)
     with Bar("simulating") as bar:
-        rows = studies.compare(fleets.layouts, fleets.trial, fleets.show, bar)
+        rows = studies.compare(fleets.floors, fleets.trial, fleets.show, bar)
     against, first = differences(rows), rows[0].layout
-    if len(fleets.layouts) > 1:
+    if len(fleets.floors) > 1:
         say(f"against {first}, over all runs, with 95 % interval (Welch, Fieller):")
     for row, (percent, low, high, significant) in zip(rows, against, strict=True):
         if row.layout != first:
@@ -234,12 +234,12 @@ def scalability(
     """
     fleets = _Fleets(layouts, agents, CLIMB, "scalability", study)
     # All layouts are checked before hours go into the first one.
-    for name, layout in fleets.layouts.items():
+    for name, layout in fleets.floors.items():
         studies.check_climb(name, layout, fleets.trial)
     with Bar("simulating") as bar:
         climbs = [
             studies.climb(name, layout, fleets.trial, fleets.show, bar)
-            for name, layout in fleets.layouts.items()
+            for name, layout in fleets.floors.items()
         ]
     peaks = [find_peak(rows) for rows in climbs]
     say(*map(fleets.describe_peak, peaks))
@@ -275,7 +275,7 @@ class _Fleets:
         begin, end, step = (round(one * usual / AGENTS) for one in default)
         counts = stated or tuple(range(begin, end + 1, step))
         config = options.config(max(counts), timesteps)
-        self.layouts = {name: plan.layout for name, plan in plans.items()}
+        self.floors = {name: plan.floor for name, plan in plans.items()}
         self.trial = studies.Trial(first.domain.simulator.tasks, config, counts, options.seeds)
         self._per_hour = options.per_hour
         self._settings = options.settings(timesteps) | {

@@ -18,7 +18,7 @@ from qdenv.simulate.mapf.host.run import runs_under_way
 from qdenv.simulate.mapf.metrics import Recording
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.study.options import fleet_tasks
-from qdenv.types import TaskRule, Traffic
+from qdenv.types import Floor, TaskRule, Traffic
 
 _POLL_SECONDS = 0.2  # between two reports of the progress
 # (seed, traffic, recording of every step) -> anything, see `run_seeds`
@@ -36,7 +36,7 @@ class Simulated(NamedTuple):
 
 
 def run_seeds(
-    layout: np.ndarray,
+    floor: Floor | np.ndarray,
     tasks: TaskRule | None,
     config: fleet.FleetConfig,
     seeds: Sequence[int],
@@ -45,7 +45,7 @@ def run_seeds(
     threads: int | None = None,
     progress: Progress = silent,
 ) -> Simulated:
-    """Simulate a layout (int8 [H, W]) once per seed, on all cores.
+    """Simulate a floor, or a layout (int8 [H, W]) alone, once per seed, on all cores.
 
     Layouts of one size share a compiled program; so do numbers of agents, of which there are at
     most ``config.agents``, and as many unless given. `read` is called with every run and its
@@ -53,13 +53,14 @@ def run_seeds(
     it nothing is recorded. `threads` is the number of runs at a time, None for that of the cores.
     Raises InputError if the domain has no fleet, or the layout does not suit it.
     """
+    layout, costs = Floor.of(floor)
     count = config.agents if agents is None else agents
     tasks = fleet_tasks(layout, tasks, count)
     begin = time.process_time()
-    program = _program(tasks, config, layout.shape, read is not None)
+    program = _program(tasks, config, layout.shape, read is not None, costs is not None)
     if not program.ready:
         progress("compiling the simulator", -1, "")
-    world = program.prepare(layout)
+    world = program.prepare(layout, *([] if costs is None else [costs]))
     if program.on_host and not program.ready:
         program.run(world, 0, 0)  # a run without agents loads or compiles the host's code
     program.ready = True

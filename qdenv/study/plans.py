@@ -9,9 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import DOMAINS, FREE, SAME, Domain, check_shape, find_domain, make_domain
+from qdenv.grid import of_tiles
 from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing, to_layout
 from qdenv.repair.rules import impossible
-from qdenv.types import InputError
+from qdenv.simulate.mapf.guidance import fixed_costs
+from qdenv.types import Floor, InputError
 
 USUAL = "warehouse-even"  # the domain where nothing says otherwise
 _SHOWN = 3  # cells of a list that are named, the rest is counted
@@ -26,6 +28,17 @@ class Plan(NamedTuple):
     assumed: bool  # nothing but the tiles said whose layout it is
     # rows of a drawing of what must stay, as in `DomainConfig`; empty where nothing must
     keep: tuple[str, ...] = ()
+    # float [5, H, W], the cost of each move at each cell (`guidance`); None where all are equal
+    costs: np.ndarray | None = None
+
+    @property
+    def floor(self) -> Floor:
+        """The layout with its costs, as fleets drive on it; InputError if these are impossible."""
+        tasks = self.domain.simulator.tasks
+        if self.costs is None or tasks is None:
+            return Floor(self.layout)
+        free = np.asarray(of_tiles(self.layout, tasks.traversable, tasks.tiles))
+        return Floor(self.layout, fixed_costs(self.costs, free))
 
     @property
     def whose(self) -> str:

@@ -196,7 +196,7 @@ def record_fleet(
             timesteps=config.timesteps,
         )
 
-    done = run_seeds(plan.layout, tasks, config, (seed,), read=read, progress=progress)
+    done = run_seeds(plan.floor, tasks, config, (seed,), read=read, progress=progress)
     return done.readings[0], done.runs[0]
 
 

@@ -20,7 +20,7 @@ from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.stats import Difference, Sample, difference, sample_of, wilson_interval
 from qdenv.study.options import fleet_tasks
 from qdenv.study.recordings import fading
-from qdenv.types import InputError, TaskRule, Traffic
+from qdenv.types import Floor, InputError, TaskRule, Traffic
 
 WORTH = 0.5  # share of what an average agent brings; one that brings less is hardly worth it
 # Agents of the smallest compiled program: a smaller one saves less than it costs to compile.
@@ -86,24 +86,24 @@ def about(name: str) -> Iterator[None]:
 
 
 def compare(
-    layouts: Mapping[str, np.ndarray],
+    floors: Mapping[str, Floor | np.ndarray],
     trial: Trial,
     on_row: Callable[[Row], None] = lambda row: None,
     progress: Progress = silent,
 ) -> list[Row]:
-    """Simulate layouts (int8 [H, W], by name) with the same numbers of agents and the same seeds.
+    """Simulate floors, or layouts alone, by name: the same numbers of agents, the same seeds.
 
     Return a row for each layout and number of agents, layout by layout; `on_row` is called with
     each when it is finished. Raises InputError, before the first run, if agents cannot work on a
     layout, which it names.
     """
-    for name, layout in layouts.items():
+    for name, floor in floors.items():
         with about(name):
-            fleet_tasks(layout, trial.tasks, max(trial.counts))
+            fleet_tasks(Floor.of(floor).layout, trial.tasks, max(trial.counts))
     trial = trial._replace(config=replace(trial.config, agents=max(trial.counts)))
-    total = len(layouts) * sum(trial.counts)  # a run's cost grows with its agents
+    total = len(floors) * sum(trial.counts)  # a run's cost grows with its agents
     rows: list[Row] = []
-    for (name, layout), agents in product(layouts.items(), trial.counts):
+    for (name, floor), agents in product(floors.items(), trial.counts):
 
         def report(
             doing: str, share: float, note: str, name: str = name, agents: int = agents
@@ -111,14 +111,14 @@ def compare(
             done = (sum(row.agents for row in rows) + agents * max(share, 0.0)) / total
             progress("simulating", done, f"{name}, {agents} agents, {note or doing}")
 
-        rows.append(_simulate(name, layout, agents, trial, report))
+        rows.append(_simulate(name, floor, agents, trial, report))
         on_row(rows[-1])
     return rows
 
 
 def climb(
     name: str,
-    layout: np.ndarray,
+    floor: Floor | np.ndarray,
     trial: Trial,
     on_row: Callable[[Row], None] = lambda row: None,
     progress: Progress = silent,
@@ -128,7 +128,7 @@ def climb(
     Of the trial's numbers those that fit are tried, in ascending order. Return a row for each;
     `find_peak` reads them. Raises InputError as `check_climb` does.
     """
-    fitting = check_climb(name, layout, trial)
+    fitting = check_climb(name, floor, trial)
     rows: list[Row] = []
     for count in fitting:
         # No program is larger than the layout needs: its tables grow with its agents.
@@ -137,19 +137,19 @@ def climb(
         def report(doing: str, share: float, note: str, count: int = count) -> None:
             progress(f"adding agents to {name}", -1, f"{count} agents, {note or doing}")
 
-        rows.append(_simulate(name, layout, count, trial._replace(config=config), report))
+        rows.append(_simulate(name, floor, count, trial._replace(config=config), report))
         on_row(rows[-1])
         if find_peak(rows).dropped:
             break
     return rows
 
 
-def check_climb(name: str, layout: np.ndarray, trial: Trial) -> list[int]:
+def check_climb(name: str, floor: Floor | np.ndarray, trial: Trial) -> list[int]:
     """Return the numbers of agents that fit on a layout, in ascending order.
 
     Raises InputError if agents cannot work on the layout, or not even the smallest number fits.
     """
-    tasks, counts = trial.tasks, trial.counts
+    tasks, counts, layout = trial.tasks, trial.counts, Floor.of(floor).layout
     free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
     fitting = [count for count in sorted(counts) if count <= free]
     if not fitting:
@@ -167,14 +167,16 @@ def choose_capacity(agents: int) -> int:
     return max(_MIN_CAPACITY, 1 << (agents - 1).bit_length())
 
 
-def _simulate(name: str, layout: np.ndarray, agents: int, trial: Trial, progress: Progress) -> Row:
+def _simulate(
+    name: str, floor: Floor | np.ndarray, agents: int, trial: Trial, progress: Progress
+) -> Row:
     """Run the seeds with one number of agents; ``trial.config.agents`` sizes the program."""
     from qdenv.study.engine import run_seeds  # imports the simulator
 
     tasks, config, _, seeds = trial
-    done = run_seeds(layout, tasks, config, seeds, agents, progress=progress)
+    done = run_seeds(floor, tasks, config, seeds, agents, progress=progress)
     stop = config.stop_when_congested
-    return summarise(name, layout, agents, done.runs, done.cpu_seconds, stop)
+    return summarise(name, Floor.of(floor).layout, agents, done.runs, done.cpu_seconds, stop)
 
 
 def summarise(

@@ -118,7 +118,7 @@ def examine(
         return map_run(layout.shape, run, recording), broken
 
     reader = read if recorded else None
-    done = run_seeds(layout, tasks, config, seeds, agents, reader, threads, progress)
+    done = run_seeds(plan.floor, tasks, config, seeds, agents, reader, threads, progress)
     # A reader that does nothing: without one, another program would have to be compiled.
     no_reader = (lambda *run: None) if recorded else None
 
@@ -127,7 +127,7 @@ def examine(
             progress(f"trying {number} agents", share, note)
 
         few = seeds[:_PROBES]
-        runs = run_seeds(layout, tasks, config, few, number, no_reader, threads, report).runs
+        runs = run_seeds(plan.floor, tasks, config, few, number, no_reader, threads, report).runs
         return point_of(number, runs)
 
     every = zip(*(one for one, _ in done.readings), strict=True)

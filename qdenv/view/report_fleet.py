@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
@@ -16,6 +14,7 @@ from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.recordings import FADING, cells_with_half, worst_cells
 from qdenv.study.table import Row, Trial, about, compare, find_capacity, find_peak
 from qdenv.study.traffic import Study, examine, facts_of
+from qdenv.types import Floor
 from qdenv.view.layouts import draw_plan
 from qdenv.view.page import Page, listed
 from qdenv.view.report import WIDTH, make_report
@@ -41,10 +40,10 @@ class FleetRequest(NamedTuple):
     per_hour: float | None  # timesteps per hour; None if unknown
 
     @property
-    def layouts(self) -> dict[str, np.ndarray]:
+    def floors(self) -> dict[str, Floor]:
         """All that is simulated by name: the subjects, then the hand-made layouts."""
-        rivals = {one.name: one.layout for one in self.rivals if one.layout is not None}
-        return {one.name: one.plan.layout for one in self.subjects} | rivals
+        rivals = {one.name: Floor(one.layout) for one in self.rivals if one.layout is not None}
+        return {one.name: one.plan.floor for one in self.subjects} | rivals
 
 
 def make_request(
@@ -95,7 +94,7 @@ def report_fleet(
     subjects = request.subjects
     tasks = subjects[0].plan.domain.simulator.tasks
     trial = Trial(tasks, request.config, request.counts, request.seeds)
-    rows = compare(request.layouts, trial, on_row, progress)
+    rows = compare(request.floors, trial, on_row, progress)
     agents = request.agents
     if agents is None:
         agents = find_peak([row for row in rows if row.layout == subjects[0].name]).agents

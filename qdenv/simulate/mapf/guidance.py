@@ -16,13 +16,13 @@ from typing import TypeAlias
 import numpy as np
 
 from qdenv.grid import DOWN, LEFT, MOVES, NUM_MOVES, RIGHT, UP, move_steps
-from qdenv.simulate.mapf.host.distances import BUCKETS
 from qdenv.types import InputError
 
 # Makes the costs of a floor: (traversable bool [H, W]) -> float [5, H, W], or None for no guidance.
 Guidance: TypeAlias = Callable[[np.ndarray], np.ndarray | None]
 
 _ONE = 64  # the mean cost of a move as a whole number; `_ONE` / 64 to 16 `_ONE` can be told apart
+BUCKETS = 1024  # above every whole cost of a move
 
 
 def fixed_costs(costs: np.ndarray, traversable: np.ndarray) -> np.ndarray:

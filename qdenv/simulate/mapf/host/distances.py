@@ -16,6 +16,7 @@ import numpy as np
 
 from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP
 from qdenv.native import Numbers, formula, kernel, numbers
+from qdenv.simulate.mapf.guidance import BUCKETS
 from qdenv.simulate.mapf.host.state import GridMap
 from qdenv.simulate.mapf.planner import NOBODY, distance_type
 
@@ -28,7 +29,6 @@ _LOW_SHARE = 4  # buffers grow if no more than one row or page in this many is f
 _SLACK = 12  # steps longer than the shortest way that a first search measures as well
 _REACHES = 6  # searches of a field after which the next one measures all of it
 _COMPLETE = 127  # of `DistanceFields.extent`, which else counts the searches
-BUCKETS = 1024  # above every cost of a move
 _NO_ENTRY = -1
 INDICES = (1 << 31) - 1  # a masked index is known not to count from the end
 
