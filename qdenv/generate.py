@@ -7,12 +7,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
+import numpy as np
+import tyro
+
+from qdenv.grid import parse
+from qdenv.guidance import existing_moves, scaled_costs
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.registry import Entry, Registry
 from qdenv.types import Array, InputError
+
+# Counts the moves of one simulation under some costs, (costs int32 [5, H, W], number of the
+# simulation) -> int32 [5, H, W].
+Drive: TypeAlias = Callable[[Any, int], Any]
+# Draws costs of moves (`guidance`), (solution float32 [P], steps, repaired layout int8 [H, W],
+# drive) -> int32 [5, H, W]; traceable, of one layout.
+Guide: TypeAlias = Callable[[Any, Any, Any, Drive], Any]
 
 
 class Canvas(NamedTuple):
@@ -37,14 +49,26 @@ class Generator(NamedTuple):
     # start to the layout that `grow` draws; the number of steps is static. None where a generator
     # tells only how it ends.
     frames: Callable[[jax.Array, int], jax.Array] | None = None
+    # what moves cost on the layout when it is repaired; None where only tiles are drawn
+    guide: Guide | None = None
 
 
 # An entry's maker is called as make(settings, canvas) and returns a `Generator`.
 GENERATORS = Registry(
     "generator",
     "qdenv.generators",
-    {"nca": "qdenv.generate:NCA_GENERATOR", "direct": "qdenv.generate:DIRECT_GENERATOR"},
+    {
+        "nca": "qdenv.generate:NCA_GENERATOR",
+        "direct": "qdenv.generate:DIRECT_GENERATOR",
+        "guided-nca": "qdenv.generate:GUIDED_NCA_GENERATOR",
+        "costs": "qdenv.generate:COSTS_GENERATOR",
+        "update": "qdenv.generate:UPDATE_GENERATOR",
+    },
 )
+
+
+# A guidance that any floor can have, by its name in `guidance.GUIDANCE`.
+Base: TypeAlias = Literal["none", "crisscross"]
 
 
 @dataclass(frozen=True)
@@ -64,12 +88,46 @@ class NcaConfig(Ranged):
 
 
 @dataclass(frozen=True)
+class GuidedNcaConfig(NcaConfig):
+    """The numbers of an automaton that draws the costs of moves in five more channels."""
+
+    base: Base = "crisscross"  # the costs that it draws factors of
+
+
+@dataclass(frozen=True)
+class CostsConfig(Ranged):
+    """The numbers of the generator of a floor that stands: a solution is the costs themselves."""
+
+    # rows of the floor: ``.`` where robots drive, ``#`` where they cannot
+    floor: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
+    base: Base = "crisscross"  # the costs from which the search begins
+
+
+@dataclass(frozen=True)
+class UpdateConfig(Ranged):
+    """The numbers of an update model of the costs of a floor that stands.
+
+    A small network reads the costs of moves and how often each was made, and writes new costs,
+    several times over (the parameterised iterative update of Zhang et al. 2024, section 5.2,
+    https://arxiv.org/abs/2402.01446). It serves floors of any size.
+    """
+
+    rounds: PositiveInt = 5  # updates, each after a simulation
+    kernel_sizes: tuple[int, ...] = (3, 1, 3)  # widths of the kernels of its convolutions, in cells
+    hidden: PositiveInt = 16  # channels of its hidden layers
+    base: Base = "crisscross"  # the costs that are updated first
+
+
+@dataclass(frozen=True)
 class DirectConfig:
     """The numbers of the generator that draws nothing: a solution is the tiles themselves."""
 
 
 DIRECT_GENERATOR = Entry(DirectConfig, "qdenv.generate:direct")
 NCA_GENERATOR = Entry(NcaConfig, "qdenv.nca:nca")
+GUIDED_NCA_GENERATOR = Entry(GuidedNcaConfig, "qdenv.nca:nca")
+COSTS_GENERATOR = Entry(CostsConfig, "qdenv.generate:costs")
+UPDATE_GENERATOR = Entry(UpdateConfig, "qdenv.nca:update")
 
 
 def choose_tiles(cells: Array) -> jax.Array:
@@ -92,3 +150,29 @@ def direct(config: DirectConfig, canvas: Canvas) -> Generator:
         return tiles.reshape(-1, canvas.rows, canvas.cols)
 
     return Generator(canvas.rows * canvas.cols, 0, read, choices)
+
+
+def draw_nothing(canvas: Canvas) -> Callable[[jax.Array, jax.Array | int], jax.Array]:
+    """Make the `grow` of a generator that draws no tiles: all of its floor must stay."""
+    shape = canvas.rows, canvas.cols
+    return lambda solutions, steps: jnp.zeros((len(solutions), *shape), jnp.int8)
+
+
+def costs(config: CostsConfig, canvas: Canvas) -> Generator:
+    """Make the generator whose parameters are the logarithms of factors of the costs of moves.
+
+    They are in the order of the moves, waiting first, and the cells row by row, without the moves
+    that do not exist. Raises InputError if no floor is stated.
+    """
+    if not config.floor:
+        raise InputError("the generator costs needs a floor that stands: use qdenv guide")
+    moves = existing_moves(parse(config.floor, "#.") == 1)
+    places = np.flatnonzero(moves)
+
+    def guide(
+        solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
+    ) -> jax.Array:
+        logarithms = jnp.zeros(moves.size).at[places].set(solution).reshape(moves.shape)
+        return scaled_costs(logarithms, config.base)
+
+    return Generator(len(places), 0, draw_nothing(canvas), guide=guide)

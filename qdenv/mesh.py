@@ -45,17 +45,18 @@ def map_items(function: Callable[..., Any], *items: Any) -> Any:
     return jax.tree.map(lambda leaf: leaf[:size], results)
 
 
-def map_runs(function: Callable[..., Any], layouts: jax.Array, runs: jax.Array) -> Any:
+def map_runs(function: Callable[..., Any], layouts: Any, runs: jax.Array) -> Any:
     """Apply a function to layouts and their runs, so that few layouts use all devices as well.
 
     The function is that of `map_items`: (layouts [b, H, W], runs [b, s]) -> results with leading
-    axes b, s. `layouts` is int8 [B, H, W], `runs` [B, S] what the runs of each layout draw from.
+    axes b, s. `layouts` are arrays [B, ...], `runs` [B, S] what the runs of each layout draw from.
     """
     count, seeds = runs.shape
     parts = count_parts(count, seeds, jax.local_device_count())
     filled = _filled(runs.T, -(-seeds // parts) * parts)  # [parts * s, B]
     drawn = filled.reshape(parts, -1, count).swapaxes(1, 2).reshape(parts * count, -1)
-    results = map_items(function, jnp.tile(layouts, (parts, 1, 1)), drawn)
+    copies = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * parts), layouts)
+    results = map_items(function, copies, drawn)
 
     def ordered(leaf: jax.Array) -> jax.Array:
         by_part = leaf.reshape(parts, count, *leaf.shape[1:]).swapaxes(0, 1)

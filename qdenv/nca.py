@@ -6,7 +6,9 @@ https://arxiv.org/abs/2310.18622). The real-valued output is fed back; tiles are
 after the last step.
 """
 
+import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import chex
 import jax
@@ -15,8 +17,18 @@ import numpy as np
 from flax import linen as nn
 from jax.flatten_util import ravel_pytree
 
-from qdenv.generate import Canvas, Generator, NcaConfig, choose_tiles
-from qdenv.grid import parse
+from qdenv.generate import (
+    Canvas,
+    Drive,
+    Generator,
+    GuidedNcaConfig,
+    NcaConfig,
+    UpdateConfig,
+    choose_tiles,
+    draw_nothing,
+)
+from qdenv.grid import NUM_MOVES, parse
+from qdenv.guidance import scaled_costs
 from qdenv.types import Array, InputError
 
 
@@ -90,25 +102,88 @@ def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> n
 
 
 def nca(config: NcaConfig, canvas: Canvas) -> Generator:
-    """Make the generator that grows a canvas from its seed block, which must fit on it."""
+    """Make the generator that grows a canvas from its seed block, which must fit on it.
+
+    One that is guided grows five more channels, which begin and end between 0 and 1: from a tenth
+    of the cost of a move to the tenfold. A cell has the costs that it grew also where the repair
+    changes its tile; those of the frame are the nearest cell's.
+    """
     start = seed_canvas(canvas.seed_block, canvas.rows, canvas.cols, canvas.tiles)
-    size, grow_one = make_automaton(len(canvas.tiles), config.kernel_sizes, config.hidden)
+    kinds, guided = len(canvas.tiles), isinstance(config, GuidedNcaConfig)
+    if guided:
+        start = np.pad(start, ((0, 0), (0, 0), (0, NUM_MOVES)), constant_values=0.5)
+    size, grow_one = make_automaton(start.shape[-1], config.kernel_sizes, config.hidden)
 
     def grow(solutions: jax.Array, steps: jax.Array | int) -> jax.Array:
         # One solution after the other: its numbers then cannot depend on how many grow beside it,
         # and a convolution with its own weights per item is no faster batched on a CPU.
-        return choose_tiles(jax.lax.map(lambda one: grow_one(one, start, steps), solutions))
+        cells = jax.lax.map(lambda one: grow_one(one, start, steps), solutions)
+        return choose_tiles(cells[..., :kinds])
 
     def frames(solutions: jax.Array, steps: int) -> jax.Array:
         def one(weights: jax.Array) -> jax.Array:
             def step(cells: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
                 grown = grow_one(weights, cells, 1)
-                return grown, choose_tiles(grown)
+                return grown, choose_tiles(grown[..., :kinds])
 
             first = jnp.asarray(start)
             _, later = jax.lax.scan(step, first, None, length=steps)
-            return jnp.concatenate([choose_tiles(first)[None], later])
+            return jnp.concatenate([choose_tiles(first[..., :kinds])[None], later])
 
         return jax.lax.map(one, solutions)
 
-    return Generator(size, config.steps, grow, frames=frames)
+    def guide(
+        solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
+    ) -> jax.Array:
+        logarithms = 2 * jnp.moveaxis(grow_one(solution, start, steps)[..., kinds:], -1, 0) - 1
+        edges = [(more // 2, more // 2) for more in np.subtract(layout.shape, start.shape[:2])]
+        logarithms = jnp.pad(logarithms * math.log(10), ((0, 0), *edges), "edge")
+        return scaled_costs(logarithms, getattr(config, "base", ""))
+
+    return Generator(size, config.steps, grow, frames=frames, guide=guide if guided else None)
+
+
+class Update(nn.Module):
+    """Changes of the logarithms of costs, [H, W, 11] -> [H, W, 5] within (-1, 1).
+
+    The inputs are these logarithms, how often each move was made, and whether it is a free cell.
+    """
+
+    kernel_sizes: Sequence[int]
+    hidden: int  # channels between the convolutions
+
+    @nn.compact
+    def __call__(self, cells: Array) -> Array:
+        """Apply the network once."""
+        for size in self.kernel_sizes[:-1]:
+            cells = nn.relu(nn.Conv(self.hidden, (size, size), padding="SAME")(cells))
+        size = self.kernel_sizes[-1]
+        return nn.tanh(nn.Conv(NUM_MOVES, (size, size), padding="SAME")(cells))
+
+
+def update(config: UpdateConfig, canvas: Canvas) -> Generator:
+    """Make the generator whose parameters are the weights of an update model.
+
+    With zeros the costs stay those of its base.
+    """
+    model = Update(config.kernel_sizes, config.hidden)
+    weights = jax.eval_shape(model.init, jax.random.key(0), jnp.zeros((1, 1, 2 * NUM_MOVES + 1)))
+    flat, unravel = ravel_pytree(
+        jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), weights)
+    )
+
+    def guide(
+        solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
+    ) -> jax.Array:
+        weights, logarithms = unravel(solution), jnp.zeros((NUM_MOVES, *layout.shape))
+        for number in range(config.rounds):
+            moves = drive(scaled_costs(logarithms, config.base), number)
+            free = moves.sum(axis=0) > 0
+            # One is what a move would be made if all were made equally often.
+            share = moves / jnp.maximum(moves.sum(), 1) * NUM_MOVES * free.sum()
+            inputs = jnp.concatenate([logarithms, jnp.log1p(share), free[None]])
+            change: Any = model.apply(weights, jnp.moveaxis(inputs, 0, -1))
+            logarithms += jnp.moveaxis(change, -1, 0)
+        return scaled_costs(logarithms, config.base)
+
+    return Generator(flat.size, 0, draw_nothing(canvas), guide=guide)

@@ -17,7 +17,7 @@ import numpy as np
 
 from qdenv import devices, mesh
 from qdenv.domains.base import Domain, Simulator, make_domain
-from qdenv.generate import GENERATORS
+from qdenv.generate import GENERATORS, Generator
 from qdenv.repair.pool import RepairPool, repair_in_jit
 from qdenv.score import similarity
 from qdenv.settings import EvaluationConfig
@@ -33,10 +33,12 @@ class Pipeline(NamedTuple):
     grow: Callable[[jax.Array], jax.Array]  # float32 [B, P] -> unrepaired layouts int8 [B, H, W]
     pool: RepairPool | None  # repairs layouts on the host; None where the domain repairs nothing
     repair_seed: int  # the layout's own content and this number decide its repair
-    # (layouts [B, H, W], indices [B], key) -> runs with leading axes B, S
-    simulate: Callable[[jax.Array, jax.Array, jax.Array], Any]
+    # (layouts [B, H, W], indices [B], key, their solutions [B, P] where the generator draws costs
+    # of moves) -> runs with leading axes B, S
+    simulate: Callable[..., Any]
     # (unrepaired, repaired, status, runs), each with leading axis B -> `Evaluation`
     score: Callable[[jax.Array, jax.Array, jax.Array, Any], Evaluation]
+    is_guided: bool  # the generator draws costs of moves, when the layout is repaired
 
 
 def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
@@ -51,13 +53,24 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     def grow(parameters: jax.Array) -> jax.Array:
         return jnp.asarray(jax.vmap(domain.frame)(generator.grow(parameters, generator.steps)))
 
-    def simulate(layouts: jax.Array, indices: jax.Array, key: jax.Array) -> Any:
+    def simulate(
+        layouts: jax.Array, indices: jax.Array, key: jax.Array, solutions: Any = None
+    ) -> Any:
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
-        return simulate_layouts(domain.simulator, layouts, keys, config.simulations)
+        guided = None if generator.guide is None else (generator, solutions)
+        return simulate_layouts(domain.simulator, layouts, keys, config.simulations, guided)
 
     score = jax.vmap(partial(score_layout, domain, config.alpha))
     return Pipeline(
-        domain, generator.size, generator.choices, grow, pool, repair_seed, simulate, score
+        domain=domain,
+        solution_size=generator.size,
+        choices=generator.choices,
+        grow=grow,
+        pool=pool,
+        repair_seed=repair_seed,
+        simulate=simulate,
+        score=score,
+        is_guided=generator.guide is not None,
     )
 
 
@@ -66,30 +79,58 @@ def _grow_layouts(grow: Callable[[jax.Array], jax.Array], parameters: jax.Array)
     return grow(parameters) if devices.count() == 1 else mesh.map_items(grow, parameters)
 
 
-def simulate_layouts(
-    simulator: Simulator, layouts: jax.Array, keys: jax.Array, simulations: int
+def draw_costs(
+    simulator: Simulator, generator: Generator, solution: Any, layout: Any, key: Any, steps: Any
 ) -> Any:
-    """Simulate layouts [B, H, W], each `simulations` times from its own key of `keys` [B]."""
+    """Draw the costs of moves of one layout (int32 [5, H, W]); `key` decides its simulations."""
+    guide, count_moves = generator.guide, simulator.count_moves
+    assert guide is not None
+    assert count_moves is not None
+
+    def drive(costs: jax.Array, number: int) -> Any:
+        return count_moves(simulator.prepare(layout, costs), jax.random.fold_in(key, number))
+
+    return guide(solution, steps, layout, drive)
+
+
+def simulate_layouts(
+    simulator: Simulator,
+    layouts: jax.Array,
+    keys: jax.Array,
+    simulations: int,
+    guided: tuple[Generator, jax.Array] | None = None,
+) -> Any:
+    """Simulate layouts [B, H, W], each `simulations` times from its own key of `keys` [B].
+
+    `guided` is the generator that draws the costs of moves, with its solutions [B, P].
+    """
     runs = jax.vmap(lambda key: jax.random.split(key, simulations))(keys)
 
     def in_lanes(function: Callable, items: Any, lanes: int) -> Any:
         """Map over the leading axis, `lanes` items at a time side by side."""
         return jax.lax.map(function, items, batch_size=lanes if lanes > 1 else None)
 
-    def share(layouts: jax.Array, runs: jax.Array) -> Any:
+    generator, solutions = guided or (None, None)
+    items = layouts, solutions, None if generator is None else keys
+
+    def share(items: tuple[Any, ...], runs: jax.Array) -> Any:
         on_host = runs.shape[1] if simulator.layout_at_once else 1
         lanes = devices.lanes(simulator.accelerator_lanes, on_host)
 
-        def one(item: tuple[jax.Array, jax.Array]) -> Any:
-            layout, runs = item
-            tables = simulator.prepare(layout)
+        def one(item: tuple[Any, ...]) -> Any:
+            layout, solution, key, runs = item
+            if generator is None:
+                tables = simulator.prepare(layout)
+            else:
+                costs = draw_costs(simulator, generator, solution, layout, key, generator.steps)
+                tables = simulator.prepare(layout, costs)
             return in_lanes(lambda run: simulator.run(tables, run), runs, lanes)
 
-        return in_lanes(one, (layouts, runs), lanes // runs.shape[1])
+        return in_lanes(one, (*items, runs), lanes // runs.shape[1])
 
     if simulator.num_devices == 1:
-        return share(layouts, runs)
-    return mesh.map_runs(share, layouts, runs)
+        return share(items, runs)
+    return mesh.map_runs(share, items, runs)
 
 
 def score_layout(
@@ -128,7 +169,8 @@ def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evalu
     if pipeline.pool is not None:
         repair = repair_in_jit(pipeline.pool, unrepaired, pipeline.repair_seed)
         repaired, status = jnp.asarray(repair.layout), repair.status
-    runs = pipeline.simulate(repaired, jnp.arange(unrepaired.shape[0]), key)
+    solutions = parameters if pipeline.is_guided else None
+    runs = pipeline.simulate(repaired, jnp.arange(unrepaired.shape[0]), key, solutions)
     return pipeline.score(unrepaired, repaired, status, runs)
 
 
@@ -137,7 +179,8 @@ def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evalu
 Outcomes = tuple[np.ndarray, np.ndarray, Any]
 # Begins to repair and simulate unrepaired layouts int8 [B, H, W] from a key, and returns futures of
 # the parts of the population, in order. Item ``i`` draws from ``fold_in(key, i)`` on any worker.
-LayoutEvaluator = Callable[[np.ndarray, Array], Sequence[Future[Outcomes]]]
+# Solutions float32 [B, P] follow where the pipeline is guided, else None.
+LayoutEvaluator = Callable[[np.ndarray, Array, np.ndarray | None], Sequence[Future[Outcomes]]]
 
 
 class PipelinedEvaluator:
@@ -150,6 +193,7 @@ class PipelinedEvaluator:
     def __init__(self, pipeline: Pipeline, evaluate_layouts: LayoutEvaluator) -> None:
         """Compile nothing yet."""
         self._evaluate_layouts = evaluate_layouts
+        self._is_guided = pipeline.is_guided
         self._grow = jax.jit(partial(_grow_layouts, pipeline.grow))
         self._score = jax.jit(pipeline.score)
 
@@ -157,7 +201,8 @@ class PipelinedEvaluator:
         """Begin what `evaluate` does; the function that is returned waits for the evaluation."""
         with mesh.turn:
             unrepaired = np.asarray(self._grow(parameters))
-        parts = self._evaluate_layouts(unrepaired, key)
+        solutions = np.asarray(parameters) if self._is_guided else None
+        parts = self._evaluate_layouts(unrepaired, key, solutions)
         return lambda: self._score(unrepaired, *joined([part.result() for part in parts]))
 
 

@@ -13,7 +13,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "qdenv"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"types", "ranges", "grid", "io", "lazy", "interrupt", "stats", "progress"}
+BASE = {"types", "ranges", "grid", "guidance", "io", "lazy", "interrupt", "stats", "progress"}
 STAGES = {"generate", "nca", "repair", "simulate", "score"}
 PLUGS = {"registry", "devices"}
 ALLOWED = {
@@ -23,15 +23,16 @@ ALLOWED = {
     "native": set(),
     "stats": {"types"},
     "grid": {"types", "lazy"},
+    "guidance": {"types", "lazy", "grid"},
     "interrupt": set(),
     "io": {"types", "interrupt", "registry", "grid"},
     "devices": {"types", "lazy"},
     "progress": set(),
     "registry": {"types"},
-    "nca": {"types", "generate", "grid"},
-    "generate": {"nca", "types", "ranges", "grid", "lazy", "registry"},
+    "nca": {"types", "generate", "grid", "guidance"},
+    "generate": {"nca", "types", "ranges", "grid", "guidance", "lazy", "registry"},
     "repair": {"types", "ranges", "grid", "lazy", "native", "devices", "progress"},
-    "simulate": {"types", "ranges", "grid", "lazy", "native", "io"} | PLUGS,
+    "simulate": {"types", "ranges", "grid", "guidance", "lazy", "native", "io"} | PLUGS,
     "score": {"types", "grid", "lazy"},
     "agent": BASE | {"simulate.maze", "score", "devices"},
     "domains": BASE | STAGES | PLUGS,

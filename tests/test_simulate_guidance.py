@@ -14,11 +14,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP, WAIT, move_steps, of_tiles, parse
+from qdenv.guidance import crisscross, existing_moves, fixed_costs
 from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.audit import audit
 from qdenv.simulate.mapf.distances import goal_costs
 from qdenv.simulate.mapf.goals import tile_goal
-from qdenv.simulate.mapf.guidance import crisscross, existing_moves, fixed_costs
 from qdenv.simulate.mapf.host.distances import distance, empty_fields
 from qdenv.simulate.mapf.host.state import grid_map
 from qdenv.simulate.mapf.pibt.settings import PibtConfig

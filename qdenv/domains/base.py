@@ -97,10 +97,15 @@ DOMAINS = Registry(
 class Simulator(NamedTuple):
     """How one layout is simulated; the pipeline batches it."""
 
-    prepare: Callable[[Any], Any]  # layout int8 [H, W] -> tables shared by all runs of this layout
+    # layout int8 [H, W] -> tables shared by all runs of this layout; (layout, costs of moves int32
+    # [5, H, W]) where generators draw these
+    prepare: Callable[..., Any]
     # (tables, key) -> one run (a record of arrays); consumes the key
     run: Callable[[Any, Any], Any]
     tasks: TaskRule | None = None  # what a fleet does; None where no fleet drives
+    # (tables, key) -> int32 [5, H, W], how often each move was made in a run; None where no fleet
+    # drives
+    count_moves: Callable[[Any, Any], Any] | None = None
     # runs computed side by side (vmap) on an accelerator; the rest wait in line (scan)
     accelerator_lanes: int = 128
     # on a CPU, whether all runs of one layout go side by side. Otherwise they go one after the

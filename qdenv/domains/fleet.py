@@ -16,17 +16,23 @@ def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
     """Make the simulator of lifelong multi-agent path finding, whose runs are `Traffic`."""
 
     # The simulation is imported when it first runs: it loads both compilers.
-    def prepare(layout: Array) -> Any:
+    def prepare(layout: Array, costs: Array | None = None) -> Any:
         from qdenv.simulate.mapf import fleet
 
-        return fleet.prepare(layout, tasks, config)
+        return fleet.prepare(layout, tasks, config, costs)
 
     def run(world: Any, key: jax.Array) -> Traffic:
         from qdenv.simulate.mapf import fleet
 
         return fleet.simulate(world, key, config)
 
-    return Simulator(prepare, run, tasks, on_host=lambda: PLANNERS.make(config.planner).on_host)
+    def count_moves(world: Any, key: jax.Array) -> jax.Array:
+        from qdenv.simulate.mapf import fleet
+
+        return fleet.count_moves(world, key, config)
+
+    on_host = lambda: PLANNERS.make(config.planner).on_host  # noqa: E731
+    return Simulator(prepare, run, tasks, count_moves, on_host=on_host)
 
 
 def throughput(layout: Any, runs: Traffic) -> jax.Array:

@@ -65,7 +65,9 @@ class Threads:
         self._turn = turn if sharing > 1 else contextlib.nullcontext()
         self._threads = ThreadPoolExecutor(devices.threads())
 
-    def __call__(self, unrepaired: np.ndarray, key: Array) -> list[Future[Outcomes]]:
+    def __call__(
+        self, unrepaired: np.ndarray, key: Array, solutions: np.ndarray | None = None
+    ) -> list[Future[Outcomes]]:
         """Begin to repair and simulate int8 [B, H, W]; return the parts of the population."""
         count = len(unrepaired)
         # The greatest divisor of the number of layouts: equal chunks compile once.
@@ -75,17 +77,21 @@ class Threads:
         # All repairs are submitted first, so that none waits for a simulation.
         repairs = [[_repair(self._pipeline, unrepaired[one]) for one in chunk] for chunk in chunks]
         return [
-            self._threads.submit(self._finish, chunk, repair, key)
+            self._threads.submit(
+                self._finish, chunk, repair, key, None if solutions is None else solutions[chunk]
+            )
             for chunk, repair in zip(chunks, repairs, strict=True)
         ]
 
-    def _finish(self, chunk: np.ndarray, repairs: list[Future[Repair]], key: Array) -> Outcomes:
+    def _finish(
+        self, chunk: np.ndarray, repairs: list[Future[Repair]], key: Array, solutions: Any
+    ) -> Outcomes:
         """Simulate the layouts of a chunk when they are repaired."""
         done = [future.result() for future in repairs]
         layouts = np.stack([repair.layout for repair in done])
         status = np.array([repair.status for repair in done], np.int32)
         with self._turn:
-            runs = jax.tree.map(np.asarray, self._simulate(layouts, chunk, key))
+            runs = jax.tree.map(np.asarray, self._simulate(layouts, chunk, key, solutions))
         self._progress(len(chunk))
         return layouts, status, runs
 
@@ -117,7 +123,9 @@ class Cluster:
         alone = replace(evaluation, repair=replace(evaluation.repair, workers=1))
         self._settings = json.dumps(config_to_json(replace(config, evaluation=alone)))
 
-    def __call__(self, unrepaired: np.ndarray, key: Array) -> list[Task]:
+    def __call__(
+        self, unrepaired: np.ndarray, key: Array, solutions: np.ndarray | None = None
+    ) -> list[Task]:
         """Begin to repair and simulate int8 [B, H, W]; return the parts of the population.
 
         Tasks get ever smaller, so that all workers end together: guided self-scheduling
@@ -130,10 +138,14 @@ class Cluster:
         firsts = [0]
         while (left := len(unrepaired) - firsts[-1]) > 1:
             firsts.append(firsts[-1] + min(math.ceil(left / workers), most))
-        parts = zip(np.split(unrepaired, firsts[1:]), firsts, strict=True)
+        parts = np.split(unrepaired, firsts[1:])
+        nothing = [None] * len(parts)
+        drawn = nothing if solutions is None else np.split(solutions, firsts[1:])
         bits = np.asarray(jax.random.key_data(key))
-        submit, settings = self.executor.submit, self._settings
-        return [submit(_evaluate_layouts, settings, *part, bits) for part in parts]
+        return [
+            self.executor.submit(_evaluate_layouts, self._settings, part, first, bits, own)
+            for part, first, own in zip(parts, firsts, drawn, strict=True)
+        ]
 
     def _note(self, task: Task) -> None:
         """Count a completed task, and learn how long a layout takes."""
@@ -150,11 +162,14 @@ def _chain(settings: str) -> tuple[Pipeline, Callable]:
     return pipeline, jax.jit(pipeline.simulate)
 
 
-def _evaluate_layouts(settings: str, layouts: np.ndarray, first: int, key: np.ndarray) -> Outcomes:
+def _evaluate_layouts(
+    settings: str, layouts: np.ndarray, first: int, key: np.ndarray, solutions: Any
+) -> Outcomes:
     """Repair and simulate layouts (int8 [n, H, W]), one by one; what a worker does.
 
     `settings` is a whole `RunConfig` as JSON, `first` the index of the first layout in its
-    population, `key` (uint32) the data of the population's key.
+    population, `key` (uint32) the data of the population's key, `solutions` float32 [n, P] where
+    the pipeline is guided.
     """
     pipeline, simulate = _chain(settings)
     whole = jax.random.wrap_key_data(jax.numpy.asarray(key))
@@ -162,7 +177,8 @@ def _evaluate_layouts(settings: str, layouts: np.ndarray, first: int, key: np.nd
     for index, layout in enumerate(layouts, first):
         repair = _repair(pipeline, layout).result()
         repaired = np.asarray(repair.layout)[None]
-        runs: Any = simulate(repaired, np.array([index], np.int32), whole)
+        own = None if solutions is None else solutions[index - first][None]
+        runs: Any = simulate(repaired, np.array([index], np.int32), whole, own)
         status = np.array([repair.status], np.int32)
         parts.append((repaired, status, jax.tree.map(np.asarray, runs)))
     return joined(parts)

@@ -10,9 +10,9 @@ import numpy as np
 
 from qdenv.domains.base import DOMAINS, FREE, SAME, Domain, check_shape, find_domain, make_domain
 from qdenv.grid import of_tiles
+from qdenv.guidance import fixed_costs
 from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing, to_layout
 from qdenv.repair.rules import impossible
-from qdenv.simulate.mapf.guidance import fixed_costs
 from qdenv.types import Floor, InputError
 
 USUAL = "warehouse-even"  # the domain where nothing says otherwise

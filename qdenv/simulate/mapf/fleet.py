@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 
-from qdenv.grid import NUM_MOVES, of_tiles
+from qdenv.grid import NUM_MOVES, move_steps, of_tiles
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.distances import (
     Fields,
@@ -334,6 +334,18 @@ def record(
     traffic, recording = _simulate(world, key, config, agents, keep=True)
     assert recording is not None
     return traffic, recording
+
+
+def count_moves(world: World, key: jax.Array, config: FleetConfig) -> jax.Array:
+    """Simulate once and count how often each move was made (int32 [5, H, W], waiting first)."""
+    traffic, recording = record(world, key, config)
+    rows, cols = (side - 2 * world.margin for side in world.traversable.shape)
+    before, after = recording.positions[:-1], recording.positions[1:]
+    is_move = jnp.asarray(move_steps(cols))[:, None, None] == (after - before)[None]
+    driven = (jnp.arange(config.timesteps) < traffic.end_timestep)[:, None] & recording.active[None]
+    counts = jnp.zeros((NUM_MOVES, rows * cols), jnp.int32)
+    counts = counts.at[is_move.argmax(axis=0), before].add(driven)
+    return counts.reshape(NUM_MOVES, rows, cols)
 
 
 def compile_runs(

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP
+from qdenv.guidance import BUCKETS
 from qdenv.native import Numbers, formula, kernel, numbers
-from qdenv.simulate.mapf.guidance import BUCKETS
 from qdenv.simulate.mapf.host.state import GridMap
 from qdenv.simulate.mapf.planner import NOBODY, distance_type
 

@@ -10,18 +10,21 @@ ratios count.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
 
 from qdenv.grid import DOWN, LEFT, MOVES, NUM_MOVES, RIGHT, UP, move_steps
-from qdenv.types import InputError
+from qdenv.lazy import jax, jnp
+from qdenv.types import Array, InputError
 
 # Makes the costs of a floor: (traversable bool [H, W]) -> float [5, H, W], or None for no guidance.
 Guidance: TypeAlias = Callable[[np.ndarray], np.ndarray | None]
 
 _ONE = 64  # the mean cost of a move as a whole number; `_ONE` / 64 to 16 `_ONE` can be told apart
+_MOST_SCALED = math.log(10)  # by how much generators change costs at most, as a logarithm
 BUCKETS = 1024  # above every whole cost of a move
 
 
@@ -55,6 +58,19 @@ def fixed_costs(costs: np.ndarray, traversable: np.ndarray) -> np.ndarray:
     if (fixed[moves] == 0).any():
         _check_connected(fixed, free)
     return fixed
+
+
+def scaled_costs(logarithms: Array, base: str) -> jax.Array:
+    """Scale the costs of a named guidance, within a factor of ten, and round them; traceable.
+
+    `logarithms` is float [5, H, W], that of a factor for each move at each cell, 0 for the
+    guidance itself. Returns int32 [5, H, W], also for moves that do not exist.
+    """
+    shape = logarithms.shape[1:]
+    start = GUIDANCE[base](np.ones(shape, bool))
+    start = np.ones((NUM_MOVES, *shape)) if start is None else start
+    factors = jnp.exp(jnp.clip(logarithms, -_MOST_SCALED, _MOST_SCALED))
+    return jnp.clip(jnp.rint(start * _ONE * factors), 1, BUCKETS - 1).astype(jnp.int32)
 
 
 def existing_moves(traversable: np.ndarray) -> np.ndarray:
