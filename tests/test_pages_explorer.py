@@ -13,10 +13,12 @@ from qdenv.cli.main import run as command
 from qdenv.domains.base import make_domain
 from qdenv.io.arrays import write_arrays
 from qdenv.run.directory import RunDirectory
+from qdenv.simulate.mapf.guidance import crisscross
 from qdenv.study.elites import grow_series, make_grower, spread
 from qdenv.study.plans import read_plan
 from qdenv.types import InputError
 from qdenv.view.explorer import make_explorer, pack_bits
+from qdenv.view.guidance import pack_arrows, preferences
 
 pytestmark = pytest.mark.slow
 
@@ -350,3 +352,23 @@ def test_a_generator_that_tells_only_how_it_ends_grows_frame_by_frame_too(small_
     )
     assert steps == 6 and whole.shape == (2, 7, 9, 10)
     assert (make_grower(config, domain)[1](solutions) == whole).all()
+
+
+def test_guidance_lies_on_layouts_of_elites_that_have_costs(small_run, page_file, tmp_path):
+    assert "guidance" not in page_file.read_text()
+    layouts = small_run.archive.columns["repaired"]
+    free = layouts != small_run.archive.schema.tiles.index("@")
+    costs = np.stack([crisscross(one) for one in free])
+    run = changed_run(small_run, tmp_path / "run", columns=lambda old: {**old, "costs": costs})
+    with opened(explored(run, tmp_path, growth=0)) as page:
+        page.wait_for_selector(READY)
+        for row, one in enumerate(free):
+            found = page.evaluate(f"layoutsOf({row}).then(({{arrows}}) => [...arrows])")
+            assert found == pack_arrows(preferences(costs[row], one)).reshape(-1).tolist()
+        canvas = "document.querySelector('#card-0 canvas').toDataURL()"
+        with_arrows = page.evaluate(canvas)
+        page.locator("#guidance").click()
+        page.wait_for_function(f"before => {canvas} !== before", arg=with_arrows)
+        page.locator("#guidance").click()
+        page.wait_for_function(f"before => {canvas} === before", arg=with_arrows)
+        assert "costs" not in page.inner_text("#table")

@@ -12,16 +12,25 @@ import qdenv
 from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
+from qdenv.simulate.mapf.guidance import crisscross
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.plans import Plan, read_plan
 from qdenv.study.recordings import record_fleet, trace_agent
 from qdenv.types import InputError
+from qdenv.view.guidance import pack_arrows, preferences
 from qdenv.view.replay import encode, make_replay
 
 pytestmark = pytest.mark.slow
 
 STEPS, AGENTS = 60, 30
 MAZE = ["XXXXXX", "X    X", "XXXX X", "X    X", "XXXXXX"]
+# Where the tip of an arrow in a cell of 100 pixels is, from its middle: [right, down].
+TIP = """([level, axis]) => {
+  const points = [];
+  const pen = {beginPath() {}, lineTo: (...point) => points.push(point), fill() {}};
+  drawArrow(pen, level, axis, 0, 0, 100);
+  return points[0];
+}"""
 SHOWN = "performance.getEntriesByName('shown').length > 0"
 
 
@@ -206,6 +215,34 @@ def test_goals_jams_and_what_lies_on_the_floor_can_be_shown(busy, shown):
     shown.evaluate(f"goTo({STEPS})")
     waits = np.bincount(motion.positions[1:][motion.waits], minlength=77)
     assert shown.evaluate("[...state.ground.counts.waiting.cells]") == waits.tolist()
+
+
+def test_guidance_lies_on_the_floor_where_a_plan_has_some(busy, tmp_path):
+    path, motion, traffic = busy
+    assert "guidance" not in path.read_text()
+    plan = warehouse()
+    free = plan.layout != TILES.index("@")
+    guided = make_replay(plan._replace(costs=crisscross(free)), motion, traffic, ["thirty robots"])
+    with opened(guided.save(tmp_path / "guided.html")) as shown:
+        shown.wait_for_function(f"{SHOWN} && arrowBytes")
+        expected = pack_arrows(preferences(crisscross(free), free))
+        assert shown.evaluate("[...arrowBytes]") == expected.reshape(-1).tolist()
+        for level, axis, tip in (
+            (7, 0, (45, 0)), (-7, 0, (-45, 0)), (7, 1, (0, 45)), (-7, 1, (0, -45))
+        ):  # fmt: skip
+            assert shown.evaluate(TIP, [level, axis]) == pytest.approx(tip)
+        with_arrows = pixels(shown, "ground")
+        shown.locator("#guidance").click()
+        without = pixels(shown, "ground")
+        shown.locator("#guidance").click()
+        assert pixels(shown, "ground") == with_arrows != without
+        shown.keyboard.press("+")
+        near = pixels(shown, "ground")
+        shown.keyboard.press("0")
+        assert pixels(shown, "ground") == with_arrows != near
+    with opened(path) as shown:
+        shown.wait_for_function(SHOWN)
+        assert pixels(shown, "ground") == without
 
 
 def test_congested_time_is_marked_and_a_run_that_it_ends_says_so(tmp_path):

@@ -14,12 +14,14 @@ from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.layouts import write_layout
+from qdenv.simulate.mapf.guidance import crisscross
+from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.elites import human_layout
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
 from qdenv.view.page import listed
-from qdenv.view.report_fleet import make_request
+from qdenv.view.report_fleet import make_request, report_fleet
 from qdenv.view.report_subjects import Subject, find_rival
 from qdenv.view.style import to_svg
 
@@ -27,6 +29,7 @@ pytestmark = pytest.mark.slow
 
 QUICK = ["--planner", "pibt", "--timesteps", "120", "--seeds", "4"]
 WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
+PIBT = PibtConfig()
 HEADINGS = [
     "What was asked",
     "The floor plan",
@@ -140,6 +143,21 @@ def test_on_paper_no_figure_is_higher_than_a_page_and_headings_stay_with_theirs(
     assert set(kept) == {"avoid"}
     assert 4 <= printed.count(b"/Type /Page\n") <= 8
     assert (folder / "r.html").stat().st_size < 1e6
+
+
+def test_a_floor_with_guidance_shows_it_and_who_obeys(folder, tmp_path):
+    assert "guidance" not in (folder / "r.html").read_text()
+    plan = read_plan(folder / "plan.json")
+    guided = plan._replace(costs=crisscross(plan.layout != TILES.index("@")))
+    subject = Subject("guided", "guided.json", guided)
+    request = make_request([subject], (6,), 40, lambda *one: FleetConfig(*one, planner=PIBT), (0,))
+    page = report_fleet(request)
+    with opened(page.save(tmp_path / "guided.html")) as shown:
+        arrows = shown.locator("#plan-0-guidance")
+        assert arrows.is_visible() and shown.locator("#flow-0-axes_1").count() == 1
+        shown.locator("#guidance").click()
+        assert not arrows.is_visible()
+        assert "of their moves take the way that guidance makes cheaper" in shown.inner_text("main")
 
 
 def test_several_layouts_and_numbers_look_closely_at_the_peak_of_the_first(folder, capsys):

@@ -16,6 +16,7 @@ from qdenv.study.recordings import Maps
 from qdenv.study.table import Peak, Row
 from qdenv.types import InputError, Measure
 from qdenv.view import COLUMN, PAGE, parse_width
+from qdenv.view.guidance import draw_guidance
 from qdenv.view.runs import draw_archives, draw_progress
 from qdenv.view.studies import draw_comparison, draw_over_agents, draw_peaks
 from qdenv.view.style import PALETTE, WARNING, format_name, new_figure, save_figure, styled
@@ -48,7 +49,7 @@ def groups():
 
 def scene():
     free = np.ones((12, 16), bool)
-    maps = Maps(*(RNG.random((12, 16)) for _ in range(4)), 10.0)
+    maps = Maps(*(RNG.random((12, 16)) for _ in range(4)), 10.0, RNG.random((5, 12, 16)))
     over_time = np.array([np.arange(1, 41) * 25.0, RNG.random(40) + 5, np.full(40, 0.3)])
     worst = [{"row": 2, "column": place} for place in range(3)]
     return Scene(free, maps, worst, over_time, [300], 5)
@@ -72,12 +73,15 @@ def every(monkeypatch):
             scene(), "plan, 10 agents: flows, more would fit", width
         ),
         "time": lambda width: draw_panel(scene(), "time", width),
+        "guidance": lambda width: draw_guidance(
+            scene().free, 1 + RNG.random((5, 12, 16)), RNG.random((5, 12, 16)), "plan", width
+        ),
     }
 
 
 KINDS = (
     "comparison", "bars", "peaks", "throughput", "success", "progress", "archives", "traffic",
-    "time",
+    "time", "guidance",
 )  # fmt: skip
 
 

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from qdenv.grid import LEFT, RIGHT
+from qdenv.simulate.mapf.guidance import crisscross
 from qdenv.study.recordings import Maps
 from qdenv.view.style import save_figure
 from qdenv.view.traffic import Scene, draw_traffic
@@ -16,7 +18,7 @@ def scene() -> Scene:
     usage = np.where(free, 0.2, 0.0)
     waiting, finished = np.zeros((6, 9)), np.zeros((6, 9))
     waiting[1, 4], waiting[3, 3], finished[0, 8] = 0.5, 0.25, 1.5
-    maps = Maps(usage, waiting, usage, finished, 10.0)
+    maps = Maps(usage, waiting, usage, finished, 10.0, np.zeros((5, 6, 9)))
     worst = [{"row": 1, "column": 4}, {"row": 3, "column": 3}]
     over_time = np.array([[50.0, 100.0], [1.0, 2.0], [0.1, 0.2]])
     return Scene(free, maps, worst, over_time, [80], 5)
@@ -71,11 +73,22 @@ def test_throughput_over_time_has_a_band_and_marks_jams(scene):
     assert words == ["mean of 5 runs", "+- standard error", "1 of 5 runs congested, and ended"]
 
 
+def test_guidance_is_drawn_beside_what_agents_drove(scene):
+    moves = np.zeros((5, 6, 9))
+    moves[RIGHT, 0, 0], moves[LEFT, 0, 1] = 0.3, 0.1
+    guided = scene._replace(costs=crisscross(scene.free), maps=scene.maps._replace(moves=moves))
+    drawn = panels(guided)
+    assert list(drawn)[4:] == ["guidance", "where agents drove"]
+    assert len(panels(scene)) == 4
+    title = drawn["where agents drove"].get_title()
+    assert title == "where agents drove: 75% the cheaper way"
+
+
 @pytest.mark.parametrize("shape", [(3, 200), (200, 3), (1, 1)])
 def test_any_shape_and_a_fleet_that_never_waits_can_be_drawn(shape, tmp_path):
     still = np.zeros(shape)
     over_time = np.array([[1.0], [0.0], [np.nan]])
-    maps = Maps(still, still, still, still, 1.0)
+    maps = Maps(still, still, still, still, 1.0, np.stack(5 * [still]))
     figure = draw_traffic(Scene(still == 0, maps, [], over_time, [], 1), "empty")
     save_figure(figure, tmp_path / "t.png")
     assert imread(tmp_path / "t.png").std() > 0

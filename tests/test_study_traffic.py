@@ -7,7 +7,7 @@ import pytest
 
 import qdenv
 from qdenv.domains.base import find_domain
-from qdenv.grid import parse
+from qdenv.grid import move_steps, parse
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.settings import FleetConfig, find_planner
 from qdenv.study import traffic
@@ -16,6 +16,7 @@ from qdenv.study.plans import Plan
 from qdenv.study.recordings import (
     Maps,
     cells_with_half,
+    count_moves,
     map_run,
     throughput_over_time,
     worst_cells,
@@ -48,11 +49,13 @@ def test_maps_agree_with_a_walk_through_the_recording(domain):
         maps = map_run(layout.shape, run, tape)
         cells = layout.size
         waiting, visits, finished, served = (np.zeros(cells) for _ in range(4))
+        moves = np.zeros((5, cells))
         for agent in range(25):
             visits[tape.positions[0, agent]] += 1
             for step in range(run.end_timestep):
                 before, after = tape.positions[step : step + 2, agent]
                 visits[after] += before != after
+                moves[list(move_steps(layout.shape[1])).index(after - before), before] += 1
                 finished[after] += tape.finished[step, agent]
                 if before == after:
                     at_work = after == tape.goals[step, agent]
@@ -63,11 +66,19 @@ def test_maps_agree_with_a_walk_through_the_recording(domain):
         np.testing.assert_allclose(maps.waiting.reshape(-1), waiting / end)
         np.testing.assert_allclose(maps.visits.reshape(-1), visits / end)
         np.testing.assert_allclose(maps.finished.reshape(-1), finished / 70)
+        np.testing.assert_allclose(maps.moves.reshape(5, -1), moves / end)
         np.testing.assert_allclose(maps.usage, 25 * run.usage, atol=1e-5)
         assert maps.finished.sum() == pytest.approx(float(run.throughput))
         standing = maps.waiting_share + served.sum() / end / 25
         assert standing == pytest.approx(float(run.waiting), abs=1e-5)
         assert waiting.sum() > 0 and (served.sum() > 0) == (domain is MAKING)
+
+
+def test_in_one_column_moves_are_down_and_up():
+    moves = count_moves(np.array([[0], [1], [2], [2], [1]]), (3, 1))
+    assert moves[:, :, 0].tolist() == [
+        [0, 0, 0.25], [0, 0, 0], [0, 0, 0], [0.25, 0.25, 0], [0, 0, 0.25]
+    ]  # fmt: skip
 
 
 def test_maps_of_a_congested_run_end_with_it():
@@ -84,7 +95,7 @@ def test_maps_of_a_congested_run_end_with_it():
 def test_the_worst_cells_come_first_with_their_share_and_wait_per_visit():
     waiting, visits = np.zeros((2, 3)), np.full((2, 3), 0.1)
     waiting[0, 2], waiting[1, 0], visits[1, 0] = 0.3, 0.6, 0.2
-    maps = Maps(np.zeros((2, 3)), waiting, visits, np.zeros((2, 3)), 3.0)
+    maps = Maps(np.zeros((2, 3)), waiting, visits, np.zeros((2, 3)), 3.0, np.zeros((5, 2, 3)))
     layout = np.array([[0, 0, 1], [2, 0, 0]], np.int8)
     first, second = worst_cells(layout, maps)
     assert tuple(first.values()) == (1, 0, 2, pytest.approx(2 / 3), 0.6, pytest.approx(3.0))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from qdenv.grid import NUM_MOVES, move_steps
 from qdenv.progress import Progress, silent
 from qdenv.ranges import Seed, check_range
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -40,6 +41,7 @@ class Maps(NamedTuple):
     # [H, W], tasks finished there per timestep of the whole T; throughput in all
     finished: np.ndarray
     agents: float  # how many take part
+    moves: np.ndarray  # [5, H, W], see `count_moves`
 
     @property
     def waiting_share(self) -> float:
@@ -69,7 +71,21 @@ def map_run(shape: tuple[int, int], run: Traffic, recording: Recording) -> Maps:
         # Per timestep of all of T, as throughput is: a run that congests finishes nothing more.
         finished=count(after[finished]) * end / len(np.asarray(run.finished)),
         agents=float(active.sum()),
+        moves=count_moves(positions, shape),
     )
+
+
+def count_moves(positions: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Count the moves away from each cell per timestep, and the waits there (float [5, H, W]).
+
+    In the order of costs of moves; `positions` (int [E + 1, A]) are cells of a layout of `shape`.
+    """
+    cells, step = shape[0] * shape[1], np.diff(positions, axis=0)
+    # Up and down come first: in a layout of one column they are the same steps as right and left.
+    kinds = range(NUM_MOVES)[::-1]
+    kind = np.select([step == one for one in move_steps(shape[1])[::-1]], kinds)
+    counts = np.bincount((kind * cells + positions[:-1]).reshape(-1), minlength=NUM_MOVES * cells)
+    return counts.reshape(NUM_MOVES, *shape) / max(len(step), 1)
 
 
 def worst_cells(layout: np.ndarray, maps: Maps, most: int = 10) -> list[dict[str, Any]]:

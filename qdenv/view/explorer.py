@@ -12,6 +12,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from qdenv.domains.base import Domain, make_domain
+from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.run.archive import SavedArchive
@@ -20,6 +21,7 @@ from qdenv.stats import Sample, margin, wilson_interval
 from qdenv.study.elites import Grower, make_grower, spread
 from qdenv.types import InputError
 from qdenv.view.archive import COLOURS as SCALE
+from qdenv.view.guidance import ARROWS, pack_arrows, preferences
 from qdenv.view.layouts import CHANGED, COLOURS, UNKNOWN
 from qdenv.view.page import Page, make_page, pack, require_package
 
@@ -34,7 +36,7 @@ _LABELS = {
 }
 # Shown in another way, or of no interest to those who look at layouts.
 _HIDDEN = {"index", "solution", "objective", "measures", "threshold", "status"}
-_HIDDEN |= {"repaired", "unrepaired", "congested", "success", "end_timestep"}
+_HIDDEN |= {"costs", "repaired", "unrepaired", "congested", "success", "end_timestep"}
 _ALIKE = 1e-4  # relative; columns that differ by less are shown once
 _LAYOUTS = 256  # elites in a chunk of layouts
 _GROWN = 16  # elites in a chunk of growth
@@ -69,11 +71,17 @@ def make_explorer(
     grown, chunks = _pack_growth(archive, *make_grower(config, domain), bits, growth, progress)
     progress("writing", -1, "")
     described, numbers = _pack_columns(archive, domain)
+    facts, scripts = _facts(run, archive, domain), [f"explorer_{name}" for name in _SCRIPTS.split()]
+    tasks = domain.simulator.tasks
+    if tasks is not None and "costs" in archive.columns:
+        facts["arrows"] = ARROWS
+        chunks |= _pack_guidance(archive, tasks.traversable)
+        scripts[-1:-1] = ["arrows", "explorer_arrows"]
     page = make_page(
         "explorer",
         f"{domain.name}: {len(archive):,} layout{'s' * (len(archive) != 1)}",
-        [f"explorer_{name}" for name in _SCRIPTS.split()],
-        _facts(run, archive, domain) | described | {"growth": grown, "bits": bits},
+        scripts,
+        facts | described | {"growth": grown, "bits": bits},
         {
             "plotly": get_plotlyjs().encode(),
             "cells": archive.columns["index"].astype("<i4"),
@@ -197,6 +205,15 @@ def _pack_layouts(archive: SavedArchive, bits: int) -> dict[str, str]:
         both = [pack_bits(one[part].astype(np.uint8), bits) for one in (repaired, change)]
         packed[f"layouts-{number}"] = pack(np.stack(both))
     return packed
+
+
+def _pack_guidance(archive: SavedArchive, traversable: str) -> dict[str, str]:
+    """Pack the arrows of all elites, a byte a cell, in the chunks of the layouts."""
+    free = of_tiles(archive.columns["repaired"], traversable, archive.schema.tiles)
+    each = zip(archive.columns["costs"], free, strict=True)
+    arrows = np.stack([pack_arrows(preferences(*one)) for one in each])
+    starts = enumerate(range(0, len(archive), _LAYOUTS))
+    return {f"arrows-{number}": pack(arrows[at : at + _LAYOUTS]) for number, at in starts}
 
 
 def _pack_growth(

@@ -31,7 +31,7 @@ def make_replay(
     Raises InputError if jinja2 is not installed, or a planner let a robot jump.
     """
     # Only here: matplotlib takes half a second to import.
-    from qdenv.view import film
+    from qdenv.view import film, guidance
     from qdenv.view.layouts import MARKS
 
     colours = film.floor_colours(plan.domain.tiles)
@@ -58,14 +58,21 @@ def make_replay(
         driven = traffic._replace(finished=traffic.finished[: motion.steps])
         ends, means, _ = throughput_over_time([driven])
         facts |= {"ends": ends.tolist(), "throughput": means.tolist()}
+    packed = {"tiles": plan.layout.astype(np.uint8), **encode(motion, cols)}
+    scripts = [f"replay_{name}" for name in _SCRIPTS.split()]
+    if plan.costs is not None:
+        passable = np.asarray(facts["free"])[plan.layout]
+        facts["arrows"] = guidance.ARROWS
+        packed["arrows"] = guidance.pack_arrows(guidance.preferences(plan.costs, passable))
+        scripts[-1:-1] = ["arrows", "replay_arrows"]
     used = [(kind, tile) for kind, tile in enumerate(plan.domain.tiles) if kind in plan.layout]
     names = plan.domain.names
     return make_page(
         "replay",
         f"Replay of {plan.name}",
-        [f"replay_{name}" for name in _SCRIPTS.split()],
+        scripts,
         facts,
-        {"tiles": plan.layout.astype(np.uint8), **encode(motion, cols)},
+        packed,
         name=plan.name,
         about=about,
         maze=motion.headings is not None,

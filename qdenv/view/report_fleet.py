@@ -15,6 +15,7 @@ from qdenv.study.recordings import FADING, cells_with_half, worst_cells
 from qdenv.study.table import Row, Trial, about, compare, find_capacity, find_peak
 from qdenv.study.traffic import Study, examine, facts_of
 from qdenv.types import Floor
+from qdenv.view.guidance import STRONGEST, draw_arrows, preferences, share_along
 from qdenv.view.layouts import draw_plan
 from qdenv.view.page import Page, listed
 from qdenv.view.report import WIDTH, make_report
@@ -171,6 +172,12 @@ def _draw(
     scene = make_scene(subject.plan, study, config.stop_when_congested)
     plan = draw_plan(layout, domain.tiles, domain.names)
     contents = describe_contents(layout, domain)
+    flow, along = "", 0.0
+    if scene.costs is not None:
+        preferred = preferences(scene.costs, scene.free)
+        draw_arrows(plan.axes[0], preferred / STRONGEST).set_gid("guidance")
+        along = share_along(preferred, maps.moves)
+        flow = to_svg(draw_panel(scene, "flow", _MAP), f"flow-{number}")
     content = {
         "title": f"{subject.name} ({contents})",
         "contents": contents,
@@ -180,6 +187,8 @@ def _draw(
         "usage": to_svg(draw_panel(scene, "usage", _MAP), f"usage-{number}"),
         "waiting": to_svg(draw_panel(scene, "waiting", _MAP), f"waiting-figure-{number}"),
         "time": to_svg(draw_panel(scene, "time", WIDTH), f"time-{number}"),
+        "flow": flow,
+        "along": along,
         "waiting_share": maps.waiting_share,
         "half": cells_with_half(maps),
         "spots": worst_cells(layout, maps),

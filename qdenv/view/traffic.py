@@ -16,6 +16,7 @@ from matplotlib.ticker import PercentFormatter
 from qdenv.grid import of_tiles
 from qdenv.study.recordings import Maps, throughput_over_time, worst_cells
 from qdenv.view import SCREEN
+from qdenv.view.guidance import draw_flow, draw_preferences
 from qdenv.view.style import ABREAST, PALETTE, WARNING, add_legend, new_figure, styled
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ class Scene(NamedTuple):
     jams: Sequence[int]  # timesteps at which runs congested
     runs: int  # number of runs
     stop: bool = True  # congestion ended those that congested
+    costs: np.ndarray | None = None  # float [5, H, W], guidance; None for none
 
 
 def make_scene(plan: Plan, study: Study, stop: bool = True) -> Scene:
@@ -54,32 +56,34 @@ def make_scene(plan: Plan, study: Study, stop: bool = True) -> Scene:
         jams=[int(run.congested_at) for run in runs if run.congested],
         runs=len(runs),
         stop=stop,
+        costs=plan.costs,
     )
 
 
 @styled
 def draw_traffic(scene: Scene, title: str, width: float = SCREEN) -> Figure:
-    """Draw the floor plan three times, and the throughput over time.
+    """Draw the floor plan three times, and the throughput over time; guidance, and who obeys it.
 
     Rows and columns are numbered as in the table of the worst cells, from 0 at the top left; on
     narrow paper one panel stands below the other.
     """
     across = 2 if width >= ABREAST else 1
     tall = _aspect(scene)
-    kinds = (*_COLOURS, "time")
+    guided = () if scene.costs is None else ("guidance", "flow")
+    kinds = (*_COLOURS, "time", *guided)
     down = len(kinds) // across
     figure = new_figure(width, down * ((width / across - _BESIDE) * tall + _TITLES) + 0.3)
     figure.suptitle("\n".join(wrap(title, int(13 * width))))  # 13 letters fit an inch
     panels = figure.subplots(down, across).ravel()
     for axes, kind in zip(panels, kinds, strict=True):
         _draw_panel(axes, scene, kind)
-    panels[-1].set_box_aspect(tall)
+    panels[len(_COLOURS)].set_box_aspect(tall)
     return figure
 
 
 @styled
 def draw_panel(scene: Scene, kind: str, width: float) -> Figure:
-    """Draw one of the four panels alone: "waiting", "usage", "finished" or "time"."""
+    """Draw one panel alone: "waiting", "usage", "finished" or "time"; "guidance" or "flow"."""
     high = 0.5 * width if kind == "time" else (width - _BESIDE) * _aspect(scene) + _TITLES
     figure = new_figure(width, high)
     axes = figure.subplots()
@@ -95,10 +99,14 @@ def _aspect(scene: Scene) -> float:
 
 
 def _draw_panel(axes: Axes, scene: Scene, kind: str) -> None:
-    """Draw one map, or throughput over time."""
+    """Draw one map, throughput over time, or arrows."""
     maps = scene.maps
     if kind == "time":
         _draw_time(axes, scene)
+    elif kind == "guidance" and scene.costs is not None:
+        draw_preferences(axes, scene.free, scene.costs)
+    elif kind == "flow" and scene.costs is not None:
+        draw_flow(axes, scene.free, scene.costs, maps.moves)
     elif kind == "usage":
         label = "share of time in which one is here"
         _draw_map(axes, scene.free, maps.usage, kind, label, "where agents are")
