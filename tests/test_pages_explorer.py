@@ -11,9 +11,9 @@ from browser import opened
 import qdenv
 from qdenv.cli.main import run as command
 from qdenv.domains.base import make_domain
+from qdenv.guidance import crisscross
 from qdenv.io.arrays import write_arrays
 from qdenv.run.directory import RunDirectory
-from qdenv.simulate.mapf.guidance import crisscross
 from qdenv.study.elites import grow_series, make_grower, spread
 from qdenv.study.plans import read_plan
 from qdenv.types import InputError

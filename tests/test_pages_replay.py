@@ -12,7 +12,7 @@ import qdenv
 from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
-from qdenv.simulate.mapf.guidance import crisscross
+from qdenv.guidance import crisscross
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.plans import Plan, read_plan
 from qdenv.study.recordings import record_fleet, trace_agent

@@ -13,8 +13,8 @@ import qdenv
 from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
+from qdenv.guidance import crisscross
 from qdenv.io.layouts import write_layout
-from qdenv.simulate.mapf.guidance import crisscross
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.elites import human_layout

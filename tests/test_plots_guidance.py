@@ -6,7 +6,7 @@ from matplotlib.image import imread
 from matplotlib.quiver import Quiver
 
 from qdenv.grid import DOWN, LEFT, MOVES, RIGHT, UP, WAIT
-from qdenv.simulate.mapf.guidance import crisscross, fixed_costs
+from qdenv.guidance import crisscross, fixed_costs
 from qdenv.view.guidance import (
     ARROWS,
     draw_guidance,

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.image import imread
 
 from qdenv.grid import LEFT, RIGHT
-from qdenv.simulate.mapf.guidance import crisscross
+from qdenv.guidance import crisscross
 from qdenv.study.recordings import Maps
 from qdenv.view.style import save_figure
 from qdenv.view.traffic import Scene, draw_traffic

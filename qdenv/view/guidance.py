@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 from qdenv.grid import DOWN, LEFT, MOVES, RIGHT, UP, WAIT, shift
-from qdenv.simulate.mapf.guidance import existing_moves
+from qdenv.guidance import existing_moves
 from qdenv.view import SCREEN
 from qdenv.view.style import ABREAST, PALETTE, new_grid, styled
 
