@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import tyro
@@ -98,6 +98,7 @@ class GuidedNcaConfig(NcaConfig):
 class CostsConfig(Ranged):
     """The numbers of the generator of a floor that stands: a solution is the costs themselves."""
 
+    draws: ClassVar[bool] = False  # tiles: nothing is repaired
     # rows of the floor: ``.`` where robots drive, ``#`` where they cannot
     floor: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
     base: Base = "crisscross"  # the costs from which the search begins
@@ -112,6 +113,7 @@ class UpdateConfig(Ranged):
     https://arxiv.org/abs/2402.01446). It serves floors of any size.
     """
 
+    draws: ClassVar[bool] = False
     rounds: PositiveInt = 5  # updates, each after a simulation
     kernel_sizes: tuple[int, ...] = (3, 1, 3)  # widths of the kernels of its convolutions, in cells
     hidden: PositiveInt = 16  # channels of its hidden layers

@@ -48,7 +48,9 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     """
     domain = make_domain(config.domain)
     generator = GENERATORS.make(config.generator, domain.canvas)
-    pool = None if domain.rules is None else RepairPool(domain.rules(), config.repair)
+    # A generator that draws no tiles leaves a floor that stands, whatever rules that obeys.
+    repairs = getattr(config.generator, "draws", True)
+    pool = RepairPool(domain.rules(), config.repair) if domain.rules and repairs else None
 
     def grow(parameters: jax.Array) -> jax.Array:
         return jnp.asarray(jax.vmap(domain.frame)(generator.grow(parameters, generator.steps)))

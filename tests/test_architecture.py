@@ -51,7 +51,7 @@ ALLOWED = {
     "study": BASE
     | STAGES
     | PLUGS
-    | {"agent", "domains", "pipeline", "settings", "surrogate", "run"},
+    | {"agent", "domains", "pipeline", "settings", "surrogate", "run", "search"},
     "view": BASE
     | STAGES
     | PLUGS
@@ -73,7 +73,8 @@ ALLOWED = {
     },
     "cli": BASE
     | PLUGS
-    | {"domains", "ops", "configurations", "run", "search", "simulate", "study", "shipped"},
+    | {"domains", "ops", "configurations", "run", "search", "simulate", "study", "shipped"}
+    | {"generate"},
     "__main__": {"cli", "interrupt"},
     "__init__": set(),  # names the public homes and imports each when it is asked for
 }

@@ -52,6 +52,7 @@ class Choices:
     effort: str | None = None  # of the negotiated planner
     planner: str | None = None  # name of a planner
     algorithm: str | None = None  # name of a search algorithm
+    generator: str | None = None  # name of a generator
     strategy: str | None = None  # of the search
 
 
@@ -174,7 +175,14 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
     """Make an option for each setting of the chosen preset, and for each choice by name."""
     # Only a search needs these: other refusals are faster without them.
     from qdenv.configurations import find_preset
-    from qdenv.run.config import choose_algorithm, choose_domain, choose_planner, planner_of
+    from qdenv.generate import GENERATORS
+    from qdenv.run.config import (
+        choose_algorithm,
+        choose_domain,
+        choose_generator,
+        choose_planner,
+        planner_of,
+    )
     from qdenv.search.registry import ALGORITHMS
     from qdenv.search.settings import check_strategy
 
@@ -184,6 +192,8 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
         config = choose_domain(config, chosen.domain)
     if chosen.algorithm is not None:
         config = choose_algorithm(config, chosen.algorithm)
+    if chosen.generator is not None:
+        config = choose_generator(config, chosen.generator)
     config = choose_planner(config, chosen.effort, chosen.planner)
     if (planner := planner_of(config)) is not None:
         _check_planner_options(rest, planner)
@@ -195,6 +205,11 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
         ("effort", Literal["low", "high"], effort),
         ("planner", _name(PLANNERS, planner), "with its defaults, which are listed below"),
         ("algorithm", _name(ALGORITHMS, config.algorithm), "with its defaults"),
+        (
+            "generator",
+            _name(GENERATORS, config.evaluation.generator),
+            "guided-nca draws costs, too",
+        ),
         # `Execution` has the number of workers, too.
         *(one for one in _settings(config) if one[0] != "evaluation__repair__workers"),
     ]

@@ -96,6 +96,9 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
         if name == "domain" and isinstance(value, str):
             config = choose_domain(config, value)
             continue
+        if name == "generator" and isinstance(value, str):
+            config = choose_generator(config, value)
+            continue
         if name in ("effort", "planner"):
             config = choose_planner(config, settings.get("effort"), settings.get("planner"))
             continue
@@ -170,6 +173,14 @@ def choose_planner(config: RunConfig, effort: str | None, planner: Any) -> RunCo
 def planner_of(config: RunConfig) -> Any:
     """Return the settings of the planner in a configuration; None if no fleet drives."""
     return getattr(config.evaluation.domain.fleet, "planner", None)
+
+
+def choose_generator(config: RunConfig, name: str) -> RunConfig:
+    """Put another generator into a configuration, with the settings that it shares with the old."""
+    old, kind = config.evaluation.generator, GENERATORS.entry(name).config
+    shared = {field.name for field in dataclasses.fields(kind)} & vars(old).keys()
+    generator = kind(**{name: getattr(old, name) for name in shared})
+    return replace(config, evaluation=replace(config.evaluation, generator=generator))
 
 
 def choose_algorithm(config: RunConfig, algorithm: Any) -> RunConfig:
@@ -261,7 +272,8 @@ def check(config: RunConfig) -> None:
             raise InputError(f"{number} {name}: give 0 or more")
     if min(domain.generated_shape) < 1:
         raise InputError(f"{rows} x {cols} leaves no room inside the frame: give a larger size")
-    rules = domain.rules() if domain.rules else None
+    draws = getattr(config.evaluation.generator, "draws", True)
+    rules = domain.rules() if domain.rules and draws else None
     if rules and (reason := impossible(rules)):
         raise InputError(f"no layout of {rows} x {cols} obeys the rules: {reason}")
     tasks, fleet = domain.simulator.tasks, settings.fleet

@@ -39,11 +39,13 @@ def train(
     path: str | Path,
     progress: bool = True,
     execution: Execution = Execution(),  # noqa: B008 (frozen)
+    minutes: float = math.inf,
 ) -> RunDirectory:
     """Search generators and leave everything in a new run directory.
 
-    Raises InputError if a setting is impossible, no layout could count, the folder holds a run
-    already or is read-only.
+    The search pauses after the iteration in which `minutes` have passed; `resume` goes on. Raises
+    InputError if a setting is impossible, no layout could count, the folder holds a run already or
+    is read-only.
     """
     check(config)
     start = find_start(config)
@@ -51,7 +53,7 @@ def train(
     run = RunDirectory(Path(path))
     with run.locked():
         run = RunDirectory.create(path, config, experiment.measures, start)
-        return _run(experiment, config, run, progress, execution)
+        return _run(experiment, config, run, progress, execution, minutes)
 
 
 def resume(
@@ -59,12 +61,13 @@ def resume(
     progress: bool = True,
     evaluations: int | None = None,
     execution: Execution = Execution(),  # noqa: B008 (frozen)
+    minutes: float = math.inf,
 ) -> RunDirectory:
     """Continue a run from its newest checkpoint, to the same archive bit for bit.
 
-    `evaluations` is a new total, to go on beyond the configured one. Raises InputError if there is
-    no run, it was written by a newer version or with other settings, more evaluations are done
-    already, or another process is at work on it.
+    `evaluations` is a new total, to go on beyond the configured one; it pauses after `minutes`.
+    Raises InputError if there is no run, it was written by a newer version or with other settings,
+    more evaluations are done already, or another process is at work on it.
     """
     run = RunDirectory.open(path)
     with run.locked():
@@ -74,7 +77,7 @@ def resume(
         # A domain may have other ranges today than when the run began.
         axes = config.archive or tuple(axis[1:4] for axis in run.measures)
         experiment = make_experiment(dataclasses.replace(config, archive=axes), run.read_start())
-        return _run(experiment, config, run, progress, execution)
+        return _run(experiment, config, run, progress, execution, minutes)
 
 
 def _run(
@@ -83,19 +86,19 @@ def _run(
     run: RunDirectory,
     progress: bool,
     execution: Execution,
+    minutes: float,
 ) -> RunDirectory:
     """Iterate until all evaluations are done, from the newest checkpoint."""
+    end = time.perf_counter() + 60 * minutes
     algorithm, pipeline = experiment.algorithm, experiment.pipeline
     batch, settings = algorithm.batch_size, experiment.settings(config)
     total = -(-config.evaluations // batch)
     advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
     bar = Bar("", total * batch, progress, unit="eval")
     announced = partial(_announced, bar)
-    pipeline = pipeline._replace(
-        grow=announced("generator and repair", pipeline.grow),
-        simulate=announced("simulator", pipeline.simulate),
-        score=announced("score", pipeline.score),
-    )
+    parts = {"grow": "generator and repair", "simulate": "simulator", "score": "score"}
+    named = {part: announced(name, getattr(pipeline, part)) for part, name in parts.items()}
+    pipeline = pipeline._replace(**named)
     ask, tell = announced("search", algorithm.ask), announced("search", algorithm.tell)
     algorithm = growing(algorithm._replace(ask=ask, tell=tell))
     with contextlib.ExitStack() as stack:
@@ -105,19 +108,18 @@ def _run(
         begun, search = publisher.load(initial)
         if config != run.config:
             if total < begun:
-                raise InputError(
-                    f"{begun * batch} evaluations are done already: give a larger number, or leave "
-                    "--evaluations out"
-                )
+                more = "give a larger number, or leave --evaluations out"
+                raise InputError(f"{begun * batch} evaluations are done already: {more}")
             run.write_config(config)
-        if begun >= total:
+        is_last = begun >= total
+        if is_last:
             publisher.publish(search)  # it may be older, where a run was killed at its very end
         bar.begin("", total * batch, begun * batch)
         stack.enter_context(bar)  # not before: a run that is refused shows its line alone
         evaluator, key = PipelinedEvaluator(pipeline, layouts), experiment.evaluation_key
         in_flight = AsyncEvaluation(algorithm, evaluator, key, total, begun, search)
         try:
-            while in_flight.done < total:
+            while not is_last:
                 start = time.perf_counter()
                 with bar.waiting_for("the search prepares the next population"):
                     in_flight.submit()
@@ -127,7 +129,8 @@ def _run(
                     done, search = in_flight.done, in_flight.search
                     bar.note(str(publisher.log(done, search, evaluation, start)))
                     save_first(partial(publisher.save, done, search))
-                    if done % config.checkpoint_every == 0 or done == total or publisher.has_time:
+                    is_last = done == total or time.perf_counter() >= end
+                    if done % config.checkpoint_every == 0 or is_last or publisher.has_time:
                         save_first(None)
                         publisher.save(done, search)
         except KeyboardInterrupt:  # in notebooks; programs end otherwise, see `interrupt`

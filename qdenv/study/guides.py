@@ -1,0 +1,119 @@
+"""Guidance for a floor that stands: the search of its costs, and what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from qdenv.domains.base import Domain, make_domain
+from qdenv.generate import GENERATORS, CostsConfig, UpdateConfig
+from qdenv.grid import of_tiles
+from qdenv.pipeline import draw_costs
+from qdenv.run.config import RunConfig
+from qdenv.run.directory import RunDirectory
+from qdenv.run.evaluate import Search
+from qdenv.run.experiment import make_experiment
+from qdenv.run.loop import Publisher
+from qdenv.search.base import growing
+from qdenv.search.settings import CmaEsConfig
+from qdenv.settings import EvaluationConfig
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.engine import run_seeds
+from qdenv.study.options import fleet_tasks
+from qdenv.study.plans import Plan
+from qdenv.types import Floor, InputError, look_up
+
+JUDGES = tuple(range(1_000_000, 1_000_010))  # seeds by which what was found is compared
+# Separable CMA-ES, as there are thousands of costs and each needs a step size of its own: see
+# `experiments.guidance`.
+_ALGORITHM = CmaEsConfig(batch=40, sigma0=0.3, strategy="sep")
+
+
+def guide_config(
+    plan: Plan, fleet: FleetConfig, method: str, evaluations: int, simulations: int, seed: int
+) -> RunConfig:
+    """Configure the search of costs for a plan: all its tiles must stay.
+
+    `method` is "costs", which searches the costs themselves, or "update", which searches the
+    weights of an update model. Raises InputError if no fleet can work there.
+    """
+    domain = plan.fitted()
+    tasks = fleet_tasks(plan.layout, domain.simulator.tasks, fleet.agents)
+    free = np.asarray(of_tiles(plan.layout, tasks.traversable, tasks.tiles))
+    rows = tuple("".join(".#"[not cell] for cell in row) for row in free)
+    generators: dict[str, Any] = {"costs": CostsConfig(rows), "update": UpdateConfig()}
+    drawing = tuple("".join(domain.tiles[tile] for tile in row) for row in plan.layout)
+    settings = replace(domain.config, fleet=fleet, keep=drawing)
+    generator = look_up(generators, method, "method")
+    # The measures of a floor that stands are numbers: one cell holds them all.
+    axes = [(0.0, float(domain.limit_of(axis) or axis.high), 1) for axis in domain.measures]
+    return RunConfig(
+        evaluation=EvaluationConfig(settings, generator, simulations, alpha=0.0),
+        algorithm=_ALGORITHM,
+        evaluations=evaluations,
+        archive=tuple(axes),
+        seed=seed,
+    )
+
+
+def draw_guidance(
+    generator: Any, domain: Domain, solution: np.ndarray, layout: np.ndarray, seed: int = 0
+) -> np.ndarray:
+    """Draw the costs of moves on a layout (int8 [H, W]) of a domain: int32 [5, H, W].
+
+    `generator` are the settings of the generator of the solution (float [P]); its simulations, if
+    it needs any, are of `seed`. Raises InputError if it draws no costs.
+    """
+    made = GENERATORS.make(generator, domain.canvas)
+    if made.guide is None:
+        raise InputError(f"the generator {GENERATORS.name_of(generator)} draws no costs of moves")
+    draw = jax.jit(
+        lambda solution, layout, key: draw_costs(
+            domain.simulator, made, solution, layout, key, made.steps
+        )
+    )
+    return np.asarray(draw(solution, layout, jax.random.key(seed)))
+
+
+def read_solutions(run: RunDirectory) -> dict[str, np.ndarray]:
+    """Read what a search of costs found: the best evaluation, and the mean of its distribution.
+
+    With runs of chance the best evaluation was lucky, too; the mean is the average of many.
+    """
+    config = run.config
+    experiment = make_experiment(config, run.read_start())
+    algorithm = growing(experiment.algorithm)
+    initial = Search.begin(algorithm, experiment.search_key)
+    publisher = Publisher(run, experiment, algorithm, experiment.settings(config))
+    _, search = publisher.load(initial)
+    mean = np.asarray(search.state.emitters.strategy.mean)[0]
+    return {"mean": mean, "best": run.best.solution}
+
+
+def judge(
+    floors: dict[str, Floor], domain: Domain, fleet: FleetConfig, seeds: Sequence[int] = JUDGES
+) -> dict[str, float]:
+    """Return the mean throughput of each floor over seeds that no search draws."""
+    tasks = domain.simulator.tasks
+    found = {}
+    for name, floor in floors.items():
+        runs = run_seeds(floor, tasks, fleet, seeds).runs
+        found[name] = float(np.mean([run.throughput for run in runs]))
+    return found
+
+
+def find_guidance(run: RunDirectory) -> tuple[np.ndarray, dict[str, float]]:
+    """Draw the best costs that a search found (int32 [5, H, W]), and how they were judged."""
+    config = run.config.evaluation
+    domain, layout = make_domain(config.domain), run.best.layout
+    costs = {
+        name: draw_guidance(config.generator, domain, solution, layout)
+        for name, solution in read_solutions(run).items()
+    }
+    floors = {name: Floor(layout, one) for name, one in costs.items()}
+    judged = judge(floors, domain, config.domain.fleet)
+    return costs[max(judged, key=lambda name: judged[name])], judged
