@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qdenv.grid import MOVES
+
 FAR = 32_000  # steps to where no way leads
 Path = tuple[int, ...]  # cells at timesteps 0, 1, ...; afterwards the agent is gone
 Blocked = list[dict[int, int]]  # per timestep, whoever is told of: cell -> cell one step later
@@ -31,6 +33,15 @@ class Instance(NamedTuple):
     agents: tuple[Agent, ...]  # everybody
     window: int  # timesteps planned ahead
     horizon: int  # timesteps driven; who is done stays until then
+    # int [5, H, W], the cost of each move at each cell, 0 where it is not allowed; None for steps
+    costs: np.ndarray | None = None
+
+    def price(self, cell: int, there: int) -> int:
+        """Look up what a move, or a wait, costs; 0 where it is not allowed."""
+        if self.costs is None:
+            return 1
+        (row, column), (r, c) = (divmod(place, self.free.shape[1]) for place in (cell, there))
+        return int(self.costs[((0, 0), *MOVES).index((r - row, c - column)), row, column])
 
 
 class State(NamedTuple):
@@ -54,14 +65,15 @@ def neighbours(free: np.ndarray, cell: int) -> list[int]:
     return [r * width + c for r, c in beside if 0 <= r < height and 0 <= c < width and free[r, c]]
 
 
-def distances(free: np.ndarray, goal: int) -> list[int]:
-    """Count the steps from every cell to a goal, breadth first."""
-    steps, queue = [FAR] * free.size, [goal]
+def distances(instance: Instance, goal: int) -> list[int]:
+    """Count the steps, or costs, from every cell to a goal, until no way gets any shorter."""
+    steps, queue = [FAR] * instance.free.size, [goal]
     steps[goal] = 0
     for cell in queue:
-        for other in neighbours(free, cell):
-            if steps[other] == FAR:
-                steps[other] = steps[cell] + 1
+        for other in neighbours(instance.free, cell):
+            price = instance.price(other, cell)
+            if price > 0 and steps[cell] + price < steps[other]:
+                steps[other] = steps[cell] + price
                 queue.append(other)
     return steps
 
@@ -73,9 +85,16 @@ class Maze:
         """Look them up."""
         self.instance = instance
         cells = np.flatnonzero(instance.free).tolist()
-        self.ways = {cell: [cell, *neighbours(instance.free, cell)] for cell in cells}
+        self.ways = {
+            cell: [
+                (there, price)
+                for there in (cell, *neighbours(instance.free, cell))
+                if (price := instance.price(cell, there)) > 0
+            ]
+            for cell in cells
+        }
         goals = {goal for agent in instance.agents for goal in agent.goals}
-        self.steps = {goal: distances(instance.free, goal) for goal in goals}
+        self.steps = {goal: distances(instance, goal) for goal in goals}
 
     def services_in_progress(self, but: int) -> list[Path]:
         """List where the others cannot be moved from, whatever their priority."""
@@ -106,18 +125,18 @@ class Maze:
         """List what an agent can do next, with its cost."""
         time, cell, reached, left = state
         now, then = blocked[time], blocked[time + 1]
-        ways = [cell] if left > 0 else self.ways[cell]
+        ways = [(cell, 0)] if left > 0 else self.ways[cell]
         found = []
-        for there in ways:
+        for there, price in ways:
             if there in then or (there != cell and now.get(there) == cell):
                 continue
             if left > 0:
                 found.append((0, State(time + 1, there, reached, left - 1)))
             elif reached < 2 and there == agent.goals[reached]:
                 stay = agent.services[reached]
-                found.append((1, State(time + 1, there, reached + 1, stay)))
+                found.append((price, State(time + 1, there, reached + 1, stay)))
             else:
-                found.append((int(reached < 2), State(time + 1, there, reached, 0)))
+                found.append((price * (reached < 2), State(time + 1, there, reached, 0)))
         return found
 
     def blocked_by(self, number: int, others: list[Path]) -> Blocked:
@@ -229,16 +248,28 @@ def orders(maze: Maze) -> list[tuple[int, ...]]:
     return list(itertools.permutations(range(len(maze.instance.agents))))
 
 
-def random_instance(rng: np.random.Generator, count: int) -> Instance:
+def random_costs(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """Draw costs from few values, for ties, or from many; one move in ten is not allowed."""
+    costs = rng.choice([rng.integers(1, 4, shape), rng.integers(1, 1000, shape)])
+    return costs * (rng.random(shape) < np.where(np.arange(5) > 0, 0.9, 1)[:, None, None])
+
+
+def random_instance(rng: np.random.Generator, count: int, has_costs: bool = False) -> Instance:
     """Draw a crowded instance; some agents serve at the start, and everybody reaches its goals."""
     while True:
         height, width = rng.integers(1, 6, 2)
         free = rng.random((height, width)) >= rng.choice([0.0, 0.2, 0.4])
         cells = np.flatnonzero(free)
         if cells.size:
-            near = distances(free, int(rng.choice(cells)))
+            costs = random_costs(rng, (5, height, width)) if has_costs else None
+            grid = Instance(free, (), 0, 0, costs)
+            near = distances(grid, int(rng.choice(cells)))
             room = np.array([cell for cell in cells if near[cell] < FAR])
-            if count <= room.size <= max(count, 12):
+            # With one-way lanes, all cells of the room must reach all others.
+            there = [distances(grid, goal) for goal in room]
+            both_ways = all(steps[cell] < FAR for steps in there for cell in room)
+            if count <= room.size <= max(count, 12) and both_ways:
+                free = np.isin(np.arange(free.size), room).reshape(free.shape)
                 break
     window = int(rng.integers(4, 7))
     agents = []
@@ -258,4 +289,4 @@ def random_instance(rng: np.random.Generator, count: int) -> Instance:
                 int(serving),
             )
         )
-    return Instance(free, tuple(agents), window, int(rng.integers(1, window + 1)))
+    return Instance(free, tuple(agents), window, int(rng.integers(1, window + 1)), costs)

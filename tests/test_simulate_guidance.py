@@ -1,6 +1,7 @@
 """Costs of moves: the same runs on host and XLA, distances by scipy, published throughputs."""
 
 import csv
+import itertools
 import json
 import math
 
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import STUDY_DATA
-from fleet_runs import AGENTS, PLAIN, SHAPE, random_layout
+from fleet_runs import AGENTS, PLAIN, SERVICES, SHAPE, random_layout
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -21,6 +22,7 @@ from qdenv.simulate.mapf.distances import goal_costs
 from qdenv.simulate.mapf.goals import tile_goal
 from qdenv.simulate.mapf.host.distances import distance, empty_fields
 from qdenv.simulate.mapf.host.state import grid_map
+from qdenv.simulate.mapf.pbs.settings import PbsConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.planner import UNREACHABLE_COST
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -65,13 +67,26 @@ def simulate(
     return list(runs), [recording.positions for recording in recordings]
 
 
-@pytest.mark.parametrize("backend", ["host", "xla"])
-def test_costs_of_one_change_nothing(backend):
-    config = FleetConfig(40, 60, planner=PibtConfig(backend), stop_when_congested=False)
+@pytest.mark.parametrize(
+    "planner", [PibtConfig("host"), PibtConfig("xla"), PbsConfig(), PbsConfig("plain", 1)]
+)
+@pytest.mark.parametrize("rule", [PLAIN, SERVICES])
+def test_costs_of_one_change_nothing(planner, rule):
+    config = FleetConfig(40, 60, planner=planner, stop_when_congested=False)
     for seed in range(3):
         layout = random_layout(np.random.default_rng(seed), 0.15)
-        with_ones = simulate(layout, np.ones((NUM_MOVES, *SHAPE)), config)
-        jax.tree.map(np.testing.assert_array_equal, with_ones, simulate(layout, None, config))
+        with_ones = simulate(layout, np.ones((NUM_MOVES, *SHAPE)), config, rule=rule)
+        without = simulate(layout, None, config, rule=rule)
+        jax.tree.map(np.testing.assert_array_equal, with_ones, without)
+
+
+def against_lanes(positions: np.ndarray, costs: np.ndarray) -> int:
+    """Count the moves of agents (cells [T + 1, A]) that are not allowed."""
+    begin, step = positions[:-1], np.diff(positions, axis=0)
+    return sum(
+        np.isinf(costs[move].reshape(-1)[begin[step == size]]).sum()
+        for move, size in enumerate(move_steps(costs.shape[2]))
+    )
 
 
 @pytest.mark.parametrize("one_way", [0.0, 0.3])
@@ -85,11 +100,43 @@ def test_the_host_drives_by_costs_as_xla_does(one_way):
             for backend in ("host", "xla")
         )
         jax.tree.map(np.testing.assert_array_equal, host, xla)
-        for positions in host[1]:  # nobody drives against a one-way lane
-            begin, step = positions[:-1], np.diff(positions, axis=0)
-            for move, size in enumerate(move_steps(SHAPE[1])):
-                here = begin[step == size]
-                assert np.isfinite(costs[move].reshape(-1)[here]).all()
+        assert [against_lanes(positions, costs) for positions in host[1]] == [0] * 3
+
+
+@pytest.mark.parametrize("rule", [PLAIN, SERVICES])
+@pytest.mark.parametrize("planner", [PbsConfig(), PbsConfig("plain", 1)])
+def test_crowds_keep_to_one_way_lanes(planner, rule):
+    """Under a planner by windows, also in those that stay unsolved."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        layout = random_layout(rng, 0.1)
+        costs = random_costs(rng, layout, 0.3)
+        config = FleetConfig(AGENTS, 60, planner=planner, stop_when_congested=False)
+        _, recorded = simulate(layout, costs, config, rule=rule)
+        assert [against_lanes(positions, costs) for positions in recorded] == [0] * 3
+
+
+@pytest.mark.parametrize("window", [1, 4, 10])
+def test_one_agent_takes_the_cheapest_way(window):
+    """From goal to goal, as scipy finds it, whatever the window."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        layout = random_layout(rng, 0.2)
+        costs = random_costs(rng, layout, 0.2)
+        config = FleetConfig(1, 200, window, min(window, 5), PbsConfig(), False)
+        (run,), (positions,) = simulate(layout, costs, config, 1)
+        price, sizes = fixed_costs(costs, layout != 1).reshape(NUM_MOVES, -1), move_steps(SHAPE[1])
+        move, begin = np.nonzero(price[1:])
+        edges = price[1 + move, begin], (begin, begin + sizes[1 + move])
+        far = dijkstra(coo_array(edges, (layout.size,) * 2).tocsr())
+        path, reached = positions[:, 0], [0, *(1 + np.flatnonzero(run.finished))]
+        for first, last in itertools.pairwise(reached):
+            way = path[first : last + 1]
+            way = way[np.argmax(way != way[0]) - 1 :]  # no goal is known after two in one window
+            moves = [sizes.tolist().index(step) for step in np.diff(way)]
+            assert WAIT not in moves
+            assert price[moves, way[:-1]].sum() == far[way[0], way[-1]]
+        assert len(reached) > 5
 
 
 def test_distances_are_the_cheapest_sums():
@@ -128,7 +175,7 @@ def test_impossible_costs_are_refused():
     ):
         with pytest.raises(InputError, match=message):
             fixed_costs(costs, free)
-    with pytest.raises(InputError, match="knows no costs of moves: choose pibt"):
+    with pytest.raises(InputError, match="knows no costs of moves: choose pibt or pbs"):
         layout = random_layout(np.random.default_rng(0), 0.1)
         simulate(layout, np.ones((NUM_MOVES, *SHAPE)), FleetConfig(4))
 
@@ -180,6 +227,20 @@ def test_published_graphs_move_what_was_published(name, agents, swap, published)
     moved = np.array([float(run.throughput) for run in runs])
     error = moved.std(ddof=1) / math.sqrt(len(moved))
     assert abs(moved.mean() - published) < 0.015 * published + 2 * error
+
+
+def test_published_graph_keeps_pbs_flowing():
+    """Setup 8 there: 6.58 with all runs free of jams, where without costs all jam."""
+    layout, costs = read_graph("kiva_33x36_human_cma-es_opt_220_agents")
+    rule = TaskRule(TILES, ".ew", (tile_goal("e", TILES), tile_goal("w", TILES)))
+    config = FleetConfig(220, 1000, planner=PbsConfig())
+    guided, _ = simulate(layout, costs, config, 10, rule)
+    moved = np.array([float(run.throughput) for run in guided])
+    error = moved.std(ddof=1) / math.sqrt(len(moved))
+    assert not any(run.congested for run in guided)
+    assert abs(moved.mean() - 6.58) < 0.015 * 6.58 + 2 * error
+    unguided, _ = simulate(layout, None, config, 3, rule)
+    assert all(run.congested for run in unguided)
 
 
 def test_crisscross_is_the_published_one():

@@ -93,7 +93,8 @@ def prepare(
         )
     if costs is not None and not planner.reads_costs:
         raise InputError(
-            f"the planner {PLANNERS.name_of(config.planner)!r} knows no costs of moves: choose pibt"
+            f"the planner {PLANNERS.name_of(config.planner)!r} knows no costs of moves: choose "
+            "pibt or pbs"
         )
     rows, cols = layout.shape
     capacity = config.goal_capacity or rows * cols

@@ -6,19 +6,26 @@ wait in buckets by delay, the steps a path is longer than the shortest way, and 
 latest comes first. Beyond the window distances are exact (Li et al. 2021, section 4.2,
 https://arxiv.org/abs/2005.07371).
 
+Where moves have costs, delays are sums of them, and states wait in a heap, in the same order: costs
+of one plan the same paths. A way to a state may then be cheaper than the one found first, which is
+opened once more.
+
 A path ends with the window, or where the last known goal is served: there the agent vanishes, as
 in the published planner, but never within the timesteps that are driven.
 """
 
 from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP
-from qdenv.native import formula, kernel
+from qdenv.native import formula, inlined, kernel
 from qdenv.simulate.mapf.host.distances import DistanceFields, distance
-from qdenv.simulate.mapf.host.state import GridMap
+from qdenv.simulate.mapf.host.state import GridMap, sift
 from qdenv.simulate.mapf.pbs.workspace import DONE, HOLDING, NO_STATE, Goals, JointPlan, PathSearch
 
 NO_PATH = -1
 _MOVE_BITS = 5  # an agent is here, and leaves right, left, down, up: one bit each
 HERE = 1
+# What waits in the heap is packed: delay (below 2^25: a way out and two distances), timestep (below
+# 2^5) and the number of the entry. The largest comes first.
+_DELAY_BIT, _ENTRY_BITS, _NO_DELAY = 38, 33, (1 << 25) - 1
 _LAST_TABLE = (1 << (31 - _MOVE_BITS)) - 1
 
 
@@ -77,6 +84,7 @@ def find_path(
     timestep at which the path ends, the window or sooner, or `NO_PATH`.
     """
     window, centre = search.reserved.shape[0] - 1, search.offset.size // 2
+    has_costs = grid.costs.size > 0
     start, begin = goals.start[agent], goals.begin[agent]
     search.numbers.search += 1
     search.numbers.delay = 0
@@ -84,20 +92,31 @@ def find_path(
         search.cells[:] = start
         return window
     search.bucket[:] = NO_STATE
+    search.numbers.entries, search.numbers.waiting = 0, 0
     # What the agent serves now is behind it when it sets out.
     layer = (1 if begin > 0 else 0) + HOLDING * may_hold
-    _open(search, _pack(search, layer, begin, centre), NO_STATE, 0, begin)
+    first = _pack(search, layer, begin, centre)
+    if has_costs:
+        _push(search, first, NO_STATE, 0, begin)
+    else:
+        _open(search, first, NO_STATE, 0, begin)
     delay, t = 0, begin
     while True:
-        while t >= 0 and search.bucket[delay, t] == NO_STATE:
+        while not has_costs and t >= 0 and search.bucket[delay, t] == NO_STATE:
             t -= 1
-        if t < 0:
+        if has_costs:
+            state = _pop(search)
+            if state == NO_STATE:
+                return NO_PATH
+            delay, t = search.least[state], _unpack(search, state)[1]
+        elif t < 0:
             delay, t = delay + 1, window
             if delay == search.bucket.shape[0]:
                 return NO_PATH
             continue
-        state = search.bucket[delay, t]
-        search.bucket[delay, t] = search.following[state]
+        else:
+            state = search.bucket[delay, t]
+            search.bucket[delay, t] = search.following[state]
         search.numbers.delay = delay
         layer = state >> search.layer_bit
         if t == window or (layer % HOLDING == DONE and t >= search.horizon):
@@ -136,18 +155,49 @@ def _open(search: PathSearch, state: int, parent: int, delay: int, t: int) -> No
     search.bucket[delay, t] = state
 
 
+@kernel
+def _push(search: PathSearch, state: int, parent: int, delay: int, t: int) -> None:
+    """Put a state into the heap, unless a way to it that is as cheap is known."""
+    known = search.seen[state] == search.numbers.search and search.least[state] <= delay
+    if known or not 0 <= delay < _NO_DELAY:
+        return
+    search.seen[state], search.parent[state] = search.numbers.search, parent
+    entry, hole, heap = search.numbers.entries, search.numbers.waiting, search.heap
+    search.least[state], search.entry[entry] = delay, state
+    search.numbers.entries, search.numbers.waiting = entry + 1, hole + 1
+    rank = ((_NO_DELAY - delay) << _DELAY_BIT) | (t << _ENTRY_BITS) | entry
+    while hole > 0 and heap[(hole - 1) // 2] < rank:
+        heap[hole], hole = heap[(hole - 1) // 2], (hole - 1) // 2
+    heap[hole] = rank
+
+
+@kernel
+def _pop(search: PathSearch) -> int:
+    """Take the state with the least delay off the heap; `NO_STATE` if none waits."""
+    heap = search.heap
+    while search.numbers.waiting > 0:
+        rank = heap[0]
+        search.numbers.waiting -= 1
+        heap[0] = heap[search.numbers.waiting]
+        sift(heap, 0, search.numbers.waiting)
+        state = search.entry[rank & ((1 << _ENTRY_BITS) - 1)]
+        if search.least[state] == _NO_DELAY - (rank >> _DELAY_BIT):  # else found cheaper since
+            return state
+    return NO_STATE
+
+
 @formula
 def _steps_left(
     fields: DistanceFields, grid: GridMap, goals: Goals, agent: int, leg: int, cell: int
 ) -> int:
-    """Count the steps from a cell to the last known goal, through those before it."""
+    """Count the steps, or costs, from a cell to the last known goal, through those before it."""
     if leg == DONE:
         return 0
     steps = distance(fields, grid, goals.goal[leg, agent], cell)
     return steps + goals.between[agent] if leg == 0 else steps
 
 
-@kernel
+@inlined
 def _expand(
     search: PathSearch,
     fields: DistanceFields,
@@ -161,7 +211,7 @@ def _expand(
     window, horizon, delay = search.reserved.shape[0] - 1, search.horizon, search.numbers.delay
     layer, t, place = _unpack(search, state)
     cell = goals.start[agent] + search.offset[place]
-    holds, leg = layer >= HOLDING, layer % HOLDING
+    holds, leg, has_costs = layer >= HOLDING, layer % HOLDING, grid.costs.size > 0
     steps, latest = _steps_left(fields, grid, goals, agent, leg, cell), t
     for turn in range(NUM_MOVES):
         # Of equals what is opened last is taken first: to wait, only once all goals are served.
@@ -170,7 +220,8 @@ def _expand(
         move = 0 if way == 0 else 1 + ((ties + ((ties >> 1) & 2 | 1) * way) & 3)
         to = cell + grid.steps[move]
         stays = holds and move == 0
-        if not grid.free[to]:
+        step = grid.costs[move, cell] if has_costs else 1
+        if step == 0 or not grid.free[to]:
             continue
         if not stays:
             if _bits_at(search, t + 1, to) & HERE:
@@ -178,7 +229,7 @@ def _expand(
             # Right and left, down and up are neighbouring numbers, from 1 on: the move against.
             if move > 0 and _bits_at(search, t, to) >> (1 + ((move - 1) ^ 1)) & 1:
                 continue
-        next_t, next_leg, step, goes_on = t + 1, leg, 1, leg
+        next_t, next_leg, goes_on = t + 1, leg, leg
         if leg == DONE:
             step = 0  # nothing is left to be late for
             if goals.holds[to]:
@@ -195,7 +246,9 @@ def _expand(
             next_t = min(until, window)
         late = delay + step + _steps_left(fields, grid, goals, agent, goes_on, to) - steps
         reached = _pack(search, next_leg + HOLDING * stays, next_t, place + search.steps[move])
-        if search.seen[reached] != search.numbers.search and 0 <= late < search.bucket.shape[0]:
+        if has_costs:
+            _push(search, reached, state, late, next_t)
+        elif search.seen[reached] != search.numbers.search and 0 <= late < search.bucket.shape[0]:
             _open(search, reached, state, late, next_t)
             if late == delay:
                 latest = max(latest, next_t)

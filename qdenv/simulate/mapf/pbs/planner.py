@@ -36,6 +36,7 @@ def pbs(settings: PbsConfig) -> Planner:
         max_window=MAX_WINDOW,
         run_windows=_run_windows,
         make_plan=lambda run, size: make_workspace(run, settings, FIRST_DEPTH * size),
+        reads_costs=True,
     )
 
 

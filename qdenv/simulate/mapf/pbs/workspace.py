@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.grid import move_steps
+from qdenv.grid import NUM_MOVES, move_steps
 from qdenv.native import Numbers, numbers
 from qdenv.simulate.mapf.host.state import HostRun
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
@@ -86,11 +86,16 @@ class PathSearch(NamedTuple):
     parent: np.ndarray  # int32 [S], the state before it
     following: np.ndarray  # int32 [S], the next state of the same bucket
     bucket: np.ndarray  # int32 [delays, w + 1], the first state of each bucket
+    # With costs in place of `following` and `bucket`, else empty; E entries.
+    least: np.ndarray  # int64 [S], the least delay at which a state was reached
+    entry: np.ndarray  # int32 [E], the state of each entry of the heap
+    heap: np.ndarray  # int64 [E], entries that wait, packed with what ranks them
     cells: np.ndarray  # int64 [w + 1], the path found
     offset: np.ndarray  # int64 [P], what leads from the start to the cell at a place
     steps: np.ndarray  # int64 [5], what each move adds to a place: wait, right, left, down, up
     # table and search, the numbers of this table of reservations and of this search; delay, of the
-    # states that are expanded, at last of the path found
+    # states that are expanded, at last of the path found; entries that the heap ever had, and those
+    # waiting in it
     numbers: Numbers
     time_bit: int  # the lowest bit of the timestep
     layer_bit: int  # the lowest bit of the layer
@@ -189,6 +194,7 @@ def _make_search(run: HostRun) -> PathSearch:
     time_bit = (side * side).bit_length()
     layer_bit = time_bit + (window + 1).bit_length()
     states = 2 * HOLDING << layer_bit
+    costly = states if grid.costs.size > 0 else 0
     return PathSearch(
         reserved=np.zeros((window + 1, grid.free.size), np.int32),
         seen=np.zeros(states, np.int64),
@@ -196,10 +202,13 @@ def _make_search(run: HostRun) -> PathSearch:
         following=np.empty(states, np.int32),
         # A step can lead away from the goal, which costs two.
         bucket=np.full((2 * window + 3, window + 1), NO_STATE, np.int32),
+        least=np.empty(costly, np.int64),
+        entry=np.empty(NUM_MOVES * costly, np.int32),  # each state is expanded once
+        heap=np.empty(NUM_MOVES * costly, np.int64),
         cells=np.zeros(window + 1, np.int64),
         offset=(row - window) * grid.width + column - window,
         steps=move_steps(side),
-        numbers=numbers("table", "search", "delay"),
+        numbers=numbers("table", "search", "delay", "entries", "waiting"),
         time_bit=time_bit,
         layer_bit=layer_bit,
         horizon=run.settings.horizon,
