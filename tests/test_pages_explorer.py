@@ -11,7 +11,7 @@ from browser import opened
 import qdenv
 from qdenv.cli.main import run as command
 from qdenv.domains.base import make_domain
-from qdenv.guidance import crisscross
+from qdenv.generate import GENERATORS, GuidedNcaConfig
 from qdenv.io.arrays import write_arrays
 from qdenv.run.directory import RunDirectory
 from qdenv.study.elites import grow_series, make_grower, spread
@@ -354,21 +354,33 @@ def test_a_generator_that_tells_only_how_it_ends_grows_frame_by_frame_too(small_
     assert (make_grower(config, domain)[1](solutions) == whole).all()
 
 
-def test_guidance_lies_on_layouts_of_elites_that_have_costs(small_run, page_file, tmp_path):
+def test_guidance_lies_on_layouts_of_elites_that_drew_costs(small_run, page_file, tmp_path):
     assert "guidance" not in page_file.read_text()
-    layouts = small_run.archive.columns["repaired"]
-    free = layouts != small_run.archive.schema.tiles.index("@")
-    costs = np.stack([crisscross(one) for one in free])
-    run = changed_run(small_run, tmp_path / "run", columns=lambda old: {**old, "costs": costs})
+    settings = small_run.config.evaluation.generator
+    guided = GuidedNcaConfig(settings.steps, settings.kernel_sizes, settings.hidden)
+    config, archive = small_run.config.evaluation, small_run.archive
+    domain = make_domain(config.domain)
+    generator = GENERATORS.make(guided, domain.canvas)
+    elites, layouts = len(archive), archive.columns["repaired"]
+    solutions = np.random.default_rng(0).normal(0, 0.5, (elites, generator.size)).astype("f4")
+
+    def change(content):
+        content["evaluation"]["generator"] |= {"name": "guided-nca", "base": "crisscross"}
+
+    run = changed_run(
+        small_run, tmp_path / "run", None, change, lambda old: {**old, "solution": solutions}
+    )
     with opened(explored(run, tmp_path, growth=0)) as page:
         page.wait_for_selector(READY)
-        for row, one in enumerate(free):
+        for row in range(elites):
+            costs = generator.guide(solutions[row], generator.steps, layouts[row], None)
+            free = layouts[row] != archive.schema.tiles.index("@")
+            expected = pack_arrows(preferences(np.asarray(costs), free))
             found = page.evaluate(f"layoutsOf({row}).then(({{arrows}}) => [...arrows])")
-            assert found == pack_arrows(preferences(costs[row], one)).reshape(-1).tolist()
+            assert found == expected.reshape(-1).tolist() and set(found) != {0x88}
         canvas = "document.querySelector('#card-0 canvas').toDataURL()"
         with_arrows = page.evaluate(canvas)
         page.locator("#guidance").click()
         page.wait_for_function(f"before => {canvas} !== before", arg=with_arrows)
         page.locator("#guidance").click()
         page.wait_for_function(f"before => {canvas} === before", arg=with_arrows)
-        assert "costs" not in page.inner_text("#table")

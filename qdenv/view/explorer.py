@@ -7,12 +7,15 @@ import itertools
 import shlex
 from typing import Any
 
+import jax
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from qdenv.domains.base import Domain, make_domain
+from qdenv.generate import GENERATORS, Generator
 from qdenv.grid import of_tiles
+from qdenv.pipeline import draw_costs
 from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.run.archive import SavedArchive
@@ -36,7 +39,7 @@ _LABELS = {
 }
 # Shown in another way, or of no interest to those who look at layouts.
 _HIDDEN = {"index", "solution", "objective", "measures", "threshold", "status"}
-_HIDDEN |= {"costs", "repaired", "unrepaired", "congested", "success", "end_timestep"}
+_HIDDEN |= {"repaired", "unrepaired", "congested", "success", "end_timestep"}
 _ALIKE = 1e-4  # relative; columns that differ by less are shown once
 _LAYOUTS = 256  # elites in a chunk of layouts
 _GROWN = 16  # elites in a chunk of growth
@@ -72,10 +75,10 @@ def make_explorer(
     progress("writing", -1, "")
     described, numbers = _pack_columns(archive, domain)
     facts, scripts = _facts(run, archive, domain), [f"explorer_{name}" for name in _SCRIPTS.split()]
-    tasks = domain.simulator.tasks
-    if tasks is not None and "costs" in archive.columns:
+    generator = GENERATORS.make(config.generator, domain.canvas)
+    if generator.guide is not None:
         facts["arrows"] = ARROWS
-        chunks |= _pack_guidance(archive, tasks.traversable)
+        chunks |= _pack_guidance(archive, domain, generator)
         scripts[-1:-1] = ["arrows", "explorer_arrows"]
     page = make_page(
         "explorer",
@@ -207,13 +210,28 @@ def _pack_layouts(archive: SavedArchive, bits: int) -> dict[str, str]:
     return packed
 
 
-def _pack_guidance(archive: SavedArchive, traversable: str) -> dict[str, str]:
-    """Pack the arrows of all elites, a byte a cell, in the chunks of the layouts."""
-    free = of_tiles(archive.columns["repaired"], traversable, archive.schema.tiles)
-    each = zip(archive.columns["costs"], free, strict=True)
-    arrows = np.stack([pack_arrows(preferences(*one)) for one in each])
-    starts = enumerate(range(0, len(archive), _LAYOUTS))
-    return {f"arrows-{number}": pack(arrows[at : at + _LAYOUTS]) for number, at in starts}
+def _pack_guidance(archive: SavedArchive, domain: Domain, generator: Generator) -> dict[str, str]:
+    """Draw the costs of all elites, and pack their arrows, a byte a cell, in chunks of layouts."""
+    tasks, key = domain.simulator.tasks, jax.random.key(0)
+    assert tasks is not None
+
+    @jax.jit
+    def draw(solutions: jax.Array, layouts: jax.Array) -> jax.Array:
+        def one(drawn: tuple[jax.Array, jax.Array]) -> Any:
+            return draw_costs(domain.simulator, generator, *drawn, key, generator.steps)
+
+        return jax.lax.map(one, (solutions, layouts))
+
+    packed = {}
+    for number, start in enumerate(range(0, len(archive), _LAYOUTS)):
+        solutions, layouts = (
+            archive.columns[name][start : start + _LAYOUTS] for name in ("solution", "repaired")
+        )
+        costs = np.asarray(draw(solutions, layouts))
+        free = of_tiles(layouts, tasks.traversable, archive.schema.tiles)
+        arrows = [pack_arrows(preferences(*one)) for one in zip(costs, free, strict=True)]
+        packed[f"arrows-{number}"] = pack(np.stack(arrows))
+    return packed
 
 
 def _pack_growth(
