@@ -95,10 +95,10 @@ def draw_guidance(
     """
     panels = 1 if moves is None else 2
     rows, cols = free.shape
-    width = width or float(np.clip(panels * _CELL * cols, SCREEN, 2 * SCREEN))
+    width = width or panels * float(np.clip(_CELL * cols, SCREEN / 2, SCREEN))
     across = panels if width >= ABREAST else 1
     side = width / across
-    size = side, side * float(np.clip(rows / cols, 0.4, 1.6)) + 0.8
+    size = side, side * float(np.clip(rows / cols, 0.4, 1.6)) + 0.6
     figure, (first, *others) = new_grid(panels, across, size, (0, 0.3))
     figure.suptitle(title)
     draw_preferences(first, free, costs)
