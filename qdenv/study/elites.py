@@ -229,6 +229,29 @@ def make_grower(config: EvaluationConfig, domain: Domain) -> tuple[int, Grower]:
     return steps, lambda solutions: np.asarray(grow(jnp.asarray(solutions)))
 
 
+CostsDrawer = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def make_costs_drawer(config: EvaluationConfig, domain: Domain) -> CostsDrawer | None:
+    """Make the function that draws the costs of moves of elites; None if they have none.
+
+    It maps solutions float32 [B, P] and their repaired layouts int8 [B, H, W] to costs
+    int32 [B, 5, H, W]. The simulations of an update model are of one seed, not those of the search.
+    Another B is compiled again.
+    """
+    generator = GENERATORS.make(config.generator, domain.canvas)
+    if generator.guide is None:
+        return None
+    from qdenv.pipeline import draw_costs  # imports the whole chain
+
+    def one(item: tuple[jax.Array, jax.Array]) -> jax.Array:
+        key = jax.random.key(0)
+        return draw_costs(domain.simulator, generator, *item, key, generator.steps)
+
+    draw = jax.jit(lambda *items: jax.lax.map(one, items))
+    return lambda solutions, layouts: np.asarray(draw(solutions, layouts))
+
+
 def spread(cells: np.ndarray, first: int) -> Iterator[int]:
     """Order elites so that the first few of them, however many, lie evenly over the archive.
 

@@ -7,21 +7,18 @@ import itertools
 import shlex
 from typing import Any
 
-import jax
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from qdenv.domains.base import Domain, make_domain
-from qdenv.generate import GENERATORS, Generator
 from qdenv.grid import of_tiles
-from qdenv.pipeline import draw_costs
 from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.run.archive import SavedArchive
 from qdenv.run.directory import RunDirectory
 from qdenv.stats import Sample, margin, wilson_interval
-from qdenv.study.elites import Grower, make_grower, spread
+from qdenv.study.elites import CostsDrawer, Grower, make_costs_drawer, make_grower, spread
 from qdenv.types import InputError
 from qdenv.view.archive import COLOURS as SCALE
 from qdenv.view.guidance import ARROWS, pack_arrows, preferences
@@ -75,10 +72,10 @@ def make_explorer(
     progress("writing", -1, "")
     described, numbers = _pack_columns(archive, domain)
     facts, scripts = _facts(run, archive, domain), [f"explorer_{name}" for name in _SCRIPTS.split()]
-    generator = GENERATORS.make(config.generator, domain.canvas)
-    if generator.guide is not None:
+    draw, tasks = make_costs_drawer(config, domain), domain.simulator.tasks
+    if draw is not None and tasks is not None:
         facts["arrows"] = ARROWS
-        chunks |= _pack_guidance(archive, domain, generator)
+        chunks |= _pack_guidance(archive, tasks.traversable, draw)
         scripts[-1:-1] = ["arrows", "explorer_arrows"]
     page = make_page(
         "explorer",
@@ -210,27 +207,18 @@ def _pack_layouts(archive: SavedArchive, bits: int) -> dict[str, str]:
     return packed
 
 
-def _pack_guidance(archive: SavedArchive, domain: Domain, generator: Generator) -> dict[str, str]:
+def _pack_guidance(archive: SavedArchive, traversable: str, draw: CostsDrawer) -> dict[str, str]:
     """Draw the costs of all elites, and pack their arrows, a byte a cell, in chunks of layouts."""
-    tasks, key = domain.simulator.tasks, jax.random.key(0)
-    assert tasks is not None
-
-    @jax.jit
-    def draw(solutions: jax.Array, layouts: jax.Array) -> jax.Array:
-        def one(drawn: tuple[jax.Array, jax.Array]) -> Any:
-            return draw_costs(domain.simulator, generator, *drawn, key, generator.steps)
-
-        return jax.lax.map(one, (solutions, layouts))
-
     packed = {}
     for number, start in enumerate(range(0, len(archive), _LAYOUTS)):
         solutions, layouts = (
             archive.columns[name][start : start + _LAYOUTS] for name in ("solution", "repaired")
         )
-        costs = np.asarray(draw(solutions, layouts))
-        free = of_tiles(layouts, tasks.traversable, archive.schema.tiles)
-        arrows = [pack_arrows(preferences(*one)) for one in zip(costs, free, strict=True)]
-        packed[f"arrows-{number}"] = pack(np.stack(arrows))
+        free = of_tiles(layouts, traversable, archive.schema.tiles)
+        each = zip(draw(solutions, layouts), free, strict=True)
+        packed[f"arrows-{number}"] = pack(
+            np.stack([pack_arrows(preferences(*one)) for one in each])
+        )
     return packed
 
 

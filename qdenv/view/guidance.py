@@ -98,7 +98,7 @@ def draw_guidance(
     width = width or panels * float(np.clip(_CELL * cols, SCREEN / 2, SCREEN))
     across = panels if width >= ABREAST else 1
     side = width / across
-    size = side, side * float(np.clip(rows / cols, 0.4, 1.6)) + 0.6
+    size = side, side * float(np.clip(rows / cols, 0.4, 1.6)) + 0.7
     figure, (first, *others) = new_grid(panels, across, size, (0, 0.3))
     figure.suptitle(title)
     draw_preferences(first, free, costs)
