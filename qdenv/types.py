@@ -15,7 +15,8 @@ A position is ``row * width + column`` (int32). Records describe one item; batch
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -55,6 +56,15 @@ class InputError(ValueError):
 
 class DamagedError(InputError):
     """A file is not what was once written, as after a crash of the machine: others may be."""
+
+
+@contextmanager
+def about(name: str) -> Iterator[None]:
+    """Prefix the message of an `InputError` with what it is about."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
 
 
 def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:

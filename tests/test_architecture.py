@@ -25,7 +25,7 @@ ALLOWED = {
     "grid": {"types", "lazy"},
     "guidance": {"types", "lazy", "grid"},
     "interrupt": set(),
-    "io": {"types", "interrupt", "registry", "grid"},
+    "io": {"types", "interrupt", "registry", "grid", "guidance"},
     "devices": {"types", "lazy"},
     "progress": set(),
     "registry": {"types"},

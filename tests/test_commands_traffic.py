@@ -33,7 +33,7 @@ def test_simulate_says_where_it_jams_and_whether_more_would_help(plans, capsys):
     assert run([*command, "--seconds-per-step", "0.5"]) == 0
     said, facts = capsys.readouterr().out, json.loads(Path("f.json").read_text())
     assert said.startswith(
-        "20 agents, 120 timesteps, 3 seeds, domain warehouse-even; planner: pibt\n"
+        "20 agents, 120 timesteps, 3 seeds, domain warehouse-even; planner: pibt, swap False\n"
     )
     assert facts["verdict"] == "congested"
     assert "verdict      congested: in 3 of 3 runs" in said

@@ -1,8 +1,6 @@
 """Costs of moves: the same runs on host and XLA, distances by scipy, published throughputs."""
 
-import csv
 import itertools
-import json
 import math
 
 import jax
@@ -14,7 +12,7 @@ from fleet_runs import AGENTS, PLAIN, SERVICES, SHAPE, random_layout
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP, WAIT, move_steps, of_tiles, parse
+from qdenv.grid import LEFT, NUM_MOVES, WAIT, move_steps, of_tiles, parse
 from qdenv.guidance import crisscross, existing_moves, fixed_costs
 from qdenv.simulate.mapf import fleet
 from qdenv.simulate.mapf.audit import audit
@@ -27,11 +25,11 @@ from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.planner import UNREACHABLE_COST
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.engine import _program
+from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError, TaskRule, Traffic
 
 pytestmark = pytest.mark.slow
 TILES = ".e@w"
-MOVES = {"RIGHT": RIGHT, "UP": UP, "LEFT": LEFT, "DOWN": DOWN, "WAIT": WAIT}
 
 
 def random_costs(rng: np.random.Generator, layout: np.ndarray, one_way: float) -> np.ndarray:
@@ -193,20 +191,12 @@ def test_agents_swap_in_a_dead_end():
     assert min(finished[0]) == 0
 
 
-def read_graph(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Read a published map and its guidance graph; skip where nobody has a copy."""
-    folder = STUDY_DATA / "guidance"
-    if not folder.exists():
+def published_plan(name: str) -> Plan:
+    """Read a published map with its guidance graph; skip where nobody has a copy."""
+    path = STUDY_DATA / "guidance" / f"{name}.json"
+    if not path.exists():
         pytest.skip("no published guidance graphs here (QDENV_STUDY_DATA names their folder)")
-    layout = parse(json.loads((folder / f"{name}.json").read_text())["layout"], TILES)
-    table = next(folder.glob(f"{name}*.csv"))
-    costs = np.full((NUM_MOVES, *layout.shape), np.inf)
-    for row in csv.DictReader(table.read_text().splitlines()):
-        place = divmod(int(row["id"]), layout.shape[1])
-        for name, move in MOVES.items():
-            key = "weight_for_WAIT" if name == "WAIT" else f"weight_to_{name}"
-            costs[(move, *place)] = float(row[key])
-    return layout, costs
+    return read_plan(path)
 
 
 @pytest.mark.parametrize(
@@ -219,11 +209,11 @@ def read_graph(name: str) -> tuple[np.ndarray, np.ndarray]:
 )
 def test_published_graphs_move_what_was_published(name, agents, swap, published):
     """Table 3 of Zhang et al. 2024, within 1.5 % and twice the error of ten seeds."""
-    layout, costs = read_graph(name)
-    kinds = "we" if "w" in name.split("_")[1] else "."
-    rule = TaskRule(TILES, ".ew", tuple(tile_goal(kind, TILES) for kind in kinds))
+    plan = published_plan(name)
+    kinds, tiles = "we" if "w" in name.split("_")[1] else ".", plan.domain.tiles
+    rule = TaskRule(tiles, ".ew", tuple(tile_goal(kind, tiles) for kind in kinds))
     config = FleetConfig(agents, 1000, 1, 1, PibtConfig(swap=swap), stop_when_congested=False)
-    runs, _ = simulate(layout, costs, config, 10, rule)
+    runs, _ = simulate(plan.layout, plan.costs, config, 10, rule)
     moved = np.array([float(run.throughput) for run in runs])
     error = moved.std(ddof=1) / math.sqrt(len(moved))
     assert abs(moved.mean() - published) < 0.015 * published + 2 * error
@@ -231,10 +221,10 @@ def test_published_graphs_move_what_was_published(name, agents, swap, published)
 
 def test_published_graph_keeps_pbs_flowing():
     """Setup 8 there: 6.58 with all runs free of jams, where without costs all jam."""
-    layout, costs = read_graph("kiva_33x36_human_cma-es_opt_220_agents")
-    rule = TaskRule(TILES, ".ew", (tile_goal("e", TILES), tile_goal("w", TILES)))
+    plan = published_plan("kiva_33x36_human_cma-es_opt_220_agents")
+    layout, rule = plan.layout, plan.domain.simulator.tasks
     config = FleetConfig(220, 1000, planner=PbsConfig())
-    guided, _ = simulate(layout, costs, config, 10, rule)
+    guided, _ = simulate(layout, plan.costs, config, 10, rule)
     moved = np.array([float(run.throughput) for run in guided])
     error = moved.std(ddof=1) / math.sqrt(len(moved))
     assert not any(run.congested for run in guided)
@@ -244,13 +234,6 @@ def test_published_graph_keeps_pbs_flowing():
 
 
 def test_crisscross_is_the_published_one():
-    folder = STUDY_DATA / "guidance"
-    if not folder.exists():
-        pytest.skip("no published guidance graphs here (QDENV_STUDY_DATA names their folder)")
-    file = folder / "pibt_warehouse_33x36_w_mode_alternate_baseline_bi-directed.json"
-    graph = json.loads(file.read_text())
-    free = parse(graph["layout"], TILES) != 2
-    costs, moves = crisscross(free), existing_moves(free)
-    order = [RIGHT, UP, LEFT, DOWN]
-    ours = np.moveaxis(costs[order], 0, -1)[np.moveaxis(moves[order], 0, -1)]
-    assert graph["weights"] == [1.0] * int(free.sum()) + ours.tolist()
+    plan = published_plan("pibt_warehouse_33x36_w_mode_alternate_baseline_bi-directed")
+    moves = existing_moves(plan.layout != 1)
+    np.testing.assert_array_equal(plan.costs[moves], crisscross(plan.layout)[moves])

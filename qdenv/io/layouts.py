@@ -2,22 +2,23 @@
 
 JSON has the shape of the layouts published with the paper, an object with a list of equally long
 rows under "layout"; other keys are ignored. Headers that contradict the rows are ignored, too: the
-rows are what is simulated.
+rows are what is simulated. JSON and a CSV of another form hold costs of moves as well, see
+`io.guidance`.
 """
 
 import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from qdenv.grid import draw, parse
 from qdenv.io.files import damaged, read_text, write_atomically
-from qdenv.io.records import parse_json
+from qdenv.io.guidance import TABLE_HEAD, read_table, weights_of, write_table
+from qdenv.io.records import parse_json, structured
 from qdenv.types import Array, DamagedError, InputError, Tile
 
 ENDINGS = (".json", ".txt", ".csv", ".map")  # of layout files; any other ending is JSON's
@@ -28,9 +29,16 @@ _DELIMITERS = ";,\t"
 # Swamp is open ground; water is none, as it cannot be entered from the ground.
 OPEN, BLOCKED = ".GS", "@OTW"
 _MOVING_AI = str.maketrans({**dict.fromkeys(OPEN, "."), **dict.fromkeys(BLOCKED, "#")})
-# Rows of a drawing whose symbols are not checked yet; the domain that the file names; which cells
-# must stay. None and () where the file does not state them.
-Drawing = tuple[list[str], str | None, tuple[str, ...]]
+
+
+class Drawing(NamedTuple):
+    """What a layout file holds."""
+
+    rows: list[str]  # whose symbols are not checked yet; empty where a file holds weights alone
+    domain: str | None = None  # whose layout it is; None where the file does not say so
+    keep: tuple[str, ...] = ()  # rows of what must stay; empty where nothing must
+    # costs of moves (`io.guidance`); None where the file states none
+    weights: Sequence[float] | None = None
 
 
 def read_drawing(path: str | Path) -> Drawing:
@@ -40,16 +48,16 @@ def read_drawing(path: str | Path) -> Drawing:
     InputError if the file is missing, too big, or not what its ending says.
     """
     ending, path = Path(path).suffix.lower(), Path(path)
-    readers: dict[str, Callable[[Path], list[str]]] = {".csv": _csv, ".map": _moving_ai}
-    readers[".txt"] = partial(_lines, what="text")
+    readers: dict[str, Callable[[Path], Drawing]] = {".csv": _csv, ".map": _moving_ai}
+    readers[".txt"] = lambda path: Drawing(_lines(path, "text"))
     try:
-        drawing = (readers[ending](path), None, ()) if ending in readers else _json(path)
+        drawing = readers.get(ending, _json)(path)
     except DamagedError as error:
         if ending in ENDINGS:
             raise
         raise InputError(f"{error}: layouts end in {', '.join(ENDINGS)}") from error
-    if any(drawing[0]):
-        check_size(len(drawing[0]), max(map(len, drawing[0])), f"{path}: ")
+    if any(drawing.rows):
+        check_size(len(drawing.rows), max(map(len, drawing.rows)), f"{path}: ")
     return drawing
 
 
@@ -65,7 +73,7 @@ def check_size(rows: int, cols: int, place: str = "") -> None:
 def _lines(path: Path, what: str) -> list[str]:
     """Read the lines of a text file, without the blank ones around them."""
     text = read_text(path, _MAX_BYTES, what)
-    if text.count("\n") + text.count("\r") > _MAX_LINES:
+    if text.count("\n") + text.count("\r") > _MAX_LINES and not text.startswith(TABLE_HEAD):
         raise damaged(path, f"more than {_MAX_LINES:,} lines, this is no layout file")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     width = max(map(len, lines))
@@ -75,7 +83,7 @@ def _lines(path: Path, what: str) -> list[str]:
 
 
 def _json(path: Path) -> Drawing:
-    """Find the rows in an object with "layout", or in a plain list."""
+    """Find the rows in an object with "layout" or "weights", or in a plain list."""
     content = parse_json(read_text(path, _MAX_BYTES, "JSON"), path)
     content = content if isinstance(content, dict) else {"layout": content}
     drawings = {
@@ -83,16 +91,26 @@ def _json(path: Path) -> Drawing:
         for name, value in content.items()
         if isinstance(value, list) and all(isinstance(row, str) for row in value)
     }
-    if "layout" not in drawings:
+    weights = content.get("weights")
+    if "layout" not in drawings and (weights is None or "layout" in content):
         raise damaged(path, 'expected an object with a list of strings under "layout", or the list')
+    if weights is not None:
+        weights = structured(weights, list[float], f"{path}, weights", infinite=True)
     domain = content.get("domain")
     keep = tuple(drawings.get("keep", ()))
-    return drawings["layout"], domain if isinstance(domain, str) else None, keep
+    rows = drawings.get("layout", [])
+    return Drawing(rows, domain if isinstance(domain, str) else None, keep, weights)
 
 
-def _csv(path: Path) -> list[str]:
+def _csv(path: Path) -> Drawing:
     """Join a table's cells, one tile each; lines of one cell are rows as they are."""
     lines = _lines(path, "CSV")
+    if lines and lines[0] == TABLE_HEAD:
+        try:
+            rows, weights = read_table(lines)
+        except InputError as error:
+            raise damaged(path, error) from error
+        return Drawing(rows, weights=weights)
     counts = {one: sum(line.count(one) for line in lines) for one in _DELIMITERS}
     delimiter = max(_DELIMITERS, key=counts.__getitem__)
     if lines and lines[0].lower().startswith("sep="):  # Excel's own hint
@@ -105,7 +123,7 @@ def _csv(path: Path) -> list[str]:
     except csv.Error as error:
         raise damaged(path, f"not a CSV file: {error}") from error
     if all(len(line) == 1 for line in table):
-        return [line[0] for line in table]
+        return Drawing([line[0] for line in table])
     rows = []
     for row, line in enumerate(table):
         tiles = [cell.strip() or " " for cell in line]  # an empty cell is a blank
@@ -114,10 +132,10 @@ def _csv(path: Path) -> list[str]:
                 shown = cell if len(cell) < MAX_SIDE else f"{cell[:MAX_SIDE]}..."
                 raise damaged(path, f"{shown!r} at row {row}, column {col}: a cell holds one tile")
         rows.append("".join(tiles))
-    return rows
+    return Drawing(rows)
 
 
-def _moving_ai(path: Path) -> list[str]:
+def _moving_ai(path: Path) -> Drawing:
     """Read a map of the MovingAI benchmarks; open ground becomes ``.``, all that blocks ``#``."""
     lines = _lines(path, "map")
     names = [line.strip() for line in lines]
@@ -131,7 +149,7 @@ def _moving_ai(path: Path) -> list[str]:
     for name, number in sizes.items():
         if head.get(name, str(number)) != str(number):
             raise damaged(path, f"the head says {name} {head[name]}, the map has {number}")
-    return rows
+    return Drawing(rows)
 
 
 _NO_MEANINGS: Mapping[str, Tile] = MappingProxyType({})
@@ -146,7 +164,7 @@ def read_layout(
     `tiles` is the domain's alphabet, `meanings` what its symbols mean, and what else draws them.
     Raises InputError if the file is missing, too big, or holds no proper layout.
     """
-    return to_layout(read_drawing(path)[0], path, tiles, meanings)
+    return to_layout(read_drawing(path).rows, path, tiles, meanings)
 
 
 def to_layout(
@@ -193,18 +211,24 @@ def write_layout(
     layout: Array,
     tiles: str,
     meanings: Mapping[str, Tile] = _NO_MEANINGS,
+    costs: np.ndarray | None = None,
     /,
     **details: Any,
 ) -> None:
     """Write a layout (int8 [H, W]) atomically as .txt, .csv, .map or else JSON, by its ending.
 
-    A map needs the `meanings` of the symbols: what is an obstacle. `details` are JSON-ready facts
-    beside the rows, which JSON alone holds. Raises InputError if no layout may be so large, a map
-    would lose tiles, or the place cannot be written to.
+    A map needs the `meanings` of the symbols: what is an obstacle. `costs` are those of moves,
+    float [5, H, W], where waiting on an obstacle costs infinity; JSON and CSV hold them. `details`
+    are JSON-ready facts beside the rows, which JSON alone holds. Raises InputError if no layout may
+    be so large, the file would lose tiles or costs, or the place cannot be written to.
     """
     rows, ending = draw(layout, tiles), Path(path).suffix.lower()
     check_size(len(rows), len(rows[0]))
-    if ending == ".txt":
+    if costs is not None and ending in (".txt", ".map"):
+        raise InputError(f"{path}: a {ending} holds no costs of moves: write a .json or .csv")
+    if ending == ".csv" and costs is not None:
+        text = write_table(rows, costs).rstrip("\n")
+    elif ending == ".txt":
         text = "\n".join(rows)
     elif ending == ".csv":
         text = "\n".join(",".join(row) for row in rows)
@@ -221,7 +245,8 @@ def write_layout(
         text = head + "\n".join(rows).translate(str.maketrans(table))
     else:
         size = {"n_row": len(rows), "n_col": len(rows[0])}
-        text = json.dumps({**size, **details, "layout": rows}, indent=1)
+        weights = {} if costs is None else {"weights": weights_of(costs)}
+        text = json.dumps({**size, **details, "layout": rows, **weights}, indent=1)
     write_atomically(Path(path), f"{text}\n".encode())
 
 

@@ -27,7 +27,13 @@ from qdenv.repair.audit import audit, check_allowed
 from qdenv.repair.rules import impossible
 from qdenv.repair.settings import RepairConfig
 from qdenv.study.options import describe_growth
-from qdenv.study.plans import USUAL, describe_changes, list_changes, warn_of_changes
+from qdenv.study.plans import (
+    USUAL,
+    describe_changes,
+    keep_costs,
+    list_changes,
+    warn_of_changes,
+)
 from qdenv.types import InputError, RepairStatus, Rules
 
 if TYPE_CHECKING:
@@ -51,7 +57,7 @@ def render(layout: args.Source, out: args.Out = None, domain: args.DomainName = 
         InputError: it is no layout, or the place cannot be written to.
     """
     plan = args.read_plan(layout, domain)
-    drawn = Layout(plan.layout, plan.domain)
+    drawn = Layout(plan.layout, plan.domain, costs=plan.costs)
     if target := place(out, f"{plan.name}.png", PICTURES, [layout]):
         drawn.draw(target.path)
         rows, cols = plan.layout.shape
@@ -149,7 +155,10 @@ def repair_layout(
         raise InputError(f"{name}: no repair exists: {reason}")
     # Everything is refused before the compiler and the solver are imported, which takes seconds.
     inputs, default = [layout, keep], f"{plan.name}_repaired.json"
-    target = place(out, default, endings_for(fitted.tiles, fitted.meanings), inputs)
+    # Text and maps hold no costs of moves.
+    guided = (".json", ".csv") if plan.costs is not None else None
+    endings = guided or endings_for(fitted.tiles, fitted.meanings)
+    target = place(out, default, endings, inputs)
     beside = target.path if target else Path(default)
     picture = place(plot, str(beside.with_suffix(PICTURES[0])), PICTURES, inputs)
     rows, cols = plan.layout.shape
@@ -182,7 +191,8 @@ def repair_layout(
         less = ", or keep fewer cells" if fitted.config.keep else ""
         raise UnsolvedError(f"{name}: no feasible layout was found: try another seed{less}", facts)
     say(*describe_changes(changes), *warn_of_changes(changes))
-    made = Layout(repaired, fitted, {"repaired_from": Path(name).name}, facts)
+    costs = keep_costs(plan, repaired)
+    made = Layout(repaired, fitted, {"repaired_from": Path(name).name}, facts, costs)
     if target:
         made.save(target.path)
         say(target)

@@ -21,9 +21,15 @@ from tyro.constructors import PrimitiveConstructorSpec
 from qdenv.domains.base import DOMAINS, find_domain
 from qdenv.ops.output import Layout
 from qdenv.ranges import PositiveFloat, PositiveInt
-from qdenv.simulate.mapf.settings import FleetConfig, describe_planner, find_planner, record_planner
+from qdenv.simulate.mapf.settings import (
+    FleetConfig,
+    check_costs,
+    describe_planner,
+    find_planner,
+    record_planner,
+)
 from qdenv.study.options import TIMESTEPS, parse_counts, parse_seeds
-from qdenv.study.plans import Plan
+from qdenv.study.plans import Plan, guide, name_guidance
 from qdenv.study.plans import read_plan as read_file
 from qdenv.types import InputError
 from qdenv.view import parse_width
@@ -91,6 +97,8 @@ Number: TypeAlias = Annotated[int, Mark.TILES]
 Numbers: TypeAlias = Annotated[Sequence[int], Mark.TILES]
 RepairSeed: TypeAlias = Annotated[int, arg(aliases=("--repair-seed",))]
 OnCommandLine: TypeAlias = Annotated[bool, Mark.TRUE]
+# Costs of moves by name or file, in Python also float [5, H, W], see `guidance`
+Guidance: TypeAlias = Annotated[Any, option("FILE|NAME", str)]
 
 
 class RunOptions(TypedDict, total=False):
@@ -105,6 +113,8 @@ class RunOptions(TypedDict, total=False):
     planner: Annotated[Any, arg(name="", constructor=PlannerOptions)]
     # end a run at its first congested window, as published; --no-stop goes on (Figure 17)
     stop: Annotated[bool, arg(help_behavior_hint="(default: True)")]
+    # costs of moves: none, crisscross, or a file; what the layout file holds unless given
+    guidance: Guidance
 
 
 class FleetOptions(RunOptions, total=False):
@@ -136,6 +146,7 @@ class Fleet:
         name, changes = planner if isinstance(planner, tuple) else (planner, {})
         self.planner = replace(find_planner(self.effort, name or ""), **changes)
         self.stop: bool = options.get("stop", True)
+        self.guidance: Any = options.get("guidance")
         self.seeds = parse_seeds(options.get("seeds", 10))
         self.seconds_per_step: float | None = options.get("seconds_per_step")
         # Number of timesteps per hour; None where their length is not given.
@@ -147,9 +158,21 @@ class Fleet:
         steps = timesteps or self.timesteps or TIMESTEPS
         return FleetConfig(agents, steps, planner=self.planner, stop_when_congested=self.stop)
 
-    def settings(self, timesteps: int | None) -> dict[str, Any]:
-        """Return the options for facts."""
-        return {
+    def read_plan(self, layout: Any) -> Plan:
+        """Read a layout as the function of this name does, with its costs of moves."""
+        return self.guide(read_plan(layout, self.domain))
+
+    def guide(self, plan: Plan) -> Plan:
+        """Give a plan its costs of moves; InputError if the planner reads none."""
+        guided = guide(plan, self.guidance)
+        if guided.costs is not None:
+            check_costs(self.planner)
+        return guided
+
+    def settings(self, timesteps: int | None, plans: Sequence[Plan] = ()) -> dict[str, Any]:
+        """Return the options for facts, with the guidance of `plans` where one has costs."""
+        guidance = name_guidance(plans)
+        return ({"guidance": guidance} if guidance else {}) | {
             "domain": self.domain,
             "timesteps": timesteps,
             "seeds": list(self.seeds),
@@ -159,13 +182,14 @@ class Fleet:
             "seconds_per_step": self.seconds_per_step,
         }
 
-    def describe(self, agents: str, timesteps: int, plan: Plan) -> str:
+    def describe(self, agents: str, timesteps: int, plans: Sequence[Plan]) -> str:
         """Return in one line what is simulated."""
         runs = f"{len(self.seeds)} seeds" if len(self.seeds) > 1 else "1 seed"
         end = "" if self.stop else ", no stop at congestion"
+        guidance = f"; guidance: {name_guidance(plans)}" if name_guidance(plans) else ""
         return (
-            f"{agents} agents, {timesteps} timesteps{end}, {runs}, {plan.whose}; "
-            f"planner: {describe_planner(self.planner)}"
+            f"{agents} agents, {timesteps} timesteps{end}, {runs}, {plans[0].whose}; "
+            f"planner: {describe_planner(self.planner)}{guidance}"
         )
 
 
@@ -185,7 +209,8 @@ def read_plan(layout: Any, domain: str | None = None) -> Plan:
     if isinstance(layout, Plan | Layout):
         if domain not in (None, layout.domain.name):
             raise InputError(f"this layout is of {layout.domain.name}: leave domain out")
-        return Plan(name, layout.layout, layout.domain, assumed=False)
+        guidance, costs = "none" if layout.costs is None else name, layout.costs
+        return Plan(name, layout.layout, layout.domain, False, costs=costs, guidance=guidance)
     if domain is None:
         names = ", ".join(repr(name) for name in DOMAINS.names())
         raise InputError(f"an array does not say whose layout it is: give domain, one of {names}")

@@ -14,6 +14,7 @@ import numpy as np
 
 from qdenv.domains.base import Domain
 from qdenv.io.layouts import write_layout
+from qdenv.study.plans import free_cells
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
@@ -141,11 +142,16 @@ class Layout:
     domain: Domain  # whose layout, at its size
     details: Mapping[str, Any] = field(default_factory=dict)  # of its making; saved in its file
     facts: Mapping[str, Any] = field(default_factory=dict)  # as `--json` writes them
+    # float [5, H, W], the cost of each move at each cell (`guidance`); None where all are equal
+    costs: np.ndarray | None = None
 
     def save(self, path: str | Path) -> Path:
         """Write a layout file with the domain and the details in it; InputError if impossible."""
         details = {**self.domain.details, **self.details}
-        write_layout(path, self.layout, self.domain.tiles, self.domain.meanings, **details)
+        tiles, meanings, costs = self.domain.tiles, self.domain.meanings, self.costs
+        if costs is not None:
+            costs = np.where(free_cells(self.layout, self.domain), costs, np.inf)
+        write_layout(path, self.layout, tiles, meanings, costs, **details)
         return Path(path)
 
     def draw(self, path: str | Path) -> Path:

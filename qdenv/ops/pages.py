@@ -16,7 +16,7 @@ from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
 from qdenv.simulate.mapf.settings import OWN, PLANNERS, record_planner
 from qdenv.study import recordings as studies
 from qdenv.study.options import fleet_tasks, usual_fleet
-from qdenv.study.plans import Plan
+from qdenv.study.plans import Plan, name_guidance
 from qdenv.study.recordings import MAZES, Motion
 from qdenv.study.table import Row
 from qdenv.types import InputError
@@ -84,7 +84,7 @@ def replay(
             missing.
     """
     options = args.Fleet(fleet)
-    plan = args.read_plan(layout, options.domain)
+    plan = options.read_plan(layout)
     outputs = {".html": out, ".gif": films.gif, ".mp4": films.mp4}
     target, *drawn = (
         place(path, f"{plan.name}_replay{ending}", (ending,), [layout])
@@ -142,6 +142,8 @@ def _replay_fleet(
     with Bar("simulating") as bar:
         motion, traffic = studies.record_fleet(plan, config, seed, bar)
     about = about_fleet(plan, config, seed, motion, traffic)
+    guidance = name_guidance([plan])
+    about += [f"guidance: {guidance}"] * bool(guidance)
     say(*about, plan.whose, *[note] * bool(note))
     facts = {
         "agents": config.agents,
@@ -152,7 +154,7 @@ def _replay_fleet(
         "congested_at": int(traffic.congested_at) or None,
         "end_timestep": motion.steps,
         "waiting_share": float(motion.waits.mean()) if motion.steps else None,
-    }
+    } | ({"guidance": guidance} if guidance else {})
     return make_replay(plan, motion, traffic, about), motion, facts
 
 
@@ -231,9 +233,10 @@ def report(
     options, subjects = args.Fleet(fleet), []
     for one in given:
         if is_run(one):
-            subjects.append(subject_of_run(args.open_run(one)))
+            subject = subject_of_run(args.open_run(one))
+            subjects.append(subject._replace(plan=options.guide(subject.plan)))
         else:
-            plan = args.read_plan(one, options.domain)
+            plan = options.read_plan(one)
             subjects.append(Subject(plan.name, args.name_of(one), plan))
     subjects = distinct(subjects)
     if subjects[0].plan.domain.simulator.tasks is None:
@@ -253,7 +256,8 @@ def report(
     if target:
         page.save(target.path)
         say(f"{target}: {target.path.stat().st_size / 1e6:.1f} MB")
-    settings = options.settings(options.timesteps) | {"sources": [str(one) for one in given]}
+    plans = [one.plan for one in subjects]
+    settings = options.settings(options.timesteps, plans) | {"sources": [*map(str, given)]}
     return dataclasses.replace(page, facts={**page.facts, "settings": settings})
 
 

@@ -62,7 +62,7 @@ def simulate_layout(
     if width and not plot:
         raise InputError(f"--width {width:g} is the picture's: add --plot")
     options = args.Fleet(fleet)
-    plan, name = args.read_plan(layout, options.domain), args.name_of(layout)
+    plan, name = options.read_plan(layout), args.name_of(layout)
     picture = place(plot, f"{plan.name}_traffic.png", PICTURES, [layout])
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     with studies.about(name):
@@ -82,7 +82,7 @@ def simulate_layout(
         return facts
 
     def log_runs(study: Study) -> None:  # before the runs that the verdict takes
-        head = filter(None, [options.describe(str(agents), timesteps, plan), note])
+        head = filter(None, [options.describe(str(agents), timesteps, [plan]), note])
         say(*head, *_numbers(facts_with(study)))
 
     # Whoever audits records every step anyway: maps of it cost nothing more.
@@ -101,7 +101,7 @@ def simulate_layout(
         title = f"{format_name(plan.name)}, {agents} agents{judgement}"
         scene = make_scene(plan, study, options.stop)
         picture.draw(draw_traffic(scene, title, width or SCREEN))
-    return Result(facts | {"settings": options.settings(timesteps)})
+    return Result(facts | {"settings": options.settings(timesteps, [plan])})
 
 
 def _numbers(facts: Mapping[str, Any]) -> list[str]:
@@ -267,7 +267,7 @@ class _Fleets:
         stated = (agents,) if isinstance(agents, int) else tuple(agents or ())
         options.config(max(stated, default=1))  # refuses what makes no simulation
         self._table, self._picture = place_table(study.get("out"), study.get("plot"), name, layouts)
-        plans = _read_plans(layouts, options.domain)
+        plans = _read_plans(layouts, options)
         first, drawn = next(iter(plans.values())), [plan.layout for plan in plans.values()]
         largest = max(stated, default=None)
         usual, timesteps, note = usual_fleet(first.domain, drawn, largest, options.timesteps)
@@ -278,7 +278,7 @@ class _Fleets:
         self.floors = {name: plan.floor for name, plan in plans.items()}
         self.trial = studies.Trial(first.domain.simulator.tasks, config, counts, options.seeds)
         self._per_hour = options.per_hour
-        self._settings = options.settings(timesteps) | {
+        self._settings = options.settings(timesteps, [*plans.values()]) | {
             "agents": list(counts),
             "layouts": dict(zip(plans, map(args.name_of, layouts), strict=True)),
         }
@@ -290,7 +290,7 @@ class _Fleets:
         self._long = max(6, *map(len, plans))
         hour = "  tasks/hour" if self._per_hour else ""
         head = "  size     agents  throughput (s.e.)  success (95 %)    mean of all"
-        lines = [options.describe(written, timesteps, first), note]
+        lines = [options.describe(written, timesteps, [*plans.values()]), note]
         self._head = [*filter(None, lines), f"{'layout':{self._long}}{head}{hour}"]
 
     def show(self, row: Row) -> None:
@@ -350,11 +350,11 @@ class _Fleets:
         return Table(rows, {**facts, "rows": lines, "settings": self._settings})
 
 
-def _read_plans(layouts: Sequence[Any], domain: str | None) -> dict[str, Plan]:
+def _read_plans(layouts: Sequence[Any], options: args.Fleet) -> dict[str, Plan]:
     """Read layouts of one domain, by names: briefly where that tells them apart."""
     if not layouts:
         raise InputError("give at least one layout file")
-    plans = [args.read_plan(layout, domain) for layout in layouts]
+    plans = [options.read_plan(layout) for layout in layouts]
     kinds = list(dict.fromkeys(plan.domain.name for plan in plans))
     if len(kinds) > 1:
         raise InputError(f"these are layouts of {' and '.join(kinds)}: put one domain side by side")

@@ -10,10 +10,11 @@ import numpy as np
 
 from qdenv.domains.base import DOMAINS, FREE, SAME, Domain, check_shape, find_domain, make_domain
 from qdenv.grid import of_tiles
-from qdenv.guidance import fixed_costs
-from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing, to_layout
+from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
+from qdenv.io.guidance import costs_of
+from qdenv.io.layouts import BLANKS, ENDINGS, aliases, alphabet, read_drawing, to_layout
 from qdenv.repair.rules import impossible
-from qdenv.types import Floor, InputError
+from qdenv.types import Floor, InputError, about, choices
 
 USUAL = "warehouse-even"  # the domain where nothing says otherwise
 _SHOWN = 3  # cells of a list that are named, the rest is counted
@@ -30,15 +31,14 @@ class Plan(NamedTuple):
     keep: tuple[str, ...] = ()
     # float [5, H, W], the cost of each move at each cell (`guidance`); None where all are equal
     costs: np.ndarray | None = None
+    guidance: str = "none"  # where `costs` come from: a name of `GUIDANCE`, or a file
 
     @property
     def floor(self) -> Floor:
         """The layout with its costs, as fleets drive on it; InputError if these are impossible."""
-        tasks = self.domain.simulator.tasks
-        if self.costs is None or tasks is None:
+        if self.costs is None:
             return Floor(self.layout)
-        free = np.asarray(of_tiles(self.layout, tasks.traversable, tasks.tiles))
-        return Floor(self.layout, fixed_costs(self.costs, free))
+        return Floor(self.layout, fixed_costs(self.costs, free_cells(self.layout, self.domain)))
 
     @property
     def whose(self) -> str:
@@ -71,7 +71,9 @@ def read_plan(path: str | Path, domain: str | None = None) -> Plan:
     first one whose tiles do. Raises InputError if the file holds no layout, or says that it is
     another domain's.
     """
-    rows, stated, keep = read_drawing(path)
+    rows, stated, keep, weights = read_drawing(path)
+    if not rows and weights is not None:
+        raise InputError(f"{path}: costs of moves without a layout: give it as --guidance")
     if stated and domain and stated != domain and stated in DOMAINS.names():
         raise InputError(f"{path}: the file says {stated}: leave --domain out, or change the file")
     if stated and not domain and stated not in DOMAINS.names():
@@ -82,7 +84,85 @@ def read_plan(path: str | Path, domain: str | None = None) -> Plan:
     name = domain or stated
     found = find_domain(name) if name else _guess_domain(set("".join(rows)))
     layout = to_layout(rows, path, found.tiles, found.meanings, found.name)
-    return Plan(Path(path).stem, layout, found, assumed=not name, keep=keep)
+    plan = Plan(Path(path).stem, layout, found, assumed=not name, keep=keep)
+    if weights is None or found.simulator.tasks is None:
+        return plan
+    with about(str(path)):
+        costs = costs_of(weights, free_cells(layout, found))
+    return plan._replace(costs=costs, guidance=str(path))
+
+
+def free_cells(layout: np.ndarray, domain: Domain) -> np.ndarray:
+    """Mark the cells of a layout (int8 [H, W] -> bool [H, W]) on which a domain's fleet drives.
+
+    Raises InputError if it has none.
+    """
+    tasks = domain.simulator.tasks
+    if tasks is None:
+        raise InputError(f"no fleet drives in {domain.name}: there are no costs of moves")
+    return np.asarray(of_tiles(layout, tasks.traversable, tasks.tiles))
+
+
+def keep_costs(plan: Plan, layout: np.ndarray) -> np.ndarray | None:
+    """Take the costs of a plan over to what its layout was changed into (int8 [H, W]).
+
+    A move that the change makes possible costs what the plan's moves do on average.
+    """
+    if plan.costs is None:
+        return None
+    old, new = (existing_moves(free_cells(one, plan.domain)) for one in (plan.layout, layout))
+    mean = plan.costs[old & np.isfinite(plan.costs)].mean()
+    return np.where(new & ~old, mean, plan.costs)
+
+
+def guide(plan: Plan, guidance: Any = None) -> Plan:
+    """Give a plan costs of moves.
+
+    `guidance` is a name of `GUIDANCE`, a file that holds them, the costs themselves (float
+    [5, H, W]), or None for what the plan has. Raises InputError if it is none of these, or not for
+    this layout.
+    """
+    if guidance is not None:
+        free, name = free_cells(plan.layout, plan.domain), str(guidance)
+        if not isinstance(guidance, str | Path):
+            plan = plan._replace(costs=np.asarray(guidance, float), guidance="an array")
+        elif name in GUIDANCE:
+            plan = plan._replace(costs=GUIDANCE[name](free), guidance=name)
+        elif Path(name).suffix.lower() in ENDINGS or Path(name).exists():
+            plan = plan._replace(costs=_read_costs(name, plan), guidance=name)
+        else:
+            raise InputError(f"unknown guidance {name!r}: {choices(name, GUIDANCE)}, or a file")
+    with about(plan.guidance):
+        _ = plan.floor  # refuses impossible costs
+    return plan
+
+
+def name_guidance(plans: Sequence[Plan]) -> str:
+    """Name where the costs of moves on some plans come from; "" where there are none."""
+    guided = any(plan.costs is not None for plan in plans)
+    return ", ".join(dict.fromkeys(plan.guidance for plan in plans)) if guided else ""
+
+
+def _read_costs(path: str, plan: Plan) -> np.ndarray:
+    """Read the costs of a plan's moves from a file, whose layout, if any, has the same cells."""
+    rows, _, _, weights = read_drawing(path)
+    if weights is None:
+        raise InputError(f'{path}: no costs of moves, which JSON holds under "weights"')
+    domain, free = plan.domain, free_cells(plan.layout, plan.domain)
+    if rows:
+        drawn = to_layout(rows, path, domain.tiles, domain.meanings, domain.name)
+        theirs = free_cells(drawn, domain)
+        if theirs.shape != free.shape:
+            sizes = "{} x {}, {} is {} x {}".format(*theirs.shape, plan.name, *free.shape)
+            raise InputError(f"{path}: costs of moves on {sizes}")
+        if (theirs != free).any():
+            row, column = np.argwhere(theirs != free)[0]
+            raise InputError(
+                f"{path}: costs of moves on another floor than {plan.name}: "
+                f"row {row}, column {column} is free on one of them alone"
+            )
+    with about(path):
+        return costs_of(weights, free)
 
 
 def _guess_domain(symbols: set[str]) -> Domain:
@@ -108,7 +188,7 @@ def keep_from(path: str | Path, domain: Domain, layout: np.ndarray | None = None
     # In a drawing of what stays, blanks are no second symbol of a tile.
     known: dict[str, Any] = aliases(domain.tiles, domain.meanings)
     own = {one: known[one] for one in known if one not in BLANKS + FREE + SAME}
-    rows = [row.translate(str.maketrans(own)) for row in read_drawing(path)[0]]
+    rows = [row.translate(str.maketrans(own)) for row in read_drawing(path).rows]
     try:
         check_shape(rows, domain.shape)
         cells = tuple(

@@ -4,8 +4,7 @@ Layouts are simulated side by side (`compare`) or with more and more agents up t
 (`climb`); peaks, capacities and differences are read off the rows.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
@@ -21,6 +20,7 @@ from qdenv.stats import Difference, Sample, difference, sample_of, wilson_interv
 from qdenv.study.options import fleet_tasks
 from qdenv.study.recordings import fading
 from qdenv.types import Floor, InputError, TaskRule, Traffic
+from qdenv.types import about as about
 
 WORTH = 0.5  # share of what an average agent brings; one that brings less is hardly worth it
 # Agents of the smallest compiled program: a smaller one saves less than it costs to compile.
@@ -74,15 +74,6 @@ class Trial(NamedTuple):
     config: FleetConfig  # settings of a simulation; its own number of agents is ignored
     counts: Sequence[int]  # numbers of agents
     seeds: Sequence[int]  # of the runs with each number of agents
-
-
-@contextmanager
-def about(name: str) -> Iterator[None]:
-    """Prefix the message of an `InputError` with the name of the layout."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from error
 
 
 def compare(

@@ -11,6 +11,7 @@ from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
 from qdenv.stats import difference
 from qdenv.study.options import fleet_tasks, usual_fleet
+from qdenv.study.plans import name_guidance
 from qdenv.study.recordings import FADING, cells_with_half, worst_cells
 from qdenv.study.table import Row, Trial, about, compare, find_capacity, find_peak
 from qdenv.study.traffic import Study, examine, facts_of
@@ -120,6 +121,10 @@ def report_fleet(
             "source": one.source,
             "hand_made": against if apart else None,
         }
+    planner, guidance = describe_planner(config.planner), name_guidance([s.plan for s in subjects])
+    if guidance:
+        others = any(one.layout is not None for one in request.rivals)
+        planner += f"; guidance: {guidance}{', none on the hand-made layout' * others}"
     return make_report(
         "fleet",
         f"{listed([one.name for one in subjects])}: {agents} robots",
@@ -130,7 +135,7 @@ def report_fleet(
         agents=agents,
         layouts=layouts,
         runs=len(request.seeds),
-        planner=describe_planner(config.planner),
+        planner=planner,
         rows=rows,
         fading=[row for row in rows if row.fading > FADING],
         throughput=to_svg(draw_over_agents(rows, width=WIDTH), "throughput-figure"),

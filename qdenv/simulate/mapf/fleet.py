@@ -47,7 +47,7 @@ from qdenv.simulate.mapf.planner import (
     serve,
     unpad_grid,
 )
-from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
+from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig, check_costs
 from qdenv.types import Array, InputError, TaskRule, Traffic
 
 _TABLE_BYTES = 1 << 27  # of a table of all distances; above, agents measure their own
@@ -91,11 +91,8 @@ def prepare(
             f"the planner {PLANNERS.name_of(config.planner)!r} lets agents stay at a goal for at "
             f"most {planner.max_service} timesteps, not {service_time.max()}: shorten the stay"
         )
-    if costs is not None and not planner.reads_costs:
-        raise InputError(
-            f"the planner {PLANNERS.name_of(config.planner)!r} knows no costs of moves: choose "
-            "pibt or pbs"
-        )
+    if costs is not None:
+        check_costs(config.planner)
     rows, cols = layout.shape
     capacity = config.goal_capacity or rows * cols
     traversable = jnp.asarray(of_tiles(layout, rule.traversable, rule.tiles))

@@ -79,6 +79,15 @@ def find_planner(effort: str | None = None, planner: Any = "", usual: str = "hig
     return planner
 
 
+def check_costs(planner: Any) -> None:
+    """Raise InputError if the planner of these settings knows no costs of moves."""
+    if not PLANNERS.make(planner).reads_costs:
+        name = PLANNERS.name_of(planner)
+        raise InputError(
+            f"the planner {name!r} knows no costs of moves: choose pibt or pbs, or --guidance none"
+        )
+
+
 def describe_planner(settings: Any) -> str:
     """Name a planner and its settings for reports, like "pbs, rule plain, nodes per agent 10".
 
