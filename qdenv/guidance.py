@@ -73,6 +73,15 @@ def scaled_costs(logarithms: Array, base: str) -> jax.Array:
     return jnp.clip(jnp.rint(start * _ONE * factors), 1, BUCKETS - 1).astype(jnp.int32)
 
 
+def unscaled_costs(fixed: np.ndarray, traversable: np.ndarray) -> np.ndarray:
+    """Turn whole costs (int32 [5, H, W]) into costs of which the average is about one.
+
+    Returns float [5, H, W], infinite for moves that do not exist or are not allowed.
+    """
+    allowed = existing_moves(traversable) & (fixed > 0)
+    return np.where(allowed, fixed / _ONE, np.inf)
+
+
 def existing_moves(traversable: np.ndarray) -> np.ndarray:
     """Return which moves exist (bool [5, H, W]): from a free cell to a free cell."""
     free = np.pad(traversable, 1)

@@ -82,6 +82,25 @@ def make_automaton(
     return flat.size, grow
 
 
+def add_channels(
+    solution: np.ndarray, kinds: int, extra: int, kernel_sizes: Sequence[int], hidden: int
+) -> np.ndarray:
+    """Give an automaton of `kinds` channels some more, which nothing reads and zeros draw.
+
+    `solution` is float [P]; the automaton draws the same tiles as before.
+    """
+    parts, begin, last = [], 0, len(kernel_sizes) - 1
+    for layer, size in enumerate(kernel_sizes):
+        ins, outs = (kinds if layer == 0 else hidden), (kinds if layer == last else hidden)
+        more = [(0, extra if layer == 0 else 0), (0, extra if layer == last else 0)]
+        # As flax sorts them: the bias of a layer before its kernel.
+        for shape, room in (((outs,), more[1:]), ((size, size, ins, outs), [(0, 0)] * 2 + more)):
+            end = begin + int(np.prod(shape))
+            parts.append(np.pad(solution[begin:end].reshape(shape), room).reshape(-1))
+            begin = end
+    return np.concatenate(parts)
+
+
 def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> np.ndarray:
     """Draw the fixed start canvas: `block` in the middle of empty tiles, one-hot (Figure 9).
 

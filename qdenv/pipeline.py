@@ -38,7 +38,9 @@ class Pipeline(NamedTuple):
     simulate: Callable[..., Any]
     # (unrepaired, repaired, status, runs), each with leading axis B -> `Evaluation`
     score: Callable[[jax.Array, jax.Array, jax.Array, Any], Evaluation]
-    is_guided: bool  # the generator draws costs of moves, when the layout is repaired
+    # (solution float32 [P], repaired layout int8 [H, W], key) -> int32 [5, H, W], the costs of
+    # moves that the generator draws; None where it draws none
+    guide: Callable[[Any, Any, Any], Any] | None
 
 
 def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
@@ -52,6 +54,8 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     repairs = getattr(config.generator, "draws", True)
     pool = RepairPool(domain.rules(), config.repair) if domain.rules and repairs else None
 
+    guide = None if generator.guide is None else partial(draw_costs, domain.simulator, generator)
+
     def grow(parameters: jax.Array) -> jax.Array:
         return jnp.asarray(jax.vmap(domain.frame)(generator.grow(parameters, generator.steps)))
 
@@ -59,7 +63,7 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
         layouts: jax.Array, indices: jax.Array, key: jax.Array, solutions: Any = None
     ) -> Any:
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
-        guided = None if generator.guide is None else (generator, solutions)
+        guided = None if guide is None else (guide, solutions)
         return simulate_layouts(domain.simulator, layouts, keys, config.simulations, guided)
 
     score = jax.vmap(partial(score_layout, domain, config.alpha))
@@ -72,7 +76,7 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
         repair_seed=repair_seed,
         simulate=simulate,
         score=score,
-        is_guided=generator.guide is not None,
+        guide=guide,
     )
 
 
@@ -82,7 +86,7 @@ def _grow_layouts(grow: Callable[[jax.Array], jax.Array], parameters: jax.Array)
 
 
 def draw_costs(
-    simulator: Simulator, generator: Generator, solution: Any, layout: Any, key: Any, steps: Any
+    simulator: Simulator, generator: Generator, solution: Any, layout: Any, key: Any
 ) -> Any:
     """Draw the costs of moves of one layout (int32 [5, H, W]); `key` decides its simulations."""
     guide, count_moves = generator.guide, simulator.count_moves
@@ -92,7 +96,7 @@ def draw_costs(
     def drive(costs: jax.Array, number: int) -> Any:
         return count_moves(simulator.prepare(layout, costs), jax.random.fold_in(key, number))
 
-    return guide(solution, steps, layout, drive)
+    return guide(solution, generator.steps, layout, drive)
 
 
 def simulate_layouts(
@@ -100,11 +104,11 @@ def simulate_layouts(
     layouts: jax.Array,
     keys: jax.Array,
     simulations: int,
-    guided: tuple[Generator, jax.Array] | None = None,
+    guided: tuple[Callable[..., Any], jax.Array] | None = None,
 ) -> Any:
     """Simulate layouts [B, H, W], each `simulations` times from its own key of `keys` [B].
 
-    `guided` is the generator that draws the costs of moves, with its solutions [B, P].
+    `guided` draws the costs of moves, `Pipeline.guide`, and holds its solutions [B, P].
     """
     runs = jax.vmap(lambda key: jax.random.split(key, simulations))(keys)
 
@@ -112,8 +116,8 @@ def simulate_layouts(
         """Map over the leading axis, `lanes` items at a time side by side."""
         return jax.lax.map(function, items, batch_size=lanes if lanes > 1 else None)
 
-    generator, solutions = guided or (None, None)
-    items = layouts, solutions, None if generator is None else keys
+    guide, solutions = guided or (None, None)
+    items = layouts, solutions, keys if guide else None
 
     def share(items: tuple[Any, ...], runs: jax.Array) -> Any:
         on_host = runs.shape[1] if simulator.layout_at_once else 1
@@ -121,11 +125,8 @@ def simulate_layouts(
 
         def one(item: tuple[Any, ...]) -> Any:
             layout, solution, key, runs = item
-            if generator is None:
-                tables = simulator.prepare(layout)
-            else:
-                costs = draw_costs(simulator, generator, solution, layout, key, generator.steps)
-                tables = simulator.prepare(layout, costs)
+            costs = [guide(solution, layout, key)] if guide else []
+            tables = simulator.prepare(layout, *costs)
             return in_lanes(lambda run: simulator.run(tables, run), runs, lanes)
 
         return in_lanes(one, (*items, runs), lanes // runs.shape[1])
@@ -171,7 +172,7 @@ def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evalu
     if pipeline.pool is not None:
         repair = repair_in_jit(pipeline.pool, unrepaired, pipeline.repair_seed)
         repaired, status = jnp.asarray(repair.layout), repair.status
-    solutions = parameters if pipeline.is_guided else None
+    solutions = parameters if pipeline.guide else None
     runs = pipeline.simulate(repaired, jnp.arange(unrepaired.shape[0]), key, solutions)
     return pipeline.score(unrepaired, repaired, status, runs)
 
@@ -195,7 +196,7 @@ class PipelinedEvaluator:
     def __init__(self, pipeline: Pipeline, evaluate_layouts: LayoutEvaluator) -> None:
         """Compile nothing yet."""
         self._evaluate_layouts = evaluate_layouts
-        self._is_guided = pipeline.is_guided
+        self._is_guided = pipeline.guide is not None
         self._grow = jax.jit(partial(_grow_layouts, pipeline.grow))
         self._score = jax.jit(pipeline.score)
 

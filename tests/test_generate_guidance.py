@@ -9,9 +9,10 @@ import pytest
 from small_warehouse import ROWS
 
 from qdenv.domains.base import find_domain, make_domain
-from qdenv.generate import GENERATORS, CostsConfig, GuidedNcaConfig, UpdateConfig
+from qdenv.generate import GENERATORS, CostsConfig, GuidedNcaConfig, NcaConfig, UpdateConfig
 from qdenv.grid import RIGHT, WAIT, of_tiles, parse
 from qdenv.guidance import crisscross, existing_moves, fixed_costs, scaled_costs
+from qdenv.nca import add_channels
 from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.run.evaluate import Threads
 from qdenv.settings import EvaluationConfig
@@ -90,6 +91,17 @@ def test_an_automaton_grows_its_costs_with_the_tiles_and_the_frame_has_the_neare
     tiles = np.asarray(generator.grow(solution[None], 4))
     assert tiles.max() < len(WAREHOUSE.generated)
     np.testing.assert_array_equal(np.asarray(generator.frames(solution[None], 4))[:, -1], tiles)
+
+
+def test_an_automaton_with_more_channels_draws_the_same_tiles():
+    plain = GENERATORS.make(NcaConfig(steps=6, hidden=5), WAREHOUSE.canvas)
+    guided = GENERATORS.make(GuidedNcaConfig(steps=6, hidden=5), WAREHOUSE.canvas)
+    solution = np.random.default_rng(4).normal(0, 0.5, plain.size).astype(np.float32)
+    more = add_channels(solution, len(WAREHOUSE.generated), 5, (3, 3, 3), 5)
+    np.testing.assert_array_equal(guided.grow(more[None], 6), plain.grow(solution[None], 6))
+    costs = guided.guide(more, 6, LAYOUT, None)
+    np.testing.assert_array_equal(costs, scaled_costs(jnp.zeros((5, *LAYOUT.shape)), "crisscross"))
+    assert len(np.unique(plain.grow(solution[None], 6))) > 1
 
 
 def test_costs_are_drawn_for_the_repaired_layout_of_the_same_solution():

@@ -41,6 +41,7 @@ COMMANDS = {
     "layout human": "qdenv.ops.layouts:human_layout",
     "layout tile": "qdenv.ops.layouts:tile_layout",
     "layout symbols": "qdenv.ops.layouts:layout_symbols",
+    "guide": "qdenv.ops.guidance:guide",
     "zoo": "qdenv.ops.searches:zoo",
     "presets": "qdenv.ops.searches:presets",
     "train": "qdenv.ops.searches:train",

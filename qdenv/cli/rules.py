@@ -32,7 +32,15 @@ from tyro.constructors import (
 
 from qdenv.cli.parser import number_rules
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
-from qdenv.ops.options import FleetOptions, Mark, PlannerOptions, RunOptions, StudyOptions, open_run
+from qdenv.ops.options import (
+    FleetOptions,
+    GuideOptions,
+    Mark,
+    PlannerOptions,
+    RunOptions,
+    StudyOptions,
+    open_run,
+)
 from qdenv.registry import Registry
 from qdenv.shipped import PREFIX
 from qdenv.simulate.mapf.settings import PLANNERS, find_planner
@@ -64,7 +72,7 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
     # The parser finds the comments behind the fields of a dictionary itself, not in its base.
     helps = {
         field.name: field.helptext
-        for record in (StudyOptions, FleetOptions, RunOptions)
+        for record in (GuideOptions, StudyOptions, FleetOptions, RunOptions)
         for field in _spec_of(record).fields
     }
     rules = number_rules()

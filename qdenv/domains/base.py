@@ -12,6 +12,7 @@ import tyro
 
 from qdenv import devices, score
 from qdenv.generate import Canvas, inside_frame
+from qdenv.grid import of_tiles
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Ranged
 from qdenv.registry import Registry
@@ -208,6 +209,16 @@ class Domain:
         if measure.limit == "area":
             return max(self.area, 1)
         return getattr(self.config, measure.limit) if measure.limit else None
+
+    def drivable(self, layout: np.ndarray) -> np.ndarray:
+        """Find the cells of a layout (int8 [H, W]) that robots may drive on: bool [H, W].
+
+        Raises InputError if no fleet drives in this domain.
+        """
+        tasks = self.simulator.tasks
+        if tasks is None:
+            raise InputError("no fleet drives in this domain: there is no traffic to simulate")
+        return np.asarray(of_tiles(layout, tasks.traversable, tasks.tiles))
 
     def mark_cells(self, layout: np.ndarray) -> dict[str, tuple[int, int]]:
         """Find the cells (row, column) that pictures of a layout (int8 [H, W]) name."""

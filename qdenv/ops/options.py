@@ -20,7 +20,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from qdenv.domains.base import DOMAINS, find_domain
 from qdenv.ops.output import Layout
-from qdenv.ranges import PositiveFloat, PositiveInt
+from qdenv.ranges import NonNegativeInt, PositiveFloat, PositiveInt
 from qdenv.simulate.mapf.settings import (
     FleetConfig,
     check_costs,
@@ -131,6 +131,16 @@ class StudyOptions(FleetOptions, total=False):
     out: Out  # CSV file to write; named after the command, for sweeps the layout, unless given
     plot: Picture  # picture to write; beside the table unless given
     width: Width  # of the picture in inches; what suits it unless given
+
+
+class GuideOptions(RunOptions, total=False):
+    """A search of costs; the planner is PIBT unless another is named."""
+
+    # costs that are tried, rounded up to whole iterations; 2000 unless given
+    evaluations: PositiveInt
+    minutes: PositiveFloat | None  # pause after these; `qdenv resume` goes on
+    simulations: PositiveInt  # of each costs, with fresh seeds; 1 unless given
+    seed: NonNegativeInt  # of the search; 0 unless given
 
 
 class Fleet:

@@ -146,7 +146,7 @@ def generate_layout(
     named = not isinstance(elite, Elite)
     found = opened.archive.elite(elite, growth.measures or None) if named else elite
     # This imports jax: refusals are faster without it.
-    from qdenv.study.elites import grow_elite, grow_frames, repair_grown
+    from qdenv.study.elites import draw_grown_costs, grow_elite, grow_frames, repair_grown
 
     config = opened.config
     trained = make_domain(config.evaluation.domain)
@@ -176,9 +176,10 @@ def generate_layout(
         status = RepairStatus(int(repaired.status)).name.lower()
         details |= {"repair": status, "changed": float(repaired.cost)}
         say(*describe_changes(list_changes(grown.layout, layout, domain)))
+    costs = draw_grown_costs(config.evaluation, grown, layout)
     facts = {"rows": layout.shape[0], "cols": layout.shape[1], **domain.numbers, **details}
     settings = {"run": str(run), "elite": found.cell, "seed": seed}
-    made = save_with_picture(Layout(layout, domain, details, facts), target)
+    made = save_with_picture(Layout(layout, domain, details, facts, costs), target)
     return dataclasses.replace(made, facts=facts | {"settings": settings})
 
 

@@ -244,7 +244,11 @@ def resume(
     from qdenv.run import loop  # imports both compilers
 
     done = loop.resume(path, progress, evaluations, execution)
-    if pictures:
+    if not getattr(opened.config.evaluation.generator, "draws", True):
+        from qdenv.ops.guidance import finish_guide  # which imports this file
+
+        finish_guide(done, path.name)
+    elif pictures:
         plot_one(done)
     return done
 

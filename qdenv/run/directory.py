@@ -28,7 +28,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from qdenv.domains.base import make_domain
-from qdenv.generate import GENERATORS
+from qdenv.generate import GENERATORS, GuidedNcaConfig, NcaConfig
+from qdenv.grid import NUM_MOVES
 from qdenv.io.arrays import Column, read_arrays, write_arrays
 from qdenv.io.files import damaged, refuse_second_run, sweep, write_csv, write_json
 from qdenv.io.records import read_json, structured
@@ -332,10 +333,17 @@ def find_start(config: RunConfig) -> np.ndarray | None:
     theirs, ours = run.config.evaluation.generator, config.evaluation.generator
     if hasattr(theirs, "steps") and type(ours) is type(theirs):
         theirs = replace(theirs, steps=ours.steps)  # the same automaton grows for any time
+    solution, kinds = elite.solution, len(domain.generated)
+    if type(theirs) is NcaConfig and isinstance(ours, GuidedNcaConfig):
+        from qdenv.nca import add_channels  # imports flax
+
+        more = {"steps": ours.steps, "base": ours.base}
+        solution = add_channels(solution, kinds, NUM_MOVES, theirs.kernel_sizes, theirs.hidden)
+        theirs = GuidedNcaConfig(**vars(theirs) | more)
     if ours != theirs:
         names = [GENERATORS.name_of(one) for one in (theirs, ours)]
         raise InputError(
             f"start {config.start}: its generator ({names[0]}) and this search's ({names[1]}) have "
             f"other settings: take those of {run}"
         )
-    return elite.solution
+    return solution

@@ -14,9 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qdenv.guidance import unscaled_costs
 from qdenv.interrupt import advise, save_first, undisturbed
 from qdenv.io.arrays import write_arrays
 from qdenv.io.files import write_csv
+from qdenv.io.guidance import weights_of
 from qdenv.io.layouts import write_layout
 from qdenv.pipeline import PipelinedEvaluator
 from qdenv.progress import Bar
@@ -97,7 +99,7 @@ def _run(
     bar = Bar("", total * batch, progress, unit="eval")
     announced = partial(_announced, bar)
     parts = {"grow": "generator and repair", "simulate": "simulator", "score": "score"}
-    named = {part: announced(name, getattr(pipeline, part)) for part, name in parts.items()}
+    named: Any = {part: announced(name, getattr(pipeline, part)) for part, name in parts.items()}
     pipeline = pipeline._replace(**named)
     ask, tell = announced("search", algorithm.ask), announced("search", algorithm.tell)
     algorithm = growing(algorithm._replace(ask=ask, tell=tell))
@@ -171,6 +173,8 @@ class Publisher:
         self._spent, self._last = 0.0, 0.0
         self._begun = self._since = time.perf_counter()
         self._algorithm, self._collect = algorithm, collector(algorithm)
+        guide = experiment.pipeline.guide
+        self._guide = guide and jax.jit(guide)
 
         def summarise(state: Any) -> tuple[jax.Array, jax.Array, int, jax.Array]:
             archive = algorithm.archive(state)
@@ -252,6 +256,10 @@ class Publisher:
             "measures": {measure.name: float(value) for measure, value in measures},
             "similarity": float(archive["similarity"][row]),
         }
+        if self._guide is not None:
+            seed = jax.random.key(0)
+            costs = np.asarray(self._guide(archive["solution"][row], layout, seed))
+            details["weights"] = weights_of(unscaled_costs(costs, domain.drivable(layout)))
         if domain.marks is not None:
             marks = domain.mark_cells(layout)
             details["marks"] = {name: list(cell) for name, cell in marks.items()}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,6 +12,7 @@ import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
 from qdenv.generate import GENERATORS, inside_frame
+from qdenv.guidance import unscaled_costs
 from qdenv.lazy import jax, jnp
 from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, PositiveInt, check_range
@@ -146,6 +149,26 @@ def repair_grown(
             f"{impossible(rules) or 'none was found, try another repair seed'}"
         )
     return result
+
+
+def draw_grown_costs(
+    config: EvaluationConfig, grown: Unrepaired, layout: np.ndarray
+) -> np.ndarray | None:
+    """Draw the costs of moves on what a grown layout was repaired into (int8 [H, W]).
+
+    Returns float [5, H, W] (`guidance`), or None where the generator draws none.
+    """
+    settings = config.generator
+    if hasattr(settings, "steps"):
+        settings = replace(settings, steps=grown.steps)
+    generator = GENERATORS.make(settings, grown.domain.canvas)
+    if generator.guide is None or grown.elite is None:
+        return None
+    from qdenv.pipeline import draw_costs  # imports the simulator
+
+    draw = jax.jit(partial(draw_costs, grown.domain.simulator, generator))
+    costs = np.asarray(draw(grown.elite.solution, layout, jax.random.key(0)))
+    return unscaled_costs(costs, grown.domain.drivable(layout))
 
 
 def finish(grown: Unrepaired, config: RepairConfig, seed: int) -> Sized:

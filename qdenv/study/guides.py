@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -11,7 +11,6 @@ import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
 from qdenv.generate import GENERATORS, CostsConfig, UpdateConfig
-from qdenv.grid import of_tiles
 from qdenv.pipeline import draw_costs
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
@@ -30,7 +29,7 @@ from qdenv.types import Floor, InputError, look_up
 JUDGES = tuple(range(1_000_000, 1_000_010))  # seeds by which what was found is compared
 # Separable CMA-ES, as there are thousands of costs and each needs a step size of its own: see
 # `experiments.guidance`.
-_ALGORITHM = CmaEsConfig(batch=40, sigma0=0.3, strategy="sep")
+_ALGORITHM = CmaEsConfig(batch=40, sigma0=0.3, strategy="CR_FM_NES")
 
 
 def guide_config(
@@ -42,9 +41,8 @@ def guide_config(
     weights of an update model. Raises InputError if no fleet can work there.
     """
     domain = plan.fitted()
-    tasks = fleet_tasks(plan.layout, domain.simulator.tasks, fleet.agents)
-    free = np.asarray(of_tiles(plan.layout, tasks.traversable, tasks.tiles))
-    rows = tuple("".join(".#"[not cell] for cell in row) for row in free)
+    fleet_tasks(plan.layout, domain.simulator.tasks, fleet.agents)
+    rows = tuple("".join(".#"[not one] for one in row) for row in domain.drivable(plan.layout))
     generators: dict[str, Any] = {"costs": CostsConfig(rows), "update": UpdateConfig()}
     drawing = tuple("".join(domain.tiles[tile] for tile in row) for row in plan.layout)
     settings = replace(domain.config, fleet=fleet, keep=drawing)
@@ -65,17 +63,11 @@ def draw_guidance(
 ) -> np.ndarray:
     """Draw the costs of moves on a layout (int8 [H, W]) of a domain: int32 [5, H, W].
 
-    `generator` are the settings of the generator of the solution (float [P]); its simulations, if
-    it needs any, are of `seed`. Raises InputError if it draws no costs.
+    `generator` are the settings of the solution's generator, one that draws costs; `solution` is
+    float [P]. Its simulations, if it needs any, are of `seed`.
     """
     made = GENERATORS.make(generator, domain.canvas)
-    if made.guide is None:
-        raise InputError(f"the generator {GENERATORS.name_of(generator)} draws no costs of moves")
-    draw = jax.jit(
-        lambda solution, layout, key: draw_costs(
-            domain.simulator, made, solution, layout, key, made.steps
-        )
-    )
+    draw = jax.jit(partial(draw_costs, domain.simulator, made))
     return np.asarray(draw(solution, layout, jax.random.key(seed)))
 
 
@@ -94,16 +86,18 @@ def read_solutions(run: RunDirectory) -> dict[str, np.ndarray]:
     return {"mean": mean, "best": run.best.solution}
 
 
-def judge(
-    floors: dict[str, Floor], domain: Domain, fleet: FleetConfig, seeds: Sequence[int] = JUDGES
-) -> dict[str, float]:
-    """Return the mean throughput of each floor over seeds that no search draws."""
-    tasks = domain.simulator.tasks
-    found = {}
-    for name, floor in floors.items():
-        runs = run_seeds(floor, tasks, fleet, seeds).runs
-        found[name] = float(np.mean([run.throughput for run in runs]))
-    return found
+def apply_model(run: RunDirectory, plan: Plan, fleet: FleetConfig) -> np.ndarray:
+    """Draw costs for a plan (int32 [5, H, W]) by the update model that a search found.
+
+    Raises InputError if the search was for the costs of one floor, or of floor plans.
+    """
+    generator = run.config.evaluation.generator
+    if not isinstance(generator, UpdateConfig):
+        raise InputError(
+            f"{run}: no update model was searched there: `qdenv guide --method update`"
+        )
+    domain = make_domain(replace(plan.fitted().config, fleet=fleet))
+    return draw_guidance(generator, domain, read_solutions(run)["mean"], plan.layout)
 
 
 def find_guidance(run: RunDirectory) -> tuple[np.ndarray, dict[str, float]]:
@@ -115,5 +109,9 @@ def find_guidance(run: RunDirectory) -> tuple[np.ndarray, dict[str, float]]:
         for name, solution in read_solutions(run).items()
     }
     floors = {name: Floor(layout, one) for name, one in costs.items()}
-    judged = judge(floors, domain, config.domain.fleet)
+    seeds, tasks, fleet = JUDGES, domain.simulator.tasks, config.domain.fleet
+    judged = {
+        name: float(np.mean([one.throughput for one in run_seeds(floor, tasks, fleet, seeds).runs]))
+        for name, floor in floors.items()
+    }
     return costs[max(judged, key=lambda name: judged[name])], judged

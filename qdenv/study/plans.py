@@ -38,7 +38,7 @@ class Plan(NamedTuple):
         """The layout with its costs, as fleets drive on it; InputError if these are impossible."""
         if self.costs is None:
             return Floor(self.layout)
-        return Floor(self.layout, fixed_costs(self.costs, free_cells(self.layout, self.domain)))
+        return Floor(self.layout, fixed_costs(self.costs, self.domain.drivable(self.layout)))
 
     @property
     def whose(self) -> str:
@@ -88,19 +88,8 @@ def read_plan(path: str | Path, domain: str | None = None) -> Plan:
     if weights is None or found.simulator.tasks is None:
         return plan
     with about(str(path)):
-        costs = costs_of(weights, free_cells(layout, found))
+        costs = costs_of(weights, found.drivable(layout))
     return plan._replace(costs=costs, guidance=str(path))
-
-
-def free_cells(layout: np.ndarray, domain: Domain) -> np.ndarray:
-    """Mark the cells of a layout (int8 [H, W] -> bool [H, W]) on which a domain's fleet drives.
-
-    Raises InputError if it has none.
-    """
-    tasks = domain.simulator.tasks
-    if tasks is None:
-        raise InputError(f"no fleet drives in {domain.name}: there are no costs of moves")
-    return np.asarray(of_tiles(layout, tasks.traversable, tasks.tiles))
 
 
 def keep_costs(plan: Plan, layout: np.ndarray) -> np.ndarray | None:
@@ -110,7 +99,7 @@ def keep_costs(plan: Plan, layout: np.ndarray) -> np.ndarray | None:
     """
     if plan.costs is None:
         return None
-    old, new = (existing_moves(free_cells(one, plan.domain)) for one in (plan.layout, layout))
+    old, new = (existing_moves(plan.domain.drivable(one)) for one in (plan.layout, layout))
     mean = plan.costs[old & np.isfinite(plan.costs)].mean()
     return np.where(new & ~old, mean, plan.costs)
 
@@ -123,7 +112,7 @@ def guide(plan: Plan, guidance: Any = None) -> Plan:
     this layout.
     """
     if guidance is not None:
-        free, name = free_cells(plan.layout, plan.domain), str(guidance)
+        free, name = plan.domain.drivable(plan.layout), str(guidance)
         if not isinstance(guidance, str | Path):
             plan = plan._replace(costs=np.asarray(guidance, float), guidance="an array")
         elif name in GUIDANCE:
@@ -148,10 +137,10 @@ def _read_costs(path: str, plan: Plan) -> np.ndarray:
     rows, _, _, weights = read_drawing(path)
     if weights is None:
         raise InputError(f'{path}: no costs of moves, which JSON holds under "weights"')
-    domain, free = plan.domain, free_cells(plan.layout, plan.domain)
+    domain, free = plan.domain, plan.domain.drivable(plan.layout)
     if rows:
         drawn = to_layout(rows, path, domain.tiles, domain.meanings, domain.name)
-        theirs = free_cells(drawn, domain)
+        theirs = domain.drivable(drawn)
         if theirs.shape != free.shape:
             sizes = "{} x {}, {} is {} x {}".format(*theirs.shape, plan.name, *free.shape)
             raise InputError(f"{path}: costs of moves on {sizes}")

@@ -1,0 +1,141 @@
+"""Find guidance, the costs of moves, for a floor that stands."""
+
+from __future__ import annotations
+
+import shlex
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Unpack
+
+import numpy as np
+from tyro.conf import arg
+
+from qdenv.guidance import unscaled_costs
+from qdenv.io.files import refuse_second_run
+from qdenv.ops import options as args
+from qdenv.ops.output import Table, format_table, say
+from qdenv.ops.searches import Folder
+from qdenv.progress import Bar
+from qdenv.ranges import PositiveInt
+from qdenv.run.directory import RunDirectory
+from qdenv.run.executors import Execution
+from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.simulate.mapf.settings import describe_planner
+from qdenv.study import table as studies
+from qdenv.study.options import usual_fleet
+from qdenv.study.plans import Plan
+
+if TYPE_CHECKING:
+    from qdenv.simulate.mapf.settings import FleetConfig
+
+FILE, PICTURE, ROWS = "guidance.json", "guidance.png", "before_after.csv"  # in the run's folder
+_SHARES = (0.5, 0.75, 1.0, 1.25)  # of the number of agents, for which before and after are shown
+
+
+def guide(
+    layout: args.Source,
+    agents: PositiveInt | None = None,
+    method: Literal["costs", "update"] = "costs",
+    model: args.Run | None = None,
+    path: Folder = None,
+    progress: bool = True,
+    execution: Annotated[Execution, arg(name="")] = Execution(),  # noqa: B008 (frozen)
+    **search: Unpack[args.GuideOptions],
+) -> Table:
+    """Find costs of moves by which a fleet moves more on a floor that stands.
+
+    The run's folder gets the costs (guidance.json, for --guidance), a picture of them, and a table
+    of the throughput before and after over numbers of agents.
+
+    Args:
+        layout: layout file.
+        agents: number of agents; 200, or what is known of the layout's size, unless given.
+        method: search the costs themselves, or the weights of a network that updates costs by
+            where agents drive, and that serves other floors and sizes as well.
+        model: run of the method update whose network draws the costs, without a search.
+        path: folder of the run; a fresh one under runs/ unless given.
+        progress: show a progress bar.
+        execution: where simulations run; the result is the same everywhere.
+        **search: see `GuideOptions`.
+
+    Returns:
+        a `study.table.Row` before and after, for each number of agents.
+
+    Raises:
+        InputError: the fleet cannot work on this layout, or the folder holds a run already.
+    """
+    evaluations, minutes = search.pop("evaluations", 2000), search.pop("minutes", None)
+    simulations, seed = search.pop("simulations", 1), search.pop("seed", 0)
+    if search.get("planner") in (None, (None, {})) and search.get("effort") is None:
+        search["planner"] = PibtConfig()  # a third of the time of the usual planner
+    options = args.Fleet(search)
+    plan, name = args.read_plan(layout, options.domain), args.name_of(layout)
+    agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    path = Path(path) if path else Path("runs") / f"guide-{plan.name}-{stamp}"
+    refuse_second_run(path / "config.json")
+    fleet = options.config(agents, timesteps)
+    # These import the simulator and both compilers: refusals are faster without them.
+    from qdenv.run import loop
+    from qdenv.study import guides
+
+    with studies.about(name):
+        config = guides.guide_config(plan, fleet, method, evaluations, simulations, seed)
+    planner = describe_planner(fleet.planner)
+    say(*filter(None, [note]), f"{agents} agents, {timesteps} timesteps; planner: {planner}")
+    if model is not None:
+        costs = guides.apply_model(args.open_run(model), plan, fleet)
+        path.mkdir(parents=True, exist_ok=True)
+        return show_guidance(plan, costs, fleet, path, {"model": str(model)})
+    say(f"{evaluations} evaluations into {path}")
+    run = loop.train(config, path, progress, execution, minutes or np.inf)
+    return finish_guide(run, plan.name)
+
+
+def finish_guide(run: RunDirectory, name: str) -> Table:
+    """Choose among what a search of costs found, and write and show it."""
+    from qdenv.domains.base import make_domain
+    from qdenv.study import guides
+
+    config = run.config.evaluation
+    costs, judged = guides.find_guidance(run)
+    plan = Plan(name, run.best.layout, make_domain(config.domain), assumed=False)
+    total, done = run.config.evaluations, run.read_metrics()[-1].evaluations
+    if done < total:
+        say(f"{done} of {total} evaluations are done: `qdenv resume {shlex.quote(str(run))}`")
+    return show_guidance(plan, costs, config.domain.fleet, run.path, {"judged": judged})
+
+
+def show_guidance(
+    plan: Plan, costs: np.ndarray, fleet: FleetConfig, path: Path, facts: dict[str, Any]
+) -> Table:
+    """Write costs (int32 [5, H, W]), draw them, and simulate the plan with and without them."""
+    from qdenv.io.guidance import weights_of
+    from qdenv.io.layouts import write_layout
+    from qdenv.study.recordings import count_moves, record_fleet
+    from qdenv.view.guidance import draw_guidance  # imports matplotlib
+    from qdenv.view.style import save_figure
+
+    domain, free = plan.domain, plan.domain.drivable(plan.layout)
+    unscaled = unscaled_costs(costs, free)
+    guided = plan._replace(costs=unscaled)
+    details = {"domain": domain.name, "agents": fleet.agents, "weights": weights_of(unscaled)}
+    write_layout(path / FILE, plan.layout, domain.tiles, domain.meanings, **details)
+    moves = count_moves(record_fleet(guided, fleet)[0].positions, plan.layout.shape)
+    title = f"{plan.name}, {fleet.agents} agents"
+    save_figure(draw_guidance(free, unscaled, moves, title), path / PICTURE)
+    counts = sorted({min(round(share * fleet.agents), int(free.sum())) for share in _SHARES})
+    trial = studies.Trial(domain.simulator.tasks, fleet, counts, range(10))
+    floors = {"before": plan._replace(costs=None).floor, "after": guided.floor}
+    with Bar("simulating before and after") as bar:
+        rows = studies.compare(floors, trial, progress=bar)
+    changes = studies.differences(rows)
+    half = len(counts)
+    table: list[tuple[str, ...]] = [("agents", "before", "after", "change (95 %)")]
+    for before, after, change in zip(rows[:half], rows[half:], changes[half:], strict=True):
+        low, high = f"{change.low:+.1f}", f"{change.high:+.1f}"
+        means = [f"{row.mean_of_all:.3f} +- {row.error_of_all:.3f}" for row in (before, after)]
+        table.append((str(before.agents), *means, f"{change.percent:+.1f} % ({low} to {high})"))
+    studies.write_rows(path / ROWS, rows)
+    say(f"{path / FILE}, {PICTURE}, {ROWS}", *format_table(table))
+    return Table(rows, facts | {"guidance": str(path / FILE)})

@@ -1,0 +1,88 @@
+"""`qdenv guide`: what it writes, that it pauses and goes on, that models serve other floors."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from small_warehouse import ROWS
+
+import qdenv
+from qdenv.ops.guidance import FILE, PICTURE
+from qdenv.study.guides import read_solutions
+from qdenv.types import InputError
+
+pytestmark = pytest.mark.slow
+FLEET = {"agents": 8, "timesteps": 40, "progress": False}
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    path = tmp_path_factory.mktemp("plan") / "hall.json"
+    path.write_text(json.dumps({"layout": ROWS}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(plan, tmp_path_factory):
+    path = tmp_path_factory.mktemp("guide") / "run"
+    return qdenv.guide(plan, path=path, evaluations=80, **FLEET), path
+
+
+def test_it_leaves_costs_a_picture_and_a_table(found, plan):
+    table, path = found
+    assert {row.layout for row in table} == {"before", "after"}
+    assert (path / PICTURE).stat().st_size > 10_000
+    guided, bare = qdenv.read_plan(path / FILE), qdenv.read_plan(plan)
+    np.testing.assert_array_equal(guided.layout, bare.layout)
+    assert guided.costs is not None and bare.costs is None
+    with (path / "before_after.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        source = path / FILE if row["layout"] == "after" else plan
+        again = qdenv.simulate_layout(
+            source, agents=int(row["agents"]), timesteps=40, planner="pibt", seeds=10
+        )
+        assert again["mean_of_all"] == pytest.approx(float(row["mean_of_all"]), rel=1e-4)
+
+
+def test_the_better_of_the_mean_and_the_best_is_written(found):
+    table, _ = found
+    assert set(table.facts["judged"]) == {"mean", "best"}
+
+
+def test_a_pause_and_going_on_end_where_one_search_does(found, plan, tmp_path):
+    _, whole = found
+    qdenv.guide(plan, path=tmp_path / "parts", evaluations=80, minutes=1e-9, **FLEET)
+    run = qdenv.RunDirectory.open(tmp_path / "parts")
+    assert run.read_metrics()[-1].evaluations == 40
+    run = qdenv.resume(run, progress=False)
+    assert run.read_metrics()[-1].evaluations == 80
+    one, two = read_solutions(run), read_solutions(qdenv.RunDirectory.open(whole))
+    for name, solution in one.items():
+        np.testing.assert_array_equal(solution, two[name])
+    assert (run.path / FILE).read_bytes() == (whole / FILE).read_bytes()
+
+
+def test_an_update_model_serves_a_floor_of_another_size(plan, tmp_path):
+    qdenv.guide(plan, method="update", path=tmp_path / "model", evaluations=40, **FLEET)
+    larger = tmp_path / "larger.json"
+    rows = ["." * len(ROWS[0]), *ROWS, *ROWS[1:]]
+    larger.write_text(json.dumps({"layout": rows}))
+    table = qdenv.guide(larger, model=tmp_path / "model", path=tmp_path / "out", **FLEET)
+    assert qdenv.read_plan(tmp_path / "out" / FILE).costs.shape == (5, len(rows), len(rows[0]))
+    assert len(table) > 2
+
+
+def test_what_makes_no_search_is_refused(found, plan, tmp_path):
+    _, path = found
+    with pytest.raises(InputError, match="holds a run already"):
+        qdenv.guide(plan, path=path, **FLEET)
+    with pytest.raises(InputError, match="no update model was searched there"):
+        qdenv.guide(plan, model=path, path=tmp_path / "out", **FLEET)
+    with pytest.raises(InputError, match="do not fit"):
+        qdenv.guide(plan, path=tmp_path / "out", **FLEET | {"agents": 500})
+    maze = qdenv.read_plan(plan)._replace(domain=qdenv.find_domain("maze-walls"))
+    with pytest.raises(InputError):
+        qdenv.guide(maze, path=tmp_path / "out", **FLEET)
+    assert not (tmp_path / "out").exists()
