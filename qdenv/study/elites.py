@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -158,16 +157,13 @@ def draw_grown_costs(
 
     Returns float [5, H, W] (`guidance`), or None where the generator draws none.
     """
-    settings = config.generator
-    if hasattr(settings, "steps"):
-        settings = replace(settings, steps=grown.steps)
-    generator = GENERATORS.make(settings, grown.domain.canvas)
-    if generator.guide is None or grown.elite is None:
+    generator = config.generator
+    if hasattr(generator, "steps"):
+        generator = replace(generator, steps=grown.steps)
+    draw = make_costs_drawer(replace(config, generator=generator), grown.domain)
+    if draw is None or grown.elite is None:
         return None
-    from qdenv.pipeline import draw_costs  # imports the simulator
-
-    draw = jax.jit(partial(draw_costs, grown.domain.simulator, generator))
-    costs = np.asarray(draw(grown.elite.solution, layout, jax.random.key(0)))
+    costs = draw(grown.elite.solution[None], layout[None])[0]
     return unscaled_costs(costs, grown.domain.drivable(layout))
 
 
@@ -269,7 +265,7 @@ def make_costs_drawer(config: EvaluationConfig, domain: Domain) -> CostsDrawer |
 
     def one(item: tuple[jax.Array, jax.Array]) -> jax.Array:
         key = jax.random.key(0)
-        return draw_costs(domain.simulator, generator, *item, key, generator.steps)
+        return draw_costs(domain.simulator, generator, *item, key)
 
     draw = jax.jit(lambda *items: jax.lax.map(one, items))
     return lambda solutions, layouts: np.asarray(draw(solutions, layouts))
