@@ -80,8 +80,10 @@ def test_what_makes_no_search_is_refused(found, plan, tmp_path):
         qdenv.guide(plan, path=path, **FLEET)
     with pytest.raises(InputError, match="no update model was searched there"):
         qdenv.guide(plan, model=path, path=tmp_path / "out", **FLEET)
-    with pytest.raises(InputError, match="do not fit"):
+    with pytest.raises(InputError, match="simulate fewer agents"):
         qdenv.guide(plan, path=tmp_path / "out", **FLEET | {"agents": 500})
+    with pytest.raises(InputError, match="begins at none or crisscross"):
+        qdenv.guide(plan, guidance="human-cost", path=tmp_path / "out", **FLEET)
     maze = qdenv.read_plan(plan)._replace(domain=qdenv.find_domain("maze-walls"))
     with pytest.raises(InputError):
         qdenv.guide(maze, path=tmp_path / "out", **FLEET)

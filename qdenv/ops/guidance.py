@@ -5,11 +5,12 @@ from __future__ import annotations
 import shlex
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Unpack
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Unpack, get_args
 
 import numpy as np
 from tyro.conf import arg
 
+from qdenv.generate import Base
 from qdenv.guidance import unscaled_costs
 from qdenv.io.files import refuse_second_run
 from qdenv.ops import options as args
@@ -24,6 +25,7 @@ from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.study import table as studies
 from qdenv.study.options import usual_fleet
 from qdenv.study.plans import Plan
+from qdenv.types import InputError
 
 if TYPE_CHECKING:
     from qdenv.simulate.mapf.settings import FleetConfig
@@ -64,11 +66,15 @@ def guide(
     Raises:
         InputError: the fleet cannot work on this layout, or the folder holds a run already.
     """
-    evaluations, minutes = search.pop("evaluations", 2000), search.pop("minutes", None)
-    simulations, seed = search.pop("simulations", 1), search.pop("seed", 0)
-    if search.get("planner") in (None, (None, {})) and search.get("effort") is None:
-        search["planner"] = PibtConfig()  # a third of the time of the usual planner
-    options = args.Fleet(search)
+    given: dict[str, Any] = dict(search)
+    minutes, base = given.pop("minutes", None), given.pop("guidance", None) or "crisscross"
+    usual = {"evaluations": 2000, "simulations": 1, "seed": 0}
+    numbers = {name: given.pop(name, one) for name, one in usual.items()}
+    if base not in get_args(Base):
+        raise InputError(f"guidance {base}: a search begins at none or crisscross")
+    if given.get("planner") in (None, (None, {})) and given.get("effort") is None:
+        given["planner"] = PibtConfig()  # a third of the time of the usual planner
+    options = args.Fleet(given)
     plan, name = args.read_plan(layout, options.domain), args.name_of(layout)
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
@@ -80,14 +86,14 @@ def guide(
     from qdenv.study import guides
 
     with studies.about(name):
-        config = guides.guide_config(plan, fleet, method, evaluations, simulations, seed)
+        config = guides.guide_config(plan, fleet, method, base, **numbers)
     planner = describe_planner(fleet.planner)
     say(*filter(None, [note]), f"{agents} agents, {timesteps} timesteps; planner: {planner}")
     if model is not None:
         costs = guides.apply_model(args.open_run(model), plan, fleet)
         path.mkdir(parents=True, exist_ok=True)
         return show_guidance(plan, costs, fleet, path, {"model": str(model)})
-    say(f"{evaluations} evaluations into {path}")
+    say(f"{numbers['evaluations']} evaluations into {path}")
     run = loop.train(config, path, progress, execution, minutes or np.inf)
     return finish_guide(run, plan.name)
 
@@ -110,7 +116,6 @@ def show_guidance(
     plan: Plan, costs: np.ndarray, fleet: FleetConfig, path: Path, facts: dict[str, Any]
 ) -> Table:
     """Write costs (int32 [5, H, W]), draw them, and simulate the plan with and without them."""
-    from qdenv.io.guidance import weights_of
     from qdenv.io.layouts import write_layout
     from qdenv.study.recordings import count_moves, record_fleet
     from qdenv.view.guidance import draw_guidance  # imports matplotlib
@@ -119,8 +124,8 @@ def show_guidance(
     domain, free = plan.domain, plan.domain.drivable(plan.layout)
     unscaled = unscaled_costs(costs, free)
     guided = plan._replace(costs=unscaled)
-    details = {"domain": domain.name, "agents": fleet.agents, "weights": weights_of(unscaled)}
-    write_layout(path / FILE, plan.layout, domain.tiles, domain.meanings, **details)
+    details = {"domain": domain.name, "agents": fleet.agents}
+    write_layout(path / FILE, plan.layout, domain.tiles, domain.meanings, unscaled, **details)
     moves = count_moves(record_fleet(guided, fleet)[0].positions, plan.layout.shape)
     title = f"{plan.name}, {fleet.agents} agents"
     save_figure(draw_guidance(free, unscaled, moves, title), path / PICTURE)

@@ -14,7 +14,6 @@ import numpy as np
 
 from qdenv.domains.base import Domain
 from qdenv.io.layouts import write_layout
-from qdenv.study.plans import free_cells
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
@@ -150,7 +149,7 @@ class Layout:
         details = {**self.domain.details, **self.details}
         tiles, meanings, costs = self.domain.tiles, self.domain.meanings, self.costs
         if costs is not None:
-            costs = np.where(free_cells(self.layout, self.domain), costs, np.inf)
+            costs = np.where(self.domain.drivable(self.layout), costs, np.inf)
         write_layout(path, self.layout, tiles, meanings, costs, **details)
         return Path(path)
 

@@ -18,7 +18,6 @@ from qdenv.guidance import unscaled_costs
 from qdenv.interrupt import advise, save_first, undisturbed
 from qdenv.io.arrays import write_arrays
 from qdenv.io.files import write_csv
-from qdenv.io.guidance import weights_of
 from qdenv.io.layouts import write_layout
 from qdenv.pipeline import PipelinedEvaluator
 from qdenv.progress import Bar
@@ -256,11 +255,12 @@ class Publisher:
             "measures": {measure.name: float(value) for measure, value in measures},
             "similarity": float(archive["similarity"][row]),
         }
+        costs = None
         if self._guide is not None:
-            seed = jax.random.key(0)
-            costs = np.asarray(self._guide(archive["solution"][row], layout, seed))
-            details["weights"] = weights_of(unscaled_costs(costs, domain.drivable(layout)))
+            fixed = np.asarray(self._guide(archive["solution"][row], layout, jax.random.key(0)))
+            costs = unscaled_costs(fixed, domain.drivable(layout))
         if domain.marks is not None:
             marks = domain.mark_cells(layout)
             details["marks"] = {name: list(cell) for name, cell in marks.items()}
-        write_layout(self._run.path / "best_layout.json", layout, domain.tiles, **details)
+        path = self._run.path / "best_layout.json"
+        write_layout(path, layout, domain.tiles, domain.meanings, costs, **details)

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import DOMAINS, FREE, SAME, Domain, check_shape, find_domain, make_domain
-from qdenv.grid import of_tiles
 from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
 from qdenv.io.guidance import costs_of
 from qdenv.io.layouts import BLANKS, ENDINGS, aliases, alphabet, read_drawing, to_layout
