@@ -15,7 +15,6 @@ from qdenv.guidance import unscaled_costs
 from qdenv.io.files import refuse_second_run
 from qdenv.ops import options as args
 from qdenv.ops.output import Table, format_table, say
-from qdenv.ops.searches import Folder
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt
 from qdenv.run.directory import RunDirectory
@@ -39,7 +38,7 @@ def guide(
     agents: PositiveInt | None = None,
     method: Literal["costs", "update"] = "costs",
     model: args.Run | None = None,
-    path: Folder = None,
+    path: args.Folder = None,
     progress: bool = True,
     execution: Annotated[Execution, arg(name="")] = Execution(),  # noqa: B008 (frozen)
     **search: Unpack[args.GuideOptions],

@@ -95,6 +95,10 @@ Width: TypeAlias = Annotated[float | None, option("{column,page,INCHES}", parse_
 # Exact numbers of tiles by name; one, or one for each of several sizes
 Number: TypeAlias = Annotated[int, Mark.TILES]
 Numbers: TypeAlias = Annotated[Sequence[int], Mark.TILES]
+# Of a run that begins
+Folder: TypeAlias = Annotated[
+    str | Path | None, option("FOLDER", Path), arg(name="out", aliases=("--run-dir",))
+]
 RepairSeed: TypeAlias = Annotated[int, arg(aliases=("--repair-seed",))]
 OnCommandLine: TypeAlias = Annotated[bool, Mark.TRUE]
 # Costs of moves by name or file, in Python also float [5, H, W], see `guidance`

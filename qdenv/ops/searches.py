@@ -56,9 +56,6 @@ CPU_SECONDS = {
 Preset: TypeAlias = Annotated[
     Any, Positional, args.option("{" + ",".join(PRESETS) + "}", str, names=tuple(PRESETS))
 ]
-Folder: TypeAlias = Annotated[
-    str | Path | None, args.option("FOLDER", Path), arg(name="out", aliases=("--run-dir",))
-]
 ZooName: TypeAlias = Annotated[str, Positional, arg(metavar="[DOMAIN[/NAME]]")]
 _ZOO_PLANNERS = {"high": "high effort", "published": "PBS", "agent": "the agent"}
 
@@ -149,7 +146,7 @@ def _read_costs() -> tuple[Path, dict[str, float]]:
 
 def train(
     preset: Preset = "quick",
-    path: Folder = None,
+    path: args.Folder = None,
     progress: bool = True,
     execution: Annotated[Execution, arg(name="")] = Execution(),  # noqa: B008 (frozen)
     keep: Path | None = None,
