@@ -4,15 +4,14 @@ It knows nothing of words and bits: a uniform-cost search over every state there
 conflicts, cell, leg, timesteps served), on a small maze with corridors and a hall.
 """
 
-import heapq
 import itertools
 from typing import NamedTuple
 
 import numpy as np
 
 from qdenv.grid import parse
-from qdenv.simulate.mapf.negotiated.rules import COST_UNIT
-from qdenv.simulate.mapf.planner import UNREACHABLE
+from qdenv.simulate.mapf.negotiated.settings import COST_UNIT, MOVE_UNIT
+from qdenv.simulate.mapf.planner import UNREACHABLE, UNREACHABLE_COST
 
 WINDOW = 6
 MOVES = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
@@ -34,6 +33,41 @@ class Case(NamedTuple):
     others: np.ndarray  # int [WINDOW + 1, n], paths of the others, without conflicts
     penalty: int  # cost of a conflict
     levels: int  # conflict levels
+    # int [5, cells], the cost of each move from each cell, 0 where it is not allowed; None without
+    costs: np.ndarray | None = None
+
+    @property
+    def unit(self) -> int:
+        """The cost of a timestep."""
+        return COST_UNIT if self.costs is None else MOVE_UNIT
+
+    def price(self, here: int, there: int) -> int:
+        """Price a step; without costs time is no cost. Refuse one that is not allowed."""
+        if self.costs is None:
+            return 0
+        move = MOVES.index((there // WIDTH - here // WIDTH, there % WIDTH - here % WIDTH))
+        return int(self.costs[move, here])
+
+    def allows(self, here: int, there: int) -> bool:
+        """Tell whether an agent can go from `here` to `there` in one timestep."""
+        return is_step(here, there) and (self.costs is None or self.price(here, there) > 0)
+
+    def to_go(self) -> list[np.ndarray]:
+        """Measure what is left from each cell to both goals (int [cells] each)."""
+        if self.costs is None:
+            return [COST_UNIT * numpy_distances(FREE, goal) for goal in self.goals]
+        steps = {(a, b) for a in range(FREE.size) for b in range(FREE.size) if self.allows(a, b)}
+        left = np.full((2, FREE.size), UNREACHABLE_COST)
+        left[[0, 1], self.goals] = 0
+        before = None
+        while before is None or (before != left).any():
+            before = left.copy()
+            for here, there in steps:
+                if here != there:
+                    left[:, here] = np.minimum(
+                        left[:, here], self.price(here, there) + left[:, there]
+                    )
+        return list(left)
 
 
 def numpy_distances(free: np.ndarray, goal: int) -> np.ndarray:
@@ -53,7 +87,9 @@ def numpy_distances(free: np.ndarray, goal: int) -> np.ndarray:
     return distance
 
 
-def random_case(rng: np.random.Generator, number: int, services: tuple[int, int]) -> Case:
+def random_case(
+    rng: np.random.Generator, number: int, services: tuple[int, int], has_costs: bool = False
+) -> Case:
     """Draw a case; some begin on their goal, some in service."""
     others = random_walks(rng, 12)
     cells = np.flatnonzero(FREE)
@@ -63,7 +99,13 @@ def random_case(rng: np.random.Generator, number: int, services: tuple[int, int]
     if serving or number % 5 == 0:
         first = start
     penalty = int(rng.choice([2, 6, 40]))
-    return Case(start, (first, second), services, serving, others, penalty, 3)
+    case = Case(start, (first, second), services, serving, others, penalty, 3)
+    if not has_costs:
+        return case
+    # Few numbers, so that there are ties, and a wide range of them; one move in ten is forbidden.
+    costs = rng.choice([1, 64, 64, 80, 1023], (len(MOVES), FREE.size))
+    costs[1:][rng.random(costs[1:].shape) < 0.1] = 0
+    return case._replace(penalty=16 * penalty, costs=costs)
 
 
 def random_walks(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -97,47 +139,52 @@ def hits(others: np.ndarray, time: int, here: int, there: int) -> bool:
 
 def cheapest(case: Case) -> int:
     """Find the cost of the best path by uniform-cost search over every state there is."""
-    start, goals, services, serving, others, penalty, levels = case
-    distance = [numpy_distances(FREE, goal) for goal in goals]
-    between = int(distance[1][goals[0]])
-    seen, best = set(), 10**9
-    queue = [(0, 0, start, 0, services[0] - serving if serving else -1)]
-    while queue:
-        state = heapq.heappop(queue)
-        if state in seen:
-            continue
-        seen.add(state)
-        time, conflicts, cell, leg, elapsed = state
-        if time == WINDOW:
-            left = max(services[leg] - elapsed, 0)
-            if elapsed < 0:
-                left = int(distance[leg][cell]) + services[leg]
-            cost = left + (between + services[1] if leg == 0 else 0)
-            best = min(best, COST_UNIT * cost + conflicts * penalty)
-            continue
-        ways = [cell] if elapsed >= 0 else [cell + d * WIDTH + r for d, r in MOVES]
-        for there in ways:
-            if not is_step(cell, there):
-                continue
-            more = min(conflicts + hits(others, time, cell, there), levels - 1)
-            now, at = leg, elapsed + 1 if elapsed >= 0 else -1
-            if at < 0 and there == goals[now] and (now == 0 or services[1] > 0):
-                at = 0
-            if now == 0 and at == services[0]:
-                now, at = 1, -1
-            heapq.heappush(queue, (time + 1, more, there, now, at))
+    start, goals, services, serving, others, penalty, levels, _ = case
+    left_to, unit = case.to_go(), case.unit
+    between = int(left_to[1][goals[0]])
+    # Conflicts, cell, leg and timesteps served (-1 while driving): what the cheapest path cost.
+    reached = {(0, start, 0, services[0] - serving if serving else -1): 0}
+    for time in range(WINDOW):
+        later: dict[tuple[int, int, int, int], int] = {}
+        for (conflicts, cell, leg, elapsed), spent in reached.items():
+            ways = [cell] if elapsed >= 0 else [cell + d * WIDTH + r for d, r in MOVES]
+            for there in ways:
+                if not case.allows(cell, there):
+                    continue
+                more = min(conflicts + hits(others, time, cell, there), levels - 1)
+                now, at = leg, elapsed + 1 if elapsed >= 0 else -1
+                price = case.price(cell, there)
+                if elapsed >= 0:
+                    serves = elapsed < services[leg] and case.costs is not None
+                    price = unit if serves else price
+                if at < 0 and there == goals[now] and (now == 0 or services[1] > 0):
+                    at = 0
+                if now == 0 and at == services[0]:
+                    now, at = 1, -1
+                state = (more, there, now, at)
+                later[state] = min(later.get(state, 10**9), spent + price)
+        reached = later
+    best = 10**9
+    for (conflicts, cell, leg, elapsed), spent in reached.items():
+        left = unit * max(services[leg] - elapsed, 0)
+        if elapsed < 0:
+            left = int(left_to[leg][cell]) + unit * services[leg]
+        left += between + unit * services[1] if leg == 0 else 0
+        best = min(best, spent + left + conflicts * penalty)
     return best
 
 
 def cost_of(case: Case, path: np.ndarray) -> int:
     """Drive a path (int [WINDOW + 1]) by the rules and price it; refuse what breaks one."""
-    start, goals, services, serving, others, penalty, levels = case
+    start, goals, services, serving, others, penalty, levels, _ = case
     assert path[0] == start
-    assert all(is_step(a, b) for a, b in itertools.pairwise(path.tolist()))
-    distance = [numpy_distances(FREE, goal) for goal in goals]
+    assert all(case.allows(a, b) for a, b in itertools.pairwise(path.tolist()))
+    left_to, unit, spent = case.to_go(), case.unit, 0
     leg, left, conflicts = 0, serving, 0
     for time, (here, there) in enumerate(itertools.pairwise(path.tolist())):
         conflicts = min(conflicts + hits(others, time, here, there), levels - 1)
+        serves = left > 0 and case.costs is not None
+        spent += unit if serves else case.price(here, there)
         if left > 0:
             assert here == there, "a service is cut short"
             left -= 1
@@ -145,13 +192,13 @@ def cost_of(case: Case, path: np.ndarray) -> int:
         elif leg < 2 and there == goals[leg] and (leg == 0 or services[1]):
             left = services[leg]
             leg += left == 0
-    after = distance[1][goals[0]] + services[1]
+    after = left_to[1][goals[0]] + unit * services[1]
     if left > 0:
-        rest = left + (after if leg == 0 else 0)
+        rest = unit * left + (after if leg == 0 else 0)
     else:
         rest = (
-            distance[0][path[-1]] + services[0] + after,
-            distance[1][path[-1]] + services[1],
+            left_to[0][path[-1]] + unit * services[0] + after,
+            left_to[1][path[-1]] + unit * services[1],
             0,
         )[leg]
-    return COST_UNIT * int(rest) + conflicts * penalty
+    return int(rest + spent) + conflicts * penalty

@@ -20,6 +20,7 @@ GIVEN = {
     rules.random_rank: (range(1 << 31), range(2)),
     rules.find_in_window: (CELL, CELL, 57, 10),
     rules.ends_leg: (1, range(2)),
+    rules.units: (TRUTH,),
     rules.driving_end: (1, 2, LEVELS, range(SIDE), range(SIDE), SIDE),
     rules.serving_end: (1, 2, LEVELS, TIME, SIDE),
     rules.unpack_end: (range(2 * LEVELS * (SIDE**2 + 32)), LEVELS, SIDE),

@@ -26,10 +26,12 @@ from qdenv.simulate.mapf.distances import goal_distances
 from qdenv.simulate.mapf.host.distances import empty_fields
 from qdenv.simulate.mapf.host.state import GridMap, grid_map
 from qdenv.simulate.mapf.negotiated.numba import search as host_search
-from qdenv.simulate.mapf.negotiated.numba.search import Agent, find_path, make_arrays
+from qdenv.simulate.mapf.negotiated.numba.search import Agent, find_path
+from qdenv.simulate.mapf.negotiated.numba.states import make_arrays
 from qdenv.simulate.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
 from qdenv.simulate.mapf.negotiated.xla.rounds import add_paths, choose, pack
-from qdenv.simulate.mapf.negotiated.xla.search import STRIDE, around, find_paths, gather
+from qdenv.simulate.mapf.negotiated.xla.search import find_paths
+from qdenv.simulate.mapf.negotiated.xla.window import STRIDE, around, gather
 from qdenv.simulate.mapf.planner import UNREACHABLE, AgentState, GoalTable, World
 from qdenv.simulate.mapf.settings import PLANNERS
 from qdenv.types import InputError
@@ -59,9 +61,17 @@ def unpadded(positions: np.ndarray) -> np.ndarray:
     return (positions // SHAPE[1] - MARGIN) * WIDTH + positions % SHAPE[1] - MARGIN
 
 
-def world_of(goals) -> World:
+def world_of(goals, case: Case | None = None) -> World:
     """Build the world of the maze with these goal cells, by the slow distances."""
-    distance = np.stack([numpy_distances(FREE, goal) for goal in goals]).astype(np.int16)
+    distance, costs = np.stack([numpy_distances(FREE, goal) for goal in goals]), None
+    if case is not None and case.costs is not None:
+        distance = np.stack(case.to_go()).astype(np.int32)
+        costs = np.zeros((5, *SHAPE), np.int32)
+        inside = slice(MARGIN, -MARGIN)
+        costs[:, inside, inside] = case.costs.reshape(5, HEIGHT, WIDTH)
+        costs = jnp.asarray(costs.reshape(5, -1))
+    else:
+        distance = distance.astype(np.int16)
     margins = ((0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN))
     far = np.pad(distance.reshape(-1, HEIGHT, WIDTH), margins, constant_values=UNREACHABLE)
     count = len(goals)
@@ -74,6 +84,7 @@ def world_of(goals) -> World:
         service_time=jnp.zeros(2, jnp.int32),
         valid=jnp.bool_(True),
         margin=MARGIN,
+        costs=costs,
     )
 
 
@@ -137,17 +148,22 @@ def search_on_host(world: World, case: Case, tie_break: int) -> np.ndarray:
         case.penalty,
         tie_break,
     )
-    work = make_arrays(WINDOW, case.levels, np.array([case.penalty]))
-    assert find_path(work, table, empty_fields(SHAPE, 2, 2), place, agent)
+    has_costs = case.costs is not None
+    work = make_arrays(WINDOW, case.levels, np.array([case.penalty]), has_costs)
+    fields = empty_fields(SHAPE, 2, 2, has_costs=has_costs)
+    assert find_path(work, table, fields, place, agent)
     return table.path[-1]
 
 
+@pytest.mark.parametrize("has_costs", [False, True])
 @pytest.mark.parametrize("services", [(0, 0), (2, 3), (0, 2), (3, 0)])
-def test_one_agent_agrees_with_uniform_cost_search_in_both_backends(services: tuple[int, int]):
+def test_one_agent_agrees_with_uniform_cost_search_in_both_backends(
+    services: tuple[int, int], has_costs: bool
+):
     rng = np.random.default_rng(sum(services))
     for number in range(25):
-        case, tie_break = random_case(rng, number, services), number * 977
-        world, best = world_of(case.goals), cheapest(case)
+        case, tie_break = random_case(rng, number, services, has_costs), number * 977
+        world, best = world_of(case.goals, case), cheapest(case)
         others, numbers = jnp.asarray(padded(case.others)), (case.penalty, tie_break)
         xla, cost = search_in_xla(
             world, state_of(case, world.distance), others, *map(jnp.int32, numbers), case.levels

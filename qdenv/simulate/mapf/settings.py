@@ -84,7 +84,8 @@ def check_costs(planner: Any) -> None:
     if not PLANNERS.make(planner).reads_costs:
         name = PLANNERS.name_of(planner)
         raise InputError(
-            f"the planner {name!r} knows no costs of moves: choose pibt or pbs, or --guidance none"
+            f"the planner {name!r} knows no costs of moves: choose negotiated, pibt or pbs, or "
+            "--guidance none"
         )
 
 

@@ -73,4 +73,4 @@ def negotiated(config: NegotiatedConfig) -> Planner:
 
     on_host = run_windows if runs_on_host(config.backend) else None
     limits = MAX_WINDOW, MAX_SERVICE, MARGIN
-    return Planner(plan, *limits, on_host, partial(make_plan, config), waits)
+    return Planner(plan, *limits, on_host, partial(make_plan, config), waits, reads_costs=True)

@@ -20,6 +20,7 @@ import jax
 
 from qdenv.grid import DOWN, LEFT, RIGHT, UP
 from qdenv.native import shared
+from qdenv.simulate.mapf.negotiated.settings import COST_UNIT, MOVE_UNIT
 
 # Any odd number that spreads over many bits: its product with the number of the round changes an
 # agent's bits, so that ties are broken in another way in every round.
@@ -27,7 +28,6 @@ ROUND_TIE_BREAK = 0x5851
 SWEEPS = 3  # of the greedy choice; an odd number errs towards choosing too few
 
 LEGS = 2
-COST_UNIT = 4  # costs are counted in quarters of a timestep
 TIE_BITS = 24  # random bits of an agent in a window
 # Room for the end of a path: leg, conflicts, row, column. As many of the random bits settle ties
 # between ends; the next one says whether a path looks up and down before right and left.
@@ -60,6 +60,12 @@ def ends_leg(leg: int, service_time: Value) -> Value:
     What follows the next goal is not known: without service there, it is driven over freely.
     """
     return (leg == 0) | (service_time > 0)
+
+
+@shared
+def units(has_costs: Value) -> tuple[Value, Value]:
+    """Return the costs of a timestep of service, and of a unit of distance (truth: moves cost)."""
+    return COST_UNIT + has_costs * (MOVE_UNIT - COST_UNIT), COST_UNIT - has_costs * (COST_UNIT - 1)
 
 
 @shared

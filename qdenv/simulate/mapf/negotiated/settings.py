@@ -17,6 +17,12 @@ MARGIN = MAX_WINDOW  # so that no agent sees beyond the border
 _MAX_CONFLICT_LEVELS = 4  # more would not fit into the code of a path's end
 
 
+COST_UNIT = 4  # costs are counted in quarters of a timestep
+MOVE_UNIT = 64  # where moves have costs: in units of which a move costs 64 on average
+# Where moves have costs: above what standing still through a window can cost, so that a larger
+# penalty hardly makes a difference.
+_MAX_PENALTY = 1 << 14
+
 _LARGEST = 1_000_000  # of any number: more fits into no count of costs
 _Number = Annotated[int, Interval(ge=1, le=_LARGEST)]
 
@@ -56,9 +62,12 @@ class NegotiatedConfig(Ranged):
         """Return the number of timesteps planned without conflict."""
         return max(horizon, min(self.lookahead, window))
 
-    def penalty_costs(self, unit: int) -> np.ndarray:
-        """Return the penalties as costs (int32 [attempts]), of which `unit` are one timestep."""
-        return np.array([round(unit * penalty) for penalty in self.penalties], np.int32)
+    def penalty_costs(self, has_costs: bool) -> np.ndarray:
+        """Return the penalties (int32 [attempts]) in the units of a world with costs or without."""
+        costs = np.array([round(COST_UNIT * penalty) for penalty in self.penalties], np.int32)
+        if has_costs:
+            costs = np.minimum(costs * (MOVE_UNIT // COST_UNIT), _MAX_PENALTY)
+        return costs
 
     def max_rounds(self, agents: Any) -> Any:
         """Return the most rounds (float32) of a number of agents, padding not counted.

@@ -15,11 +15,10 @@ from qdenv.simulate.mapf.negotiated.numba.search import (
     WALL,
     Agent,
     ReservationWords,
-    SearchArrays,
     find_path,
-    make_arrays,
     reserve,
 )
+from qdenv.simulate.mapf.negotiated.numba.states import SearchArrays, make_arrays
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
 
 
@@ -46,7 +45,7 @@ def make_plan(config: NegotiatedConfig, run: HostRun, size: int) -> HostNegotiat
     """Make what the planner works on; no buffer can be too small, so the size is 1."""
     agents, horizon = run.position.size, run.settings.horizon
     window = config.planned_ahead(run.settings.window, horizon)
-    lanes, costs = min(config.lanes, agents), config.penalty_costs(rules.COST_UNIT)
+    lanes, has_costs = min(config.lanes, agents), run.grid.costs.size > 0
     heap, order, tie_break, attempts = np.empty((4, agents), np.int64)
     return HostNegotiation(
         int(config.max_rounds(agents)),
@@ -66,7 +65,7 @@ def make_plan(config: NegotiatedConfig, run: HostRun, size: int) -> HostNegotiat
             np.zeros((agents, window + 1), np.int64),
             np.zeros(agents, np.int64),
         ),
-        make_arrays(window, config.conflict_levels, costs),
+        make_arrays(window, config.conflict_levels, config.penalty_costs(has_costs), has_costs),
     )
 
 

@@ -21,7 +21,8 @@ from qdenv.grid import NUM_MOVES
 from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.negotiated import rules
 from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
-from qdenv.simulate.mapf.negotiated.xla.search import STRIDE, find_paths, gather
+from qdenv.simulate.mapf.negotiated.xla.search import find_paths
+from qdenv.simulate.mapf.negotiated.xla.window import STRIDE, gather
 from qdenv.simulate.mapf.planner import NOBODY, AgentState, World
 
 _WORD = 32
@@ -179,7 +180,7 @@ def negotiate(
     lanes = min(config.lanes, count)
     order, tie_breaks = _draw_priorities(state, seed)
     walls = pack(world.traversable)
-    penalties = jnp.asarray(config.penalty_costs(rules.COST_UNIT))
+    penalties = jnp.asarray(config.penalty_costs(world.costs is not None))
     limit = jnp.asarray(config.max_rounds(state.active.sum())).astype(jnp.int32)
 
     def plan_round(negotiation: _Negotiation) -> _Negotiation:

@@ -6,11 +6,14 @@ leg and by the number of conflicts (`rules`); a *mask* is a word that is all one
 
 Only the end of a path has a cost: the steps still to go from there, plus a penalty per conflict.
 The path itself is read off backwards: which neighbour was expandable one step before?
+Where moves have costs, numbers take the place of sets (`costs`): a path is then read off backwards
+by what it has cost so far.
 
 While an agent serves at a goal it is in no set; bit e of `served` says that a path exists by which
 it has been serving for e timesteps.
 """
 
+from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
@@ -19,39 +22,12 @@ import jax.numpy as jnp
 
 from qdenv.grid import NUM_MOVES
 from qdenv.simulate.mapf.negotiated import rules
-from qdenv.simulate.mapf.negotiated.rules import COST_UNIT, PathState
-from qdenv.simulate.mapf.planner import AgentState, World
+from qdenv.simulate.mapf.negotiated.rules import PathState
+from qdenv.simulate.mapf.negotiated.xla import costs
+from qdenv.simulate.mapf.negotiated.xla.window import ALL, FAR, LocalWindow, conflicting_cells
 
-STRIDE = 11  # columns between the starts of neighbouring words of the reservations
-_ALL = 0xFFFFFFFF  # the mask that holds
-
-PathStates: TypeAlias = PathState[jax.Array]  # of K paths
-
-
-class LocalWindow(NamedTuple):
-    """What K agents see around them: squares of side E = 2 * window + 1, at most 21."""
-
-    reserved: jax.Array  # uint32 [window, 5, E, K], reserved cells and moves (`xla.rounds`)
-    traversable: jax.Array  # uint32 [E, K], cells without walls
-    goal: jax.Array  # uint32 [2, E, K], the current and the next goal, where they end a leg
-    goal_row: jax.Array  # int32 [2, K], their rows in sight (0 where out of sight)
-    goal_column: jax.Array  # int32 [2, K], their columns
-    # int32 [2, E, E, K], cost of what is left from each cell on, per leg, less `shortest`
-    cost_to_go: jax.Array
-    cost_after_goal: jax.Array  # int32 [K], cost of what is left once the current goal is done
-    # int32 [K], cost of the shortest way through both goals; costs to go are counted from it, for
-    # the keys of ends have no room for that of a long way
-    shortest: jax.Array
-    service_time: jax.Array  # int32 [2, K], timesteps to serve at each goal
-    # int32 [K], timesteps still to serve where the agent is; 0 while driving
-    remaining_service: jax.Array
-    penalty: jax.Array  # int32 [K], cost of a conflict
-    tie_break: jax.Array  # int32 [K], random bits that settle ties
-
-    @property
-    def side(self) -> int:
-        """Rows and columns in sight (E)."""
-        return self.traversable.shape[0]
+# Of K paths: where they are, and what they have cost so far (int32 [K], 0 without costs of moves).
+_Paths: TypeAlias = tuple[PathState[jax.Array], jax.Array]
 
 
 class ReachableSet(NamedTuple):
@@ -66,91 +42,12 @@ class ReachableSet(NamedTuple):
     just_served: jax.Array
 
 
-def around(packed: jax.Array, position: jax.Array, width: int, reach: int) -> jax.Array:
-    """Cut the square of ``2 * reach + 1`` cells around every agent (uint32 [..., side, K]).
-
-    Bit j of row i is the cell ``(i - reach, j - reach)`` away from `position` (int32 [K]) in the
-    words of a grid of `width` columns (uint32 [..., H', words]). A word holds a reach of 10.
-    """
-    words = packed.shape[-1]
-    row, column = position // width, position % width - reach
-    rows = row[None, :] - reach + jnp.arange(2 * reach + 1)[:, None]
-    word, bit = column // STRIDE, (column % STRIDE).astype(jnp.uint32)
-    flat = packed.reshape(*packed.shape[:-2], -1)
-    seen = flat[..., rows * words + word[None, :]]
-    return (seen >> bit) & jnp.uint32((1 << (2 * reach + 1)) - 1)
-
-
-def gather(
-    world: World,
-    state: AgentState,
-    table: jax.Array,
-    walls: jax.Array,
-    agent: jax.Array,
-    penalty: jax.Array,
-    tie_break: jax.Array,
-) -> LocalWindow:
-    """Cut out what K agents see; the length of the previous paths of all is the window.
-
-    `table` (uint32, flat) are the packed reservations, `walls` (uint32 [H', words]) the packed
-    traversable cells; `agent`, `penalty` and `tie_break` are int32 [K].
-    """
-    width, size = world.traversable.shape[1], world.traversable.size
-    window = state.previous.shape[0] - 1
-    side = 2 * window + 1
-    position, rows = state.position[agent], state.row[:, agent]
-    service_time = state.service_time[:, agent]
-    goals = world.goals.cells[state.goal[:, agent]]
-    row, column = rules.find_in_window(goals, position, width, window)
-    ends = jnp.stack([rules.ends_leg(leg, service_time[leg]) for leg in range(2)])
-    seen = ends & (row >= 0) & (row < side) & (column >= 0) & (column < side)
-    # A goal out of sight keeps place (0, 0) and an empty set: no branch, and nothing ever arrives.
-    row, column = jnp.where(seen, row, 0), jnp.where(seen, column, 0)
-    bit = jnp.where(seen, jnp.uint32(1) << column.astype(jnp.uint32), 0)
-    goal = jnp.where(jnp.arange(side)[:, None] == row[:, None], bit[:, None], 0)
-    # Once the current goal is done, the way to the next one and the service there are left.
-    onwards = state.distance[rows[1], goals[0]].astype(jnp.int32)
-    after = COST_UNIT * (onwards + service_time[1])
-    # Steps from every cell in sight to both goals.
-    step = jnp.arange(-window, window + 1)
-    cell = jnp.clip(position + (step[:, None] * width + step)[:, :, None], 0, size - 1)
-    distance = state.distance.reshape(-1)[rows[:, None, None] * size + cell].astype(jnp.int32)
-    shortest = COST_UNIT * (distance[0, window, window] + service_time[0]) + after
-    # On the first leg the whole second one is still to come, whichever cell the window ends on.
-    after_leg = jnp.stack([after, jnp.zeros_like(after)])
-    fixed = COST_UNIT * service_time + after_leg - shortest
-    planes = table.reshape(-1, NUM_MOVES, *walls.shape)
-    return LocalWindow(
-        reserved=around(planes, position, width, window),
-        traversable=around(walls, position, width, window),
-        goal=goal.astype(jnp.uint32),
-        goal_row=row,
-        goal_column=column,
-        cost_to_go=COST_UNIT * distance + fixed[:, None, None],
-        cost_after_goal=after,
-        shortest=shortest,
-        service_time=service_time,
-        remaining_service=state.remaining_service[agent],
-        penalty=penalty,
-        tie_break=tie_break,
-    )
-
-
 def _expandable(local: LocalWindow, reached: ReachableSet) -> jax.Array:
     """List the cells that paths go on from (uint32 [L, 2, E, K]).
 
     A goal is left only after service, on the next leg.
     """
     return (reached.cells & ~local.goal) | (reached.just_served & local.goal[:1])
-
-
-def _conflicting_cells(reserved: jax.Array) -> tuple[jax.Array, ...]:
-    """Find the cells where arriving by each move conflicts, from the planes of a step [5, ...].
-
-    Wherever another agent arrives, and against the move by which it left a cell: that is a swap.
-    """
-    cell, right, left, down, up = reserved
-    return cell, cell | left, cell | right, cell | up, cell | down
 
 
 def _by_conflicts(clean: jax.Array, conflicting: jax.Array) -> jax.Array:
@@ -176,7 +73,7 @@ def _start(local: LocalWindow, levels: int) -> ReachableSet:
     # Standing on the goal is not arriving: the path leaves it like any other cell.
     on_goal = driving & ((local.goal[0, middle] >> middle) & 1 == 1)
     just_served = jnp.zeros((levels, 2, 1, agents), jnp.uint32)
-    just_served = just_served.at[0, 0, 0].set(jnp.where(on_goal, jnp.uint32(_ALL), 0))
+    just_served = just_served.at[0, 0, 0].set(jnp.where(on_goal, jnp.uint32(ALL), 0))
     return ReachableSet(cells, served, just_served)
 
 
@@ -193,7 +90,7 @@ def _advance(
     up = jnp.concatenate([here[:, :, 1:], edge], axis=2)
     clean, conflicting = jnp.zeros_like(here), jnp.zeros_like(here)
     moved = (here, here << 1, here >> 1, down, up)
-    for arriving, taken in zip(moved, _conflicting_cells(reserved), strict=True):
+    for arriving, taken in zip(moved, conflicting_cells(reserved), strict=True):
         clean, conflicting = clean | (arriving & ~taken), conflicting | (arriving & taken)
     cells = _by_conflicts(clean & local.traversable, conflicting & local.traversable)
     longer = reached.served << 1
@@ -206,43 +103,62 @@ def _advance(
     return ReachableSet(cells, served, just_served)
 
 
+def _ends(
+    local: LocalWindow, cells: jax.Array, served: jax.Array
+) -> Iterator[tuple[jax.Array, jax.Array, jax.Array]]:
+    """List where a path can end: is it reached, its cost less `shortest`, its code."""
+    levels, side, (unit, _) = cells.shape[0], local.side, rules.units(int(local.costs is not None))
+    row, column = jnp.arange(side)[:, None, None], jnp.arange(side)[:, None]
+    elapsed = jnp.arange(rules.SERVED_BITS)[:, None]
+    for leg in range(2):
+        after = (1 - leg) * local.cost_after_goal - local.shortest
+        left = jnp.maximum(local.service_time[leg] - elapsed, 0)
+        service_cost = unit * left + after
+        for conflicts in range(levels):
+            price = conflicts * local.penalty
+            here, serving = cells[conflicts, leg], served[conflicts, leg]
+            code = rules.driving_end(leg, conflicts, levels, row, column, side)
+            later = rules.serving_end(leg, conflicts, levels, elapsed, side)
+            if local.costs is None:
+                is_here = (here[:, None] >> column.astype(jnp.uint32)) & 1 == 1
+                yield is_here, local.cost_to_go[leg] + price, code
+                is_here = (serving >> elapsed.astype(jnp.uint32)) & 1 == 1
+                yield is_here, service_cost + price, later
+            else:
+                yield here < FAR, here + local.cost_to_go[leg] + price, code
+                yield serving < FAR, serving + service_cost + price, later
+
+
 def _cheapest_end(
     local: LocalWindow, cells: jax.Array, served: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Choose where to be after the window (cost and code, both int32 [K]).
 
-    `cells` (uint32 [L, 2, E, K]) are expandable at the end, `served` is uint32 [L, 2, K] then.
+    `cells` are those that paths go on from at the end, `served` what has been served then
+    (`ReachableSet`, or `costs.LeastCosts`).
     """
-    levels, side = cells.shape[0], local.side
-    row, column = jnp.arange(side)[:, None, None], jnp.arange(side)[:, None]
-    elapsed = jnp.arange(rules.SERVED_BITS)[:, None]
     tie = local.tie_break & rules.CODES
-    best = jnp.full(tie.shape, rules.INFEASIBLE, jnp.int32)
+    nothing = jnp.full(tie.shape, rules.INFEASIBLE, jnp.int32)
 
-    def cheapest(
-        best: jax.Array, is_here: jax.Array, cost: jax.Array, code: jax.Array
-    ) -> jax.Array:
-        # Cost and code in one number: the smallest is the best end, ties fall by chance.
-        key = (cost << rules.CODE_BITS) | (code ^ tie)
+    def smallest(best: jax.Array, is_here: jax.Array, key: jax.Array) -> jax.Array:
         key = jnp.where(is_here, key, rules.INFEASIBLE)
         return jnp.minimum(best, key.min(tuple(range(key.ndim - 1))))
 
-    for leg in range(2):
-        after = (1 - leg) * local.cost_after_goal - local.shortest
-        left = jnp.maximum(local.service_time[leg] - elapsed, 0)
-        service_cost = COST_UNIT * left + after
-        for conflicts in range(levels):
-            price = conflicts * local.penalty
-            is_here = (cells[conflicts, leg][:, None] >> column.astype(jnp.uint32)) & 1 == 1
-            code = rules.driving_end(leg, conflicts, levels, row, column, side)
-            best = cheapest(best, is_here, local.cost_to_go[leg] + price, code)
-            is_here = (served[conflicts, leg] >> elapsed.astype(jnp.uint32)) & 1 == 1
-            code = rules.serving_end(leg, conflicts, levels, elapsed, side)
-            best = cheapest(best, is_here, service_cost + price, code)
-    found = best < rules.INFEASIBLE
-    code = jnp.where(found, (best ^ tie) & rules.CODES, 0)
-    cost = (best >> rules.CODE_BITS) + local.shortest
-    return jnp.where(found, cost, rules.INFEASIBLE), code
+    best = nothing
+    if local.costs is None:
+        for is_here, cost, code in _ends(local, cells, served):
+            # Cost and code in one number: the smallest is the best end, ties fall by chance.
+            best = smallest(best, is_here, (cost << rules.CODE_BITS) | (code ^ tie))
+        found, code, cost = best < rules.INFEASIBLE, best, best >> rules.CODE_BITS
+    else:
+        # Such costs have no room beside a code.
+        for is_here, cost, _ in _ends(local, cells, served):
+            best = smallest(best, is_here, cost)
+        found, code, cost = best < rules.INFEASIBLE, nothing, best
+        for is_here, cost_here, each in _ends(local, cells, served):
+            code = smallest(code, is_here & (cost_here == best), each ^ tie)
+    code = jnp.where(found, (code ^ tie) & rules.CODES, 0)
+    return jnp.where(found, cost + local.shortest, rules.INFEASIBLE), code
 
 
 def _is_in(words: jax.Array, column: jax.Array, side: int) -> jax.Array:
@@ -251,44 +167,82 @@ def _is_in(words: jax.Array, column: jax.Array, side: int) -> jax.Array:
     return inside & ((words >> jnp.clip(column, 0, 31).astype(jnp.uint32)) & 1 == 1)
 
 
+def _goes_on(
+    local: LocalWindow, cells: jax.Array, place: tuple[jax.Array, ...], spent: jax.Array
+) -> jax.Array:
+    """Return True where a path that has cost `spent` goes on from a place.
+
+    The place is conflicts, leg, row, column and agent (int32 [K] each) in `cells`.
+    """
+    *level, row, column, agent = place
+    side = local.side
+    inside = jnp.clip(row, 0, side - 1)
+    if local.costs is None:
+        return _is_in(cells[*level, inside, agent], column, side) & (row == inside)
+    across = jnp.clip(column, 0, side - 1)
+    is_inside = (row == inside) & (column == across)
+    return is_inside & (cells[*level, inside, across, agent] == spent)
+
+
+def _has_served(
+    local: LocalWindow, served: jax.Array, place: tuple[jax.Array, ...], spent: jax.Array
+) -> jax.Array:
+    """Return True where a path that has cost `spent` is in service.
+
+    The place is conflicts, leg, timesteps served and agent (int32 [K] each) in `served`.
+    """
+    *level, elapsed, agent = place
+    if local.costs is None:
+        return (served[*level, agent] >> elapsed.astype(jnp.uint32)) & 1 == 1
+    return served[*level, elapsed, agent] == spent
+
+
 def _go_back(
-    local: LocalWindow, state: PathStates, step: tuple[jax.Array, ...]
-) -> tuple[PathStates, jax.Array]:
+    local: LocalWindow, paths: _Paths, step: tuple[jax.Array, ...]
+) -> tuple[_Paths, jax.Array]:
     """Go from where the paths are at t + 1 to where they were at t; returns also the former.
 
     `step` is what the search found for the step: its reservations (uint32 [5, E, K]), the cells
-    that paths go on from at t, by conflicts and leg (uint32 [L, 2, E, K]), and the timesteps served
-    at t and at t + 1 (uint32 [L, 2, K]).
+    that paths go on from at t, and what is served at t and at t + 1 (`ReachableSet`, or
+    `costs.LeastCosts`).
     """
+    state, spent = paths
     reserved, expandable, served, served_after = step
     agent, side, cap = jnp.arange(state.leg.shape[0]), local.side, expandable.shape[0] - 1
     place = jnp.stack([state.row, state.column])
     service_time = local.service_time[0]
     # Leg 1 began where the service at the current goal ended.
     on_first_goal = _is_in(local.goal[0, state.row, agent], state.column, side)
-    finished = served_after[state.conflicts, 0, agent] >> service_time.astype(jnp.uint32)
-    entered = (state.elapsed < 0) & (state.leg == 1) & on_first_goal & (finished & 1 == 1)
+    first = jnp.zeros_like(state.leg)
+    finished = _has_served(
+        local, served_after, (state.conflicts, first, service_time, agent), spent
+    )
+    entered = (state.elapsed < 0) & (state.leg == 1) & on_first_goal & finished
     leg = jnp.where(entered, 0, state.leg)
     served_here = jnp.where(entered, service_time, state.elapsed)
     fewer = jnp.maximum(state.conflicts - 1, 0)
     # Served for one timestep less.
-    elapsed = jnp.maximum(served_here - 1, 0).astype(jnp.uint32)
+    elapsed = jnp.maximum(served_here - 1, 0)
+    spent_if_stayed = spent - local.staying_cost(leg, elapsed, agent)
     conflict = rules.service_conflict(
         state.conflicts,
         _is_in(reserved[0, state.row, agent], state.column, side),
-        (served[fewer, leg, agent] >> elapsed) & 1 == 1,
+        _has_served(local, served, (fewer, leg, elapsed, agent), spent_if_stayed),
     )
     stayed = PathState(leg, state.conflicts - conflict, state.row, state.column, served_here - 1)
     # Drove: the first neighbour, in order of preference, from which this cell was reached.
     flipped = (local.tie_break >> rules.CODE_BITS) & 1
     conflicts, row, column = state.conflicts, state.row, state.column
-    best_rank = jnp.full_like(leg, NUM_MOVES)
-    for move, words in enumerate(_conflicting_cells(reserved[:, state.row, agent])):
+    best_rank, spent_if_driven = jnp.full_like(leg, NUM_MOVES), spent
+    for move, words in enumerate(conflicting_cells(reserved[:, state.row, agent])):
         i, j = rules.cell_before(state.row, state.column, move)
-        inside = jnp.clip(i, 0, side - 1)
-        same, less = (expandable[count, leg, inside, agent] for count in (state.conflicts, fewer))
-        from_same = _is_in(same, j, side) & (i == inside)
-        from_less = _is_in(less, j, side) & (i == inside) & (state.conflicts > 0)
+        # Less than nothing where the move is not allowed: no path has cost that.
+        before = spent - local.moving_cost(move, i, j, agent)
+        from_same, from_less = (
+            _goes_on(local, expandable, (count, leg, i, j, agent), before)
+            for count in (state.conflicts, fewer)
+        )
+        from_less = from_less & (state.conflicts > 0)
         conflicting = _is_in(words, state.column, side)
         possible = rules.is_predecessor(from_same, from_less, conflicting, state.conflicts == cap)
         rank = rules.move_at(move, flipped)  # its own inverse
@@ -296,9 +250,11 @@ def _go_back(
         best_rank = jnp.where(better, rank, best_rank)
         conflicts = jnp.where(better, state.conflicts - (conflicting & from_less), conflicts)
         row, column = jnp.where(better, i, row), jnp.where(better, j, column)
+        spent_if_driven = jnp.where(better, before, spent_if_driven)
     drove = PathState(leg, conflicts, row, column, jnp.full_like(leg, -1))
-    before = (jnp.where(served_here > 0, a, b) for a, b in zip(stayed, drove, strict=True))
-    return PathState(*before), place
+    earlier = (jnp.where(served_here > 0, a, b) for a, b in zip(stayed, drove, strict=True))
+    spent = jnp.where(served_here > 0, spent_if_stayed, spent_if_driven)
+    return (PathState(*earlier), spent), place
 
 
 def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
@@ -312,25 +268,40 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
     at_goal = (
         local.reserved[:, 0][:, local.goal_row, agent] & local.goal[leg, local.goal_row, agent]
     )
-    disturbed = jnp.where(at_goal != 0, jnp.uint32(_ALL), jnp.uint32(0))
+    disturbed = jnp.where(at_goal != 0, jnp.uint32(ALL), jnp.uint32(0))
 
-    def forward(
+    def by_sets(
         reached: ReachableSet, inputs: tuple[jax.Array, jax.Array]
     ) -> tuple[ReachableSet, tuple[jax.Array, jax.Array]]:
         return _advance(local, reached, *inputs), (_expandable(local, reached), reached.served)
 
-    begin = _start(local, levels)
-    last, (cells, served) = jax.lax.scan(forward, begin, (local.reserved, disturbed))
-    cost, code = _cheapest_end(local, _expandable(local, last), last.served)
-    served_after = jnp.concatenate([served[1:], last.served[None]])
+    def by_numbers(
+        least: costs.LeastCosts, inputs: tuple[jax.Array, jax.Array]
+    ) -> tuple[costs.LeastCosts, costs.LeastCosts]:
+        return costs.advance(local, least, *inputs), least
+
+    inputs = local.reserved, disturbed
+    if local.costs is None:
+        reached, (cells, served) = jax.lax.scan(by_sets, _start(local, levels), inputs)
+        last_cells, last_served = _expandable(local, reached), reached.served
+    else:
+        least, (cells, served) = jax.lax.scan(by_numbers, costs.start(local, levels), inputs)
+        last_cells, last_served = least
+    cost, code = _cheapest_end(local, last_cells, last_served)
+    served_after = jnp.concatenate([served[1:], last_served[None]])
     end = rules.unpack_end(code, levels, local.side)
     serving = end.elapsed >= 0
     end = end._replace(
         row=jnp.where(serving, local.goal_row[end.leg, agent], end.row),
         column=jnp.where(serving, local.goal_column[end.leg, agent], end.column),
     )
-
+    spent = jnp.zeros_like(code)
+    if local.costs is not None:
+        driven = last_cells[end.conflicts, end.leg, end.row, end.column, agent]
+        stayed = last_served[end.conflicts, end.leg, jnp.maximum(end.elapsed, 0), agent]
+        spent = jnp.where(serving, stayed, driven)
     history = local.reserved, cells, served, served_after
-    first, path = jax.lax.scan(partial(_go_back, local), end, history, reverse=True)
+    begin = (end, spent)
+    (first, _), path = jax.lax.scan(partial(_go_back, local), begin, history, reverse=True)
     path = jnp.concatenate([jnp.stack([first.row, first.column])[None], path])
     return path.swapaxes(0, 1) - local.side // 2, cost
