@@ -1,27 +1,39 @@
-"""Guidance: the published floors and graphs, ours beside them.
+"""Guidance: published floors and graphs as their authors drove them, and ours beside them.
 
-    python -m experiments.guidance table     Table 3 of Zhang et al. 2024 from the files at hand
-    python -m experiments.guidance search    costs searched for these floors, by seeds
+    QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases warehouse empty
+    QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases warehouse --agents 100:600:100
 
 Zhang, Jiang, Bhatt, Nikolaidis and Li 2024, "Guidance graph optimization for lifelong multi-agent
-path finding", https://arxiv.org/abs/2402.01446. The floors and graphs of its authors are read from
-the folder that QDENV_STUDY_DATA names; they are not part of this repository.
+path finding", https://arxiv.org/abs/2402.01446, Table 3: T = 1000, PIBT plans every timestep anew,
+priority-based search ten timesteps every five. The floors and graphs are its authors' and no part
+of this repository: they are read from the folder that QDENV_STUDY_DATA names. Costs that
+`qdenv guide` found are in results/guidance/CASE.json.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+import os
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from experiments.pieces import table
+from qdenv.cli.parser import run_program
 from qdenv.domains.base import DOMAINS, Domain, DomainConfig
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.registry import Entry
 from qdenv.simulate.mapf.goals import tile_goal
+from qdenv.simulate.mapf.pbs.settings import PbsConfig
+from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.types import Measure, TaskRule, Tile
+from qdenv.study.options import parse_counts
+from qdenv.study.plans import guide, read_plan
+from qdenv.study.table import Row, Trial, compare, write_rows
+from qdenv.types import InputError, Measure, TaskRule, Tile, look_up
 
 TILES = ".@ew"
 _MEANINGS = {
@@ -72,3 +84,110 @@ class OpenFloorConfig(FloorConfig):
 
 DOMAINS.register("published-floor", Entry(FloorConfig, floor))
 DOMAINS.register("published-open-floor", Entry(OpenFloorConfig, floor))
+
+# Fleets as published: what is planned when, by whom.
+PIBT = FleetConfig(400, 1000, 1, 1, PibtConfig(), stop_when_congested=False)
+SWAPPING = replace(PIBT, planner=PibtConfig(swap=True))
+SEARCH = FleetConfig(220, 1000, 10, 5, PbsConfig())
+FOUND = Path(__file__).parent / "results" / "guidance"
+
+
+class Case(NamedTuple):
+    """A row of the published table."""
+
+    domain: str
+    floor: str  # file of the floor
+    graph: str  # file of the published graph; "" where only the floor is at hand
+    fleet: FleetConfig
+    published: dict[str, float]  # throughput by guidance; "graph" is the best published one
+
+
+_WAREHOUSE = "pibt_warehouse-33x36_w_mode_cma-es_400_agents_four-way-move"
+_EMPTY = "pibt_empty-48-48_cma-es_1000_agents_four-way-move"
+_RANDOM = "pibt_random_cma-es_32x32_400_agents_four-way-move"
+_KIVA = "kiva_33x36_human_cma-es_opt_220_agents"
+CASES = {
+    "random": Case(
+        "published-open-floor",
+        _RANDOM,
+        _RANDOM,
+        replace(SWAPPING, agents=400),
+        {"none": 5.52, "crisscross": 6.84, "graph": 7.78},
+    ),
+    "warehouse": Case(
+        "published-floor",
+        _WAREHOUSE,
+        _WAREHOUSE,
+        PIBT,
+        {"none": 5.22, "crisscross": 6.65, "graph": 7.64},
+    ),
+    "warehouse-150": Case(
+        "published-floor", _WAREHOUSE, "", replace(PIBT, agents=150), {"none": 3.75}
+    ),
+    "empty": Case(
+        "published-open-floor",
+        _EMPTY,
+        _EMPTY,
+        replace(PIBT, agents=1000),
+        {"none": 19.48, "crisscross": 23.84, "graph": 24.04},
+    ),
+    "warehouse-pbs": Case(
+        "published-floor", _KIVA, _KIVA, SEARCH, {"crisscross": 5.59, "graph": 6.58}
+    ),
+}
+
+
+def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
+    """Simulate a case under each guidance; the rows are named CASE/GUIDANCE."""
+    case: Case = look_up(CASES, name, "case")
+    folder = os.environ.get("QDENV_STUDY_DATA")
+    if folder is None:
+        raise InputError("QDENV_STUDY_DATA does not name the folder of published floors")
+    plan = read_plan(Path(folder) / "guidance" / f"{case.floor}.json", case.domain)
+    guidances: dict[str, Any] = {"none": "none", "crisscross": "crisscross"}
+    if case.graph:
+        guidances["graph"] = Path(folder) / "guidance" / f"{case.graph}.csv"
+    if (found := FOUND / f"{name}.json").exists():
+        guidances["ours"] = found
+    floors = {f"{name}/{one}": guide(plan, where).floor for one, where in guidances.items()}
+    counts = agents or (case.fleet.agents,)
+    trial = Trial(plan.domain.simulator.tasks, case.fleet, counts, range(seeds))
+    return compare(floors, trial, on_row=lambda row: print(row.layout, row.agents, flush=True))
+
+
+def main(
+    cases: tuple[str, ...] = ("warehouse", "warehouse-150", "empty", "random"),
+    agents: str = "",
+    seeds: int = 10,
+    out: Path = Path("runs/guidance.csv"),
+) -> None:
+    """Simulate published floors without guidance, with the published one and with ours.
+
+    Args:
+        cases: random, warehouse, warehouse-150, empty, warehouse-pbs.
+        agents: numbers of agents: 200, or 150,200, or 50:400:50; as published unless given.
+        seeds: how many runs of each.
+        out: table to write.
+    """
+    rows = [
+        row
+        for name in cases
+        for row in measure(name, parse_counts(agents) if agents else (), seeds)
+    ]
+    head = ("case", "guidance", "agents", "success", "tasks / timestep", "published", "CPU s / run")
+    lines = []
+    for row in rows:
+        name, guidance = row.layout.split("/")
+        usual = row.agents == CASES[name].fleet.agents
+        published = CASES[name].published.get(guidance, "") if usual else ""
+        moved = f"{row.throughput:.3f} +- {row.standard_error:.3f}"
+        # A jam is judged by windows of several timesteps.
+        success = f"{row.success_rate:.0%}" if CASES[name].fleet.horizon > 1 else ""
+        numbers = success, moved, published, f"{row.cpu_seconds_per_run:.3f}"
+        lines.append((name, guidance, row.agents, *numbers))
+    print("\n".join(table(head, lines)))
+    write_rows(out, rows)
+
+
+if __name__ == "__main__":
+    sys.exit(run_program(main, "python -m experiments.guidance"))
