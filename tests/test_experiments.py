@@ -46,7 +46,7 @@ def preset(small_run, monkeypatch) -> str:
 
 def test_every_script_of_its_own_is_tested_here():
     tested = {"which_nca", "algorithms", "sphere", "own_objective"}
-    tested |= {"surrogate", "agreement", "congestion", "zoo"}
+    tested |= {"surrogate", "agreement", "congestion", "zoo", "guidance"}
     # The others are the figures and tables of the paper, and what these are made of.
     scripts = {
         path.stem
