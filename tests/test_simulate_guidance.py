@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import STUDY_DATA
 from fleet_runs import AGENTS, PLAIN, SERVICES, SHAPE, StandConfig, random_layout
+from scipy.ndimage import label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -248,3 +249,19 @@ def test_crisscross_is_the_published_one():
     plan = published_plan("pibt_warehouse_33x36_w_mode_alternate_baseline_bi-directed")
     moves = existing_moves(plan.layout != 1)
     np.testing.assert_array_equal(plan.costs[moves], crisscross(plan.layout)[moves])
+
+
+def test_nothing_locks_on_random_maps_with_two_fifths_of_the_cells_taken():
+    """Without swaps every one of these runs is locked before its second half begins."""
+    rule = TaskRule(TILES, ".", (tile_goal(".", TILES),))
+    for seed in range(3):
+        taken = np.random.default_rng(seed).random((32, 32)) < 0.4
+        parts, _ = label(~taken)
+        layout = (parts != np.bincount(parts[parts > 0]).argmax()).astype(np.int8) * 2
+        halves = []
+        for swap in (False, True):
+            config = FleetConfig(40, 1000, planner=PibtConfig(swap=swap), stop_when_congested=False)
+            (run,), _ = simulate(layout, None, config, 1, rule)
+            halves.append((run.finished[:500].sum(), run.finished[500:].sum()))
+        assert halves[0][1] == 0
+        assert halves[1][1] > 0.8 * halves[1][0] > 100
