@@ -10,7 +10,7 @@ import toy
 
 from qdenv.domains.maze import MazeConfig
 from qdenv.domains.warehouse import WarehouseConfig
-from qdenv.generate import NcaConfig
+from qdenv.generate import GuidedNcaConfig, NcaConfig
 from qdenv.run import loop
 from qdenv.run.config import RunConfig
 from qdenv.run.experiment import make_experiment, make_iteration
@@ -34,6 +34,8 @@ FLEET = RunConfig(
     evaluations=12,
     archive=((0, 10, 5), (0, 1, 5)),
 )
+_GUIDED = GuidedNcaConfig(steps=4, kernel_sizes=(3, 1), hidden=4)
+GUIDED = replace(FLEET, evaluation=replace(FLEET.evaluation, generator=_GUIDED), evaluations=6)
 MAZE = RunConfig(
     evaluation=EvaluationConfig(
         domain=MazeConfig(rows=6, cols=6, timesteps=40), generator=_NCA, simulations=5, alpha=0.0
@@ -47,6 +49,7 @@ MAZE = RunConfig(
 def make_runs(folder: Path) -> None:
     """Search both domains, and iterate the garden under jit, whole."""
     loop.train(FLEET, folder / "fleet", progress=False)
+    loop.train(GUIDED, folder / "guided", progress=False)
     loop.train(MAZE, folder / "maze", progress=False)
     experiment = make_experiment(replace(toy.CONFIG, seed=3))
     iterate = jax.jit(make_iteration(experiment))

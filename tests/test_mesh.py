@@ -17,7 +17,8 @@ pytestmark = pytest.mark.slow
 
 HERE = Path(__file__).parent
 EIGHT = "--xla_force_host_platform_device_count=8"
-COMPARED = ("fleet/archive.npz", "fleet/best_layout.json", "maze/archive.npz", "garden.npz")
+COMPARED = ("fleet/archive.npz", "fleet/best_layout.json", "guided/best_layout.json")
+COMPARED += ("guided/archive.npz", "maze/archive.npz", "garden.npz")
 
 
 @pytest.fixture(scope="module")
