@@ -37,7 +37,10 @@ class Plan(NamedTuple):
         """The layout with its costs, as fleets drive on it; InputError if these are impossible."""
         if self.costs is None:
             return Floor(self.layout)
-        return Floor(self.layout, fixed_costs(self.costs, self.domain.drivable(self.layout)))
+        free = self.domain.drivable(self.layout)
+        costs = fixed_costs(self.costs, free)
+        # Equal costs prefer no way to another; without them fleets are simulated faster.
+        return Floor(self.layout, costs if np.ptp(costs[existing_moves(free)]) else None)
 
     @property
     def whose(self) -> str:
