@@ -217,7 +217,7 @@ class Domain:
         """
         tasks = self.simulator.tasks
         if tasks is None:
-            raise InputError("no fleet drives in this domain: there is no traffic to simulate")
+            raise InputError(f"no fleet drives in {self.name}: there is no traffic to simulate")
         return np.asarray(of_tiles(layout, tasks.traversable, tasks.tiles))
 
     def mark_cells(self, layout: np.ndarray) -> dict[str, tuple[int, int]]:
