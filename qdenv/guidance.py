@@ -20,10 +20,12 @@ from qdenv.grid import DOWN, LEFT, MOVES, NUM_MOVES, RIGHT, UP, move_steps
 from qdenv.lazy import jax, jnp
 from qdenv.types import Array, InputError
 
-# Makes the costs of a floor: (traversable bool [H, W]) -> float [5, H, W], or None for no guidance.
-Guidance: TypeAlias = Callable[[np.ndarray], np.ndarray | None]
+# Makes the costs of a floor: (traversable bool [H, W], for each kind of task the odds of each cell
+# to be its start and its end, float [L, 2, H, W]) -> float [5, H, W], or None for no guidance.
+Guidance: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
 
 _ONE = 64  # the mean cost of a move as a whole number; `_ONE` / 64 to 16 `_ONE` can be told apart
+_LEAST_ONE = 16  # the same where the dearest move would be dearer than that
 _MOST_SCALED = math.log(10)  # by how much generators change costs at most, as a logarithm
 BUCKETS = 1024  # above every whole cost of a move
 
@@ -37,6 +39,8 @@ def fixed_costs(costs: np.ndarray, traversable: np.ndarray) -> np.ndarray:
 
     Returns:
         int32 [5, H, W], 64 for the mean cost of a move, 1 to 1023; 0 where a move is not allowed.
+        Where the dearest would be above 1023, the mean is less, but 16 or more: of costs that are
+        cut off at one value, none is a lane any more.
 
     Raises:
         InputError: a cost is negative, zero or no number, a robot may not wait somewhere, or some
@@ -54,7 +58,8 @@ def fixed_costs(costs: np.ndarray, traversable: np.ndarray) -> np.ndarray:
     allowed = moves & np.isfinite(costs)
     fixed = np.zeros(costs.shape, np.int32)
     ratio = costs[allowed] / costs[allowed].mean()
-    fixed[allowed] = np.clip(np.rint(ratio * _ONE), 1, BUCKETS - 1)
+    one = np.clip((BUCKETS - 1) / ratio.max(initial=1.0), _LEAST_ONE, _ONE)
+    fixed[allowed] = np.clip(np.rint(ratio * one), 1, BUCKETS - 1)
     if (fixed[moves] == 0).any():
         _check_connected(fixed, free)
     return fixed
@@ -67,7 +72,7 @@ def scaled_costs(logarithms: Array, base: str) -> jax.Array:
     guidance itself. Returns int32 [5, H, W], also for moves that do not exist.
     """
     shape = logarithms.shape[1:]
-    start = GUIDANCE[base](np.ones(shape, bool))
+    start = GUIDANCE[base](np.ones(shape, bool), np.ones((1, 2, *shape)))
     start = np.ones((NUM_MOVES, *shape)) if start is None else start
     factors = jnp.exp(jnp.clip(logarithms, -_MOST_SCALED, _MOST_SCALED))
     return jnp.clip(jnp.rint(start * _ONE * factors), 1, BUCKETS - 1).astype(jnp.int32)
@@ -118,4 +123,21 @@ def crisscross(traversable: np.ndarray) -> np.ndarray:
     return costs
 
 
-GUIDANCE: dict[str, Guidance] = {"none": lambda traversable: None, "crisscross": crisscross}
+def _traffic_flow(traversable: np.ndarray, legs: np.ndarray) -> np.ndarray:
+    from qdenv.highways import traffic_flow  # imports a compiler
+
+    return traffic_flow(traversable, legs)
+
+
+def _human_cost(traversable: np.ndarray, legs: np.ndarray) -> np.ndarray:
+    from qdenv.highways import human_cost  # imports a compiler
+
+    return human_cost(traversable, legs)
+
+
+GUIDANCE: dict[str, Guidance] = {
+    "none": lambda traversable, legs: None,
+    "crisscross": lambda traversable, legs: crisscross(traversable),
+    "traffic-flow": _traffic_flow,
+    "human-cost": _human_cost,
+}

@@ -117,7 +117,8 @@ class RunOptions(TypedDict, total=False):
     planner: Annotated[Any, arg(name="", constructor=PlannerOptions)]
     # end a run at its first congested window, as published; --no-stop goes on (Figure 17)
     stop: Annotated[bool, arg(help_behavior_hint="(default: True)")]
-    # costs of moves: none, crisscross, or a file; what the layout file holds unless given
+    # costs of moves: none, crisscross, traffic-flow, human-cost, or a file; what the layout file
+    # holds unless given
     guidance: Guidance
 
 

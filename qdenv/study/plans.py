@@ -13,6 +13,7 @@ from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
 from qdenv.io.guidance import costs_of
 from qdenv.io.layouts import BLANKS, ENDINGS, aliases, alphabet, read_drawing, to_layout
 from qdenv.repair.rules import impossible
+from qdenv.simulate.mapf.goals import task_odds
 from qdenv.types import Floor, InputError, about, choices
 
 USUAL = "warehouse-even"  # the domain where nothing says otherwise
@@ -118,7 +119,11 @@ def guide(plan: Plan, guidance: Any = None) -> Plan:
         if not isinstance(guidance, str | Path):
             plan = plan._replace(costs=np.asarray(guidance, float), guidance="an array")
         elif name in GUIDANCE:
-            plan = plan._replace(costs=GUIDANCE[name](free), guidance=name)
+            tasks = plan.domain.simulator.tasks
+            assert tasks is not None  # else no cell would be drivable
+            with about(plan.name):
+                legs = task_odds(plan.layout, tasks)
+            plan = plan._replace(costs=GUIDANCE[name](free, legs), guidance=name)
         elif Path(name).suffix.lower() in ENDINGS or Path(name).exists():
             plan = plan._replace(costs=_read_costs(name, plan), guidance=name)
         else:

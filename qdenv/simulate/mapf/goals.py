@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from qdenv.grid import count_neighbours, of_tiles
@@ -63,3 +65,15 @@ def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:
             f"the free cells fall into {parts} parts, row {row}, column {column} is cut off: "
             "repair the layout first"
         )
+
+
+def task_odds(layout: np.ndarray, rule: TaskRule) -> np.ndarray:
+    """Return the odds of each cell to be the start and the end of a task (float [L, 2, H, W]).
+
+    A kind of task leads from one kind of goal to the next one; the way back from the last to the
+    first is left out, as in the published guidance of warehouses (`highways`). Raises InputError
+    for a layout (int8 [H, W]) on which no agent could work.
+    """
+    check_playable(layout, rule, 1)
+    odds = [np.asarray(goal.weight(layout), float) for goal in rule.cycle]
+    return np.array(list(pairwise(odds)) or [(odds[0], odds[0])])
