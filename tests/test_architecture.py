@@ -301,22 +301,22 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 28_000,
-    "files": 180,
-    "records": 180,
-    "public names": 1_090,
+    "lines": 27_448,
+    "files": 175,
+    "records": 175,
+    "public names": 1_081,
     "class names used twice": 0,
-    "functions of two lines": 300,
+    "functions of two lines": 295,
 }
 # Functions of the package that can be reached by plain calls from an entry point.
 MOST_REACHED = {
     "pipeline:evaluate": 6,
-    "repair.recipe:repair_layout": 90,
-    "run.loop:train": 45,
-    "ops.traffic:simulate_layout": 140,
-    "ops.runs:generate_layout": 150,
-    "simulate.mapf.pbs.planner:_plan_window": 60,
-    "simulate.mapf.negotiated.numba.rounds:_plan_window": 65,
+    "repair.recipe:repair_layout": 86,
+    "run.loop:train": 38,
+    "ops.traffic:simulate_layout": 103,
+    "ops.runs:generate_layout": 136,
+    "simulate.mapf.pbs.planner:_plan_window": 49,
+    "simulate.mapf.negotiated.numba.rounds:_plan_window": 55,
 }
 
 
