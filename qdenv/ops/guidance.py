@@ -89,9 +89,9 @@ def guide(
     planner = describe_planner(fleet.planner)
     say(*filter(None, [note]), f"{agents} agents, {timesteps} timesteps; planner: {planner}")
     if model is not None:
-        costs = guides.apply_model(args.open_run(model), plan, fleet)
+        costs, judged = guides.find_guidance(args.open_run(model), plan, fleet)
         path.mkdir(parents=True, exist_ok=True)
-        return show_guidance(plan, costs, fleet, path, {"model": str(model)})
+        return show_guidance(plan, costs, fleet, path, {"model": str(model), "judged": judged})
     say(f"{numbers['evaluations']} evaluations into {path}")
     run = loop.train(config, path, progress, execution, minutes or np.inf)
     return finish_guide(run, plan.name)

@@ -80,36 +80,29 @@ def read_solutions(run: RunDirectory) -> dict[str, np.ndarray]:
     return {"mean": mean, "best": run.best.solution}
 
 
-def apply_model(run: RunDirectory, plan: Plan, fleet: FleetConfig) -> np.ndarray:
-    """Draw costs for a plan (int32 [5, H, W]) by the update model that a search found.
+def find_guidance(
+    run: RunDirectory, plan: Plan | None = None, fleet: FleetConfig | None = None
+) -> tuple[np.ndarray, dict[str, float]]:
+    """Draw the best costs that a search found (int32 [5, H, W]), and how they were judged.
 
-    Raises InputError if the search was for the costs of one floor, or of floor plans.
+    They are for its own floor, or by an update model for a `plan` on which a `fleet` drives. Raises
+    InputError if no update model was searched there.
     """
-    generator = run.config.evaluation.generator
-    if not isinstance(generator, UpdateConfig):
+    config = run.config.evaluation
+    if plan is None:
+        domain, layout = make_domain(config.domain), run.best.layout
+    elif isinstance(config.generator, UpdateConfig):
+        domain = make_domain(replace(plan.fitted().config, fleet=fleet))
+        layout = plan.layout
+    else:
         raise InputError(
             f"{run}: no update model was searched there: `qdenv guide --method update`"
         )
-    domain = make_domain(replace(plan.fitted().config, fleet=fleet))
-    draw = make_costs_drawer(run.config.evaluation, domain)
+    draw, tasks = make_costs_drawer(config, domain), domain.simulator.tasks
     assert draw is not None
-    return draw(read_solutions(run)["mean"][None], plan.layout[None])[0]
-
-
-def find_guidance(run: RunDirectory) -> tuple[np.ndarray, dict[str, float]]:
-    """Draw the best costs that a search found (int32 [5, H, W]), and how they were judged."""
-    config = run.config.evaluation
-    domain, layout = make_domain(config.domain), run.best.layout
-    draw = make_costs_drawer(config, domain)
-    assert draw is not None
-    costs = {
-        name: draw(solution[None], layout[None])[0]
-        for name, solution in read_solutions(run).items()
-    }
-    floors = {name: Floor(layout, one) for name, one in costs.items()}
-    seeds, tasks, fleet = JUDGES, domain.simulator.tasks, config.domain.fleet
-    judged = {
-        name: float(np.mean([one.throughput for one in run_seeds(floor, tasks, fleet, seeds).runs]))
-        for name, floor in floors.items()
-    }
-    return costs[max(judged, key=lambda name: judged[name])], judged
+    costs, judged = {}, {}
+    for name, solution in read_solutions(run).items():
+        costs[name] = draw(solution[None], layout[None])[0]
+        done = run_seeds(Floor(layout, costs[name]), tasks, domain.config.fleet, JUDGES)
+        judged[name] = float(np.mean([one.throughput for one in done.runs]))
+    return costs[max(judged, key=judged.__getitem__)], judged
