@@ -146,7 +146,7 @@ def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
     plan = read_plan(Path(folder) / "guidance" / f"{case.floor}.json", case.domain)
     guidances: dict[str, Any] = {"none": "none", "crisscross": "crisscross"}
     if case.graph:
-        guidances["graph"] = Path(folder) / "guidance" / f"{case.graph}.csv"
+        guidances["graph"] = Path(folder) / "guidance" / f"{case.graph}.json"
     if (found := FOUND / f"{name}.json").exists():
         guidances["ours"] = found
     floors = {f"{name}/{one}": guide(plan, where).floor for one, where in guidances.items()}
