@@ -82,8 +82,11 @@ class OpenFloorConfig(FloorConfig):
     cycle: str = "."
 
 
-DOMAINS.register("published-floor", Entry(FloorConfig, floor))
-DOMAINS.register("published-open-floor", Entry(OpenFloorConfig, floor))
+def register() -> None:
+    """Add the domains of published floors to those that are found by name."""
+    DOMAINS.register("published-floor", Entry(FloorConfig, floor))
+    DOMAINS.register("published-open-floor", Entry(OpenFloorConfig, floor))
+
 
 # Fleets as published: what is planned when, by whom.
 PIBT = FleetConfig(400, 1000, 1, 1, PibtConfig(), stop_when_congested=False)
@@ -140,6 +143,7 @@ CASES = {
 def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
     """Simulate a case under each guidance; the rows are named CASE/GUIDANCE."""
     case: Case = look_up(CASES, name, "case")
+    register()
     folder = os.environ.get("QDENV_STUDY_DATA")
     if folder is None:
         raise InputError("QDENV_STUDY_DATA does not name the folder of published floors")

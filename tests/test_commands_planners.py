@@ -111,7 +111,7 @@ def test_functions_take_a_planners_name_or_its_settings():
     layout = parse(PLAN, TILES)
     by_name = qdenv.simulate_layout(layout, planner="pibt", **fleet)
     settings = qdenv.simulate_layout(layout, planner=PibtConfig("host"), stop=False, **fleet)
-    assert by_name["runs"] == settings["runs"] and by_name["planner"] == "pibt"
+    assert by_name["runs"] == settings["runs"] and by_name["planner"] == "pibt, swap False"
     assert (by_name["stop"], settings["stop"]) == (True, False)
     (row,) = qdenv.compare([layout], planner=PibtConfig("host"), **fleet)
     assert row.mean_of_all == by_name["mean_of_all"]
@@ -151,7 +151,7 @@ def test_reports_call_a_planner_by_its_name_and_settings():
     assert describe_planner(HIGH) == "negotiated, high effort"
     waiting = replace(LOW, last_resort="wait", backend="host")
     assert describe_planner(waiting) == "negotiated, low effort, last resort wait"
-    assert describe_planner(PibtConfig("xla")) == "pibt"
+    assert describe_planner(PibtConfig("xla")) == "pibt, swap False"
     assert describe_planner(SPARSE) == "pbs, rule plain, nodes per agent 5"
     record = record_planner(SPARSE)
     assert list(record) == ["name", *(field.name for field in fields(PbsConfig))]
@@ -165,7 +165,8 @@ def test_facts_of_a_study_hold_all_settings_of_its_planner(tmp_path, monkeypatch
     for command in STUDIES:
         assert run([command, "plan.txt", *short, "--no-stop", "--json", "f.json"]) == 0
         said, facts = capsys.readouterr().out, json.loads(Path("f.json").read_text())
-        assert facts["settings"]["planner"] == {"name": "pibt", "backend": "auto"}
+        own = {"name": "pibt", "backend": "auto", "swap": False}
+        assert facts["settings"]["planner"] == own
         assert facts["settings"]["stop"] is False
         assert said.splitlines()[0].startswith("3 agents, 20 timesteps, no stop at congestion, ")
-        assert said.splitlines()[0].endswith("; planner: pibt")
+        assert said.splitlines()[0].endswith("; planner: pibt, swap False")

@@ -141,9 +141,9 @@ def test_little_room_at_first_changes_nothing(rule, monkeypatch):
     expected = run_seeds(layout, SERVICES, config, (0,)).runs[0]
     works, rooms = kept_workspaces(monkeypatch), []
 
-    def little(shape: tuple[int, int], goals: int, rows: int) -> DistanceFields:
+    def little(shape: tuple[int, int], goals: int, rows: int, has_costs: bool) -> DistanceFields:
         rooms.append(rows)
-        return empty_fields(shape, goals, 2, 3)
+        return empty_fields(shape, goals, 2, 3, has_costs)
 
     monkeypatch.setattr(pbs_planner, "FIRST_DEPTH", 1)
     monkeypatch.setattr(host_run, "empty_fields", little)
