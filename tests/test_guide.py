@@ -78,6 +78,9 @@ def test_what_makes_no_search_is_refused(found, plan, tmp_path):
     _, path = found
     with pytest.raises(InputError, match="holds a run already"):
         qdenv.guide(plan, path=path, **FLEET)
+    zoo = qdenv.RunDirectory.open("zoo:warehouse-even/best").path
+    with pytest.raises(InputError, match="ships with qdenv"):
+        qdenv.guide(plan, path=zoo, model=path, **FLEET)
     with pytest.raises(InputError, match="no update model was searched there"):
         qdenv.guide(plan, model=path, path=tmp_path / "out", **FLEET)
     with pytest.raises(InputError, match="simulate fewer agents"):

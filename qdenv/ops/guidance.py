@@ -78,6 +78,7 @@ def guide(
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     path = Path(path) if path else Path("runs") / f"guide-{plan.name}-{stamp}"
+    RunDirectory(path).demand_own()
     refuse_second_run(path / "config.json")
     fleet = options.config(agents, timesteps)
     # These import the simulator and both compilers: refusals are faster without them.
