@@ -24,7 +24,7 @@ from qdenv.types import Array, InputError
 # to be its start and its end, float [L, 2, H, W]) -> float [5, H, W], or None for no guidance.
 Guidance: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
 
-_ONE = 64  # the mean cost of a move as a whole number; `_ONE` / 64 to 16 `_ONE` can be told apart
+_ONE = 64  # the mean cost of a move as a whole number: from a 64th to 16 times the mean fits
 _LEAST_ONE = 16  # the same where the dearest move would be dearer than that
 _MOST_SCALED = math.log(10)  # by how much generators change costs at most, as a logarithm
 BUCKETS = 1024  # above every whole cost of a move

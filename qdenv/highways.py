@@ -117,6 +117,7 @@ def _price(free: np.ndarray, steps: np.ndarray, ends: np.ndarray, contraflow: bo
         cell = end
         while True:
             for move in range(1, NUM_MOVES):
+                # The table of moves lists each direction beside its opposite.
                 other, back = cell + steps[move], move + 1 if move % 2 == 1 else move - 1
                 if free[other]:
                     one, two = uses[move, cell], uses[back, other]

@@ -211,7 +211,7 @@ class Domain:
         return getattr(self.config, measure.limit) if measure.limit else None
 
     def drivable(self, layout: np.ndarray) -> np.ndarray:
-        """Find the cells of a layout (int8 [H, W]) that robots may drive on: bool [H, W].
+        """Find the cells of layouts (int8 [..., H, W]) that robots may drive on (bool).
 
         Raises InputError if no fleet drives in this domain.
         """

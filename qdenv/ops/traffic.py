@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from qdenv.grid import of_tiles
 from qdenv.ops import options as args
 from qdenv.ops.output import PICTURES, Result, Table, format_table, place, place_table, say
 from qdenv.progress import Bar
@@ -132,10 +131,8 @@ def _jams(facts: Mapping[str, Any], plan: Plan) -> list[str]:
         lines.append(f"travelled    {steps:.1f} steps per task")
     if "worst_cells" not in facts:
         return lines
-    tasks = plan.domain.simulator.tasks
-    assert tasks is not None
     # Half of the waiting on few of all cells that agents can reach is a jam at one place.
-    free = of_tiles(plan.layout, tasks.traversable, tasks.tiles).sum()
+    free = plan.domain.drivable(plan.layout).sum()
     half = facts["cells_with_half_of_waiting"]
     where = f", half of it on {half} of {free} free cells" if half else ""
     lines.append(f"waiting      {facts['waiting_share']:.1%} of the agents' time{where}")

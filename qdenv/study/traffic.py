@@ -24,7 +24,6 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from qdenv import devices
-from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.audit import audit as list_violations
 from qdenv.simulate.mapf.metrics import Recording
@@ -107,7 +106,7 @@ def examine(
         )
     # No more recordings at a time than fit into memory.
     threads = min(devices.threads(), at_once) if recorded else None
-    most = int(of_tiles(layout, tasks.traversable, tasks.tiles).sum())
+    most = int(plan.domain.drivable(layout).sum())
     if verdict:  # the program has room for as many agents as are tried
         most = min(most, MOST_STEPS // config.timesteps)
         config = replace(config, agents=max(agents, min(most, ceil(_MORE * agents))))

@@ -12,7 +12,6 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from qdenv.domains.base import Domain, make_domain
-from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.run.archive import SavedArchive
@@ -72,10 +71,10 @@ def make_explorer(
     progress("writing", -1, "")
     described, numbers = _pack_columns(archive, domain)
     facts, scripts = _facts(run, archive, domain), [f"explorer_{name}" for name in _SCRIPTS.split()]
-    draw, tasks = make_costs_drawer(config, domain), domain.simulator.tasks
-    if draw is not None and tasks is not None:
+    draw = make_costs_drawer(config, domain)
+    if draw is not None:
         facts["arrows"] = ARROWS
-        chunks |= _pack_guidance(archive, tasks.traversable, draw)
+        chunks |= _pack_guidance(archive, domain, draw)
         scripts[-1:-1] = ["arrows", "explorer_arrows"]
     page = make_page(
         "explorer",
@@ -207,15 +206,14 @@ def _pack_layouts(archive: SavedArchive, bits: int) -> dict[str, str]:
     return packed
 
 
-def _pack_guidance(archive: SavedArchive, traversable: str, draw: CostsDrawer) -> dict[str, str]:
+def _pack_guidance(archive: SavedArchive, domain: Domain, draw: CostsDrawer) -> dict[str, str]:
     """Draw the costs of all elites, and pack their arrows, a byte a cell, in chunks of layouts."""
     packed = {}
     for number, start in enumerate(range(0, len(archive), _LAYOUTS)):
         solutions, layouts = (
             archive.columns[name][start : start + _LAYOUTS] for name in ("solution", "repaired")
         )
-        free = of_tiles(layouts, traversable, archive.schema.tiles)
-        each = zip(draw(solutions, layouts), free, strict=True)
+        each = zip(draw(solutions, layouts), domain.drivable(layouts), strict=True)
         packed[f"arrows-{number}"] = pack(
             np.stack([pack_arrows(preferences(*one)) for one in each])
         )

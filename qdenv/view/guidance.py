@@ -17,7 +17,7 @@ from qdenv.guidance import existing_moves
 from qdenv.view import SCREEN
 from qdenv.view.style import ABREAST, PALETTE, new_grid, styled
 
-# Of arrows to the right, left, down and up; told apart by colour-blind eyes, too.
+# Colours of arrows to the right, left, down and up, which colour-blind people can distinguish.
 ARROWS = PALETTE[:4]
 STRONGEST = 2.0  # doublings of the cost beyond which arrows are the same
 _LEVELS = 7  # of strength there, and as many back, where an arrow is half a byte

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
 from qdenv.stats import difference
@@ -71,12 +70,11 @@ def make_request(
         with about(one.source):
             fleet_tasks(one.plan.layout, tasks, counts[-1])
     rivals = [find_rival(one, subjects) for one in subjects]
-    assert tasks is not None
     # A single number is compared with others, as many as fit the smallest of all layouts.
     single = counts[0] if len(counts) == 1 else None
     if single is not None:
         every = [*layouts, *(one.layout for one in rivals if one.layout is not None)]
-        most = min(int(of_tiles(one, tasks.traversable, tasks.tiles).sum()) for one in every)
+        most = min(int(domain.drivable(one).sum()) for one in every)
         shares = {max(1, round(share * single)) for share in _SHARES}
         counts = tuple(sorted({min(count, max(most, single)) for count in shares}))
     made = config(max(counts), timesteps)

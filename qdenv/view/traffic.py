@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import PercentFormatter
 
-from qdenv.grid import of_tiles
 from qdenv.study.recordings import Maps, throughput_over_time, worst_cells
 from qdenv.view import SCREEN
 from qdenv.view.guidance import draw_flow, draw_preferences
@@ -46,10 +45,10 @@ class Scene(NamedTuple):
 
 def make_scene(plan: Plan, study: Study, stop: bool = True) -> Scene:
     """Make the scene of a study with maps, on a layout of a domain in which a fleet drives."""
-    tasks, runs = plan.domain.simulator.tasks, study.done.runs
-    assert tasks is not None and study.maps is not None
+    runs = study.done.runs
+    assert study.maps is not None
     return Scene(
-        free=np.asarray(of_tiles(plan.layout, tasks.traversable, tasks.tiles)),
+        free=plan.domain.drivable(plan.layout),
         maps=study.maps,
         worst=worst_cells(plan.layout, study.maps),
         over_time=throughput_over_time(runs),

@@ -61,7 +61,8 @@ def _find_partner(
     Either it stands where this one wants to go, or beside this one, which clears the way for it.
     """
     here, first = rollout.path[agent, t], rollout.candidates[agent, 0]
-    # Most cells have room: whoever stands ahead can step aside, and nobody must swap.
+    # Where two ways or more lead on from the cell ahead, as in most places, the agent there can
+    # step aside: no swap is needed, and the search for a partner is saved.
     if first == here or _step_back(run, rollout, first, here)[0] > 1:
         return NOBODY
     if not _can_swap(run, rollout, first, here):
