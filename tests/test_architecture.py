@@ -301,7 +301,7 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 27_435,
+    "lines": 27_434,
     "files": 175,
     "records": 175,
     "public names": 1_081,
