@@ -14,10 +14,10 @@ from qdenv.cli import main as cli
 from qdenv.domains.base import KnownSize, find_domain, make_domain
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.warehouse import WarehouseConfig
-from qdenv.generate import GENERATORS
+from qdenv.generate import GENERATORS, GuidedNcaConfig, NcaConfig
+from qdenv.guidance import crisscross, existing_moves
 from qdenv.io.arrays import write_arrays
 from qdenv.io.layouts import read_layout, write_layout
-from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, make_pipeline
 from qdenv.repair.audit import audit
 from qdenv.repair.pool import RepairPool
@@ -27,6 +27,7 @@ from qdenv.run.directory import RunDirectory
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study import elites as sizes
 from qdenv.study.elites import grow_elite, grow_series, repair_grown
+from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
@@ -80,6 +81,18 @@ def test_a_series_scales_shelves_with_the_generated_area_and_obeys_the_rules(run
     assert series[0].steps == 8
     assert series[1].steps == round(8 * 14 / 11)
     assert series[2].steps == 8
+
+
+def test_a_series_of_a_guided_automaton_has_the_costs_of_each_size(tmp_path):
+    generator = GuidedNcaConfig(steps=8, kernel_sizes=(3, 1, 1), hidden=8)
+    guided = make_run(tmp_path / "guided", replace(SMALL, generator=generator))
+    command = ["series", str(guided.path), "--sizes", "11x12", "9x9", "--out", str(tmp_path / "s")]
+    assert cli.run(command) == 0
+    for size in ("11x12", "9x9"):
+        plan = read_plan(tmp_path / "s" / f"nca_{size}.json")
+        moves = existing_moves(plan.domain.drivable(plan.layout))
+        np.testing.assert_array_equal(np.isfinite(plan.costs), moves)
+        assert len(set(plan.costs[moves])) > 1
 
 
 def test_figure_18_scales_to_the_published_designs_numbers():
@@ -149,7 +162,8 @@ def test_tiling_repeats_the_inside_and_renews_the_frame():
 
 def test_a_tiled_layout_obeys_the_rules_with_shelves_scaled():
     small = sizes.human_layout(WAREHOUSE.resized(9, 14))
-    tiled = sizes.tile(WAREHOUSE, small, (20, 23), config=RepairConfig("none"))
+    plan = Plan("small", small, WAREHOUSE, assumed=False)
+    tiled = sizes.tile(plan, (20, 23), config=RepairConfig("none"))
     number = round(20 * 19 * shelves(small) / 90)
     assert tiled.numbers == {"shelves": number}
     assert audit(tiled.layout, WAREHOUSE.resized(20, 23, tiled.numbers).rules()) == []
@@ -157,9 +171,17 @@ def test_a_tiled_layout_obeys_the_rules_with_shelves_scaled():
 
 def test_a_tiled_factory_keeps_its_pattern_where_the_copies_meet_well():
     small = sizes.human_layout(MANUFACTURING.resized(17, 18))
-    tiled = sizes.tile(MANUFACTURING, small, (34, 36), config=RepairConfig("none"))
+    free = MANUFACTURING.drivable(small)
+    costs = np.where(existing_moves(free), crisscross(free), np.inf)
+    plan = Plan("small", small, MANUFACTURING, assumed=False, costs=costs)
+    tiled = sizes.tile(plan, (34, 36), config=RepairConfig("none"))
     assert tiled.changed == 0
     np.testing.assert_array_equal(tiled.layout, np.tile(small, (2, 2)))
+    # The costs are repeated, too; moves from copy to copy, which are new, cost the mean.
+    again, moves = np.tile(costs, (1, 2, 2)), existing_moves(MANUFACTURING.drivable(tiled.layout))
+    old = np.isfinite(again)
+    np.testing.assert_array_equal(tiled.costs[old], again[old])
+    assert set(tiled.costs[moves & ~old]) == {costs[np.isfinite(costs)].mean()}
 
 
 @pytest.mark.parametrize("evaluation", [SMALL, FACTORY], ids=["warehouse", "factory"])

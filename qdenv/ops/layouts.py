@@ -29,6 +29,7 @@ from qdenv.repair.settings import RepairConfig
 from qdenv.study.options import describe_growth
 from qdenv.study.plans import (
     USUAL,
+    Plan,
     describe_changes,
     keep_costs,
     list_changes,
@@ -155,9 +156,7 @@ def repair_layout(
         raise InputError(f"{name}: no repair exists: {reason}")
     # Everything is refused before the compiler and the solver are imported, which takes seconds.
     inputs, default = [layout, keep], f"{plan.name}_repaired.json"
-    # Text and maps hold no costs of moves.
-    guided = (".json", ".csv") if plan.costs is not None else None
-    endings = guided or endings_for(fitted.tiles, fitted.meanings)
+    endings = _endings(plan, fitted)
     target = place(out, default, endings, inputs)
     beside = target.path if target else Path(default)
     picture = place(plot, str(beside.with_suffix(PICTURES[0])), PICTURES, inputs)
@@ -202,6 +201,13 @@ def repair_layout(
         figure = draw_difference(plan.layout, repaired, fitted.tiles, fitted.names)
         picture.draw(figure, crop=True)
     return made
+
+
+def _endings(plan: Plan, domain: Domain) -> tuple[str, ...]:
+    """List the endings of files that can hold what a plan is changed into."""
+    # Text and maps hold no costs of moves.
+    guided = (".json", ".csv") if plan.costs is not None else None
+    return guided or endings_for(domain.tiles, domain.meanings)
 
 
 def human_layout(
@@ -276,13 +282,13 @@ def tile_layout(
         size = "{} x {}".format(*plan.layout.shape)
         raise InputError(f"{rows} x {cols} is smaller than the layout it repeats, {size}")
     found, config = plan.domain, RepairConfig(polish=polish)
-    endings = endings_for(found.tiles, found.meanings)
-    target = place(out, f"{plan.name}_tiled.json", endings, [layout])
-    tiled = sizes.tile(found, plan.layout, (rows, cols), numbers, config, seed)
+    target = place(out, f"{plan.name}_tiled.json", _endings(plan, found), [layout])
+    tiled = sizes.tile(plan, (rows, cols), numbers, config, seed)
     say(*filter(None, [describe_growth(found, (rows, cols), ["steps", *numbers])]))
     details = sizes.details(tiled) | {"domain": found.name}
     details["tiled_from"] = Path(args.name_of(layout)).name
-    return save_with_picture(Layout(tiled.layout, found, details, details), target)
+    made = Layout(tiled.layout, found, details, details, tiled.costs)
+    return save_with_picture(made, target)
 
 
 def layout_symbols(domain: args.DomainName = None) -> None:

@@ -225,7 +225,7 @@ def series(
         grown.append(studies.details(item))
         details = grown[-1] | {"domain": domain.name}
         target = place(folder and folder / f"nca_{rows}x{cols}.json", "layout.json")
-        made = Layout(item.layout, domain, details, details)
+        made = Layout(item.layout, domain, details, details, item.costs)
         layouts.append(save_with_picture(made, target))
         if human:
             name = folder and folder / f"human_{rows}x{cols}.json"

@@ -20,8 +20,8 @@ from qdenv.repair.settings import RepairConfig
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.settings import EvaluationConfig
-from qdenv.study.plans import keep_from
-from qdenv.types import InputError, Repair, RepairStatus
+from qdenv.study.plans import Plan, keep_costs, keep_from
+from qdenv.types import Array, InputError, Repair, RepairStatus
 
 # Rows and columns of Figure 18, from S to S_eval.
 SIZES = ((33, 36), (45, 47), (57, 58), (69, 69), (81, 80), (93, 91), (101, 102))
@@ -45,6 +45,8 @@ class Sized(NamedTuple):
     repair: str  # a RepairStatus by name, "none" where nothing was repaired
     changed: int  # cells that the repair changed
     cpu_seconds: float  # of the repair
+    # float [5, H, W], costs of moves (`guidance`); None where nothing draws them
+    costs: np.ndarray | None = None
 
 
 def details(sized: Sized) -> dict[str, int | float | str]:
@@ -204,7 +206,8 @@ def grow_sizes(
     for index, shape in enumerate(sizes):
         own = {name: values[index] for name, values in given.items() if values}
         grown = grow_elite(run, which, shape, steps[index] if steps else None, own)
-        yield finish(grown, config.evaluation.repair, seed)
+        sized = finish(grown, config.evaluation.repair, seed)
+        yield sized._replace(costs=draw_grown_costs(config.evaluation, grown, sized.layout))
 
 
 def grow_frames(
@@ -305,28 +308,37 @@ def tile_layout(domain: Domain, layout: np.ndarray) -> np.ndarray:
     frame is drawn again; nothing is repaired. `domain` is at the larger size. Raises InputError if
     the larger layout is smaller than the frame.
     """
-    inside, (height, width) = inside_frame(layout, domain.margin), domain.generated_shape
+    return np.asarray(domain.frame(repeat(inside_frame(layout, domain.margin), domain)))
+
+
+def repeat(inside: Array, domain: Domain) -> np.ndarray:
+    """Repeat a grid (any [h, w]) over the generated area; raise InputError if there is none."""
+    height, width = domain.generated_shape
     if min(height, width) < 1 or inside.size == 0:
         rows, cols = domain.shape
         raise InputError(f"{rows} x {cols} leaves no room inside the frame: ask for more")
     copies = -(-height // inside.shape[0]), -(-width // inside.shape[1])  # rounded up
-    return np.asarray(domain.frame(np.tile(inside, copies)[:height, :width]))
+    return np.tile(np.asarray(inside), copies)[:height, :width]
 
 
 def tile(
-    domain: Domain,
-    layout: np.ndarray,
+    plan: Plan,
     shape: tuple[int, int],
     numbers: Mapping[str, int] | None = None,
     config: RepairConfig | None = None,
     seed: int = 0,
 ) -> Sized:
-    """Tile a small layout (int8 [h, w], framed) to a larger shape and repair it (section E.4).
+    """Tile a small plan to a larger shape and repair it, with its costs of moves (section E.4).
 
     Numbers of tiles that are left out are those known of the size, or else the small layout's,
-    scaled with the area. The domain is at any size. Raises InputError if the size is impossible, or
-    no repair was found.
+    scaled with the area. Raises InputError if the size is impossible, or no repair was found.
     """
-    larger = domain.fitted(layout).resized(*shape, numbers)
-    grown = Unrepaired(larger, None, tile_layout(larger, layout), 0)
-    return finish(grown, config or RepairConfig(), seed)
+    larger = plan.domain.fitted(plan.layout).resized(*shape, numbers)
+    grown = Unrepaired(larger, None, tile_layout(larger, plan.layout), 0)
+    sized, (rows, cols) = finish(grown, config or RepairConfig(), seed), larger.margin
+
+    def adapt(grid: np.ndarray) -> np.ndarray:
+        inside = repeat(inside_frame(grid, larger.margin), larger)
+        return np.pad(inside, ((rows, rows), (cols, cols)))  # no move begins in the frame
+
+    return sized._replace(costs=keep_costs(plan, sized.layout, adapt))

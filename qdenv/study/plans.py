@@ -1,7 +1,7 @@
 """Layouts from files with their domains, drawings of what must stay, and what a repair changed."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -95,16 +95,21 @@ def read_plan(path: str | Path, domain: str | None = None) -> Plan:
     return plan._replace(costs=costs, guidance=str(path))
 
 
-def keep_costs(plan: Plan, layout: np.ndarray) -> np.ndarray | None:
+def keep_costs(
+    plan: Plan, layout: np.ndarray, adapt: Callable[[np.ndarray], np.ndarray] | None = None
+) -> np.ndarray | None:
     """Take the costs of a plan over to what its layout was changed into (int8 [H, W]).
 
-    A move that the change makes possible costs what the plan's moves do on average.
+    A move that the change makes possible costs what the plan's moves do on average. `adapt` brings
+    grids of the plan's shape to that of the layout, where these differ.
     """
     if plan.costs is None:
         return None
     old, new = (existing_moves(plan.domain.drivable(one)) for one in (plan.layout, layout))
-    mean = plan.costs[old & np.isfinite(plan.costs)].mean()
-    return np.where(new & ~old, mean, plan.costs)
+    costs, mean = plan.costs, plan.costs[old & np.isfinite(plan.costs)].mean()
+    if adapt is not None:
+        costs, old = (np.stack([adapt(grid) for grid in grids]) for grids in (costs, old))
+    return np.where(new & ~old, mean, costs)
 
 
 def guide(plan: Plan, guidance: Any = None) -> Plan:
