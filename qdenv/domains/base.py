@@ -91,6 +91,7 @@ DOMAINS = Registry(
         "manufacturing": "qdenv.domains.manufacturing:MANUFACTURING",
         "maze-walls": "qdenv.domains.maze:WALLS",
         "maze-entropy": "qdenv.domains.maze:ENTROPY",
+        "map": "qdenv.domains.map:MAP",
     },
 )
 

@@ -29,7 +29,7 @@ from qdenv.simulate.mapf.settings import (
     record_planner,
 )
 from qdenv.study.options import TIMESTEPS, parse_counts, parse_seeds
-from qdenv.study.plans import Plan, guide, name_guidance
+from qdenv.study.plans import Plan, close_parts, guide, name_guidance
 from qdenv.study.plans import read_plan as read_file
 from qdenv.types import InputError
 from qdenv.view import parse_width
@@ -175,7 +175,7 @@ class Fleet:
 
     def read_plan(self, layout: Any) -> Plan:
         """Read a layout as the function of this name does, with its costs of moves."""
-        return self.guide(read_plan(layout, self.domain))
+        return self.guide(close_parts(read_plan(layout, self.domain)))
 
     def guide(self, plan: Plan) -> Plan:
         """Give a plan its costs of moves; InputError if the planner reads none."""

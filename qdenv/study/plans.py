@@ -12,11 +12,13 @@ from qdenv.domains.base import DOMAINS, FREE, SAME, Domain, check_shape, find_do
 from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
 from qdenv.io.guidance import costs_of
 from qdenv.io.layouts import BLANKS, ENDINGS, aliases, alphabet, read_drawing, to_layout
+from qdenv.lazy import ndimage
 from qdenv.repair.rules import impossible
 from qdenv.simulate.mapf.goals import task_odds
 from qdenv.types import Floor, InputError, about, choices
 
 USUAL = "warehouse-even"  # the domain where nothing says otherwise
+_NAMED_ONLY = "map"  # the domain that nothing but its name chooses: any drawing could be one
 _SHOWN = 3  # cells of a list that are named, the rest is counted
 
 
@@ -32,6 +34,7 @@ class Plan(NamedTuple):
     # float [5, H, W], the cost of each move at each cell (`guidance`); None where all are equal
     costs: np.ndarray | None = None
     guidance: str = "none"  # where `costs` come from: a name of `GUIDANCE`, or a file
+    closed: int = 0  # free cells that are obstacles here, see `close_parts`
 
     @property
     def floor(self) -> Floor:
@@ -47,7 +50,8 @@ class Plan(NamedTuple):
     def whose(self) -> str:
         """Whose layout it is, and how that is known, as commands print it."""
         how = " (assumed from the tiles; --domain chooses another)" if self.assumed else ""
-        return f"domain {self.domain.name}{how}"
+        closed = f", {self.closed} cells cut off from the largest part are closed"
+        return f"domain {self.domain.name}{how}{closed if self.closed else ''}"
 
     def fitted(
         self, numbers: Mapping[str, int] | None = None, keep: str | Path | None = None
@@ -138,6 +142,24 @@ def guide(plan: Plan, guidance: Any = None) -> Plan:
     return plan
 
 
+def close_parts(plan: Plan) -> Plan:
+    """Close all free cells but the largest connected part, where no repair could join them.
+
+    Maps of benchmarks have such parts, and a fleet drives in one of them.
+    """
+    tasks = plan.domain.simulator.tasks
+    if tasks is None or plan.domain.rules is not None:
+        return plan
+    free = plan.domain.drivable(plan.layout)
+    labels, parts = ndimage.label(free)
+    if parts < 2:
+        return plan
+    cut_off = free & (labels != 1 + np.argmax(np.bincount(labels.ravel())[1:]))
+    obstacle = next(kind for kind, tile in enumerate(tasks.tiles) if tile not in tasks.traversable)
+    layout = np.where(cut_off, obstacle, plan.layout).astype(np.int8)
+    return plan._replace(layout=layout, closed=int(cut_off.sum()))
+
+
 def name_guidance(plans: Sequence[Plan]) -> str:
     """Name where the costs of moves on some plans come from; "" where there are none."""
     guided = any(plan.costs is not None for plan in plans)
@@ -170,6 +192,8 @@ def _guess_domain(symbols: set[str]) -> Domain:
     """Find the domain whose tiles have these symbols, or else other symbols for the same tiles."""
     for others in (False, True):
         for name in dict.fromkeys((USUAL, *DOMAINS.names())):
+            if name == _NAMED_ONLY:
+                continue
             with contextlib.suppress(InputError):  # somebody else's broken plug-in
                 domain = find_domain(name)
                 known = aliases(domain.tiles, domain.meanings) if others else ()

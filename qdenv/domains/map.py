@@ -1,0 +1,61 @@
+"""Map: a floor as it is, like those of the MovingAI benchmarks; every free cell may be a goal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from qdenv import score
+from qdenv.domains.base import Domain, DomainConfig, environment_entropy
+from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
+from qdenv.registry import Entry
+from qdenv.simulate.mapf.goals import tile_goal
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.types import Measure, TaskRule, Tile, Traffic
+
+if TYPE_CHECKING:
+    import jax
+
+_TILES = ".#"
+_MEANINGS = {
+    ".": Tile("free", "robots drive here, and any such cell may be a goal"),
+    "#": Tile("obstacle", "robots go around it", True, also="@"),
+}
+
+
+@dataclass(frozen=True)
+class MapConfig(DomainConfig):
+    """The numbers of a map."""
+
+    fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
+
+
+def make_map(config: MapConfig) -> Domain:
+    """Make a map of one size, which nothing repairs."""
+
+    def free(layout: jax.Array, runs: Traffic) -> jax.Array:
+        return score.count(layout, ".", _TILES)
+
+    # Robots go from one goal to the next, as in the League of Robot Runners.
+    tasks = TaskRule(_TILES, ".", (tile_goal(".", _TILES),))
+    area = config.rows * config.cols
+    return Domain(
+        config=config,
+        tiles=_TILES,
+        generated=_TILES,
+        seed_block=(".",),
+        margin=(0, 0),
+        frame=lambda tiles: tiles,
+        rules=None,
+        simulator=fleet_simulator(tasks, config.fleet),
+        objective=throughput,
+        objective_name=THROUGHPUT,
+        measures=(
+            Measure("free cells", 0, area, min(area, 100), free, "area"),
+            environment_entropy(len(_TILES)),
+        ),
+        meanings=_MEANINGS,
+    )
+
+
+MAP = Entry(MapConfig, make_map)
