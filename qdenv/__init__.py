@@ -6,11 +6,12 @@ One loop, one folder per stage:
                   (device)    (host     (device)   (device)  (device)
                               callback)
 
-A neural cellular automaton draws a floor plan, a mixed-integer program changes as little as
-possible until every rule holds, a fleet of robots is simulated in it, and CMA-MAE keeps an
-archive of different good automata. `domains` says what differs between warehouse, manufacturing
-and maze; `pipeline` is the chain on one screen; `train` is the loop with its run directory, and
-`study` evaluates saved layouts and runs. Every function below is also a command of the same name.
+A neural cellular automaton draws a floor plan, a repair (simulated annealing, then a mixed-integer
+program where `polish` is full) changes little until every rule holds, a fleet of robots is
+simulated in it, and CMA-MAE keeps an archive of different good automata. `domains` says what
+differs between warehouse, manufacturing and maze; `pipeline` is the chain on one screen; `train`
+is the loop with its run directory, and `study` evaluates saved layouts and runs. Every function
+below is also a command of the same name.
 
     >>> import qdenv
     >>> run = qdenv.train("quick", "runs/first")
