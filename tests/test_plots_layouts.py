@@ -8,11 +8,14 @@ from matplotlib._pylab_helpers import Gcf
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
+from qdenv.domains.base import find_domain
 from qdenv.grid import parse
+from qdenv.study.plans import Plan
+from qdenv.types import InputError
+from qdenv.view.change import draw_change
 from qdenv.view.layouts import (
     CHANGED,
     COLOURS,
-    draw_difference,
     draw_frames,
     draw_layout,
     draw_plan,
@@ -48,16 +51,36 @@ def test_saving_writes_one_file_and_leaves_no_state(tmp_path, ending):
     assert not Gcf.figs and matplotlib.get_backend() == backend
 
 
-def test_the_difference_frames_what_changed(tmp_path):
-    def framed(after):
-        save_figure(draw_difference(LAYOUT, after, ".@ew"), tmp_path / "d.png", crop=True)
+def test_a_change_frames_what_was_removed_and_placed(tmp_path):
+    plan = Plan("plan", LAYOUT, find_domain("warehouse-even"), False)
+
+    def drawn(after):
+        figure = draw_change(plan, plan._replace(layout=after))
+        save_figure(figure, tmp_path / "d.png", crop=True)
         pixels = imread(tmp_path / "d.png")[..., :3]
-        return (np.abs(pixels - to_rgb(CHANGED)).max(-1) < 0.02).sum()
+        titles = [axes.get_title() for axes in figure.axes]
+        return (np.abs(pixels - to_rgb(CHANGED)).max(-1) < 0.02).sum(), titles
 
     after = LAYOUT.copy()
-    assert framed(after) == 0
-    after[2, 1] = 2
-    assert framed(after) >= 4
+    framed, titles = drawn(after)
+    assert framed == 0 and titles == ["before\nnothing removed", "after\nnothing placed"]
+    after[2, 1] = 2  # an endpoint on bare floor: framed where it is placed alone
+    framed, titles = drawn(after)
+    assert framed >= 4 and titles == ["before\nnothing removed", "after\nplaced: endpoint 1"]
+    after[1, 1] = 0
+    more, titles = drawn(after)
+    assert more > framed and titles[0] == "before\nremoved: shelf 1"
+
+
+def test_usages_before_and_after_share_one_colour_scale():
+    plan = Plan("plan", LAYOUT, find_domain("warehouse-even"), False)
+    usages = np.full(LAYOUT.shape, 0.1), np.full(LAYOUT.shape, 0.4)
+    figure = draw_change(plan, plan, usages, ("today", "new"))
+    maps = [axes.images[-1] for axes in figure.axes[2:4]]
+    assert [image.get_clim() for image in maps] == [(0, 0.4)] * 2
+    assert [axes.get_title().partition("\n")[0] for axes in figure.axes[:2]] == ["today", "new"]
+    with pytest.raises(InputError, match="nothing to match"):
+        draw_change(plan, plan._replace(layout=LAYOUT[:2]))
 
 
 def test_a_series_has_a_panel_per_number_of_steps_and_at_most_six_in_a_row(tmp_path):

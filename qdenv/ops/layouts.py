@@ -196,9 +196,9 @@ def repair_layout(
         made.save(target.path)
         say(target)
     if picture:
-        from qdenv.view.layouts import draw_difference  # imports matplotlib
+        from qdenv.view.change import draw_change  # imports matplotlib
 
-        figure = draw_difference(plan.layout, repaired, fitted.tiles, fitted.names)
+        figure = draw_change(plan, plan._replace(layout=repaired, costs=costs))
         picture.draw(figure, crop=True)
     return made
 

@@ -1,4 +1,4 @@
-"""Pictures of layouts: one colour per tile, marked cells, what a repair changed, many at once."""
+"""Pictures of layouts: one colour per tile, marked cells, many at once."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COLOURS = {
     " ": "#ffffff",
 }
 UNKNOWN = "#b39ddb"  # tiles of a user's own domain
-CHANGED = "#e8108c"  # frames of cells that a repair changed
+CHANGED = "#e8108c"  # frames of cells that a change or a repair touched
 # What films and pages draw over the tiles, told apart by colour-blind eyes, too.
 MARKS = {
     "driving": "#1c4e9a",
@@ -63,7 +63,7 @@ def draw_layout(
     of a new figure, which is registered nowhere and vanishes with them.
     """
     layout = np.asarray(layout)
-    ax = _new_figure(layout.shape, 1)[0].axes[0] if ax is None else ax
+    ax = _new_axes(layout.shape) if ax is None else ax
     colours = [COLOURS.get(tile, UNKNOWN) for tile in tiles]
     # Half a kind at each end: kind k is the middle of its colour.
     ax.imshow(
@@ -117,34 +117,14 @@ def draw_plan(
 
     The figure is to be cropped when it is saved.
     """
-    figure, _ = _new_figure(np.shape(layout), 1)
-    axes = draw_layout(layout, tiles, figure.axes[0], names)
+    axes = draw_layout(layout, tiles, _new_axes(np.shape(layout)), names)
     if numbered:
-        _number_cells(axes)
-    return figure
+        number_cells(axes)
+    assert isinstance(axes.figure, Figure)
+    return axes.figure
 
 
-@styled
-def draw_difference(
-    before: Array, after: Array, tiles: str, names: Mapping[str, str] = _NO_NAMES
-) -> Figure:
-    """Draw two layouts (int8 [H, W]) side by side like `draw_plan`, every changed cell framed."""
-    before, after = np.asarray(before), np.asarray(after)
-    figure, inches = _new_figure(before.shape, 2)
-    changed = np.argwhere(before != after)
-    titles = ("before", f"after, {len(changed)} cells changed")
-    for ax, layout, title in zip(figure.axes, (before, after), titles, strict=True):
-        _number_cells(draw_layout(layout, tiles, ax, names))
-        ax.set_title(title)
-        size = (0.85 * 72 * inches) ** 2  # points²: a frame is a little smaller than its cell
-        column, row = changed[:, 1], changed[:, 0]
-        ax.scatter(
-            column, row, s=size, marker="s", facecolors="none", edgecolors=CHANGED, linewidths=1.2
-        )
-    return figure
-
-
-def _number_cells(ax: Axes) -> None:
+def number_cells(ax: Axes) -> None:
     """Number rows at the left and columns at the top, as many as can be read."""
     for axis, limits in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
         count = round(abs(limits[1] - limits[0]))
@@ -153,18 +133,18 @@ def _number_cells(ax: Axes) -> None:
     ax.tick_params(which="major", labeltop=True, labelleft=True, labelsize=8, labelcolor="#666666")
 
 
-def _new_figure(shape: tuple[int, ...], panels: int) -> tuple[Figure, float]:
-    """Make `panels` axes of square cells side by side; return the figure and a cell's inches."""
-    longest = max(shape)
-    inches = float(np.clip(_CELL * longest, _SMALLEST, _LARGEST / np.sqrt(panels))) / longest
-    rows, cols = (side * inches for side in shape)
+def side_of(shape: tuple[int, ...], panels: int = 1) -> float:
+    """Return the inches of the longer side of a layout that is drawn among `panels`."""
+    return float(np.clip(_CELL * max(shape), _SMALLEST, _LARGEST / np.sqrt(panels)))
+
+
+def _new_axes(shape: tuple[int, ...]) -> Axes:
+    """Make axes of square cells in a figure of their own."""
+    rows, cols = (side * side_of(shape) / max(shape) for side in shape)
     gap = 0.45
-    figure = new_figure(panels * (cols + gap), rows + 0.9, arrange=False, dpi=SCREEN_DPI)
+    figure = new_figure(cols + gap, rows + 0.9, arrange=False, dpi=SCREEN_DPI)
     width, height = figure.get_size_inches()
-    for panel in range(panels):
-        left = (panel * (cols + gap) + gap) / width
-        figure.add_axes((left, gap / height, cols / width, rows / height))
-    return figure, inches
+    return figure.add_axes((gap / width, gap / height, cols / width, rows / height))
 
 
 def draw_marks(axes: Axes, marks: Mapping[str, tuple[int, int]]) -> None:

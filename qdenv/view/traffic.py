@@ -108,14 +108,14 @@ def _draw_panel(axes: Axes, scene: Scene, kind: str) -> None:
         draw_flow(axes, scene.free, scene.costs, maps.moves)
     elif kind == "usage":
         label = "share of time in which one is here"
-        _draw_map(axes, scene.free, maps.usage, kind, label, "where agents are")
+        draw_map(axes, scene.free, maps.usage, kind, label, "where agents are")
     elif kind == "finished":
         title = f"where tasks are finished: {maps.finished.sum():.2f} a timestep"
-        _draw_map(axes, scene.free, maps.finished, kind, "tasks per timestep here", title)
+        draw_map(axes, scene.free, maps.finished, kind, "tasks per timestep here", title)
     else:
         label = "share of time in which one waits here"
         title = f"where agents wait: {maps.waiting_share:.1%} of their time"
-        _draw_map(axes, scene.free, maps.waiting, kind, label, title)
+        draw_map(axes, scene.free, maps.waiting, kind, label, title)
         # The worst cells are marked, with their rank where it fits.
         specification = axes.get_subplotspec()
         assert isinstance(axes.figure, Figure) and specification is not None
@@ -136,7 +136,7 @@ def draw_walks(free: np.ndarray, usage: np.ndarray, width: float) -> Figure:
     """Draw where the agent of a maze walks: its share of actions on each cell, float [H, W]."""
     rows, cols = free.shape
     figure = new_figure(width, (width - _BESIDE) * rows / cols + _TITLES)
-    _draw_map(figure.subplots(), free, usage, "usage", "share of the actions taken here")
+    draw_map(figure.subplots(), free, usage, "usage", "share of the actions taken here")
     return figure
 
 
@@ -163,23 +163,35 @@ def draw_arrivals(arrivals: Mapping[str, np.ndarray], most: int, width: float) -
     return figure
 
 
-def _draw_map(
-    axes: Axes, free: np.ndarray, values: np.ndarray, kind: str, label: str, title: str = ""
+def top_of(values: np.ndarray) -> float:
+    """Return the upper end of a map's colour scale; one extreme cell must not wash out others."""
+    return float(np.quantile(values[values > 0], 0.995)) if (values > 0).any() else 1.0
+
+
+def draw_map(
+    axes: Axes,
+    free: np.ndarray,
+    values: np.ndarray,
+    kind: str,
+    label: str,
+    title: str = "",
+    top: float | None = None,
 ) -> None:
     """Draw a number per cell (float [H, W]) over the walls, with a colour bar; zeros stay white.
 
-    `kind` is "usage" or "waiting", shares that are written in per cent, or "finished".
+    `kind` is "usage" or "waiting", shares that are written in per cent, or "finished"; `top` is the
+    upper end of the scale, that of the values unless given.
     """
     # Fixed ends: a map without any wall would else be all grey.
     axes.imshow(free, cmap=ListedColormap(["#5f6368", "#ffffff"]), vmin=0, vmax=1)
     shown = np.ma.masked_where(values <= 0, values)
-    # One extreme cell must not wash out all others; the bar's tip says that there is more.
-    top = float(np.quantile(values[values > 0], 0.995)) if (values > 0).any() else 1.0
+    top = top_of(values) if top is None else top
     image = axes.imshow(shown, cmap=_COLOURS[kind], vmin=0, vmax=top, interpolation="nearest")
     axes.set_title(title)
     axes.spines[:].set_visible(True)
     axes.set(xlabel="column", ylabel="row")
     assert axes.figure is not None
+    # The bar's tip says that there is more.
     extend = "max" if values.max() > top else "neither"
     beside = axes.inset_axes((1.03, 0.05, 0.04, 0.9))  # shares of the map: left, bottom, size
     bar = axes.figure.colorbar(image, cax=beside, extend=extend)

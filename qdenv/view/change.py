@@ -1,0 +1,92 @@
+"""Before and after: two layouts of one size, what was removed and placed, and their traffic."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from qdenv.types import Array, InputError
+from qdenv.view.guidance import STRONGEST, draw_arrows, preferences
+from qdenv.view.layouts import CHANGED, draw_layout, number_cells, side_of
+from qdenv.view.style import SCREEN_DPI, new_figure, styled
+from qdenv.view.traffic import draw_map, top_of
+
+if TYPE_CHECKING:
+    from qdenv.study.plans import Plan
+
+_FRAMED = 0.4  # share of the cells beyond which a change is a new floor: frames would hide it
+
+
+@styled
+def draw_change(
+    before: Plan,
+    after: Plan,
+    usages: tuple[Array, Array] | None = None,
+    names: tuple[str, str] = ("before", "after"),
+    width: float | None = None,
+) -> Figure:
+    """Draw two layouts side by side: what was removed is framed at the left, what was placed right.
+
+    Args:
+        before: a layout of a domain, with arrows where its moves have costs.
+        after: another one of the same domain and size.
+        usages: share of time in which a robot is on each cell (`recordings.Maps.usage`, float
+            [H, W]) of both layouts, drawn below them on one colour scale.
+        names: titles of the two columns.
+        width: inches, as many as its cells need unless given.
+
+    Returns:
+        a figure that is to be cropped when it is saved.
+
+    Raises:
+        InputError: the sizes differ.
+    """
+    rows, cols = before.layout.shape
+    if after.layout.shape != (rows, cols):
+        theirs = "{} x {}".format(*after.layout.shape)
+        raise InputError(f"{names[0]} is {rows} x {cols} and {names[1]} {theirs}: nothing to match")
+    width = width or 2 * side_of((rows, cols), 2) * cols / max(rows, cols) + 0.9
+    # Of a panel's width, labels and colour bars take a part; titles and legends stand around it.
+    side = 0.5 * width - (0.4 if usages is None else 1.2)  # inches of a layout
+    high, lines = side * rows / cols, 1 if usages is None else 2
+    figure = new_figure(width, lines * (high + 0.7) + 0.8, dpi=SCREEN_DPI)
+    panels = figure.subplots(lines, 2, squeeze=False)
+    changed = before.layout != after.layout
+    for axes, plan, verb, name in zip(
+        panels[0], (before, after), ("removed", "placed"), names, strict=True
+    ):
+        number_cells(draw_layout(plan.layout, plan.domain.tiles, axes, plan.domain.names))
+        if plan.costs is not None:
+            free = plan.domain.drivable(plan.layout)
+            draw_arrows(axes, preferences(plan.costs, free) / STRONGEST).set_gid("guidance")
+        _frame(axes, plan, changed, (name, verb), max(0.7, min(1.2, 20 * side / cols)))
+    if usages is not None:
+        top = top_of(np.stack(usages))
+        for axes, plan, usage in zip(panels[1], (before, after), usages, strict=True):
+            free, label = plan.domain.drivable(plan.layout), "share of time in which one is here"
+            draw_map(axes, free, np.asarray(usage), "usage", label, "where robots are", top)
+    return figure
+
+
+def _frame(
+    axes: Axes, plan: Plan, changed: np.ndarray, title: tuple[str, str], points: float
+) -> None:
+    """Frame the changed cells that are no bare floor, and count them by tile in the title."""
+    name, verb = title
+    kinds = plan.layout[changed]
+    counts = [
+        f"{plan.domain.names.get(tile, repr(tile))} {(kinds == kind).sum()}"
+        for kind, tile in enumerate(plan.domain.tiles)
+        if kind and (kinds == kind).any()
+    ]
+    axes.set_title(f"{name}\n{f'{verb}: ' + ', '.join(counts) if counts else f'nothing {verb}'}")
+    if changed.mean() <= _FRAMED:
+        cells = np.argwhere(changed & (plan.layout > 0))
+        frames = [Rectangle((column - 0.42, row - 0.42), 0.84, 0.84) for row, column in cells]
+        look = PatchCollection(frames, facecolor="none", edgecolor=CHANGED, linewidth=points)
+        axes.add_collection(look)
