@@ -41,10 +41,10 @@ from .ops.searches import presets as presets
 from .ops.searches import resume as resume
 from .ops.searches import train as train
 from .ops.searches import zoo as zoo
-from .ops.traffic import compare as compare
-from .ops.traffic import scalability as scalability
+from .ops.studies import compare as compare
+from .ops.studies import scalability as scalability
+from .ops.studies import sweep as sweep
 from .ops.traffic import simulate_layout as simulate_layout
-from .ops.traffic import sweep as sweep
 from .pipeline import evaluate as evaluate
 from .pipeline import make_pipeline as make_pipeline
 from .registry import Entry as Entry

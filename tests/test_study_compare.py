@@ -1,11 +1,13 @@
 """Layouts side by side and up to their peaks: oracles, closed forms, one line per mistake."""
 
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import qdenv
 from experiments.traffic import name_layouts
 from qdenv import grid
 from qdenv.cli import main as cli
@@ -13,7 +15,7 @@ from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.stats import wilson_interval
+from qdenv.stats import paired_difference, wilson_interval
 from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.options import parse_counts
 from qdenv.study.table import Row, Trial, climb, compare, find_capacity, find_peak, write_rows
@@ -139,7 +141,7 @@ def test_the_table_holds_every_number(tmp_path):
     found = [(line["layout"], line["throughput"]) for line in table]
     assert found == [("a", "1.5"), ("b", "7.65432")]  # six digits
     assert [line["tasks_per_hour"] for line in table] == ["5400", "9000"]
-    assert list(table[0]) == [*Row._fields, "tasks_per_hour"]
+    assert list(table[0]) == [*Row._fields[:-2], "tasks_per_hour"]
 
 
 def test_agents_are_worth_it_while_each_further_one_brings_half_of_an_average_one():
@@ -186,3 +188,62 @@ def test_commands_compare_and_climb(layouts, tmp_path, capsys):
     assert cli.run(["scalability", *paths, "--agents", "2,60", *out]) == 0
     assert "human: peak " in capsys.readouterr().out
     assert len((tmp_path / "t.csv").read_text().splitlines()) == 5
+
+
+def test_planners_are_compared_seed_by_seed_on_each_layout(layouts, tmp_path, capsys):
+    paths = []
+    for name, layout in layouts.items():
+        paths.append(str(tmp_path / f"{name}.json"))
+        write_layout(tmp_path / f"{name}.json", layout, WAREHOUSE.tiles)
+    words = "--timesteps 40 --seeds 4 --agents 12 --planner pibt,negotiated".split()  # noqa: SIM905
+    words = ["compare", *paths, *words, "--out", str(tmp_path / "t.csv")]
+    assert cli.run([*words, "--runs", str(tmp_path / "r.csv")]) == 0
+    said = capsys.readouterr().out
+    assert "planner: pibt, swap False | negotiated, high effort" in said
+    assert "against pibt, over all runs, with 95 % interval (seed by seed" in said
+    assert "human, negotiated, 12 agents: " in said and "human, pibt, 12 agents: " not in said
+    runs = list(csv.DictReader((tmp_path / "r.csv").read_text().splitlines()))
+    assert list(runs[0]) == ["layout", "planner", "agents", "seed", "throughput", "congested"]
+    each = {
+        (name, planner): [
+            float(run["throughput"]) for run in runs if run["layout"] == name
+            and run["planner"] == planner
+        ]
+        for name in layouts for planner in ("pibt", "negotiated")
+    }  # fmt: skip
+    assert {len(every) for every in each.values()} == {4}
+    table = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
+    for line in table:
+        own = each[line["layout"], line["planner"]]
+        assert float(line["mean_of_all"]) == pytest.approx(np.mean(own), rel=1e-4)
+        expected = paired_difference(own, each[line["layout"], "pibt"])
+        if line["planner"] == "pibt":
+            assert line["difference_low"] == ""
+        else:
+            assert float(line["difference_low"]) == pytest.approx(expected.low, rel=1e-3)
+            assert (line["significant"] == "True") == expected.significant
+    # In Python a list of names and settings; without another planner nothing changes.
+    planners = [PibtConfig(swap=True), PibtConfig()]
+    size = {"agents": 12, "timesteps": 40, "seeds": 4}
+    both = qdenv.compare(paths[:1], planner=planners, **size)
+    assert [row.planner for row in both] == ["pibt 1", "pibt 2"]
+    assert [run.throughput for run in both[1].each] == pytest.approx(each["human", "pibt"])
+    assert qdenv.compare(paths[:1], planner="pibt", **size)[0].each == both[1].each
+
+
+@pytest.mark.parametrize(
+    ("planner", "said"),
+    [
+        ("pibt,pibt", "name each planner once"),
+        ("pibt,kiva", "unknown planner 'kiva'"),
+        ("pibt,", "name each planner once"),
+        ("pibt,pbs --planner.swap", "--planner.swap: several planners have their defaults"),
+    ],
+)
+def test_planners_that_cannot_be_compared_are_refused_in_a_line(planner, said, tmp_path, capsys):
+    write_layout(tmp_path / "a.json", WAREHOUSE.resized(9, 12).human(), WAREHOUSE.tiles)
+    words = f"compare {tmp_path / 'a.json'} --agents 2 --planner {planner}".split()
+    assert cli.run(words) == 2
+    assert re.search(said, capsys.readouterr().err)
+    assert cli.run(["sweep", words[1], "--planner", "pibt,pbs"]) == 2
+    assert "unknown planner 'pibt,pbs'" in capsys.readouterr().err

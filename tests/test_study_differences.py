@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from qdenv.stats import Sample, difference, margin, sample_of, wilson_interval
+from qdenv.stats import (
+    Sample,
+    difference,
+    margin,
+    paired_difference,
+    sample_of,
+    wilson_interval,
+)
 from qdenv.study.table import Row, differences
 
 NAN = float("nan")
@@ -22,6 +29,24 @@ def test_an_interval_excludes_zero_just_where_welchs_test_finds_a_difference():
         assert found.significant == (not found.low <= 0 <= found.high)
         verdicts.append(found.significant)
     assert 30 < sum(verdicts) < 270
+
+
+def test_a_paired_interval_excludes_zero_just_where_the_paired_t_test_finds_a_difference():
+    random = np.random.default_rng(2)
+    verdicts, narrower = [], 0
+    for _ in range(300):
+        common = random.normal(6.0, 0.3, random.integers(2, 12))
+        ours, theirs = (common + random.normal(gain, 0.05, len(common)) for gain in (0.05, 0.0))
+        found = paired_difference(ours, theirs)
+        p_value = stats.ttest_rel(ours, theirs).pvalue
+        assert found.significant == (p_value < 0.05) == (not found.low <= 0 <= found.high)
+        verdicts.append(found.significant)
+        alone = difference(sample_of(ours), sample_of(theirs))
+        narrower += not found.high - found.low >= alone.high - alone.low  # NaN: it has none
+    assert 30 < sum(verdicts) < 270 and narrower > 200
+    assert np.isnan(paired_difference([5.0], [4.0]).low)
+    same = [5.0, 5.1, 5.2]
+    assert paired_difference(same, same)[:3] == pytest.approx((0, 0, 0), abs=1e-6)
 
 
 def test_an_interval_agrees_with_the_closed_form_where_the_other_mean_is_known():

@@ -84,7 +84,8 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
             kinds = get_type_hints(kind, include_extras=True)
             return _options((name, one, helps[name]) for name, one in kinds.items())
         if kind is PlannerOptions:
-            settings = find_planner(chosen.effort, chosen.planner or "")
+            # The settings of several are those of the first, and are refused.
+            settings = find_planner(chosen.effort, (chosen.planner or "").partition(",")[0])
             _check_planner_options(rest, settings)
             planner = ("planner", _name(PLANNERS, settings), "who plans, with the defaults below")
             spec = _options([planner, *_settings(settings, _PLANNER)])

@@ -40,7 +40,6 @@ def make_map(config: MapConfig) -> Domain:
     tasks = TaskRule(_TILES, ".", (tile_goal(".", _TILES),))
     area = config.rows * config.cols
     return Domain(
-        config=config,
         tiles=_TILES,
         generated=_TILES,
         seed_block=(".",),
@@ -49,12 +48,13 @@ def make_map(config: MapConfig) -> Domain:
         rules=None,
         simulator=fleet_simulator(tasks, config.fleet),
         objective=throughput,
-        objective_name=THROUGHPUT,
         measures=(
             Measure("free cells", 0, area, min(area, 100), free, "area"),
             environment_entropy(len(_TILES)),
         ),
+        objective_name=THROUGHPUT,
         meanings=_MEANINGS,
+        config=config,
     )
 
 

@@ -22,6 +22,7 @@ from qdenv.domains.base import DOMAINS, find_domain
 from qdenv.ops.output import Layout
 from qdenv.ranges import NonNegativeInt, PositiveFloat, PositiveInt
 from qdenv.simulate.mapf.settings import (
+    OWN,
     FleetConfig,
     check_costs,
     describe_planner,
@@ -113,7 +114,8 @@ class RunOptions(TypedDict, total=False):
     timesteps: PositiveInt | None
     # of the negotiated planner: low for a quick look, high, for numbers to report, unless given
     effort: Annotated[str | None, arg(metavar="{low,high}")]
-    # who plans, with the defaults below: a registered name or settings, like `PbsConfig()`
+    # who plans, with the defaults below: a registered name or settings, like `PbsConfig()`;
+    # `compare` takes a list of them
     planner: Annotated[Any, arg(name="", constructor=PlannerOptions)]
     # end a run at its first congested window, as published; --no-stop goes on (Figure 17)
     stop: Annotated[bool, arg(help_behavior_hint="(default: True)")]
@@ -197,15 +199,42 @@ class Fleet:
             "seconds_per_step": self.seconds_per_step,
         }
 
-    def describe(self, agents: str, timesteps: int, plans: Sequence[Plan]) -> str:
-        """Return in one line what is simulated."""
+    def describe(
+        self, agents: str, timesteps: int, plans: Sequence[Plan], planners: Sequence[Any] = ()
+    ) -> str:
+        """Return in one line what is simulated; `planners` are settings of several, if they are."""
         runs = f"{len(self.seeds)} seeds" if len(self.seeds) > 1 else "1 seed"
         end = "" if self.stop else ", no stop at congestion"
         guidance = f"; guidance: {name_guidance(plans)}" if name_guidance(plans) else ""
         return (
             f"{agents} agents, {timesteps} timesteps{end}, {runs}, {plans[0].whose}; "
-            f"planner: {describe_planner(self.planner)}{guidance}"
+            f"planner: {' | '.join(map(describe_planner, planners or [self.planner]))}{guidance}"
         )
+
+
+def each_planner(options: Mapping[str, Any]) -> list[Fleet]:
+    """Resolve `FleetOptions` once for each planner: one, or a list of names and settings.
+
+    Raises InputError as `Fleet` does, or if settings are stated beside several planners.
+    """
+    planners, changes = options.get("planner"), {}
+    if isinstance(planners, tuple) and isinstance(planners[-1], dict):  # of a command line
+        name, changes = planners
+        planners = name.split(",") if name and "," in name else [planners]
+    planners = list(planners) if isinstance(planners, list | tuple) else [planners]
+    several = len(planners) > 1
+    if several and changes:
+        name = f"--planner.{next(iter(changes)).replace('_', '-')}"
+        raise InputError(f"{name}: several planners have their defaults: leave it out")
+    if not all([planners, *planners] if several else [planners]) or any(
+        planners.count(one) > 1 for one in planners
+    ):
+        raise InputError("name each planner once, as in negotiated,pbs,pibt")
+    # Among several, an effort is that of the negotiated planner.
+    return [
+        Fleet({**options, "planner": one} | ({"effort": None} if several and one != OWN else {}))
+        for one in planners
+    ]
 
 
 def read_plan(layout: Any, domain: str | None = None) -> Plan:

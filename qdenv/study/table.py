@@ -4,7 +4,7 @@ Layouts are simulated side by side (`compare`) or with more and more agents up t
 (`climb`); peaks, capacities and differences are read off the rows.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
@@ -16,7 +16,14 @@ from qdenv.grid import of_tiles
 from qdenv.io.files import write_csv
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.stats import Difference, Sample, difference, sample_of, wilson_interval
+from qdenv.stats import (
+    Difference,
+    Sample,
+    difference,
+    paired_difference,
+    sample_of,
+    wilson_interval,
+)
 from qdenv.study.options import fleet_tasks
 from qdenv.study.recordings import fading
 from qdenv.types import Floor, InputError, TaskRule, Traffic
@@ -25,6 +32,14 @@ from qdenv.types import about as about
 WORTH = 0.5  # share of what an average agent brings; one that brings less is hardly worth it
 # Agents of the smallest compiled program: a smaller one saves less than it costs to compile.
 _MIN_CAPACITY = 64
+
+
+class Run(NamedTuple):
+    """One simulation in brief."""
+
+    seed: int  # of it
+    throughput: float  # tasks per timestep
+    congested: bool  # more than half of the agents stood still at once
 
 
 class Row(NamedTuple):
@@ -46,6 +61,14 @@ class Row(NamedTuple):
     cpu_seconds_per_run: float  # without compilation
     error_of_all: float = float("nan")  # standard error of `mean_of_all`; NaN with one run
     fading: float = 0.0  # see `recordings.fading`
+    # name of the planner, where several are put side by side; "" where one plans all rows
+    planner: str = ""
+    each: tuple[Run, ...] = ()  # its runs; tables have a file of their own for them
+
+    @property
+    def name(self) -> str:
+        """What tells it apart at one number of agents."""
+        return f"{self.layout}, {self.planner}" if self.planner else self.layout
 
     @property
     def sample_of_all(self) -> Sample:
@@ -74,6 +97,7 @@ class Trial(NamedTuple):
     config: FleetConfig  # settings of a simulation; its own number of agents is ignored
     counts: Sequence[int]  # numbers of agents
     seeds: Sequence[int]  # of the runs with each number of agents
+    planner: str = ""  # see `Row`
 
 
 def compare(
@@ -164,10 +188,17 @@ def _simulate(
     """Run the seeds with one number of agents; ``trial.config.agents`` sizes the program."""
     from qdenv.study.engine import run_seeds  # imports the simulator
 
-    tasks, config, _, seeds = trial
+    tasks, config, _, seeds, planner = trial
     done = run_seeds(floor, tasks, config, seeds, agents, progress=progress)
     stop = config.stop_when_congested
-    return summarise(name, Floor.of(floor).layout, agents, done.runs, done.cpu_seconds, stop)
+    row = summarise(name, Floor.of(floor).layout, agents, done.runs, done.cpu_seconds, stop)
+    return row._replace(
+        planner=planner,
+        each=tuple(
+            Run(int(seed), float(run.throughput), bool(run.congested))
+            for seed, run in zip(seeds, done.runs, strict=True)
+        ),
+    )
 
 
 def summarise(
@@ -241,13 +272,23 @@ def find_capacity(rows: Sequence[Row]) -> int:
 def differences(rows: Sequence[Row]) -> list[Difference]:
     """Compare each row with that of the first layout at the same number of agents.
 
-    Over all runs, congested ones too: to leave them out would favour a layout that congests.
-    The first layout's own rows differ by 0 from themselves, without an interval.
+    Of several planners, with that of the first planner on the same layout, seed by seed. Over all
+    runs, congested ones too: to leave them out would favour a layout that congests. The first
+    one's own rows differ by 0 from themselves, without an interval.
     """
-    first = {row.agents: row.sample_of_all for row in rows if row.layout == rows[0].layout}
-    itself = Difference(0.0, float("nan"), float("nan"), False)
+    begin, itself = rows[0], Difference(0.0, float("nan"), float("nan"), False)
+    if begin.planner:
+        firsts = {(row.layout, row.agents): row for row in rows if row.planner == begin.planner}
+        pairs = [(row, firsts[row.layout, row.agents]) for row in rows]
+        return [
+            itself
+            if row is first
+            else paired_difference(*([run.throughput for run in one.each] for one in (row, first)))
+            for row, first in pairs
+        ]
+    first = {row.agents: row.sample_of_all for row in rows if row.layout == begin.layout}
     return [
-        itself if row.layout == rows[0].layout else difference(row.sample_of_all, first[row.agents])
+        itself if row.layout == begin.layout else difference(row.sample_of_all, first[row.agents])
         for row in rows
     ]
 
@@ -259,10 +300,27 @@ def write_rows(
 
     Raises InputError if the place cannot be written to.
     """
-    columns = columns or {}
+    columns, left_out = columns or {}, ["each"] + ["planner"] * (not rows[0].planner)
+    fields = [name for name in Row._fields if name not in left_out]
+    values = [[getattr(row, name) for name in fields] for row in rows]
+    _write(path, (*fields, *columns), zip(values, *columns.values(), strict=True))
+
+
+def write_runs(path: Path, rows: Sequence[Row]) -> None:
+    """Write a line for each run of each row as CSV.
+
+    Raises InputError if the place cannot be written to.
+    """
+    head = ("layout", *["planner"] * bool(rows[0].planner), "agents", *Run._fields)
+    lines = [(row.layout, row.planner, row.agents, *run) for row in rows for run in row.each]
+    _write(path, head, (([one for one in line if one != ""],) for line in lines))
+
+
+def _write(path: Path, head: Sequence[str], lines: Iterable[Sequence[Any]]) -> None:
+    """Write lines of a list and further values each."""
     # Six digits are more than any of these numbers means.
-    lines = [
+    rounded = [
         [float(f"{one:.6g}") if isinstance(one, float) else one for one in (*row, *rest)]
-        for row, *rest in zip(rows, *columns.values(), strict=True)
+        for row, *rest in lines
     ]
-    write_csv(path, (*Row._fields, *columns), lines)
+    write_csv(path, head, rounded)

@@ -42,11 +42,12 @@ def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
         _draw_bars(above, rows)
         for place, own in enumerate(layouts):
             _draw_points(below, [place], own, "success", place)
-        names = [format_name(own[0].layout) for own in layouts]
+        names = [format_name(own[0].name) for own in layouts]
         below.set_xticks(range(len(names)), names, rotation=20, ha="right")
         above.set_title(f"{rows[0].agents} agents, {rows[0].runs} runs each")
         if len(names) > 1:
-            meaning += "\nper cent: against the first layout, over all runs, with 95 % interval"
+            kind = "planner" if rows[0].planner else "layout"
+            meaning += f"\nper cent: against the first {kind}, over all runs, with 95 % interval"
     else:
         _draw_lines(above, rows, "smooth")
         _draw_lines(below, rows, "success")
@@ -126,7 +127,7 @@ def _draw_points(
         errors = np.maximum([low, high], 0)
         axes.set(ylabel="never congested", ylim=(-0.05, 1.05))
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    label, look = format_name(rows[0].layout), _look(number)
+    label, look = format_name(rows[0].name), _look(number)
     axes.errorbar(places, values, errors, label=label, elinewidth=0.8, **look)
 
 
@@ -136,8 +137,8 @@ def _look(number: int) -> dict[str, Any]:
 
 
 def _by_layout(rows: Sequence[Row]) -> list[list[Row]]:
-    names = dict.fromkeys(row.layout for row in rows)
-    return [[row for row in rows if row.layout == name] for name in names]
+    names = dict.fromkeys(row.name for row in rows)
+    return [[row for row in rows if row.name == name] for name in names]
 
 
 @styled
