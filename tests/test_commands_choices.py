@@ -84,3 +84,25 @@ def test_a_stated_zero_is_no_missing_number(tmp_path, monkeypatch, capsys):
     (tmp_path / "plan.txt").write_text("\n".join(ROWS))
     assert run(["check", "plan.txt", "--shelves", "0"]) == 1
     assert "exactly 0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "name", ["simulate", "replay", "compare", "sweep", "scalability", "report"]
+)
+def test_robots_are_agents_in_every_command(name, tmp_path, capsys):
+    (tmp_path / "plan.txt").write_text("w.e@\nw.e@\n")
+    with pytest.raises(SystemExit):
+        run([name, "--help"])
+    assert "--robots" in (said := capsys.readouterr().out) and "--agents" in said
+    for option in ("--robots", "--agents"):
+        assert run([name, str(tmp_path / "plan.txt"), option, "-3"]) == 2
+        assert "-3" in capsys.readouterr().err
+
+
+def test_robots_are_agents_in_a_preset_and_in_guide(tmp_path, capsys):
+    words = "train quick --robots 7 --evaluations 0".split()  # noqa: SIM905
+    assert run(words) == 2
+    assert "evaluations must be at least 1" in capsys.readouterr().err
+    for command in ("train quick", "guide x.txt"):
+        assert run([*command.split(), "--robots", "many"]) == 2
+        assert "--robots or --agents must be an integer, not 'many'" in capsys.readouterr().err

@@ -101,7 +101,8 @@ def _message(event: Any, target: Any, rules: Any) -> str:
 
 def _name_of(argument: Any) -> str:
     lowered = argument.lowered
-    return str(lowered.metavar if argument.is_positional() else lowered.name_or_flags[0])
+    names = [lowered.metavar] if argument.is_positional() else lowered.name_or_flags
+    return " or ".join(map(str, names))
 
 
 def completion_spec(script: str) -> dict[str, Any]:

@@ -141,7 +141,9 @@ def _settings(record: Any, prefix: str = "", path: str = "") -> Iterator[tuple[s
             yield from _settings(value, own, f"{path}{field.name}__")
         elif Fixed not in getattr(field.type, "__metadata__", ()):
             shown = " ".join(map(str, flat(value)))
-            about = arg(name=f"{prefix}{field.name}", help_behavior_hint=f"(default: {shown})")
+            robots = ("--robots",) * (field.name == "agents")
+            hint = f"(default: {shown})"
+            about = arg(name=f"{prefix}{field.name}", aliases=robots, help_behavior_hint=hint)
             yield f"{path}{field.name}", Annotated[field.type, about], field.helptext
 
 

@@ -35,7 +35,7 @@ _SHARES = (0.5, 0.75, 1.0, 1.25)  # of the number of agents, for which before an
 
 def guide(
     layout: args.Source,
-    agents: PositiveInt | None = None,
+    agents: Annotated[PositiveInt | None, arg(aliases=("--robots",))] = None,
     method: Literal["costs", "update"] = "costs",
     model: args.Run | None = None,
     path: args.Folder = None,
@@ -50,7 +50,7 @@ def guide(
 
     Args:
         layout: layout file.
-        agents: number of agents; 200, or what is known of the layout's size, unless given.
+        agents: number of agents (robots); 200, or what is known of the layout's size, unless given.
         method: search the costs themselves, or the weights of a network that updates costs by
             where agents drive, and that serves other floors and sizes as well.
         model: run of the method update whose network draws the costs, without a search.

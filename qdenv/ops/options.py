@@ -83,9 +83,12 @@ Runs: TypeAlias = Annotated[
 DomainName: TypeAlias = Annotated[str | None, arg(metavar=DOMAIN_NAMES)]
 # 10 for ten runs with the seeds 0 to 9, (3, 5, 9) for these three; on command lines 3,5,9 and 7,
 Seeds: TypeAlias = Annotated[int | Sequence[int], option("N|SEED,...", parse_seeds)]
+# On command lines agents are robots as well: people who plan halls say so
+_ROBOTS = arg(aliases=("--robots",))
+Agents: TypeAlias = Annotated[int | None, _ROBOTS]
 # One number of agents or several; on command lines 200 or 50,100 or 50:400:50
 Counts: TypeAlias = Annotated[
-    int | Sequence[int] | None, option("N|N,...|FIRST:LAST:STEP", parse_counts)
+    int | Sequence[int] | None, option("N|N,...|FIRST:LAST:STEP", parse_counts), _ROBOTS
 ]
 # A file to write; the command line writes one named `AUTO` where none is named
 Out: TypeAlias = Annotated[str | Path | None, option("FILE", Path)]

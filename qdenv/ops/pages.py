@@ -63,7 +63,7 @@ class FilmOptions(Ranged):
 
 def replay(
     layout: args.Source,
-    agents: int | None = None,
+    agents: args.Agents = None,
     seed: Seed = 0,
     films: Annotated[FilmOptions, arg(name="")] = FilmOptions(),
     out: args.Out = None,

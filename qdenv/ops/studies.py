@@ -43,8 +43,8 @@ def sweep(
 
     Args:
         layout: layout file.
-        agents: numbers of agents, as 50:400:50, which it is unless given, or 50,100,200; more at a
-            size for which more are known.
+        agents: numbers of agents (robots), as 50:400:50, which it is unless given, or 50,100,200;
+            more at a size for which more are known.
         **study: see `StudyOptions`.
 
     Returns:
@@ -126,8 +126,8 @@ def scalability(
 
     Args:
         layouts: layout files, of one size or of several.
-        agents: numbers of agents to try in turn, 50:1000:50 unless given, more at a size for which
-            more are known; those that do not fit are left out.
+        agents: numbers of agents (robots) to try in turn, 50:1000:50 unless given, more at a size
+            for which more are known; those that do not fit are left out.
         **study: see `StudyOptions`.
 
     Returns:

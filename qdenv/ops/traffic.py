@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # imports the simulator
 
 def simulate_layout(
     layout: args.Source,
-    agents: int | None = None,
+    agents: args.Agents = None,
     audit: args.OnCommandLine = False,
     verdict: args.OnCommandLine = False,
     plot: args.Picture = None,
