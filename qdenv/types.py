@@ -133,6 +133,16 @@ class Rules(NamedTuple):
     # float [H, W], the cost of changing each cell; 1 for the Hamming distance
     change_cost: np.ndarray
     aisle: int = 1  # every connected cell lies in an ``aisle x aisle`` square of connected cells
+    names: Mapping[str, str] = {}  # nouns that messages call tiles by; their symbols unless given
+
+    def name(self, tiles: str, many: bool = False) -> str:
+        """Name tiles in a sentence: "shelf", "floor or endpoint"; in the plural if `many`."""
+        nouns = [self.names.get(tile, repr(tile)) for tile in tiles]
+        if many:
+            known = {"floor": "floor", "shelf": "shelves"}
+            # A symbol, and a number at the end, have no plural.
+            nouns = [known.get(one, f"{one}s" if one[-1].isalpha() else one) for one in nouns]
+        return " or ".join(filter(None, [", ".join(nouns[:-1]), *nouns[-1:]]))
 
 
 class RepairStatus(IntEnum):

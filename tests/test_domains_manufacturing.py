@@ -35,10 +35,16 @@ def test_rules_accept_a_proper_factory():
 @pytest.mark.parametrize(
     ("drawing", "said"),
     [
-        (["..e..", ".e0e.", "..e..", "e1..e", ".e.e."], "0 tiles '2'"),
+        (["..e..", ".e0e.", "..e..", "e1..e", ".e.e."], "0 '2' where"),
         ([".e...", "e0...", ".....", "e1.2e", ".e.e."], None),
-        (["....0", ".e0e.", "..e..", "e1.2e", ".e.e."], "'012' without a neighbour of 'e'"),
-        (["e.e..", ".e0e.", "..e..", "e1.2e", ".e.e."], "'e' without a neighbour of '012'"),
+        (
+            ["....0", ".e0e.", "..e..", "e1.2e", ".e.e."],
+            "'0', '1' or '2' without 'e' beside it",
+        ),
+        (
+            ["e.e..", ".e0e.", "..e..", "e1.2e", ".e.e."],
+            "'e' without '0', '1' or '2' beside it",
+        ),
         (["e0...", "0e1..", ".1e2.", "..2e.", "....."], "unconnected parts"),
     ],
 )

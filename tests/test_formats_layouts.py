@@ -229,7 +229,7 @@ def test_a_file_says_whose_it_is_and_plain_formats_say_nothing(tmp_path):
 
 def test_an_alphabet_is_listed_with_its_meanings():
     said = alphabet(WAREHOUSE.tiles, WAREHOUSE.meanings)
-    assert said == "'.' empty, '@' shelf, 'e' endpoint, 'w' workstation"
+    assert said == "'.' floor, '@' shelf, 'e' endpoint, 'w' workstation"
     assert alphabet("?!") == "'?', '!'"
 
 

@@ -141,7 +141,7 @@ MISTAKES = {
     "repair plan.txt --shelves 70": "no repair exists",
     # Searches that cannot succeed.
     "train quick --agents 240": "do not fit",
-    "train quick --shelves 1000": "1000 '@' are required",
+    "train quick --shelves 1000": "1000 shelves are required",
     "train quick --evaluations 0": "evaluations must be at least 1",
     "train quick --archive 0 40 20": "has 2, connected shelf components",
     "train quick --archive 40 0 20 0 1 20": "is empty",

@@ -35,7 +35,7 @@ def yard(rows: int, cols: int, low: int, high: int | None, **changes) -> Rules:
 
 
 def broken(drawing: list[str], rules: Rules) -> list[tuple[str, tuple[int, int]]]:
-    return [tuple(found) for found in audit(parse(drawing, TILES), rules)]
+    return [(found.message, found.cell) for found in audit(parse(drawing, TILES), rules)]
 
 
 def test_a_good_layout_breaks_nothing():
@@ -45,12 +45,20 @@ def test_a_good_layout_breaks_nothing():
 @pytest.mark.parametrize(
     ("drawing", "start", "cell"),
     [
-        (["..@e", "....", "...."], "1 tiles '@' where the rules ask for exactly 2", (0, 2)),
-        (["..@.", "e@..", "...."], "'@' without a neighbour of 'e' (1 cell)", (0, 2)),
-        (["..@e", "e@.e", "...."], "'e' without a neighbour of '@' (1 cell)", (1, 3)),
+        (["..@e", "....", "...."], "1 '@' where the rules demand exactly 2", (0, 2)),
+        (["..@.", "e@..", "...."], "'@' without 'e' beside it: 1 cell, row 0, column 2", (0, 2)),
+        (["..@e", "e@.e", "...."], "'e' without '@' beside it: 1 cell, row 1, column 3", (1, 3)),
         ([".e@.", ".@e.", "...."], None, None),
-        (["e@e.", "@...", "...."], "'.ew' in 2 unconnected parts, cut off (1 cell)", (0, 0)),
-        (["w@e.", "e@..", "...."], "'w' where only '.@e' may stand (1 cell)", (0, 0)),
+        (
+            ["e@e.", "@...", "...."],
+            "the driving area is in 2 unconnected parts, cut off: 1 cell, row 0, column 0",
+            (0, 0),
+        ),
+        (
+            ["w@e.", "e@..", "...."],
+            "'w' where only '.', '@' or 'e' may stand: 1 cell, row 0, column 0",
+            (0, 0),
+        ),
     ],
 )
 def test_each_rule_is_named_with_a_cell_that_breaks_it(drawing, start, cell):
@@ -59,6 +67,25 @@ def test_each_rule_is_named_with_a_cell_that_breaks_it(drawing, start, cell):
         assert found == []
     else:
         assert (start, cell) in found
+
+
+def test_messages_call_tiles_by_their_names_and_count_each_kind():
+    drawing = ["....", "w..w", "...."]
+    names = find_domain("warehouse-even").names
+    allowed = np.eye(4, dtype=bool)[[[3, 0, 0, 3]] * 3]
+    rules = yard(3, 4, 3, 3, allowed=allowed, names=names, adjacency=())
+    assert [message for message, _ in broken(drawing, rules)] == [
+        "floor where only workstations may stand: 4 cells, the first at row 0, column 0",
+        "0 shelves where the rules demand exactly 3",
+    ]
+    mixed = broken(["w.ww", ".www", "w..w"], rules)[0]
+    assert mixed == (
+        "workstation where only floor may stand: 3 cells, the first at row 0, column 2; "
+        "floor where only workstations may stand: 1 cell, row 1, column 0",
+        (0, 2),
+    )
+    wrong = audit(parse(drawing, TILES), rules)[0].cells
+    assert wrong.tolist() == [[0, 0], [0, 3], [2, 0], [2, 3]]
 
 
 def test_count_messages_name_the_bound():
@@ -71,7 +98,9 @@ def test_narrow_passages_are_found():
     rules = yard(5, 6, 2, 2, aisle=2)
     assert broken(wide, rules) == []
     slit = ["......", "......", "@@.@@@", "ee.eee", "......"]
-    assert broken(slit, yard(5, 6, 5, 5, aisle=2)) == [("passage narrower than 2 (1 cell)", (2, 2))]
+    assert broken(slit, yard(5, 6, 5, 5, aisle=2)) == [
+        ("aisle narrower than 2 cells: 1 cell, row 2, column 2", (2, 2))
+    ]
 
 
 def test_a_wrong_shape_is_one_message():

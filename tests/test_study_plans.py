@@ -76,7 +76,7 @@ def test_contradictions_and_unknown_domains_are_refused_in_one_line(tmp_path):
 def test_tiles_of_no_domain_are_named_with_an_alphabet(tmp_path):
     path = save(tmp_path / "plan.txt", ["w.q", "..."])
     with pytest.raises(
-        InputError, match=r"'q' at row 0, column 2: warehouse-even knows '\.' empty"
+        InputError, match=r"'q' at row 0, column 2: warehouse-even knows '\.' floor"
     ):
         read_plan(path)
 

@@ -277,6 +277,9 @@ def make_domain(config: Any) -> Domain:
     registered, or the drawing of the cells to keep has another shape, or a cell names no tile.
     """
     domain: Domain = DOMAINS.make(config)
+    if domain.rules is not None:
+        own, names = domain.rules, domain.names
+        domain = replace(domain, rules=lambda: own()._replace(names=names))
     if not config.keep:
         return domain
     check_shape(config.keep, domain.shape)

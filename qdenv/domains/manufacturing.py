@@ -20,7 +20,7 @@ from qdenv.types import Adjacency, Count, Measure, Rules, TaskRule, Tile, Traffi
 TILES = ".012e"
 _STATIONS = "012"
 _MEANINGS: dict[str, Tile] = {
-    ".": Tile("empty", "robots drive past the stations"),
+    ".": Tile("floor", "robots drive past the stations"),
     "0": Tile("station 0", "the first of three kinds; needs an endpoint beside it", True),
     "1": Tile("station 1", "the second kind, where robots go next", True),
     "2": Tile("station 2", "the third kind, the last of a task", True),

@@ -26,7 +26,7 @@ from qdenv.types import Adjacency, Array, Count, InputError, Measure, Rules, Tas
 _TILES = ".@ew"
 _GENERATED = ".@e"
 _MEANINGS = {
-    ".": Tile("empty", "robots drive here"),
+    ".": Tile("floor", "robots drive here"),
     "@": Tile("shelf", "holds goods; needs an endpoint beside it", True, also="#"),
     "e": Tile("endpoint", "robots pick goods here; needs a shelf beside it"),
     "w": Tile("workstation", "robots deliver here; by itself in the outer columns only"),

@@ -99,7 +99,7 @@ def check(
     rules: Any = fitted.rules() if fitted.rules else None
     found = audit(plan.layout, rules) if rules else []
     broken = [Broken(one.message, *map(int, one.cell)) for one in found]
-    say(*(f"{one.message} (row {one.row}, column {one.column})" for one in broken))
+    say(*(one.message for one in broken))
     if rules is None:
         say(f"{name}: layouts of {fitted.name} have no rules, none is broken")
     elif broken:

@@ -10,18 +10,27 @@ from qdenv.types import Rules
 
 
 class Violation(NamedTuple):
-    """One broken rule and a cell that breaks it."""
+    """One broken rule."""
 
-    message: str
-    cell: tuple[int, int]  # (row, column)
+    message: str  # which rule, in words, with the number of cells that break it and the first one
+    cells: np.ndarray  # int64 [n, 2], (row, column) of the cells that break it
+
+    @property
+    def cell(self) -> tuple[int, int]:
+        """The first of the cells."""
+        row, column = self.cells[0].tolist()
+        return row, column
 
 
 def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
-    """Name every rule that `layout` (int8 [H, W]) breaks, with the number of cells that do."""
+    """Name every rule that `layout` (int8 [H, W]) breaks, with the cells that do."""
     layout = np.asarray(layout)
     shape = rules.allowed.shape[:2]
     if layout.shape != shape:
-        return [Violation(f"the layout is {layout.shape}, its rules are for {shape}", (0, 0))]
+        sizes = "the layout has {} x {} cells, its rules are for {} x {}".format(
+            *layout.shape, *shape
+        )
+        return [Violation(sizes, np.zeros((1, 2), np.int64))]
     strange = (layout < 0) | (layout >= len(rules.tiles))
     if strange.any():
         return _violations("tile outside the alphabet", strange)
@@ -31,46 +40,60 @@ def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
         count = int(holds.sum())
         if low <= count and (high is None or count <= high):
             continue
-        wanted = f"at least {low}" if high is None else f"{low} to {high}"
-        wanted = f"exactly {high}" if low == high else wanted
-        row, col = np.argwhere(holds if count else np.ones_like(holds))[0]
-        message = f"{count} tiles {tiles!r} where the rules ask for {wanted}"
-        found.append(Violation(message, (int(row), int(col))))
+        demand = f"at least {low}" if high is None else f"{low} to {high}"
+        demand = f"exactly {high}" if low == high else demand
+        message = f"{count} {rules.name(tiles, count != 1)} where the rules demand {demand}"
+        found.append(Violation(message, np.argwhere(holds if count else ~holds)))
     for tiles, needs in rules.adjacency:
         near = count_neighbours(of_tiles(layout, needs, rules.tiles)) > 0
         alone = np.asarray(of_tiles(layout, tiles, rules.tiles) & ~near)
-        found += _violations(f"{tiles!r} without a neighbour of {needs!r}", alone)
+        found += _violations(f"{rules.name(tiles)} without {rules.name(needs)} beside it", alone)
     if not rules.connected:
         return found
     driving = of_tiles(layout, rules.connected, rules.tiles)
     labels, parts = ndimage.label(driving)
     if parts > 1:
         largest = 1 + np.argmax(np.bincount(labels.ravel())[1:])
-        message = f"{rules.connected!r} in {parts} unconnected parts, cut off"
+        message = f"the driving area is in {parts} unconnected parts, cut off"
         found += _violations(message, driving & (labels != largest))
     if rules.aisle > 1:
         # An opening keeps exactly the cells covered by a fitting square.
         wide = ndimage.binary_opening(driving, np.ones((rules.aisle, rules.aisle), bool))
-        found += _violations(f"passage narrower than {rules.aisle}", driving & ~wide)
+        found += _violations(f"aisle narrower than {rules.aisle} cells", driving & ~wide)
     return found
 
 
 def check_allowed(layout: np.ndarray, rules: Rules) -> list[Violation]:
-    """Name the first cell whose tile the rules do not allow there (fixed cells, keep-outs)."""
+    """Find the cells whose tile the rules do not allow there (fixed cells, keep-outs)."""
     rows, cols = np.indices(layout.shape)
     wrong = ~rules.allowed[rows, cols, layout]
     if not wrong.any():
         return []
-    row, col = np.argwhere(wrong)[0]
-    allowed = "".join(np.array(list(rules.tiles))[rules.allowed[row, col]])
-    tile = rules.tiles[layout[row, col]]
-    return _violations(f"{tile!r} where only {allowed!r} may stand", wrong)
+    # One violation, with a part for each pair of a tile and what may stand there instead.
+    cells = np.argwhere(wrong)
+    pairs = np.column_stack([layout[wrong], rules.allowed[wrong]])
+    kinds, first, counts = np.unique(pairs, axis=0, return_index=True, return_counts=True)
+    parts = []
+    for part in np.argsort(first):
+        tile, allowed = rules.tiles[kinds[part, 0]], kinds[part, 1:].astype(bool)
+        instead = "".join(np.array(list(rules.tiles))[allowed])
+        message = f"{rules.name(tile)} where only {rules.name(instead, True)} may stand"
+        parts.append(_located(message, counts[part], cells[first[part]]))
+    return [Violation("; ".join(parts), cells)]
 
 
 def _violations(message: str, wrong: np.ndarray) -> list[Violation]:
     """Describe the cells `wrong` (bool [H, W]), if any, by their number and the first of them."""
-    if not wrong.any():
-        return []
-    row, col = np.argwhere(wrong)[0]
-    cells = "cell" if wrong.sum() == 1 else "cells"
-    return [Violation(f"{message} ({wrong.sum()} {cells})", (int(row), int(col)))]
+    cells = np.argwhere(wrong)
+    return [Violation(_located(message, len(cells), cells[0]), cells)] if len(cells) else []
+
+
+def _located(message: str, count: int, first: np.ndarray) -> str:
+    """Add the number of cells, and the first (row, column), to a message."""
+    row, column = first.tolist()
+    place = f"row {row}, column {column}"
+    return (
+        f"{message}: 1 cell, {place}"
+        if count == 1
+        else f"{message}: {count} cells, the first at {place}"
+    )

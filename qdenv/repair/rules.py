@@ -153,12 +153,13 @@ def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
     for bound in rules.counts:
         must, may = int(facts.must(bound.tiles).sum()), int(facts.may(bound.tiles).sum())
         high = may if bound.high is None else bound.high
+        nouns = rules.name(bound.tiles, True)
         if bound.low > high:
-            return f"{bound.tiles!r} must number at least {bound.low} and at most {high}"
+            return f"the number of {nouns} must be at least {bound.low} and at most {high}"
         if bound.low > may:
-            return f"{bound.low} {bound.tiles!r} are required but only {may} cells may hold one"
+            return f"{bound.low} {nouns} are required but only {may} cells may hold one"
         if high < must:
-            return f"at most {high} {bound.tiles!r} are allowed but {must} cells must hold one"
+            return f"{must} cells must hold {nouns}, more than the {high} allowed"
         # How many obstacles can a connected driving area serve? A part of c serving cells that
         # hangs together has 4c sides and spends 2 (c - 1) of them on itself, and one more where
         # something else joins it to the other parts: each part serves at most 2c + 1 obstacles
@@ -173,19 +174,20 @@ def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
         sides = int(2 * (serves.sum() + (holds & ~serves).sum()) + max(2, int(joints.sum())))
         if bound.low > (most := sides // 3):
             reach = f"a connected driving area can reach at most {most}"
-            return f"{bound.low} {bound.tiles!r} are required but {reach}"
+            return f"{bound.low} {nouns} are required but {reach}"
     for tiles, others in rules.adjacency:
         alone = facts.must(tiles) & (count_neighbours(facts.may(others)) == 0)
         if alone.any():
             where = "row {}, column {}".format(*np.argwhere(alone)[0])
-            return f"{tiles!r} needs {others!r}, which no cell beside {where} may hold"
+            demand = f"{rules.name(tiles)} at {where} needs {rules.name(others)} beside it"
+            return f"{demand}, which no cell there may hold"
     if rules.connected:
         labels, _ = ndimage.label(facts.may(rules.connected))
         always = facts.must(rules.connected)
         parts = np.unique(labels[always])
         if parts.size > 1:
             where = "row {}, column {}".format(*np.argwhere(always & (labels == parts[1]))[0])
-            return f"fixed obstacles cut {where} off from the rest of {rules.connected!r}"
+            return f"fixed obstacles cut {where} off from the rest of the driving area"
     return None
 
 
