@@ -31,6 +31,32 @@ from qdenv.grid import NUM_MOVES, parse
 from qdenv.guidance import scaled_costs
 from qdenv.types import Array, InputError
 
+# The numbers of an exact automaton are multiples of these fractions, so small that no sum has more
+# than 24 bits: float32 adds such numbers without rounding, in any order. In other automata the last
+# bit, which depends on the order, is amplified by the iteration until other tiles are drawn.
+_WEIGHT, _HIDDEN, _OUTPUT = 512, 64, 1024
+_MAX_WEIGHT, _MAX_HIDDEN = 2, 8  # weights, and what a hidden layer gives, are smaller
+# Largest sums of absolute weights into a channel, of the first layer and of the others:
+# (30 * 1 + 2) * 512 * 1024 = (63 * 8 + 8) * 512 * 64 = 2^24.
+_MAX_SUMS = (30, 63)
+_STEPS = np.arange(-8 * _HIDDEN, 8 * _HIDDEN) / _HIDDEN
+_SIGMOID = (np.round(_OUTPUT / (1 + np.exp(-_STEPS))) / _OUTPUT).astype(np.float32)
+
+
+def round_weights(variables: Any) -> Any:
+    """Round the weights of an automaton to those of an exact one; channels with many shrink."""
+    layers = {}
+    for number, (name, layer) in enumerate(sorted(variables["params"].items())):
+        limit = _MAX_WEIGHT * _WEIGHT - 1
+        bias, kernel = (
+            jnp.clip(jnp.round(layer[part] * _WEIGHT), -limit, limit) for part in ("bias", "kernel")
+        )
+        most = _MAX_SUMS[min(number, 1)] * _WEIGHT
+        sums = jnp.maximum(jnp.abs(kernel).sum((0, 1, 2), keepdims=True), 1)
+        kernel = jnp.trunc(kernel * jnp.minimum(1, most / sums))
+        layers[name] = {"bias": bias / _WEIGHT, "kernel": kernel / _WEIGHT}
+    return {"params": layers}
+
 
 class NCA(nn.Module):
     """One step of the automaton, [H, W, K] -> [H, W, K] in (0, 1)."""
@@ -39,6 +65,7 @@ class NCA(nn.Module):
     # width of each convolution's kernel; the appendix uses (3, 3, 3), the published code (3, 1, 1)
     kernel_sizes: tuple[int, ...] = (3, 3, 3)
     hidden: int = 32  # channels between the convolutions
+    exact: bool = False  # whether it rounds what its layers give, after `round_weights`
 
     @nn.compact
     def __call__(self, cells: Array) -> Array:
@@ -52,19 +79,29 @@ class NCA(nn.Module):
                 width, (size, size), padding="SAME", precision=jax.lax.Precision.HIGHEST
             )
             cells = convolution(cells)
-            cells = nn.sigmoid(cells) if layer == last else nn.relu(cells)
+            if self.exact:
+                fine = jnp.round(cells * _HIDDEN).astype(jnp.int32)
+                if layer == last:
+                    cells = jnp.asarray(_SIGMOID)[
+                        jnp.clip(fine + len(_SIGMOID) // 2, 0, len(_SIGMOID) - 1)
+                    ]
+                else:
+                    cells = jnp.clip(fine, 0, _MAX_HIDDEN * _HIDDEN - 1) / _HIDDEN
+            else:
+                cells = nn.sigmoid(cells) if layer == last else nn.relu(cells)
         return cells
 
 
 def make_automaton(
-    kinds: int, kernel_sizes: tuple[int, ...] = (3, 3, 3), hidden: int = 32
+    kinds: int, kernel_sizes: tuple[int, ...] = (3, 3, 3), hidden: int = 32, exact: bool = False
 ) -> tuple[int, Callable[[jax.Array, Array, Array | int], jax.Array]]:
     """Build the automaton of an architecture; it works on canvases of any size.
 
-    Returns the number of parameters P, and a function from a flat vector of them (float32 [P]), a
+    An `exact` one draws the same on every version and device, other than one that is not. Returns
+    the number of parameters P, and a function from a flat vector of them (float32 [P]), a
     canvas to start from (float32 [H, W, K]) and a number of steps to cells (float32 [H, W, K]).
     """
-    module = NCA(kinds, tuple(kernel_sizes), hidden)
+    module = NCA(kinds, tuple(kernel_sizes), hidden, exact)
     canvas = jnp.zeros((1, 1, kinds))
     variables = jax.tree.map(
         lambda leaf: np.zeros(leaf.shape, leaf.dtype),
@@ -77,6 +114,8 @@ def make_automaton(
         chex.assert_shape(parameters, (flat.size,))
         chex.assert_shape(start, (None, None, kinds))
         weights = unravel(parameters)
+        if exact:
+            weights = round_weights(weights)
         return jax.lax.fori_loop(0, steps, lambda _, cells: module.apply(weights, cells), start)
 
     return flat.size, grow
@@ -131,7 +170,9 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
     kinds, guided = len(canvas.tiles), isinstance(config, GuidedNcaConfig)
     if guided:
         start = np.pad(start, ((0, 0), (0, 0), (0, NUM_MOVES)), constant_values=0.5)
-    size, grow_one = make_automaton(start.shape[-1], config.kernel_sizes, config.hidden)
+    size, grow_one = make_automaton(
+        start.shape[-1], config.kernel_sizes, config.hidden, config.arithmetic == "exact"
+    )
 
     def grow(solutions: jax.Array, steps: jax.Array | int) -> jax.Array:
         # One solution after the other: its numbers then cannot depend on how many grow beside it,

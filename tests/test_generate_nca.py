@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from qdenv.domains.base import find_domain
 from qdenv.generate import Canvas, NcaConfig, choose_tiles, inside_frame
 from qdenv.grid import draw
-from qdenv.nca import NCA, make_automaton, nca, seed_canvas
+from qdenv.nca import NCA, make_automaton, nca, round_weights, seed_canvas
 from qdenv.types import InputError
 
 
@@ -44,6 +44,66 @@ def test_step_agrees_with_oracle(kernel_sizes):
     cells = np.random.default_rng(0).random((5, 6, 3)).astype(np.float32)
     expected = oracle_step(layers, oracle_step(layers, cells.astype(np.float64)))
     np.testing.assert_allclose(grow(flat, cells, 2), expected, atol=2e-6)
+
+
+def whole_number_step(layers: list[dict[str, np.ndarray]], cells: np.ndarray) -> np.ndarray:
+    """Apply one step of an exact automaton in whole numbers: outputs in 1024ths, int64."""
+    fraction = 1024  # of what comes in
+    for number, layer in enumerate(layers):
+        kernel, bias = (np.round(layer[part] * 512).astype(np.int64) for part in ("kernel", "bias"))
+        reach = kernel.shape[0] // 2
+        padded = np.pad(cells, ((reach, reach), (reach, reach), (0, 0)))
+        windows = np.lib.stride_tricks.sliding_window_view(padded, kernel.shape[:2], (0, 1))
+        sums = np.einsum("hwijk,jkio->hwo", windows, kernel) + bias * fraction
+        assert abs(sums).max() <= 2**24
+        # Half a 64th is rounded to the even one.
+        unit = 512 * fraction // 64
+        fine, rest = np.divmod(sums, unit)
+        fine += (rest * 2 > unit) | ((rest * 2 == unit) & (fine % 2 == 1))
+        if number < len(layers) - 1:
+            cells, fraction = np.clip(fine, 0, 511), 64
+        else:
+            cells = np.round(1024 / (1 + np.exp(-np.clip(fine, -512, 511) / 64))).astype(np.int64)
+    return cells
+
+
+@pytest.mark.parametrize(("kernel_sizes", "sigma"), [((3, 3, 3), 0.2), ((3, 1, 1), 1.0)])
+def test_an_exact_automaton_computes_in_whole_numbers(kernel_sizes, sigma):
+    size, grow = make_automaton(3, kernel_sizes, hidden=32, exact=True)
+    rng = np.random.default_rng(3)
+    flat = rng.normal(0, sigma, size).astype(np.float32)
+    shapes = NCA(3, kernel_sizes, 32).init(jax.random.key(1), jnp.zeros((1, 1, 3)))
+    variables = round_weights(ravel_pytree(shapes)[1](jnp.asarray(flat)))["params"]
+    layers = [
+        {name: np.asarray(part, np.float64) for name, part in layer.items()}
+        for _, layer in sorted(variables.items())
+    ]
+    cells = seed_canvas(("ee", "@@"), 8, 9, ".@e")
+    expected = cells.astype(np.int64) * 1024
+    for _ in range(20):
+        expected = whole_number_step(layers, expected)
+    np.testing.assert_array_equal(np.asarray(grow(flat, cells, 20)) * 1024, expected)
+
+
+def test_the_order_of_sums_does_not_matter_to_an_exact_automaton():
+    rng, order = np.random.default_rng(5), np.random.default_rng(6).permutation(32)
+    shapes = NCA(3).init(jax.random.key(1), jnp.zeros((1, 1, 3)))
+    flat, unravel = ravel_pytree(shapes)
+    solution = rng.normal(0, 0.3, flat.size).astype(np.float32)
+    layers = unravel(jnp.asarray(solution))["params"]
+    # The same automaton, its hidden channels in another order.
+    layers["Conv_0"] = {
+        "bias": layers["Conv_0"]["bias"][order],
+        "kernel": layers["Conv_0"]["kernel"][..., order],
+    }
+    layers["Conv_1"]["kernel"] = layers["Conv_1"]["kernel"][:, :, order]
+    other = np.asarray(ravel_pytree({"params": layers})[0])
+    start, same = seed_canvas(("ee", "@@", "ee"), 33, 32, ".@e"), {}
+    for exact in (False, True):
+        grow = make_automaton(3, exact=exact)[1]
+        one, two = (np.asarray(grow(weights, start, 50)) for weights in (solution, other))
+        same[exact] = bool((one == two).all())
+    assert same == {False: False, True: True}
 
 
 @pytest.mark.parametrize(
