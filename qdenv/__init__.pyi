@@ -44,6 +44,7 @@ from .ops.searches import zoo as zoo
 from .ops.studies import compare as compare
 from .ops.studies import scalability as scalability
 from .ops.studies import sweep as sweep
+from .ops.traffic import audit_run as audit_run
 from .ops.traffic import simulate_layout as simulate_layout
 from .pipeline import evaluate as evaluate
 from .pipeline import make_pipeline as make_pipeline

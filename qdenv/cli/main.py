@@ -33,6 +33,7 @@ COMMANDS = {
     "check": "qdenv.ops.layouts:check",
     "simulate": "qdenv.ops.traffic:simulate_layout",
     "replay": "qdenv.ops.pages:replay",
+    "audit-run": "qdenv.ops.traffic:audit_run",
     "repair": "qdenv.ops.layouts:repair_layout",
     "compare": "qdenv.ops.studies:compare",
     "sweep": "qdenv.ops.studies:sweep",

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 _TILES = ".#"
 _MEANINGS = {
-    ".": Tile("free", "robots drive here, and any such cell may be a goal"),
+    # The League of Robot Runners marks emitters E and service points S on its maps.
+    ".": Tile("free", "robots drive here, and any such cell may be a goal", also="ES"),
     "#": Tile("obstacle", "robots go around it", True, also="@"),
 }
 

@@ -1,24 +1,30 @@
-"""Operations on fleets: one on a layout, where it jams; tables of several numbers of agents."""
+"""Operations on one fleet: simulated on a layout, with where it jams; a run from a file checked."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Unpack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Unpack
 
 import numpy as np
+from tyro.conf import Positional, arg
 
+from qdenv.io.trajectories import read_run, write_paths
 from qdenv.ops import options as args
-from qdenv.ops.output import PICTURES, Result, format_table, place, say
+from qdenv.ops.output import PICTURES, Result, Table, format_table, place, say
 from qdenv.progress import Bar
 from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.study import table as studies
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import Plan
+from qdenv.study.recordings import MOST_SHOWN, record_fleet
 from qdenv.types import InputError
 from qdenv.view import SCREEN
 
 if TYPE_CHECKING:  # imports the simulator
     from qdenv.study.traffic import Study
+
+_SHOWN = 10  # broken rules that are printed
 
 
 def simulate_layout(
@@ -28,6 +34,7 @@ def simulate_layout(
     verdict: args.OnCommandLine = False,
     plot: args.Picture = None,
     width: args.Width = None,
+    paths: args.Out = None,
     **fleet: Unpack[args.FleetOptions],
 ) -> Result:
     """Simulate a fleet on a layout: its throughput, where it jams, whether more agents would help.
@@ -40,6 +47,8 @@ def simulate_layout(
             number flows, is near capacity, past its peak or congested.
         plot: picture of where agents wait, drive and finish tasks, and of throughput over time.
         width: of the picture in inches; what suits it unless given.
+        paths: file of where every robot is at every timestep of the first seed's run: .csv, or
+            .json for PlanViz.
         **fleet: see `FleetOptions`.
 
     Returns:
@@ -54,6 +63,10 @@ def simulate_layout(
     plan, name = options.read_plan(layout), args.name_of(layout)
     picture = place(plot, f"{plan.name}_traffic.png", PICTURES, [layout])
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    tracks = place(paths, f"{plan.name}_paths.csv", (".csv", ".json"), [layout])
+    if tracks and agents * timesteps > MOST_SHOWN:
+        most = MOST_SHOWN // agents
+        raise InputError(f"--paths: of {agents} robots at most {most} timesteps are written")
     with studies.about(name):
         fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
         config = options.config(agents, timesteps)
@@ -83,6 +96,11 @@ def simulate_layout(
         judgement = f": {facts['verdict']}, {facts['verdict_reason']}"
         say(f"verdict      {facts['verdict']}: {facts['verdict_reason']}")
     say(*_jams(facts, plan))
+    if tracks:
+        motion, _ = record_fleet(plan, config, options.seeds[0])
+        cells = motion.positions, motion.goals, motion.finished
+        write_paths(tracks.path, *cells, plan.layout.shape[1])
+        say(tracks)
     if picture:
         from qdenv.view.style import format_name  # imports matplotlib
         from qdenv.view.traffic import draw_traffic, make_scene
@@ -136,3 +154,58 @@ def _jams(facts: Mapping[str, Any], plan: Plan) -> list[str]:
         table.append((*cell, share, waiting, f"{spot['wait_per_visit']:3.1f} steps"))
     head = "the cells with the most waiting; rows and columns are counted from 0 at the top left:"
     return [*lines, head, *format_table(table)]
+
+
+class BrokenRule(NamedTuple):
+    """A rule of movement, or of tasks, that a run broke."""
+
+    message: str  # timestep, robot and place
+
+
+def audit_run(
+    run: Annotated[Path, Positional, arg(metavar="FILE")],
+    layout: Annotated[Any, arg(constructor=Path)],
+    domain: args.DomainName = None,
+) -> Table:
+    """Check a fleet's run from anywhere against the rules of movement: exit code 0, or 1.
+
+    Robots stay on the floor, take one step at a time, share no cell and never swap cells; where
+    the file knows their goals, these are checked and the finished tasks counted.
+
+    Args:
+        run: file of the run: JSON of the League of Robot Runners, or lines of timestep, robot, row
+            and column.
+        layout: file of the layout that it was driven on.
+        domain: whose layout; what the file says, or its tiles tell, unless given; a .map is of the
+            domain map.
+
+    Returns:
+        a `BrokenRule` for each kind of rule that was broken first; empty for a valid run.
+
+    Raises:
+        InputError: a file cannot be read, or no fleet drives in this domain.
+    """
+    if domain is None and Path(args.name_of(layout)).suffix.lower() == ".map":
+        domain = "map"
+    plan, driven = args.read_plan(layout, domain), read_run(run)
+    tasks = plan.domain.simulator.tasks
+    if tasks is None:
+        raise InputError(f"{args.name_of(layout)}: no fleet drives in {plan.domain.name}")
+    from qdenv.simulate.mapf.audit import check_run  # imports the simulator
+
+    broken, finished = check_run(plan.layout, tasks, driven)
+    times, robots = driven.cells.shape[:2]
+    count = f"{finished} tasks finished" if driven.errands else "goals unknown"
+    say(f"{run}: {robots} robots, {times - 1} timesteps, {count}, {plan.whose}")
+    say(*broken[:_SHOWN])
+    say("every rule of movement is obeyed" if not broken else f"{len(broken)} rules broken")
+    facts = {
+        "valid": not broken,
+        "broken": broken,
+        "robots": robots,
+        "timesteps": times - 1,
+        "finished_tasks": finished if driven.errands else None,
+        "throughput": finished / max(times - 1, 1) if driven.errands else None,
+        "settings": {"run": run, "layout": args.name_of(layout), "domain": plan.domain.name},
+    }
+    return Table([BrokenRule(one) for one in broken], facts, exit_code=1 if broken else 0)

@@ -6,6 +6,7 @@ services, finished tasks, jams. Everything that disagrees is named.
 
 import numpy as np
 
+from qdenv.io.trajectories import Trajectories
 from qdenv.simulate.mapf.metrics import Recording
 from qdenv.types import TaskRule, Traffic
 
@@ -50,18 +51,54 @@ def audit(
     return broken
 
 
+def check_run(layout: np.ndarray, rule: TaskRule, run: Trajectories) -> tuple[list[str], int]:
+    """Check a run read from a file on a layout (int8 [H, W]): its moves, and what it reached.
+
+    Returns messages as `audit` does, and the number of tasks that were finished.
+    """
+    inside = ((run.cells >= 0) & (run.cells < layout.shape)).all(axis=-1)
+    positions = np.where(inside, run.cells @ [layout.shape[1], 1], -1)
+    broken, finished = check_moves(layout, rule, positions), 0
+    done: set[int] = set()
+    for time, robot, place, task, last in sorted(run.errands):
+        what = f"t={time}: robot {robot} finishes task {task}"
+        if not (0 <= time < len(run.cells) and 0 <= robot < run.cells.shape[1]):
+            broken.append(f"{what}, and the run has no such time or robot")
+        elif tuple(run.cells[time, robot]) != place:
+            here = tuple(run.cells[time, robot].tolist())
+            broken.append(f"{what} at {here}, and its goal is {place}")
+        elif last and task in done:
+            broken.append(f"{what} for a second time")
+        else:
+            finished += last
+            done |= {task} if last else set()
+    if run.finished not in (None, finished):
+        broken.append(f"the file states {run.finished} finished tasks, its events show {finished}")
+    return broken, finished
+
+
 def check_moves(layout: np.ndarray, rule: TaskRule, positions: np.ndarray) -> list[str]:
     """Check cells, steps, vertex conflicts and swaps (positions int [t + 1, A])."""
     height, width = layout.shape
     free = np.isin(layout, [rule.tiles.index(tile) for tile in rule.traversable]).reshape(-1)
+
+    def at(cell: int) -> tuple[int, int]:  # row and column
+        return int(cell) // width, int(cell) % width
+
     outside = (positions < 0) | (positions >= height * width)
     if outside.any():
         return [_at("is outside the layout", outside)]
-    broken = [_at("stands on an obstacle", ~free[positions])] if not free[positions].all() else []
+    broken = []
+    if not free[positions].all():
+        time, agent = np.argwhere(~free[positions])[0]
+        here = at(positions[time, agent])
+        broken.append(f"t={time}: agent {agent} stands on an obstacle at {here}")
     ordered = np.sort(positions, axis=1)
     shared = np.argwhere(ordered[:, 1:] == ordered[:, :-1])
     for time, index in shared[:1]:
-        broken.append(f"t={time}: two agents on cell {ordered[time, index]}")
+        both = np.flatnonzero(positions[time] == ordered[time, index])[:2]
+        names = " and ".join(map(str, both))
+        broken.append(f"t={time}: two agents on cell {at(ordered[time, index])}: {names}")
     before, after = positions[:-1], positions[1:]
     rows = np.abs(before // width - after // width)
     columns = np.abs(before % width - after % width)
@@ -74,9 +111,8 @@ def check_moves(layout: np.ndarray, rule: TaskRule, positions: np.ndarray) -> li
     back = (time * cells + after[moved]) * cells + before[moved]
     # No edge is driven twice where no cell holds two agents; sorting out doubles takes long.
     for edge in np.intersect1d(there, back, assume_unique=not len(shared))[:1]:
-        broken.append(
-            f"t={edge // cells**2}: agents swap cells {edge % cells, edge // cells % cells}"
-        )
+        places = f"{at(edge % cells)} and {at(edge // cells % cells)}"
+        broken.append(f"t={edge // cells**2}: agents swap cells {places}")
     return broken
 
 

@@ -1,0 +1,217 @@
+"""Where robots were at each timestep: our own runs to write, foreign ones to read.
+
+Two forms: lines of timestep, robot, row and column, and the JSON of the League of Robot Runners in
+its generations of 2023, 2024 and 2026 (https://github.com/MAPF-Competition/Start-Kit,
+Input_Output_Format.md), which PlanViz shows.
+"""
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from qdenv.io.files import damaged, read_text, write_csv
+from qdenv.io.planviz import write_planviz
+from qdenv.io.records import parse_json, structured
+
+HEAD = ("timestep", "robot", "row", "column")
+_GOALS = ("goal_row", "goal_column", "finished")  # of our own lines
+_MOST = 20_000_000  # robots times timesteps of a run; a hostile file may not fill the memory
+_JSON_BYTES = 256 * 2**20
+# Action -> (rows, columns) of a step; of robots that turn a step leads ahead, first to the east.
+_STEPS = {"R": (0, 1), "D": (1, 0), "L": (0, -1), "U": (-1, 0)}
+_HEADINGS = "ESWN"
+_AHEAD = np.array([*_STEPS.values()])
+_WAITS = "WT"  # T: the planner was too late
+# A stretch of a path of 2026: where it begins, which is ignored, and actions with their numbers.
+_STRETCH = re.compile(r"\[\([^()]*\):\(([^()]*)\)\]")
+
+
+class Errand(NamedTuple):
+    """A goal that was reached, as a file says."""
+
+    time: int  # timestep at which the robot is there
+    robot: int  # which
+    place: tuple[int, int]  # row and column of the goal
+    task: int  # number of the task
+    last: bool  # with it the task is finished
+
+
+class Trajectories(NamedTuple):
+    """The run of a fleet of A robots over T timesteps."""
+
+    cells: np.ndarray  # int64 [T + 1, A, 2], row and column of each robot at each time
+    errands: list[Errand]  # goals that were reached; empty where the file knows no goals
+    finished: int | None = None  # number of finished tasks that the file states
+
+
+class _Output(NamedTuple):
+    """What is read of the League's JSON."""
+
+    actionModel: str  # noqa: N815
+    start: list[tuple[int, int, str]]
+    actualPaths: list[str]  # noqa: N815
+    tasks: Any = ()  # see `_errands`
+    events: Any = ()
+    numTaskFinished: int | None = None  # noqa: N815
+    agentMaxCounter: int = 1  # noqa: N815
+
+
+def write_paths(
+    path: Path, positions: np.ndarray, goals: np.ndarray, finished: np.ndarray, width: int
+) -> None:
+    """Write a run by the ending of its file: JSON for PlanViz, else CSV with a line a robot.
+
+    The lines also hold the goal that the robot heads for (goal_row, goal_column), and 1 under
+    "finished" where it has just finished a task. The arrays are those of `write_planviz`. Raises
+    InputError if the place cannot be written to.
+    """
+    if path.suffix.lower() == ".json":
+        write_planviz(path, positions, goals, finished, width)
+        return
+    times, robots = np.indices(positions.shape).reshape(2, -1)
+    done = np.concatenate([np.zeros_like(finished[:1]), finished]).astype(int)
+    cells, ends = (np.divmod(part.reshape(-1), width) for part in (positions, goals))
+    columns = np.stack([times, robots, *cells, *ends, done.reshape(-1)], axis=1)
+    write_csv(path, (*HEAD, *_GOALS), columns.tolist())
+
+
+def read_run(path: str | Path) -> Trajectories:
+    """Read the run of a fleet: JSON of the League of Robot Runners, or lines in any other file.
+
+    Lines hold timestep, robot, row and column, parted by commas, semicolons or blanks; a first line
+    with these names may put them in another order, beside others. Raises InputError, in one line,
+    if the file is neither.
+    """
+    if Path(path).suffix.lower() == ".json":
+        content = parse_json(read_text(path, _JSON_BYTES, "JSON"), path)
+        return _read_league(path, structured(content, _Output, path))
+    return _read_lines(path)
+
+
+def _read_lines(path: str | Path) -> Trajectories:
+    """Read lines, each of one robot at one time."""
+    lines = [re.split(r"[,;\s]+", line.strip()) for line in read_text(path).splitlines()]
+    lines = [line for line in lines if line != [""]]
+    names = list(HEAD)
+    if lines and not lines[0][0].lstrip("-").isdigit():
+        names = [name.lower().replace("agent", "robot") for name in lines.pop(0)]
+    if missing := [name for name in HEAD if name not in names]:
+        raise damaged(path, f"no column {missing[0]}: lines hold {', '.join(HEAD)}")
+    if not lines:
+        raise damaged(path, f"no lines of {', '.join(HEAD)}")
+    try:
+        table = np.array(lines, np.int64)
+        columns = dict(zip(names, table.T, strict=True))
+    except (ValueError, OverflowError):
+        wrong = next((i for i, one in enumerate(lines) if not _is_row(one, len(names))), 0)
+        shown = " ".join(lines[wrong])[:60]
+        raise damaged(path, f"{shown!r} is no line of {', '.join(names)} in integers") from None
+    times, robots = columns["timestep"] - columns["timestep"].min(), columns["robot"]
+    known, agent = np.unique(robots, return_inverse=True)
+    shape = (int(times.max()) + 1, len(known))
+    if shape[0] * shape[1] > _MOST or times.max() < 0:
+        raise damaged(path, f"more than {_MOST:,} robots times timesteps")
+    seen = np.zeros(shape, int)
+    np.add.at(seen, (times, agent), 1)
+    if (seen != 1).any():
+        time, robot = np.argwhere(seen != 1)[0]
+        number = f"{seen[time, robot]} places" if seen[time, robot] else "no place"
+        raise damaged(path, f"robot {known[robot]} has {number} at timestep {time}: give it one")
+    cells = np.empty((*shape, 2), np.int64)
+    cells[times, agent] = np.stack([columns["row"], columns["column"]], axis=1)
+    errands: list[Errand] = []
+    if set(_GOALS) <= columns.keys():
+        rows = np.empty((*shape, 3), np.int64)
+        rows[times, agent] = np.stack([columns[name] for name in _GOALS], axis=1)
+        for time, robot in np.argwhere(rows[..., 2] > 0).tolist():
+            row, column, _ = rows[max(time - 1, 0), robot].tolist()  # where it was heading for
+            errands.append(Errand(time, robot, (row, column), len(errands), True))
+    return Trajectories(cells, errands)
+
+
+def _is_row(cells: list[str], width: int) -> bool:
+    return len(cells) == width and all(re.fullmatch(r"-?\d{1,18}", cell) for cell in cells)
+
+
+def _read_league(path: str | Path, output: _Output) -> Trajectories:
+    """Follow the actions from the starts, and list the errands of the events."""
+    if output.actionModel not in ("MAPF", "MAPF_T"):
+        raise damaged(path, f"action model {output.actionModel[:40]!r}: known are MAPF and MAPF_T")
+    if not 0 < len(output.actualPaths) <= len(output.start):
+        paths, starts = len(output.actualPaths), len(output.start)
+        raise damaged(path, f"{paths} paths with {starts} starts: each robot has one of both")
+    turning, every = output.actionModel == "MAPF_T", max(output.agentMaxCounter, 1)
+    known = _WAITS + ("FRC" if turning else "".join(_STEPS))
+    actions = []
+    for robot, text in enumerate(output.actualPaths):
+        letters, left = _expand(text), _MOST // len(output.actualPaths)
+        wrong = sorted(set(letters or "?") - set(known))
+        if len(letters) > left or wrong:
+            reason = f"{wrong[0]!r} is none of {' '.join(known)}" if wrong else "too many actions"
+            raise damaged(path, f"the path of robot {robot}: {reason}")
+        actions.append(letters)
+    cells = [
+        _follow(letters.ljust(max(map(len, actions)), "W"), start, turning, every)
+        for letters, start in zip(actions, output.start, strict=False)
+    ]
+    try:
+        return Trajectories(np.stack(cells, axis=1), _errands(output), output.numTaskFinished)
+    except (TypeError, ValueError, LookupError):
+        raise damaged(path, "events and tasks are not those of 2023, 2024 or 2026") from None
+
+
+def _expand(text: str) -> str:
+    """Write a path as one letter a timestep; "?" for a path that is none."""
+    if not text.startswith("["):
+        return text.replace(",", "")
+    stretches = _STRETCH.findall(text)
+    parts = [part.split(" ") for one in stretches for part in one.split(",") if part]
+    if _STRETCH.sub("", text) or not all(
+        len(part) == 2 and re.fullmatch(r"\d{1,7}", part[1]) for part in parts
+    ):
+        return "?"
+    if sum(int(number) for _, number in parts) > _MOST:
+        return "W" * (_MOST + 1)
+    return "".join(letter * int(number) for letter, number in parts)
+
+
+def _follow(letters: str, start: tuple[int, int, str], turning: bool, every: int) -> np.ndarray:
+    """Return rows and columns (int64 [T + 1, 2]); a step or a turn takes `every` actions."""
+    actions = np.array(list(letters), "U1")
+    if turning:
+        drives, turns = actions == "F", np.isin(actions, ["R", "C"])
+        ends = np.cumsum(turns) % every == 0
+        turned = np.where(actions == "R", 1, -1) * (turns & ends)
+        heading = max(_HEADINGS.find(start[2]), 0) + np.cumsum(turned)
+        steps = _AHEAD[heading % 4] * (drives & (np.cumsum(drives) % every == 0))[:, None]
+    else:
+        steps = np.zeros((len(actions), 2), np.int64)
+        for letter, step in _STEPS.items():
+            steps[actions == letter] = step
+    return np.concatenate([[start[:2]], start[:2] + np.cumsum(steps, axis=0)]).astype(np.int64)
+
+
+def _errands(output: _Output) -> list[Errand]:
+    """List the goals that were reached: by robot in 2023, by time since then."""
+    # Each task is [number, row, column] or [number, release, [row, column, row, column, ...]].
+    goals = {
+        task[0]: list(zip(task[2][::2], task[2][1::2], strict=True))
+        if isinstance(task[2], list)
+        else [(task[1], task[2])]
+        for task in output.tasks
+    }
+    events = [
+        (time, robot, task, 1)
+        for robot, own in enumerate(output.events)
+        if own and isinstance(own[0], list)
+        for task, time, what in own
+        if what == "finished"
+    ] or [tuple(one) for one in output.events if one and not isinstance(one[0], list)]
+    errands = []
+    for time, robot, task, errand in events:
+        row, column = goals[task][errand - 1]
+        place, last = (int(row), int(column)), errand == len(goals[task])
+        errands.append(Errand(int(time), int(robot), place, int(task), last))
+    return errands
