@@ -210,3 +210,11 @@ def test_train_generate_resume_end_to_end(tmp_path, capsys):
     capsys.readouterr()
     assert run(["resume", str(path), "--evaluations", "18", "--no-progress"]) == 0
     assert "after 18 evaluations" in capsys.readouterr().out
+
+
+def test_help_lists_every_command_once_under_its_group(capsys):
+    assert cli.run(["--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines[1:] if line[:1].isalpha()] == list(cli.GROUPS)
+    named = [line[2:18].strip() for line in lines if line[:2] == "  " and line[2] != " "]
+    assert named == list(cli.COMMANDS) and len(set(named)) == sum(map(len, cli.GROUPS.values()))

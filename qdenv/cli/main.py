@@ -27,37 +27,48 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import qdenv
 from qdenv.interrupt import EXIT_CODE, last_words
 
-# Name -> ``module:function``, in the order of help: layouts, studies, searches, mazes.
-COMMANDS = {
-    "render": "qdenv.ops.layouts:render",
-    "check": "qdenv.ops.layouts:check",
-    "simulate": "qdenv.ops.traffic:simulate_layout",
-    "replay": "qdenv.ops.pages:replay",
-    "audit-run": "qdenv.ops.traffic:audit_run",
-    "repair": "qdenv.ops.layouts:repair_layout",
-    "compare": "qdenv.ops.studies:compare",
-    "sweep": "qdenv.ops.studies:sweep",
-    "scalability": "qdenv.ops.studies:scalability",
-    "report": "qdenv.ops.pages:report",
-    "layout human": "qdenv.ops.layouts:human_layout",
-    "layout tile": "qdenv.ops.layouts:tile_layout",
-    "layout symbols": "qdenv.ops.layouts:layout_symbols",
-    "guide": "qdenv.ops.guidance:guide",
-    "zoo": "qdenv.ops.searches:zoo",
-    "presets": "qdenv.ops.searches:presets",
-    "train": "qdenv.ops.searches:train",
-    "resume": "qdenv.ops.searches:resume",
-    "plot": "qdenv.ops.runs:plot",
-    "generate": "qdenv.ops.runs:generate_layout",
-    "series": "qdenv.ops.runs:series",
-    "explore": "qdenv.ops.pages:explore",
-    "export": "qdenv.ops.runs:export",
-    "surrogate": "qdenv.ops.networks:fit_surrogate",
-    "train-agent": "qdenv.ops.networks:train_agent",
-    "evaluate-agent": "qdenv.ops.networks:evaluate_agent",
-    "convert-agent": "qdenv.ops.networks:convert_agent",
-    "completion": "qdenv.cli.completion:completion",
+# Group of help -> name of a command -> ``module:function``.
+GROUPS = {
+    "plans": {
+        "render": "qdenv.ops.layouts:render",
+        "check": "qdenv.ops.layouts:check",
+        "repair": "qdenv.ops.layouts:repair_layout",
+        "layout human": "qdenv.ops.layouts:human_layout",
+        "layout tile": "qdenv.ops.layouts:tile_layout",
+        "layout symbols": "qdenv.ops.layouts:layout_symbols",
+    },
+    "traffic": {
+        "simulate": "qdenv.ops.traffic:simulate_layout",
+        "replay": "qdenv.ops.pages:replay",
+        "compare": "qdenv.ops.studies:compare",
+        "sweep": "qdenv.ops.studies:sweep",
+        "scalability": "qdenv.ops.studies:scalability",
+        "report": "qdenv.ops.pages:report",
+        "guide": "qdenv.ops.guidance:guide",
+        "audit-run": "qdenv.ops.traffic:audit_run",
+    },
+    "search": {
+        "zoo": "qdenv.ops.searches:zoo",
+        "presets": "qdenv.ops.searches:presets",
+        "train": "qdenv.ops.searches:train",
+        "resume": "qdenv.ops.searches:resume",
+        "plot": "qdenv.ops.runs:plot",
+        "generate": "qdenv.ops.runs:generate_layout",
+        "series": "qdenv.ops.runs:series",
+        "explore": "qdenv.ops.pages:explore",
+        "export": "qdenv.ops.runs:export",
+        "surrogate": "qdenv.ops.networks:fit_surrogate",
+    },
+    "mazes": {
+        "train-agent": "qdenv.ops.networks:train_agent",
+        "evaluate-agent": "qdenv.ops.networks:evaluate_agent",
+        "convert-agent": "qdenv.ops.networks:convert_agent",
+    },
+    "shell": {
+        "completion": "qdenv.cli.completion:completion",
+    },
 }
+COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}
 
 
 def run(words: list[str]) -> int:
@@ -80,10 +91,12 @@ def run(words: list[str]) -> int:
             print(f"qdenv: {_unknown(name)}", file=sys.stderr)
             return 2
         width = min(shutil.get_terminal_size().columns, 100) - 2
-        print("usage: qdenv COMMAND ..., qdenv COMMAND --help, qdenv --version\n")
-        for name in COMMANDS:
-            text = f"{name:15} {summary_of(name)}"
-            print(textwrap.fill(text, width, initial_indent="  ", subsequent_indent=" " * 18))
+        print("usage: qdenv COMMAND ..., qdenv COMMAND --help, qdenv --version")
+        for group, names in GROUPS.items():
+            print(f"\n{group}")
+            for name in names:
+                text = f"{name:15} {summary_of(name)}"
+                print(textwrap.fill(text, width, initial_indent="  ", subsequent_indent=" " * 18))
     except KeyboardInterrupt:
         print(last_words(), file=sys.stderr)
         return EXIT_CODE
