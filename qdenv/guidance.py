@@ -16,7 +16,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from qdenv.grid import DOWN, LEFT, MOVES, NUM_MOVES, RIGHT, UP, move_steps
+from qdenv.grid import DOWN, LEFT, MOVES, NUM_MOVES, RIGHT, UP, move_steps, shift
 from qdenv.lazy import jax, jnp
 from qdenv.types import Array, InputError
 
@@ -27,6 +27,7 @@ Guidance: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
 _ONE = 64  # the mean cost of a move as a whole number: from a 64th to 16 times the mean fits
 _LEAST_ONE = 16  # the same where the dearest move would be dearer than that
 _MOST_SCALED = math.log(10)  # by how much generators change costs at most, as a logarithm
+_CLOSED = 99.0  # doublings of the cost, of a move that is not allowed
 BUCKETS = 1024  # above every whole cost of a move
 
 
@@ -93,6 +94,30 @@ def existing_moves(traversable: np.ndarray) -> np.ndarray:
     rows, cols = traversable.shape
     ahead = [free[1 + r : 1 + r + rows, 1 + c : 1 + c + cols] for r, c in ((0, 0), *MOVES)]
     return np.stack(ahead) & traversable
+
+
+def preferences(costs: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Return how many times over the cheaper way between two cells is cheaper, in doublings.
+
+    Args:
+        costs: [5, H, W], of each move at each cell; zero or infinite where it is not allowed.
+        free: bool [H, W], cells that agents may drive on.
+
+    Returns:
+        float [2, H, W]: log2 of the cost back over the cost there, between each cell and the one
+        at its right, and the one below it; positive where right or down is cheaper, 0 between
+        cells where no way is.
+    """
+    allowed = existing_moves(free) & (costs > 0) & np.isfinite(costs)
+    doublings = np.where(allowed, np.log2(np.where(allowed, costs, 1.0)), _CLOSED)
+    return backwards(doublings, _CLOSED) - doublings[[RIGHT, DOWN]]
+
+
+def backwards(values: np.ndarray, fill: float) -> np.ndarray:
+    """Return the values [5, H, W] of the moves back from the right and from below [2, H, W]."""
+    from_right = shift(values[LEFT], MOVES[RIGHT - 1], fill)
+    from_below = shift(values[UP], MOVES[DOWN - 1], fill)
+    return np.stack([from_right, from_below])
 
 
 def _check_connected(fixed: np.ndarray, free: np.ndarray) -> None:

@@ -55,7 +55,7 @@ print("loaded:", *({{"jax", "numba", "numpy", "matplotlib", "qdax", "scipy"}} & 
         (["presets"], "maze-quick", {"numpy"}),
         (["simulate", "--help"], "number of agents", {"numpy"}),
         (["train", "--help"], "--emitters", {"numpy"}),
-        (["train", "quick", "--shelves", "1000"], "1000 '@'", {"numpy"}),
+        (["train", "quick", "--shelves", "1000"], "1000 shelves", {"numpy"}),
         (["check", "nowhere.json"], "cannot be read", {"numpy"}),
         (["simulate", "nowhere.json"], "cannot be read", {"numpy"}),
         (["replay", "nowhere.json"], "cannot be read", {"numpy"}),

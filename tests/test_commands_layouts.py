@@ -200,6 +200,19 @@ def test_every_format_is_checked_alike(folder, capsys):
     )
 
 
+def test_a_check_remarks_on_what_is_risky_without_failing(folder, capsys):
+    plan = [".........", "w.@e@...w", ".........", ".........", "........."]
+    (folder / "pocket.txt").write_text("\n".join(plan))
+    arguments = ["--plot", "pocket.svg", "--json", "facts.json"]
+    assert run(["check", "pocket.txt", *arguments]) == 0
+    said = capsys.readouterr().out
+    facts = json.loads((folder / "facts.json").read_text())
+    assert [one["kind"] for one in facts["remarks"]] == ["narrow"]
+    assert f"remark: {facts['remarks'][0]['message']}\n" in said
+    assert facts["remarks"][0]["cells"] == [[0, 2], [0, 3], [0, 4], [1, 3]]
+    assert "two-way aisles" in (folder / "pocket.svg").read_text()
+
+
 def test_a_layout_of_another_domain_needs_no_option(folder, capsys):
     factory = find_domain("manufacturing").resized(12, 14)
     write_layout(folder / "factory.csv", factory.human(), factory.tiles)

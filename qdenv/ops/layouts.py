@@ -26,6 +26,7 @@ from qdenv.progress import Bar
 from qdenv.repair.audit import audit, check_allowed
 from qdenv.repair.rules import impossible
 from qdenv.repair.settings import RepairConfig
+from qdenv.study.diagnosis import diagnose
 from qdenv.study.options import describe_growth
 from qdenv.study.plans import (
     USUAL,
@@ -78,26 +79,34 @@ def check(
     layout: args.Source,
     domain: args.DomainName = None,
     keep: Path | None = None,
+    plot: args.Picture = None,
     **numbers: args.Number,
 ) -> Table:
-    """Check a layout against its domain's rules: exit code 0, or 1 and what is broken.
+    """Check a layout: exit code 0 or 1 by its domain's rules, and remarks on what is risky.
+
+    Remarks break no rule: dead-end aisles, cells whose loss cuts the hall in two, two-way aisles
+    one robot wide, stations with one access.
 
     Args:
         layout: layout file.
         domain: whose rules; what the file says, or its tiles tell, unless given.
         keep: drawing of cells that are meant to be as they are: ! or a tile, ? elsewhere.
+        plot: picture of the cells in question to write.
         **numbers: exact numbers of tiles to demand; not checked unless given.
 
     Returns:
         a `Broken` for each broken rule, which names a cell; empty where the layout obeys them all.
+        Its facts list the remarks, each with its kind, message and cells.
 
     Raises:
         InputError: it is no layout, or `keep` is no drawing of its shape.
     """
     plan, name = args.read_plan(layout, domain), args.name_of(layout)
     fitted = plan.fitted(numbers, keep)
+    picture = place(plot, f"{plan.name}_check.png", PICTURES, [layout, keep])
     rules: Any = fitted.rules() if fitted.rules else None
     found = audit(plan.layout, rules) if rules else []
+    remarks = diagnose(plan)
     broken = [Broken(one.message, *map(int, one.cell)) for one in found]
     say(*(one.message for one in broken))
     if rules is None:
@@ -109,10 +118,16 @@ def check(
         say(f"{name}: {count} broken, {plan.whose}")
     else:
         say(f"{name}: obeys every rule, {plan.whose}")
+    say(*(f"remark: {one.message}" for one in remarks))
+    if picture:
+        from qdenv.view.diagnosis import draw_diagnosis  # imports matplotlib
+
+        picture.draw(draw_diagnosis(plan, found, remarks), crop=True)
     facts = {
         "valid": not broken,
         "rules": rules is not None,
         "broken": [one._asdict() for one in broken],
+        "remarks": [one._asdict() for one in remarks],
         "settings": {"layout": name, "domain": fitted.name, "keep": keep, "numbers": numbers},
     }
     return Table(broken, facts, exit_code=1 if broken else 0)

@@ -253,6 +253,14 @@ def _resolve(symbol: str, row: int, col: int, domain: Domain, layout: np.ndarray
     return held
 
 
+def station_tiles(domain: Domain) -> str:
+    """Return the tiles of stations: no generator draws them, or the rules demand some or more."""
+    rules = domain.rules() if domain.rules else None
+    at_least = [bound.tiles for bound in rules.counts if bound.high is None] if rules else []
+    stations = (set(domain.tiles) - set(domain.generated)) | set("".join(at_least))
+    return "".join(sorted(stations))
+
+
 def list_changes(before: np.ndarray, after: np.ndarray, domain: Domain) -> list[dict[str, Any]]:
     """Compare two layouts (int8 [H, W]) of one domain in JSON-ready values.
 
@@ -260,11 +268,7 @@ def list_changes(before: np.ndarray, after: np.ndarray, domain: Domain) -> list[
     it stands), before and after (number of cells), removed and placed ((row, column) of the cells
     that hold it no longer, or now).
     """
-    # No generator draws a station, or the rules demand a number of them or more.
-    rules = domain.rules() if domain.rules else None
-    at_least = [bound.tiles for bound in rules.counts if bound.high is None] if rules else []
-    stations = (set(domain.tiles) - set(domain.generated)) | set("".join(at_least))
-    changes = []
+    stations, changes = station_tiles(domain), []
     for kind, tile in enumerate(domain.tiles):
         held, holds = before == kind, after == kind
         if (held != holds).any():

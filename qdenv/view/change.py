@@ -10,8 +10,9 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from qdenv.guidance import preferences
 from qdenv.types import Array, InputError
-from qdenv.view.guidance import STRONGEST, draw_arrows, preferences
+from qdenv.view.guidance import STRONGEST, draw_arrows
 from qdenv.view.layouts import CHANGED, draw_layout, number_cells, side_of
 from qdenv.view.style import SCREEN_DPI, new_figure, styled
 from qdenv.view.traffic import draw_map, top_of

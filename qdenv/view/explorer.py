@@ -12,6 +12,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from qdenv.domains.base import Domain, make_domain
+from qdenv.guidance import preferences
 from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, check_range
 from qdenv.run.archive import SavedArchive
@@ -20,7 +21,7 @@ from qdenv.stats import Sample, margin, wilson_interval
 from qdenv.study.elites import CostsDrawer, Grower, make_costs_drawer, make_grower, spread
 from qdenv.types import InputError
 from qdenv.view.archive import COLOURS as SCALE
-from qdenv.view.guidance import ARROWS, pack_arrows, preferences
+from qdenv.view.guidance import ARROWS, pack_arrows
 from qdenv.view.layouts import CHANGED, COLOURS, UNKNOWN
 from qdenv.view.page import Page, make_page, pack, require_package
 

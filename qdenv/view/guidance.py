@@ -12,8 +12,8 @@ from matplotlib.colors import ListedColormap, to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
-from qdenv.grid import DOWN, LEFT, MOVES, RIGHT, UP, WAIT, shift
-from qdenv.guidance import existing_moves
+from qdenv.grid import DOWN, RIGHT, WAIT
+from qdenv.guidance import backwards, preferences
 from qdenv.view import SCREEN
 from qdenv.view.style import ABREAST, PALETTE, new_grid, styled
 
@@ -21,7 +21,6 @@ from qdenv.view.style import ABREAST, PALETTE, new_grid, styled
 ARROWS = PALETTE[:4]
 STRONGEST = 2.0  # doublings of the cost beyond which arrows are the same
 _LEVELS = 7  # of strength there, and as many back, where an arrow is half a byte
-_CLOSED = 99.0  # doublings, of a move that is not allowed
 _WALLS = ListedColormap(["#c4c8cd", "#ffffff"])
 _YELLOW = ListedColormap([(0.94, 0.89, 0.26, 0.35)])  # a veil
 _DEAR = 1.4  # times the average cost of waiting
@@ -29,44 +28,20 @@ _CELL = 0.085  # inches of a cell in which an arrow can be read
 _MOST_PATHS = 5000
 
 
-def preferences(costs: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Return how many times over the cheaper way between two cells is cheaper, in doublings.
-
-    Args:
-        costs: [5, H, W], of each move at each cell; zero or infinite where it is not allowed.
-        free: bool [H, W], cells that agents may drive on.
-
-    Returns:
-        float [2, H, W]: log2 of the cost back over the cost there, between each cell and the one
-        at its right, and the one below it; positive where right or down is cheaper, 0 between
-        cells where no way is.
-    """
-    allowed = existing_moves(free) & (costs > 0) & np.isfinite(costs)
-    doublings = np.where(allowed, np.log2(np.where(allowed, costs, 1.0)), _CLOSED)
-    return _backwards(doublings, _CLOSED) - doublings[[RIGHT, DOWN]]
-
-
 def net_moves(moves: np.ndarray) -> np.ndarray:
     """Return by how many moves to the right or down others are outnumbered (float [2, H, W]).
 
     `moves` is [5, H, W], see `recordings.count_moves`; the places are those of `preferences`.
     """
-    return moves[[RIGHT, DOWN]] - _backwards(moves, 0.0)
+    return moves[[RIGHT, DOWN]] - backwards(moves, 0.0)
 
 
 def share_along(preferred: np.ndarray, moves: np.ndarray) -> float:
     """Return which share of the moves between cells with a cheaper way takes it; NaN for none."""
-    there, back = moves[[RIGHT, DOWN]], _backwards(moves, 0.0)
+    there, back = moves[[RIGHT, DOWN]], backwards(moves, 0.0)
     along = np.where(preferred > 0, there, back)[preferred != 0].sum()
     total = (there + back)[preferred != 0].sum()
     return float(along / total) if total else np.nan
-
-
-def _backwards(values: np.ndarray, fill: float) -> np.ndarray:
-    """Return the values [5, H, W] of the moves back from the right and from below [2, H, W]."""
-    from_right = shift(values[LEFT], MOVES[RIGHT - 1], fill)
-    from_below = shift(values[UP], MOVES[DOWN - 1], fill)
-    return np.stack([from_right, from_below])
 
 
 def pack_arrows(preferred: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from qdenv.grid import DOWN, LEFT, RIGHT, UP, WAIT
+from qdenv.guidance import preferences
 from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import Motion, throughput_over_time
@@ -63,7 +64,7 @@ def make_replay(
     if plan.costs is not None:
         passable = np.asarray(facts["free"])[plan.layout]
         facts["arrows"] = guidance.ARROWS
-        packed["arrows"] = guidance.pack_arrows(guidance.preferences(plan.costs, passable))
+        packed["arrows"] = guidance.pack_arrows(preferences(plan.costs, passable))
         scripts[-1:-1] = ["arrows", "replay_arrows"]
     used = [(kind, tile) for kind, tile in enumerate(plan.domain.tiles) if kind in plan.layout]
     names = plan.domain.names

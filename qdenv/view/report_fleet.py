@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from qdenv.guidance import preferences
 from qdenv.progress import Progress, silent
 from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
 from qdenv.stats import difference
@@ -15,7 +16,7 @@ from qdenv.study.recordings import FADING, cells_with_half, worst_cells
 from qdenv.study.table import Row, Trial, about, compare, find_capacity, find_peak
 from qdenv.study.traffic import Study, examine, facts_of
 from qdenv.types import Floor
-from qdenv.view.guidance import STRONGEST, draw_arrows, preferences, share_along
+from qdenv.view.guidance import STRONGEST, draw_arrows, share_along
 from qdenv.view.layouts import draw_plan
 from qdenv.view.page import Page, listed
 from qdenv.view.report import WIDTH, make_report
