@@ -17,6 +17,7 @@ from .generate import Generator as Generator
 from .generate import NcaConfig as NcaConfig
 from .io.layouts import read_layout as read_layout
 from .io.layouts import write_layout as write_layout
+from .ops.convert import convert as convert
 from .ops.guidance import guide as guide
 from .ops.layouts import check as check
 from .ops.layouts import human_layout as human_layout

@@ -33,6 +33,7 @@ GROUPS = {
         "render": "qdenv.ops.layouts:render",
         "check": "qdenv.ops.layouts:check",
         "repair": "qdenv.ops.layouts:repair_layout",
+        "convert": "qdenv.ops.convert:convert",
         "layout human": "qdenv.ops.layouts:human_layout",
         "layout tile": "qdenv.ops.layouts:tile_layout",
         "layout symbols": "qdenv.ops.layouts:layout_symbols",

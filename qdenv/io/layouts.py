@@ -1,23 +1,24 @@
-"""Layout files: rows of symbols as JSON, plain text, a spreadsheet's CSV or MovingAI's map.
+"""Layout files: rows of symbols as JSON, plain text or a spreadsheet's CSV; the record of a file.
 
 JSON has the shape of the layouts published with the paper, an object with a list of equally long
-rows under "layout"; other keys are ignored. Headers that contradict the rows are ignored, too: the
+rows under "layout"; other keys are details. Headers that contradict the rows are ignored, too: the
 rows are what is simulated. JSON and a CSV of another form hold costs of moves as well, see
-`io.guidance`.
+`io.guidance`. Other formats are listed in `io.formats`.
 """
 
 import csv
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from qdenv.grid import draw, parse
 from qdenv.io.files import damaged, read_text, write_atomically
-from qdenv.io.guidance import TABLE_HEAD, read_table, weights_of, write_table
+from qdenv.io.formats import ALL_ENDINGS, find_reader, write_drawing
+from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, write_table
 from qdenv.io.records import parse_json, structured
 from qdenv.types import Array, DamagedError, InputError, Tile
 
@@ -26,9 +27,7 @@ _MAX_BYTES = 32 * 2**20
 MAX_SIDE = 1000  # rows or columns; nothing larger was tried
 _MAX_LINES = 20 * MAX_SIDE  # blank ones around a drawing with them
 _DELIMITERS = ";,\t"
-# Swamp is open ground; water is none, as it cannot be entered from the ground.
-OPEN, BLOCKED = ".GS", "@OTW"
-_MOVING_AI = str.maketrans({**dict.fromkeys(OPEN, "."), **dict.fromkeys(BLOCKED, "#")})
+_TABLES = (TABLE_HEAD, "Grid size")  # files with a line for each cell begin so
 
 
 class Drawing(NamedTuple):
@@ -39,21 +38,24 @@ class Drawing(NamedTuple):
     keep: tuple[str, ...] = ()  # rows of what must stay; empty where nothing must
     # costs of moves (`io.guidance`); None where the file states none
     weights: Sequence[float] | None = None
+    details: Mapping[str, Any] = MappingProxyType({})  # what else the file states, JSON-ready
+    starts: tuple[int, ...] = ()  # cell (row * columns + column) of each robot; empty where unknown
+    tasks: tuple[tuple[int, ...], ...] = ()  # the cells of each task, in order of visits
+    lost: tuple[str, ...] = ()  # what of the file is left out, a few words each
 
 
-def read_drawing(path: str | Path) -> Drawing:
-    """Read a drawing; the ending of its name says how it is written.
+def read_drawing(path: str | Path, form: str | None = None) -> Drawing:
+    """Read a drawing in any format of `io.formats`, that of the name `form` unless it is None.
 
-    A byte-order mark, any kind of line ending and blank lines around the drawing are fine. Raises
-    InputError if the file is missing, too big, or not what its ending says.
+    Otherwise the ending of the file's name says how it is written. A byte-order mark, any kind of
+    line ending and blank lines around the drawing are fine. Raises InputError if the file is
+    missing, too big, or not what its ending says.
     """
-    ending, path = Path(path).suffix.lower(), Path(path)
-    readers: dict[str, Callable[[Path], Drawing]] = {".csv": _csv, ".map": _moving_ai}
-    readers[".txt"] = lambda path: Drawing(_lines(path, "text"))
+    path, reader = Path(path), find_reader(Path(path), form)
     try:
-        drawing = readers.get(ending, _json)(path)
+        drawing: Drawing = reader(path)
     except DamagedError as error:
-        if ending in ENDINGS:
+        if path.suffix.lower() in ALL_ENDINGS:
             raise
         raise InputError(f"{error}: layouts end in {', '.join(ENDINGS)}") from error
     if any(drawing.rows):
@@ -70,10 +72,10 @@ def check_size(rows: int, cols: int, place: str = "") -> None:
         raise InputError(f"{place}{rows} x {cols}: give 1 row and 1 column or more")
 
 
-def _lines(path: Path, what: str) -> list[str]:
+def read_lines(path: Path, what: str) -> list[str]:
     """Read the lines of a text file, without the blank ones around them."""
     text = read_text(path, _MAX_BYTES, what)
-    if text.count("\n") + text.count("\r") > _MAX_LINES and not text.startswith(TABLE_HEAD):
+    if text.count("\n") + text.count("\r") > _MAX_LINES and not text.startswith(_TABLES):
         raise damaged(path, f"more than {_MAX_LINES:,} lines, this is no layout file")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     width = max(map(len, lines))
@@ -82,10 +84,17 @@ def _lines(path: Path, what: str) -> list[str]:
     return lines[drawn[0] : drawn[-1] + 1] if drawn else []
 
 
-def _json(path: Path) -> Drawing:
+def read_text_rows(path: Path) -> Drawing:
+    """Read the rows of a text file."""
+    return Drawing(read_lines(path, "text"))
+
+
+def read_json_rows(path: Path) -> Drawing:
     """Find the rows in an object with "layout" or "weights", or in a plain list."""
     content = parse_json(read_text(path, _MAX_BYTES, "JSON"), path)
     content = content if isinstance(content, dict) else {"layout": content}
+    if "mapFile" in content:  # a problem of the League of Robot Runners
+        return cast(Drawing, find_reader(path, "lorr")(path))
     drawings = {
         name: value
         for name, value in content.items()
@@ -99,12 +108,17 @@ def _json(path: Path) -> Drawing:
     domain = content.get("domain")
     keep = tuple(drawings.get("keep", ()))
     rows = drawings.get("layout", [])
-    return Drawing(rows, domain if isinstance(domain, str) else None, keep, weights)
+    starts = structured(content.get("starts", []), tuple[int, ...], f"{path}, starts")
+    tasks = structured(content.get("tasks", []), tuple[tuple[int, ...], ...], f"{path}, tasks")
+    own = ("n_row", "n_col", "layout", "weights", "domain", "keep", "starts", "tasks")
+    details = {name: value for name, value in content.items() if name not in own}
+    domain = domain if isinstance(domain, str) else None
+    return Drawing(rows, domain, keep, weights, details, starts, tasks)
 
 
-def _csv(path: Path) -> Drawing:
+def read_csv_rows(path: Path) -> Drawing:
     """Join a table's cells, one tile each; lines of one cell are rows as they are."""
-    lines = _lines(path, "CSV")
+    lines = read_lines(path, "CSV")
     if lines and lines[0] == TABLE_HEAD:
         try:
             rows, weights = read_table(lines)
@@ -132,23 +146,6 @@ def _csv(path: Path) -> Drawing:
                 shown = cell if len(cell) < MAX_SIDE else f"{cell[:MAX_SIDE]}..."
                 raise damaged(path, f"{shown!r} at row {row}, column {col}: a cell holds one tile")
         rows.append("".join(tiles))
-    return Drawing(rows)
-
-
-def _moving_ai(path: Path) -> Drawing:
-    """Read a map of the MovingAI benchmarks; open ground becomes ``.``, all that blocks ``#``."""
-    lines = _lines(path, "map")
-    names = [line.strip() for line in lines]
-    if "map" not in names:
-        raise damaged(path, "not a MovingAI map: type, height, width and map come first")
-    end = names.index("map")
-    parts = [line.split(maxsplit=2) for line in lines[:end]]
-    head = dict(line for line in parts if len(line) == 2)
-    rows = [line.translate(_MOVING_AI) for line in lines[end + 1 :]]
-    sizes = {"height": len(rows), "width": max(map(len, rows), default=0)}
-    for name, number in sizes.items():
-        if head.get(name, str(number)) != str(number):
-            raise damaged(path, f"the head says {name} {head[name]}, the map has {number}")
     return Drawing(rows)
 
 
@@ -222,18 +219,12 @@ def write_layout(
     are JSON-ready facts beside the rows, which JSON alone holds. Raises InputError if no layout may
     be so large, the file would lose tiles or costs, or the place cannot be written to.
     """
-    rows, ending = draw(layout, tiles), Path(path).suffix.lower()
+    path, rows = Path(path), draw(layout, tiles)
+    ending = path.suffix.lower()
     check_size(len(rows), len(rows[0]))
     if costs is not None and ending in (".txt", ".map"):
         raise InputError(f"{path}: a {ending} holds no costs of moves: write a .json or .csv")
-    if ending == ".csv" and costs is not None:
-        text = write_table(rows, costs).rstrip("\n")
-    elif ending == ".txt":
-        text = "\n".join(rows)
-    elif ending == ".csv":
-        text = "\n".join(",".join(row) for row in rows)
-    elif ending == ".map":
-        head = f"type octile\nheight {len(rows)}\nwidth {len(rows[0])}\nmap\n"
+    if ending == ".map":
         table = _on_map(tiles, meanings)
         used = "".join(rows)
         lost = "".join(symbol for symbol in tiles if symbol not in table and symbol in used)
@@ -242,12 +233,40 @@ def write_layout(
                 f"{path}: a .map tells open ground from obstacles only, this layout also has "
                 f"{alphabet(lost, meanings)}: write a .json, .txt or .csv"
             )
-        text = head + "\n".join(rows).translate(str.maketrans(table))
+    weights = None if costs is None else weights_of(costs)
+    drawing = Drawing(rows, weights=weights, details=details)
+    write_drawing(path, drawing, meanings, None if ending in ALL_ENDINGS else "json")
+
+
+def write_json_rows(path: Path, drawing: Drawing, _: Mapping[str, Tile]) -> None:
+    """Write rows with their size, all details, and the costs of moves."""
+    rows = drawing.rows
+    size = {"n_row": len(rows), "n_col": len(rows[0])}
+    parts = {"starts": drawing.starts, "tasks": drawing.tasks, "weights": drawing.weights}
+    stated = {name: part for name, part in parts.items() if part}
+    text = json.dumps({**size, **drawing.details, "layout": rows, **stated}, indent=1)
+    write_atomically(path, f"{text}\n".encode())
+
+
+def write_text_rows(path: Path, drawing: Drawing, _: Mapping[str, Tile]) -> None:
+    """Write rows as they are."""
+    write_atomically(path, ("\n".join(drawing.rows) + "\n").encode())
+
+
+def write_csv_rows(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> None:
+    """Write one tile in each cell; where moves have costs, a line for each tile."""
+    rows = drawing.rows
+    if drawing.weights is None:
+        text = "\n".join(",".join(row) for row in rows) + "\n"
     else:
-        size = {"n_row": len(rows), "n_col": len(rows[0])}
-        weights = {} if costs is None else {"weights": weights_of(costs)}
-        text = json.dumps({**size, **details, "layout": rows, **weights}, indent=1)
-    write_atomically(Path(path), f"{text}\n".encode())
+        text = write_table(rows, costs_of(drawing.weights, free_cells(rows, meanings)))
+    write_atomically(path, text.encode())
+
+
+def free_cells(rows: Sequence[str], meanings: Mapping[str, Tile]) -> np.ndarray:
+    """Find the cells that robots may drive on (bool [H, W])."""
+    blocked = {symbol for symbol, tile in meanings.items() if tile.obstacle}
+    return np.array([[symbol not in blocked for symbol in row] for row in rows])
 
 
 def _on_map(tiles: str, meanings: Mapping[str, Tile]) -> dict[str, Any]:

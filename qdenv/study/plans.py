@@ -71,14 +71,14 @@ class Plan(NamedTuple):
             raise InputError(f'{self.name}: its file\'s key "keep": {error}') from error
 
 
-def read_plan(path: str | Path, domain: str | None = None) -> Plan:
-    """Read a layout (.json, .txt, .csv or .map) and find its domain.
+def read_plan(path: str | Path, domain: str | None = None, form: str | None = None) -> Plan:
+    """Read a layout in any format, or in that of the name `form`, and find its domain.
 
     Unless `domain` names it: what the file says, else the usual one where its tiles fit, else the
     first one whose tiles do. Raises InputError if the file holds no layout, or says that it is
     another domain's.
     """
-    rows, stated, keep, weights = read_drawing(path)
+    rows, stated, keep, weights = read_drawing(path, form)[:4]
     if not rows and weights is not None:
         raise InputError(f"{path}: costs of moves without a layout: give it as --guidance")
     if stated and domain and stated != domain and stated in DOMAINS.names():
@@ -168,7 +168,7 @@ def name_guidance(plans: Sequence[Plan]) -> str:
 
 def _read_costs(path: str, plan: Plan) -> np.ndarray:
     """Read the costs of a plan's moves from a file, whose layout, if any, has the same cells."""
-    rows, _, _, weights = read_drawing(path)
+    rows, _, _, weights = read_drawing(path)[:4]
     if weights is None:
         raise InputError(f'{path}: no costs of moves, which JSON holds under "weights"')
     domain, free = plan.domain, plan.domain.drivable(plan.layout)

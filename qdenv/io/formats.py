@@ -1,0 +1,160 @@
+"""The formats of layouts: which ending means which, who reads and writes it, what it cannot say.
+
+A format is a reader, a function of a path that returns an `io.layouts.Drawing`, and a writer, a
+function of a path, a drawing and what its symbols mean, which may return what it left out. Each is
+named here, and imported when it is needed.
+"""
+
+import pkgutil
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from qdenv.types import InputError, Tile, choices
+
+
+class Format(NamedTuple):
+    """One format."""
+
+    about: str  # what it is
+    # the endings of its files, and what such a file holds beside tiles: fields of `Drawing`, keys
+    # of its details
+    endings: Mapping[str, tuple[str, ...]]
+    read: str = ""  # ``module:function``; "" where the format is only written
+    write: str = ""  # ``module:function``; "" where the format is only read
+    beside: tuple[str, ...] = ()  # endings of files that are written beside
+
+
+_LAYOUTS, _MAPS, _RHCR = "qdenv.io.layouts", "qdenv.io.maps", "qdenv.io.rhcr"
+_ROBOTS = ("starts", "tasks")
+# Of several with the same ending, the first one is meant where nothing else says which.
+FORMATS: dict[str, Format] = {
+    "json": Format(
+        "layouts as published, with all facts",
+        {".json": ("weights", *_ROBOTS, "details")},
+        f"{_LAYOUTS}:read_json_rows",
+        f"{_LAYOUTS}:write_json_rows",
+    ),
+    "text": Format(
+        "a drawing", {".txt": ()}, f"{_LAYOUTS}:read_text_rows", f"{_LAYOUTS}:write_text_rows"
+    ),
+    "csv": Format(
+        "a table, or costs of moves",
+        {".csv": ("weights",)},
+        f"{_LAYOUTS}:read_csv_rows",
+        f"{_LAYOUTS}:write_csv_rows",
+    ),
+    "movingai": Format(
+        "a map of the MovingAI benchmarks",
+        {".map": ()},
+        f"{_MAPS}:read_map",
+        f"{_MAPS}:write_movingai",
+    ),
+    "scen": Format(
+        "starts and goals of the MovingAI benchmarks",
+        {".scen": _ROBOTS},
+        f"{_MAPS}:read_scen",
+        f"{_MAPS}:write_scen",
+        (".map",),
+    ),
+    "lorr": Format(
+        "map or problem of the League of Robot Runners",
+        {".json": (*_ROBOTS, "details"), ".map": ()},
+        f"{_MAPS}:read_lorr",
+        f"{_MAPS}:write_lorr",
+        (".map", ".agents", ".tasks"),
+    ),
+    "rhcr": Format(
+        "map or grid of RHCR",
+        {".grid": ("weights", "starts"), ".map": ("starts", "maxtime")},
+        f"{_RHCR}:read_rhcr",
+        f"{_RHCR}:write_rhcr",
+    ),
+    "pogema": Format(
+        "a map of POGEMA", {".txt": ()}, f"{_MAPS}:read_pogema", f"{_MAPS}:write_pogema"
+    ),
+}
+ALL_ENDINGS = tuple(dict.fromkeys(ending for one in FORMATS.values() for ending in one.endings))
+
+
+def find_reader(path: Path, form: str | None = None) -> Callable[[Path], Any]:
+    """Find the reader of a file; raise InputError if `form` is no format that is read.
+
+    Without `form` the file's ending decides; JSON is the format of any other one.
+    """
+    name = _find(path, form, "read") or "json"
+    reader: Callable[[Path], Any] = pkgutil.resolve_name(FORMATS[name].read)
+    return reader
+
+
+def find_writer(path: Path, form: str | None = None) -> str:
+    """Return the name of the format in which a file is written, see `find_reader`."""
+    if name := _find(path, form, "write"):
+        return name
+    raise InputError(f"{path}: give a name that ends in {', '.join(ALL_ENDINGS)}")
+
+
+def _find(path: Path, form: str | None, way: str) -> str | None:
+    """Find the format of a file by its name; None where no ending fits."""
+    able = {name: one for name, one in FORMATS.items() if getattr(one, way)}
+    if form is not None and form not in able:
+        raise InputError(f"format {form!r} is not among those to {way}: {choices(form, able)}")
+    ending = path.suffix.lower()
+    if form is None:
+        return next((name for name, one in able.items() if ending in one.endings), None)
+    if way == "write" and ending not in able[form].endings:
+        raise InputError(
+            f"{path}: {form} needs a name that ends in {' or '.join(able[form].endings)}"
+        )
+    return form
+
+
+def write_drawing(
+    path: Path, drawing: Any, meanings: Mapping[str, Tile], form: str | None = None
+) -> list[str]:
+    """Write an `io.layouts.Drawing` in the format `form`, or by the ending of the file's name.
+
+    `meanings` are those of the symbols, as `types.Tile`. Returns what is left out, a line each.
+    Raises InputError if the format cannot hold such a drawing, or the place cannot be written to.
+    """
+    name = find_writer(path, form)
+    cells = sum(map(len, drawing.rows))
+    for cell in (*drawing.starts, *(cell for task in drawing.tasks for cell in task)):
+        if not 0 <= cell < cells:
+            raise InputError(f"{path}: a robot or task at cell {cell}: the last one is {cells - 1}")
+    lost = pkgutil.resolve_name(FORMATS[name].write)(path, drawing, meanings) or []
+    return [f"{name}: {what} left out" for what in (*lost, *_not_held(path, name, drawing))]
+
+
+def _not_held(path: Path, name: str, drawing: Any) -> list[str]:
+    """Name what a drawing has, and a file has no place for."""
+    holds = FORMATS[name].endings.get(path.suffix.lower(), ("weights", *_ROBOTS, "details"))
+    parts = {
+        "weights": ("costs of moves are", drawing.weights is not None),
+        "starts": ("the robots' starts are", bool(drawing.starts)),
+        "tasks": ("tasks are", bool(drawing.tasks)),
+    }
+    lost = [words for part, (words, there) in parts.items() if there and part not in holds]
+    keys = [key for key in drawing.details if key not in (*holds, "domain")]
+    return lost + [f"facts ({', '.join(keys)}) are"] * (bool(keys) and "details" not in holds)
+
+
+def redraw(
+    rows: Sequence[str], meanings: Mapping[str, Tile], signs: Mapping[str, str], others: str
+) -> tuple[list[str], list[str]]:
+    """Draw rows with the signs of another format.
+
+    Symbols that are not among `signs` become the first of `others`, obstacles the second. Returns
+    the new rows, and which tiles have become alike.
+    """
+    used = sorted({symbol for row in rows for symbol in row})
+    known = {symbol: meanings.get(symbol, Tile(repr(symbol))) for symbol in used}
+    table: dict[str, Any] = {
+        symbol: signs.get(symbol, others[tile.obstacle]) for symbol, tile in known.items()
+    }
+    lost = []
+    for sign in dict.fromkeys(table.values()):
+        names = dict.fromkeys(known[symbol].name for symbol in used if table[symbol] == sign)
+        if len(names) > 1:
+            lost.append(f"what tells {', '.join(names)} apart ({sign!r}) is")
+    return [row.translate(str.maketrans(table)) for row in rows], lost

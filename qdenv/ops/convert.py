@@ -1,0 +1,89 @@
+"""Write layouts in the formats of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from qdenv.domains.base import Domain
+from qdenv.grid import draw
+from qdenv.io.formats import FORMATS, find_writer, write_drawing
+from qdenv.io.guidance import weights_of
+from qdenv.io.layouts import Drawing, check_size, read_drawing
+from qdenv.ops import options as args
+from qdenv.ops.output import Result, place, say
+from qdenv.ranges import PositiveFloat
+from qdenv.study.plans import guide, read_plan
+from qdenv.types import Tile
+
+_READ = "{" + ",".join(name for name, one in FORMATS.items() if one.read) + "}"
+_WRITTEN = "{" + ",".join(name for name, one in FORMATS.items() if one.write) + "}"
+
+
+def convert(
+    layout: args.Source,
+    target: Annotated[str | Path, Positional, arg(metavar="FILE", constructor=Path)],
+    format: Annotated[str | None, arg(metavar=_WRITTEN)] = None,
+    input_format: Annotated[str | None, arg(metavar=_READ)] = None,
+    domain: args.DomainName = None,
+    guidance: args.Guidance = None,
+    cell: PositiveFloat | None = None,
+) -> Result:
+    """Write a layout in another format; what that format cannot hold is named.
+
+    Args:
+        layout: layout file.
+        target: file to write; its ending says in which format.
+        format: of the file to write, where several have its ending.
+        input_format: of the layout file, where several have its ending.
+        domain: whose layout; what the file says, or its tiles tell, unless given.
+        guidance: costs of moves: a name or a file; what the layout file holds unless given.
+        cell: length of a cell's side in metres; what the layout file says, or 1, unless given.
+
+    Returns:
+        format, and what was left out in reading and in writing.
+
+    Raises:
+        InputError: it is no layout, the format cannot hold it, or the place cannot be written to.
+    """
+    name = args.name_of(layout)
+    if isinstance(layout, str | Path):
+        drawing, plan = read_drawing(layout, input_format), read_plan(layout, domain, input_format)
+    else:
+        drawing, plan = Drawing([]), args.read_plan(layout, domain)
+    chosen = find_writer(Path(target), format)
+    written = place(target, "", FORMATS[chosen].endings, [layout])
+    assert written is not None
+    for ending in FORMATS[chosen].beside:  # they must not overwrite what is read either
+        place(written.path.with_suffix(ending), "", (), [layout])
+    plan, found = guide(plan, guidance), plan.domain
+    check_size(*plan.layout.shape)
+    stated = {} if plan.assumed else {"domain": found.name}
+    details = {**drawing.details, **stated} | ({"keep": plan.keep} if plan.keep else {})
+    details |= {} if cell is None else {"cell": cell}
+    weights = None
+    if plan.costs is not None:
+        free = found.drivable(plan.layout)
+        weights = weights_of(np.where(free, plan.costs, np.inf))
+    rows = draw(plan.layout, found.tiles)
+    drawing = drawing._replace(rows=rows, weights=weights, details=details)
+    left_out = write_drawing(written.path, drawing, _meanings(found), format)
+    lost = [f"{name}: {what} left out" for what in drawing.lost] + left_out
+    say(*lost, f"{written}: {chosen}, {len(rows)} x {len(rows[0])}, {plan.whose}")
+    return Result(file=str(written.path), format=chosen, left_out=lost)
+
+
+def _meanings(domain: Domain) -> dict[str, Tile]:
+    """Describe each tile of a domain; what robots do not drive on is an obstacle."""
+    tasks = domain.simulator.tasks
+    return {
+        symbol: domain.meanings.get(symbol, Tile(symbol))._replace(
+            obstacle=symbol not in tasks.traversable
+            if tasks
+            else symbol in domain.meanings and domain.meanings[symbol].obstacle
+        )
+        for symbol in domain.tiles
+    }

@@ -1,0 +1,211 @@
+"""Formats of other programs: read, written, read back; what is left out is named."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from small_warehouse import ROWS, TILES
+
+import qdenv as package
+from qdenv.cli.main import run as qdenv
+from qdenv.domains.base import find_domain
+from qdenv.grid import parse
+from qdenv.io.formats import ALL_ENDINGS, FORMATS
+from qdenv.io.guidance import weights_of
+from qdenv.io.layouts import Drawing, read_drawing, write_layout
+from qdenv.study.plans import read_plan
+from qdenv.types import InputError
+from tests.conftest import STUDY_DATA
+
+EVEN = find_domain("warehouse-even")
+FILES = STUDY_DATA / "formats"
+LAYOUTS = sorted((STUDY_DATA / "layouts").glob("*.json"))
+MAPS = sorted(FILES.glob("*.map"))
+there = pytest.mark.skipif(not FILES.exists(), reason="no files here (QDENV_STUDY_DATA names them)")
+
+
+@pytest.fixture
+def plan(tmp_path):
+    """A small warehouse with costs of moves, a fact, and robots."""
+    path, free = tmp_path / "plan.json", EVEN.drivable(parse(ROWS, TILES))
+    costs = np.where(free, np.random.default_rng(0).integers(1, 9, (5, *free.shape)), np.inf)
+    content = {"name": "mine", "layout": ROWS, "weights": weights_of(costs), "domain": EVEN.name}
+    content |= {"starts": [1, 2], "tasks": [[2, 1], [1]]}
+    path.write_text(json.dumps(content))
+    return path
+
+
+def convert(*words):
+    assert qdenv(["convert", *map(str, words)]) == 0
+
+
+def same(path, other, form=None, **changes):
+    """Compare two files, as commands read them, and what is beside the tiles."""
+    one, two = read_plan(path), read_plan(other, form=form)
+    assert one.layout.tolist() == two.layout.tolist()
+    drawings = read_drawing(path), read_drawing(other, form)
+    for name in {"weights", "starts", "tasks", "details"} - {*changes}:
+        assert getattr(drawings[0], name) == getattr(drawings[1], name), name
+    for name, value in changes.items():
+        assert getattr(drawings[1], name) == value, name
+
+
+@pytest.mark.parametrize(
+    ("name", "form", "changes"),
+    [
+        ("a.json", None, {}),
+        ("a.csv", None, {"starts": (), "tasks": (), "details": {}}),
+        ("a.txt", None, {"weights": None, "starts": (), "tasks": (), "details": {}}),
+        ("a.map", "rhcr", {"weights": None, "tasks": (), "details": {"maxtime": 5000}}),
+        ("a.map", "lorr", {"weights": None, "starts": (), "tasks": (), "details": {}}),
+        ("a.json", "lorr", {"weights": None, "details": {"name": "mine", "numTasksReveal": 1.5}}),
+    ],
+)
+def test_a_warehouse_comes_back_and_what_is_lost_is_named(name, form, changes, plan, capsys):
+    target = plan.with_name(name)
+    convert(plan, target, *(["--format", form] if form else []))
+    said = capsys.readouterr().out
+    words = {"weights": "costs of moves are left out", "starts": "the robots' starts are left out"}
+    words |= {"tasks": "tasks are left out", "details": "facts (name) are left out"}
+    for part, line in words.items():
+        gone = (part in changes and not changes[part]) or (part, form) == ("details", "rhcr")
+        assert (f": {line}\n" in said) == gone, part
+    same(plan, target, **changes)
+
+
+def test_costs_of_moves_survive_a_grid(plan):
+    convert(plan, plan.with_name("a.grid"))
+    again = read_drawing(plan.with_name("a.grid"))
+    assert again.weights == read_drawing(plan).weights and again.starts == (1, 2)
+    assert plan.with_name("a.grid").read_text().startswith("Grid size (x, y)\n7,11\nid,type,x,y,")
+
+
+def test_a_map_loses_stations_in_one_line_and_needs_no_flag(plan, capsys):
+    convert(plan, plan.with_name("a.map"))
+    lines = capsys.readouterr().out.splitlines()
+    assert "movingai: what tells floor, endpoint, workstation apart ('.') is left out" in lines
+    rows = read_drawing(plan.with_name("a.map")).rows
+    assert rows == ["".join(".#"[one == "@"] for one in row) for row in ROWS]
+    convert(plan, plan.with_name("p.txt"), "--format", "pogema")
+    assert read_drawing(plan.with_name("p.txt"), "pogema").rows == rows
+
+
+def test_what_stands_beside_a_file_is_not_what_is_read(plan, capsys):
+    folder = plan.parent
+    convert(plan, folder / "a.json", "--format", "lorr")
+    before = (folder / "a.map").read_bytes()
+    assert qdenv(["convert", str(folder / "a.map"), str(folder / "a.scen")]) == 2
+    assert "a.map: that is what is read" in capsys.readouterr().err
+    assert (folder / "a.map").read_bytes() == before
+
+
+def test_starts_and_tasks_go_from_one_benchmark_to_another(plan):
+    folder = plan.parent
+    convert(plan, folder / "a.json", "--format", "lorr")
+    convert(folder / "a.json", folder / "b.scen")
+    scenario = read_drawing(folder / "b.scen")
+    assert scenario.starts == (1, 2) and scenario.tasks == ((2,), (1,))
+    assert scenario.lost == ("buckets and lengths of paths are",)
+    (folder / "p.txt").write_text("a.#B\nb.#A\n")
+    robots = read_drawing(folder / "p.txt", "pogema")
+    assert robots == Drawing(["..#.", "..#."], starts=(0, 4), tasks=((7,), (3,)))
+
+
+def test_blocks_without_a_service_point_are_walls(tmp_path):
+    path = tmp_path / "a.map"
+    path.write_text("type octile\nheight 3\nwidth 7\nmap\n@@.@@SE\n@T.@@..\n...@@..\n")
+    assert read_drawing(path).rows == ["##.@@ew", "##.@@..", "...@@.."]
+
+
+def test_python_converts_an_array_without_a_file(tmp_path):
+    found = package.convert(parse(ROWS, TILES), tmp_path / "a.map", "rhcr", domain="warehouse-even")
+    assert found["format"] == "rhcr" and found["left_out"] == []
+    assert read_drawing(tmp_path / "a.map").rows == ROWS
+
+
+@there
+@pytest.mark.parametrize("path", LAYOUTS, ids=lambda path: path.stem)
+def test_published_layouts_come_back_with_all_their_keys(path, tmp_path):
+    convert(path, tmp_path / "a.json")
+    ours, theirs = (json.loads(one.read_text()) for one in (tmp_path / "a.json", path))
+    rows = theirs["layout"]
+    assert ours == theirs | {"n_row": len(rows), "n_col": len(rows[0])}
+    for name in ("a.csv", "a.txt"):
+        convert(path, tmp_path / name)
+        same(tmp_path / name, path, details=read_drawing(path).details)
+
+
+@there
+@pytest.mark.parametrize("path", MAPS, ids=lambda path: path.stem)
+def test_maps_come_back(path, tmp_path):
+    form = {"rhcr": "rhcr", "lorr": "lorr"}.get(path.stem.partition("_")[0], "lorr")
+    convert(path, tmp_path / "a.map", "--format", form)
+    same(path, tmp_path / "a.map", lost=())
+    if form == "rhcr":
+        convert(path, tmp_path / "a.grid")
+        assert read_drawing(tmp_path / "a.grid").rows == read_drawing(path).rows
+
+
+@there
+def test_problems_and_scenarios_come_back(tmp_path):
+    for name in ("maps", "agents", "tasks"):
+        (tmp_path / name).mkdir()
+        for path in FILES.glob(f"lorr_*.{name.removesuffix('s') if name == 'maps' else name}"):
+            shutil.copy(path, tmp_path / name / path.name.removeprefix("lorr_"))
+    shutil.copy(FILES / "lorr_maze-example_40.json", tmp_path / "theirs.json")
+    convert(tmp_path / "theirs.json", tmp_path / "ours.json", "--format", "lorr")
+    same(tmp_path / "theirs.json", tmp_path / "ours.json")
+    assert len(read_drawing(tmp_path / "ours.json").tasks) == 160
+    for name in ("random-32-32-20.map", "random-32-32-20-random-1.scen"):
+        shutil.copy(FILES / f"planviz_{name}", tmp_path / name)
+    convert(tmp_path / name, tmp_path / "ours.scen")
+    same(tmp_path / name, tmp_path / "ours.scen")
+    first = (tmp_path / "ours.scen").read_text().splitlines()[1].split("\t")
+    assert first[2:8] == (tmp_path / name).read_text().splitlines()[1].split("\t")[2:8]
+
+
+BAD = {
+    "a.scen": [("", "first line is its version"), ("version 1\n0\tm.map\t1", "a line is bucket")],
+    "a.grid": [("", "not a map of RHCR"), ("Grid size (x, y)\n9,9\nid\n0", "a line is no cell")],
+    "a.map": [
+        ("2,2\n0\n0\n9\n..\n", "the head says 2 x 2"),
+        ("1001,1\n0\n0\n9\n.", "not supported"),
+    ],
+    "a.json": [
+        ('{"mapFile": 1}', "names its mapFile"),
+        ('{"layout": [".."], "tasks": 1}', "tasks"),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_wrong_files_are_refused_in_one_line(name, tmp_path):
+    path = tmp_path / name
+    for content, reason in BAD[name]:
+        path.write_text(content)
+        with pytest.raises(InputError, match=reason) as error:
+            read_drawing(path)
+        assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+def test_wrong_formats_are_refused_in_one_line(plan, capsys):
+    for words, reason in [
+        (["a.map", "--format", "png2"], "choose one of"),
+        (["a.txt", "--format", "rhcr"], "rhcr needs a name that ends in .grid"),
+        (["a.doc"], "give a name that ends in .json"),
+        (["plan.json"], "that is what is read"),
+    ]:
+        name, *options = words
+        assert qdenv(["convert", str(plan), str(plan.with_name(name)), *options]) == 2
+        assert reason in capsys.readouterr().err
+    write_layout(plan.with_name("b.json"), parse(ROWS, TILES), TILES)
+    for name, options in [("a.scen", []), ("a.json", ["--format", "lorr"])]:
+        target = plan.with_name(name)
+        assert qdenv(["convert", str(plan.with_name("b.json")), str(target), *options]) == 2
+        assert "write a .map" in capsys.readouterr().err and not target.exists()
+
+
+def test_every_ending_has_a_format_that_reads_or_writes_it():
+    assert all(one.read or one.write for one in FORMATS.values())
+    assert {".json", ".txt", ".csv", ".map"} <= {*ALL_ENDINGS}
