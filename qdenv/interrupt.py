@@ -6,6 +6,7 @@ and ends the process without tearing anything down. Nothing is lost by that: fil
 under other names and renamed when they are whole.
 """
 
+import atexit
 import contextlib
 import os
 import shlex
@@ -20,7 +21,7 @@ EXIT_CODE = 130  # what shells expect of a program ended by Ctrl-C
 _FLUSH_SECONDS = 0.3
 _LOOK_SECONDS = 0.05
 
-unfinished: set[str] = set()  # files under way, which are deleted
+unfinished: set[str] = set()  # files under way and names that are reserved, which are deleted
 _way: list[str] = [""]  # how to go on
 _unsaved: list[Callable[[], None]] = []  # saves what is done, before the end
 undisturbed = threading.Lock()  # held by whoever changes what would be saved
@@ -53,9 +54,7 @@ def watch(program: str = "qdenv") -> None:
             flushing = threading.Thread(target=sys.stdout.flush, daemon=True)
             flushing.start()
             flushing.join(_FLUSH_SECONDS)
-            for path in list(unfinished):
-                with contextlib.suppress(OSError):
-                    os.unlink(path)
+            discard_unfinished()
             os._exit(EXIT_CODE)
 
     threading.Thread(target=wait, daemon=True, name="interrupt").start()
@@ -96,6 +95,15 @@ def save_first(save: Callable[[], None] | None) -> None:
     Work that goes on waits where it would change what is saved: it holds `undisturbed` there.
     """
     _unsaved[:] = [] if save is None else [save]
+
+
+@atexit.register
+def discard_unfinished() -> None:
+    """Delete files that nobody finished, and folders that are reserved and still empty."""
+    for path in sorted(unfinished, key=len, reverse=True):  # what lies in a folder before it
+        with contextlib.suppress(OSError):
+            (os.rmdir if os.path.isdir(path) else os.unlink)(path)
+    unfinished.clear()
 
 
 def advise(way: str) -> None:

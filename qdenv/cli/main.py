@@ -24,8 +24,13 @@ from pathlib import Path
 # Before numpy is loaded: small eigenproblems on shared cores lose tenfold to BLAS threads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import platformdirs
+
 import qdenv
-from qdenv.interrupt import EXIT_CODE, last_words
+from qdenv.interrupt import EXIT_CODE, discard_unfinished, last_words
+
+_WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
+_LONGEST = 200  # characters of a file's name in a message
 
 # Group of help -> name of a command -> ``module:function``.
 GROUPS = {
@@ -75,22 +80,40 @@ COMMANDS = {name: place for group in GROUPS.values() for name, place in group.it
 def run(words: list[str]) -> int:
     """Run one command, given by what follows `qdenv` on the command line; return its exit code.
 
-    Raises SystemExit after help of a command.
+    Errors of the system (a folder without permission, a full disk, a closed output, no memory)
+    become one line and exit code 2 here, wherever they happen. Raises SystemExit after help of a
+    command.
     """
-    if words[:1] == ["--version"]:
-        print(qdenv.__version__)
-        return 0
     if words[:1] == ["help"]:
         words = [*words[1:], "--help"]
     # Some commands have two words: layout human.
     count = 2 if " ".join(words[:2]) in COMMANDS else 1
     name, rest = " ".join(words[:count]), words[count:]
     try:
-        if name in COMMANDS:
-            return _run_command(name, rest)
-        if name not in ("", "-h", "--help"):
-            print(f"qdenv: {_unknown(name)}", file=sys.stderr)
-            return 2
+        try:
+            return _run_command(name, rest) if name in COMMANDS else _run_general(name)
+        finally:
+            sys.stdout.flush()  # fails here, not when the interpreter ends
+    except KeyboardInterrupt:
+        print(last_words(), file=sys.stderr)
+        return EXIT_CODE
+    except BrokenPipeError:  # the reader has read enough
+        # Python flushes standard output at the end, which must not fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (OSError, MemoryError, RuntimeError) as error:
+        return _refuse(_describe(error))
+    finally:
+        discard_unfinished()
+
+
+def _run_general(name: str) -> int:
+    """Print the version or the list of commands, or refuse what is no command."""
+    if name == "--version":
+        print(qdenv.__version__)
+    elif name not in ("", "-h", "--help"):
+        return _refuse(_unknown(name))
+    else:
         width = min(shutil.get_terminal_size().columns, 100) - 2
         print("usage: qdenv COMMAND ..., qdenv COMMAND --help, qdenv --version")
         for group, names in GROUPS.items():
@@ -98,13 +121,30 @@ def run(words: list[str]) -> int:
             for name in names:
                 text = f"{name:15} {summary_of(name)}"
                 print(textwrap.fill(text, width, initial_indent="  ", subsequent_indent=" " * 18))
-    except KeyboardInterrupt:
-        print(last_words(), file=sys.stderr)
-        return EXIT_CODE
-    except BrokenPipeError:  # the reader has read enough
-        # Python flushes standard output at the end, which must not fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
+
+
+def _refuse(message: str) -> int:
+    """Print the line of a mistake, where it can be printed, and return its exit code."""
+    with contextlib.suppress(OSError):
+        print(f"qdenv: {message}", file=sys.stderr)
+    return 2
+
+
+def _describe(error: OSError | MemoryError | RuntimeError) -> str:
+    """Return the line for an error of the system; any other error is raised again."""
+    if isinstance(error, OSError):
+        # Of what goes wrong with a file only writing to an open one does not name it, and files of
+        # results have messages of their own (`write_atomically`).
+        place = error.filename or ("standard output" if error.errno in _WRITING else "the system")
+        message = f"{str(place)[:_LONGEST]}: {error.strerror or error}"
+    elif isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):  # XLA's
+        message = "this takes more memory than there is: choose smaller numbers"
+    else:
+        raise error
+    from qdenv.types import InputError  # imports numpy
+
+    return str(InputError(message))  # printable
 
 
 def _unknown(name: str) -> str:
@@ -137,6 +177,8 @@ def _run_command(name: str, typed: list[str]) -> int:
 
     failure = None
     try:
+        if odd := [word for word in typed if word.encode(errors="replace") != os.fsencode(word)]:
+            raise InputError(f"{odd[0]}: not UTF-8: give the file another name")
         operation = pkgutil.resolve_name(COMMANDS[name])
         program, words = f"qdenv {name}", _name_pictures(typed)
         # Which options there are depends on what is chosen by name: that is read first.
@@ -176,13 +218,7 @@ def _run_command(name: str, typed: list[str]) -> int:
             raise failure
         return getattr(result, "exit_code", 0)
     except InputError as error:
-        message = str(error)
-    except OSError as error:  # no file can have such a name
-        if error.errno != errno.ENAMETOOLONG:
-            raise
-        message = f"{str(error.filename)[:99]}...: too long for a file's name"
-    print(f"qdenv: {message}", file=sys.stderr)
-    return 2
+        return _refuse(str(error))
 
 
 class _Printer(logging.Handler):
@@ -225,15 +261,24 @@ def _name_pictures(words: list[str]) -> list[str]:
 
 def main() -> None:
     """Run the command line; programs are kept between calls where they hold no host callback."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "qdenv" / "jax"
-    # Read when jax is imported, which is later. By itself jax keeps what took a second.
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    if sys.stderr is None:  # it is closed
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (until the end)
+    if sys.stdout is None:
+        os._exit(_refuse("standard output is closed: `> /dev/null` throws it away"))
+    # Names of files need not be text; what a terminal cannot show is spelt.
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    cache = platformdirs.user_cache_path("qdenv") / "jax"
+    if cache.is_absolute():  # else nobody knows this user's home
+        # Read when jax is imported, which is later. By itself jax keeps what took a second.
+        cache = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(cache)
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = cache
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+    # Everything is computed in single precision, whatever other programs here prefer.
+    os.environ["JAX_ENABLE_X64"] = "0"
     try:
         code = run(sys.argv[1:])
     except SystemExit as stop:  # help was printed
         code = stop.code if isinstance(stop.code, int) else 0
-    with contextlib.suppress(BrokenPipeError):
-        sys.stdout.flush()
     # Everything is written. The rest of the interpreter's end would take time, and crash on Ctrl-C.
     os._exit(code)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import os
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
+import platformdirs
 from tyro.conf import Positional, Suppress, arg
 
 from qdenv import devices
@@ -125,7 +125,8 @@ def base_of(preset: str) -> str:
 
 def remember_cost(preset: str, rows: Sequence[Metrics]) -> None:
     """Save what an evaluation of a preset took on this machine, by the rows of a run's log."""
-    if len(rows) < 5:  # too few to tell: the first iteration compiles, which is left out below
+    # Too few rows tell nothing: the first iteration compiles, which is left out below.
+    if len(rows) < 5 or not platformdirs.user_cache_path().is_absolute():  # a user without a home
         return
     seconds = rows[-1].seconds - rows[0].seconds
     evaluations = rows[-1].evaluations - rows[0].evaluations
@@ -137,8 +138,7 @@ def remember_cost(preset: str, rows: Sequence[Metrics]) -> None:
 
 def _read_costs() -> tuple[Path, dict[str, float]]:
     """Return the file of seconds for an evaluation, by preset, and what it holds so far."""
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    file, costs = home / "qdenv" / "costs.json", {}
+    file, costs = platformdirs.user_cache_path("qdenv") / "costs.json", {}
     with contextlib.suppress(InputError):  # nothing was measured yet
         costs = read_json(file, dict[str, float])
     return file, costs
