@@ -1,5 +1,7 @@
 """What a preset takes: as measured here, else an estimate."""
 
+import os
+
 import pytest
 
 from qdenv.configurations import PRESETS
@@ -11,7 +13,7 @@ from qdenv.run.directory import Metrics
 @pytest.fixture(autouse=True)
 def home(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(searches.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
 
 
 def test_every_preset_says_what_it_takes_on_two_cores():
