@@ -99,7 +99,7 @@ def save_first(save: Callable[[], None] | None) -> None:
 
 @atexit.register
 def discard_unfinished() -> None:
-    """Delete files that nobody finished, and folders that are reserved and still empty."""
+    """Delete unfinished files, and reserved folders that are still empty."""
     for path in sorted(unfinished, key=len, reverse=True):  # what lies in a folder before it
         with contextlib.suppress(OSError):
             (os.rmdir if os.path.isdir(path) else os.unlink)(path)

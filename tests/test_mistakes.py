@@ -34,7 +34,7 @@ MISTAKES = {
     "scalability plan.txt --planner pbs --planner.rul plain": "did you mean rule?",
     "simulate plan.txt --planner pbs --planner.rule best": "choose one of published, plain",
     "simulate plan.txt --agents 5 --planner.penalties inf": "penalties must be a finite number",
-    f"presets --json {'9' * 5000}": "too long for a file's name",
+    f"presets --json {'9' * 5000}": "File name too long",
     f"simulate {'9' * 5000}": "name too long",
     "train quick --planner pbs --planner.nodes-per-agent -3": "nodes-per-agent must be at least 0",
     "train quick --lanes 4": "unknown option --lanes: did you mean --planner.lanes?",
