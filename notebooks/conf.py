@@ -1,0 +1,83 @@
+"""How the book is built: `sphinx-build -W notebooks build/book` (with the extra `docs`).
+
+Notebooks are stored executed and are not executed again. The pages of `reference/` that list the
+Python API and the commands are written here, from the operations themselves.
+"""
+
+import contextlib
+import importlib.metadata
+import io
+import os
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+
+project = "qdenv"
+author = "The qdenv developers"
+copyright = "2026, the qdenv developers"
+release = importlib.metadata.version("qdenv")
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+html_theme = "furo"
+html_title = "qdenv"
+exclude_patterns = ["store.py"]
+nb_execution_mode = "off"
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 3
+# Links to source files lead out of the book.
+suppress_warnings = ["myst.xref_missing"]
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"
+napoleon_google_docstring = True
+
+
+def write_python() -> str:
+    """List the public names by the module that is their home."""
+    import qdenv
+    import qdenv.registry
+
+    homes: dict[str, list[str]] = {}
+    for line in (Path(qdenv.__file__).parent / "__init__.pyi").read_text().splitlines():
+        if line.startswith("from ."):
+            home, name = line.removeprefix("from .").split(" import ")
+            homes.setdefault(home, []).append(name.split(" as ")[0])
+    text = ["# Python", "", "Every name below is in `qdenv` itself: `qdenv.simulate_layout`.", ""]
+    for home, names in homes.items():
+        text += [f"## qdenv.{home}", ""]
+        for name in names:
+            member = getattr(qdenv, name)
+            if isinstance(member, type) or callable(member):
+                kind = "class" if isinstance(member, type) else "function"
+                text += ["```{eval-rst}", f".. auto{kind}:: qdenv.{home}.{name}", "```", ""]
+            else:
+                known = member.names() if isinstance(member, qdenv.registry.Registry) else member
+                text += [f"`{name}`: {', '.join(known)}", ""]
+    return "\n".join(text)
+
+
+def write_commands() -> str:
+    """Print the help of every command."""
+    from qdenv.cli.main import COMMANDS, run
+
+    text = ["# Commands", "", "What `qdenv COMMAND --help` prints.", ""]
+    for name in COMMANDS:
+        shown = io.StringIO()
+        with contextlib.redirect_stdout(shown), contextlib.suppress(SystemExit):
+            run([*name.split(), "--help"])
+        text += [f"## qdenv {name}", "", "```text", shown.getvalue().rstrip(), "```", ""]
+    return "\n".join(text)
+
+
+def write_reference(app: Any) -> None:
+    """Write the generated pages, where they changed."""
+    os.environ.setdefault("COLUMNS", "100")
+    for name, text in (("python", write_python()), ("commands", write_commands())):
+        path = HERE / "reference" / f"{name}.md"
+        if not path.exists() or path.read_text() != text:
+            path.write_text(text)
+
+
+def setup(app: Any) -> None:
+    """Write the reference before the pages are read."""
+    app.connect("builder-inited", write_reference)
