@@ -21,7 +21,8 @@ EXIT_CODE = 130  # what shells expect of a program ended by Ctrl-C
 _FLUSH_SECONDS = 0.3
 _LOOK_SECONDS = 0.05
 
-unfinished: set[str] = set()  # files under way and names that are reserved, which are deleted
+unfinished: set[str] = set()  # files under way, which are deleted
+reserved: set[str] = set()  # names of results to come, which are deleted while they are empty
 _way: list[str] = [""]  # how to go on
 _unsaved: list[Callable[[], None]] = []  # saves what is done, before the end
 undisturbed = threading.Lock()  # held by whoever changes what would be saved
@@ -99,11 +100,18 @@ def save_first(save: Callable[[], None] | None) -> None:
 
 @atexit.register
 def discard_unfinished() -> None:
-    """Delete unfinished files, and reserved folders that are still empty."""
-    for path in sorted(unfinished, key=len, reverse=True):  # what lies in a folder before it
+    """Delete unfinished files, and what is reserved and still empty."""
+    for path in list(unfinished):
         with contextlib.suppress(OSError):
-            (os.rmdir if os.path.isdir(path) else os.unlink)(path)
+            os.unlink(path)
+    for path in sorted(reserved, key=len, reverse=True):  # what lies in a folder before it
+        with contextlib.suppress(OSError):
+            if os.path.isdir(path):
+                os.rmdir(path)
+            elif os.path.getsize(path) == 0:
+                os.unlink(path)
     unfinished.clear()
+    reserved.clear()
 
 
 def advise(way: str) -> None:

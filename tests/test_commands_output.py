@@ -2,15 +2,21 @@
 
 import json
 import math
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
 from small_warehouse import ROWS
 
 from qdenv.cli.main import run
-from qdenv.io.files import tidy
+from qdenv.interrupt import discard_unfinished
+from qdenv.io.files import reserve, tidy, write_json
 from qdenv.ops.output import AUTO, PICTURES, Place, format_table, place
 from qdenv.types import InputError
 
@@ -22,12 +28,56 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_a_name_nobody_gave_never_replaces_a_file(folder):
-    names = []
-    for _ in range(3):
-        target = place(AUTO, "plan.json")
-        target.path.touch()
-        names.append(str(target))
-    assert names == ["plan.json", "plan-2.json", "plan-3.json"]
+    (folder / "plan.png").touch()
+    first, second, third = (place(AUTO, "plan.json") for _ in range(3))  # nothing is written yet
+    assert list(map(str, (first, second, third))) == ["plan.json", "plan-2.json", "plan-3.json"]
+    beside = [str(one.beside(".png")) for one in (third, first)]
+    assert beside == ["plan-3.png", "plan-2.png"]
+    # What was written stays at the end of the program, and what is nobody's own goes.
+    write_json(first.path, 1)
+    discard_unfinished()
+    assert sorted(os.listdir()) == ["plan.json", "plan.png"]
+
+
+def test_side_by_side_nobody_gets_the_name_of_another(folder):
+    with ThreadPoolExecutor(8) as pool:
+        names = list(pool.map(lambda _: place(AUTO, "plan.json").path.name, range(40)))
+    assert len(set(names)) == 40 == len(os.listdir())
+
+
+def test_folders_of_one_name_are_two_and_empty_ones_go(folder):
+    made = [reserve(Path("runs") / "quick-1", folder=True) for _ in range(2)]
+    assert list(map(str, made)) == ["runs/quick-1", "runs/quick-1-2"]
+    discard_unfinished()
+    assert os.listdir() == []
+    full = reserve(Path("runs") / "quick-1", folder=True)
+    (full / "file").touch()
+    discard_unfinished()
+    assert (full / "file").exists()
+
+
+def test_facts_that_cannot_be_written_stop_a_command_before_it_writes(folder, capsys):
+    Path("sealed.json").touch(0o444)
+    with mock.patch("os.access", lambda path, mode: Path(path).name != "sealed.json"):
+        line = ["layout", "human", "--rows", "20", "--cols", "20", "--json", "sealed.json"]
+        assert run(line) == 2
+    assert "cannot be written (sealed.json is read-only)" in capsys.readouterr().err
+    assert os.listdir() == ["sealed.json"]
+
+
+def test_standard_output_by_its_name_is_a_stream(folder):
+    Path("p.txt").write_text("\n".join(ROWS))
+    Path("log").write_text("old\n")
+    Path("link").symlink_to("/dev/stdout")
+    for name in ("/dev/stdout", "link"):
+        command = [sys.executable, "-m", "qdenv", "check", "p.txt", "--json", name]
+        with open("log", "a") as log:
+            assert subprocess.run(command, stdout=log).returncode == 0
+    lines = Path("log").read_text().splitlines()
+    assert lines[0] == "old" and Path("link").is_symlink()
+    assert [line.partition(":")[0] for line in lines if "obeys" in line] == ["p.txt"] * 2
+    assert sum('"valid": true' in line for line in lines) == 2
+    assert lines[-1] == "link"  # "replaced" it is not
 
 
 def test_a_file_that_is_named_may_be_replaced_and_that_is_said(folder):
@@ -84,7 +134,9 @@ def test_facts_are_plain_json_with_six_digits_and_no_dust():
 def test_facts_name_the_command_its_settings_and_the_version(folder, capsys):
     Path("p.txt").write_text("\n".join(ROWS))
     assert run(["check", "p.txt", "--json", "f.json"]) == 0
-    assert json.loads(Path("f.json").read_text()) == {
+    facts = json.loads(Path("f.json").read_text())
+    assert facts.pop("remarks")  # what can be built
+    assert facts == {
         "valid": True,
         "rules": True,
         "broken": [],

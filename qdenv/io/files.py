@@ -5,9 +5,11 @@ import contextlib
 import csv
 import errno
 import io
+import itertools
 import json
 import os
 import stat
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +17,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from qdenv.interrupt import unfinished
+from qdenv.interrupt import reserved, unfinished
 from qdenv.types import DamagedError, InputError
 
 # Prefix of the names under which `write_atomically` writes. It is ours alone: `sweep` deletes by
@@ -39,14 +41,16 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) 
         write_atomically(path, lambda file: file.write(data))
         return
     temporary = None
-    path = Path(os.path.realpath(path))  # what a link stands for is written, the link stays
     try:
+        if (stream := find_stream(path)) is not None:
+            sys.stdout.flush()  # what was printed before comes first
+            with os.fdopen(os.dup(stream), "wb", 0) as file:
+                file.write(_content_of(content))
+            return
+        path = Path(os.path.realpath(path))  # what a link stands for is written, the link stays
         if path.exists() and not path.is_file() and not path.is_dir():
-            # A device or a pipe, like /dev/stdout, must not become a file.
-            buffer = io.BytesIO()
-            content(buffer)
-            with path.open("wb") as device:
-                device.write(buffer.getvalue())
+            with path.open("wb") as device:  # or a pipe, which must not become a file
+                device.write(_content_of(content))
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         # mkstemp makes private files; results keep their permissions, or are ordinary ones.
@@ -73,6 +77,60 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) 
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
             unfinished.discard(temporary)
+
+
+def _content_of(write: Callable[[BinaryIO], object]) -> bytes:
+    """Return what a function writes: some need to go back in what they write to."""
+    buffer = io.BytesIO()
+    write(buffer)
+    return buffer.getvalue()
+
+
+def find_stream(path: Path) -> int | None:
+    """Return the number of the open file that a name like /dev/stdout stands for; None for others.
+
+    Opened by its name once more, a file behind it would be written from its beginning.
+    """
+    for _ in range(9):  # links to links
+        folder = os.path.realpath(path.parent)
+        if folder in ("/dev/fd", f"/proc/{os.getpid()}/fd"):
+            return int(path.name) if path.name.isdecimal() else None
+        if not path.is_symlink():
+            break
+        path = path.parent / os.readlink(path)
+    return None
+
+
+def check_writable(path: Path) -> None:
+    """Raise InputError if a file cannot be written, or made, because something is read-only."""
+    if path.exists() and not path.is_file():
+        return  # a device or a pipe
+    folder = next(one for one in path.absolute().parents if one.exists())
+    for place in (folder, path) if path.exists() else (folder,):
+        if not os.access(place, os.W_OK):
+            raise InputError(
+                f"{path}: cannot be written ({place} is read-only): choose another place"
+            )
+
+
+def reserve(path: Path, folder: bool = False) -> Path:
+    """Make an empty file, or folder, of the first free name of a kind: plan.json, plan-2.json, ...
+
+    No other process gets this name. What is still empty at the end of the program is deleted.
+    """
+    parents = [one for one in path.parents if not one.exists()]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    reserved.update(os.path.abspath(parent) for parent in parents)
+    numbered = (path.with_name(f"{path.stem}-{n}{path.suffix}") for n in itertools.count(2))
+    for free in itertools.chain([path], numbered):
+        with contextlib.suppress(FileExistsError):
+            if folder:
+                free.mkdir()
+            else:
+                os.close(os.open(free, os.O_CREAT | os.O_EXCL, 0o666))
+            reserved.add(os.path.abspath(free))
+            return free
+    raise AssertionError  # there is always another number
 
 
 def sweep(folder: Path) -> None:

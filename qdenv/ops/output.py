@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import itertools
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain
+from qdenv.io.files import check_writable, find_stream, reserve
 from qdenv.io.layouts import write_layout
 from qdenv.types import InputError
 
@@ -39,6 +39,7 @@ class Place(NamedTuple):
 
     path: Path  # the file
     replaces: bool  # it exists already, and was named by the user
+    automatic: bool = False  # its name was chosen here, and replaces nothing
 
     def __str__(self) -> str:
         """Return the path as commands print it."""
@@ -47,6 +48,8 @@ class Place(NamedTuple):
     def beside(self, ending: str) -> Place:
         """Return the place of another result: the same name, another ending."""
         path = self.path.with_name(f"{self.path.stem}{ending}")
+        if self.automatic and ending:  # else it is a folder
+            return Place(reserve(path), False, True)
         return Place(path, path.exists())
 
     def draw(self, figure: Figure, crop: bool = False) -> None:
@@ -63,15 +66,15 @@ def place(
     """Choose the file of a result, before any work is done; None if `out` is None.
 
     `AUTO` takes `default`, a name in the current folder, or the next free name like it
-    (plan-2.json). Without `endings` it is data, which any but a picture's ending may name. Files
-    among `inputs` are read, and must not be overwritten. Raises InputError if the ending is none of
-    them, or the place is a folder or an input.
+    (plan-2.json), which no other process gets from now on. Without `endings` it is data, which any
+    but a picture's ending may name. Files among `inputs` are read, and must not be overwritten.
+    Raises InputError if the ending is none of them, or the place is a folder, an input, read-only.
     """
     if out is None:
         return None
     path, endings = Path(out), tuple(endings)
     if path == AUTO:
-        return Place(_free(Path(default)), False)
+        return Place(reserve(Path(default)), False, True)
     ending = path.suffix.lower()
     if endings and ending not in endings:
         raise InputError(f"{path}: give a name that ends in {' or '.join(endings)}")
@@ -86,7 +89,10 @@ def place(
     files = [Path(one) for one in inputs if isinstance(one, str | Path)]
     if path.exists() and any(one.exists() and path.samefile(one) for one in files):
         raise InputError(f"{path}: that is what is read: choose another name")
-    return Place(path, path.exists())
+    if find_stream(path) is not None:  # what is behind it is not replaced
+        return Place(path, False)
+    check_writable(path)
+    return Place(path, path.is_file())
 
 
 def place_table(
@@ -96,23 +102,15 @@ def place_table(
     table = place(out, f"{name}.csv", (".csv",), inputs)
     if table is None or plot not in (None, AUTO):
         return table, place(None if plot == AUTO else plot, f"{name}.png", PICTURES, inputs)
-    beside = table.beside(PICTURES[0])
-    # It replaces no file if nobody named the table.
-    return table, Place(_free(beside.path), False) if out == AUTO else beside
+    return table, table.beside(PICTURES[0])
 
 
 def place_folder(out: str | Path, default: str) -> Path:
     """Choose the folder of several results; raise InputError if it is a file."""
-    folder = _free(Path(default)) if Path(out) == AUTO else Path(out)
+    folder = reserve(Path(default), folder=True) if Path(out) == AUTO else Path(out)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: that is a file: name a folder")
     return folder
-
-
-def _free(path: Path) -> Path:
-    """Return the first name of this kind that is not in use: plan.json, plan-2.json, ..."""
-    numbered = (path.with_name(f"{path.stem}-{n}{path.suffix}") for n in itertools.count(2))
-    return next(free for free in itertools.chain([path], numbered) if not free.exists())
 
 
 def format_table(rows: Iterable[Sequence[Any]]) -> list[str]:

@@ -16,7 +16,7 @@ from qdenv import devices
 from qdenv.agent.settings import TrainConfig
 from qdenv.configurations import PRESETS, find_preset
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
-from qdenv.io.files import refuse_second_run, write_json
+from qdenv.io.files import refuse_second_run, reserve, write_json
 from qdenv.io.records import read_json
 from qdenv.ops import options as args
 from qdenv.ops.networks import train_agent
@@ -183,7 +183,8 @@ def train(
         config = dataclasses.replace(config, evaluation=evaluation)
     name = preset if isinstance(preset, str) else "run"
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-    path = Path("runs") / f"{name}-{stamp}" if path is None else Path(path)
+    fresh = Path("runs") / f"{name}-{stamp}" if path is None else None
+    path = fresh or Path(path)
     if path.as_posix().startswith(PREFIX):
         raise InputError(f"{path}: names that begin with {PREFIX} ship with qdenv: name a folder")
     RunDirectory(path).demand_own()
@@ -192,6 +193,7 @@ def train(
         if parent.exists() and not parent.is_dir():
             raise InputError(f"{path}: {parent} is a file: name a folder")
     refuse_second_run(path / "config.json")
+    path = reserve(fresh, folder=True) if fresh else path
     if scaled:
         say(f"for this size: {scaled}")
     cost, planner = describe_cost(name, config), planner_of(config)
