@@ -172,8 +172,14 @@ class Goal(NamedTuple):
     # function layout int8 [H, W] -> float32 [H, W], the odds of each cell being drawn; 0 where a
     # cell is no goal of this kind
     weight: Callable[[Array], Array]
-    stay: int = 0  # timesteps an agent stays on the goal after arriving, blocking the cell
+    # timesteps an agent stays on the goal after arriving, blocking the cell: one number, or a
+    # function layout int8 [H, W] -> int [H, W] where they differ from cell to cell
+    stay: int | Callable[[Array], Array] = 0
     name: str = "goal"  # how messages call it
+
+    def stays(self, layout: Array) -> Array:
+        """Return the timesteps an agent stays on each cell of a layout (int [H, W])."""
+        return self.stay(layout) if callable(self.stay) else np.full(layout.shape, self.stay)
 
 
 class TaskRule(NamedTuple):

@@ -75,13 +75,13 @@ def world_of(goals, case: Case | None = None) -> World:
     margins = ((0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN))
     far = np.pad(distance.reshape(-1, HEIGHT, WIDTH), margins, constant_values=UNREACHABLE)
     count = len(goals)
-    odds = jnp.ones((1, count))
-    table = GoalTable(jnp.asarray(padded(goals)), jnp.ones(count, bool), odds, jnp.bool_(True))
+    cells, used = jnp.asarray(padded(goals)), jnp.ones(count, bool)
+    nothing = jnp.zeros((1, count), jnp.int32)
+    table = GoalTable(cells, used, jnp.ones((1, count)), nothing, jnp.bool_(True))
     return World(
         traversable=jnp.asarray(PADDED),
         goals=table,
         distance=jnp.asarray(far.reshape(count, -1)),
-        service_time=jnp.zeros(2, jnp.int32),
         valid=jnp.bool_(True),
         margin=MARGIN,
         costs=costs,
@@ -276,4 +276,4 @@ def test_numbers_that_make_no_planner_are_refused_in_one_line(settings, message)
 
 def test_the_planner_is_found_by_its_settings_and_says_its_limits():
     assert PLANNERS.name_of(LOW) == "negotiated"
-    assert PLANNERS.make(LOW)[1:4] == (10, 20, 10)
+    assert PLANNERS.make(LOW)[1:4] == (10, 1000, 10)

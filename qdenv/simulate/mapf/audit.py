@@ -133,7 +133,7 @@ def replay_tasks(
     messages.
     """
     goal_cells = np.array([np.asarray(goal.weight(layout)).reshape(-1) > 0 for goal in rule.cycle])
-    service_time = np.array([goal.stay for goal in rule.cycle])
+    stays = np.array([np.asarray(goal.stays(layout)).reshape(-1) for goal in rule.cycle])
     end, agents = credited.shape
     kind, remaining, legs = (np.zeros(agents, int) for _ in range(3))
     finished = np.zeros((end, agents), bool)
@@ -150,13 +150,14 @@ def replay_tasks(
         if left.any():
             broken.append(f"t={time}: agent {np.argmax(left)} cuts a stay short")
         # A third goal since the last planning was unknown then: a stay there has to wait.
-        known = (legs < 2) | (service_time[kind] == 0)
+        stay = stays[kind, goal]
+        known = (legs < 2) | (stay == 0)
         arrived = ~serving & (cell == goal) & known
-        remaining = np.where(serving, remaining - 1, np.where(arrived, service_time[kind], 0))
+        remaining = np.where(serving, remaining - 1, np.where(arrived, stay, 0))
         done = (serving | arrived) & (remaining == 0)
         finished[time], working[time + 1] = done, remaining > 0
         legs += done
-        kind = np.where(done, (kind + 1) % len(service_time), kind)
+        kind = np.where(done, (kind + 1) % len(stays), kind)
         changed = goals[time + 1] != goal
         if (changed & ~done).any():
             broken.append(f"t={time}: agent {np.argmax(changed & ~done)} skips its goal")

@@ -109,7 +109,6 @@ class Environment:
             goals=goal_table(layout, rule, layout.size),
             # No planner needs to know how far it is.
             distance=jnp.zeros((0, layout.size), jnp.int16),
-            service_time=jnp.array([goal.stay for goal in rule.cycle], jnp.int32),
             valid=jnp.bool_(True),
             margin=0,
         )

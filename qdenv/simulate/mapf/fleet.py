@@ -80,16 +80,16 @@ def prepare(
     chex.assert_rank(layout, 2)
     chex.assert_type(layout, int)
     planner = PLANNERS.make(config.planner)
-    service_time = np.array([goal.stay for goal in rule.cycle], np.int32)
+    longest = max(0 if callable(goal.stay) else goal.stay for goal in rule.cycle)
     if config.window > planner.max_window:
         raise InputError(
             f"the planner {PLANNERS.name_of(config.planner)!r} plans at most {planner.max_window} "
             f"timesteps ahead: choose a window of at most that, not {config.window}"
         )
-    if service_time.max() > planner.max_service:
+    if longest > planner.max_service:
         raise InputError(
             f"the planner {PLANNERS.name_of(config.planner)!r} lets agents stay at a goal for at "
-            f"most {planner.max_service} timesteps, not {service_time.max()}: shorten the stay"
+            f"most {planner.max_service} timesteps, not {longest}: shorten the stay"
         )
     if costs is not None:
         check_costs(config.planner)
@@ -116,8 +116,8 @@ def prepare(
         traversable=walled,
         goals=goals._replace(cells=pad(goals.cells, cols, planner.margin)),
         distance=distance,
-        service_time=jnp.asarray(service_time),
-        valid=goals.complete,
+        # Stays that depend on the layout can be too long as well, which shows here only.
+        valid=goals.complete & (goals.service_time.max() <= planner.max_service),
         costs=costs,
         margin=planner.margin,
     )
@@ -137,7 +137,7 @@ def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Flee
     # Where the free cells do not suffice walls are drawn, too, and the run is not valid.
     position = jnp.where(active & (rank >= 0), cells, 0).astype(jnp.int32)
     zero = jnp.zeros(active.shape, jnp.int32)
-    cycle = world.service_time.shape[0]
+    cycle = world.goals.odds.shape[0]
     goal = [
         draw_goals(world.goals, (zero + ahead) % cycle, chance.draw(seed, purpose))
         for ahead, purpose in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL))
@@ -158,8 +158,8 @@ def drive(
     world: World, fleet: FleetState, cell: jax.Array, active: jax.Array, seed: jax.Array
 ) -> tuple[FleetState, jax.Array]:
     """Move every agent to `cell` (int32 [A]) and serve goals; returns who finished (bool [A])."""
-    cycle = world.service_time.shape[0]
-    service_time = world.service_time[fleet.kind]
+    cycle = world.goals.odds.shape[0]
+    service_time = world.goals.service_time[fleet.kind, fleet.goal[0]]
     # An agent does not stay at a goal that its planner did not know.
     known = (fleet.legs < KNOWN) | (service_time == 0)
     on_goal = (cell == world.goals.cells[fleet.goal[0]]) & active & known
@@ -186,7 +186,7 @@ def _run_window(
 ) -> tuple[FleetState, Block]:
     """Plan the window that begins at `time` and drive its first steps."""
     fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))
-    distance, row, cycle = world.distance, fleet.goal, world.service_time.shape[0]
+    distance, row, cycle = world.distance, fleet.goal, world.goals.odds.shape[0]
     if fleet.fields is not None:
         fields = measure_fields(world, fleet.fields, fleet.goal)
         fleet = fleet._replace(fields=fields)
@@ -197,7 +197,9 @@ def _run_window(
         position=fleet.position,
         active=active,
         goal=fleet.goal,
-        service_time=world.service_time[jnp.stack([fleet.kind, (fleet.kind + 1) % cycle])],
+        service_time=world.goals.service_time[
+            jnp.stack([fleet.kind, (fleet.kind + 1) % cycle]), fleet.goal
+        ],
         remaining_service=fleet.remaining_service,
         age=fleet.age,
         previous=fleet.previous,

@@ -50,6 +50,7 @@ class GoalTable(NamedTuple):
     cells: jax.Array  # int32 [G], the goal cells in row-major order; unused slots hold 0
     used: jax.Array  # bool [G]
     odds: jax.Array  # float32 [n, G], cumulated odds of each slot within its kind, ending in 1
+    service_time: jax.Array  # int32 [n, G], timesteps served at each slot by its kind
     complete: jax.Array  # bool, every kind has a goal and no goal was left out for want of slots
 
 
@@ -62,7 +63,6 @@ class World:
     # [G, H' * W'], steps from every cell to every goal, see `distance_type`; None where they are
     # measured on demand
     distance: jax.Array | None
-    service_time: jax.Array  # int32 [n], timesteps served at each kind of goal
     valid: jax.Array  # bool, agents and goals fit the layout
     # rows and columns of walls on each side, so that planners look around without testing for the
     # border; compile-time
@@ -122,7 +122,9 @@ def goal_table(layout: Array, rule: TaskRule, capacity: int) -> GoalTable:
     cumulated = jnp.cumsum(jnp.where(used, weights[:, cells], 0.0), axis=1)
     total = cumulated[:, -1:]
     complete = (total > 0).all() & (is_goal.sum() <= capacity)
-    return GoalTable(cells, used, cumulated / jnp.maximum(total, 1e-6), complete)
+    stays = jnp.stack([jnp.asarray(goal.stays(layout)).reshape(-1) for goal in rule.cycle])
+    service_time = stays.astype(jnp.int32)[:, cells]
+    return GoalTable(cells, used, cumulated / jnp.maximum(total, 1e-6), service_time, complete)
 
 
 def draw_goals(table: GoalTable, kinds: jax.Array, seed: jax.Array) -> jax.Array:

@@ -24,7 +24,7 @@ class GridMap(NamedTuple):
     free: np.ndarray  # bool [N], cells agents may drive on
     goals: np.ndarray  # int64 [G], the goal cells
     odds: np.ndarray  # float32 [n, G], cumulated odds of each goal within its kind
-    service_time: np.ndarray  # int64 [n], timesteps served at each kind of goal
+    service_time: np.ndarray  # int64 [n, G], timesteps served at each goal by its kind
     steps: np.ndarray  # int64 [5], what each move adds to a position: wait, right, left, down, up
     width: int  # columns of the padded grid
     margin: int  # rows and columns of walls on each side
@@ -72,7 +72,7 @@ def grid_map(world: World) -> GridMap:
         np.array(world.traversable).reshape(-1),
         np.asarray(world.goals.cells, np.int64),
         np.array(world.goals.odds),
-        np.asarray(world.service_time, np.int64),
+        np.asarray(world.goals.service_time, np.int64),
         move_steps(width),
         width,
         world.margin,
@@ -116,7 +116,7 @@ def place_agents(run: HostRun) -> None:
         bits = chance.draw_on_host(chance.draw_on_host(seed, purpose), np.arange(count))
         whole = (bits >> (32 - chance.CHANCE_BITS)).astype(np.float32)
         value = whole * np.float32(2.0**-chance.CHANCE_BITS)  # as `planner.draw_goals`
-        odds = grid.odds[ahead % grid.service_time.size]
+        odds = grid.odds[ahead % len(grid.odds)]
         drawn = np.searchsorted(odds, value, side="right")
         run.goal[ahead] = np.minimum(drawn, grid.goals.size - 1)
 
@@ -147,7 +147,8 @@ def drive_window(run: HostRun) -> None:
 def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
     """Move one agent by one step of its path and serve its goal, as `fleet.drive` does."""
     grid = run.grid
-    cell, goal = run.paths[agent, step + 1], grid.goals[run.goal[0, agent]]
+    slot = run.goal[0, agent]
+    cell, goal = run.paths[agent, step + 1], grid.goals[slot]
     moves = cell != run.position[agent]
     if time < run.settings.timesteps:
         run.visits[cell] += 1
@@ -157,7 +158,7 @@ def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
         run.stuck[agent] = False
     run.position[agent] = cell
     kind = run.kind[agent]
-    service_time = grid.service_time[kind]
+    service_time = grid.service_time[kind, slot]
     # Planners know of two goals: a later one is not served in passing.
     on_goal = cell == goal and (run.legs[agent] < KNOWN or service_time == 0)
     left, finished = serve(run.remaining_service[agent], on_goal, service_time)
@@ -169,13 +170,13 @@ def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
         run.block.finished[time, agent] = finished
         run.block.goals[time, agent] = goal
     if finished:
-        kind = (kind + 1) % grid.service_time.size
+        kind = (kind + 1) % len(grid.odds)
         run.kind[agent], run.age[agent] = kind, 0
         run.legs[agent] += 1
         # Draw the goal after the next with the odds of its kind, as `planner.draw_goals` does.
         bits = chance.mix(drawn, agent) >> (32 - chance.CHANCE_BITS)
         value = np.float32(bits) * np.float32(2.0**-chance.CHANCE_BITS)
-        odds = grid.odds[(kind + 1) % grid.service_time.size]
+        odds = grid.odds[(kind + 1) % len(grid.odds)]
         slot = np.searchsorted(odds, value, side="right")
         run.goal[0, agent] = run.goal[1, agent]
         run.goal[1, agent] = min(slot, grid.goals.size - 1)

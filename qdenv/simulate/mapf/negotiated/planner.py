@@ -27,7 +27,6 @@ from qdenv.simulate.mapf import chance
 from qdenv.simulate.mapf.negotiated.numba.rounds import make_plan, run_windows
 from qdenv.simulate.mapf.negotiated.settings import (
     MARGIN,
-    MAX_SERVICE,
     MAX_WINDOW,
     NegotiatedConfig,
 )
@@ -72,5 +71,12 @@ def negotiated(config: NegotiatedConfig) -> Planner:
         return jnp.concatenate([paths, rest])
 
     on_host = run_windows if runs_on_host(config.backend) else None
-    limits = MAX_WINDOW, MAX_SERVICE, MARGIN
-    return Planner(plan, *limits, on_host, partial(make_plan, config), waits, reads_costs=True)
+    return Planner(
+        plan,
+        max_window=MAX_WINDOW,
+        margin=MARGIN,
+        run_windows=on_host,
+        make_plan=partial(make_plan, config),
+        fallback_waits=waits,
+        reads_costs=True,
+    )

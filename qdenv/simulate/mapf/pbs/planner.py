@@ -81,9 +81,9 @@ def collect_goals(run: HostRun, fields: DistanceFields, goals: Goals) -> None:
     grid = run.grid
     for agent in range(run.position.size):
         for leg in range(KNOWN):
-            goals.cell[leg, agent] = grid.goals[run.goal[leg, agent]]
-            kind = (run.kind[agent] + leg) % grid.service_time.size
-            goals.service_time[leg, agent] = grid.service_time[kind]
+            slot, kind = run.goal[leg, agent], (run.kind[agent] + leg) % len(grid.odds)
+            goals.cell[leg, agent] = grid.goals[slot]
+            goals.service_time[leg, agent] = grid.service_time[kind, slot]
         second = run.goal[1, agent]
         goals.between[agent] = distance(fields, grid, second, goals.cell[0, agent])
 

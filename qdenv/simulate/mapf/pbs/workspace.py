@@ -132,10 +132,10 @@ def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:
     """Make the workspace of a run; `depth` nodes, changes and conflicts in proportion."""
     window, grid, count = run.settings.window, run.grid, run.position.size
     changes = _CHANGES_PER_NODE * depth + 2 * count
-    # Goals of a kind with service; odds are cumulated.
+    # Goals with a service; odds are cumulated.
     likely = np.diff(grid.odds, axis=1, prepend=np.float32(0)) > 0
     holds = np.zeros(grid.free.size, np.bool_)
-    holds[grid.goals[likely[grid.service_time > 0].any(axis=0)]] = True
+    holds[grid.goals[(likely & (grid.service_time > 0)).any(axis=0)]] = True
     return Workspace(
         goals=Goals(
             start=run.position,

@@ -106,7 +106,7 @@ def roll_out(
     swaps: bool,
 ) -> None:
     """Find where PIBT drives all agents, as `planner.rollout` does; or let all stand still."""
-    grid, kinds = run.grid, run.grid.service_time.size
+    grid, kinds = run.grid, len(run.grid.odds)
     ties = chance.mix(seed, chance.RESORT)
     rank = chance.mix(ties, RANKS)
     for agent in range(run.position.size):
@@ -134,8 +134,9 @@ def roll_out(
         push_along(run, fields, rollout, t, swaps)
         for agent in range(run.position.size):
             stage = rollout.stage[agent]
-            service_time = grid.service_time[(run.kind[agent] + stage) % kinds]
-            on_goal = rollout.path[agent, t + 1] == grid.goals[run.goal[stage, agent]]
+            slot = run.goal[stage, agent]
+            service_time = grid.service_time[(run.kind[agent] + stage) % kinds, slot]
+            on_goal = rollout.path[agent, t + 1] == grid.goals[slot]
             left, finished = serve(rollout.remaining_service[agent], on_goal, service_time)
             rollout.remaining_service[agent] = left
             rollout.age[agent] += 1

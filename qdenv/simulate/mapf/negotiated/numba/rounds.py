@@ -19,7 +19,7 @@ from qdenv.simulate.mapf.negotiated.numba.search import (
     reserve,
 )
 from qdenv.simulate.mapf.negotiated.numba.states import SearchArrays, make_arrays
-from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
+from qdenv.simulate.mapf.negotiated.settings import MAX_SERVICE, NegotiatedConfig
 
 
 class HostNegotiation(NamedTuple):
@@ -149,14 +149,17 @@ def _plan(
     grid, number = run.grid, plan.planning[lane]
     first, second = run.goal[0, number], run.goal[1, number]
     attempt = min(plan.attempts[number], plan.work.penalties.size - 1)
-    kind, kinds = run.kind[number], grid.service_time.size
+    kind, kinds = run.kind[number], len(grid.odds)
+    # Whatever is longer does not end within a window, however long it is.
+    serving = min(grid.service_time[kind, first], MAX_SERVICE)
+    serving_next = min(grid.service_time[(kind + 1) % kinds, second], MAX_SERVICE)
     agent = Agent(
         number,
         run.position[number],
         (first, second),
         (grid.goals[first], grid.goals[second]),
-        (grid.service_time[kind], grid.service_time[(kind + 1) % kinds]),
-        run.remaining_service[number],
+        (serving, serving_next),
+        min(run.remaining_service[number], serving),
         plan.work.penalties[attempt],
         plan.tie_break[number] ^ (turn * rules.ROUND_TIE_BREAK),
     )

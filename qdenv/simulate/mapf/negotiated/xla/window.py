@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from qdenv.grid import NUM_MOVES, WAIT
 from qdenv.simulate.mapf.negotiated import rules
+from qdenv.simulate.mapf.negotiated.settings import MAX_SERVICE
 from qdenv.simulate.mapf.planner import AgentState, World
 
 STRIDE = 11  # columns between the starts of neighbouring words of the reservations
@@ -93,7 +94,8 @@ def gather(
     window = state.previous.shape[0] - 1
     side, (unit, per_step) = 2 * window + 1, rules.units(int(world.costs is not None))
     position, rows = state.position[agent], state.row[:, agent]
-    service_time = state.service_time[:, agent]
+    # Whatever is longer does not end within a window, however long it is.
+    service_time = jnp.minimum(state.service_time[:, agent], MAX_SERVICE)
     goals = world.goals.cells[state.goal[:, agent]]
     row, column = rules.find_in_window(goals, position, width, window)
     ends = jnp.stack([rules.ends_leg(leg, service_time[leg]) for leg in range(2)])
@@ -127,7 +129,7 @@ def gather(
         cost_after_goal=after,
         shortest=shortest,
         service_time=service_time,
-        remaining_service=state.remaining_service[agent],
+        remaining_service=jnp.minimum(state.remaining_service[agent], service_time[0]),
         penalty=penalty,
         tie_break=tie_break,
         costs=costs,

@@ -1,0 +1,104 @@
+"""Stays that differ from cell to cell within one kind of goal: for all planners and backends."""
+
+import functools
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from fleet_runs import programs
+
+from qdenv.grid import of_tiles, parse
+from qdenv.simulate.mapf import fleet
+from qdenv.simulate.mapf.audit import audit
+from qdenv.simulate.mapf.environment import WAIT, Environment
+from qdenv.simulate.mapf.goals import tile_goal
+from qdenv.simulate.mapf.negotiated.settings import LOW
+from qdenv.simulate.mapf.pbs.settings import PbsConfig
+from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.types import Goal, TaskRule
+
+TILES = ".#eio"
+# Planned with services as short as a window, and far longer than one word of the search counts.
+SHORT, LONG = 3, 47
+TIMESTEPS = 220
+
+
+def stay_of(layout):
+    """Serve at `i` shortly and at `o` for long."""
+    is_inbound = of_tiles(layout, "i", TILES)
+    return SHORT * is_inbound + LONG * of_tiles(layout, "o", TILES)
+
+
+STATION = Goal(lambda layout: of_tiles(layout, "io", TILES).astype(np.float32), stay_of, "station")
+TASKS = TaskRule(TILES, ".eio", (tile_goal("e", TILES, 1), STATION))
+PLANNERS = {
+    "negotiated": (replace(LOW, backend="host"), replace(LOW, backend="xla")),
+    "pibt": (PibtConfig("host"), PibtConfig("xla")),
+    "pbs": (PbsConfig(),),
+}
+FLOOR = parse(["i.......o", ".e.e.e.e.", ".........", ".e.e.e.e.", "o.......i"], TILES)
+
+
+@functools.cache
+def compiled(settings):
+    """Compile runs of up to nine robots; every test has a layout of the same shape."""
+    config = fleet.FleetConfig(9, TIMESTEPS, planner=settings, stop_when_congested=False)
+    return programs(TASKS, config)
+
+
+def outcomes(planner, layout, agents, seed=0):
+    """Simulate with each backend of a planner, audited."""
+    for settings in PLANNERS[planner]:
+        prepare, run = compiled(settings)
+        outcome = run(prepare(jnp.asarray(layout)), jax.random.key(seed), jnp.int32(agents))
+        traffic, recording = jax.tree.map(np.asarray, outcome)
+        assert audit(layout, TASKS, recording, traffic) == []
+        yield traffic, recording
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_one_robot_stays_as_long_as_its_station_says(planner):
+    """On a line, every leg takes its distance and its stay: a closed form of the task times."""
+    for station, stay in (("i", SHORT), ("o", LONG)):
+        layout = parse([f"e.......{station}", *["#########"] * 4], TILES)
+        for traffic, recording in outcomes(planner, layout, 1):
+            begin = max(int(recording.positions[0, 0]), 1)  # being there takes one step, too
+            times = np.cumsum([begin + 1] + [8 + stay, 8 + 1] * 20)
+            ends = np.flatnonzero(traffic.finished) + 1
+            np.testing.assert_array_equal(ends, times[times <= TIMESTEPS])
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_backends_agree_on_stays_of_their_own(planner):
+    for seed in range(2):
+        first, *others = outcomes(planner, FLOOR, 9, seed)
+        assert first[0].finished.sum() > 30
+        for other in others:
+            jax.tree.map(np.testing.assert_array_equal, first, other)
+        # The longest services that were begun are those of the stations' kinds.
+        left, goals = first[1].remaining_service[1:], first[1].goals[:-1]
+        for symbol, stay in (("i", SHORT), ("o", LONG), ("e", 1)):
+            assert left[(FLOOR.reshape(-1) == TILES.index(symbol))[goals]].max() == stay
+
+
+def test_a_station_that_serves_longer_than_a_planner_knows_makes_no_run():
+    rule = TASKS._replace(
+        cycle=(STATION._replace(stay=lambda layout: np.full(layout.shape, 1001)),)
+    )
+    world = jax.jit(lambda layout: fleet.prepare(layout, rule, fleet.FleetConfig(2)))(FLOOR)
+    assert not world.valid
+
+
+def test_learners_find_the_same_stays():
+    environment = Environment(parse(["e.i"], TILES), TASKS, 1, 20)
+    state, _ = environment.reset(jax.random.key(1))
+    step, right, left = jax.jit(environment.step), 0, 1
+    waits = []
+    for _ in range(20):
+        goal, here = int(state.goal[0, 0]), int(state.position[0])
+        action = WAIT if goal == here else right if goal > here else left
+        state, _ = step(state, jnp.array([action]))
+        waits.append(int(state.remaining_service[0]))
+    assert max(waits) == SHORT
