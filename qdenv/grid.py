@@ -73,7 +73,11 @@ def draw(layout: Array, tiles: str) -> list[str]:
     return ["".join(tiles[tile] for tile in row) for row in np.asarray(layout)]
 
 
+def by_tile(table: np.ndarray, layout: Array) -> Array:
+    """Give each cell of `layout` (int8 [H, W]) the entry of its tile in a table of all tiles."""
+    return _library_of(layout).asarray(table)[layout.astype(np.int32)]
+
+
 def of_tiles(layout: Array, symbols: str, tiles: str) -> Array:
     """Mark the cells of `layout` that hold one of `symbols` (int8 [H, W] -> bool [H, W])."""
-    table = np.array([tile in symbols for tile in tiles])
-    return _library_of(layout).asarray(table)[layout.astype(np.int32)]
+    return by_tile(np.array([tile in symbols for tile in tiles]), layout)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from qdenv.grid import count_neighbours, of_tiles
+from qdenv.grid import by_tile, count_neighbours, of_tiles
 from qdenv.lazy import ndimage
-from qdenv.types import Goal, InputError, TaskRule
+from qdenv.types import Array, Goal, InputError, TaskRule
 
 
 def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
@@ -30,6 +31,64 @@ def beside_goal(symbol: str, station: str, stay: int, tiles: str) -> Goal:
         stay,
         f"{symbol!r} beside {station!r}",
     )
+
+
+def station_goal(
+    symbols: str, tiles: str, stays: Mapping[str, int], shares: Mapping[str, float]
+) -> Goal:
+    """Make the cells of several kinds of station one kind of goal.
+
+    Agents spend ``stays[symbol]`` timesteps at a cell that holds the symbol. With `shares`, tasks
+    go to the kinds in these proportions, and to all cells of a kind alike; without, to all cells.
+    """
+    table = np.array([stays.get(tile, 0) for tile in tiles], np.int32)
+
+    def weight(layout: Array) -> Array:
+        if not shares:
+            return of_tiles(layout, symbols, tiles).astype(np.float32)
+        kinds = {symbol: of_tiles(layout, symbol, tiles).astype(np.float32) for symbol in shares}
+        # A kind without a cell has no odds: its share goes to the others.
+        return sum(
+            np.float32(shares[symbol]) * kind / (kind.sum() + (kind.sum() == 0))
+            for symbol, kind in kinds.items()
+        )
+
+    stay = table[[tiles.index(symbol) for symbol in symbols]]
+    equal = int(stay[0]) if np.ptp(stay) == 0 else lambda layout: by_tile(table, layout)
+    return Goal(weight, equal, "station")
+
+
+def weigh(goal: Goal, odds: np.ndarray) -> Goal:
+    """Make goals likelier by the odds of their places (float32 [H, W])."""
+    return goal._replace(weight=lambda layout: odds * goal.weight(layout))
+
+
+def odds_of(rows: Sequence[str], shape: tuple[int, int]) -> np.ndarray:
+    """Read rows of numbers, one a cell, as odds of places (float32 [H, W]).
+
+    Raises InputError if they have another shape, a number is none, or negative, or all are 0.
+    """
+    lines = [row.split() for row in rows]
+    widths = {len(line) for line in lines}
+    if (len(lines), *widths) != shape:
+        cols = " or ".join(map(str, sorted(widths)))
+        raise InputError(
+            f"the demand has {len(lines)} x {cols} numbers, the plan {shape[0]} x {shape[1]} cells"
+        )
+    try:
+        odds = np.array(lines, np.float32)
+    except ValueError:
+        odds = np.full(shape, np.nan, np.float32)
+    if not (np.isfinite(odds) & (odds >= 0)).all():
+        raise InputError("each number of the demand must be 0 or more")
+    if not odds.any():
+        raise InputError("the demand is 0 everywhere: no robot would have anything to do")
+    return odds
+
+
+def rows_of_odds(odds: np.ndarray) -> tuple[str, ...]:
+    """Write odds of places (float [H, W]) as rows of numbers, which are hashable."""
+    return tuple(" ".join(f"{one:g}" for one in row) for row in odds)
 
 
 def favour_left(goal: Goal, odds: float) -> Goal:

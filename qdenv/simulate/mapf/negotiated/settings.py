@@ -12,8 +12,8 @@ from qdenv.registry import Entry
 from qdenv.types import InputError
 
 MAX_WINDOW = 10  # a square of 2 * 10 + 1 columns around any cell lies within one packed word
-# Timesteps served so far are one bit of a 32-bit word, a whole window longer; agents that stay longer
-# are planned as if they stayed this long.
+# Timesteps served so far are one bit of a 32-bit word, a whole window longer; agents that stay
+# longer are planned as if they stayed this long.
 MAX_SERVICE = 20
 MARGIN = MAX_WINDOW  # so that no agent sees beyond the border
 _MAX_CONFLICT_LEVELS = 4  # more would not fit into the code of a path's end

@@ -1,0 +1,172 @@
+"""Demand by place: how likely each cell is to be a robot's next goal, from files or zones.
+
+The map belongs to places, not to goods: shelves may move, the odds of an endpoint are what the map
+holds at its cell. It comes as
+
+* a table (CSV) of the plan's shape with a number in each cell, 0 where it is empty;
+* zones, rectangles of rows and columns with a weight: ``0:10,0:20=3 12:18,4:9=0.5``; other cells
+  have the weight 1, where zones overlap the last one counts;
+* order lines (CSV) with the columns ``row`` and ``column``, or ``place`` with a second file that
+  says where each place is (``place,row,column``): ``orders.csv,places.csv``. A column ``count`` or
+  ``quantity`` counts a line several times.
+"""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from qdenv.grid import MOVES
+from qdenv.io.files import damaged, read_text
+from qdenv.types import InputError, about
+
+_DELIMITERS = ";,\t"
+_ZONE = re.compile(r"(\d+):(\d+),(\d+):(\d+)=([^\s;]+)")
+_FORM = "write zones as ROWS,COLUMNS=WEIGHT, like 0:10,0:20=3, or name a CSV file"
+_COUNTS = ("count", "quantity")
+
+
+def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
+    """Read how likely each cell is to be a goal (float [H, W]) from a file, or zones.
+
+    `endpoints` (bool [H, W]) are the cells of the plan that order lines may lead to; those of a
+    shelf are divided among the endpoints beside it. Order lines say nothing of other cells, which
+    get what the nearest endpoint has. Raises InputError if the source is none of the three, or
+    does not fit the plan.
+    """
+    text = str(source)
+    if "=" in text and not Path(text).is_file():
+        return _zones(text, endpoints.shape)
+    orders, _, places = (text, "", "") if Path(text).is_file() else text.partition(",")
+    if not orders.lower().endswith(".csv"):
+        raise InputError(f"{text!r} is no demand: {_FORM}")
+    table = list(_cells(Path(orders)))
+    with about(orders):
+        if "row" in table[0][1] or "place" in table[0][1]:
+            known = _places(Path(places)) if places else {}
+            return _spread(_count(table, known), endpoints)
+        if places:
+            raise InputError("no column place in its first line, which a file of places is for")
+        return _map(table, endpoints.shape)
+
+
+def _zones(text: str, shape: tuple[int, ...]) -> np.ndarray:
+    odds = np.ones(shape)
+    for zone in re.split(r"[\s;]+", text.strip()):
+        found = _ZONE.fullmatch(zone)
+        if not found:
+            raise InputError(f"zone {zone!r}: {_FORM}")
+        top, bottom, left, right = map(int, found.groups()[:4])
+        if not (top < bottom <= shape[0] and left < right <= shape[1]):
+            raise InputError(
+                f"zone {zone!r}: rows FIRST:END up to {shape[0]} and columns up to {shape[1]}, "
+                "counted from 0, the end left out"
+            )
+        odds[top:bottom, left:right] = _number(found[5], f"zone {zone!r}")
+    return odds
+
+
+def _cells(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield the lines of a spreadsheet that hold something: number, and cells in lower case."""
+    lines = read_text(path, what="CSV").splitlines()
+    delimiter = max(_DELIMITERS, key=max(lines, key=len, default="").count)
+    empty = True
+    try:
+        for number, cells in enumerate(csv.reader(lines, delimiter=delimiter, strict=True), 1):
+            if any(cell.strip() for cell in cells):
+                empty = False
+                yield number, [cell.strip().lower() for cell in cells]
+    except csv.Error as error:
+        raise damaged(path, f"not a CSV file: {error}") from error
+    if empty:
+        raise damaged(path, "the file is empty")
+
+
+def _map(table: list[tuple[int, list[str]]], shape: tuple[int, ...]) -> np.ndarray:
+    rows = [
+        [_number(cell or "0", f"line {line}, column {col}") for col, cell in enumerate(cells)]
+        for line, cells in table
+    ]
+    widths = {len(row) for row in rows}
+    if (len(rows), *widths) != shape:
+        cols = " or ".join(map(str, sorted(widths)))
+        raise InputError(f"{len(rows)} x {cols} numbers, the plan has {shape[0]} x {shape[1]}")
+    return np.array(rows)
+
+
+def _places(path: Path) -> dict[str, tuple[int, int]]:
+    (_, head), *lines = _cells(path)
+    with about(str(path)):
+        place, row, column = (_find(head, name) for name in ("place", "row", "column"))
+        return {cells[place]: _cell(cells, row, column, line) for line, cells in lines}
+
+
+def _count(
+    table: list[tuple[int, list[str]]], places: Mapping[str, tuple[int, int]]
+) -> Counter[tuple[int, int]]:
+    """Count the order lines of each cell (row, column)."""
+    (_, head), *lines = table
+    counts: Counter[tuple[int, int]] = Counter()
+    weight = next((head.index(name) for name in _COUNTS if name in head), None)
+    by_name = bool(places) or "row" not in head
+    columns = [_find(head, name) for name in (("place",) if by_name else ("row", "column"))]
+    for line, cells in lines:
+        cells += [""] * (len(head) - len(cells))
+        if by_name and cells[columns[0]] not in places:
+            raise InputError(
+                f"line {line}: place {cells[columns[0]]!r} is unknown: name a second file with "
+                "place, row and column, as orders.csv,places.csv"
+            )
+        cell = places[cells[columns[0]]] if by_name else _cell(cells, *columns, line)
+        amount = 1.0 if weight is None else _number(cells[weight], f"line {line}")
+        counts[cell] += amount  # type: ignore[assignment]
+    return counts
+
+
+def _find(head: list[str], name: str) -> int:
+    """Find a column; "col" is short for "column"."""
+    for index, cell in enumerate(head):
+        if cell in (name, name[:3] if name == "column" else name):
+            return index
+    raise InputError(f"no column {name} in its first line, which names the columns")
+
+
+def _cell(cells: list[str], row: int, column: int, line: int) -> tuple[int, int]:
+    try:
+        return int(cells[row]), int(cells[column])
+    except (ValueError, IndexError):
+        raise InputError(f"line {line}: row and column must be whole numbers from 0") from None
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        number = float(text.replace(",", "."))
+    except ValueError:
+        number = np.nan
+    if not 0 <= number < np.inf:
+        raise InputError(f"{where}: {text!r} is no weight: give a number, 0 or more")
+    return number
+
+
+def _spread(counts: Mapping[tuple[int, int], float], endpoints: np.ndarray) -> np.ndarray:
+    """Give each cell the count of its nearest endpoint; a shelf's is divided among those beside."""
+    odds = np.zeros(endpoints.shape)
+    for (row, column), count in counts.items():
+        near = [(row, column), *((row + down, column + right) for down, right in MOVES)]
+        near = [
+            (i, j)
+            for i, j in near
+            if 0 <= i < odds.shape[0] and 0 <= j < odds.shape[1] and endpoints[i, j]
+        ]
+        if not near:
+            raise InputError(
+                f"row {row}, column {column} is neither an endpoint of the plan nor beside one"
+            )
+        for cell in near[:1] if near[0] == (row, column) else near:
+            odds[cell] += count / (1 if near[0] == (row, column) else len(near))
+    nearest = ndimage.distance_transform_edt(~endpoints, return_distances=False, return_indices=True)
+    return odds[tuple(nearest)]
