@@ -109,5 +109,5 @@ def test_goals_are_drawn_with_the_odds_of_their_places_and_kinds():
         distance = ((counts - wanted)[there] ** 2 / wanted[there]).sum()
         assert distance < chi2.ppf(0.999, there.sum() - 1)
     stays = stations.stays(LAYOUT)
-    assert (stays[LAYOUT == TILES.index("i")] == 7).all() and stays[3, 4] == 3
+    assert (stays[TILES.index("i") == LAYOUT] == 7).all() and stays[3, 4] == 3
     assert stays[0, 4] == 0

@@ -13,7 +13,7 @@ holds at its cell. It comes as
 
 import csv
 import re
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -27,7 +27,6 @@ from qdenv.types import InputError, about
 _DELIMITERS = ";,\t"
 _ZONE = re.compile(r"(\d+):(\d+),(\d+):(\d+)=([^\s;]+)")
 _FORM = "write zones as ROWS,COLUMNS=WEIGHT, like 0:10,0:20=3, or name a CSV file"
-_COUNTS = ("count", "quantity")
 
 
 def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
@@ -101,43 +100,47 @@ def _map(table: list[tuple[int, list[str]]], shape: tuple[int, ...]) -> np.ndarr
 def _places(path: Path) -> dict[str, tuple[int, int]]:
     (_, head), *lines = _cells(path)
     with about(str(path)):
-        place, row, column = (_find(head, name) for name in ("place", "row", "column"))
-        return {cells[place]: _cell(cells, row, column, line) for line, cells in lines}
+        place, *cell = (_find(head, name) for name in ("place", "row", "column"))
+        return {cells[place]: _cell(cells, cell, line) for line, cells in lines}
 
 
 def _count(
     table: list[tuple[int, list[str]]], places: Mapping[str, tuple[int, int]]
-) -> Counter[tuple[int, int]]:
+) -> dict[tuple[int, int], float]:
     """Count the order lines of each cell (row, column)."""
     (_, head), *lines = table
-    counts: Counter[tuple[int, int]] = Counter()
-    weight = next((head.index(name) for name in _COUNTS if name in head), None)
+    counts: dict[tuple[int, int], float] = defaultdict(float)
+    amounts = [index for index, name in enumerate(head) if name in ("count", "quantity")]
     by_name = bool(places) or "row" not in head
-    columns = [_find(head, name) for name in (("place",) if by_name else ("row", "column"))]
+    columns = [_find(head, one) for one in (["place"] if by_name else ["row", "column"])]
     for line, cells in lines:
         cells += [""] * (len(head) - len(cells))
-        if by_name and cells[columns[0]] not in places:
-            raise InputError(
-                f"line {line}: place {cells[columns[0]]!r} is unknown: name a second file with "
-                "place, row and column, as orders.csv,places.csv"
-            )
-        cell = places[cells[columns[0]]] if by_name else _cell(cells, *columns, line)
-        amount = 1.0 if weight is None else _number(cells[weight], f"line {line}")
-        counts[cell] += amount  # type: ignore[assignment]
+        if by_name:
+            place = cells[columns[0]]
+            if place not in places:
+                raise InputError(
+                    f"line {line}: place {place!r} is unknown: name a second file with place, row "
+                    "and column, as orders.csv,places.csv"
+                )
+            cell = places[place]
+        else:
+            cell = _cell(cells, columns, line)
+        counts[cell] += _number(cells[amounts[0]], f"line {line}") if amounts else 1
     return counts
 
 
 def _find(head: list[str], name: str) -> int:
     """Find a column; "col" is short for "column"."""
     for index, cell in enumerate(head):
-        if cell in (name, name[:3] if name == "column" else name):
+        if cell in (name, *(["col"] if name == "column" else [])):
             return index
     raise InputError(f"no column {name} in its first line, which names the columns")
 
 
-def _cell(cells: list[str], row: int, column: int, line: int) -> tuple[int, int]:
+def _cell(cells: list[str], columns: list[int], line: int) -> tuple[int, int]:
     try:
-        return int(cells[row]), int(cells[column])
+        row, column = (int(cells[index]) for index in columns)
+        return row, column
     except (ValueError, IndexError):
         raise InputError(f"line {line}: row and column must be whole numbers from 0") from None
 
@@ -155,18 +158,15 @@ def _number(text: str, where: str) -> float:
 def _spread(counts: Mapping[tuple[int, int], float], endpoints: np.ndarray) -> np.ndarray:
     """Give each cell the count of its nearest endpoint; a shelf's is divided among those beside."""
     odds = np.zeros(endpoints.shape)
+    found = {(row, column) for row, column in np.argwhere(endpoints).tolist()}
     for (row, column), count in counts.items():
-        near = [(row, column), *((row + down, column + right) for down, right in MOVES)]
-        near = [
-            (i, j)
-            for i, j in near
-            if 0 <= i < odds.shape[0] and 0 <= j < odds.shape[1] and endpoints[i, j]
-        ]
+        beside = [(row + down, column + right) for down, right in MOVES]
+        near = {(row, column)} & found or {*beside} & found
         if not near:
             raise InputError(
                 f"row {row}, column {column} is neither an endpoint of the plan nor beside one"
             )
-        for cell in near[:1] if near[0] == (row, column) else near:
-            odds[cell] += count / (1 if near[0] == (row, column) else len(near))
-    nearest = ndimage.distance_transform_edt(~endpoints, return_distances=False, return_indices=True)
-    return odds[tuple(nearest)]
+        for cell in near:
+            odds[cell] += count / len(near)
+    away = ndimage.distance_transform_edt(~endpoints, return_distances=False, return_indices=True)
+    return odds[tuple(away)]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import reduce
 from itertools import pairwise
+from operator import add
 
 import numpy as np
 
@@ -48,10 +50,11 @@ def station_goal(
             return of_tiles(layout, symbols, tiles).astype(np.float32)
         kinds = {symbol: of_tiles(layout, symbol, tiles).astype(np.float32) for symbol in shares}
         # A kind without a cell has no odds: its share goes to the others.
-        return sum(
+        spread = [
             np.float32(shares[symbol]) * kind / (kind.sum() + (kind.sum() == 0))
             for symbol, kind in kinds.items()
-        )
+        ]
+        return reduce(add, spread)
 
     stay = table[[tiles.index(symbol) for symbol in symbols]]
     equal = int(stay[0]) if np.ptp(stay) == 0 else lambda layout: by_tile(table, layout)
