@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from conftest import STUDY_DATA
 from small_warehouse import ROWS, TILES
 
 import qdenv as package
@@ -16,7 +17,6 @@ from qdenv.io.guidance import weights_of
 from qdenv.io.layouts import Drawing, read_drawing, write_layout
 from qdenv.study.plans import read_plan
 from qdenv.types import InputError
-from tests.conftest import STUDY_DATA
 
 EVEN = find_domain("warehouse-even")
 FILES = STUDY_DATA / "formats"

@@ -188,7 +188,7 @@ def test_a_maze_drawn_with_hashes_is_one(tmp_path):
         ("a.csv", "\n".join("." * (MAX_SIDE + 1)), "not supported"),
         ("a.json", json.dumps({"layout": [".@", ".\ud800"]}), "unknown tile"),
         ("a.json", "1" * 5000, "not a JSON file"),
-        ("a.xlsx", "PK", r"layouts end in .json, .txt, .csv, .map"),
+        ("a.docx", "PK", r"layouts end in .json, .txt, .csv, .map"),
     ],
 )
 def test_bad_files_of_every_format_are_refused_in_one_line(name, content, reason, tmp_path):

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from conftest import STUDY_DATA
 
 from qdenv.io.planviz import planviz, write_planviz
-from tests.conftest import STUDY_DATA
 
 # As PlanViz moves an agent of the action model without turns: row, column.
 STEPS = {"R": (0, 1), "L": (0, -1), "D": (1, 0), "U": (-1, 0), "W": (0, 0)}

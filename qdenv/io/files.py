@@ -181,11 +181,8 @@ def damaged(source: Path | str, reason: object) -> DamagedError:
     return DamagedError(f"{source}: cannot be read ({reason})")
 
 
-def read_text(path: Path | str, max_bytes: int = MAX_TEXT, what: str = "text") -> str:
-    """Read a text file, or what a pipe gives, as UTF-8 or the UTF-16 of Windows' shell.
-
-    Raises InputError, which calls it a `what` file, if it cannot be read, is bigger, or is no text.
-    """
+def read_bytes(path: Path | str, max_bytes: int = MAX_TEXT) -> bytes:
+    """Read a file, or what a pipe gives; raise InputError if it cannot be read, or is bigger."""
     try:
         with open(path, "rb") as file:
             content = file.read(max_bytes + 1)
@@ -194,6 +191,15 @@ def read_text(path: Path | str, max_bytes: int = MAX_TEXT, what: str = "text") -
         raise InputError(f"{path}: cannot be read ({reason})") from error
     if len(content) > max_bytes:
         raise damaged(path, f"bigger than {max_bytes // MEGABYTE} MB")
+    return content
+
+
+def read_text(path: Path | str, max_bytes: int = MAX_TEXT, what: str = "text") -> str:
+    """Read a text file, or what a pipe gives, as UTF-8 or the UTF-16 of Windows' shell.
+
+    Raises InputError, which calls it a `what` file, if it cannot be read, is bigger, or is no text.
+    """
+    content = read_bytes(path, max_bytes)
     try:
         return content.decode("utf-16" if content.startswith(_UTF_16_MARKS) else "utf-8-sig")
     except UnicodeDecodeError as error:

@@ -26,7 +26,9 @@ class Format(NamedTuple):
 
 
 _LAYOUTS, _MAPS, _RHCR = "qdenv.io.layouts", "qdenv.io.maps", "qdenv.io.rhcr"
-_ROBOTS = ("starts", "tasks")
+_ROADS = "qdenv.io.lanes"
+_ROBOTS, _LANES = ("starts", "tasks"), ("weights", "cell", "name")
+_SEVERAL = (".yaml",)  # endings of which no format is the usual one
 # Of several with the same ending, the first one is meant where nothing else says which.
 FORMATS: dict[str, Format] = {
     "json": Format(
@@ -73,8 +75,51 @@ FORMATS: dict[str, Format] = {
     "pogema": Format(
         "a map of POGEMA", {".txt": ()}, f"{_MAPS}:read_pogema", f"{_MAPS}:write_pogema"
     ),
+    "png": Format(
+        "a picture, one pixel a cell",
+        {".png": ()},
+        "qdenv.io.images:read_png",
+        "qdenv.io.images:write_png",
+    ),
+    "xlsx": Format(
+        "a sheet of Excel, one tile a cell",
+        {".xlsx": ()},
+        "qdenv.io.sheets:read_xlsx",
+        "qdenv.io.sheets:write_xlsx",
+    ),
+    "dxf": Format(
+        "a drawing of CAD, a layer for each tile",
+        {".dxf": ("cell",)},
+        "qdenv.io.dxf:read_dxf",
+        "qdenv.io.dxf:write_dxf",
+    ),
+    "lif": Format(
+        "VDMA's layout interchange format",
+        {".lif": _LANES, ".lif.json": _LANES, ".json": _LANES},
+        write=f"{_ROADS}:write_lif",
+    ),
+    "rmf": Format("a navigation graph of Open-RMF", {".yaml": _LANES}, write=f"{_ROADS}:write_rmf"),
+    "nav2": Format(
+        "a graph of Nav2's route server", {".geojson": _LANES}, write=f"{_ROADS}:write_nav2"
+    ),
+    "ros": Format(
+        "a map of ROS",
+        {".pgm": ("cell",), ".yaml": ("cell",)},
+        write=f"{_ROADS}:write_ros",
+        beside=(".yaml", ".pgm"),
+    ),
 }
 ALL_ENDINGS = tuple(dict.fromkeys(ending for one in FORMATS.values() for ending in one.endings))
+READ_ENDINGS = tuple(
+    dict.fromkeys(ending for one in FORMATS.values() if one.read for ending in one.endings)
+)
+
+
+def ending_of(path: Path) -> str:
+    """Return the longest known ending of a file's name, or any other suffix, in small letters."""
+    name = path.name.lower()
+    known = [ending for ending in ALL_ENDINGS if name.endswith(ending)]
+    return max(known, key=len, default=path.suffix.lower())
 
 
 def find_reader(path: Path, form: str | None = None) -> Callable[[Path], Any]:
@@ -99,9 +144,12 @@ def _find(path: Path, form: str | None, way: str) -> str | None:
     able = {name: one for name, one in FORMATS.items() if getattr(one, way)}
     if form is not None and form not in able:
         raise InputError(f"format {form!r} is not among those to {way}: {choices(form, able)}")
-    ending = path.suffix.lower()
+    ending = ending_of(path)
     if form is None:
-        return next((name for name, one in able.items() if ending in one.endings), None)
+        fit = [name for name, one in able.items() if ending in one.endings]
+        if ending in _SEVERAL and fit:
+            raise InputError(f"{path}: --format says which: {' or '.join(fit)}")
+        return fit[0] if fit else None
     if way == "write" and ending not in able[form].endings:
         raise InputError(
             f"{path}: {form} needs a name that ends in {' or '.join(able[form].endings)}"
@@ -128,7 +176,7 @@ def write_drawing(
 
 def _not_held(path: Path, name: str, drawing: Any) -> list[str]:
     """Name what a drawing has, and a file has no place for."""
-    holds = FORMATS[name].endings.get(path.suffix.lower(), ("weights", *_ROBOTS, "details"))
+    holds = FORMATS[name].endings.get(ending_of(path), ("weights", *_ROBOTS, "details"))
     parts = {
         "weights": ("costs of moves are", drawing.weights is not None),
         "starts": ("the robots' starts are", bool(drawing.starts)),

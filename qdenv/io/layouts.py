@@ -17,7 +17,7 @@ import numpy as np
 
 from qdenv.grid import draw, parse
 from qdenv.io.files import damaged, read_text, write_atomically
-from qdenv.io.formats import ALL_ENDINGS, find_reader, write_drawing
+from qdenv.io.formats import ALL_ENDINGS, READ_ENDINGS, find_reader, write_drawing
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, write_table
 from qdenv.io.records import parse_json, structured
 from qdenv.types import Array, DamagedError, InputError, Tile
@@ -55,9 +55,9 @@ def read_drawing(path: str | Path, form: str | None = None) -> Drawing:
     try:
         drawing: Drawing = reader(path)
     except DamagedError as error:
-        if path.suffix.lower() in ALL_ENDINGS:
+        if path.suffix.lower() in READ_ENDINGS:
             raise
-        raise InputError(f"{error}: layouts end in {', '.join(ENDINGS)}") from error
+        raise InputError(f"{error}: layouts end in {', '.join(READ_ENDINGS)}") from error
     if any(drawing.rows):
         check_size(len(drawing.rows), max(map(len, drawing.rows)), f"{path}: ")
     return drawing
@@ -138,15 +138,20 @@ def read_csv_rows(path: Path) -> Drawing:
         raise damaged(path, f"not a CSV file: {error}") from error
     if all(len(line) == 1 for line in table):
         return Drawing([line[0] for line in table])
+    return Drawing(join_cells(path, table))
+
+
+def join_cells(path: Path, table: Sequence[Sequence[str]]) -> list[str]:
+    """Join the cells of a table, one tile each; an empty one is a blank."""
     rows = []
     for row, line in enumerate(table):
-        tiles = [cell.strip() or " " for cell in line]  # an empty cell is a blank
+        tiles = [cell.strip() or " " for cell in line]
         for col, (cell, tile) in enumerate(zip(line, tiles, strict=True)):
             if len(tile) > 1:
                 shown = cell if len(cell) < MAX_SIDE else f"{cell[:MAX_SIDE]}..."
                 raise damaged(path, f"{shown!r} at row {row}, column {col}: a cell holds one tile")
         rows.append("".join(tiles))
-    return Drawing(rows)
+    return rows
 
 
 _NO_MEANINGS: Mapping[str, Tile] = MappingProxyType({})

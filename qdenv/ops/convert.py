@@ -55,10 +55,10 @@ def convert(
     else:
         drawing, plan = Drawing([]), args.read_plan(layout, domain)
     chosen = find_writer(Path(target), format)
-    written = place(target, "", FORMATS[chosen].endings, [layout])
+    written = place(target, "", (Path(target).suffix.lower(),), [layout])
     assert written is not None
     for ending in FORMATS[chosen].beside:  # they must not overwrite what is read either
-        place(written.path.with_suffix(ending), "", (), [layout])
+        place(written.path.with_suffix(ending), "", (ending,), [layout])
     plan, found = guide(plan, guidance), plan.domain
     check_size(*plan.layout.shape)
     stated = {} if plan.assumed else {"domain": found.name}

@@ -12,24 +12,13 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from qdenv.io.images import COLOURS
 from qdenv.types import Array
 from qdenv.view.style import SCREEN_DPI, new_figure, new_grid, styled, to_html
 
 if TYPE_CHECKING:
     from qdenv.agent.evaluate import Drawn
 
-# Told apart by colour-blind eyes too, within each alphabet (tests measure it).
-COLOURS = {
-    ".": "#ffffff",
-    "@": "#2b2b2b",
-    "e": "#9dc3f2",
-    "w": "#e69f00",
-    "0": "#d55e00",
-    "1": "#3b2a8c",
-    "2": "#f2d64b",
-    "X": "#8a8a8a",
-    " ": "#ffffff",
-}
 UNKNOWN = "#b39ddb"  # tiles of a user's own domain
 CHANGED = "#e8108c"  # frames of cells that a change or a repair touched
 # What films and pages draw over the tiles, told apart by colour-blind eyes, too.

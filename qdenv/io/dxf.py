@@ -1,0 +1,159 @@
+"""Drawings of CAD in DXF (ezdxf): a layer for each kind of tile, a square for each cell.
+
+Metres begin at the lower left corner, x to the right, y up. What is read: closed polylines on
+layers of known names. A cell is what the last polyline around its centre says; a drawing of ours
+knows its layers and cells, any other has both in a .toml file beside it:
+
+    cell = 1.2
+    layers = {RACKS = "@", COLUMNS = "#"}
+"""
+
+import io
+import json
+import tomllib
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qdenv.io.files import MEGABYTE, damaged, read_bytes, read_text, write_atomically
+from qdenv.io.images import colours_of
+from qdenv.io.lanes import side_of
+from qdenv.io.layouts import BLANKS, MAX_SIDE, Drawing, check_size
+from qdenv.types import InputError, Tile
+
+_FACTS = "qdenv"  # name of the property of the drawing that holds the cell and the layers
+_METRES = 6  # of DXF's units
+_MAX_BYTES, _MAX_SQUARES = 64 * MEGABYTE, 100_000
+_MAX_WORK = 500_000_000  # corners of polylines times the cells around them
+
+
+def _ezdxf() -> Any:
+    try:
+        import ezdxf
+    except ImportError as error:
+        raise InputError("DXF needs ezdxf: pip install 'qdenv[formats]'") from error
+    return ezdxf
+
+
+def write_dxf(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> None:
+    """Write the outline as floor, and a square for each cell of another tile."""
+    rows, side, file = drawing.rows, side_of(path, drawing), io.StringIO()
+    height, width = len(rows), len(rows[0])
+    if sum(symbol not in BLANKS for row in rows for symbol in row) > _MAX_SQUARES:
+        raise InputError(f"{path}: more than {_MAX_SQUARES:,} tiles beside floor: write a .json")
+    document = _ezdxf().new("R2010", units=_METRES)
+    used = sorted({symbol for row in rows for symbol in row})
+    floor = next((symbol for symbol in used if symbol in BLANKS), ".")
+    every = dict.fromkeys((floor, *used))
+    layers = {symbol: meanings.get(symbol, Tile("floor")).name for symbol in every}
+    if len({*layers.values()}) < len(layers):  # of a plug-in that gives no names
+        layers = {symbol: f"tile {ord(symbol)}" for symbol in layers}
+    for symbol, colour in colours_of(used).items():
+        document.layers.add(layers[symbol]).rgb = tuple(bytes.fromhex(colour[1:]))
+    facts = {"cell": side, "layers": {name: symbol for symbol, name in layers.items()}}
+    document.header.custom_vars.append(_FACTS, json.dumps(facts))
+    space = document.modelspace()
+
+    def draw(symbol: str, row: int, col: int, end_row: int, end_col: int) -> None:
+        (left, right), (low, high) = (col, end_col), (height - end_row, height - row)
+        corners = [(left, low), (right, low), (right, high), (left, high)]
+        points = [(x * side, y * side) for x, y in corners]
+        space.add_lwpolyline(points, close=True, dxfattribs={"layer": layers[symbol]})
+
+    draw(floor, 0, 0, height, width)
+    for row, line in enumerate(rows):
+        for col, symbol in enumerate(line):
+            if symbol not in BLANKS:
+                draw(symbol, row, col, row + 1, col + 1)
+    document.write(file)
+    write_atomically(path, file.getvalue().encode())
+
+
+def read_dxf(path: Path) -> Drawing:
+    """Read closed polylines on known layers; where there is a floor, what lies around it is blank.
+
+    Curves count as the lines between their ends.
+    """
+    ezdxf, content = _ezdxf(), read_bytes(path, _MAX_BYTES)
+    try:
+        text = io.StringIO(content.decode("utf-8", "surrogateescape").replace("\r\n", "\n"))
+        document = ezdxf.read(text)
+        facts = json.loads(dict(document.header.custom_vars.properties).get(_FACTS, "{}"))
+        scale = ezdxf.units.conversion_factor(document.units or _METRES, _METRES)
+        shapes, others = _shapes(document.modelspace(), scale)
+    except InputError:
+        raise
+    except Exception as error:  # whatever a parser stumbles over in a damaged file
+        raise damaged(path, f"not a DXF drawing: {error}") from error
+    beside = path.with_suffix(".toml")
+    if beside.is_file():
+        try:
+            facts = {**facts, **tomllib.loads(read_text(beside))}
+        except tomllib.TOMLDecodeError as error:
+            raise damaged(beside, error) from error
+    layers, side = facts.get("layers"), facts.get("cell")
+    if not isinstance(layers, dict) or not side:
+        raise damaged(
+            path,
+            f"{beside.name} beside it says what its layers are, and the length "
+            'of a cell in metres: layers = {RACKS = "@"}, cell = 1.2',
+        )
+    tiles = {str(name).casefold(): str(tile)[:1] for name, tile in layers.items() if tile}
+    known = [(tiles[name], points) for name, points in shapes if name in tiles]
+    others.update(name for name, _ in shapes if name not in tiles)
+    if not known:
+        raise damaged(path, f"no closed polyline on the layers {', '.join(layers)}")
+    side = side_of(path, Drawing([], details={"cell": side}))
+    names = ", ".join(sorted(others))
+    lost = [f"{others.total()} shapes ({names}) are"] * bool(others)
+    return Drawing(_paint(path, known, side), details={"cell": side}, lost=tuple(lost))
+
+
+def _shapes(space: Any, scale: float) -> tuple[list[tuple[str, np.ndarray]], Counter[str]]:
+    """List the layer and the corners (float [N, 2], metres) of closed polylines; count the rest."""
+    shapes, others = [], Counter[str]()
+    for entity in space:
+        layer, kind = entity.dxf.layer.casefold(), entity.dxftype()
+        points: Any = []
+        if kind == "LWPOLYLINE":
+            points = [(x, y) for x, y, *_ in entity.get_points()]
+        elif kind == "POLYLINE":
+            points = [(point.x, point.y) for point in entity.points()]
+        if len(points) > 2 and (entity.is_closed or points[0] == points[-1]):
+            shapes.append((layer, np.array(points, float) * scale))
+        else:
+            others[layer] += 1
+    return shapes, others
+
+
+def _paint(path: Path, shapes: list[tuple[str, np.ndarray]], side: float) -> list[str]:
+    """Draw polylines with their tiles, one over another, on the cells inside all their corners."""
+    corners = np.concatenate([points for _, points in shapes]) / side
+    if not (np.abs(corners) < 1e9).all():
+        raise damaged(path, "a corner lies too far away")
+    low = np.floor(corners.min(0) + 0.01)
+    width, height = np.maximum(np.ceil(corners.max(0) - 0.01) - low, 0).astype(int).tolist()
+    check_size(height, width, f"{path}: ")
+    ground = " " if any(tile in BLANKS for tile, _ in shapes) else "."
+    drawn, work = np.full((height, width), ground), 0
+    for tile, points in shapes:
+        ends = points / side - low  # in cells, from the lower left corner
+        first = np.clip(np.ceil(ends.min(0) - 0.5), 0, MAX_SIDE).astype(int)
+        last = np.clip(np.ceil(ends.max(0) - 0.5), 0, MAX_SIDE).astype(int)
+        x, y = np.arange(first[0], last[0]) + 0.5, np.arange(first[1], last[1]) + 0.5
+        work += len(ends) * x.size * y.size
+        if work > _MAX_WORK:
+            raise damaged(path, "too many large polylines with too many corners")
+        inside = np.zeros((y.size, x.size), bool)
+        # A ray to the right of a centre crosses the outline an odd number of times from inside.
+        for (x0, y0), (x1, y1) in zip(ends, np.roll(ends, -1, axis=0), strict=True):
+            rows = (y0 > y) != (y1 > y)
+            if rows.any():
+                cross = x0 + (y[rows] - y0) * (x1 - x0) / (y1 - y0)
+                inside[rows] ^= x < cross[:, None]
+        part = drawn[::-1][first[1] : last[1], first[0] : last[0]]
+        part[inside] = tile
+    return ["".join(line) for line in drawn]

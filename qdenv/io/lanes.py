@@ -1,0 +1,177 @@
+"""Road maps for fleets: a node for each cell that robots drive on, an edge for each move allowed.
+
+LIF is VDMA's Layout Interchange Format 1.0 (https://github.com/continua-systems/vdma-lif), beside
+VDA 5050. Open-RMF reads navigation graphs (rmf_fleet_adapter, parse_graph.cpp), Nav2's route server
+GeoJSON (nav2_route, geojson_graph_file_loader.cpp), ROS a picture of what is occupied
+(map_server). Metres begin at the lower left corner of the layout, x to the right, y up.
+"""
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from qdenv.grid import move_steps
+from qdenv.guidance import existing_moves
+from qdenv.io.files import write_atomically
+from qdenv.io.guidance import costs_of
+from qdenv.io.layouts import BLANKS, Drawing, free_cells
+from qdenv.types import InputError, Tile
+
+_VEHICLE = "robot"  # the one type of vehicle
+_FREE, _OCCUPIED = 254, 0  # grey of ROS's pictures
+
+
+class Graph(NamedTuple):
+    """The road map of a drawing."""
+
+    nodes: list[tuple[str, float, float]]  # symbol of the tile, x and y of its centre in metres
+    edges: list[tuple[int, int, float]]  # from node, to node, cost of the move
+    names: list[str]  # of the nodes: row and column in the drawing
+    stations: list[int]  # the nodes that are more than floor
+
+
+def make_graph(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> Graph:
+    """Turn the free cells of a drawing into nodes, and the moves allowed into edges."""
+    rows, free = drawing.rows, free_cells(drawing.rows, meanings)
+    height, width = free.shape
+    side = side_of(path, drawing)
+    costs = np.ones((5, height, width))
+    if drawing.weights is not None:
+        costs = costs_of(drawing.weights, free)
+    places = np.argwhere(free).tolist()
+    nodes = [
+        (rows[row][col], round((col + 0.5) * side, 6), round((height - row - 0.5) * side, 6))
+        for row, col in places
+    ]
+    number = np.cumsum(free).reshape(-1) - 1
+    kind, row, col = np.nonzero(existing_moves(free)[1:] & np.isfinite(costs[1:]))
+    begin = row * width + col
+    end = begin + move_steps(width)[1:][kind]
+    parts = number[begin].tolist(), number[end].tolist(), costs[1 + kind, row, col].tolist()
+    edges = sorted(zip(*parts, strict=True))
+    stations = [index for index, node in enumerate(nodes) if node[0] not in BLANKS]
+    return Graph(nodes, edges, [f"r{row}c{col}" for row, col in places], stations)
+
+
+def side_of(path: Path, drawing: Drawing) -> float:
+    """Return the length of a cell's side in metres, 1 unless the drawing states it."""
+    side = drawing.details.get("cell", 1.0)
+    if isinstance(side, bool) or not isinstance(side, int | float) or not 1e-3 <= side <= 1e3:
+        raise InputError(f"{path}: a cell's side is 0.001 to 1000 metres, not {side!r}")
+    return float(side)
+
+
+def _name_of(path: Path, drawing: Drawing) -> str:
+    name = drawing.details.get("name")
+    return name if isinstance(name, str) and name else path.name.partition(".")[0]
+
+
+def _lost(drawing: Drawing, meanings: Mapping[str, Tile], graph: Graph | None = None) -> list[str]:
+    """Name the obstacles that no graph holds, and costs that only say what is dear."""
+    used = {symbol for row in drawing.rows for symbol in row}
+    names = [tile.name for symbol, tile in meanings.items() if symbol in used and tile.obstacle]
+    lost = [f"obstacles ({', '.join(names)}) are"] * bool(names)
+    if graph and len({cost for *_, cost in graph.edges}) > 1:
+        lost.append("costs of moves (but for moves that are not allowed) are")
+    return lost
+
+
+def _write_json(path: Path, content: Any) -> None:
+    write_atomically(path, f"{json.dumps(content, indent=1)}\n".encode())
+
+
+def write_lif(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
+    """Write LIF; a station stands at each cell that is more than floor."""
+    graph, name = make_graph(path, drawing, meanings), _name_of(path, drawing)
+    nodes = [
+        {
+            "nodeId": place,
+            "nodeName": meanings[symbol].name,
+            "mapId": name,
+            "nodePosition": {"x": x, "y": y},
+            "vehicleTypeNodeProperties": [{"vehicleTypeId": _VEHICLE}],
+        }
+        for place, (symbol, x, y) in zip(graph.names, graph.nodes, strict=True)
+    ]
+    edges = [
+        {
+            "edgeId": f"{graph.names[begin]}-{graph.names[end]}",
+            "startNodeId": graph.names[begin],
+            "endNodeId": graph.names[end],
+            "vehicleTypeEdgeProperties": [{"vehicleTypeId": _VEHICLE, "rotationAllowed": False}],
+        }
+        for begin, end, _ in graph.edges
+    ]
+    stations = [
+        {
+            "stationId": f"station-{nodes[one]['nodeId']}",
+            "stationName": f"{nodes[one]['nodeName']} {nodes[one]['nodeId']}",
+            "interactionNodeIds": [nodes[one]["nodeId"]],
+            "stationPosition": nodes[one]["nodePosition"],
+        }
+        for one in graph.stations
+    ]
+    now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    meta = {"projectIdentification": name, "creator": "qdenv", "exportTimestamp": now}
+    layout = {"layoutId": name, "layoutVersion": "1", "nodes": nodes, "edges": edges}
+    layouts = [{**layout, "stations": stations}]
+    _write_json(path, {"metaInformation": {**meta, "lifVersion": "1.0.0"}, "layouts": layouts})
+    return _lost(drawing, meanings, graph)
+
+
+def write_rmf(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
+    """Write a navigation graph of Open-RMF: stations have names, each lane leads one way."""
+    graph = make_graph(path, drawing, meanings)
+    labels = dict.fromkeys(range(len(graph.nodes)), "")
+    for one in graph.stations:
+        labels[one] = f"{meanings[graph.nodes[one][0]].name} {graph.names[one]}"
+    vertices = [[x, y, {"name": labels[i]}] for i, (_, x, y) in enumerate(graph.nodes)]
+    lanes = [[begin, end, {}] for begin, end, _ in graph.edges]
+    lines = [f"building_name: {json.dumps(_name_of(path, drawing))}", "doors: {}", "lifts: {}"]
+    lines += ["levels:", "  L1:"]
+    # Flow style, which is JSON: one vertex or lane a line.
+    for name, values in {"vertices": vertices, "lanes": lanes}.items():
+        lines.append(f"    {name}:" if values else f"    {name}: []")
+        lines += [f"      - {json.dumps(value)}" for value in values]
+    write_atomically(path, ("\n".join(lines) + "\n").encode())
+    return _lost(drawing, meanings, graph)
+
+
+def write_nav2(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
+    """Write a graph of Nav2's route server with the costs of moves as those of edges."""
+    graph = make_graph(path, drawing, meanings)
+    features: list[dict[str, Any]] = []
+    for one, (symbol, x, y) in enumerate(graph.nodes):
+        about = {"tile": meanings[symbol].name, "cell": graph.names[one]}
+        facts = {"id": one, "frame": "map", "metadata": about}
+        place = {"type": "Point", "coordinates": [x, y]}
+        features.append({"type": "Feature", "properties": facts, "geometry": place})
+    for number, (begin, end, cost) in enumerate(graph.edges, len(graph.nodes)):
+        edge = {"id": number, "startid": begin, "endid": end, "cost": cost, "overridable": False}
+        line = [[*graph.nodes[begin][1:]], [*graph.nodes[end][1:]]]
+        place = {"type": "MultiLineString", "coordinates": [line]}
+        features.append({"type": "Feature", "properties": edge, "geometry": place})
+    name = _name_of(path, drawing)
+    _write_json(path, {"type": "FeatureCollection", "name": name, "features": features})
+    return _lost(drawing, meanings)
+
+
+def write_ros(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
+    """Write a map of ROS, a .yaml and a .pgm of one pixel a cell: free or occupied."""
+    free = free_cells(drawing.rows, meanings)
+    picture, side = path.with_suffix(".pgm"), side_of(path, drawing)
+    head = f"P5\n{free.shape[1]} {free.shape[0]}\n255\n".encode()
+    pixels = np.where(free, _FREE, _OCCUPIED).astype(np.uint8)
+    write_atomically(picture, head + pixels.tobytes())
+    facts = {"image": picture.name, "mode": "trinary", "resolution": side}
+    facts |= {"origin": [0.0, 0.0, 0.0], "negate": 0}
+    facts |= {"occupied_thresh": 0.65, "free_thresh": 0.196}
+    text = "".join(f"{name}: {json.dumps(value)}\n" for name, value in facts.items())
+    write_atomically(path.with_suffix(".yaml"), text.encode())
+    used = {symbol for row in drawing.rows for symbol in row}
+    names = [tile.name for symbol, tile in meanings.items() if symbol in used]
+    return [f"which tile is what ({', '.join(names)}) is"]
