@@ -17,6 +17,7 @@ from qdenv.types import InputError, choices
 
 MOST = 2**31 - 1  # what is counted in 32 bits
 LARGEST_SEED = 2**32 - 1
+_MOST_BITS = 1000
 _LIMITS = (
     ("ge", operator.ge, "at least"),
     ("gt", operator.gt, "above"),
@@ -57,6 +58,8 @@ def check_range(name: str, value: Any, kind: Any) -> None:
     for number, interval in _pairs(value, kind):
         if not isinstance(number, Real):
             raise InputError(f"{label} must be a number, not {number!r}")
+        if isinstance(number, int) and number.bit_length() > _MOST_BITS:  # no float holds it
+            raise InputError(f"{label} must have at most {_MOST_BITS} bits")
         for bound, holds, phrase in _LIMITS:
             limit = getattr(interval, bound)
             if limit is not None and not holds(number, limit):

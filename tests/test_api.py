@@ -2,6 +2,8 @@
 
 import importlib
 import inspect
+import json
+import shutil
 from dataclasses import replace
 from importlib import metadata
 
@@ -225,6 +227,20 @@ def test_notebooks_show_a_run_its_archive_and_an_elite(run):
     assert repr(run.archive).startswith(f"SavedArchive({len(run.archive)} elites, coverage ")
     assert repr(run.best).startswith("Elite(cell ") and "paths" in repr(run.best)
     assert "<img" in run.best._repr_html_()
+
+
+def test_notebooks_escape_what_files_hold(run, tmp_path):
+    place = tmp_path / "<script>"
+    shutil.copytree(run.path, place)
+    manifest = json.loads((place / "manifest.json").read_text())
+    manifest["measures"][0]["name"] = "</p><img src=x onerror=alert(1)>"
+    (place / "manifest.json").write_text(json.dumps(manifest))
+    foreign = RunDirectory.open(place)
+    shown = [foreign._repr_html_(), foreign.archive._repr_html_(), foreign.best._repr_html_()]
+    (place / "archive.npz").write_bytes(b"")
+    for page in (*shown, foreign._repr_html_()):
+        assert "<script" not in page and "onerror=alert(1)>" not in page
+    assert "&lt;img src=x onerror" in shown[0]
 
 
 def test_a_run_without_an_archive_shows_what_is_wrong(tmp_path, run):

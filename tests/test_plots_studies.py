@@ -79,6 +79,13 @@ def test_peaks_are_starred_on_their_lines_and_sorted_by_size():
     assert twin.lines[0].get_ydata().tolist() == [0.9, 4.9]
 
 
+def test_names_of_files_are_text_and_no_mathematics(tmp_path):
+    name = r"a$\bad$b"
+    figure = draw_comparison([row(name, 50, 2.0), row("b", 50, 1.0)])
+    save_figure(figure, tmp_path / "picture.svg")
+    assert name in (tmp_path / "picture.svg").read_text()
+
+
 @pytest.mark.parametrize("ending", ["png", "jpg"])
 def test_pictures_are_written_in_the_format_of_their_ending(tmp_path, ending):
     rows = [row("a", 50, 2.0), row("a", 100, 3.0)]

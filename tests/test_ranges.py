@@ -68,6 +68,13 @@ def test_what_lies_beyond_is_refused_by_name(kind, value, wanted):
         check_range("some_number", value, kind)
 
 
+@pytest.mark.parametrize("kind", [PositiveInt, FiniteFloat, PositiveFloat])
+@pytest.mark.parametrize("digits", [310, 5000])  # more than a float holds, than Python prints
+def test_numbers_of_any_length_are_refused_in_words(kind, digits):
+    with pytest.raises(InputError, match=r"^some-number must "):
+        check_range("some_number", 10**digits, kind)
+
+
 @dataclasses.dataclass(frozen=True)
 class Drive(Ranged):  # noqa: D101
     robots: PositiveInt = 1

@@ -2,6 +2,7 @@
 
 import json
 import struct
+import time
 import tracemalloc
 import zipfile
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ import pytest
 
 from qdenv.io.arrays import Column, read_arrays, read_state, write_arrays, write_state
 from qdenv.io.files import read_text
-from qdenv.io.records import read_json, structured
+from qdenv.io.records import parse_json, read_json, structured
 from qdenv.io.tables import read_table
 from qdenv.simulate.maze.policy import SHIPPED_AGENT, load_weights
 from qdenv.types import DamagedError, InputError
@@ -253,6 +254,19 @@ def test_nothing_larger_than_allowed_is_read_not_even_from_a_device():
     for name in ("a\0b", "x" * 5000):
         with pytest.raises(InputError):
             read_text(name)
+
+
+def test_hostile_json_takes_linear_time_and_little_memory():
+    many = ", ".join(f'"k{n}": 0' for n in range(40_000))
+    escaped = f'["{chr(92) * 400_000}"]'
+    tracemalloc.start()
+    before = time.process_time()
+    with pytest.raises(DamagedError, match="'z' is there twice"):
+        parse_json(f'{{{many}, "z": 0, "z": 0}}', "file")
+    parse_json(escaped, "file")
+    assert time.process_time() - before < 4  # in quadratic time it takes ten
+    assert tracemalloc.get_traced_memory()[1] < 2**26
+    tracemalloc.stop()
 
 
 class Facts(NamedTuple):

@@ -12,7 +12,7 @@ from qdenv.grid import parse
 from qdenv.io.layouts import read_layout
 from qdenv.repair import recipe
 from qdenv.repair.audit import audit
-from qdenv.repair.milp.highs import separate
+from qdenv.repair.milp.highs import new_solver, separate
 from qdenv.repair.milp.program import build, decode, encode
 from qdenv.repair.milp.windows import WindowSearch
 from qdenv.repair.recipe import repair_layout
@@ -256,3 +256,8 @@ def repaired_in_full(path: Path, domain: str) -> tuple:
     layout = read_layout(path, rules.tiles)
     found = repair_layout(layout, rules, 0, RepairConfig("full", moves_per_cell=500))
     return found.cost, found.lower_bound, found.status, audit(found.layout, rules)
+
+
+def test_the_solver_prints_nothing(capfd):
+    new_solver(0).run()
+    assert capfd.readouterr() == ("", "")

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import toy
@@ -14,6 +15,7 @@ from qdenv.agent.train import save_weights
 from qdenv.cli.main import run as command
 from qdenv.domains.maze import MazeConfig, agent_weights, checksum_of_agent
 from qdenv.io.files import TEMPORARY_PREFIX
+from qdenv.ops.runs import plot_one
 from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
 from qdenv.run import loop
 from qdenv.run.config import RunConfig
@@ -123,6 +125,29 @@ def test_what_killed_processes_left_half_written_is_swept_and_nothing_else(whole
     loop.resume(run.path, progress=False)
     now = {path.relative_to(run.path) for path in run.path.rglob("*")}
     assert (now ^ names) - {Path(".lock")} == {Path(".notes"), Path(".my.archive")}
+
+
+@pytest.mark.parametrize("name", ["metrics.csv", ".lock", "checkpoints", "checkpoints/000002.npz"])
+def test_nothing_is_written_through_links_of_a_run(name, run, tmp_path):
+    outside, inside = tmp_path / "outside", run.path / name
+    if name == "checkpoints":
+        inside.rename(outside)
+    else:
+        outside.write_text("theirs")
+        inside.unlink(missing_ok=True)
+    inside.symlink_to(outside)
+    before = [(path, path.read_bytes()) for path in tmp_path.rglob("*") if path.is_file()]
+    with pytest.raises(InputError, match=f"{name}: is a link"):
+        loop.resume(run.path, False, 48)
+    with pytest.raises(InputError, match=f"{name}: is a link"):
+        plot_one(run)
+    assert before == [(path, path.read_bytes()) for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_single_precision_is_a_condition(tmp_path):
+    with jax.enable_x64(True), pytest.raises(InputError, match="JAX_ENABLE_X64"):
+        loop.train(SHORT, tmp_path / "run", progress=False)
+    assert not list(tmp_path.iterdir())
 
 
 def edited(run: RunDirectory, **changes: object) -> None:

@@ -17,7 +17,7 @@ from qdenv.agent.evaluate import default_horizon, draw_mazes, run_batch
 from qdenv.agent.ppo import Batch, EnvState, Rewards, advantages, collect, learn, reset_env, unroll
 from qdenv.agent.settings import TrainConfig
 from qdenv.io.arrays import read_state, write_arrays, write_state
-from qdenv.io.files import refuse_second_run, write_json
+from qdenv.io.files import locked, refuse_second_run, write_json
 from qdenv.simulate.maze import policy
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.types import InputError
@@ -235,16 +235,28 @@ def train_agent(
     `report_every` updates the log gets a line, with a checkpoint and an exam; the run stops after
     about `cpu_seconds`, ready to be resumed. To `resume`, `config` may have more steps or another
     method, but no other sizes. `progress` is called with the number of updates, and after some of
-    them the log's new line. Raises InputError without a checkpoint to resume, or for one of other
-    sizes.
+    them the log's new line. Raises InputError without a checkpoint to resume, for one of other
+    sizes, or if another process is at work in the folder.
     """
+    with locked(out):
+        return _train(config, out, resume, report_every, cpu_seconds, progress)
+
+
+def _train(
+    config: TrainConfig,
+    out: Path,
+    resume: bool,
+    report_every: int,
+    cpu_seconds: float,
+    progress: Callable[[int, dict[str, Any] | None], None],
+) -> Path:
+    """Train in a folder that is locked, see `train_agent`."""
     state, used = start(config), 0.0
     checkpoint = out / "checkpoint.npz"
     if resume:
         state, used = load_state(checkpoint, state)
     else:
         refuse_second_run(checkpoint)
-    out.mkdir(parents=True, exist_ok=True)
     write_json(out / "config.json", asdict(config))
     examine = _exam(config)
     # The log shows the seconds of the whole run, those before an interruption too.

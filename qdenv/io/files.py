@@ -11,7 +11,7 @@ import os
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -138,6 +138,44 @@ def sweep(folder: Path) -> None:
     for path in folder.glob(f"{TEMPORARY_PREFIX}*"):
         with contextlib.suppress(OSError):
             path.unlink()
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep every other process from writing to the folder of a run, which is made if need be.
+
+    The system frees the lock when this process ends, however it ends. What a process that was
+    killed left half written is deleted. Raises InputError if another process is at work there, the
+    place cannot be written to, or a file in it is a link.
+    """
+    # Here: it imports asyncio, a good part of what `check` takes altogether.
+    import filelock
+
+    lock = filelock.FileLock(folder / ".lock", blocking=False)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        refuse_links(folder)
+        lock.acquire()
+    except filelock.Timeout:
+        raise InputError(
+            f"{folder}: another process is at work on this run: wait for it, or end it first"
+        ) from None
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"{folder}: cannot be written to ({reason})") from error
+    try:
+        for place in (folder, *folder.glob("*/")):
+            sweep(place)
+        yield
+    finally:
+        lock.release()
+
+
+def refuse_links(folder: Path) -> None:
+    """Raise InputError if a file of a run is a link, through which any other file would be written."""
+    for path in (*folder.glob("*"), *folder.glob("*/*")):
+        if path.is_symlink():
+            raise InputError(f"{path}: is a link, and would be written through: delete it first")
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from tyro.conf import arg
 
 from qdenv.domains.base import DOMAINS, make_domain
-from qdenv.io.files import write_csv
+from qdenv.io.files import refuse_links, write_csv
 from qdenv.io.layouts import check_size, endings_for
 from qdenv.ops import options as args
 from qdenv.ops.layouts import human_layout
@@ -75,6 +75,8 @@ def plot_one(
     run: RunDirectory, folder: Path | None = None, form: str = "png", width: float | None = None
 ) -> list[Path]:
     """Draw a run's pictures, into its own folder unless another is given, and log its figures."""
+    if folder is None:
+        refuse_links(run.path)
     rows = run.read_metrics()
     if not rows:
         raise InputError(f"{run}: nothing is done yet; `qdenv resume {run}` begins")

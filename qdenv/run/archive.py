@@ -1,5 +1,6 @@
 """The archive that a run saved: its elites by cell, by measures, or all as a table."""
 
+import html
 import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -66,7 +67,8 @@ class Elite(NamedTuple):
         from qdenv.view.layouts import layout_html
 
         schema = self.schema
-        return f"<p>{self!r}</p>{layout_html(self.layout, schema.tiles, schema.tile_names)}"
+        picture = layout_html(self.layout, schema.tiles, schema.tile_names)
+        return f"<p>{html.escape(repr(self))}</p>{picture}"
 
 
 def best_row(columns: Columns, tie_break: str | None) -> int:
@@ -309,4 +311,4 @@ class SavedArchive:
         from qdenv.view.archive import archive_html
 
         picture = archive_html(self.columns, self.schema.measures, self.schema.objective)
-        return f"<p>{self!r}</p>{picture}"
+        return f"<p>{html.escape(repr(self))}</p>{picture}"

@@ -14,6 +14,7 @@ RUN/.lock                   held by the process that writes here
 from __future__ import annotations
 
 import contextlib
+import html
 import logging
 import math
 import platform
@@ -31,7 +32,7 @@ from qdenv.domains.base import make_domain
 from qdenv.generate import GENERATORS, GuidedNcaConfig, NcaConfig
 from qdenv.grid import NUM_MOVES
 from qdenv.io.arrays import Column, read_arrays, write_arrays
-from qdenv.io.files import damaged, refuse_second_run, sweep, write_csv, write_json
+from qdenv.io.files import damaged, locked, refuse_second_run, write_csv, write_json
 from qdenv.io.records import read_json, structured
 from qdenv.io.tables import parse_cell, read_rows, read_table
 from qdenv.lazy import jax
@@ -140,33 +141,13 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep every other process from writing here; the folder is made if need be.
+        """Keep every other process from writing here, see `files.locked`.
 
-        The system frees the lock when this process ends, however it ends. What a process that was
-        killed left half written is deleted. Raises InputError if another process is at work here,
-        the place cannot be written to, or it ships with the package.
+        Raises InputError also if the folder ships with the package.
         """
-        # Here: it imports asyncio, a good part of what `check` takes altogether.
-        import filelock
-
         self.demand_own()
-        lock = filelock.FileLock(self.path / ".lock", blocking=False)
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            lock.acquire()
-        except filelock.Timeout:
-            raise InputError(
-                f"{self.path}: another process is at work on this run: wait for it, or end it first"
-            ) from None
-        except OSError as error:
-            reason = error.strerror or error
-            raise InputError(f"{self.path}: cannot be written to ({reason})") from error
-        try:
-            for place in (self.path, self.path / "checkpoints"):
-                sweep(place)
+        with locked(self.path):
             yield
-        finally:
-            lock.release()
 
     def demand_own(self) -> None:
         """Raise InputError if the folder is one of the zoo's, by name or by path."""
@@ -275,12 +256,13 @@ class RunDirectory:
 
     def _repr_html_(self) -> str:
         """Draw the archive and the best layout, for notebooks."""
+        title = f"<p>{html.escape(repr(self))}</p>"
         try:
             archive = self.archive
             best = archive.best._repr_html_() if len(archive) else ""
-            return f"<p>{self!r}</p>{archive._repr_html_()}{best}"
+            return f"{title}{archive._repr_html_()}{best}"
         except InputError as error:
-            return f"<p>{self!r}</p><p>{error}</p>"
+            return f"{title}<p>{html.escape(str(error))}</p>"
 
 
 def _iterate_notes(path: Path) -> Iterator[Note]:

@@ -50,6 +50,8 @@ def make_experiment(config: RunConfig, start: np.ndarray | None = None) -> Exper
     `start` are the parameters from which the search begins, float [P]: what `config.start` names
     unless given.
     """
+    if getattr(jax.config, "jax_enable_x64"):  # noqa: B009 (jax does not declare it)
+        raise InputError("searches are in single precision: leave JAX_ENABLE_X64 out")
     pipeline = make_pipeline(config.evaluation, repair_seed=config.seed)
     measures = archive_axes(pipeline.domain.measures, config.archive)
     # Two keys, so that how a search draws its solutions cannot change how they are simulated.

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter, StrMethodFormatter
+from matplotlib.ticker import LogFormatter, PercentFormatter, StrMethodFormatter
 
 from qdenv.domains.base import make_domain
 from qdenv.run.directory import Note, RunDirectory
@@ -51,6 +51,8 @@ def _draw_notes(notes: list[Note]) -> Figure:
         axes.set_xlabel("true evaluations")
         if kind in ("loss", "rmse"):  # they shrink by factors
             axes.set_yscale("log")
+            for set_formatter in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+                set_formatter(LogFormatter())  # the usual one writes mathematics
         if kind == "r2":
             axes.set_ylim(-1, 1)  # below -1 it is just bad
         if len(names) > 1:

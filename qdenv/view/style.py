@@ -56,6 +56,7 @@ _STYLE: Any = {
     "lines.markersize": 4,
     "errorbar.capsize": 2,
     "image.composite_image": False,
+    "text.parse_math": False,  # a $ in a file's name is a $
 }
 # TrueType in PDF, which journals ask for and editors of pictures read; text stays text in SVG.
 _FONTS: Any = {

@@ -29,9 +29,17 @@ _NODES = 1000  # branch-and-bound nodes of one solve, unless configured
 Cut = tuple[list[int], list[int]]
 
 
+class _Silent(highspy.Highs):
+    """A solver that prints nothing, not even who made it when it is made."""
+
+    def enableCallbacks(self) -> None:  # noqa: N802 (the constructor calls it, which prints)
+        self.setOptionValue("output_flag", False)
+        super().enableCallbacks()
+
+
 def new_solver(seed: int) -> highspy.Highs:
     """Make a silent solver with one thread."""
-    solver = highspy.Highs()
+    solver = _Silent()
     solver.setOptionValue("output_flag", False)
     solver.setOptionValue("threads", 1)
     solver.setOptionValue("random_seed", seed % (1 << 31))
