@@ -172,7 +172,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def refuse_links(folder: Path) -> None:
-    """Raise InputError if a file of a run is a link, through which any other file would be written."""
+    """Raise InputError if a file of a run is a link to a file that would be written."""
     for path in (*folder.glob("*"), *folder.glob("*/*")):
         if path.is_symlink():
             raise InputError(f"{path}: is a link, and would be written through: delete it first")
