@@ -1,6 +1,7 @@
 """The report: its numbers are those of the other commands, it opens and prints without a flaw."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from qdenv.simulate.mapf.pibt.settings import PibtConfig
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.elites import human_layout
 from qdenv.study.plans import Plan, read_plan
+from qdenv.study.table import Row, decide
 from qdenv.types import InputError
 from qdenv.view.page import listed
 from qdenv.view.report_fleet import make_request, report_fleet
@@ -31,15 +33,17 @@ QUICK = ["--planner", "pibt", "--timesteps", "120", "--seeds", "4"]
 WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
 PIBT = PibtConfig()
 HEADINGS = [
-    "What was asked",
+    "In short",
     "The floor plan",
     "Throughput against robots",
-    "Success rates",
-    "Where robots drive",
     "Where robots wait",
     "Finished tasks over time",
     "Against the hand-made floor plan",
-    "Settings and versions",
+    "Appendix: how this was measured",
+    "Appendix: throughput",
+    "Appendix: against the hand-made floor plan",
+    "Appendix: where robots wait",
+    "Appendix: settings and versions",
 ]
 
 
@@ -104,20 +108,19 @@ def test_the_page_shows_these_numbers_and_complains_of_nothing(folder, facts):
             name: value for name, value in facts["report"].items() if name not in about
         }
         headings = shown.evaluate("[...document.querySelectorAll('h2')].map(h => h.innerText)")
-        throughput, success = cells(shown, "throughput"), cells(shown, "success")
+        throughput = cells(shown, "throughput")
         against, waiting = cells(shown, "against-0"), cells(shown, "waiting-0")
-        answer, question = shown.inner_text("p.answer"), shown.inner_text("p.plain")
+        answer, text = shown.inner_text("p.answer"), shown.inner_text("main")
         aligned = shown.evaluate(
             "[...document.querySelectorAll('#throughput tbody tr:first-child td')]"
             ".map(cell => getComputedStyle(cell).textAlign)"
         )
-    assert headings == HEADINGS and "(seeds 0 to 3)" in question
+    assert headings == HEADINGS and "(seeds 0 to 3)" in text
+    assert "No run congested" in text and "never congested" not in text
     assert aligned == ["left", *["right"] * 4]
-    for row, line, rate in zip(sweep, throughput, success, strict=False):
+    for row, line in zip(sweep, throughput, strict=False):
         assert line[:3] == ["plan", str(row["agents"]), f"{row['mean_of_all']:.3f}"]
         assert line[4] == f"{row['error_of_all']:.3f}"
-        assert rate[2] == f"{round(4 * row['success_rate'])} of 4"
-        assert rate[4] == f"{row['success_low']:.1%} to {row['success_high']:.1%}"
     counts = [str(row["agents"]) for row in sweep]
     assert [line[:2] for line in throughput[5:]] == [["hand-made", count] for count in counts]
     spots = [[str(spot["row"]), str(spot["column"])] for spot in simulate["worst_cells"]]
@@ -139,7 +142,7 @@ def test_on_paper_no_figure_is_higher_than_a_page_and_headings_stay_with_theirs(
             ".map(block => getComputedStyle(block).breakInside)"
         )
         printed = shown.pdf(format="A4")
-    assert len(heights) == 8 and max(heights) < 500  # of 970 on the shorter of A4 and Letter
+    assert len(heights) == 6 and max(heights) < 500  # of 970 on the shorter of A4 and Letter
     assert set(kept) == {"avoid"}
     assert 4 <= printed.count(b"/Type /Page\n") <= 8
     assert (folder / "r.html").stat().st_size < 1e6
@@ -166,14 +169,56 @@ def test_several_layouts_and_numbers_look_closely_at_the_peak_of_the_first(folde
     assert run(["report", *sources, *line, "--out", str(folder / "two.html")]) == 0
     facts = json.loads(capsys.readouterr().out)
     first = [row for row in facts["rows"] if row["layout"] == "hand-made"]
-    assert len(facts["rows"]) == 6  # the rival is there already
+    assert len(facts["rows"]) == 6  # what people draw by hand is there already
     peak = max(first, key=lambda row: row["mean_of_all"])
     assert facts["agents"] == peak["agents"]
-    assert facts["layouts"]["hand-made"]["hand_made"] is None
-    assert facts["layouts"]["plan"]["hand_made"]["layout"] == "hand-made"
+    assert all(one["hand_made"] is None for one in facts["layouts"].values())
+    (decision,) = facts["decisions"]
+    assert (decision["layout"], decision["against"]) == ("plan", "hand-made")
+    rows = {row["layout"]: row for row in facts["rows"] if row["agents"] == facts["agents"]}
+    ratio = rows["plan"]["mean_of_all"] / rows["hand-made"]["mean_of_all"]
+    assert decision["percent"] == pytest.approx(100 * (ratio - 1), rel=1e-4)
     with opened(folder / "two.html") as shown:
         assert cells(shown, "throughput")[0][5] == f"{first[0]['mean_of_all'] * 7200:,.0f}"
-        assert "This is the very layout that people draw by hand" in shown.inner_text("main")
+        assert shown.inner_text("p.answer strong") == f"{decision['sentence']}."
+        hourly = f"plan moves {rows['plan']['mean_of_all'] * 7200:,.0f} tasks an hour"
+        assert hourly in shown.inner_text("p.answer")
+        assert len(cells(shown, "short")) == 2 and "by hand" not in shown.inner_text("main")
+        assert shown.locator("[id^=change-0-]").count() > 0
+
+
+def row_of(layout, mean, error):
+    return Row(layout, 7, 11, 200, 5, mean, error, 1, 0.5, 1, mean, 0.1, error)
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "sentence"),
+    [
+        (
+            (5.0, 0.1),
+            (4.0, 0.05),
+            r"B moves 25.0 % more than A .* \(95 %: 17.9 to 32.4 %\)",
+        ),
+        (
+            (3.0, 0.1),
+            (4.0, 0.05),
+            r"B moves 25.0 % less than A .* \(95 %: 18.4 to 31.5 %\)",
+        ),
+        (
+            (4.1, 0.1),
+            (4.0, 0.1),
+            r"B moves 2.5 % more than A at 200 robots, which may be chance "
+            r"\(95 %: \d.\d % less to \d+.\d % more\)",
+        ),
+        ((5.0, np.nan), (4.0, np.nan), r"B moves 25.0 % .* \(too few runs to be sure\)"),
+        ((4.0, 0.1), (0.0, 0.0), "A moves nothing at 200 robots, B 4.00 tasks per timestep"),
+        ((4.0, 0.1), (4.0, 0.1), "B moves as much as A at 200 robots"),
+    ],
+)
+def test_the_decision_is_one_sentence_with_its_interval(ours, theirs, sentence):
+    found = decide(row_of("B", *ours), row_of("A", *theirs))
+    assert re.fullmatch(sentence, found["sentence"]), found["sentence"]
+    assert "nan" not in found["sentence"] and found["agents"] == 200
 
 
 def test_one_run_has_no_interval_and_says_none(folder):
@@ -207,22 +252,27 @@ def test_a_run_shows_its_archive_and_reports_on_its_best_layout(small_run, tmp_p
         headings = shown.evaluate("[...document.querySelectorAll('h2')].map(h => h.innerText)")
         said = dict(cells(shown, "search-0"))
         assert shown.locator("#archive-0-figure_1, [id^=archive-0]").count() > 0
-    assert headings[1] == f"The search: {small_run.path.name}" and len(headings) == 10
+    assert f"The search: {small_run.path.name}" in headings
     last = small_run.read_metrics()[-1]
     assert said["evaluations"] == f"{last.evaluations:,}"
     assert said["QD-score"] == f"{last.qd_score:,.1f}"
 
 
-def test_the_hand_made_rival_says_where_its_numbers_differ(folder):
+def test_the_hand_made_rival_has_the_same_stations_or_there_is_none(folder):
     plans = [read_plan(folder / name) for name in ("plan.json", "hand-made.json", "maze.txt")]
     plan, human, maze = (Subject(one.name, one.name, one) for one in plans)
-    subjects = [plan, human]
-    rival = find_rival(plan, subjects)
-    assert rival.name == "hand-made" and np.array_equal(rival.layout, human.plan.layout)
-    shelves = [int((one.plan.layout == 1).sum()) for one in subjects[::-1]]
-    assert "It holds {} shelves where this one has {}".format(*shelves) in rival.about
-    assert find_rival(human, subjects).layout is None
-    assert "Nobody designs layouts of maze-walls by hand" in find_rival(maze, [maze]).about
+    rival = find_rival(plan, [plan])
+    assert rival.name == "hand-made"
+    assert np.array_equal(rival.plan.layout, human.plan.layout)
+    shelves = [int((one.plan.layout == 1).sum()) for one in (human, plan)]
+    assert "with {} shelves, not {}".format(*shelves) in rival.about
+    assert find_rival(plan, [plan, human]) is None  # compared with each other already
+    assert find_rival(human, [human]) is None and find_rival(maze, [maze]) is None
+    moved = plan.plan.layout.copy()
+    station = TILES.index("w")
+    row, column = np.argwhere(moved == station)[0]
+    moved[row, column], moved[row + 1, column] = 0, station
+    assert find_rival(plan._replace(plan=plan.plan._replace(layout=moved)), [plan]) is None
 
 
 def test_layouts_and_runs_are_of_one_domain_and_named_once(folder):

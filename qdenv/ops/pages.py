@@ -212,7 +212,10 @@ def report(
     again: Suppress[str] = "",
     **fleet: Unpack[args.FleetOptions],
 ) -> Page:
-    """Make a page to send or print: what floor plans move, where robots wait, how sure that is.
+    """Make a page to send or print: which floor plan moves more, where robots wait, how sure it is.
+
+    Further layouts are compared with the first one; a single one also with what people draw by hand
+    at its size, if its stations are those.
 
     Args:
         sources: layout files, and runs or zoo:DOMAIN/NAME, whose best layout is reported on.
@@ -282,6 +285,7 @@ def _report_fleet(request: FleetRequest, again: str) -> Page:
             say(f"{row.layout}, {row.agents} agents: {row.mean_of_all:.3f}, {rate}")
 
         page = report_fleet(request, again, show, bar)
+    say(*(one["sentence"] for one in page.facts["decisions"]))
     for name, one in page.facts["layouts"].items():
         agents = page.facts["agents"]
         say(f"{name}, {agents} agents: {one['verdict']}, {one['verdict_reason']}")

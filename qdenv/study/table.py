@@ -293,6 +293,32 @@ def differences(rows: Sequence[Row]) -> list[Difference]:
     ]
 
 
+def decide(ours: Row, theirs: Row) -> dict[str, Any]:
+    """Compare two layouts at one number of agents, over all runs: in numbers, and in a sentence."""
+    apart = difference(ours.sample_of_all, theirs.sample_of_all)
+    subject, other = ours.layout, f"{theirs.layout} at {ours.agents} robots"
+
+    def more(percent: float) -> str:
+        return f"{abs(percent):.1f} % {'less' if percent < 0 else 'more'}"
+
+    low, high = sorted((abs(apart.low), abs(apart.high)))
+    if np.isnan(apart.percent):
+        sentence = f"{theirs.layout} moves nothing at {ours.agents} robots"
+        sentence += f", {subject} {ours.mean_of_all:.2f} tasks per timestep"
+    elif not apart.percent:
+        sentence = f"{subject} moves as much as {other}"
+    elif np.isnan(apart.low):
+        sentence = f"{subject} moves {more(apart.percent)} than {other} (too few runs to be sure)"
+    elif apart.significant:
+        sentence = f"{subject} moves {more(apart.percent)} than {other}"
+        sentence += f" (95 %: {low:.1f} to {high:.1f} %)"
+    else:
+        sentence = f"{subject} moves {more(apart.percent)} than {other}, which may be chance"
+        sentence += f" (95 %: {more(apart.low)} to {more(apart.high)})"
+    facts = {"layout": subject, "against": theirs.layout, "agents": ours.agents}
+    return {**facts, **apart._asdict(), "sentence": sentence}
+
+
 def write_rows(
     path: Path, rows: Sequence[Row], columns: Mapping[str, Sequence[Any]] | None = None
 ) -> None:

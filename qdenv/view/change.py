@@ -64,7 +64,7 @@ def draw_change(
         number_cells(draw_layout(plan.layout, plan.domain.tiles, axes, plan.domain.names))
         if plan.costs is not None:
             free = plan.domain.drivable(plan.layout)
-            draw_arrows(axes, preferences(plan.costs, free) / STRONGEST).set_gid("guidance")
+            draw_arrows(axes, preferences(plan.costs, free) / STRONGEST).set_gid(f"{verb}-guidance")
         _frame(axes, plan, changed, (name, verb), max(0.7, min(1.2, 20 * side / cols)))
     if usages is not None:
         top = top_of(np.stack(usages))

@@ -6,16 +6,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from qdenv.guidance import preferences
 from qdenv.progress import Progress, silent
+from qdenv.repair.audit import audit
 from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
 from qdenv.stats import difference
+from qdenv.study.diagnosis import diagnose
 from qdenv.study.options import fleet_tasks, usual_fleet
-from qdenv.study.plans import name_guidance
-from qdenv.study.recordings import FADING, cells_with_half, worst_cells
-from qdenv.study.table import Row, Trial, about, compare, find_capacity, find_peak
+from qdenv.study.plans import Plan, name_guidance
+from qdenv.study.recordings import FADING, cells_with_half
+from qdenv.study.table import Row, Trial, about, compare, decide, find_capacity, find_peak
 from qdenv.study.traffic import Study, examine, facts_of
 from qdenv.types import Floor
+from qdenv.view.change import draw_change
 from qdenv.view.guidance import STRONGEST, draw_arrows, share_along
 from qdenv.view.layouts import draw_plan
 from qdenv.view.page import Page, listed
@@ -23,9 +28,11 @@ from qdenv.view.report import WIDTH, make_report
 from qdenv.view.report_subjects import Rival, Subject, describe_contents, find_rival
 from qdenv.view.studies import draw_over_agents
 from qdenv.view.style import to_svg
-from qdenv.view.traffic import draw_panel, make_scene
+from qdenv.view.traffic import Scene, draw_panel, make_scene, top_of
 
 _MAP = 5.6  # inches of maps of floor plans
+# Shares of time, and timesteps, that are written as more than zero.
+_LEAST_WAITING, _LEAST_VISIT = 0.0005, 0.05
 _SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)  # of a single number of agents, to compare it with
 
 
@@ -33,7 +40,7 @@ class FleetRequest(NamedTuple):
     """What a report on a fleet shall show."""
 
     subjects: list[Subject]  # the layouts, of one domain
-    rivals: list[Rival]  # what people draw by hand at the size of each subject
+    rivals: list[Rival | None]  # what people draw by hand around the stations of each subject
     agents: int | None  # the number of the close look; None for the first layout's peak
     counts: tuple[int, ...]  # the numbers of agents that are simulated, few to many
     config: FleetConfig  # the numbers of a simulation
@@ -44,7 +51,7 @@ class FleetRequest(NamedTuple):
     @property
     def floors(self) -> dict[str, Floor]:
         """All that is simulated by name: the subjects, then the hand-made layouts."""
-        rivals = {one.name: Floor(one.layout) for one in self.rivals if one.layout is not None}
+        rivals = {one.name: Floor(one.plan.layout) for one in self.rivals if one}
         return {one.name: one.plan.floor for one in self.subjects} | rivals
 
 
@@ -74,7 +81,7 @@ def make_request(
     # A single number is compared with others, as many as fit the smallest of all layouts.
     single = counts[0] if len(counts) == 1 else None
     if single is not None:
-        every = [*layouts, *(one.layout for one in rivals if one.layout is not None)]
+        every = [*layouts, *(one.plan.layout for one in rivals if one)]
         most = min(int(domain.drivable(one).sum()) for one in every)
         shares = {max(1, round(share * single)) for share in _SHARES}
         counts = tuple(sorted({min(count, max(most, single)) for count in shares}))
@@ -93,6 +100,65 @@ def report_fleet(
     `command` is the line that makes the page again; `on_row` is called with each finished row.
     """
     subjects = request.subjects
+    agents, rows, studies = _simulate(request, on_row, progress)
+    progress("drawing the page", -1, "")  # how far it is, is unknown
+    closely = [next(r for r in rows if (r.layout, r.agents) == (s.name, agents)) for s in subjects]
+    decisions = [decide(one, closely[0]) for one in closely[1:]]
+    scenes = [
+        make_scene(one.plan, study, request.config.stop_when_congested)
+        for one, study in zip(subjects, studies, strict=True)
+    ]
+    # Maps of all floor plans have one colour scale.
+    tops = {
+        kind: top_of(np.concatenate([getattr(one.maps, kind).ravel() for one in scenes]))
+        for kind in ("usage", "waiting")
+    }
+    layouts, facts = [], {}
+    for number, (one, study) in enumerate(zip(subjects, studies, strict=True)):
+        rival = request.rivals[number]
+        content = _compare(one, rival, rows, closely[number])
+        scene = scenes[number]._replace(tops=tops)
+        layouts.append(content | _draw(one, study, rival, number, scene))
+        # By the names that `qdenv simulate` and `compare` give them.
+        apart = [{"agents": row.agents, **apart._asdict()} for row, _, apart in content["against"]]
+        facts[one.name] = facts_of(study, one.plan.layout) | {
+            "source": one.source,
+            "worth_having": content["capacity"],
+            "hand_made": rival
+            and {"layout": rival.name, "about": rival.about, "differences": apart},
+        }
+    jammed = any(row.success_rate < 1 for row in rows)
+    return make_report(
+        "fleet",
+        f"{listed([one.name for one in subjects])}: {agents} robots",
+        subjects,
+        {
+            "agents": agents,
+            "decisions": decisions,
+            "layouts": facts,
+            "rows": [row._asdict() | {"each": [run._asdict() for run in row.each]} for row in rows],
+        },
+        command,
+        request=request,
+        agents=agents,
+        decisions=decisions,
+        changes=_draw_changes(subjects, scenes),
+        layouts=layouts,
+        runs=len(request.seeds),
+        planner=_describe_planner(request),
+        rows=rows,
+        jammed=jammed,
+        fading=[row for row in rows if row.fading > FADING],
+        throughput=to_svg(draw_over_agents(rows, width=WIDTH), "throughput-figure"),
+        success=to_svg(draw_over_agents(rows, True, WIDTH), "success-figure") if jammed else "",
+    )
+
+
+def _simulate(
+    request: FleetRequest, on_row: Callable[[Row], None], progress: Progress
+) -> tuple[int, list[Row], list[Study]]:
+    """Return the number of agents of the close look, all rows, and the study of each subject."""
+    subjects = request.subjects
     tasks = subjects[0].plan.domain.simulator.tasks
     trial = Trial(tasks, request.config, request.counts, request.seeds)
     rows = compare(request.floors, trial, on_row, progress)
@@ -107,84 +173,88 @@ def report_fleet(
             progress(f"looking closely at {name}", share, note or step)
 
         studies.append(examine(one.plan, config, request.seeds, progress=show))
-    progress("drawing the page", -1, "")  # how far it is, is unknown
-    layouts, facts = [], {}
-    for number, (one, study) in enumerate(zip(subjects, studies, strict=True)):
-        content = _compare(one, request.rivals[number], rows, agents)
-        rival, differences = content["rival"], content["differences"]
-        layouts.append(content | _draw(one, study, rival, number, config))
-        # By the names that `qdenv simulate` and `compare` give them.
-        apart = [{"agents": row.agents, **apart._asdict()} for row, _, apart in differences]
-        against = {"layout": rival.name, "about": rival.about, "differences": apart}
-        facts[one.name] = facts_of(study, one.plan.layout) | {
-            "source": one.source,
-            "hand_made": against if apart else None,
-        }
-    planner, guidance = describe_planner(config.planner), name_guidance([s.plan for s in subjects])
-    if guidance:
-        others = any(one.layout is not None for one in request.rivals)
-        planner += f"; guidance: {guidance}{', none on the hand-made layout' * others}"
-    return make_report(
-        "fleet",
-        f"{listed([one.name for one in subjects])}: {agents} robots",
-        subjects,
-        {"agents": agents, "layouts": facts, "rows": [row._asdict() for row in rows]},
-        command,
-        request=request,
-        agents=agents,
-        layouts=layouts,
-        runs=len(request.seeds),
-        planner=planner,
-        rows=rows,
-        fading=[row for row in rows if row.fading > FADING],
-        throughput=to_svg(draw_over_agents(rows, width=WIDTH), "throughput-figure"),
-        success=to_svg(draw_over_agents(rows, True, WIDTH), "success-figure"),
-    )
+    return agents, rows, studies
 
 
-def _compare(subject: Subject, rival: Rival, rows: list[Row], agents: int) -> dict[str, Any]:
+def _compare(subject: Subject, rival: Rival | None, rows: list[Row], row: Row) -> dict[str, Any]:
     """Return the numbers of one layout, and by how much it moves more than the hand-made one."""
-    own = sorted((row for row in rows if row.layout == subject.name), key=lambda row: row.agents)
-    differences = []
-    if rival.layout is not None:
-        theirs = {row.agents: row for row in rows if row.layout == rival.name}
-        for row in own:
-            # Over all runs, as `qdenv compare` does.
-            other = theirs[row.agents]
-            apart = difference(row.sample_of_all, other.sample_of_all)
-            differences.append((row, other, apart))
-    row = next(row for row in own if row.agents == agents)
+    own = sorted((one for one in rows if one.layout == subject.name), key=lambda one: one.agents)
+    theirs = {one.agents: one for one in rows if rival and one.layout == rival.name}
+    # Over all runs, as `qdenv compare` does.
+    against = [
+        (one, theirs[one.agents], difference(one.sample_of_all, theirs[one.agents].sample_of_all))
+        for one in own
+        if rival
+    ]
+    capacity = find_capacity(own)
     return {
         "name": subject.name,
         "rival": rival,
         "row": row,
         "congested": row.runs - round(row.success_rate * row.runs),
         "peak": find_peak(own) if len(own) > 1 else None,
-        "capacity": find_capacity(own),
-        "differences": differences,
-        "closely": next((one for one in differences if one[0].agents == agents), None),
+        "capacity": capacity,
+        "most": capacity == own[-1].agents,
+        "against": against,
+        "by_hand": decide(row, theirs[row.agents])["sentence"] if rival else "",
     }
 
 
+def _describe_planner(request: FleetRequest) -> str:
+    """Name the planner, and the guidance if there is any."""
+    planner = describe_planner(request.config.planner)
+    guidance = name_guidance([one.plan for one in request.subjects])
+    if not guidance:
+        return planner
+    without = ", none on the hand-made layout" if any(request.rivals) else ""
+    return f"{planner}; guidance: {guidance}{without}"
+
+
+def _draw_changes(subjects: Sequence[Subject], scenes: Sequence[Scene]) -> list[dict[str, str]]:
+    """Draw each further layout beside the first one, where the sizes are the same."""
+    first, *others = zip(subjects, scenes, strict=True)
+    return [
+        {
+            "name": one.name,
+            "figure": to_svg(
+                draw_change(
+                    first[0].plan,
+                    one.plan,
+                    (first[1].maps.usage, scene.maps.usage),
+                    (first[0].name, one.name),
+                    WIDTH,
+                ),
+                f"change-{number}",
+                crop=True,
+            ),
+        }
+        for number, (one, scene) in enumerate(others)
+        if one.plan.layout.shape == first[0].plan.layout.shape
+    ]
+
+
 def _draw(
-    subject: Subject, study: Study, rival: Rival, number: int, config: FleetConfig
+    subject: Subject, study: Study, rival: Rival | None, number: int, scene: Scene
 ) -> dict[str, Any]:
     """Return the pictures of one layout, and what its study found."""
-    domain, layout, maps = subject.plan.domain, subject.plan.layout, study.maps
-    assert maps is not None and study.verdict is not None
+    domain, layout, maps = subject.plan.domain, subject.plan.layout, scene.maps
+    assert study.verdict is not None
     verdict, reason, _ = study.verdict
-    scene = make_scene(subject.plan, study, config.stop_when_congested)
     plan = draw_plan(layout, domain.tiles, domain.names)
-    contents = describe_contents(layout, domain)
     flow, along = "", 0.0
     if scene.costs is not None:
         preferred = preferences(scene.costs, scene.free)
         draw_arrows(plan.axes[0], preferred / STRONGEST).set_gid("guidance")
         along = share_along(preferred, maps.moves)
         flow = to_svg(draw_panel(scene, "flow", _MAP), f"flow-{number}")
-    content = {
-        "title": f"{subject.name} ({contents})",
-        "contents": contents,
+    change = rival and draw_change(
+        rival.plan, subject.plan, None, (rival.name, subject.name), WIDTH
+    )
+    # A cell that is hardly ever waited on is no place to look at.
+    spots = [one for one in scene.worst if one["waiting"] >= _LEAST_WAITING]
+    return {
+        "contents": describe_contents(layout, domain),
+        "remarks": _remark(subject.plan),
         "verdict": verdict,
         "reason": reason,
         "plan": to_svg(plan, f"plan-{number}", crop=True),
@@ -195,12 +265,15 @@ def _draw(
         "along": along,
         "waiting_share": maps.waiting_share,
         "half": cells_with_half(maps),
-        "spots": worst_cells(layout, maps),
+        "spots": spots,
+        "per_visit": any(one["wait_per_visit"] >= _LEAST_VISIT for one in spots),
         "tiles": [domain.names.get(tile, repr(tile)) for tile in domain.tiles],
+        "change": to_svg(change, f"by-hand-{number}", crop=True) if change else "",
     }
-    if rival.layout is not None:
-        theirs = draw_plan(rival.layout, domain.tiles, domain.names)
-        content["own_plan"] = to_svg(plan, f"own-{number}", crop=True)
-        content["rival_plan"] = to_svg(theirs, f"rival-{number}", crop=True)
-        content["rival_contents"] = describe_contents(rival.layout, domain)
-    return content
+
+
+def _remark(plan: Plan) -> list[str]:
+    """List what a layout breaks of its rules, and what else `qdenv check` remarks on."""
+    domain = plan.fitted()
+    broken = audit(plan.layout, domain.rules()) if domain.rules else []
+    return [one.message for one in broken] + [one.message for one in diagnose(plan)]

@@ -32,8 +32,8 @@ class Rival(NamedTuple):
     """The layout that people draw by hand, to compare with."""
 
     name: str  # how the page calls it
-    layout: np.ndarray | None  # int8 [H, W]; None if there is none
-    about: str  # what it is, or why there is none
+    plan: Plan  # its layout and domain
+    about: str  # what it holds, and where that differs
 
 
 def is_run(source: Any) -> bool:
@@ -80,37 +80,33 @@ def describe_contents(layout: np.ndarray, domain: Domain) -> str:
     return f"{rows} x {cols} cells" + (f" with {listed(counts)}" if counts else "")
 
 
-def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival:
-    """Draw what people design by hand at the size of a layout, and describe how it compares.
+def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival | None:
+    """Draw what people design by hand around the same stations; None where there is no such layout.
 
-    It takes the name of the subject, among all `subjects` of the report, that is the same layout.
+    Where stations stand decides much of what a floor plan moves: one with others says nothing about
+    the rest. One of the `subjects` of the report is no rival: all are compared with the first one.
     """
     domain, layout = subject.plan.domain, subject.plan.layout
-    rows, cols = layout.shape
-    size = f"{rows} x {cols}"
     if domain.human is None:
-        return Rival("", None, f"Nobody designs layouts of {domain.name} by hand.")
+        return None
     from qdenv.study.elites import human_layout  # imports both compilers
 
     try:
-        human = human_layout(domain.resized(rows, cols))
-    except InputError as error:
-        return Rival("", None, f"Nobody draws {size} by hand: {error}.")
-    if np.array_equal(human, layout):
-        return Rival("", None, f"This is the very layout that people draw by hand at {size}.")
-    # A rival that is one of the subjects is simulated once, under that name.
-    same = [one.name for one in subjects if np.array_equal(one.plan.layout, human)]
+        human = human_layout(domain.resized(*layout.shape))
+    except InputError:
+        return None
+    # Tiles that no generator draws: stations, and walls.
+    fixed = [kind for kind, tile in enumerate(domain.tiles) if tile not in domain.generated]
+    theirs, ours = (np.where(np.isin(one, fixed), one, -1) for one in (human, layout))
+    if not np.array_equal(theirs, ours):
+        return None
+    if any(np.array_equal(one.plan.layout, human) for one in subjects):
+        return None
     sizes = {one.plan.layout.shape for one in subjects}
-    name = same[0] if same else "hand-made" if len(sizes) == 1 else f"hand-made {size}"
-    own, theirs = domain.fitted(layout).numbers, domain.fitted(human).numbers
-    if own == theirs:
-        contents = f"Both hold {', '.join(f'{number} {kind}' for kind, number in own.items())}."
-    else:
-        differ = [
-            f"{theirs[kind]} {kind} where this one has {number}"
-            for kind, number in own.items()
-            if number != theirs[kind]
-        ]
-        contents = f"It holds {', '.join(differ)}: the design leaves no choice of that."
-    about = f"At the right is what people draw by hand at this size. {contents}"
-    return Rival(name, human, about)
+    size = "{} x {}".format(*layout.shape)
+    name = "hand-made" if len(sizes) == 1 else f"hand-made {size}"
+    own, other = domain.fitted(layout).numbers, domain.fitted(human).numbers
+    differ = [f"{other[kind]} {kind}, not {own[kind]}" for kind in own if own[kind] != other[kind]]
+    holds = f", with {listed(differ)}" if differ else ""
+    about = f"What people draw by hand at {size}, around the same stations{holds}."
+    return Rival(name, Plan(name, human, domain, assumed=False), about)

@@ -41,6 +41,7 @@ class Scene(NamedTuple):
     runs: int  # number of runs
     stop: bool = True  # congestion ended those that congested
     costs: np.ndarray | None = None  # float [5, H, W], guidance; None for none
+    tops: Mapping[str, float] = {}  # upper ends of maps' colour scales, by kind; their own else
 
 
 def make_scene(plan: Plan, study: Study, stop: bool = True) -> Scene:
@@ -108,14 +109,15 @@ def _draw_panel(axes: Axes, scene: Scene, kind: str) -> None:
         draw_flow(axes, scene.free, scene.costs, maps.moves)
     elif kind == "usage":
         label = "share of time in which one is here"
-        draw_map(axes, scene.free, maps.usage, kind, label, "where agents are")
+        title, top = "where agents are", scene.tops.get(kind)
+        draw_map(axes, scene.free, maps.usage, kind, label, title, top)
     elif kind == "finished":
         title = f"where tasks are finished: {maps.finished.sum():.2f} a timestep"
         draw_map(axes, scene.free, maps.finished, kind, "tasks per timestep here", title)
     else:
         label = "share of time in which one waits here"
         title = f"where agents wait: {maps.waiting_share:.1%} of their time"
-        draw_map(axes, scene.free, maps.waiting, kind, label, title)
+        draw_map(axes, scene.free, maps.waiting, kind, label, title, scene.tops.get(kind))
         # The worst cells are marked, with their rank where it fits.
         specification = axes.get_subplotspec()
         assert isinstance(axes.figure, Figure) and specification is not None
