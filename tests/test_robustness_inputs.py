@@ -14,7 +14,7 @@ from robustness.sandbox import Ending, Sandbox, fault_in
 from qdenv import InputError
 from qdenv.agent.convert import read_checkpoint
 from qdenv.io.arrays import read_arrays
-from qdenv.io.layouts import ENDINGS, read_drawing
+from qdenv.io.layouts import read_drawing
 from qdenv.simulate.maze.policy import SHIPPED_AGENT, load_weights
 
 pytestmark = pytest.mark.slow
@@ -96,16 +96,17 @@ def test_inputs_are_the_same_for_the_same_seed(tmp_path, monkeypatch):
     assert len({bad.kind for bad in drawn[0] if isinstance(bad, inputs.Input)}) > 2
 
 
-@settings(max_examples=60, deadline=None)
-@given(rng=RNGS, ending=st.sampled_from(ENDINGS))
-def test_corrupt_layouts_are_read_or_refused_in_one_line(rng, ending, tmp_path_factory):
-    path = tmp_path_factory.mktemp("layout") / f"plan{ending}"
-    good = inputs.layout_file(inputs.WAREHOUSE, ending)
-    path.write_bytes(corrupt.corrupt(rng, path.name, good))
+@pytest.mark.parametrize(("form", "ending"), inputs.FORMS)
+@settings(max_examples=30, deadline=None)
+@given(rng=RNGS)
+def test_corrupt_layouts_are_read_or_refused_in_one_line(rng, form, ending, tmp_path_factory):
+    folder, good = tmp_path_factory.mktemp("layout"), inputs.foreign_files(form, ending)
+    name = corrupt.pick(rng, [*good])
+    inputs.write(folder, good | {name: corrupt.corrupt(rng, name, good[name])})
     try:
-        assert isinstance(read_drawing(path)[0], list)
+        assert isinstance(read_drawing(folder / f"plan{ending}", form)[0], list)
     except InputError as error:
-        assert str(error).isprintable()
+        assert str(error).isprintable() and str(folder / name) in str(error)
 
 
 @settings(max_examples=40, deadline=None)

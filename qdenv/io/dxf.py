@@ -10,6 +10,7 @@ knows its layers and cells, any other has both in a .toml file beside it:
 
 import io
 import json
+import logging
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
@@ -26,7 +27,7 @@ from qdenv.types import InputError, Tile
 
 _FACTS = "qdenv"  # name of the property of the drawing that holds the cell and the layers
 _METRES = 6  # of DXF's units
-_MAX_BYTES, _MAX_SQUARES = 64 * MEGABYTE, 100_000
+_MAX_BYTES, _MAX_SQUARES = 24 * MEGABYTE, 100_000
 _MAX_WORK = 500_000_000  # corners of polylines times the cells around them
 
 
@@ -35,6 +36,8 @@ def _ezdxf() -> Any:
         import ezdxf
     except ImportError as error:
         raise InputError("DXF needs ezdxf: pip install 'qdenv[formats]'") from error
+    # It warns of whatever it skips; without a handler Python would print that.
+    logging.getLogger("ezdxf").addHandler(logging.NullHandler())
     return ezdxf
 
 

@@ -164,9 +164,25 @@ def change_header(rng: Rng, content: bytes, name: str) -> bytes:
     return out.getvalue()
 
 
+def corrupt_zip(rng: Rng, content: bytes) -> bytes:
+    """Damage one member of an archive, which stays whole."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(out, "w") as new:
+        damaged = pick(rng, [name for name in old.namelist() if b"<" in old.read(name)])
+        for name in old.namelist():
+            data = old.read(name)
+            info = zipfile.ZipInfo(name)  # without today's date: a seed draws the same bytes
+            new.writestr(info, damage(rng, data) if name == damaged else data)
+    return out.getvalue()
+
+
 def corrupt(rng: Rng, name: str, content: bytes) -> bytes:
     """Corrupt a file in a way that suits the ending of its name."""
-    special: Mapping[str, Callable] = {".json": corrupt_json, ".npz": corrupt_npz}
+    special: Mapping[str, Callable] = {
+        ".json": corrupt_json,
+        ".npz": corrupt_npz,
+        ".xlsx": corrupt_zip,
+    }
     ending = name[name.rfind(".") :]
     if ending in special and rng.random() < 0.6:
         return special[ending](rng, content)

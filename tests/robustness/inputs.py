@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import importlib.util
 import io
 import json
 import re
@@ -13,7 +14,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from qdenv.cli.main import run as qdenv
-from qdenv.io.layouts import ENDINGS
+from qdenv.domains.base import find_domain
+from qdenv.io.formats import FORMATS, write_drawing
+from qdenv.io.layouts import Drawing
 from qdenv.simulate.maze.policy import SHIPPED_AGENT
 from robustness.campaign import Attack, Attempt
 from robustness.corrupt import Rng, corrupt, damage, hostile_checkpoint, pick
@@ -119,6 +122,25 @@ def layout_file(rows: list[str], ending: str) -> bytes:
     return "\n".join([*head, *rows, ""]).encode()
 
 
+LIBRARIES = {"xlsx": "openpyxl", "dxf": "ezdxf"}  # without them nothing is written
+FORMS = tuple(
+    (form, ending)
+    for form, one in FORMATS.items()
+    if one.read and (form not in LIBRARIES or importlib.util.find_spec(LIBRARIES[form]))
+    for ending in one.endings
+)
+
+
+@functools.cache
+def foreign_files(form: str, ending: str) -> dict[str, bytes]:
+    """Write a warehouse with two robots in a format; return all its files by name."""
+    meanings = find_domain("warehouse-even").meanings
+    drawing = Drawing(WAREHOUSE, starts=(0, 5), tasks=((2, 4), (3,)), details={"cell": 1.2})
+    with tempfile.TemporaryDirectory(prefix="qdenv-robustness-") as folder:
+        write_drawing(Path(folder) / f"plan{ending}", drawing, meanings, form)
+        return {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
+
+
 def write(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files into a folder."""
     for name, content in files.items():
@@ -132,11 +154,13 @@ def line(command: str, **files: str) -> tuple[str, ...]:
 
 
 def corrupt_layout(rng: Rng, folder: Path) -> Input:
-    ending = pick(rng, ENDINGS)
-    name = f"plan{ending}"
-    write(folder, {name: corrupt(rng, name, layout_file(WAREHOUSE, ending))})
+    """Corrupt a layout file of any format, or a file that it names."""
+    form, ending = pick(rng, FORMS)
+    files = foreign_files(form, ending)
+    name = pick(rng, [*files])
+    write(folder, files | {name: corrupt(rng, name, files[name])})
     command = pick(rng, ("check",) * 8 + ("render", "simulate", "repair", "sweep"))
-    return Input("layouts", line(command, PLAN=name), name)
+    return Input("layouts", line(command, PLAN=f"plan{ending}"), name)
 
 
 def corrupt_run(rng: Rng, folder: Path) -> Input:
