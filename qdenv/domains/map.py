@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 _TILES = ".#"
 _MEANINGS = {
-    # The League of Robot Runners marks emitters E and service points S on its maps.
-    ".": Tile("free", "robots drive here, and any such cell may be a goal", also="ES"),
+    # Maps of the League of Robot Runners, and of warehouses, have stations and endpoints, too.
+    ".": Tile("free", "robots drive here, and any such cell may be a goal", also="ewio"),
     "#": Tile("obstacle", "robots go around it", True, also="@"),
 }
 
