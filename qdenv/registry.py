@@ -40,6 +40,7 @@ class Registry:
         points of a `group`; `builtin` maps names to ``module:attribute`` of an `Entry`.
         """
         self._what, self._group = what, group
+        self.shipped = tuple(builtin)  # the package's own names
         self._references, self._looked = dict(builtin), False
         self._entries: dict[str, Entry] = {}
 

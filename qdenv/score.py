@@ -10,12 +10,13 @@ from qdenv.lazy import chex, jax, jnp
 from qdenv.types import Array
 
 
-def entropy(area: Array, kinds: int) -> jax.Array:
+def entropy(area: Array, kinds: int, partial: bool = False) -> jax.Array:
     """Measure how irregular a layout is: Shannon entropy of its 2x2 patterns.
 
     The logarithm's base is the number of possible patterns, ``kinds ** 4``, so the result lies
     in [0, 1] (environment entropy, section 4 of the paper). The generated area is int8 [h, w], of
-    tiles below `kinds`; the result is float32, 0 for an area without a 2x2 window.
+    tiles below `kinds`; with `partial`, other tiles may occur, and patterns with one do not count.
+    The result is float32, 0 for an area without a 2x2 window.
     """
     chex.assert_rank(area, 2)
     tiles = area.astype(jnp.int32)
@@ -24,8 +25,11 @@ def entropy(area: Array, kinds: int) -> jax.Array:
     codes = sum(corner * kinds**power for power, corner in enumerate(corners))
     if codes.size == 0:
         return jnp.float32(0)
-    counts = jnp.zeros(kinds**4, jnp.int32).at[codes.reshape(-1)].add(1)
-    share = counts / codes.size
+    own = functools.reduce(jnp.logical_and, [corner < kinds for corner in corners])
+    # A pattern that does not count is out of range, and dropped.
+    codes = jnp.where(own, codes, kinds**4) if partial else codes
+    counts = jnp.zeros(kinds**4, jnp.int32).at[codes.reshape(-1)].add(1, mode="drop")
+    share = counts / (jnp.maximum(counts.sum(), 1) if partial else codes.size)
     return -jax.scipy.special.xlogy(share, share).sum() / (4 * math.log(kinds))
 
 

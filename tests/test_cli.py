@@ -147,8 +147,8 @@ def test_simulate_writes_what_it_promises(layout, tmp_path):
 @pytest.mark.parametrize(
     ("rows", "agents", "reason"),
     [
-        ([row.replace("w", ".") for row in GOOD], 4, "no 'w'"),
-        ([row.replace("e", ".") for row in GOOD], 4, "no 'e'"),
+        ([row.replace("w", ".") for row in GOOD], 4, "no workstation"),
+        ([row.replace("e", ".") for row in GOOD], 4, "no endpoint"),
         (GOOD, 500, "500 agents need as many free cells"),
         (["w@.e", "w@.@", ".@.e"], 2, "cut off"),
     ],

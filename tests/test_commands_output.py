@@ -142,7 +142,7 @@ def test_facts_name_the_command_its_settings_and_the_version(folder, capsys):
         "broken": [],
         "command": "check",
         "qdenv": metadata.version("qdenv"),
-        "settings": {"layout": "p.txt", "domain": "warehouse-even", "keep": None, "numbers": {}},
+        "settings": {"layout": "p.txt", "domain": "hall", "keep": None, "numbers": {}},
     }
     # A dash is standard output, where nothing else is written then.
     capsys.readouterr()

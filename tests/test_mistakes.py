@@ -59,10 +59,10 @@ MISTAKES = {
     "repair plan.txt --polish best": "choose one of none, quick, full",
     # Files that are not what they should be.
     "simulate nowhere.txt": "cannot be read",
-    "check ragged.txt": "row 1 of the layout has 3 tiles, row 0 has 11",
+    "check ragged.json": "row 1 of the layout has 3 tiles, row 0 has 11",
     "check strange.txt": "'?' at row 2, column 1",
     "simulate strange.txt": "'?' at row 2, column 1",
-    "repair ragged.txt": "row 1 of the layout has 3 tiles, row 0 has 11",
+    "repair ragged.json": "row 1 of the layout has 3 tiles, row 0 has 11",
     "repair empty.txt": "empty.txt",
     "check no_layout.json": "list of strings",
     "check run": "cannot be read",
@@ -187,7 +187,7 @@ MISTAKES = {
     # Results that would destroy something.
     "layout human --rows 20 --cols 20 --out h.png": "ends in .json",
     "layout tile plan.txt --rows 5 --cols 5": "smaller than the layout it repeats",
-    "layout tile thin.txt --rows 9 --cols 9": "5 x 4: warehouse-even has no room inside its frame",
+    "layout tile thin.txt --rows 9 --cols 9 --domain warehouse-even": "5 x 4: warehouse-even",
     "layout human --rows 20 --cols 20 --out sealed.json": "the file is read-only",
     "simulate plan.txt --agents 5 --plot p.gif": "ends in .png",
     "layout human --rows 10000 --cols 10000": "1000",
@@ -217,6 +217,7 @@ MISTAKES = {
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("mistakes")
     (folder / "plan.txt").write_text("\n".join(PLAN))
+    (folder / "ragged.json").write_text('["...........", "..."]')
     (folder / "ragged.txt").write_text("...........\n...\n")
     (folder / "strange.txt").write_text("....\n....\n.?..\n")
     (folder / "empty.txt").write_text("")

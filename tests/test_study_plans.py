@@ -1,12 +1,14 @@
 """Layout files and their domains: what the file says, what its tiles tell, what contradicts."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 
-from qdenv.domains.base import DOMAINS, find_domain
+from qdenv.domains.base import DOMAINS, DomainConfig, find_domain
 from qdenv.io.layouts import write_layout
+from qdenv.registry import Entry
 from qdenv.study.plans import read_plan
 from qdenv.types import InputError
 
@@ -38,17 +40,19 @@ def test_a_file_that_says_its_domain_has_it(name, tmp_path):
 @pytest.mark.parametrize(
     ("rows", "name"),
     [
-        (WAREHOUSE, "warehouse-even"),
+        (WAREHOUSE, "hall"),
         (FACTORY, "manufacturing"),
         (MAZE, "maze-walls"),
         (["    ", "    "], "maze-walls"),
-        ([".@#", "e e"], "warehouse-even"),
+        ([".#.", "..."], "maze-walls"),
+        ([".@#", "e e"], "hall"),
     ],
 )
 def test_tiles_tell_the_domain_and_that_is_said(rows, name, ending, tmp_path):
     plan = read_plan(save(tmp_path / f"plan{ending}", rows))
     assert (plan.domain.name, plan.assumed) == (name, True)
-    assert plan.whose == f"domain {name} (assumed from the tiles; --domain chooses another)"
+    told = f"read as {name} (--domain chooses another)"
+    assert plan.whose == ("a hall" if name == "hall" else told)
     assert plan.layout.shape == (len(rows), len(rows[0]))
 
 
@@ -75,16 +79,14 @@ def test_contradictions_and_unknown_domains_are_refused_in_one_line(tmp_path):
 
 def test_tiles_of_no_domain_are_named_with_an_alphabet(tmp_path):
     path = save(tmp_path / "plan.txt", ["w.q", "..."])
-    with pytest.raises(
-        InputError, match=r"'q' at row 0, column 2: warehouse-even knows '\.' floor"
-    ):
+    with pytest.raises(InputError, match=r"'q' at row 0, column 2: hall knows '\.' floor"):
         read_plan(path)
 
 
 @pytest.mark.parametrize(
     ("name", "domain"),
     [
-        ("warehouse_even_nca_a5", "warehouse-even"),
+        ("warehouse_even_nca_a5", "hall"),
         ("manufacturing_human", "manufacturing"),
         ("manufacturing_nca_a5", "manufacturing"),
         ("maze_nca_eval", "maze-walls"),
@@ -97,6 +99,22 @@ def test_published_layouts_show_their_domain(name, domain, published):
 def test_a_broken_plug_in_hides_no_other_domain(tmp_path, monkeypatch):
     monkeypatch.setitem(DOMAINS._references, "broken", "no_such_module:NOTHING")
     assert read_plan(save(tmp_path / "plan.txt", FACTORY)).domain.name == "manufacturing"
+
+
+def test_a_plug_in_changes_nothing_in_what_a_file_of_ours_means(tmp_path, monkeypatch):
+    @dataclasses.dataclass(frozen=True)
+    class OwnConfig(DomainConfig):
+        pass
+
+    maze = find_domain("maze-walls")
+    every = "".join(find_domain(name).tiles for name in DOMAINS.shipped)
+    own = "".join(dict.fromkeys(f"{every}$"))
+    make = lambda config: dataclasses.replace(maze, config=config, tiles=own, meanings={})  # noqa: E731
+    monkeypatch.setitem(DOMAINS._entries, "own", Entry(OwnConfig, make))
+    for rows in (WAREHOUSE, FACTORY, MAZE, [".@#", "e e"], [".#", ".X"]):
+        path = save(tmp_path / "plan.txt", rows)
+        assert read_plan(path).domain.name in DOMAINS.shipped
+    assert read_plan(save(tmp_path / "plan.txt", ["w$", "@e"])).domain.name == "own"
 
 
 @pytest.mark.parametrize("name", DOMAINS.names())

@@ -12,7 +12,7 @@ import tyro
 
 from qdenv import devices, score
 from qdenv.generate import Canvas, inside_frame
-from qdenv.grid import of_tiles
+from qdenv.grid import draw, of_tiles
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Ranged
 from qdenv.registry import Registry
@@ -86,6 +86,7 @@ DOMAINS = Registry(
     "domain",
     "qdenv.domains",
     {
+        "hall": "qdenv.domains.hall:HALL",
         "warehouse-even": "qdenv.domains.warehouse:EVEN",
         "warehouse-uneven": "qdenv.domains.warehouse:UNEVEN",
         "manufacturing": "qdenv.domains.manufacturing:MANUFACTURING",
@@ -165,6 +166,8 @@ class Domain:
     meanings: Mapping[str, Tile] = field(default_factory=dict)
     # sizes (rows, columns) whose numbers do not follow from those of another size
     known: Mapping[tuple[int, int], KnownSize] = field(default_factory=dict)
+    # symbols of tiles that stay wherever a layout of one's own has them, see `fitted`
+    stays: str = ""
     # names what results depend on beside the settings, each with a checksum, like an agent that is
     # read from a file; a run goes on with the same only
     reads: Callable[[], Mapping[str, str]] = dict
@@ -259,13 +262,23 @@ class Domain:
         return None if (rows, cols) == self.shape else self.known.get((rows, cols))
 
     def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> Domain:
-        """Make the same domain at the size of a layout (int8 [H, W]), with its exact numbers."""
+        """Make the same domain at the size of a layout (int8 [H, W]), with its exact numbers.
+
+        Cells whose tiles have no other place (`stays`) stay as this layout has them, unless the
+        settings say of this size already what must stay.
+        """
         own = {
             name: int((layout == self.tiles.index(symbol)).sum())
             for name, symbol in self.counted.items()
         }
         rows, cols = layout.shape
-        return self.resized(rows, cols, own | dict(numbers or {}))
+        fitted = self.resized(rows, cols, own | dict(numbers or {}))
+        fixed = of_tiles(layout, self.stays, self.tiles)
+        if fitted.config.keep or not fixed.any():
+            return fitted
+        kinds = np.where(fixed, layout, len(self.tiles))
+        keep = tuple(draw(kinds, self.tiles + FREE))
+        return make_domain(replace(fitted.config, keep=keep))
 
 
 @lru_cache(maxsize=64)
@@ -293,8 +306,8 @@ def make_domain(config: Any) -> Domain:
                 )
     # The tile that each cell must hold, -1 for any.
     locked = np.array([[codes[symbol] for symbol in row] for row in config.keep], np.int8)
-    draw, make_rules = domain.frame, domain.rules
-    domain = replace(domain, frame=lambda area: jnp.where(locked >= 0, locked, draw(area)))
+    frame, make_rules = domain.frame, domain.rules
+    domain = replace(domain, frame=lambda area: jnp.where(locked >= 0, locked, frame(area)))
     if make_rules is None:
         return domain
 

@@ -6,14 +6,13 @@ Even: every workstation is drawn alike. Uneven: those on the left border five ti
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from qdenv import score
 from qdenv.domains import designs
 from qdenv.domains.base import Domain, DomainConfig, KnownSize, environment_entropy
-from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
+from qdenv.domains.hall import GENERATED, storage
 from qdenv.generate import inside_frame
 from qdenv.grid import parse
 from qdenv.lazy import jax, jnp
@@ -21,10 +20,9 @@ from qdenv.ranges import PositiveFloat
 from qdenv.registry import Entry
 from qdenv.simulate.mapf.goals import favour_left, tile_goal
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.types import Adjacency, Array, Count, InputError, Measure, Rules, TaskRule, Tile, Traffic
+from qdenv.types import Array, InputError, Rules, Tile
 
 _TILES = ".@ew"
-_GENERATED = ".@e"
 _MEANINGS = {
     ".": Tile("floor", "robots drive here"),
     "@": Tile("shelf", "holds goods; needs an endpoint beside it", True, also="#"),
@@ -72,57 +70,37 @@ class UnevenWarehouseConfig(WarehouseConfig):
     left_odds: PositiveFloat = 5.0
 
 
-def rules(config: WarehouseConfig) -> Rules:
-    """State the constraints of appendix B.1: connected, served, exact shelves, fixed border."""
-    shape = (config.rows, config.cols)
-    allowed = np.zeros((*shape, len(_TILES)), bool)
-    allowed[..., [_TILES.index(symbol) for symbol in _GENERATED]] = True
-    outside = np.ones(shape, bool)
-    inside_frame(outside, _MARGIN)[:] = False
-    allowed[outside] = np.eye(len(_TILES), dtype=bool)[_border(*shape)[outside]]
-    return Rules(
-        tiles=_TILES,
-        counts=(Count("@", config.shelves, config.shelves),),
-        adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
-        connected=".ew",
-        allowed=allowed,
-        change_cost=np.ones(shape, np.float32),
-    )
-
-
 def warehouse(config: WarehouseConfig) -> Domain:
-    """Make a warehouse of one size."""
-    cycle = (tile_goal("e", _TILES), favour_left(tile_goal("w", _TILES), config.left_odds))
+    """Make a warehouse of one size: a hall whose stations and free lanes follow from its size."""
+    stations = favour_left(tile_goal("w", _TILES), config.left_odds)
+    plain, shape = storage(config, _TILES, stations), (config.rows, config.cols)
     # S_eval of the paper (Table 1, and the numbers of agents that its throughputs were taken with).
     agents = 1000 if isinstance(config, UnevenWarehouseConfig) else 1400
     known = KnownSize(steps=200, timesteps=5000, agents=agents, numbers={"shelves": 2500})
 
-    def components(layout: jax.Array, runs: Traffic) -> jax.Array:
-        return score.components(layout, "@", _TILES)
+    def rules() -> Rules:
+        base: Rules = plain.rules()  # type: ignore[misc]
+        outside = np.ones(shape, bool)
+        inside_frame(outside, _MARGIN)[:] = False
+        base.allowed[outside] = np.eye(len(_TILES), dtype=bool)[_border(*shape)[outside]]
+        return base
 
     def human() -> np.ndarray:
-        layout = _border(config.rows, config.cols)
+        layout = _border(*shape)
         inside = inside_frame(layout, _MARGIN)
         inside[:] = parse(designs.shelf_blocks(*inside.shape), _TILES)
         return layout
 
-    return Domain(
-        config=config,
-        tiles=_TILES,
-        generated=_GENERATED,
-        seed_block=("ee", "@@", "ee"),
+    return replace(
+        plain,
         margin=_MARGIN,
         frame=frame,
-        rules=lambda: rules(config),
-        simulator=fleet_simulator(TaskRule(_TILES, ".ew", cycle), config.fleet),
-        objective=throughput,
-        objective_name=THROUGHPUT,
+        rules=rules,
         measures=(
-            Measure("connected shelf components", 140, 240, 100, components, "shelves"),
-            environment_entropy(len(_GENERATED), _MARGIN),
+            plain.measures[0]._replace(low=140, high=240),
+            environment_entropy(len(GENERATED), _MARGIN),
         ),
         human=human,
-        counted={"shelves": "@"},
         meanings=_MEANINGS,
         known={(101, 102): known},
     )

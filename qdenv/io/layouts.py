@@ -178,10 +178,16 @@ def to_layout(
 ) -> np.ndarray:
     """Turn the drawn rows of a file into a layout (int8 [H, W]), as `read_layout` does.
 
-    Raises InputError, which names the file `path` and the domain `whose`, if the drawing is empty
-    or ragged, or holds a symbol that means nothing.
+    Where a blank draws an obstacle, which is around a building, it fills short lines of text and
+    CSV. Raises InputError, which names the file `path` and the domain `whose`, if the drawing is
+    empty or ragged, or holds a symbol that means nothing.
     """
-    table = str.maketrans(aliases(tiles, meanings))
+    known = aliases(tiles, meanings)
+    outside = meanings.get(known.get(" ", ""))
+    if outside and outside.obstacle and Path(path).suffix.lower() in (".txt", ".csv"):
+        width = max(map(len, rows), default=0)
+        rows = [row.ljust(width) for row in rows]
+    table = str.maketrans(known)
     drawn = [row.translate(table) for row in rows]
     try:
         return parse(drawn, tiles, f"{whose} knows {alphabet(tiles, meanings)}")

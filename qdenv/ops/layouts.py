@@ -29,7 +29,6 @@ from qdenv.repair.settings import RepairConfig
 from qdenv.study.diagnosis import diagnose
 from qdenv.study.options import describe_growth
 from qdenv.study.plans import (
-    USUAL,
     Plan,
     describe_changes,
     keep_costs,
@@ -228,7 +227,7 @@ def _endings(plan: Plan, domain: Domain) -> tuple[str, ...]:
 def human_layout(
     rows: int,
     cols: int,
-    domain: Annotated[str, arg(metavar=args.DOMAIN_NAMES)] = USUAL,
+    domain: Annotated[str, arg(metavar=args.DOMAIN_NAMES)] = "warehouse-even",
     out: args.Out = None,
 ) -> Layout:
     """Draw a layout as people design it by hand, at any size.

@@ -154,7 +154,7 @@ def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
         must, may = int(facts.must(bound.tiles).sum()), int(facts.may(bound.tiles).sum())
         high = may if bound.high is None else bound.high
         nouns = rules.name(bound.tiles, True)
-        if bound.low > high:
+        if bound.high is not None and bound.low > high:
             return f"the number of {nouns} must be at least {bound.low} and at most {high}"
         if bound.low > may:
             return f"{bound.low} {nouns} are required but only {may} cells may hold one"

@@ -17,7 +17,8 @@ from qdenv.repair.rules import impossible
 from qdenv.simulate.mapf.goals import task_odds
 from qdenv.types import Floor, InputError, about, choices
 
-USUAL = "warehouse-even"  # the domain where nothing says otherwise
+USUAL = "hall"  # the domain where nothing says otherwise
+_MAZE = "maze-walls"  # what floor and walls alone are; a hall holds more
 _NAMED_ONLY = "map"  # the domain that nothing but its name chooses: any drawing could be one
 _SHOWN = 3  # cells of a list that are named, the rest is counted
 
@@ -49,9 +50,13 @@ class Plan(NamedTuple):
     @property
     def whose(self) -> str:
         """Whose layout it is, and how that is known, as commands print it."""
-        how = " (assumed from the tiles; --domain chooses another)" if self.assumed else ""
         closed = f", {self.closed} cells cut off from the largest part are closed"
-        return f"domain {self.domain.name}{how}{closed if self.closed else ''}"
+        closed = closed if self.closed else ""
+        if self.domain.name == USUAL:
+            return f"a hall{closed}"
+        if self.assumed:
+            return f"read as {self.domain.name} (--domain chooses another){closed}"
+        return f"domain {self.domain.name}{closed}"
 
     def fitted(
         self, numbers: Mapping[str, int] | None = None, keep: str | Path | None = None
@@ -74,9 +79,9 @@ class Plan(NamedTuple):
 def read_plan(path: str | Path, domain: str | None = None, form: str | None = None) -> Plan:
     """Read a layout in any format, or in that of the name `form`, and find its domain.
 
-    Unless `domain` names it: what the file says, else the usual one where its tiles fit, else the
-    first one whose tiles do. Raises InputError if the file holds no layout, or says that it is
-    another domain's.
+    Unless `domain` names it: what the file says, else a hall where its tiles fit and are more than
+    floor and walls, else the first one whose tiles do. Raises InputError if the file holds no
+    layout, or says that it is another domain's.
     """
     rows, stated, keep, weights = read_drawing(path, form)[:4]
     if not rows and weights is not None:
@@ -189,16 +194,22 @@ def _read_costs(path: str, plan: Plan) -> np.ndarray:
 
 
 def _guess_domain(symbols: set[str]) -> Domain:
-    """Find the domain whose tiles have these symbols, or else other symbols for the same tiles."""
-    for others in (False, True):
-        for name in dict.fromkeys((USUAL, *DOMAINS.names())):
-            if name == _NAMED_ONLY:
-                continue
-            with contextlib.suppress(InputError):  # somebody else's broken plug-in
-                domain = find_domain(name)
-                known = aliases(domain.tiles, domain.meanings) if others else ()
-                if symbols <= {*domain.tiles, *known}:
-                    return domain
+    """Find the domain whose tiles have these symbols, or else other symbols for the same tiles.
+
+    Plug-ins come last: installing one changes nothing in what a file of ours means.
+    """
+    if {*" #X"} & symbols and symbols <= {*". #X"}:
+        return find_domain(_MAZE)
+    shipped = [name for name in DOMAINS.shipped if name != _NAMED_ONLY]
+    plugged = [name for name in DOMAINS.names() if name not in DOMAINS.shipped]
+    for names in (shipped, plugged):
+        for others in (False, True):
+            for name in names:
+                with contextlib.suppress(InputError):  # somebody else's broken plug-in
+                    domain = find_domain(name)
+                    known = aliases(domain.tiles, domain.meanings) if others else ()
+                    if symbols <= {*domain.tiles, *known}:
+                        return domain
     return find_domain(USUAL)
 
 
@@ -257,7 +268,10 @@ def station_tiles(domain: Domain) -> str:
     """Return the tiles of stations: no generator draws them, or the rules demand some or more."""
     rules = domain.rules() if domain.rules else None
     at_least = [bound.tiles for bound in rules.counts if bound.high is None] if rules else []
-    stations = (set(domain.tiles) - set(domain.generated)) | set("".join(at_least))
+    tasks = domain.simulator.tasks
+    # Robots drive onto stations that no generator draws, unlike walls.
+    drivable = tasks.traversable if tasks else domain.tiles
+    stations = (set(drivable) - set(domain.generated)) | set("".join(at_least))
     return "".join(sorted(stations))
 
 

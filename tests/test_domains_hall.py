@@ -1,0 +1,110 @@
+"""Halls of any shape, walls and stations where the plan has them; the warehouse is one."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from qdenv import score
+from qdenv.domains.base import find_domain, make_domain
+from qdenv.grid import draw, parse
+from qdenv.io.layouts import read_layout
+from qdenv.repair.audit import audit
+from qdenv.repair.recipe import repair_layout
+from qdenv.repair.settings import RepairConfig
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.plans import read_plan
+from qdenv.types import InputError
+
+# An L with columns, stations of three kinds, and lines that end where the building does.
+ROWS = (
+    "w.......",
+    "..e@e.#.",
+    "..e@e...i....",
+    "o............",
+    "..e@e.",
+    "..e@e.##",
+    "w.....##",
+)
+HALL = find_domain("hall")
+
+
+def save(path, rows=ROWS):
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def finished(domain, layout, seed):
+    """Count the tasks that 12 robots finish at each of 60 timesteps."""
+    config = dataclasses.replace(domain.config, fleet=FleetConfig(agents=12, timesteps=60))
+    simulator = make_domain(config).simulator
+    return np.asarray(simulator.run(simulator.prepare(layout), jax.random.key(seed)).finished)
+
+
+@pytest.mark.parametrize("ending", [".txt", ".csv"])
+def test_short_lines_and_blanks_are_outside(ending, tmp_path):
+    rows = [",".join(row.replace(" ", "")) for row in ROWS] if ending == ".csv" else ROWS
+    plan = read_plan(save(tmp_path / f"l{ending}", rows))
+    assert plan.domain.name == "hall" and plan.layout.shape == (7, 13)
+    assert draw(plan.layout, HALL.tiles)[0] == "w.......#####"
+    blanks = [row.ljust(13) for row in ROWS]
+    np.testing.assert_array_equal(plan.layout, read_plan(save(tmp_path / "b.txt", blanks)).layout)
+    assert not plan.domain.drivable(plan.layout)[0, 8:].any()
+
+
+def test_other_domains_and_json_pad_nothing(tmp_path):
+    path = save(tmp_path / "short.txt", ["e0e", "e"])
+    with pytest.raises(InputError, match="make all rows equally long"):
+        read_plan(path, "manufacturing")
+    path = tmp_path / "short.json"
+    path.write_text('["w@e", "e"]')
+    with pytest.raises(InputError, match="make all rows equally long"):
+        read_plan(path)
+
+
+def test_walls_and_stations_stay_through_frame_and_repair(tmp_path):
+    plan = read_plan(save(tmp_path / "l.txt"))
+    domain, rules = plan.fitted({"shelves": 9}), plan.fitted({"shelves": 9}).rules()
+    fixed, rng = plan.layout >= len(HALL.generated), np.random.default_rng(0)
+    assert fixed.sum() == 36 and audit(plan.layout, plan.fitted().rules()) == []
+    for seed in range(3):
+        area = rng.integers(0, 3, plan.layout.shape).astype(np.int8)
+        framed = np.asarray(domain.frame(area))
+        np.testing.assert_array_equal(framed, np.where(fixed, plan.layout, area))
+        repaired = np.asarray(repair_layout(framed, rules, seed, RepairConfig("none")).layout)
+        assert audit(repaired, rules) == []
+        np.testing.assert_array_equal(repaired[fixed], plan.layout[fixed])
+        assert (repaired >= len(HALL.generated)).sum() == 36 and (repaired == 1).sum() == 9
+
+
+def test_a_hall_needs_a_station():
+    layout = parse(["..e@", "...."], HALL.tiles)
+    (broken,) = audit(layout, HALL.fitted(layout).rules())
+    assert "0 workstations, inbound stations or outbound stations where" in broken.message
+
+
+def test_the_papers_warehouse_is_a_hall_with_a_frame(own_layout):
+    even = find_domain("warehouse-even")
+    layout = read_layout(own_layout("warehouse_even"), even.tiles)
+    for seed in (0, 7):
+        both = [finished(one.fitted(layout), layout, seed) for one in (HALL, even)]
+        assert both[0].sum() > 10
+        np.testing.assert_array_equal(*both)
+
+
+def test_the_entropy_counts_patterns_of_what_is_drawn_alone():
+    drawn = parse([".@e.", "@@e.", ".ee."], HALL.tiles)
+    walled = np.pad(drawn, 2, constant_values=HALL.tiles.index("#"))
+    plain = score.entropy(jnp.asarray(drawn), 3)
+    assert float(score.entropy(jnp.asarray(walled), 3, partial=True)) == float(plain) > 0
+    assert float(score.entropy(jnp.full((4, 4), 4), 3, partial=True)) == 0
+
+
+@pytest.mark.parametrize("shape", [(7, 13), (60, 80)])
+def test_measures_reach_from_end_to_end_at_any_size(shape):
+    domain = HALL.resized(*shape)
+    components, entropy = domain.measures
+    assert (components.low, components.high) == (0, domain.config.shelves)
+    assert (entropy.low, entropy.high) == (0, 1)
