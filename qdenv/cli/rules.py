@@ -31,7 +31,7 @@ from tyro.constructors import (
 )
 
 from qdenv.cli.parser import number_rules
-from qdenv.domains.base import DOMAINS, find_domain, make_domain
+from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.ops.options import (
     FleetOptions,
     GuideOptions,
@@ -39,6 +39,7 @@ from qdenv.ops.options import (
     PlannerOptions,
     RunOptions,
     StudyOptions,
+    TaskOptions,
     open_run,
 )
 from qdenv.registry import Registry
@@ -93,6 +94,9 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
             return dataclasses.replace(
                 spec, instantiate=lambda planner=None, **stated: (planner, stated)
             )
+        if kind is TaskOptions:
+            spec = _options(_task_settings(_domain_of(chosen, rest)))
+            return dataclasses.replace(spec, instantiate=lambda **stated: stated)
         if get_origin(kind) is not dict or get_origin(keywords[0]) is not Annotated:
             return None
         value, mark, *_ = get_args(keywords[0])
@@ -230,10 +234,23 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
 
 
 def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructConstructorSpec:
-    """Make an option for each number of tiles that the domain of a command line counts.
+    """Make an option for each number of tiles that the domain of a command line counts."""
+    many = Annotated[tuple[int, ...], arg(help_behavior_hint="(default: )")]
+    number = int if get_origin(kind) is None else many
+    counted = _domain_of(chosen, rest).counted.items()
+    return _options((name, number, f"exact number of tiles {tile!r}") for name, tile in counted)
 
-    That is the domain chosen by name, of a run or of a layout, or the usual one.
-    """
+
+def _task_settings(domain: Domain) -> Iterator[tuple[str, Any, Any]]:
+    """List the settings of a domain that say what robots do at their goals, for `_options`."""
+    yield from (one for one in _settings(domain.config) if one[0] in domain.task_settings)
+    if "demand" in domain.task_settings:
+        about = "how likely each place is a goal: a CSV file, or zones like 0:10,0:20=3"
+        yield "demand", Annotated[str, arg(metavar="FILE|ZONES")], about
+
+
+def _domain_of(chosen: Choices, rest: Sequence[str]) -> Domain:
+    """Find the domain chosen by name, of a run or of a layout, or the usual one."""
     domain = find_domain(chosen.domain or USUAL)
     for word in () if chosen.domain else rest:
         if max(map(len, word.split("/"))) > _LONGEST_NAME:  # a list of numbers, perhaps
@@ -245,7 +262,4 @@ def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructCons
             with contextlib.suppress(InputError):  # no layout, or one that the command refuses
                 domain = read_plan(word).domain
                 break
-    many = Annotated[tuple[int, ...], arg(help_behavior_hint="(default: )")]
-    number = int if get_origin(kind) is None else many
-    counted = domain.counted.items()
-    return _options((name, number, f"exact number of tiles {tile!r}") for name, tile in counted)
+    return domain

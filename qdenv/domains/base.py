@@ -155,6 +155,9 @@ class Domain:
     # settings that demand an exact number of one tile: name -> the tile's symbol. They scale with
     # the generated area, can be read off a layout, and are options of commands.
     counted: Mapping[str, str] = field(default_factory=dict)
+    # names of settings that say what robots do at their goals: options of every command that
+    # simulates a plan
+    task_settings: tuple[str, ...] = ()
     objective_name: str = "objective"  # what the objective is, with its unit
     # among elites of equal objective the one with the larger number in this column of the archive
     # is the best; None for the first
@@ -235,13 +238,15 @@ class Domain:
         return {name: getattr(self.config, name) for name in self.counted}
 
     def resized(self, rows: int, cols: int, numbers: Mapping[str, int] | None = None) -> Domain:
-        """Make the same domain at another size; cells stay locked only if the size is the same.
+        """Make the same domain at another size.
 
+        What the settings say of single cells stays only if the size is the same.
         Exact numbers of tiles that `numbers` leaves out are the known ones of the size, or scale
         with the generated area. Raises InputError for numbers that are not of this domain, or if
         this domain's own size has no generated area.
         """
-        stays = {} if (rows, cols) == self.shape else {"keep": ()}
+        places = [name for name in ("keep", "demand") if hasattr(self.config, name)]
+        stays = {} if (rows, cols) == self.shape else dict.fromkeys(places, ())
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
         if min(self.generated_shape) < 1:
             rows, cols = self.shape

@@ -12,6 +12,7 @@ from qdenv.domains.base import Domain, DomainConfig, KnownSize, environment_entr
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.grid import of_tiles, parse
 from qdenv.lazy import jax, jnp
+from qdenv.ranges import Stay
 from qdenv.registry import Entry
 from qdenv.simulate.mapf.goals import beside_goal
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -35,7 +36,7 @@ class ManufacturingConfig(DomainConfig):
 
     # agents, horizon and planner
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
-    stays: tuple[int, int, int] = (2, 5, 10)  # timesteps served beside each kind of station
+    stays: tuple[Stay, Stay, Stay] = (2, 5, 10)  # timesteps served beside each kind of station
 
 
 def rules(rows: int, cols: int) -> Rules:
@@ -72,6 +73,7 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         simulator=fleet_simulator(TaskRule(TILES, ".e", cycle), config.fleet),
         objective=throughput,
         objective_name=THROUGHPUT,
+        task_settings=("stays",),
         similarity_weights=lambda layout: jnp.where(
             of_tiles(layout, _STATIONS, TILES), 1.0, 1.0 / _STATION_WEIGHT
         ),

@@ -30,7 +30,7 @@ from qdenv.simulate.mapf.settings import (
     record_planner,
 )
 from qdenv.study.options import TIMESTEPS, parse_counts, parse_seeds
-from qdenv.study.plans import Plan, close_parts, guide, name_guidance
+from qdenv.study.plans import Plan, close_parts, guide, name_guidance, with_tasks
 from qdenv.study.plans import read_plan as read_file
 from qdenv.types import InputError
 from qdenv.view import parse_width
@@ -62,6 +62,10 @@ class Mark(Enum):
 
 class PlannerOptions:
     """Marks the option ``--planner NAME`` with the settings of the planner of that name."""
+
+
+class TaskOptions:
+    """Marks the options for settings of a domain that say what robots do at their goals."""
 
 
 DOMAIN_NAMES = "{" + ",".join(DOMAINS.names()) + "}"
@@ -120,6 +124,9 @@ class RunOptions(TypedDict, total=False):
     # who plans, with the defaults below: a registered name or settings, like `PbsConfig()`;
     # `compare` takes a list of them
     planner: Annotated[Any, arg(name="", constructor=PlannerOptions)]
+    # what robots do at their goals, in place of what the plan says: settings of its domain by name,
+    # like {"pick": 3}; "demand" is a file, zones, or float [H, W]
+    tasks: Annotated[dict[str, Any], arg(name="", constructor=TaskOptions)]
     # end a run at its first congested window, as published; --no-stop goes on (Figure 17)
     stop: Annotated[bool, arg(help_behavior_hint="(default: True)")]
     # costs of moves: none, crisscross, traffic-flow, human-cost, or a file; what the layout file
@@ -167,6 +174,7 @@ class Fleet:
         self.planner = replace(find_planner(self.effort, name or ""), **changes)
         self.stop: bool = options.get("stop", True)
         self.guidance: Any = options.get("guidance")
+        self.tasks: dict[str, Any] = dict(options.get("tasks") or {})
         self.seeds = parse_seeds(options.get("seeds", 10))
         self.seconds_per_step: float | None = options.get("seconds_per_step")
         # Number of timesteps per hour; None where their length is not given.
@@ -179,8 +187,11 @@ class Fleet:
         return FleetConfig(agents, steps, planner=self.planner, stop_when_congested=self.stop)
 
     def read_plan(self, layout: Any) -> Plan:
-        """Read a layout as the function of this name does, with its costs of moves."""
-        return self.guide(close_parts(read_plan(layout, self.domain)))
+        """Read a layout as the function of this name does, with its tasks and costs of moves."""
+        plan = with_tasks(read_plan(layout, self.domain), self.tasks)
+        if "demand" in self.tasks:  # of the first plan: layouts that are compared have one demand
+            self.tasks["demand"] = plan.domain.config.demand
+        return self.guide(close_parts(plan))
 
     def guide(self, plan: Plan) -> Plan:
         """Give a plan its costs of moves; InputError if the planner reads none."""
@@ -192,7 +203,8 @@ class Fleet:
     def settings(self, timesteps: int | None, plans: Sequence[Plan] = ()) -> dict[str, Any]:
         """Return the options for facts, with the guidance of `plans` where one has costs."""
         guidance = name_guidance(plans)
-        return ({"guidance": guidance} if guidance else {}) | {
+        stated = {"guidance": guidance, "tasks": self.tasks}
+        return {name: one for name, one in stated.items() if one} | {
             "domain": self.domain,
             "timesteps": timesteps,
             "seeds": list(self.seeds),

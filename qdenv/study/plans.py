@@ -10,11 +10,12 @@ import numpy as np
 
 from qdenv.domains.base import DOMAINS, FREE, SAME, Domain, check_shape, find_domain, make_domain
 from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
+from qdenv.io.demand import read_demand
 from qdenv.io.guidance import costs_of
 from qdenv.io.layouts import BLANKS, ENDINGS, aliases, alphabet, read_drawing, to_layout
 from qdenv.lazy import ndimage
 from qdenv.repair.rules import impossible
-from qdenv.simulate.mapf.goals import task_odds
+from qdenv.simulate.mapf.goals import rows_of_odds, task_odds
 from qdenv.types import Floor, InputError, about, choices
 
 USUAL = "hall"  # the domain where nothing says otherwise
@@ -102,6 +103,33 @@ def read_plan(path: str | Path, domain: str | None = None, form: str | None = No
     with about(str(path)):
         costs = costs_of(weights, found.drivable(layout))
     return plan._replace(costs=costs, guidance=str(path))
+
+
+def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
+    """Give a plan other settings of its domain that say what robots do at their goals.
+
+    "demand" among them is a file or zones (`io.demand`), odds of places (float [H, W]), or rows of
+    them as in the domain's settings. Raises InputError if the domain has no such setting, or a
+    value is impossible.
+    """
+    if not settings:
+        return plan
+    domain, changes = plan.domain, dict(settings)
+    for name in changes:
+        if name not in domain.task_settings:
+            known = ", ".join(domain.task_settings) or "none"
+            raise InputError(f"{domain.name} has no setting {name!r} of tasks: it has {known}")
+    demand = changes.get("demand", ())
+    if not isinstance(demand, tuple):
+        plain = make_domain(replace(domain.config, demand=())).simulator.tasks
+        assert plain is not None  # else there is no demand
+        endpoints = np.asarray(plain.cycle[0].weight(plan.layout)) > 0
+        if isinstance(demand, str | Path):
+            demand = read_demand(demand, endpoints)
+        changes["demand"] = rows_of_odds(np.asarray(demand, float))
+    if changes.get("demand"):  # a map of places fits one size
+        changes |= dict(zip(("rows", "cols"), plan.layout.shape, strict=True))
+    return plan._replace(domain=make_domain(replace(domain.config, **changes)))
 
 
 def keep_costs(
