@@ -26,7 +26,7 @@ ALLOWED = {
     "guidance": {"types", "lazy", "grid", "highways"},
     "highways": {"grid", "native"},
     "interrupt": set(),
-    "io": {"types", "interrupt", "registry", "grid", "guidance"},
+    "io": {"types", "interrupt", "registry", "grid", "guidance", "lazy"},
     "devices": {"types", "lazy"},
     "progress": set(),
     "registry": {"types"},

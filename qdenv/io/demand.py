@@ -18,10 +18,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
-from scipy import ndimage
 
 from qdenv.grid import MOVES
 from qdenv.io.files import damaged, read_text
+from qdenv.lazy import ndimage
 from qdenv.types import InputError, about
 
 _DELIMITERS = ";,\t"
