@@ -120,6 +120,18 @@ class Adjacency(NamedTuple):
     needs: str
 
 
+class Cover(NamedTuple):
+    """Demand that every cell holding one of `tiles` lies in a whole rectangle of such cells.
+
+    Squares that cover the driving area make aisles as wide as they are; rectangles that cover the
+    shelves make racks. What cannot be otherwise is no breach: a passage for which fixed cells leave
+    no room, and a shelf that is fixed.
+    """
+
+    tiles: str
+    shapes: tuple[tuple[int, int], ...]  # rows and columns of the rectangles, any of which will do
+
+
 class Rules(NamedTuple):
     """Hard constraints of one domain on one canvas, and what changing a cell costs."""
 
@@ -132,7 +144,7 @@ class Rules(NamedTuple):
     allowed: np.ndarray
     # float [H, W], the cost of changing each cell; 1 for the Hamming distance
     change_cost: np.ndarray
-    aisle: int = 1  # every connected cell lies in an ``aisle x aisle`` square of connected cells
+    covers: tuple[Cover, ...] = ()  # widths of aisles, shapes of racks
     names: Mapping[str, str] = {}  # nouns that messages call tiles by; their symbols unless given
 
     def name(self, tiles: str, many: bool = False) -> str:
@@ -143,6 +155,18 @@ class Rules(NamedTuple):
             # A symbol, and a number at the end, have no plural.
             nouns = [known.get(one, f"{one}s" if one[-1].isalpha() else one) for one in nouns]
         return " or ".join(filter(None, [", ".join(nouns[:-1]), *nouns[-1:]]))
+
+    def buildable(
+        self, aisle: int = 1, rack: tuple[int, int] | None = None, of: str = "@"
+    ) -> Rules:
+        """Add that aisles are `aisle` cells wide and tiles `of` stand in racks of rows x columns.
+
+        A rack stands along either axis; where racks meet, they form longer ones.
+        """
+        more = (Cover(self.connected, ((aisle, aisle),)),) * (aisle > 1)
+        if rack is not None:
+            more += (Cover(of, tuple(sorted({rack, rack[::-1]}))),)
+        return self._replace(covers=self.covers + more)
 
 
 class RepairStatus(IntEnum):

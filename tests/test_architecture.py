@@ -312,7 +312,7 @@ MOST = {
 MOST_REACHED = {
     "pipeline:evaluate": 6,
     "repair.recipe:repair_layout": 110,
-    "run.loop:train": 38,
+    "run.loop:train": 39,
     "ops.traffic:simulate_layout": 130,
     "ops.runs:generate_layout": 165,
     "simulate.mapf.pbs.planner:_plan_window": 49,

@@ -13,14 +13,14 @@ from qdenv.native import kernel
 from qdenv.repair.anneal.connectivity import RING_PIECES, join_pieces, may_close
 from qdenv.repair.anneal.loop import anneal, anneal_periods
 from qdenv.repair.anneal.packing import draw_templates
-from qdenv.repair.anneal.start import compile_board, initial_state, project
-from qdenv.repair.anneal.state import AnnealState, Board, Move, Schedule, Trait
+from qdenv.repair.anneal.start import compile_board, initial_covers, initial_state, project
+from qdenv.repair.anneal.state import MOST, AnnealState, Board, Move, Schedule, Trait
 from qdenv.repair.audit import audit
 from qdenv.repair.rules import Facts
 from qdenv.types import Adjacency, Count, InputError, Rules
 
 
-def mixed_rules(rows: int = 9, cols: int = 10, aisle: int = 1) -> Rules:
+def mixed_rules(rows: int = 9, cols: int = 10) -> Rules:
     """Three kinds of station counted apart, a fixed door, a keep-out and uneven weights."""
     allowed = np.ones((rows, cols, 5), bool)
     allowed[0, 0] = [True, False, False, False, False]
@@ -34,7 +34,6 @@ def mixed_rules(rows: int = 9, cols: int = 10, aisle: int = 1) -> Rules:
         connected=".e",
         allowed=allowed,
         change_cost=weights,
-        aisle=aisle,
     )
 
 
@@ -79,27 +78,29 @@ def plan_of(moves: int, periods: int = 100) -> Schedule:
 
 
 def empty_move() -> Move:
-    return Move(*np.zeros((3, 5), np.int64))
+    return Move(*np.zeros((3, MOST), np.int64))
 
 
-@pytest.mark.parametrize("aisle", [1, 2])
-def test_bookkeeping_and_connectivity_survive_thousands_of_moves(aisle):
-    rules = mixed_rules(aisle=aisle)
+@pytest.mark.parametrize(("aisle", "rack"), [(1, None), (2, None), (1, (1, 3)), (2, (2, 4))])
+def test_bookkeeping_and_connectivity_survive_thousands_of_moves(aisle, rack):
+    rules = mixed_rules().buildable(aisle, rack, of="012")
     rng = np.random.default_rng(0)
     for seed in range(4):
         layout = rng.integers(0, 5, (9, 10)).astype(np.int8)
-        board = compile_board(layout, Facts(rules))
+        facts = Facts(rules)
+        board = compile_board(layout, facts)
         candidate = project(board, layout, rng)
         for moves in (0, 3000):
-            (state, aisles), plan = initial_state(board, candidate), plan_of(moves)
-            word = np.uint64(seed)
-            anneal_periods(board, state, aisles, empty_move(), plan, word, 0, plan.periods)
+            covers, plan = initial_covers(board, candidate, facts), plan_of(moves)
+            state, word = initial_state(board, candidate, covers), np.uint64(seed)
+            anneal_periods(board, state, covers, empty_move(), plan, word, 0, plan.periods)
             assert (state.candidate != candidate).any() == (moves > 0)
-            fresh, fresh_aisles = initial_state(board, state.candidate)
+            fresh_covers = initial_covers(board, state.candidate, facts)
+            fresh = initial_state(board, state.candidate, fresh_covers)
             for field in ("ring", "tally", "counts"):
                 assert (getattr(state, field) == getattr(fresh, field)).all(), field
-            assert (aisles is None) == (aisle == 1)
-            for followed, counted in zip(aisles or (), fresh_aisles or (), strict=True):
+            assert (covers is None) == (aisle == 1 and rack is None)
+            for followed, counted in zip(covers or (), fresh_covers or (), strict=True):
                 assert (followed == counted).all()
             assert (state.cost, state.violations) == (fresh.cost, fresh.violations)
             driving = board.traits[state.candidate, Trait.DRIVES].reshape(11, 12) == 1
@@ -113,7 +114,7 @@ def test_the_best_layout_costs_what_was_noted_for_it():
     facts = Facts(mixed_rules())
     layout = np.random.default_rng(3).integers(0, 5, (9, 10)).astype(np.int8)
     board = compile_board(layout, facts)
-    state, _ = initial_state(board, project(board, layout, np.random.default_rng(0)))
+    state = initial_state(board, project(board, layout, np.random.default_rng(0)))
     noted = set()
     plan = plan_of(200_000)._replace(temperatures=(1.0, 0.1), penalty_weights=(1.0, 3.0))
     for period in range(plan.periods):
@@ -132,7 +133,7 @@ def test_a_run_cut_into_pieces_goes_the_same_way():
     layout = np.random.default_rng(1).integers(0, 5, (9, 10)).astype(np.int8)
     board, ended = compile_board(layout, Facts(mixed_rules())), []
     for cuts in ([0, 100], [0, 1, 37, 99, 100]):
-        state, _ = initial_state(board, project(board, layout, np.random.default_rng(0)))
+        state = initial_state(board, project(board, layout, np.random.default_rng(0)))
         for first, last in itertools.pairwise(cuts):
             word = np.uint64(7)
             anneal_periods(board, state, None, empty_move(), plan_of(5000), word, first, last)
@@ -149,7 +150,7 @@ def test_walkers_find_what_labelling_finds(open_share):
         layout = np.where(rng.random((9, 10)) < open_share, 0, 1).astype(np.int8)
         board = compile_board(layout, Facts(open_rules(9, 10)))
         candidate = project(board, layout, rng)
-        state, _ = initial_state(board, candidate)
+        state = initial_state(board, candidate)
         driving = board.traits[candidate, Trait.DRIVES].reshape(11, 12) == 1
         for cell in np.flatnonzero(driving):
             without = driving.copy()
@@ -193,7 +194,7 @@ def test_the_initial_state_counts_the_same_breaches_as_the_audit_finds():
     layout[6, 6] = 4  # an endpoint without a station; one 0 and two of 1 and 2 are missing
     board = compile_board(layout, Facts(mixed_rules()))
     start = project(board, layout, np.random.default_rng(0))
-    assert initial_state(board, start)[0].violations == 1 + 1 + 2
+    assert initial_state(board, start).violations == 1 + 1 + 2
 
 
 def test_same_seed_same_layout_and_cost():

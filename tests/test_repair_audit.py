@@ -95,10 +95,10 @@ def test_count_messages_name_the_bound():
 
 def test_narrow_passages_are_found():
     wide = ["......", "......", "..@@..", "..ee..", "......"]
-    rules = yard(5, 6, 2, 2, aisle=2)
+    rules = yard(5, 6, 2, 2).buildable(2)
     assert broken(wide, rules) == []
     slit = ["......", "......", "@@.@@@", "ee.eee", "......"]
-    assert broken(slit, yard(5, 6, 5, 5, aisle=2)) == [
+    assert broken(slit, yard(5, 6, 5, 5).buildable(2)) == [
         ("aisle narrower than 2 cells: 1 cell, row 2, column 2", (2, 2))
     ]
 
@@ -180,3 +180,42 @@ def test_the_bound_counts_missing_and_surplus_tiles_at_the_cheapest_cells():
     costs = np.arange(1.0, 13.0).reshape(3, 4)
     assert bound_cost(layout, Facts(yard(3, 4, 4, 4, change_cost=costs))) == 3 + 4
     assert bound_cost(layout, Facts(yard(3, 4, 1, 1, change_cost=costs))) == 1
+
+
+def test_shelves_outside_of_racks_are_found():
+    rules = yard(6, 6, 8, 8).buildable(rack=(2, 3))
+    drawn = ["eeee..", "@@@@..", "@@@@..", "eeee..", "......", "......"]
+    assert broken(drawn, rules) == []
+    upright = ["e@@e..", "e@@e..", "e@@e..", "e@@e..", "......", "......"]
+    assert broken(upright, rules) == []
+    ragged = ["eeee..", "@@@@..", "@@@.e.", "eee.@.", "......", "......"]
+    assert broken(ragged, rules) == [
+        ("'@' in no rack of 2 x 3: 2 cells, the first at row 1, column 3", (1, 3))
+    ]
+
+
+def test_what_is_fixed_breaks_no_rule_on_aisles_and_racks():
+    """A door one cell wide in a wall, and a column that was there before."""
+    rules = yard(5, 6, 0, None, adjacency=()).buildable(2, (2, 2))
+    rules.allowed[2] = [False, True, False, False]
+    rules.allowed[2, 3] = [True, False, False, False]
+    assert broken(["......", "......", "@@@.@@", "......", "......"], rules) == []
+    assert broken([".@....", "......", "@@@.@@", ".....@", "....@@"], rules) == [
+        ("aisle narrower than 2 cells: 4 cells, the first at row 0, column 0", (0, 0)),
+        ("'@' in no rack of 2 x 2: 4 cells, the first at row 0, column 1", (0, 1)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "aisle", "rack", "reason"),
+    [
+        ((5, 5), 1, (2, 3), "5 '@' at most are allowed but racks of 2 x 3 take 6"),
+        ((40, None), 1, (2, 9), "40 '@' are required but racks of 2 x 9 have room for 0 at most"),
+        ((40, None), 2, None, "40 '@' are required but aisles 2 cells wide can reach at most 39"),
+        ((9, None), 1, (3, 3), "in racks of 3 x 3 the middle has no 'e' beside it"),
+    ],
+)
+def test_aisles_and_racks_that_nothing_can_obey_are_named(numbers, aisle, rack, reason):
+    rules = yard(8, 8, *numbers)
+    assert impossible(rules) is None
+    assert impossible(rules.buildable(aisle, rack)) == reason

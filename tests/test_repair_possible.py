@@ -97,7 +97,7 @@ def test_what_is_not_decided_is_failed(monkeypatch):
 
 def test_wide_aisles_that_leave_no_room_are_proven_impossible():
     rules = warehouse(8, 8, 18)
-    rules = rules._replace(counts=(Count("@", 18, None),), aisle=2)
+    rules = rules._replace(counts=(Count("@", 18, None),)).buildable(2)
     assert find_possible(Facts(rules))[0] == RepairStatus.IMPOSSIBLE
 
 
@@ -158,7 +158,7 @@ def test_where_a_run_is_cut_makes_no_difference(monkeypatch):
 
 def test_rules_of_another_kind_are_left_to_others():
     rules = warehouse(18, 12, 97)
-    assert pack(Facts(rules._replace(aisle=2))) is None
+    assert pack(Facts(rules.buildable(2))) is None
     assert pack(Facts(rules._replace(counts=()))) is None
     assert pack(Facts(rules._replace(connected=""))) is None
     assert pack(Facts(find_domain("manufacturing").rules())) is None

@@ -52,10 +52,11 @@ def test_full_repair_is_optimal_on_every_tried_tiny_layout(changes):
         assert audit(found.layout, rules) == []
 
 
-def test_program_prices_and_accepts_exactly_what_the_rules_do():
+@pytest.mark.parametrize(("aisle", "rack"), [(2, None), (1, (1, 2)), (2, (1, 2))])
+def test_program_prices_and_accepts_exactly_what_the_rules_do(aisle, rack):
     """Every constraint but connectivity, over all layouts of a tiny canvas."""
     layout = np.array([[0, 1], [2, 2], [1, 0]], np.int8)
-    facts = Facts(yard(3, 2, 1, 2, aisle=2))
+    facts = Facts(yard(3, 2, 1, 2).buildable(aisle, rack))
     program = build(layout, facts)
     for tiles in itertools.product(range(3), repeat=6):
         candidate = np.array(tiles, np.int8).reshape(3, 2)
@@ -103,12 +104,32 @@ def test_engineers_rules_are_kept():
     allowed[4:6, :, 1] = False  # keep-out: no shelf on the main lane
     allowed[0, 5] = [True, False, False]  # door
     allowed[7:9, 9] = [False, True, False]  # column
-    rules = yard(10, 12, 8, 12, allowed=allowed, aisle=2)
+    rules = yard(10, 12, 8, 12, allowed=allowed).buildable(2)
     for seed in range(3):
         layout = np.random.default_rng(seed).integers(0, 3, (10, 12)).astype(np.int8)
         found = repair_layout(layout, rules, seed, RepairConfig("quick"))
         assert audit(found.layout, rules) == []
         assert 0 < found.lower_bound <= found.cost
+
+
+@pytest.mark.parametrize(
+    ("aisle", "rack", "shelves"), [(2, None, 40), (2, (2, 4), 40), (1, (1, 3), 60)]
+)
+def test_repairs_make_wide_aisles_and_whole_racks(aisle, rack, shelves):
+    for seed in range(3):
+        rules = yard(14, 15, shelves, shelves).buildable(aisle, rack)
+        layout = np.random.default_rng(seed).integers(0, 3, (14, 15)).astype(np.int8)
+        found = repair_layout(layout, rules, seed, RepairConfig("quick"))
+        assert audit(found.layout, rules) == []
+        assert found.status == RepairStatus.ANNEALED
+
+
+def test_racks_fill_a_hall_that_straight_aisles_can_hold():
+    """Ten racks of 2 x 10 between aisles two cells wide, and no more."""
+    rules = yard(42, 14, 200, 200).buildable(2, (2, 10))
+    layout = np.random.default_rng(0).integers(0, 3, (42, 14)).astype(np.int8)
+    found = repair_layout(layout, rules, 0, RepairConfig("quick"))
+    assert audit(found.layout, rules) == []
 
 
 def test_rules_without_connectivity_or_adjacency():

@@ -48,18 +48,33 @@ def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
         near = count_neighbours(of_tiles(layout, needs, rules.tiles)) > 0
         alone = np.asarray(of_tiles(layout, tiles, rules.tiles) & ~near)
         found += _violations(f"{rules.name(tiles)} without {rules.name(needs)} beside it", alone)
-    if not rules.connected:
-        return found
     driving = of_tiles(layout, rules.connected, rules.tiles)
     labels, parts = ndimage.label(driving)
     if parts > 1:
         largest = 1 + np.argmax(np.bincount(labels.ravel())[1:])
         message = f"the driving area is in {parts} unconnected parts, cut off"
         found += _violations(message, driving & (labels != largest))
-    if rules.aisle > 1:
-        # An opening keeps exactly the cells covered by a fitting square.
-        wide = ndimage.binary_opening(driving, np.ones((rules.aisle, rules.aisle), bool))
-        found += _violations(f"aisle narrower than {rules.aisle} cells", driving & ~wide)
+    return found + _check_covers(layout, rules)
+
+
+def _check_covers(layout: np.ndarray, rules: Rules) -> list[Violation]:
+    """Name the aisles that are too narrow, and what stands outside of whole racks."""
+    found = []
+    for tiles, shapes in rules.covers:
+        holds = of_tiles(layout, tiles, rules.tiles)
+        may = rules.allowed[..., [tile in tiles for tile in rules.tiles]]
+        # An opening keeps exactly the cells covered by a fitting rectangle.
+        covered, room = (
+            np.any([ndimage.binary_opening(cells, np.ones(shape, bool)) for shape in shapes], 0)
+            for cells in (holds, may.any(-1))
+        )
+        rows, cols = shapes[0]
+        if set(tiles) == set(rules.connected):
+            found += _violations(f"aisle narrower than {rows} cells", holds & ~covered & room)
+        else:
+            fixed = may.sum(-1) == rules.allowed.sum(-1)
+            message = f"{rules.name(tiles)} in no rack of {rows} x {cols}"
+            found += _violations(message, holds & ~covered & ~fixed)
     return found
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from qdenv.grid import count_neighbours
 from qdenv.lazy import ndimage
-from qdenv.types import Repair, Rules
+from qdenv.types import Cover, Repair, Rules
 
 _TOLERANCE = 1e-6  # how far a bound may miss a cost that it proves: sums of floats differ by less
 
@@ -48,6 +48,19 @@ class Facts:
             self.role_of[members] = role
         # bool [H, W, R], the roles that each cell may take
         self.may_take = np.stack([allowed[..., kinds].any(-1) for kinds in self.roles], -1)
+        # of each cover, whether it is on the driving area, and the cells that need none (bool
+        # [H, W]): where there is no room for a wide aisle, and shelves that are fixed
+        self.widens = [set(rule.tiles) == set(rules.connected) for rule in rules.covers]
+        sides: dict[bool, list[int]] = {True: [1], False: []}
+        for rule, widens in zip(rules.covers, self.widens, strict=True):
+            sides[widens].append(min(min(shape) for shape in rule.shapes))
+        self.aisle = max(sides[True])  # how many cells wide an aisle must be
+        # how many cells deep racks must be, 0 where any will do
+        self.depth = max(sides[False], default=0)
+        self.exempt = [
+            ~self.room(rule) if widens else self.must(rule.tiles)
+            for rule, widens in zip(rules.covers, self.widens, strict=True)
+        ]
         # whether every change costs an integer, so that bounds on the cost round up
         self.whole_costs = bool((np.asarray(rules.change_cost) % 1 == 0).all())
 
@@ -68,6 +81,11 @@ class Facts:
         """Mark the cells that hold one of `tiles` in every layout (bool [H, W])."""
         others = (self.rules.allowed & ~self.holding(tiles)).any(-1)
         return self.may(tiles) & ~others
+
+    def room(self, rule: Cover) -> np.ndarray:
+        """Mark the cells that a whole rectangle may cover (bool [H, W])."""
+        may = self.may(rule.tiles)
+        return np.any([ndimage.binary_opening(may, np.ones(shape)) for shape in rule.shapes], 0)
 
     def keeps(self, layout: np.ndarray) -> np.ndarray:
         """Mark the cells that may keep the tile of `layout` (int8 [H, W] -> bool [H, W])."""
@@ -188,6 +206,42 @@ def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
         if parts.size > 1:
             where = "row {}, column {}".format(*np.argwhere(always & (labels == parts[1]))[0])
             return f"fixed obstacles cut {where} off from the rest of the driving area"
+    return _impossible_covers(facts)
+
+
+def _impossible_covers(facts: Facts) -> str | None:
+    """Return a contradiction between aisles or racks and the other rules that counting shows."""
+    rules = facts.rules
+    for rule, widens, exempt in zip(rules.covers, facts.widens, facts.exempt, strict=True):
+        rows, cols = rule.shapes[0]
+        room = facts.room(rule)
+        for tiles, low, high in rules.counts:
+            named = rules.name(tiles, many=True)
+            if widens:
+                # A connected union of squares of a x a cells has at most (4 a - 2) / a^2
+                # sides for each of its cells, and two more: squares that share one side each. A
+                # cell without room for a square adds at most two sides. Each obstacle takes one.
+                needs = [need for held, need in rules.adjacency if set(tiles) <= set(held)]
+                if not any(set(need) <= set(rules.connected) for need in needs):
+                    continue
+                ratio = (4 * rows - 2) / rows**2
+                holds, narrow = facts.may(tiles), int((facts.may(rule.tiles) & ~room).sum())
+                most = int((ratio * (room | holds).sum() + 2 * narrow + 2) / (1 + ratio))
+                if low > most and not set(tiles) & set(rules.connected):
+                    reach = f"aisles {rows} cells wide can reach at most {most}"
+                    return f"{low} {named} are required but {reach}"
+            elif set(tiles) <= set(rule.tiles) and low > 0:
+                rack = f"racks of {rows} x {cols}"
+                most = int((room | exempt).sum())
+                if low > most:
+                    return f"{low} {named} are required but {rack} have room for {most} at most"
+                if high is not None and high < rows * cols and not exempt.any():
+                    return f"{high} {named} at most are allowed but {rack} take {rows * cols}"
+            if not widens and min(rows, cols) > 2 and low > facts.must(tiles).sum():
+                for held, needs in rules.adjacency:
+                    if set(rule.tiles) <= set(held) and not set(needs) & set(rule.tiles):
+                        lacks = f"the middle has no {rules.name(needs)} beside it"
+                        return f"in racks of {rows} x {cols} {lacks}"
     return None
 
 

@@ -55,12 +55,12 @@ def draw_task(rng: np.random.Generator) -> Task:
     layout = rng.choice(len(rules.tiles), shape, p=odds)
     fixed = rules.allowed.sum(-1) == 1
     layout = np.where(fixed, rules.allowed.argmax(-1), layout).astype(np.int8)
-    name = f"{kind} {shape[0]} x {shape[1]}, {rules.counts}, aisle {rules.aisle}"
+    name = f"{kind} {shape[0]} x {shape[1]}, {rules.counts}, {rules.covers}"
     return Task(name, layout, rules)
 
 
 def draw_rules(rng: np.random.Generator, rules: Rules, obstacles: str) -> Rules:
-    """Change the numbers of obstacles, and now and then the width of aisles and fixed cells."""
+    """Change the numbers of obstacles, and now and then aisles, racks and fixed cells."""
     tiles = [rules.tiles.index(tile) for tile in obstacles]
     places = int(rules.allowed[..., tiles].any(-1).sum())
     low, high = ((0.05, 0.5), (0.5, 0.75), (0.05, 1.1))[rng.choice(3, p=[0.35, 0.5, 0.15])]
@@ -75,7 +75,8 @@ def draw_rules(rng: np.random.Generator, rules: Rules, obstacles: str) -> Rules:
             tile = rng.choice(np.flatnonzero(allowed[row, col]))
             allowed[row, col] = np.arange(allowed.shape[-1]) == tile
     aisle = 2 if rng.random() < 0.08 else 1
-    return rules._replace(counts=counts, allowed=allowed, aisle=aisle)
+    rack = (int(rng.integers(1, 3)), int(rng.integers(2, 5))) if rng.random() < 0.08 else None
+    return rules._replace(counts=counts, allowed=allowed).buildable(aisle, rack, of=obstacles)
 
 
 def attempt(rng: np.random.Generator, folder: Path) -> Attempt:

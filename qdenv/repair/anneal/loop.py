@@ -11,15 +11,17 @@ import numpy as np
 from qdenv.native import formula, inlined, kernel
 from qdenv.progress import Progress, silent
 from qdenv.repair.anneal.connectivity import may_close
-from qdenv.repair.anneal.moves import propose, put, set_aisles, weigh
-from qdenv.repair.anneal.start import compile_board, initial_state, project
+from qdenv.repair.anneal.covers import propose_rectangles, set_covers
+from qdenv.repair.anneal.moves import propose, put, weigh
+from qdenv.repair.anneal.start import compile_board, initial_covers, initial_state, project
 from qdenv.repair.anneal.state import (
+    MOST,
     RISE_LIMITS,
     SIDES,
     WORDS,
-    Aisles,
     AnnealState,
     Board,
+    Covers,
     Move,
     Schedule,
     Trait,
@@ -65,7 +67,9 @@ def anneal(
     its cost, or (None, inf).
     """
     board, rng = compile_board(layout, facts), np.random.default_rng(abs(seed))
-    state, aisles = initial_state(board, project(board, start, rng))
+    projected = project(board, start, rng)
+    covers = initial_covers(board, projected, facts)
+    state = initial_state(board, projected, covers)
     costs, moves = board.change_cost[board.free], moves if board.free.size else 0
     mean, top = (float(costs.mean()), float(costs.max())) if costs.any() else (1.0, 1.0)
     (hot, cold), (light, heavy), *_ = schedule
@@ -74,10 +78,10 @@ def anneal(
     temperatures, weights = (hot * mean, cold * mean), (light * top, heavy * top)
     run = Schedule(temperatures, weights, moves, period, periods, bound)
     # In pieces, so that a long run can show its progress.
-    chunk, move = max(_CHUNK // period, 1), Move(*np.zeros((3, 5), np.int64))
+    chunk, move = max(_CHUNK // period, 1), Move(*np.zeros((3, MOST), np.int64))
     for first in range(0, periods, chunk):
         last = min(first + chunk, periods)
-        anneal_periods(board, state, aisles, move, run, word, first, last)
+        anneal_periods(board, state, covers, move, run, word, first, last)
         progress("annealing", last / periods, "")
     if not np.isfinite(state.best_cost):
         return None, float("inf")
@@ -113,7 +117,7 @@ def _settle_driving(board: Board, state: AnnealState, move: Move, changes: int) 
 def _try_move(
     board: Board,
     state: AnnealState,
-    aisles: Aisles | None,
+    covers: Covers | None,
     move: Move,
     changes: int,
     limit: float,
@@ -121,15 +125,20 @@ def _try_move(
 ) -> bool:
     """Make the proposed move if its energy rises by at most `limit`; returns whether it did."""
     rise, breaks = weigh(board, state, move, changes)
-    if aisles is not None:
-        breaks += set_aisles(board, aisles, move.cells, move.new, changes)
+    hopeless = False
+    if covers is not None:
+        # At best the move mends all that is broken: most are refused without counting.
+        hopeless = rise + penalty * (breaks - covers.broken[()]) > limit
+        if not hopeless:
+            breaks += set_covers(covers, move.cells, move.new, changes)
     # The most expensive test comes last.
-    accept = rise + penalty * breaks <= limit and _settle_driving(board, state, move, changes)
+    accept = not hopeless and rise + penalty * breaks <= limit
+    accept = accept and _settle_driving(board, state, move, changes)
     if not accept:
         for index in range(changes - 1):  # the last change is not made yet
             put(board, state, move.cells[index], move.old[index])
-        if aisles is not None:
-            set_aisles(board, aisles, move.cells, move.old, changes)
+        if covers is not None and not hopeless:
+            set_covers(covers, move.cells, move.old, changes)
         return accept
     put(board, state, move.cells[changes - 1], move.new[changes - 1])
     changed, place, since = state.changed, state.place, state.since
@@ -180,7 +189,7 @@ def _remember(state: AnnealState) -> None:
 def anneal_periods(
     board: Board,
     state: AnnealState,
-    aisles: Aisles | None,
+    covers: Covers | None,
     move: Move,
     schedule: Schedule,
     seed: np.uint64,
@@ -192,7 +201,7 @@ def anneal_periods(
     The temperature falls geometrically; the penalty weight rises linearly, and faster while no
     feasible layout comes by. Ends early once nothing can be cheaper. `state` ends where the last
     move led; its `best` receives the cheapest layout that broke nothing, and `best_cost` its cost.
-    `aisles` are those of `state`, None where rules allow narrow ones; `move` is a buffer.
+    `covers` are those of `state`, None where no rule is on rectangles; `move` is a buffer.
     """
     (hot, cold), (light, heavy) = schedule.temperatures, schedule.penalty_weights
     for period in range(first, last):
@@ -210,10 +219,14 @@ def anneal_periods(
             return
         last_move = min((period + 1) * schedule.period, schedule.moves)
         for index in range(period * schedule.period, last_move):
-            changes = propose(board, state, move, seed, WORDS * index)
+            changes = -1
+            if covers is not None:
+                changes = propose_rectangles(board, state, covers, move, seed, WORDS * index)
+            if changes < 0:
+                changes = propose(board, state, move, seed, WORDS * index)
             if changes == 0:
                 continue
             source = random_u64(seed, WORDS * index + 1)
             limit = temperature * RISE_LIMITS[uniform_bits(source, _ACCEPT_BITS)]
-            if _try_move(board, state, aisles, move, changes, limit, penalty):
+            if _try_move(board, state, covers, move, changes, limit, penalty):
                 _note_feasible(state, period)

@@ -12,7 +12,6 @@ from qdenv.repair.anneal.connectivity import SET_BITS
 from qdenv.repair.anneal.state import (
     LEVELS,
     NO_TILE,
-    Aisles,
     AnnealState,
     Board,
     Move,
@@ -55,7 +54,7 @@ _NEIGHBOUR_BITS = (10, 10)  # which of those that fit
 
 
 @formula
-def _unmet_needs(traits: np.ndarray, tile: int, tally: int) -> int:
+def unmet_needs(traits: np.ndarray, tile: int, tally: int) -> int:
     """Mark the needs a tile has and a tally of its neighbours does not meet, one bit for each."""
     # A need is met at most four times: three bits tell.
     return traits[tile, Trait.NEEDS] & ~(tally | tally >> 1 | tally >> 2)
@@ -65,7 +64,7 @@ def _unmet_needs(traits: np.ndarray, tile: int, tally: int) -> int:
 def _count_unmet(traits: np.ndarray, tile: int, tally: int) -> int:
     """Count the needs of a tile that a tally of its neighbours does not meet."""
     # The product gathers the sum of all fields in the highest of them.
-    return _unmet_needs(traits, tile, tally) * _FIELDS >> 24 & 7
+    return unmet_needs(traits, tile, tally) * _FIELDS >> 24 & 7
 
 
 @formula
@@ -116,7 +115,7 @@ def _release(board: Board, state: AnnealState, move: Move) -> int:
         idle = plain == own or not traits[own, Trait.DRIVES]
         if idle or plain == NO_TILE:
             continue
-        if _unmet_needs(traits, own, tally + change) & ~_unmet_needs(traits, own, tally):
+        if unmet_needs(traits, own, tally + change) & ~unmet_needs(traits, own, tally):
             move.cells[changes], move.new[changes] = side, plain
             changes += 1
     return changes
@@ -170,7 +169,7 @@ def propose(board: Board, state: AnnealState, move: Move, seed: np.uint64, numbe
 
 @inlined
 def put(board: Board, state: AnnealState, cell: int, new: int) -> None:
-    """Set one cell; rings, aisles and the lists of changes are brought up to date elsewhere."""
+    """Set one cell; rings, covers and the lists of changes are brought up to date elsewhere."""
     traits, old = board.traits, state.candidate[cell]
     change = traits[new, Trait.UNIT] - traits[old, Trait.UNIT]
     if change:
@@ -198,14 +197,15 @@ def weigh(board: Board, state: AnnealState, move: Move, changes: int) -> tuple[f
         move.old[index] = old
         rise += board.change_cost[cell] * ((new != own) * 1.0 - (old != own) * 1.0)
         # Adjacency: what the tile needs, and what its neighbours need of it.
-        broken += _count_unmet(traits, new, here) - _count_unmet(traits, old, here)
+        unmet = _count_unmet(traits, new, here) - _count_unmet(traits, old, here)
         change = traits[new, Trait.UNIT] - traits[old, Trait.UNIT]
         if change:
             for place in (0, 2, 4, 6):
                 side = cell + board.steps[place]
                 tile, tally = state.candidate[side], state.tally[side]
-                broken += _count_unmet(traits, tile, tally + change)
-                broken -= _count_unmet(traits, tile, tally)
+                unmet += _count_unmet(traits, tile, tally + change)
+                unmet -= _count_unmet(traits, tile, tally)
+        broken += unmet * board.demand_weight
         # Counts: how far they are outside their bounds.
         before, after = traits[old, Trait.BOUNDS], traits[new, Trait.BOUNDS]
         if before != after:
@@ -216,35 +216,3 @@ def weigh(board: Board, state: AnnealState, move: Move, changes: int) -> tuple[f
                 broken += max(low - count - more, 0) + max(count + more - high, 0)
                 broken -= max(low - count, 0) + max(count - high, 0)
     return rise, broken
-
-
-@kernel
-def set_aisles(
-    board: Board, aisles: Aisles, cells: np.ndarray, tiles: np.ndarray, changes: int
-) -> int:
-    """Bring the aisles to `tiles` on `cells`; returns how many more cells no square covers."""
-    driving, closed, cover = aisles
-    side, stride, broken = board.aisle, board.steps[4], 0
-    for index in range(changes):
-        cell, opens = cells[index], board.traits[tiles[index], Trait.DRIVES]
-        if driving[cell] == opens:
-            continue
-        broken -= driving[cell] == 1 and cover[cell] == 0
-        driving[cell] = opens
-        broken += driving[cell] == 1 and cover[cell] == 0
-        for corner_step in range(side * side):
-            corner = cell - corner_step // side * stride - corner_step % side
-            if corner < 0:
-                continue
-            before = closed[corner] == 0
-            closed[corner] += -1 if opens else 1
-            after = closed[corner] == 0
-            # Only a square that opens or closes as a whole changes what its cells are covered by.
-            if before == after:
-                continue
-            for inside_step in range(side * side):
-                inside = corner + inside_step // side * stride + inside_step % side
-                broken -= driving[inside] == 1 and cover[inside] == 0
-                cover[inside] += 1 if after else -1
-                broken += driving[inside] == 1 and cover[inside] == 0
-    return broken

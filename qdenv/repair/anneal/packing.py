@@ -58,19 +58,23 @@ def draw_templates(layout: np.ndarray, facts: Facts) -> list[np.ndarray]:
     first that break the fewest rules: fixed cells and odd keep-outs may break one here and there.
     """
     height, width = layout.shape
-    aisle, period = facts.rules.aisle, facts.rules.aisle + 2
+    aisle, period = facts.aisle, facts.aisle + (facts.depth or 2)
     rows, cols = np.indices((height, width))
     drawn = []
     for along, across, last in ((rows, cols, width), (cols, rows, height)):
         # Aisles across both ends link those along the rows, where no fixed border does.
         spine = (across < aisle) | (across >= last - aisle)
         for link, phase in product((spine, np.zeros_like(spine)), range(period)):
-            drawn.append(_furnish(layout, facts, ((along + phase) % period < aisle) | link))
+            aisles = ((along + phase) % period < aisle) | link
+            drawn.append(_furnish(layout, facts, aisles, (along + phase) // period))
     return sorted(drawn, key=lambda candidate: len(audit(candidate, facts.rules)))
 
 
-def _furnish(layout: np.ndarray, facts: Facts, aisles: np.ndarray) -> np.ndarray:
-    """Drive everywhere, then put the obstacles that the counts require beside the aisles."""
+def _furnish(layout: np.ndarray, facts: Facts, aisles: np.ndarray, bands: np.ndarray) -> np.ndarray:
+    """Drive everywhere, then put the obstacles that the counts require beside the aisles.
+
+    Racks fill the `bands` (int64 [H, W]) between aisles one by one, each from its end.
+    """
     allowed, driving = facts.rules.allowed, facts.driving
     height, width = layout.shape
     # The least demanding driving tile that is allowed, else any allowed tile.
@@ -80,6 +84,10 @@ def _furnish(layout: np.ndarray, facts: Facts, aisles: np.ndarray) -> np.ndarray
         may = (allowed & counted).any(-1) & ~aisles & driving[candidate]
         # Cells first that hold a counted tile in the input.
         order = np.argsort(~counted[layout][may], kind="stable")
+        if facts.depth:
+            rows, cols = np.nonzero(may)
+            along = cols if bands[0, 0] == bands[0, -1] else rows
+            order = np.lexsort((along, bands[may]))
         missing = max(bound.low - int(counted[candidate].sum()), 0)
         for row, col in np.argwhere(may)[order[:missing]]:
             own = layout[row, col]
@@ -236,7 +244,7 @@ def pack(facts: Facts, progress: Progress = silent) -> np.ndarray | None:
     rules = facts.rules
     obstacles = set(rules.tiles) - set(rules.connected)
     demands = [rule for rule in rules.adjacency if set(rule.tiles) & obstacles]
-    if not rules.connected or rules.aisle > 1 or len(rules.counts) != 1 or len(demands) != 1:
+    if not rules.connected or rules.covers or len(rules.counts) != 1 or len(demands) != 1:
         return None
     (service,), (count,) = demands, rules.counts
     served = set(service.needs) <= set(rules.connected)

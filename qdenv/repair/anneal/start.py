@@ -9,14 +9,19 @@ from qdenv.repair.anneal.state import (
     MAX_NEEDS,
     NO_TILE,
     PLACES,
-    Aisles,
     AnnealState,
     Board,
+    Covers,
     TileGroup,
     Trait,
 )
 from qdenv.repair.rules import Facts
 from qdenv.types import InputError
+
+# `Board.demand_weight` without covers, with aisles, with racks. A shelf where it breaks another
+# rule must not make up for one that is missing: such pairs would jam what changes by whole
+# rectangles, and one more shelf finds its place more easily. Measured on grown layouts.
+_DEMAND_WEIGHTS = (1, 2, 4)
 
 
 def _tabulate_choices(allowed: np.ndarray, facts: Facts) -> tuple[np.ndarray, np.ndarray]:
@@ -81,8 +86,8 @@ def compile_board(layout: np.ndarray, facts: Facts) -> Board:
         traits=np.array([*traits, [0, 0, 0, -1, 0]], np.int32),  # the last one is the wall
         count_bounds=facts.count_bounds,
         steps=steps,
+        demand_weight=_DEMAND_WEIGHTS[0 if not rules.covers else 1 if all(facts.widens) else 2],
         connected=bool(rules.connected),
-        aisle=rules.aisle,
         # A partner that leaves its input tile shifts a corridor. Measured: where a number of tiles
         # is exact such pairs are worth less than changes of one cell.
         leave_quarters=1 if any(low == high for low, high in facts.count_bounds) else 4,
@@ -124,36 +129,48 @@ def project(board: Board, start: np.ndarray, rng: np.random.Generator) -> np.nda
     return np.where(driving & ~joined & (shut >= 0), shut, candidate).astype(np.int8)
 
 
-def _sum_squares(mask: np.ndarray, side: int) -> np.ndarray:
-    """Count `mask` in the side x side square that starts at each cell; nothing lies beyond."""
-    padded = np.pad(mask.astype(np.int64), ((0, side - 1), (0, side - 1)))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (side, side))
-    return windows.sum((-1, -2))
+def initial_covers(board: Board, candidate: np.ndarray, facts: Facts) -> Covers | None:
+    """Count the whole rectangles of a padded layout (int8 [N]); None where no rule is on them."""
+    rules = facts.rules.covers
+    if not rules:
+        return None
+    belongs = np.array([[*facts.holding(rule.tiles), False] for rule in rules]).astype(np.int8)
+    shapes = [(q, *shape) for q, rule in enumerate(rules) for shape in rule.shapes]
+    offsets = np.zeros((len(shapes), max(rows * cols for _, rows, cols in shapes)), np.int64)
+    member = belongs[:, candidate]
+    lacking = np.zeros((len(shapes), candidate.size), np.int32)
+    whole = np.zeros((len(rules), candidate.size), np.int32)
+    for z, (rule, rows, cols) in enumerate(shapes):
+        area = rows * cols
+        offsets[z, :area] = (board.steps[4] * np.arange(rows)[:, None] + np.arange(cols)).ravel()
+        # Rectangles that leave the grid hold a wall, on whichever side they come in again.
+        lacking[z] = area - sum(np.roll(member[rule], -step) for step in offsets[z, :area])
+        whole[rule] += sum(np.roll(lacking[z] == 0, step) for step in offsets[z, :area])
+    weight = board.demand_weight
+    weights = [
+        np.pad((weight if widens else weight + 1) * ~exempt, 1).ravel()
+        for widens, exempt in zip(facts.widens, facts.exempt, strict=True)
+    ]
+    costs = np.array(weights, np.int8)
+    broken = np.array((costs * (member & (whole == 0))).sum(), np.int64)
+    return Covers(belongs, costs, np.array(shapes), offsets, member, lacking, whole, broken)
 
 
-def initial_state(board: Board, candidate: np.ndarray) -> tuple[AnnealState, Aisles | None]:
+def initial_state(board: Board, candidate: np.ndarray, covers: Covers | None = None) -> AnnealState:
     """Start at a projected layout (int8 [N])."""
     size, traits = candidate.size, board.traits[candidate]
     tally = sum(np.roll(traits[:, Trait.UNIT], step) for step in board.steps[::2])
     counts = (traits[:, Trait.BOUNDS, None] >> np.arange(len(board.count_bounds)) & 1).sum(0)
     low, high = board.count_bounds.T
     lacking = traits[:, Trait.NEEDS] & ~(tally | tally >> 1 | tally >> 2)
-    broken = (lacking[:, None] >> 4 * np.arange(MAX_NEEDS) & 1).sum()
+    broken = (lacking[:, None] >> 4 * np.arange(MAX_NEEDS) & 1).sum() * board.demand_weight
     broken += np.maximum(low - counts, counts - high).clip(0).sum()
-    aisles, side = None, board.aisle
-    if side > 1:
-        driving = traits[:, Trait.DRIVES].reshape(-1, int(board.steps[4]))
-        closed = side**2 - _sum_squares(driving, side)
-        # Squares that reach back over a cell: the same sum on the grid turned round.
-        cover = _sum_squares((closed == 0)[::-1, ::-1], side)[::-1, ::-1]
-        numbers = closed.ravel().astype(np.int32), cover.ravel().astype(np.int32)
-        aisles = driving.ravel().astype(np.int8), *numbers
-        broken += ((driving == 1) & (cover == 0)).sum()
+    broken += 0 if covers is None else int(covers.broken)
     differs = candidate != board.layout
     changed, place = np.zeros(size, np.int32), np.zeros(size, np.int32)
     changed[: differs.sum()] = np.flatnonzero(differs)
     place[differs] = 1 + np.arange(differs.sum())
-    state = AnnealState(
+    return AnnealState(
         candidate=candidate.copy(),
         ring=join_bits(traits[:, Trait.DRIVES] == 1, board.steps),
         tally=tally.astype(np.int32),
@@ -171,4 +188,3 @@ def initial_state(board: Board, candidate: np.ndarray) -> tuple[AnnealState, Ais
         boost=np.array(1.0),
         walkers=np.zeros((3, 4), np.int64),
     )
-    return state, aisles

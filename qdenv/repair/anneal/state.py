@@ -16,6 +16,7 @@ from qdenv.native import Scalar, formula
 
 MAX_KINDS = 20  # kinds of tile: one bit each in a mask of 32
 MAX_NEEDS = 7  # different needs: four bits each in one 32-bit tally of neighbours
+MOST = 62  # cells that one move may change: a bit each in a mask of 64
 NO_TILE = -1  # where a table or a draw has no tile to give
 DRAWS = 64  # tiles in a row of `Board.choices`: six random bits draw one
 SIDES = 0b01010101  # the 4-neighbours among the places of a ring
@@ -69,8 +70,10 @@ class Board(NamedTuple):
     # int64 [Q, 2], lowest and highest number of tiles that count in bound q
     count_bounds: np.ndarray
     steps: np.ndarray  # int64 [8], from a cell to its places
+    demand_weight: (
+        int  # how many missing tiles weigh as much as a tile without a neighbour it needs
+    )
     connected: bool  # whether the driving area must be one piece
-    aisle: int  # side of the squares that must cover the driving area; 1 where any aisle will do
     # of four partners in a move that would leave their input tile, how many may
     leave_quarters: int
 
@@ -84,7 +87,7 @@ class AnnealState(NamedTuple):
     tally: np.ndarray
     counts: np.ndarray  # int64 [Q], how many cells count in each bound
     cost: Scalar  # float64 [], summed costs of the changed cells
-    violations: Scalar  # int64 [], broken demands: of neighbours, counts and aisles
+    violations: Scalar  # int64 [], broken demands: of neighbours, counts and covers
     changed: np.ndarray  # int32 [N], first the cells that differ from the input
     num_changed: Scalar  # int64 [], how many these are
     place: np.ndarray  # int32 [N], 1 + where in `changed` a cell stands, 0 for nowhere
@@ -97,17 +100,25 @@ class AnnealState(NamedTuple):
     walkers: np.ndarray  # int64 [3, 4], buffer of the connectivity test: cells, headings, ends
 
 
-# Where aisles must be wider than a cell: whether the candidate drives (int8 [N]), closed cells in
-# the square whose top left corner is here, open squares over the cell (int32 [N] each).
-Aisles = tuple[np.ndarray, np.ndarray, np.ndarray]
+class Covers(NamedTuple):
+    """The Q rules on whole rectangles, of Z shapes in all, and how the candidate stands to them."""
+
+    belongs: np.ndarray  # int8 [Q, K + 1], 1 for the tiles that a rule covers
+    weights: np.ndarray  # int8 [Q, N], demands that a member without any breaks, 0 if it needs none
+    shapes: np.ndarray  # int64 [Z, 3], of each shape the rule, rows and columns
+    offsets: np.ndarray  # int64 [Z, area], from its first corner to its cells; 0 beyond the last
+    member: np.ndarray  # int8 [Q, N], 1 where the candidate holds a tile that the rule covers
+    lacking: np.ndarray  # int32 [Z, N], other cells in the rectangle whose first corner is here
+    whole: np.ndarray  # int32 [Q, N], rectangles over the cell that lack none
+    broken: Scalar  # int64 [], summed weights of members without any
 
 
 class Move(NamedTuple):
-    """Up to five cells that change together."""
+    """Up to `MOST` cells that change together."""
 
-    cells: np.ndarray  # int64 [5], the cells
-    new: np.ndarray  # int64 [5], the tiles they get
-    old: np.ndarray  # int64 [5], the tiles they had
+    cells: np.ndarray  # int64 [MOST], the cells
+    new: np.ndarray  # int64 [MOST], the tiles they get
+    old: np.ndarray  # int64 [MOST], the tiles they had
 
 
 class Schedule(NamedTuple):

@@ -38,7 +38,7 @@ def find_possible(facts: Facts, progress: Progress = silent) -> Existence:
     """Find a layout that obeys the rules, or prove that there is none; both may fail."""
     # Cached by the content of the rules, costs left out: a batch pays for it once.
     rules = facts.rules
-    texts = (rules.tiles, rules.counts, rules.adjacency, rules.connected, rules.aisle)
+    texts = (rules.tiles, rules.counts, rules.adjacency, rules.connected, rules.covers)
     key = repr((texts, rules.allowed.shape)).encode() + np.packbits(rules.allowed).tobytes()
     with _lock:
         if key not in _answers:
@@ -61,7 +61,7 @@ def _decide(facts: Facts, progress: Progress) -> Existence:
         return RepairStatus.FAILED if layout is None else RepairStatus.ANNEALED, layout
     # Solve with more and more connectivity cuts, until a layout obeys every rule or none can. Wide
     # aisles exclude more than a tree, which takes ten times as long.
-    program, rng = build_free(facts, spanned=facts.rules.aisle <= 1), np.random.default_rng(0)
+    program, rng = build_free(facts, spanned=not facts.rules.covers), np.random.default_rng(0)
     solver = highs.load(highs.new_solver(0), program)
     solver.setOptionValue("mip_max_nodes", _NODES)
     for _ in range(_ROUNDS):

@@ -8,7 +8,7 @@ tile of a role becomes is a handful of integers here, and is assigned afterwards
 that break it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -59,8 +59,9 @@ class Program(NamedTuple):
     # of each kind that is counted apart from others of its role the columns of two integers: how
     # many cells become it, and how many of its input cells keep the role but not the kind
     retypes: dict[int, tuple[int, int]] = {}  # noqa: RUF012
-    # int64 [H, W], column of the aisle square with its first corner here, or -1
-    squares: np.ndarray | None = None
+    # of each shape of each cover: int64 [H, W], column of "the rectangle whose first corner is here
+    # is whole", or -1
+    wholes: tuple[np.ndarray, ...] = ()
 
 
 def at_least(low: np.ndarray, *terms: tuple[np.ndarray, np.ndarray | float]) -> Constraints:
@@ -123,11 +124,13 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
     ]
     retypes = {kind: (size + 2 * n, size + 2 * n + 1) for n, kind in enumerate(apart)}
     size += 2 * len(apart)
-    squares, aisle = np.full(layout.shape, -1), facts.rules.aisle
-    if aisle > 1:
-        inside = squares[: 1 - aisle, : 1 - aisle]
-        inside[:] = size + np.arange(inside.size).reshape(inside.shape)
-        size += inside.size
+    wholes = []
+    for rule in facts.rules.covers:
+        for shape in rule.shapes:
+            wholes.append(np.full(layout.shape, -1))
+            inside = _corners(wholes[-1], shape)
+            inside[:] = size + np.arange(inside.size).reshape(inside.shape)
+            size += inside.size
     # At most one binary of a cell is set.
     several = binary.sum(-1) > 1
     columns = cells.columns[several][np.argsort(base[several], kind="stable")]
@@ -138,17 +141,17 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
             for rule in facts.rules.adjacency
         ),
         *_counts(cells, retypes, facts, layout),
-        *(_aisles(cells, squares, facts) if aisle > 1 else ()),
+        *_covers(cells, wholes, facts),
     ]
     # A row without variables matters only where fixed cells break it.
     used = [part.terms().any(1) | (part.low > 0) | (part.high < 0) for part in rows]
     rows = [Constraints(*(x[use] for x in part)) for part, use in zip(rows, used, strict=True)]
     upper, integer = np.ones(size), np.ones(size, bool)
     upper[[column for pair in retypes.values() for column in pair]] = layout.size
-    # A square is open when its cells are: no need to branch on it.
-    integer[squares[squares >= 0]] = False
+    for columns in wholes:  # a rectangle is whole when its cells are: no need to branch on it
+        integer[columns[columns >= 0]] = False
     cost, constant = _cost(cells, retypes, facts, layout, size)
-    return Program(cells, cost, rows, upper, integer, constant, retypes, squares)
+    return Program(cells, cost, rows, upper, integer, constant, retypes, tuple(wholes))
 
 
 def _counts(
@@ -196,19 +199,30 @@ def _counts(
     return rows
 
 
-def _aisles(cells: Cells, squares: np.ndarray, facts: Facts) -> list[Constraints]:
-    """A driving cell needs an aisle square over it; a square needs all its cells to drive."""
-    side = facts.rules.aisle
-    own, drives = cells.express(facts.roles_of(facts.rules.connected))
-    corners, offsets = np.argwhere(squares >= 0), np.argwhere(np.ones((side, side)))
-    rows, cols = (corners[:, None] + offsets).reshape(-1, 2).T
-    square = np.repeat(squares[squares >= 0], side**2)
-    padded = np.pad(squares, ((side - 1, 0), (side - 1, 0)), constant_values=-1)
-    over = np.lib.stride_tricks.sliding_window_view(padded, (side, side))
-    columns, terms = (array.reshape(squares.size, -1) for array in (cells.columns, own))
-    opens = (cells.columns[rows, cols], own[rows, cols]), (square, -1.0)
-    covered = (over.reshape(squares.size, -1), 1.0), (columns, -terms)
-    return [at_least(-drives[rows, cols], *opens), at_least(drives.ravel(), *covered)]
+def _corners(columns: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return the part of an array [H, W] where a rectangle may have its first corner."""
+    height, width = np.maximum(np.array(columns.shape) - shape + 1, 0)
+    return columns[:height, :width]
+
+
+def _covers(cells: Cells, wholes: Sequence[np.ndarray], facts: Facts) -> Iterator[Constraints]:
+    """A cell needs a whole rectangle over it; a whole one needs all its cells to hold the tiles."""
+    several = iter(wholes)
+    for rule, exempt in zip(facts.rules.covers, facts.exempt, strict=True):
+        own, holds = cells.express(facts.roles_of(rule.tiles))
+        over = []
+        for shape in rule.shapes:
+            columns = next(several)
+            corners, offsets = np.argwhere(columns >= 0), np.argwhere(np.ones(shape))
+            rows, cols = (corners[:, None] + offsets).reshape(-1, 2).T
+            whole = np.repeat(columns[columns >= 0], len(offsets))
+            opens = (cells.columns[rows, cols], own[rows, cols]), (whole, -1.0)
+            yield at_least(-holds[rows, cols], *opens)
+            padded = np.pad(columns, [(side - 1, 0) for side in shape], constant_values=-1)
+            windows = np.lib.stride_tricks.sliding_window_view(padded, shape)
+            over.append(windows.reshape(columns.size, -1)[~exempt.ravel()])
+        columns, terms = cells.columns[~exempt], own[~exempt]
+        yield at_least(holds[~exempt], (np.hstack(over), 1.0), (columns, -terms))
 
 
 def _cost(
@@ -242,11 +256,11 @@ def encode(program: Program, candidate: np.ndarray, layout: np.ndarray, facts: F
         other = (role == facts.role_of[kind]) & (candidate != kind)
         values[gained] = ((candidate == kind) & ~(kept & (candidate == layout))).sum()
         values[lost] = (kept & (layout == kind) & other).sum()
-    side = facts.rules.aisle
-    if side > 1 and program.squares is not None:
-        driving = facts.driving[candidate]
-        whole = np.lib.stride_tricks.sliding_window_view(driving, (side, side)).all((-1, -2))
-        values[program.squares[: 1 - side, : 1 - side][whole]] = 1.0
+    pairs = [(rule.tiles, shape) for rule in facts.rules.covers for shape in rule.shapes]
+    for columns, (tiles, shape) in zip(program.wholes, pairs, strict=True):
+        holds = np.pad(facts.holding(tiles)[candidate], [(0, side - 1) for side in shape])
+        whole = np.lib.stride_tricks.sliding_window_view(holds, shape).all((-1, -2))
+        values[columns[whole]] = 1.0
     return values
 
 
