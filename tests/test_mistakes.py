@@ -44,7 +44,7 @@ MISTAKES = {
     "train quick --executor dask --scheduler tcp://x:1 --workers 2": "leave --scheduler out",
     "train quick --domain moon": "unknown domain 'moon'",
     "train quick --algorithm ga": "unknown algorithm 'ga'",
-    "train quick --start zoo:manufacturing/best": "it draws .012e, this domain has .@ew",
+    "train quick --start zoo:manufacturing/best": "it draws .012e, this domain has .@e",
     "train quick --start zoo:warehouse-even/best@1,1": "this cell is empty",
     "train quick --start nowhere": "nowhere: no run here",
     "train quick --kernel-sizes 3 1 1 --start zoo:warehouse-even/best": "have other settings",

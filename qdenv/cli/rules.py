@@ -203,8 +203,10 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
 
     # The preset comes first, before any option.
     config = find_preset(rest[0] if rest and rest[0][:1] != "-" else "quick")
-    if chosen.domain is not None:
-        config = choose_domain(config, chosen.domain)
+    if chosen.domain is not None or any(word.partition("=")[0] == "--plan" for word in rest):
+        # A plan's, which is also found where it follows a sign of equality.
+        words = [word.removeprefix("--plan=") for word in rest[1:]]
+        config = choose_domain(config, _domain_of(chosen, words).name)
     if chosen.algorithm is not None:
         config = choose_algorithm(config, chosen.algorithm)
     if chosen.generator is not None:

@@ -77,7 +77,7 @@ class Broken(NamedTuple):
 def check(
     layout: args.Source,
     domain: args.DomainName = None,
-    keep: Path | None = None,
+    keep: args.KeepCells = None,
     plot: args.Picture = None,
     **numbers: args.Number,
 ) -> Table:
@@ -89,7 +89,9 @@ def check(
     Args:
         layout: layout file.
         domain: whose rules; what the file says, or its tiles tell, unless given.
-        keep: drawing of cells that are meant to be as they are: ! or a tile, ? elsewhere.
+        keep: cells that are meant to be as they are: tiles (w), a rectangle of rows and columns,
+            the last not included (0:7,33:40), or a drawing with ! or a tile there and ? elsewhere;
+            + joins several.
         plot: picture of the cells in question to write.
         **numbers: exact numbers of tiles to demand; not checked unless given.
 
@@ -98,7 +100,7 @@ def check(
         Its facts list the remarks, each with its kind, message and cells.
 
     Raises:
-        InputError: it is no layout, or `keep` is no drawing of its shape.
+        InputError: it is no layout, or `keep` names nothing in it.
     """
     plan, name = args.read_plan(layout, domain), args.name_of(layout)
     fitted = plan.fitted(numbers, keep)
@@ -135,7 +137,7 @@ def check(
 def repair_layout(
     layout: args.Source,
     domain: args.DomainName = None,
-    keep: Path | None = None,
+    keep: args.KeepCells = None,
     seed: args.RepairSeed = 0,
     polish: Polish = "full",
     out: args.Out = None,
@@ -147,7 +149,8 @@ def repair_layout(
     Args:
         layout: layout file.
         domain: whose rules; what the file says, or its tiles tell, unless given.
-        keep: drawing of the layout's shape: ? may change, ! stays, a tile must be this tile.
+        keep: what must stay: tiles (w), a rectangle of rows and columns, the last not included
+            (0:7,33:40), or a drawing where ? may change and ! or a tile stays; + joins several.
         seed: other seeds may give other, equally good layouts.
         polish: how hard to try after the first feasible layout.
         out: layout file to write (.json, .txt, .csv); LAYOUT_repaired.json unless given.

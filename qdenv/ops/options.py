@@ -29,6 +29,7 @@ from qdenv.simulate.mapf.settings import (
     find_planner,
     record_planner,
 )
+from qdenv.study.keep import Keep
 from qdenv.study.options import TIMESTEPS, parse_counts, parse_seeds
 from qdenv.study.plans import Plan, close_parts, guide, name_guidance, with_tasks
 from qdenv.study.plans import read_plan as read_file
@@ -103,6 +104,10 @@ Width: TypeAlias = Annotated[float | None, option("{column,page,INCHES}", parse_
 # Exact numbers of tiles by name; one, or one for each of several sizes
 Number: TypeAlias = Annotated[int, Mark.TILES]
 Numbers: TypeAlias = Annotated[Sequence[int], Mark.TILES]
+# What must stay, see `keep_from`; on command lines w#+0:7,33:40+FILE
+KeepCells: TypeAlias = Annotated[Keep | None, option("TILES|ROWS,COLUMNS|FILE", str)]
+# A layout whose size and rules others have, too; any form of `Source`
+PlanFile: TypeAlias = Annotated[Any, option("FILE", Path)]
 # Of a run that begins
 Folder: TypeAlias = Annotated[
     str | Path | None, option("FOLDER", Path), arg(name="out", aliases=("--run-dir",))

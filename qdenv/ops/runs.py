@@ -101,9 +101,10 @@ class GrowthOptions(Ranged):
     steps: PositiveInt | None = None
     # other seeds give other, equally good repairs; the run's own unless given
     seed: Annotated[int | None, arg(aliases=("--repair-seed",))] = None
-    # drawing of the layout's shape: ? is free, a tile must be this tile; what the run kept, at its
-    # size, unless given
-    keep: Path | None = None
+    # floor plan whose size, numbers of tiles, walls and stations the layout has
+    plan: args.PlanFile = None
+    # what must stay of the plan: tiles (w), a rectangle (0:7,33:40), a drawing; + joins several
+    keep: args.KeepCells = None
     frames: PositiveInt | None = None  # also draw the layout after every so many steps (Figure 6)
 
 
@@ -126,7 +127,7 @@ def generate_layout(
         elite: "best" or another name in the zoo, or the archive cell's indices like 12,40; in
             Python also (12, 40) or what `run.elite` found.
         repair: --no-repair keeps what the automaton drew.
-        growth: steps, seed, drawings, frames.
+        growth: steps, seed, plan, what must stay, frames.
         out: layout file to write (.json, .txt, .csv), a picture is drawn beside it; layout.json
             unless given.
         **numbers: exact numbers of tiles; unless given what is known of the size, or else scaled
@@ -145,6 +146,7 @@ def generate_layout(
     # A size that is not stated is the trained one, which needs no check.
     check_size(1 if rows is None else rows, 1 if cols is None else cols)
     opened = args.open_run(run)
+    plan = None if growth.plan is None else args.read_plan(growth.plan)
     named = not isinstance(elite, Elite)
     found = opened.archive.elite(elite, growth.measures or None) if named else elite
     # This imports jax: refusals are faster without it.
@@ -152,9 +154,12 @@ def generate_layout(
 
     config = opened.config
     trained = make_domain(config.evaluation.domain)
-    target = place(out, "layout.json", endings_for(trained.tiles, trained.meanings))
+    whose = trained if plan is None else plan.domain
+    endings = endings_for(whose.tiles, whose.meanings)
+    target = place(out, "layout.json", endings, [growth.plan, growth.keep])
+    size = rows, cols
     with Bar("growing") as bar:
-        grown = grow_elite(opened, found, (rows, cols), growth.steps, numbers, growth.keep)
+        grown = grow_elite(opened, found, size, growth.steps, numbers, growth.keep, plan)
         domain, layout = grown.domain, grown.layout
         if growth.frames is not None:
             from qdenv.view.layouts import draw_frames  # imports matplotlib
@@ -167,7 +172,7 @@ def generate_layout(
         # With the run's own seed, the elite at its trained size is the layout that was evaluated.
         seed = config.seed if growth.seed is None else growth.seed
         repaired = repair_grown(grown, config.evaluation.repair, seed, bar) if repair else None
-    chosen = [*numbers, *["steps"] * bool(growth.steps)]
+    chosen = [*(numbers if plan is None else domain.counted), *["steps"] * bool(growth.steps)]
     say(*filter(None, [describe_growth(trained, domain.shape, chosen)]))
     if trained.config.keep and not domain.config.keep:
         drawn = "WARNING: what the run kept is drawn for {} x {}".format(*trained.shape)

@@ -28,7 +28,8 @@ from qdenv.run.executors import Execution
 from qdenv.search.registry import ALGORITHMS
 from qdenv.shipped import PREFIX, Collection, Driven, Origin, Shipped, named, names
 from qdenv.simulate.mapf.settings import describe_planner
-from qdenv.study.plans import keep_from
+from qdenv.study.keep import keep_from
+from qdenv.study.plans import resolve_plan
 from qdenv.types import InputError
 
 # CPU seconds of one evaluation, measured on two cores of a cloud machine. Those of DSAGE on the
@@ -149,7 +150,8 @@ def train(
     path: args.Folder = None,
     progress: bool = True,
     execution: Annotated[Execution, arg(name="")] = Execution(),  # noqa: B008 (frozen)
-    keep: Path | None = None,
+    plan: args.PlanFile = None,
+    keep: args.KeepCells = None,
     pictures: Suppress[args.OnCommandLine] = False,
     **settings: Annotated[Any, args.Mark.PRESET],
 ) -> RunDirectory:
@@ -160,7 +162,9 @@ def train(
         path: folder of the run; a fresh one under runs/ unless given.
         progress: show a progress bar.
         execution: where layouts are repaired and simulated; the result is the same everywhere.
-        keep: drawing of the layouts' shape: ? is free, a tile must be this tile in all of them.
+        plan: floor plan whose size, numbers of tiles, walls and stations all layouts have.
+        keep: what must stay of the plan: tiles (w), a rectangle of rows and columns, the last not
+            included (0:7,33:40), or a drawing, ? where anything may be; + joins several.
         pictures: draw the run when it ends, as the command does.
         **settings: in place of the preset's, by the names of `qdenv train --help` with
             underscores: evaluations=300, seed=3, alpha=1.0, agents=40, shelves=60. Domains,
@@ -174,10 +178,14 @@ def train(
     base = find_preset(preset) if isinstance(preset, str) else preset
     if execution.workers is not None:
         settings = {"workers": execution.workers, **settings}
-    config, scaled = resolve(base, settings)
+    if plan is not None:
+        whose = args.read_plan(plan, settings.pop("domain", None))
+        config, scaled = resolve_plan(base, settings, whose, keep)
+    else:
+        config, scaled = resolve(base, settings)
     find_start(config)  # it refuses what cannot be one before anything is logged
     execution = dataclasses.replace(execution, workers=config.evaluation.repair.workers)
-    if keep is not None:
+    if keep is not None and plan is None:
         kept = keep_from(keep, make_domain(config.evaluation.domain))
         evaluation = dataclasses.replace(config.evaluation, domain=kept.config)
         config = dataclasses.replace(config, evaluation=evaluation)

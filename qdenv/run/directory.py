@@ -309,9 +309,11 @@ def find_start(config: RunConfig) -> np.ndarray | None:
     source, _, cell = config.start.partition("@")
     run = RunDirectory.open(source)
     elite = run.archive.elite(cell or "best")
-    domain, drawn = make_domain(config.evaluation.domain), run.schema.tiles
-    if drawn != domain.tiles:
-        raise InputError(f"start {config.start}: it draws {drawn}, this domain has {domain.tiles}")
+    domain = make_domain(config.evaluation.domain)
+    drawn = make_domain(run.config.evaluation.domain).generated
+    if drawn != domain.generated:
+        ours = domain.generated
+        raise InputError(f"start {config.start}: it draws {drawn}, this domain has {ours}")
     theirs, ours = run.config.evaluation.generator, config.evaluation.generator
     if hasattr(theirs, "steps") and type(ours) is type(theirs):
         theirs = replace(theirs, steps=ours.steps)  # the same automaton grows for any time

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,8 @@ from qdenv.repair.settings import RepairConfig
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.settings import EvaluationConfig
-from qdenv.study.plans import Plan, keep_costs, keep_from
+from qdenv.study.keep import Keep, keep_from
+from qdenv.study.plans import Plan, keep_costs
 from qdenv.types import Array, InputError, Repair, RepairStatus
 
 # Rows and columns of Figure 18, from S to S_eval.
@@ -100,23 +100,32 @@ def grow_elite(
     shape: tuple[int | None, int | None] = (None, None),
     steps: int | None = None,
     numbers: Mapping[str, int] | None = None,
-    keep: Path | None = None,
+    keep: Keep | None = None,
+    plan: Plan | None = None,
 ) -> Unrepaired:
     """Grow an elite of a run at any size; nothing is repaired yet.
 
     `which` is an elite, "best", or its cell's indices: "12,40" or (12, 40). `shape` is (rows,
     columns) of the framed layout, None for the trained ones. Steps of growth, and exact `numbers`
     of tiles by the settings' names, are those known of the size unless given, or else scaled with
-    the longer side and the generated area. `keep` is a drawing of the layout's shape with the tiles
-    that must stay; at the trained size what the run kept unless given. Raises InputError if there
-    is no such elite, the size is impossible, or what must stay is.
+    the longer side and the generated area. `keep` says what must stay (`keep_from`), at the trained
+    size beside what the run kept. A `plan` gives its size, its numbers and its rules. Raises
+    InputError if there is no such elite, the size is impossible, or what must stay is.
     """
     config = run.config.evaluation
     trained = make_domain(config.domain)
-    rows, cols = shape[0] or trained.shape[0], shape[1] or trained.shape[1]
-    domain = trained.resized(rows, cols, numbers)
-    if keep is not None:
-        domain = keep_from(keep, domain)
+    if plan is None:
+        rows, cols = shape[0] or trained.shape[0], shape[1] or trained.shape[1]
+        domain = trained.resized(rows, cols, numbers)
+        domain = domain if keep is None else keep_from(keep, domain)
+    else:
+        domain, (rows, cols) = plan.fitted(numbers, keep), plan.layout.shape
+        if shape not in ((None, None), (rows, cols)):
+            raise InputError(f"{plan.name} is {rows} x {cols}: leave rows and cols out")
+        if domain.generated != trained.generated:
+            raise InputError(
+                f"{run} draws {trained.generated}, and not {domain.generated} as {domain.name} has"
+            )
     if steps is None:
         size = trained.known_size(rows, cols)
         own = GENERATORS.make(config.generator, trained.canvas).steps

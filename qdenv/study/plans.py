@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv.domains.base import DOMAINS, FREE, SAME, Domain, check_shape, find_domain, make_domain
+from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
 from qdenv.io.demand import read_demand
 from qdenv.io.guidance import costs_of
-from qdenv.io.layouts import BLANKS, ENDINGS, aliases, alphabet, read_drawing, to_layout
+from qdenv.io.layouts import ENDINGS, aliases, read_drawing, to_layout
 from qdenv.lazy import ndimage
-from qdenv.repair.rules import impossible
 from qdenv.simulate.mapf.goals import rows_of_odds, task_odds
+from qdenv.study.keep import Keep, keep_from
 from qdenv.types import Floor, InputError, about, choices
 
 USUAL = "hall"  # the domain where nothing says otherwise
@@ -59,22 +59,18 @@ class Plan(NamedTuple):
             return f"read as {self.domain.name} (--domain chooses another){closed}"
         return f"domain {self.domain.name}{closed}"
 
-    def fitted(
-        self, numbers: Mapping[str, int] | None = None, keep: str | Path | None = None
-    ) -> Domain:
+    def fitted(self, numbers: Mapping[str, int] | None = None, keep: Keep | None = None) -> Domain:
         """Make the domain that the plan is measured by: its size, its numbers, what must stay.
 
-        The exact numbers of tiles are the plan's own unless given; `keep` is a drawing of what must
-        stay, what the plan's file says unless given. Raises InputError if what must stay is drawn
-        wrong, or can be in no layout.
+        The exact numbers of tiles are the plan's own unless given; `keep` says what must stay
+        beyond what does by itself and what the plan's file says (`keep_from`). Raises InputError if
+        it is none of what may be said, or no layout can be like this.
         """
         domain = self.domain.fitted(self.layout, numbers)
-        if keep is not None:
-            return keep_from(keep, domain, self.layout)
-        try:
-            return make_domain(replace(domain.config, keep=self.keep)) if self.keep else domain
-        except InputError as error:
-            raise InputError(f'{self.name}: its file\'s key "keep": {error}') from error
+        if self.keep:
+            with about(f'{self.name}: its file\'s key "keep"'):
+                domain = make_domain(replace(domain.config, keep=self.keep))
+        return domain if keep is None else keep_from(keep, domain, self.layout)
 
 
 def read_plan(path: str | Path, domain: str | None = None, form: str | None = None) -> Plan:
@@ -130,6 +126,28 @@ def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
     if changes.get("demand"):  # a map of places fits one size
         changes |= dict(zip(("rows", "cols"), plan.layout.shape, strict=True))
     return plan._replace(domain=make_domain(replace(domain.config, **changes)))
+
+
+def resolve_plan(
+    preset: Any, settings: Mapping[str, Any], plan: Plan, keep: Keep | None = None
+) -> tuple[Any, str]:
+    """Make a search of other floors for a plan out of a preset (`RunConfig`), see `resolve`.
+
+    Size, rules, numbers of tiles and what must stay are the plan's, but for the `settings` and
+    `keep`. Raises InputError as `resolve` and `Plan.fitted` do.
+    """
+    from qdenv.run.config import choose_domain, resolve  # for searches alone
+
+    given = {name.rpartition("__")[2]: value for name, value in settings.items()}
+    for name in {"rows", "cols"} & given.keys():
+        raise InputError(f"{plan.name} gives the size: leave --{name} out")
+    numbers = {name: given[name] for name in plan.domain.counted if name in given}
+    config = plan.fitted(numbers, keep).config
+    own = {
+        f"evaluation__domain__{name}": getattr(config, name)
+        for name in vars(config).keys() - given.keys() - {"fleet"}
+    }
+    return resolve(choose_domain(preset, plan.domain.name), own | dict(settings))
 
 
 def keep_costs(
@@ -241,57 +259,6 @@ def _guess_domain(symbols: set[str]) -> Domain:
     return find_domain(USUAL)
 
 
-def keep_from(path: str | Path, domain: Domain, layout: np.ndarray | None = None) -> Domain:
-    """Read which cells must stay, and demand it of a domain at the layout's size.
-
-    The file is a drawing of the layout's shape in any format of layout files: ``?`` is free to
-    change, ``!`` stays as the plan (int8 [H, W], or None) has it, a tile stays this tile. Raises
-    InputError if the file is no such drawing, asks for what the plan does not hold, or for what no
-    layout can be.
-    """
-    # In a drawing of what stays, blanks are no second symbol of a tile.
-    known: dict[str, Any] = aliases(domain.tiles, domain.meanings)
-    own = {one: known[one] for one in known if one not in BLANKS + FREE + SAME}
-    rows = [row.translate(str.maketrans(own)) for row in read_drawing(path).rows]
-    try:
-        check_shape(rows, domain.shape)
-        cells = tuple(
-            "".join(_resolve(symbol, row, col, domain, layout) for col, symbol in enumerate(drawn))
-            for row, drawn in enumerate(rows)
-        )
-        kept = make_domain(replace(domain.config, keep=cells))
-        reason = None if kept.rules is None else impossible(kept.rules())
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    if reason:
-        raise InputError(f"{path}: nothing can be built around what is kept: {reason}")
-    return kept
-
-
-def _resolve(symbol: str, row: int, col: int, domain: Domain, layout: np.ndarray | None) -> str:
-    """Return the tile of a cell that stays, `FREE` for one that may change."""
-    if symbol not in FREE + SAME + domain.tiles:
-        raise InputError(
-            f"row {row}, column {col}: {symbol!r} is no tile of {domain.name}: draw {FREE!r} where "
-            f"anything may be, {SAME!r} for what the plan holds, or one of "
-            f"{alphabet(domain.tiles, domain.meanings)}"
-        )
-    if symbol == SAME and layout is None:
-        raise InputError(
-            f"row {row}, column {col}: {SAME!r} keeps what a plan holds, and there is no plan "
-            "here: draw the tile itself"
-        )
-    if symbol == FREE or layout is None:
-        return symbol
-    held = domain.tiles[layout[row, col]]
-    if symbol not in (SAME, held):
-        raise InputError(
-            f"row {row}, column {col}: {symbol!r} is to stay, but the plan holds {held!r} there: "
-            f"change one of the two, or draw {FREE!r}"
-        )
-    return held
-
-
 def station_tiles(domain: Domain) -> str:
     """Return the tiles of stations: no generator draws them, or the rules demand some or more."""
     rules = domain.rules() if domain.rules else None
@@ -358,7 +325,7 @@ def warn_of_changes(changes: Sequence[Mapping[str, Any]]) -> list[str]:
             lines.append(
                 f"WARNING: {len(removed)} of the plan's {change['before']} {name} cells changed, "
                 f"the first at row {removed[0][0]}, column {removed[0][1]}: "
-                "--keep FILE keeps the cells that a drawing marks with '!'"
+                "--keep w keeps them, --keep FILE what a drawing marks with '!'"
             )
         if placed:
             lines.append(
