@@ -10,6 +10,7 @@ import ast
 import contextlib
 import functools
 import hashlib
+import logging
 import os
 import shutil
 import sys
@@ -25,6 +26,11 @@ from numba.extending import register_jitable
 
 MAX_FOLDERS = 128  # a dozen per state of the sources: other branches, other installations
 
+_NOT_KEPT = "%s: compiled code cannot be kept here (%s): every run compiles"
+_LOG = logging.getLogger(__name__)
+_logged: dict[str, logging.LogRecord] = {}
+# What all functions of a folder have in common is logged once.
+_LOG.addFilter(lambda record: _logged.setdefault(record.getMessage(), record) is record)
 _PACKAGE = Path(__file__).parent
 
 # An array of shape [] in a record, which kernels update as ``x[()]``: a number, though numpy's
@@ -44,10 +50,39 @@ def compiled(function: Function, forceinline: bool = False) -> Function:
     numba.config.CACHE_DIR = str(folder or "")
     try:
         options = {"cache": folder is not None, "nogil": True, "forceinline": forceinline}
-        made: Function = numba.njit(**options)(function)
+        made: Any = numba.njit(**options)(function)
     finally:
         numba.config.CACHE_DIR = before
+    # An inner attribute of numba: without it, a full or damaged cache is an error again.
+    if folder is not None and hasattr(made, "_cache"):
+        made._cache = _Forgiving(made._cache, folder)
     return made
+
+
+class _Forgiving:
+    """A disk cache of numba that costs time at worst: what cannot be read or kept is compiled."""
+
+    def __init__(self, cache: Any, folder: Path) -> None:
+        self._cache, self._folder = cache, folder
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cache, name)
+
+    def load_overload(self, *arguments: Any) -> Any:
+        """Load machine code, or forget all of this function's where it is damaged."""
+        try:
+            return self._cache.load_overload(*arguments)
+        except Exception:  # whatever unpickling can raise
+            with contextlib.suppress(OSError):
+                self._cache.flush()
+            return None
+
+    def save_overload(self, *arguments: Any) -> None:
+        """Save machine code, or log that the folder takes none."""
+        try:
+            self._cache.save_overload(*arguments)
+        except OSError as error:
+            _LOG.warning(_NOT_KEPT, self._folder.parent, error.strerror)
 
 
 def kernel(function: Function, forceinline: bool = False) -> Function:
@@ -108,12 +143,15 @@ def _cache_folder(module: str) -> Path | None:
         digest.update(str(path.relative_to(_PACKAGE)).encode())
         digest.update(path.read_bytes())
     home = Path(numba.config.CACHE_DIR or platformdirs.user_cache_path()) / "qdenv"
+    if str(home).startswith("~"):  # a user without a home
+        return None
     folder = home / digest.hexdigest()[:16]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
         os.utime(folder)  # in use: the last to be thrown out
-    except (OSError, RuntimeError):
+    except OSError as error:
+        _LOG.warning(_NOT_KEPT, home, error.strerror)
         return None
     _forget_old(home)
     return folder

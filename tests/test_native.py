@@ -43,14 +43,16 @@ def package(tmp_path: Path) -> Path:
     return folder
 
 
-def run(package: Path, cache: Path, **variables: str) -> list[int]:
+def run(
+    package: Path, cache: Path, program: str = "import qdenv.outer", **variables: str
+) -> list[int]:
     """Import `outer` in a fresh process; returns the answer and how often the cache served."""
     environment = dict(os.environ, PYTHONPATH=str(package.parent), XDG_CACHE_HOME=str(cache))
     environment.pop("NUMBA_CACHE_DIR", None)
     done = subprocess.run(
-        [sys.executable, "-c", "import qdenv.outer"],
+        [sys.executable, "-c", program],
         env=environment | variables,
-        capture_output=True,
+        stdout=subprocess.PIPE,
         text=True,
         check=True,
         cwd=package.parent,
@@ -83,6 +85,32 @@ def test_without_a_place_to_write_it_works_without_a_cache(package: Path, tmp_pa
     blocked.touch()  # a folder in it can be made by nobody, not even by root
     assert run(package, blocked) == [42, 0]
     assert run(package, blocked) == [42, 0]
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_a_damaged_cache_is_compiled_anew_once(ending: str, package: Path, tmp_path: Path):
+    cache = tmp_path / "cache"
+    assert run(package, cache) == [42, 0]
+    (damaged,) = cache.rglob(f"*.{ending}")
+    damaged.write_bytes(damaged.read_bytes()[:20])
+    assert run(package, cache) == [42, 0]
+    assert run(package, cache) == [42, 1]
+
+
+# No disk is full here: writing fails as it does on one.
+FULL = """
+import numba.core.caching as caching
+def full(self, *_):
+    raise OSError(28, "No space left on device")
+caching.IndexDataCacheFile._save_index = full
+import qdenv.outer
+"""
+
+
+def test_a_full_cache_is_named_and_costs_time_alone(package, tmp_path, capfd):
+    cache = tmp_path / "cache"
+    assert run(package, cache, program=FULL) == [42, 0]
+    assert "cannot be kept here (No space left on device)" in capfd.readouterr().err
 
 
 def test_only_the_last_used_folders_are_kept(tmp_path: Path):
