@@ -95,7 +95,8 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
                 spec, instantiate=lambda planner=None, **stated: (planner, stated)
             )
         if kind is TaskOptions:
-            spec = _options(_task_settings(_domain_of(chosen, rest)))
+            known = chosen.domain in (None, *DOMAINS.names())  # the command refuses what is not
+            spec = _options(_task_settings(_domain_of(chosen, rest)) if known else ())
             return dataclasses.replace(spec, instantiate=lambda **stated: stated)
         if get_origin(kind) is not dict or get_origin(keywords[0]) is not Annotated:
             return None
