@@ -3,12 +3,19 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
 from qdenv.ops.traffic import simulate_layout
+from qdenv.run.config import RunConfig, config_from_json, config_to_json
+from qdenv.settings import EvaluationConfig
+from qdenv.simulate.mapf.audit import audit
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.engine import run_seeds
+from qdenv.study.plans import read_plan, with_tasks
 from qdenv.types import InputError
 
 QUICK = {"planner": "pibt", "timesteps": 100, "seeds": 2}
@@ -45,3 +52,89 @@ def test_stays_of_a_factory_are_options_and_arguments(factory, capsys):
 def test_a_domain_without_such_a_setting_says_which_it_has(factory):
     with pytest.raises(InputError, match="manufacturing has no setting 'pick' of tasks: it has st"):
         simulate_layout("factory.json", 8, tasks={"pick": 3}, **QUICK)
+
+
+DRAWING = """\
+##########
+#.e@.@e..i
+w.e@.@e..#
+#.e@.@e..o
+w.e@.@e..#
+#.......##
+##########
+"""
+
+
+@pytest.fixture
+def hall(tmp_path, monkeypatch) -> Path:
+    """A folder with a plan to work in."""
+    monkeypatch.chdir(tmp_path)
+    Path("plan.txt").write_text(DRAWING)
+    return tmp_path
+
+
+def goals_of(tasks, seeds=10):
+    """Simulate robots in the hall; count how often each cell was a goal, and all tasks."""
+    plan = with_tasks(read_plan("plan.txt"), tasks)
+    config = FleetConfig(3, 2000, stop_when_congested=False)
+    rule, counts = plan.domain.simulator.tasks, np.zeros(plan.layout.size, int)
+
+    def read(seed, traffic, recording):
+        assert audit(plan.layout, rule, recording, traffic) == []
+        np.add.at(counts, recording.goals[:-1][recording.finished], 1)
+
+    done = run_seeds(plan.layout, rule, config, range(seeds), read=read)
+    return counts.reshape(plan.layout.shape), sum(run.finished.sum() for run in done.runs)
+
+
+def test_demand_shares_and_times_of_a_hall(hall):
+    plain, tasks = goals_of({})
+    assert plain.sum() == tasks
+    demand = np.ones(plain.shape)
+    demand[:3] = 3  # the endpoints of two of four rows
+    counts, fewer = goals_of({"demand": demand, "shares": "i=1,o=3", "pick": 4, "drop": "i=20,o=2"})
+    near, far = counts[:3, [2, 6]].sum(), counts[3:, [2, 6]].sum()
+    assert near / (near + far) == pytest.approx(0.75, abs=0.04)
+    assert counts[[2, 4], 0].sum() == 0, "shares leave no task to workstations"
+    assert counts[3, 9] / (counts[1, 9] + counts[3, 9]) == pytest.approx(0.75, abs=0.05)
+    assert fewer < tasks
+
+
+def test_options_of_a_hall_are_its_settings(hall, capsys):
+    Path("orders.csv").write_text("row,column\n1,2\n1,3\n2,6\n")
+    command = ["simulate", "plan.txt", "--agents", "3", "--timesteps", "200", "--seeds", "2"]
+    more = ["--pick", "3", "--drop", "i=9,o=4", "--shares", "i=1", "--demand", "orders.csv"]
+    assert run([*command, *more, "--no-verdict", "--json", "f.json"]) == 0
+    facts = json.loads(Path("f.json").read_text())
+    assert facts["valid"] is True
+    tasks = facts["settings"]["tasks"]
+    assert (tasks["pick"], tasks["drop"], tasks["shares"]) == (3, "i=9,o=4", "i=1")
+    assert tasks["demand"][1].split()[:4] == ["2", "2", "2", "2"]
+    assert tasks["demand"][3] == "0 0 0 0 0 0 0 0 0 0".replace("0", tasks["demand"][3][0])
+    plan = with_tasks(read_plan("plan.txt"), facts["settings"]["tasks"] | {"demand": "orders.csv"})
+    assert plan.fitted().config.demand == tuple(tasks["demand"])
+    assert plan.fitted().resized(9, 9).config.demand == ()
+    assert config_from_json(config_to_json(in_a_run(plan)), Path("x")) == in_a_run(plan)
+
+
+def in_a_run(plan):
+    return RunConfig(EvaluationConfig(plan.fitted().config))
+
+
+MISTAKES = {
+    ("--drop", "x=3"): "drop 'x=3': write one number, or i=20,o=5, of the stations w i o",
+    ("--drop", "i=-3"): "drop must be at least 0, not -3",
+    ("--drop", "1.5"): "drop must be whole timesteps, not 1.5",
+    ("--pick", "1001"): "pick must be at most 1000, not 1001",
+    ("--shares", "i=0,o=0"): "shares must be above 0 for one kind of station or more",
+    ("--demand", "0:7,0:10=0"): "the demand is 0 everywhere: no robot",
+    ("--demand", "0:1,0:1=nan"): "'nan' is no weight",
+    ("--demand", "none.csv"): "none.csv: cannot be read",
+}
+
+
+@pytest.mark.parametrize("words", MISTAKES)
+def test_what_no_robot_can_do_is_refused_in_a_line(words, hall, capsys):
+    assert run(["simulate", "plan.txt", "--agents", "3", *words]) == 2
+    answer = capsys.readouterr().err
+    assert MISTAKES[words] in answer and answer.count("\n") == 1

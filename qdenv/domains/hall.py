@@ -10,15 +10,17 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import tyro
 
 from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.lazy import jax
+from qdenv.ranges import NonNegativeFloat, Stay, check_range
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.goals import tile_goal
+from qdenv.simulate.mapf.goals import odds_of, station_goal, tile_goal, weigh
 from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.types import Adjacency, Count, Goal, Measure, Rules, TaskRule, Tile, Traffic
+from qdenv.types import Adjacency, Count, Goal, InputError, Measure, Rules, TaskRule, Tile, Traffic
 
 GENERATED = ".@e"
 _OBSTACLES = "@#"
@@ -41,10 +43,46 @@ class HallConfig(DomainConfig):
     # agents, horizon and planner
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
     shelves: int = 240  # how many shelves there are, exactly
+    pick: Stay = 0  # timesteps that a robot stays at an endpoint
+    drop: str = "0"  # timesteps at a station: 5 for all, or by their signs, as w=5,i=20
+    # of all tasks, by the signs of stations, as i=1,o=3; all stations are alike where empty
+    shares: str = ""
+    # No option of its own: a file or zones become this map.
+    # rows of numbers, one a cell: how likely an endpoint there is drawn as a goal. They belong to
+    # places: shelves may move, demand does not. Empty where all are alike
+    demand: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse times and shares of stations that there are not."""
+        super().__post_init__()
+        for time in _by_station(self.drop, "drop").values():
+            check_range("drop", time, Stay)
+            if time != int(time):
+                raise InputError(f"drop must be whole timesteps, not {time:g}")
+        if self.shares and not any(_by_station(self.shares, "shares").values()):
+            raise InputError("shares must be above 0 for one kind of station or more")
 
 
-def storage(config: Any, tiles: str, stations: Goal) -> Domain:
-    """Make the domain of shelves and endpoints that robots carry goods from, to `stations`.
+def _by_station(text: str, name: str) -> dict[str, float]:
+    """Read numbers by the signs of stations: 5 for all, or i=20,o=5; the others have none."""
+    if not text:
+        return {}
+    pairs = [part.partition("=") for part in text.split(",")] if "=" in text else []
+    pairs = pairs or [(sign, "=", text) for sign in _STATIONS]
+    try:
+        numbers = {sign.strip(): float(number) for sign, _, number in pairs}
+    except ValueError:
+        numbers = {}
+    if len(numbers) < len(pairs) or not {*numbers} <= {*_STATIONS}:
+        signs = " ".join(_STATIONS)
+        raise InputError(f"{name} {text!r}: write one number, or i=20,o=5, of the stations {signs}")
+    for number in numbers.values():
+        check_range(name, number, NonNegativeFloat)
+    return numbers
+
+
+def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal) -> Domain:
+    """Make the domain of shelves, and `endpoints` that robots carry goods from, to `stations`.
 
     Its alphabet `tiles` begins with `GENERATED`; of the other tiles robots drive on all but walls,
     and none has a place of its own. `config` is a `HallConfig` or has its fields.
@@ -69,7 +107,7 @@ def storage(config: Any, tiles: str, stations: Goal) -> Domain:
         # Of the area that is drawn: patterns with walls and stations are no design.
         return score.entropy(layout, kinds, partial=True)
 
-    cycle = (tile_goal("e", tiles)._replace(name="endpoint"), stations._replace(name="workstation"))
+    cycle = (endpoints._replace(name="endpoint"), stations._replace(name="workstation"))
     return Domain(
         config=config,
         tiles=tiles,
@@ -91,14 +129,20 @@ def storage(config: Any, tiles: str, stations: Goal) -> Domain:
 
 def hall(config: HallConfig) -> Domain:
     """Make a hall of one size, whose walls and stations are those of `config.keep`."""
-    domain = storage(config, _TILES, tile_goal(_STATIONS, _TILES))
+    endpoints = tile_goal("e", _TILES, config.pick)
+    if config.demand:
+        endpoints = weigh(endpoints, odds_of(config.demand, (config.rows, config.cols)))
+    times = {sign: int(time) for sign, time in _by_station(config.drop, "drop").items()}
+    shares = _by_station(config.shares, "shares")
+    domain = storage(config, _TILES, endpoints, station_goal(_STATIONS, _TILES, times, shares))
 
     def rules() -> Rules:
         base = domain.rules()  # type: ignore[misc]
         return base._replace(counts=(*base.counts, Count(_STATIONS, 1)))
 
     stays = _TILES[len(GENERATED) :]
-    return replace(domain, rules=rules, stays=stays, meanings=_MEANINGS)
+    tasks = ("pick", "drop", "shares", "demand")
+    return replace(domain, rules=rules, stays=stays, meanings=_MEANINGS, task_settings=tasks)
 
 
 HALL = Entry(HallConfig, hall)

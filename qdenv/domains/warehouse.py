@@ -73,7 +73,10 @@ class UnevenWarehouseConfig(WarehouseConfig):
 def warehouse(config: WarehouseConfig) -> Domain:
     """Make a warehouse of one size: a hall whose stations and free lanes follow from its size."""
     stations = favour_left(tile_goal("w", _TILES), config.left_odds)
-    plain, shape = storage(config, _TILES, stations), (config.rows, config.cols)
+    plain, shape = (
+        storage(config, _TILES, tile_goal("e", _TILES), stations),
+        (config.rows, config.cols),
+    )
     # S_eval of the paper (Table 1, and the numbers of agents that its throughputs were taken with).
     agents = 1000 if isinstance(config, UnevenWarehouseConfig) else 1400
     known = KnownSize(steps=200, timesteps=5000, agents=agents, numbers={"shelves": 2500})
