@@ -16,7 +16,7 @@ from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.lazy import jax
-from qdenv.ranges import NonNegativeFloat, Stay, check_range
+from qdenv.ranges import NonNegativeFloat, NonNegativeInt, Stay, check_range
 from qdenv.registry import Entry
 from qdenv.simulate.mapf.goals import odds_of, station_goal, tile_goal, weigh
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -42,7 +42,8 @@ class HallConfig(DomainConfig):
 
     # agents, horizon and planner
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
-    shelves: int = 240  # how many shelves there are, exactly
+    shelves: int = 240  # how many shelves there are at least
+    spare_shelves: NonNegativeInt = 0  # how many more there may be; exactly as many unless given
     pick: Stay = 0  # timesteps that a robot stays at an endpoint
     drop: str = "0"  # timesteps at a station: 5 for all, or by their signs, as w=5,i=20
     # of all tasks, by the signs of stations, as i=1,o=3; all stations are alike where empty
@@ -138,7 +139,8 @@ def hall(config: HallConfig) -> Domain:
 
     def rules() -> Rules:
         base = domain.rules()  # type: ignore[misc]
-        return base._replace(counts=(*base.counts, Count(_STATIONS, 1)))
+        most = config.shelves + config.spare_shelves
+        return base._replace(counts=(Count("@", config.shelves, most), Count(_STATIONS, 1)))
 
     stays = _TILES[len(GENERATED) :]
     tasks = ("pick", "drop", "shares", "demand")

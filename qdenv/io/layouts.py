@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from qdenv.grid import draw, parse
+from qdenv.io.facts import FENCE, facts_beside, make_facts, parse_facts
 from qdenv.io.files import damaged, read_text, write_atomically
 from qdenv.io.formats import ALL_ENDINGS, READ_ENDINGS, find_reader, write_drawing
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, write_table
@@ -58,9 +59,26 @@ def read_drawing(path: str | Path, form: str | None = None) -> Drawing:
         if path.suffix.lower() in READ_ENDINGS:
             raise
         raise InputError(f"{error}: layouts end in {', '.join(READ_ENDINGS)}") from error
+    # What a file states itself counts more.
+    facts = facts_beside(path) | dict(drawing.details.get("facts", {}))
+    if facts:
+        drawing = _with_facts(drawing, facts, path)
     if any(drawing.rows):
         check_size(len(drawing.rows), max(map(len, drawing.rows)), f"{path}: ")
     return drawing
+
+
+def _with_facts(drawing: Drawing, content: Mapping[str, Any], path: Path) -> Drawing:
+    """Give a drawing the facts about it: its tiles by the legend, its domain, what must stay."""
+    facts = make_facts(content, path)
+    legend = str.maketrans(dict(facts.legend))
+    details = {**drawing.details, "facts": {**content, "legend": {}}}
+    return drawing._replace(
+        rows=[row.translate(legend) for row in drawing.rows],
+        domain=drawing.domain or facts.domain,
+        keep=drawing.keep or facts.drawing,
+        details=details if facts.cell is None else details | {"cell": facts.cell},
+    )
 
 
 def check_size(rows: int, cols: int, place: str = "") -> None:
@@ -85,8 +103,17 @@ def read_lines(path: Path, what: str) -> list[str]:
 
 
 def read_text_rows(path: Path) -> Drawing:
-    """Read the rows of a text file."""
-    return Drawing(read_lines(path, "text"))
+    """Read the rows of a text file, and the facts above them (`io.facts`)."""
+    rows, facts = read_lines(path, "text"), {}
+    if rows and rows[0].rstrip() == FENCE:
+        ends = [number for number, row in enumerate(rows) if row.rstrip() == FENCE]
+        if len(ends) != 2:
+            raise damaged(path, f"one line {FENCE} begins facts, a second one ends them")
+        facts = parse_facts("\n".join(rows[1 : ends[1]]), path)
+        rows = rows[ends[1] + 1 :]
+        while rows and not rows[0].strip():
+            del rows[0]
+    return Drawing(rows, details={"facts": facts} if facts else {})
 
 
 def read_json_rows(path: Path) -> Drawing:

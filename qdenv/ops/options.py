@@ -196,6 +196,8 @@ class Fleet:
         plan = with_tasks(read_plan(layout, self.domain), self.tasks)
         if "demand" in self.tasks:  # of the first plan: layouts that are compared have one demand
             self.tasks["demand"] = plan.domain.config.demand
+        if self.seconds_per_step is None and (length := plan.facts.seconds_per_step):
+            self.seconds_per_step, self.per_hour = length, 3600 / length
         return self.guide(close_parts(plan))
 
     def guide(self, plan: Plan) -> Plan:

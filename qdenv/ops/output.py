@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain
+from qdenv.io.facts import write_facts
 from qdenv.io.files import check_writable, find_stream, reserve
 from qdenv.io.layouts import write_layout
+from qdenv.study.plans import is_plain
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
@@ -143,13 +145,23 @@ class Layout:
     costs: np.ndarray | None = None
 
     def save(self, path: str | Path) -> Path:
-        """Write a layout file with the domain and the details in it; InputError if impossible."""
+        """Write a layout file with the domain and the details in it; InputError if impossible.
+
+        Beside text and CSV, which hold neither, domain and cells that must stay are facts.
+        """
         details = {**self.domain.details, **self.details}
         tiles, meanings, costs = self.domain.tiles, self.domain.meanings, self.costs
         if costs is not None:
             costs = np.where(self.domain.drivable(self.layout), costs, np.inf)
         write_layout(path, self.layout, tiles, meanings, costs, **details)
-        return Path(path)
+        path = Path(path)
+        if path.suffix.lower() in (".txt", ".csv"):
+            stale = path.with_suffix(".toml").exists()
+            if stale or not is_plain(self.layout, self.domain):
+                beside = write_facts(path, self.domain.name, self.domain.config.keep)
+                mine = f"{path.with_suffix('.toml')} is not of qdenv: not replaced"
+                say(mine if beside is None else beside)
+        return path
 
     def draw(self, path: str | Path) -> Path:
         """Draw the layout as a picture, PNG, SVG or PDF by the ending of its name."""

@@ -179,7 +179,7 @@ class _Fleets:
             for one in fleets:
                 check_costs(one.planner)
         first, drawn = next(iter(plans.values())), [plan.layout for plan in plans.values()]
-        largest = max(stated, default=None)
+        largest = max(stated, default=first.facts.robots)
         usual, timesteps, note = usual_fleet(first.domain, drawn, largest, options.timesteps)
         # Larger known sizes are usual with more agents: the range grows in proportion.
         begin, end, step = (round(one * usual / AGENTS) for one in default)

@@ -19,20 +19,22 @@ Keep: TypeAlias = str | Path | Sequence[str | Path]
 _RECTANGLE = re.compile(r"(\d*):(\d*),(\d*):(\d*)")
 
 
-def keep_from(keep: Keep, domain: Domain, layout: np.ndarray | None = None) -> Domain:
+def keep_from(
+    keep: Keep, domain: Domain, layout: np.ndarray | None = None, folder: Path = Path()
+) -> Domain:
     """Demand of a domain at a plan's size that cells stay as the plan (int8 [H, W], or None) is.
 
     Each part of `keep` is one of three: tiles, all of whose cells stay (``w#``); a rectangle of
     rows and columns, the last ones not included (``0:7,33:40``); or the file of a drawing of the
     plan's shape in any format of layouts, where ``?`` is free to change, ``!`` stays as the plan
     has it, and a tile stays this tile. A drawing decides about every cell, tiles and rectangles add
-    to it, or to what stays already. Raises InputError if a part is none of the three, names what
-    the plan does not hold, or no layout can be like this.
+    to it, or to what stays already. Names of files are relative to `folder`. Raises InputError if a
+    part is none of the three, names what the plan does not hold, or no layout can be like this.
     """
     rows, cols = domain.shape
     cells = np.array([list(row) for row in domain.config.keep or [FREE * cols] * rows])
     symbols = None if layout is None else np.array(list(domain.tiles), object)[layout]
-    parts = list(_split(keep, domain))
+    parts = list(_split(keep, domain, folder))
     # Drawings first: they would free what others keep.
     for part in sorted(parts, key=lambda part: not isinstance(part, Path)):
         if isinstance(part, Path):
@@ -58,16 +60,16 @@ def keep_from(keep: Keep, domain: Domain, layout: np.ndarray | None = None) -> D
     return kept
 
 
-def _split(keep: Keep, domain: Domain) -> Iterable[str | Path]:
+def _split(keep: Keep, domain: Domain, folder: Path) -> Iterable[str | Path]:
     """Split what must stay into its parts: drawings become paths, the others stay text."""
     for one in [keep] if isinstance(keep, str | Path) else keep:
-        whole = isinstance(one, Path) and one.exists()
+        whole = isinstance(one, Path) and (folder / one).exists()
         for part in [str(one)] if whole else str(one).split("+"):
             tiles = bool(part) and set(part) <= set(domain.tiles)
             if _RECTANGLE.fullmatch(part) or tiles:
                 yield part
-            elif Path(part).suffix.lower() in READ_ENDINGS or (part and Path(part).exists()):
-                yield Path(part)
+            elif Path(part).suffix.lower() in READ_ENDINGS or (part and (folder / part).exists()):
+                yield folder / part
             else:
                 raise InputError(
                     f"keep {part!r}: give tiles like w#, rows and columns like 0:7,33:40, or the "

@@ -4,15 +4,18 @@ import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
+from qdenv.grid import draw
 from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
 from qdenv.io.demand import read_demand
+from qdenv.io.facts import FACTS, PlanFacts, make_facts
 from qdenv.io.guidance import costs_of
 from qdenv.io.layouts import ENDINGS, aliases, read_drawing, to_layout
+from qdenv.io.records import structured
 from qdenv.lazy import ndimage
 from qdenv.simulate.mapf.goals import rows_of_odds, task_odds
 from qdenv.study.keep import Keep, keep_from
@@ -36,6 +39,7 @@ class Plan(NamedTuple):
     # float [5, H, W], the cost of each move at each cell (`guidance`); None where all are equal
     costs: np.ndarray | None = None
     guidance: str = "none"  # where `costs` come from: a name of `GUIDANCE`, or a file
+    facts: PlanFacts = PlanFacts()  # what its file states beside the drawing
     closed: int = 0  # free cells that are obstacles here, see `close_parts`
 
     @property
@@ -66,7 +70,12 @@ class Plan(NamedTuple):
         beyond what does by itself and what the plan's file says (`keep_from`). Raises InputError if
         it is none of what may be said, or no layout can be like this.
         """
-        domain = self.domain.fitted(self.layout, numbers)
+        domain = self.domain
+        if "shelves" in (numbers or {}) and getattr(domain.config, "spare_shelves", 0):
+            domain = make_domain(replace(domain.config, spare_shelves=0))  # exactly so many
+        if self.facts.shelf_range:
+            numbers = {"shelves": self.facts.shelf_range[0]} | dict(numbers or {})
+        domain = domain.fitted(self.layout, numbers)
         if self.keep:
             with about(f'{self.name}: its file\'s key "keep"'):
                 domain = make_domain(replace(domain.config, keep=self.keep))
@@ -80,7 +89,7 @@ def read_plan(path: str | Path, domain: str | None = None, form: str | None = No
     floor and walls, else the first one whose tiles do. Raises InputError if the file holds no
     layout, or says that it is another domain's.
     """
-    rows, stated, keep, weights = read_drawing(path, form)[:4]
+    rows, stated, keep, weights, details, *_ = read_drawing(path, form)
     if not rows and weights is not None:
         raise InputError(f"{path}: costs of moves without a layout: give it as --guidance")
     if stated and domain and stated != domain and stated in DOMAINS.names():
@@ -94,11 +103,58 @@ def read_plan(path: str | Path, domain: str | None = None, form: str | None = No
     found = find_domain(name) if name else _guess_domain(set("".join(rows)))
     layout = to_layout(rows, path, found.tiles, found.meanings, found.name)
     plan = Plan(Path(path).stem, layout, found, assumed=not name, keep=keep)
+    if "facts" in details:
+        plan = _with_facts(plan, make_facts(details["facts"], Path(path)), Path(path))
+        found = plan.domain
     if weights is None or found.simulator.tasks is None:
         return plan
     with about(str(path)):
         costs = costs_of(weights, found.drivable(layout))
     return plan._replace(costs=costs, guidance=str(path))
+
+
+def _with_facts(plan: Plan, facts: PlanFacts, path: Path) -> Plan:
+    """Give a plan the facts from its file: settings of its domain, what must stay."""
+    domain, settings = plan.domain, dict(facts.settings)
+    kinds = get_type_hints(type(domain.config))
+    hidden = {"rows", "cols", "fleet", "spare_shelves", *FACTS}
+    known = sorted(vars(domain.config).keys() - hidden)
+    for name in settings:
+        if name not in known:
+            raise InputError(f"{path}: unknown fact {name!r}: {choices(name, [*FACTS, *known])}")
+        if name == "demand":
+            file = path.parent / str(settings[name]).partition(",")[0]
+            settings[name] = str(path.parent / settings[name]) if file.is_file() else settings[name]
+        elif kinds[name] is str and type(settings[name]) in (int, float):
+            settings[name] = f"{settings[name]}"  # drop = 5 as well as drop = "w=5,i=20"
+        else:
+            settings[name] = structured(settings[name], kinds[name], f"{path}, {name}")
+    if facts.shelf_range:
+        if "shelves" not in domain.counted:
+            raise InputError(f"{path}: {domain.name} has no shelves: leave the fact out")
+        low, high = facts.shelf_range
+        if high > low and not hasattr(domain.config, "spare_shelves"):
+            raise InputError(f"{path}: a range of shelves is for halls: give one number")
+        settings |= {"spare_shelves": high - low} if high > low else {}
+    tasks = {name: settings.pop(name) for name in domain.task_settings if name in settings}
+    with about(str(path)):
+        plan = plan._replace(domain=make_domain(replace(domain.config, **settings)), facts=facts)
+        plan = with_tasks(plan, tasks)
+        if facts.keep:
+            kept = keep_from(facts.keep, plan.fitted(), plan.layout, path.parent)
+            plan = plan._replace(keep=kept.config.keep)
+    return plan
+
+
+def is_plain(layout: np.ndarray, domain: Domain) -> bool:
+    """Return True if the tiles alone tell what a layout (int8 [H, W]) of a domain is.
+
+    Reading the rows finds the same domain, and the same cells that must stay.
+    """
+    found = _guess_domain(set("".join(draw(layout, domain.tiles))))
+    if found.name != domain.name or not domain.config.keep:
+        return found.name == domain.name
+    return found.fitted(layout).config.keep == domain.config.keep
 
 
 def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
@@ -147,6 +203,8 @@ def resolve_plan(
         f"evaluation__domain__{name}": getattr(config, name)
         for name in vars(config).keys() - given.keys() - {"fleet"}
     }
+    if plan.facts.robots and not {"agents", "fleet"} & given.keys():
+        own["evaluation__domain__fleet__agents"] = plan.facts.robots
     return resolve(choose_domain(preset, plan.domain.name), own | dict(settings))
 
 

@@ -71,7 +71,8 @@ def make_request(
     if a fleet cannot work on one of the layouts, or the numbers make no simulation.
     """
     domain, layouts = subjects[0].plan.domain, [one.plan.layout for one in subjects]
-    usual, timesteps, note = usual_fleet(domain, layouts, max(agents, default=None), timesteps)
+    most = max(agents, default=subjects[0].plan.facts.robots)
+    usual, timesteps, note = usual_fleet(domain, layouts, most, timesteps)
     counts = tuple(sorted(agents)) or (usual,)
     tasks = domain.simulator.tasks
     for one in subjects:

@@ -1,0 +1,95 @@
+"""Facts about a plan that its drawing cannot hold: a few lines of TOML above it, or beside it.
+
+Above the rows of a .txt, between two lines ``+++``; beside a plan of any format, in a file of its
+name that ends in .toml. What is stated above counts more.
+"""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from qdenv.io.files import MEGABYTE, damaged, read_text, write_atomically
+from qdenv.io.records import structured
+from qdenv.ranges import PositiveFloat, PositiveInt, Ranged
+from qdenv.types import InputError, about
+
+FENCE = "+++"  # a line before and after facts above a drawing
+# Names of facts; any other is a setting of the domain.
+FACTS = ("domain", "legend", "shelves", "robots", "cell", "seconds_per_step", "keep", "drawing")
+_HEAD = "# Written by qdenv beside the plan of this name.\n"  # such a file may be replaced
+
+
+@dataclass(frozen=True)
+class PlanFacts(Ranged):
+    """What is stated about a plan beside its drawing."""
+
+    domain: str | None = None  # name of a domain
+    # signs of one's own, each with the tile it stands for: {S = "@", P = "w"}
+    legend: Mapping[str, str] = field(default_factory=dict)
+    shelves: int | str | None = None  # how many there are to be: 1100, or from "1000:1200"
+    robots: PositiveInt | None = None  # how many drive where no option says so
+    cell: PositiveFloat | None = None  # length of a cell's side [m]
+    seconds_per_step: PositiveFloat | None = None  # of one timestep
+    keep: str = ""  # what must stay, like --keep
+    drawing: tuple[str, ...] = ()  # what must stay, as the rows of a drawing
+    # of the plan's domain, like aisle = 2, by their names
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def shelf_range(self) -> tuple[int, int] | None:
+        """The fewest and the most shelves; None where they are as many as in the plan."""
+        if self.shelves is None:
+            return None
+        low, colon, high = str(self.shelves).partition(":")
+        high = high if colon else low
+        if not (low.isdecimal() and high.isdecimal() and int(low) <= int(high)):
+            raise InputError(f'shelves = {self.shelves!r}: write 1100, or a range "1000:1200"')
+        return int(low), int(high)
+
+
+def parse_facts(text: str, source: Path) -> dict[str, Any]:
+    """Parse TOML; raise DamagedError, which names the `source`, if it is none."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise damaged(source, f"not TOML: {error}") from error
+
+
+def facts_beside(plan: Path) -> dict[str, Any]:
+    """Read the facts in the file beside a plan; empty where there is none."""
+    path = plan.with_suffix(".toml")
+    if path == plan or not path.is_file():
+        return {}
+    return parse_facts(read_text(path, MEGABYTE, "TOML"), path)
+
+
+def make_facts(content: Mapping[str, Any], source: Path) -> PlanFacts:
+    """Check the types of facts; what is none of their names is a setting of the domain.
+
+    Raises InputError, which names the `source` and the fact.
+    """
+    own = {name: one for name, one in content.items() if name in FACTS}
+    own["settings"] = {name: one for name, one in content.items() if name not in FACTS}
+    facts = structured(own, PlanFacts, source)
+    with about(str(source)):
+        _ = facts.shelf_range
+        for sign, tile in facts.legend.items():
+            if len(sign) != 1 or not isinstance(tile, str) or len(tile) != 1:
+                raise InputError(f"legend: {sign} = {tile!r}: one sign stands for one tile")
+    return facts
+
+
+def write_facts(plan: Path, domain: str, keep: Sequence[str]) -> Path | None:
+    """Write the facts beside a plan that its format cannot hold; return where.
+
+    None, and nothing is written, where a file of this name is not of qdenv.
+    """
+    path = plan.with_suffix(".toml")
+    if path.exists() and not read_text(path, MEGABYTE, "TOML").startswith(_HEAD):
+        return None
+    rows = "".join(f"  '{row}',\n" for row in keep)
+    drawing = f"drawing = [\n{rows}]\n" if keep else ""
+    write_atomically(path, f'{_HEAD}domain = "{domain}"\n{drawing}'.encode())
+    return path
