@@ -82,6 +82,8 @@ def test_her_doors_stay_where_a_drawing_keeps_them(folder, capsys):
     after = rows_of(folder / "kept.json")
     assert after[7] == PLAN[7] and "".join(after).count("w") == 8
     assert run(["check", "kept.json", "--keep", "doors.txt"]) == 0
+    assert run(["check", "kept.txt"]) == 0  # the drawing is beside it
+    (folder / "kept.toml").unlink()
     assert run(["check", "kept.txt", *EVEN]) == 1
     assert "--keep FILE allows" in capsys.readouterr().out
 

@@ -131,7 +131,7 @@ def _replay_fleet(
     plan: Plan, agents: int | None, options: args.Fleet, seed: int, films: FilmOptions
 ) -> tuple[Page, Motion, dict[str, Any]]:
     """Simulate a fleet once and make its page."""
-    agents = agents or plan.facts.robots
+    agents = plan.facts.robots if agents is None else agents
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     films.check_end(timesteps)
     fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)

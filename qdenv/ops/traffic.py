@@ -62,7 +62,7 @@ def simulate_layout(
     options = args.Fleet(fleet)
     plan, name = options.read_plan(layout), args.name_of(layout)
     picture = place(plot, f"{plan.name}_traffic.png", PICTURES, [layout])
-    agents = agents or plan.facts.robots
+    agents = plan.facts.robots if agents is None else agents
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     tracks = place(paths, f"{plan.name}_paths.csv", (".csv", ".json"), [layout])
     if tracks and agents * timesteps > MOST_SHOWN:

@@ -71,7 +71,7 @@ class Plan(NamedTuple):
         it is none of what may be said, or no layout can be like this.
         """
         domain = self.domain
-        if "shelves" in (numbers or {}) and getattr(domain.config, "spare_shelves", 0):
+        if "shelves" in (numbers or {}) and getattr(domain.config, "spare_shelves", False):
             domain = make_domain(replace(domain.config, spare_shelves=0))  # exactly so many
         if self.facts.shelf_range:
             numbers = {"shelves": self.facts.shelf_range[0]} | dict(numbers or {})
