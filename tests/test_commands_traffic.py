@@ -128,7 +128,7 @@ def test_sweep_says_where_the_peak_is_and_how_many_are_worth_it(plans, capsys):
     assert facts["peak"]["agents"] == facts["worth_it_up_to"] == 4
     assert facts["peak"]["dropped"] is True
     assert f"lane: peak {facts['peak']['throughput']:.3f} tasks per timestep at 4 agents\n" in said
-    assert "worth it: up to 4 agents" in said
+    assert "agents worth having: up to 4, " in said
     assert [row["agents"] for row in facts["rows"]] == [2, 4, 14]
 
 

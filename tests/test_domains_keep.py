@@ -173,7 +173,7 @@ def test_a_search_and_what_it_grows_keep_every_cell(name, tmp_path, capsys):
     cells = kept_cells(json.loads(out.read_text())["layout"], larger)
     assert len(cells) in (2, 3) and all(held == wanted for held, wanted in cells)
     assert cli.run([*grow, *size, "--keep", str(tmp_path / "keep.txt")]) == 2
-    assert "drawn on 9 x 12, the layout has 11 x 14" in capsys.readouterr().err
+    assert "has 9 x 12 cells, the layout 11 x 14" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -184,7 +184,7 @@ def test_train_takes_a_drawing(tmp_path, capsys):
     small += ["--steps", "6", "--hidden", "4", "--emitters", "1", "--no-progress"]
     command = ["train", "quick", *small, "--keep", str(path), "--out", str(out)]
     assert cli.run(command) == 2
-    assert "drawn on 9 x 12, the layout has 17 x 16" in capsys.readouterr().err
+    assert "has 9 x 12 cells, the layout 17 x 16" in capsys.readouterr().err
     assert not out.exists()
     assert cli.run([*command, "--rows", "9", "--cols", "12"]) == 0
     best = json.loads((out / "best_layout.json").read_text())["layout"]
@@ -198,12 +198,12 @@ SMALL = find_domain("warehouse-even").fitted(PLAN)
 @pytest.mark.parametrize(
     ("rows", "plan", "reason"),
     [
-        (["????????"] * 2, True, "drawn on 2 x 8, the layout has 3 x 8"),
-        (["????????", "???", "????????"], True, "drawn on 3 x 8"),
+        (["????????"] * 2, True, "has 2 x 8 cells, the layout 3 x 8"),
+        (["????????", "???", "????????"], True, "has 3 x 8 cells"),
         (["????????", "??q?????", "????????"], True, "row 1, column 2: 'q' is no tile of ware"),
         (["????????", "?? ?????", "????????"], True, "row 1, column 2: ' ' is no tile"),
         (["????????", "??@?????", "????????"], True, r"row 1, column 2: '@' is to stay, but the"),
-        (["????????", "??!?????", "????????"], False, "row 1, column 2: '!' keeps what a plan"),
+        (["????????", "??!?????", "????????"], False, "row 1, column 2: '!' stands for the plan"),
         (
             ["????????", "?@@.????", "?@.@????"],
             False,

@@ -115,7 +115,7 @@ def test_the_dearest_moves_stay_apart_in_whole_numbers():
 
 def test_a_floor_without_goals_is_refused():
     plan = Plan("empty", np.zeros((3, 3), np.int8), WAREHOUSE, assumed=False)
-    with pytest.raises(InputError, match="empty: no agent could work: the layout has no endpoint"):
+    with pytest.raises(InputError, match="empty: robots have nothing to do: the layout has no"):
         guide(plan, "human-cost")
 
 

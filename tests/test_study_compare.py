@@ -167,7 +167,7 @@ def test_numbers_of_agents_are_read():
         ("1:99999999999", "choose a larger step"),
         (f"1:{10**30}", "choose a larger step"),
         ("1,1,1", "names a number twice"),
-        ("-5,10", "no number of agents above zero"),
+        ("-5,10", "all of them above zero"),
     ],
 )
 def test_numbers_that_make_no_study_are_refused_at_once(text, said):

@@ -67,10 +67,13 @@ def test_a_drawing_decides_about_every_cell_and_can_free_a_station(plan):
         ("3:1,0:3", "has no such cell"),
         ("1:2:3,4", "give tiles like w#"),
         ("gone.txt", "gone.txt: cannot be read"),
-        ("small.txt", "small.txt: the cells to keep are drawn on 1 x 11, the layout has 4 x 11"),
+        (
+            "small.txt",
+            "small.txt: the drawing of cells to keep has 1 x 11 cells, the layout 4 x 11",
+        ),
         ("other.txt", "'@' is to stay, but the plan holds 'w' there"),
         ("odd.txt", "row 0, column 0: 'q' is no tile of hall"),
-        ("0:4,0:11+@", "nothing can be built around what is kept"),
+        ("0:4,0:11+@", "no layout obeys the rules with these cells kept"),
     ],
 )
 def test_what_cannot_stay_is_refused_in_one_line(keep, reason, plan, capsys):
@@ -87,7 +90,7 @@ def test_without_a_plan_a_drawing_of_tiles_is_all(plan):
     with pytest.raises(InputError, match="no plan here to keep it of: give --plan FILE"):
         keep_from("w", domain)
     Path("keep.txt").write_text("!" + "?" * 10 + ("\n" + "?" * 11) * 3)
-    with pytest.raises(InputError, match="there is no plan here: give --plan FILE"):
+    with pytest.raises(InputError, match="no plan is given: add --plan FILE"):
         keep_from("keep.txt", domain)
     Path("keep.txt").write_text("w" + "?" * 10 + ("\n" + "?" * 11) * 3)
     assert keep_from("keep.txt", domain).config.keep[0] == "w??????????"

@@ -24,7 +24,7 @@ _RUNS = ("plot", "generate", "series", "export")  # commands that take generator
 
 
 def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
-    """Print what lets a shell complete commands, options and names.
+    """Print the script with which a shell completes commands, options and names.
 
     Args:
         shell: which shell.

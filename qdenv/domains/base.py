@@ -334,6 +334,6 @@ def check_shape(keep: Sequence[str], shape: tuple[int, int]) -> None:
     rows, cols = len(keep), max(map(len, keep), default=0)
     if (rows, cols) != shape or any(len(row) != cols for row in keep):
         raise InputError(
-            f"the cells to keep are drawn on {rows} x {cols}, the layout has "
-            f"{shape[0]} x {shape[1]}: draw them on the same shape, or ask for this one"
+            f"the drawing of cells to keep has {rows} x {cols} cells, the layout "
+            f"{shape[0]} x {shape[1]}: give both the same size"
         )

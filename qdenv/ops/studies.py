@@ -61,7 +61,9 @@ def sweep(
     rows.sort(key=lambda row: row.agents)
     peak, worth = find_peak(rows), find_capacity(rows)
     say(fleets.describe_peak(peak))
-    say(f"worth it: up to {worth} agents each further one brings half an average one or more")
+    say(
+        f"agents worth having: up to {worth}, each brings at least half of what an average one does"
+    )
     return fleets.finish(rows, {"peak": peak._asdict(), "worth_it_up_to": worth})
 
 

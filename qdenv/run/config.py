@@ -285,7 +285,7 @@ def check(config: RunConfig) -> None:
         if fleet.agents > free:
             raise InputError(
                 f"{fleet.agents} agents do not fit: layouts of {rows} x {cols} have at most {free} "
-                f"free cells; a quarter of that, {free // 4}, drives well"
+                f"free cells; start with a quarter of that, {free // 4}"
             )
     for axis in archive_axes(domain.measures, config.archive):
         most = domain.limit_of(axis)

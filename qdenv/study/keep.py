@@ -56,7 +56,7 @@ def keep_from(
         kept = make_domain(replace(domain.config, keep=tuple(map("".join, cells))))
         reason = None if kept.rules is None else impossible(kept.rules())
         if reason:
-            raise InputError(f"nothing can be built around what is kept: {reason}")
+            raise InputError(f"no layout obeys the rules with these cells kept: {reason}")
     return kept
 
 
@@ -101,8 +101,8 @@ def _read_cells(path: Path, domain: Domain, symbols: np.ndarray | None) -> np.nd
     if symbols is None:
         for row, column in np.argwhere(drawn == SAME):
             raise InputError(
-                f"row {row}, column {column}: {SAME!r} keeps what a plan holds, and there is no "
-                "plan here: give --plan FILE, or draw the tile itself"
+                f"row {row}, column {column}: {SAME!r} stands for the plan's tile, and no "
+                "plan is given: add --plan FILE, or draw the tile itself"
             )
         return drawn
     for row, column in np.argwhere((drawn != FREE) & (drawn != SAME) & (drawn != symbols)):

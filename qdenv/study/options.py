@@ -59,7 +59,7 @@ def parse_counts(text: str) -> tuple[int, ...]:
     except (ValueError, TypeError):
         raise InputError(f"agents {text!r}: write 200, or 50,100, or 50:400:50") from None
     if not counts or min(counts) < 1:
-        raise InputError(f"agents {text!r} holds no number of agents above zero")
+        raise InputError(f"agents {text!r}: give at least one number, all of them above zero")
     if len(counts) > _MOST_COUNTS:
         raise InputError(
             f"agents {text!r} are more than {_MOST_COUNTS} numbers: choose a larger step, as in "

@@ -387,8 +387,8 @@ def warn_of_changes(changes: Sequence[Mapping[str, Any]]) -> list[str]:
             )
         if placed:
             lines.append(
-                f"note: {len(placed)} {name} cells are new, the first at "
+                f"note: {len(placed)} new {name} cells, the first at "
                 f"row {placed[0][0]}, column {placed[0][1]}: "
-                "--keep FILE keeps them out where a drawing marks the cells with '!'"
+                "a drawing with '!' on these cells, as --keep FILE, prevents that"
             )
     return lines
