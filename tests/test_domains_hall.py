@@ -1,6 +1,7 @@
 """Halls of any shape, walls and stations where the plan has them; the warehouse is one."""
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from qdenv import score
+from qdenv.cli.main import run
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.grid import draw, parse
 from qdenv.io.layouts import read_layout
@@ -15,6 +17,7 @@ from qdenv.repair.audit import audit
 from qdenv.repair.recipe import repair_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.study.elites import tile
 from qdenv.study.plans import read_plan
 from qdenv.types import InputError
 
@@ -108,3 +111,27 @@ def test_measures_reach_from_end_to_end_at_any_size(shape):
     components, entropy = domain.measures
     assert (components.low, components.high) == (0, domain.config.shelves)
     assert (entropy.low, entropy.high) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["train quick --domain hall", "generate run --rows 9 --cols 30", "series run"],
+)
+def test_without_a_plan_a_hall_has_no_stations(line, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    save(Path("l.txt"))
+    small = "--agents 4 --timesteps 9 --simulations 1 --steps 6 --hidden 4 --emitters 1 --batch 4"
+    if "run" in line:
+        train = ["train", "quick", "--plan", "l.txt", *small.split(), "--evaluations", "4"]
+        assert run([*train, "--no-progress", "--out", "run"]) == 0
+    capsys.readouterr()
+    assert run(line.split()) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "come from a plan: give --plan FILE" in said
+
+
+def test_a_tiled_hall_repeats_walls_and_stations(tmp_path):
+    plan = read_plan(save(tmp_path / "l.txt", ["..e@", "w.@e", "...#"]))
+    larger = tile(plan, (6, 8), config=RepairConfig("none")).layout
+    kinds = [(larger == kind).sum() for kind in range(3, 5)]
+    assert kinds == [4, 4] and audit(larger, HALL.fitted(larger).rules()) == []

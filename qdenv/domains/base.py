@@ -262,6 +262,13 @@ class Domain:
                 raise InputError(f"{number} {name}: give 0 or more")
         return make_domain(replace(empty.config, **chosen))
 
+    def demand_plan(self) -> None:
+        """Raise InputError if nothing says where the tiles are that stay: a plan would."""
+        if self.stays and not self.config.keep:
+            rows, cols = self.shape
+            where = f"walls and stations of a {self.name} of {rows} x {cols}"
+            raise InputError(f"{where} come from a plan: give --plan FILE")
+
     def known_size(self, rows: int, cols: int) -> KnownSize | None:
         """Return the known numbers of another size; None if they scale from those of this one."""
         return None if (rows, cols) == self.shape else self.known.get((rows, cols))

@@ -272,6 +272,7 @@ def check(config: RunConfig) -> None:
             raise InputError(f"{number} {name}: give 0 or more")
     if min(domain.generated_shape) < 1:
         raise InputError(f"{rows} x {cols} leaves no room inside the frame: give a larger size")
+    domain.demand_plan()
     draws = getattr(config.evaluation.generator, "draws", True)
     rules = domain.rules() if domain.rules and draws else None
     if rules and (reason := impossible(rules)):

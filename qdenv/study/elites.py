@@ -118,6 +118,7 @@ def grow_elite(
         rows, cols = shape[0] or trained.shape[0], shape[1] or trained.shape[1]
         domain = trained.resized(rows, cols, numbers)
         domain = domain if keep is None else keep_from(keep, domain)
+        domain.demand_plan()
     else:
         domain, (rows, cols) = plan.fitted(numbers, keep), plan.layout.shape
         if shape not in ((None, None), (rows, cols)):
@@ -343,7 +344,9 @@ def tile(
     scaled with the area. Raises InputError if the size is impossible, or no repair was found.
     """
     larger = plan.domain.fitted(plan.layout).resized(*shape, numbers)
-    grown = Unrepaired(larger, None, tile_layout(larger, plan.layout), 0)
+    tiled = tile_layout(larger, plan.layout)
+    # Walls and stations are repeated, too.
+    grown = Unrepaired(larger.fitted(tiled, larger.numbers), None, tiled, 0)
     sized, (rows, cols) = finish(grown, config or RepairConfig(), seed), larger.margin
 
     def adapt(grid: np.ndarray) -> np.ndarray:
