@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from qdenv.cli.main import run
+from qdenv.configurations import find_preset
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
 from qdenv.ops.traffic import simulate_layout
@@ -15,7 +16,7 @@ from qdenv.settings import EvaluationConfig
 from qdenv.simulate.mapf.audit import audit
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.engine import run_seeds
-from qdenv.study.plans import read_plan, with_tasks
+from qdenv.study.plans import read_plan, resolve_plan, with_tasks
 from qdenv.types import InputError
 
 QUICK = {"planner": "pibt", "timesteps": 100, "seeds": 2}
@@ -138,3 +139,11 @@ def test_what_no_robot_can_do_is_refused_in_a_line(words, hall, capsys):
     assert run(["simulate", "plan.txt", "--agents", "3", *words]) == 2
     answer = capsys.readouterr().err
     assert MISTAKES[words] in answer and answer.count("\n") == 1
+
+
+def test_a_search_from_a_plan_has_its_tasks(hall, capsys):
+    plan = with_tasks(read_plan("plan.txt"), {"pick": 3, "demand": "0:3,0:10=3"})
+    found = resolve_plan(find_preset("quick"), {}, plan)[0].evaluation.domain
+    assert (found.pick, found.demand) == (3, plan.domain.config.demand)
+    assert run(["train", "quick", "--domain", "hall", "--demand", "0:3,0:10=3"]) == 2
+    assert "add --plan FILE" in capsys.readouterr().err

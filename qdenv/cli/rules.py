@@ -230,6 +230,7 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
         ),
         # `Execution` has the number of workers, too.
         *(one for one in _settings(config) if one[0] != "evaluation__repair__workers"),
+        *_demand(make_domain(config.evaluation.domain)),
     ]
     # An algorithm comes with the generator that it searches.
     implied = {} if chosen.algorithm is None else {"generator": config.evaluation.generator}
@@ -247,6 +248,11 @@ def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructCons
 def _task_settings(domain: Domain) -> Iterator[tuple[str, Any, Any]]:
     """List the settings of a domain that say what robots do at their goals, for `_options`."""
     yield from (one for one in _settings(domain.config) if one[0] in domain.task_settings)
+    yield from _demand(domain)
+
+
+def _demand(domain: Domain) -> Iterator[tuple[str, Any, Any]]:
+    """Make the option for where goals are, if a domain has it: files and zones become its map."""
     if "demand" in domain.task_settings:
         about = "how likely each place is a goal: a CSV file, or zones like 0:10,0:20=3"
         yield "demand", Annotated[str, arg(metavar="FILE|ZONES")], about

@@ -29,7 +29,7 @@ from qdenv.search.registry import ALGORITHMS
 from qdenv.shipped import PREFIX, Collection, Driven, Origin, Shipped, named, names
 from qdenv.simulate.mapf.settings import describe_planner
 from qdenv.study.keep import keep_from
-from qdenv.study.plans import resolve_plan
+from qdenv.study.plans import resolve_plan, with_tasks
 from qdenv.types import InputError
 
 # CPU seconds of one evaluation, measured on two cores of a cloud machine. Those of DSAGE on the
@@ -180,7 +180,11 @@ def train(
         settings = {"workers": execution.workers, **settings}
     if plan is not None:
         whose = args.read_plan(plan, settings.pop("domain", None))
+        if "demand" in settings:
+            whose = with_tasks(whose, {"demand": settings.pop("demand")})
         config, scaled = resolve_plan(base, settings, whose, keep)
+    elif "demand" in settings:
+        raise InputError("demand belongs to places on a plan: add --plan FILE")
     else:
         config, scaled = resolve(base, settings)
     find_start(config)  # it refuses what cannot be one before anything is logged
