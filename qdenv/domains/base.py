@@ -187,8 +187,16 @@ class Domain:
 
     @property
     def details(self) -> dict[str, Any]:
-        """What a layout file states about its domain: the name, and the cells that must stay."""
-        return {"domain": self.name} | ({"keep": self.config.keep} if self.config.keep else {})
+        """What a layout file states about its domain: the name, what must stay, the tasks."""
+        stated = {"keep": self.config.keep, "facts": self.tasks}
+        return {"domain": self.name} | {name: one for name, one in stated.items() if one}
+
+    @property
+    def tasks(self) -> dict[str, Any]:
+        """The settings that say what robots do at their goals, without those at their defaults."""
+        values = {name: getattr(self.config, name) for name in self.task_settings}
+        usual = type(self.config)()
+        return {name: one for name, one in values.items() if one != getattr(usual, name)}
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -4,8 +4,9 @@ Above the rows of a .txt, between two lines ``+++``; beside a plan of any format
 name that ends in .toml. What is stated above counts more.
 """
 
+import json
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -81,7 +82,7 @@ def make_facts(content: Mapping[str, Any], source: Path) -> PlanFacts:
     return facts
 
 
-def write_facts(plan: Path, domain: str, keep: Sequence[str]) -> Path | None:
+def write_facts(plan: Path, details: Mapping[str, Any]) -> Path | None:
     """Write the facts beside a plan that its format cannot hold; return where.
 
     None, and nothing is written, where a file of this name is not of qdenv.
@@ -89,7 +90,9 @@ def write_facts(plan: Path, domain: str, keep: Sequence[str]) -> Path | None:
     path = plan.with_suffix(".toml")
     if path.exists() and not read_text(path, MEGABYTE, "TOML").startswith(_HEAD):
         return None
-    rows = "".join(f"  '{row}',\n" for row in keep)
-    drawing = f"drawing = [\n{rows}]\n" if keep else ""
-    write_atomically(path, f'{_HEAD}domain = "{domain}"\n{drawing}'.encode())
+    named = {"drawing" if name == "keep" else name: one for name, one in details.items()}
+    facts = {"domain": named.pop("domain"), **named.pop("facts", {}), **named}
+    # What is written here is the same in JSON and in TOML.
+    lines = [f"{name} = {json.dumps(one, indent=1)}\n" for name, one in facts.items()]
+    write_atomically(path, (_HEAD + "".join(lines)).encode())
     return path

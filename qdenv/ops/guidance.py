@@ -74,8 +74,8 @@ def guide(
     if given.get("planner") in (None, (None, {})) and given.get("effort") is None:
         given["planner"] = PibtConfig()  # a third of the time of the usual planner
     options = args.Fleet(given)
-    plan, name = args.read_plan(layout, options.domain), args.name_of(layout)
-    agents = plan.facts.robots if agents is None else agents
+    plan = options.with_tasks(args.read_plan(layout, options.domain))
+    name, agents = args.name_of(layout), plan.facts.robots if agents is None else agents
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     path = Path(path) if path else Path("runs") / f"guide-{plan.name}-{stamp}"

@@ -179,7 +179,8 @@ class Fleet:
         self.planner = replace(find_planner(self.effort, name or ""), **changes)
         self.stop: bool = options.get("stop", True)
         self.guidance: Any = options.get("guidance")
-        self.tasks: dict[str, Any] = dict(options.get("tasks") or {})
+        self.tasks: Mapping[str, Any] = options.get("tasks") or {}
+        self._first: str | None = None  # the domain of the first plan
         self.seeds = parse_seeds(options.get("seeds", 10))
         self.seconds_per_step: float | None = options.get("seconds_per_step")
         # Number of timesteps per hour; None where their length is not given.
@@ -193,12 +194,18 @@ class Fleet:
 
     def read_plan(self, layout: Any) -> Plan:
         """Read a layout as the function of this name does, with its tasks and costs of moves."""
-        plan = with_tasks(read_plan(layout, self.domain), self.tasks)
-        if "demand" in self.tasks:  # of the first plan: layouts that are compared have one demand
-            self.tasks["demand"] = plan.domain.config.demand
+        plan = self.with_tasks(read_plan(layout, self.domain))
         if self.seconds_per_step is None and (length := plan.facts.seconds_per_step):
             self.seconds_per_step, self.per_hour = length, 3600 / length
         return self.guide(close_parts(plan))
+
+    def with_tasks(self, plan: Plan) -> Plan:
+        """Give a plan the stated tasks; all plans of one study have those of the first."""
+        if self._first in (None, plan.domain.name):
+            plan = with_tasks(plan, self.tasks)
+        if self._first is None:
+            self._first, self.tasks = plan.domain.name, plan.domain.tasks
+        return plan
 
     def guide(self, plan: Plan) -> Plan:
         """Give a plan its costs of moves; InputError if the planner reads none."""

@@ -147,7 +147,7 @@ class Layout:
     def save(self, path: str | Path) -> Path:
         """Write a layout file with the domain and the details in it; InputError if impossible.
 
-        Beside text and CSV, which hold neither, domain and cells that must stay are facts.
+        Beside text and CSV, which hold none, domain, cells that must stay and tasks are facts.
         """
         details = {**self.domain.details, **self.details}
         tiles, meanings, costs = self.domain.tiles, self.domain.meanings, self.costs
@@ -157,8 +157,8 @@ class Layout:
         path = Path(path)
         if path.suffix.lower() in (".txt", ".csv"):
             stale = path.with_suffix(".toml").exists()
-            if stale or not is_plain(self.layout, self.domain):
-                beside = write_facts(path, self.domain.name, self.domain.config.keep)
+            if stale or self.domain.tasks or not is_plain(self.layout, self.domain):
+                beside = write_facts(path, self.domain.details)
                 mine = f"{path.with_suffix('.toml')} is not of qdenv: not replaced"
                 say(mine if beside is None else beside)
         return path

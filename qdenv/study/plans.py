@@ -123,8 +123,7 @@ def _with_facts(plan: Plan, facts: PlanFacts, path: Path) -> Plan:
         if name not in known:
             raise InputError(f"{path}: unknown fact {name!r}: {choices(name, [*FACTS, *known])}")
         if name == "demand":
-            file = path.parent / str(settings[name]).partition(",")[0]
-            settings[name] = str(path.parent / settings[name]) if file.is_file() else settings[name]
+            settings[name] = _demand_of(settings[name], path.parent)
         elif kinds[name] is str and type(settings[name]) in (int, float):
             settings[name] = f"{settings[name]}"  # drop = 5 as well as drop = "w=5,i=20"
         else:
@@ -144,6 +143,15 @@ def _with_facts(plan: Plan, facts: PlanFacts, path: Path) -> Plan:
             kept = keep_from(facts.keep, plan.fitted(), plan.layout, path.parent)
             plan = plan._replace(keep=kept.config.keep)
     return plan
+
+
+def _demand_of(fact: Any, folder: Path) -> str | tuple[str, ...]:
+    """Return zones, or rows of numbers, as they are stated; files are sought in a folder."""
+    if isinstance(fact, list):
+        return tuple(map(str, fact))
+    if (folder / str(fact).partition(",")[0]).is_file():
+        return ",".join(str(folder / file) for file in str(fact).split(","))
+    return str(fact)
 
 
 def is_plain(layout: np.ndarray, domain: Domain) -> bool:
