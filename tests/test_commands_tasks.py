@@ -10,6 +10,8 @@ from qdenv.cli.main import run
 from qdenv.configurations import find_preset
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
+from qdenv.ops.output import Layout
+from qdenv.ops.studies import compare
 from qdenv.ops.traffic import simulate_layout
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
 from qdenv.settings import EvaluationConfig
@@ -147,3 +149,30 @@ def test_a_search_from_a_plan_has_its_tasks(hall, capsys):
     assert (found.pick, found.demand) == (3, plan.domain.config.demand)
     assert run(["train", "quick", "--domain", "hall", "--demand", "0:3,0:10=3"]) == 2
     assert "add --plan FILE" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ending", ["json", "txt", "csv"])
+def test_files_remember_the_tasks(ending, hall):
+    tasks = {"pick": 3, "drop": "i=9,o=4", "shares": "i=1,o=2", "demand": "0:3,0:10=2.5"}
+    plan = with_tasks(read_plan("plan.txt"), tasks)
+    Layout(plan.layout, plan.fitted()).save(f"saved.{ending}")
+    assert read_plan(f"saved.{ending}").fitted().config == plan.fitted().config
+
+
+def test_facts_of_a_plan_are_its_tasks_and_comparisons_have_those_of_the_first(hall, capsys):
+    Path("orders").mkdir()
+    Path("orders/orders.csv").write_text("place\nA1\nA1\nB1\n")
+    Path("orders/places.csv").write_text("place,row,column\nA1,1,2\nB1,2,6\n")
+    facts = 'pick = 2\ndrop = 3\ndemand = "orders.csv,places.csv"\n'
+    Path("orders/plan.txt").write_text(f"+++\n{facts}+++\n{DRAWING}")
+    plan = read_plan("orders/plan.txt")
+    assert plan.domain.tasks["drop"] == "3" and plan.domain.config.demand[1][:7] == "2 2 2 2"
+    both = {}
+    for layouts in (["plan.txt", "orders/plan.txt"], ["orders/plan.txt", "plan.txt"]):
+        rows = compare(layouts, agents=2, timesteps=100, seeds=2, effort="low").facts["rows"]
+        assert rows[0]["throughput"] == rows[1]["throughput"]  # one layout, one kind of tasks
+        both[layouts[0]] = rows[0]["throughput"]
+    assert both["orders/plan.txt"] < both["plan.txt"]
+    Path("small.txt").write_text("w.e@\n..e@\n")
+    with pytest.raises(InputError, match="demand has 7 x 10 numbers, the plan 2 x 4 cells"):
+        compare(["orders/plan.txt", "small.txt"], agents=2)
