@@ -16,6 +16,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +52,15 @@ def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
         if places:
             raise InputError("no column place in its first line, which a file of places is for")
         return _map(table, endpoints.shape)
+
+
+def demand_in(folder: Path, fact: Any) -> str | tuple[str, ...]:
+    """Return demand as a plan in `folder` states it: rows of numbers, zones, or files there."""
+    if isinstance(fact, list):
+        return tuple(map(str, fact))
+    if (folder / str(fact).partition(",")[0]).is_file():
+        return ",".join(str(folder / file) for file in str(fact).split(","))
+    return str(fact)
 
 
 def _zones(text: str, shape: tuple[int, ...]) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.grid import draw
 from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
-from qdenv.io.demand import read_demand
+from qdenv.io.demand import demand_in, read_demand
 from qdenv.io.facts import FACTS, PlanFacts, make_facts
 from qdenv.io.guidance import costs_of
 from qdenv.io.layouts import ENDINGS, aliases, read_drawing, to_layout
@@ -123,7 +123,7 @@ def _with_facts(plan: Plan, facts: PlanFacts, path: Path) -> Plan:
         if name not in known:
             raise InputError(f"{path}: unknown fact {name!r}: {choices(name, [*FACTS, *known])}")
         if name == "demand":
-            settings[name] = _demand_of(settings[name], path.parent)
+            settings[name] = demand_in(path.parent, settings[name])
         elif kinds[name] is str and type(settings[name]) in (int, float):
             settings[name] = f"{settings[name]}"  # drop = 5 as well as drop = "w=5,i=20"
         else:
@@ -143,15 +143,6 @@ def _with_facts(plan: Plan, facts: PlanFacts, path: Path) -> Plan:
             kept = keep_from(facts.keep, plan.fitted(), plan.layout, path.parent)
             plan = plan._replace(keep=kept.config.keep)
     return plan
-
-
-def _demand_of(fact: Any, folder: Path) -> str | tuple[str, ...]:
-    """Return zones, or rows of numbers, as they are stated; files are sought in a folder."""
-    if isinstance(fact, list):
-        return tuple(map(str, fact))
-    if (folder / str(fact).partition(",")[0]).is_file():
-        return ",".join(str(folder / file) for file in str(fact).split(","))
-    return str(fact)
 
 
 def is_plain(layout: np.ndarray, domain: Domain) -> bool:
