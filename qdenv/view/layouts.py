@@ -100,13 +100,18 @@ def layout_html(layout: np.ndarray, tiles: str, names: Mapping[str, str]) -> str
 
 @styled
 def draw_plan(
-    layout: Array, tiles: str, names: Mapping[str, str] = _NO_NAMES, numbered: bool = True
+    layout: Array,
+    tiles: str,
+    names: Mapping[str, str] = _NO_NAMES,
+    numbered: bool = True,
+    side: float | None = None,
 ) -> Figure:
     """Draw a layout with its rows and columns numbered from 0, as messages number them.
 
-    The figure is to be cropped when it is saved.
+    The longer side takes `side` inches, as many as its cells need unless given. The figure is to be
+    cropped when it is saved.
     """
-    axes = draw_layout(layout, tiles, _new_axes(np.shape(layout)), names)
+    axes = draw_layout(layout, tiles, _new_axes(np.shape(layout), side), names)
     if numbered:
         number_cells(axes)
     assert isinstance(axes.figure, Figure)
@@ -127,9 +132,9 @@ def side_of(shape: tuple[int, ...], panels: int = 1) -> float:
     return float(np.clip(_CELL * max(shape), _SMALLEST, _LARGEST / np.sqrt(panels)))
 
 
-def _new_axes(shape: tuple[int, ...]) -> Axes:
-    """Make axes of square cells in a figure of their own."""
-    rows, cols = (side * side_of(shape) / max(shape) for side in shape)
+def _new_axes(shape: tuple[int, ...], side: float | None = None) -> Axes:
+    """Make axes of square cells in a figure of their own; `side` is its longer side in inches."""
+    rows, cols = (cells * (side or side_of(shape)) / max(shape) for cells in shape)
     gap = 0.45
     figure = new_figure(cols + gap, rows + 0.9, arrange=False, dpi=SCREEN_DPI)
     width, height = figure.get_size_inches()

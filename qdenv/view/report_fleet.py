@@ -30,7 +30,7 @@ from qdenv.view.studies import draw_over_agents
 from qdenv.view.style import to_svg
 from qdenv.view.traffic import Scene, draw_panel, make_scene, top_of
 
-_MAP = 5.6  # inches of maps of floor plans
+_MAP, _PLAN = 5.6, 4.8  # inches of maps of floor plans, and of the longer side of a plan
 # Shares of time, and timesteps, that are written as more than zero.
 _LEAST_WAITING, _LEAST_VISIT = 0.0005, 0.05
 _SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)  # of a single number of agents, to compare it with
@@ -241,7 +241,7 @@ def _draw(
     domain, layout, maps = subject.plan.domain, subject.plan.layout, scene.maps
     assert study.verdict is not None
     verdict, reason, _ = study.verdict
-    plan = draw_plan(layout, domain.tiles, domain.names)
+    plan = draw_plan(layout, domain.tiles, domain.names, side=_PLAN)
     flow, along = "", 0.0
     if scene.costs is not None:
         preferred = preferences(scene.costs, scene.free)
