@@ -45,6 +45,14 @@ def test_commands_read_what_convert_writes(ending, tmp_path, capsys):
     assert lines[: len(lines) // 2] == lines[len(lines) // 2 :]
 
 
+@pytest.mark.parametrize("ending", [".xlsx", ".dxf"])
+def test_commands_write_what_people_came_with(ending, tmp_path, capsys):
+    pytest.importorskip(LIBRARIES[ending])
+    path = tmp_path / f"human{ending}"
+    assert qdenv(["layout", "human", "--rows", "9", "--cols", "12", "--out", str(path)]) == 0
+    assert read_drawing(path).rows[1][0] == "w" and path.with_suffix(".png").exists()
+
+
 def test_a_picture_from_a_paint_program_has_the_colours_of_tiles(tmp_path):
     pixels = np.array([[[255, 255, 255], [0x2B, 0x2B, 0x2B]], [[0x9D, 0xC3, 0xF2], [230, 159, 0]]])
     Image.fromarray(pixels.astype(np.uint8)).save(tmp_path / "a.png")

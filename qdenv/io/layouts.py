@@ -9,6 +9,7 @@ rows are what is simulated. JSON and a CSV of another form hold costs of moves a
 import csv
 import json
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
@@ -24,6 +25,7 @@ from qdenv.io.records import parse_json, structured
 from qdenv.types import Array, DamagedError, InputError, Tile
 
 ENDINGS = (".json", ".txt", ".csv", ".map")  # of layout files; any other ending is JSON's
+_LIBRARIES = {".xlsx": "openpyxl", ".dxf": "ezdxf"}  # endings that need one to be installed
 _MAX_BYTES = 32 * 2**20
 MAX_SIDE = 1000  # rows or columns; nothing larger was tried
 _MAX_LINES = 20 * MAX_SIDE  # blank ones around a drawing with them
@@ -236,9 +238,10 @@ def aliases(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> dict[str
 
 
 def endings_for(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> tuple[str, ...]:
-    """List the endings of files that can hold every tile of an alphabet."""
+    """List the endings of files that can hold every tile of an alphabet, and be written here."""
     every = set(tiles) <= _on_map(tiles, meanings).keys()
-    return tuple(ending for ending in ENDINGS if every or ending != ".map")
+    plain = tuple(ending for ending in ENDINGS if every or ending != ".map")
+    return plain + tuple(ending for ending, library in _LIBRARIES.items() if find_spec(library))
 
 
 def write_layout(
@@ -260,7 +263,7 @@ def write_layout(
     path, rows = Path(path), draw(layout, tiles)
     ending = path.suffix.lower()
     check_size(len(rows), len(rows[0]))
-    if costs is not None and ending in (".txt", ".map"):
+    if costs is not None and ending in (".txt", ".map", *_LIBRARIES):
         raise InputError(f"{path}: a {ending} holds no costs of moves: write a .json or .csv")
     if ending == ".map":
         table = _on_map(tiles, meanings)
@@ -272,6 +275,12 @@ def write_layout(
                 f"{alphabet(lost, meanings)}: write a .json, .txt or .csv"
             )
     weights = None if costs is None else weights_of(costs)
+    if costs is not None:  # these say where robots drive, whatever the tiles mean
+        blocked = {tiles[kind] for kind in np.unique(np.asarray(layout)[np.isinf(costs[0])])}
+        every = {symbol: meanings.get(symbol, Tile(symbol)) for symbol in tiles}
+        meanings = {
+            symbol: tile._replace(obstacle=symbol in blocked) for symbol, tile in every.items()
+        }
     drawing = Drawing(rows, weights=weights, details=details)
     write_drawing(path, drawing, meanings, None if ending in ALL_ENDINGS else "json")
 
