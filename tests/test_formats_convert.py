@@ -118,6 +118,16 @@ def test_blocks_without_a_service_point_are_walls(tmp_path):
     assert read_drawing(path).rows == ["##.@@ew", "##.@@..", "...@@.."]
 
 
+def test_what_a_map_of_the_league_cannot_say_is_named(tmp_path, capsys):
+    plan = tmp_path / "plan.txt"
+    for rows, lost in [("@e.\n..w", ""), ("@e.\n...", "endpoint, shelf"), ("@.e\n..w", "shelf")]:
+        plan.write_text(rows)
+        convert(plan, tmp_path / "a.map", "--format", "lorr")
+        line = f"lorr: what some cells are ({lost}) is left out\n"
+        assert (line in capsys.readouterr().out) == bool(lost)
+        assert (read_drawing(tmp_path / "a.map").rows == rows.split()) == (not lost)
+
+
 def test_python_converts_an_array_without_a_file(tmp_path):
     found = package.convert(parse(ROWS, TILES), tmp_path / "a.map", "rhcr", domain="warehouse-even")
     assert found["format"] == "rhcr" and found["left_out"] == []

@@ -28,6 +28,7 @@ class Format(NamedTuple):
 _LAYOUTS, _MAPS, _RHCR = "qdenv.io.layouts", "qdenv.io.maps", "qdenv.io.rhcr"
 _ROADS = "qdenv.io.lanes"
 _ROBOTS, _LANES = ("starts", "tasks"), ("weights", "cell", "name")
+_PLAIN = " .@#X"  # floor and obstacles, which mean the same in every format
 _SEVERAL = (".yaml",)  # endings of which no format is the usual one
 # Of several with the same ending, the first one is meant where nothing else says which.
 FORMATS: dict[str, Format] = {
@@ -202,7 +203,10 @@ def redraw(
     }
     lost = []
     for sign in dict.fromkeys(table.values()):
-        names = dict.fromkeys(known[symbol].name for symbol in used if table[symbol] == sign)
-        if len(names) > 1:
-            lost.append(f"what tells {', '.join(names)} apart ({sign!r}) is")
+        alike = [symbol for symbol in used if table[symbol] == sign]
+        names = ", ".join(dict.fromkeys(known[symbol].name for symbol in alike))
+        if "," in names:
+            lost.append(f"what tells {names} apart ({sign!r}) is")
+        elif alike[0] not in (*signs, *_PLAIN):
+            lost.append(f"what {names} is ({sign!r}) is")
     return [row.translate(str.maketrans(table)) for row in rows], lost

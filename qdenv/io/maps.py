@@ -24,7 +24,7 @@ from qdenv.types import InputError, Tile
 # Swamp is open ground; water is none, as it cannot be entered from the ground.
 _MOVING_AI = str.maketrans({**dict.fromkeys(".GS", "."), **dict.fromkeys("@OTW", "#")})
 _RUNNERS = str.maketrans({"S": "e", "E": "w", "T": "#", "G": ".", "O": "#", "W": "#"})
-_ON_RUNNERS = {"e": "S", "w": "E", "i": "E", "o": "E", "#": "T"}
+_ON_RUNNERS: dict[str, Any] = {"e": "S", "w": "E", "i": "E", "o": "E", "#": "T", "X": "T"}
 
 
 def read_map(path: Path) -> Drawing:
@@ -47,15 +47,16 @@ def read_map(path: Path) -> Drawing:
     for name, number in sizes.items():
         if head.get(name, str(number)) != str(number):
             raise damaged(path, f"the head says {name} {head[name]}, the map has {number}")
-    if any("E" in row for row in rows) and len({*map(len, rows)}) == 1:
-        return Drawing(_shelves(np.array([[*row.translate(_RUNNERS)] for row in rows])))
-    return Drawing([row.translate(_MOVING_AI) for row in rows])
+    return Drawing(_read_signs(rows))
 
 
-def _shelves(signs: np.ndarray) -> list[str]:
-    """Tell shelves from walls among the obstacles ``@`` of a map (str [H, W])."""
+def _read_signs(rows: Sequence[str]) -> list[str]:
+    """Turn the signs of a map into symbols."""
+    if not any("E" in row for row in rows) or len({*map(len, rows)}) > 1:
+        return [row.translate(_MOVING_AI) for row in rows]
     from scipy.ndimage import binary_dilation, label  # here: other maps need none of it
 
+    signs = np.array([[*row.translate(_RUNNERS)] for row in rows])
     blocks, _ = label(signs == "@")
     served = np.unique(blocks[binary_dilation(signs == "e")])
     signs[(signs == "@") & ~np.isin(blocks, served)] = "#"
@@ -171,6 +172,11 @@ def _read_cells(path: Path, cells: int) -> list[tuple[int, ...]]:
 def write_lorr(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
     """Write a map, or a problem with the map, the robots' starts and the tasks beside it."""
     rows, lost = redraw(drawing.rows, meanings, _ON_RUNNERS, ".@")
+    # Endpoints without stations are swamp on MovingAI's maps, shelves without endpoints walls.
+    back = "".join(_read_signs(rows)).translate(str.maketrans(_ON_RUNNERS))
+    cells = zip("".join(drawing.rows), "".join(rows), back, strict=True)
+    if other := sorted({meanings[symbol].name for symbol, sign, read in cells if sign != read}):
+        lost.append(f"what some cells are ({', '.join(other)}) is")
     if path.suffix.lower() == ".map":
         _write_map(path, rows)
         return lost
