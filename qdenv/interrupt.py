@@ -119,6 +119,11 @@ def advise(way: str) -> None:
     _way[0] = way
 
 
+def advice() -> str:
+    """Return how to go on after an interruption, as `advise` has set it."""
+    return _way[0]
+
+
 def last_words() -> str:
     """Return the line that an interrupted command ends with."""
     return f"qdenv: stopped; {_way[0]}" if _way[0] else "qdenv: stopped"

@@ -10,6 +10,7 @@ import pytest
 from conftest import SMALL
 
 from experiments.ledger import Case, complete, read_runs
+from qdenv import interrupt
 from qdenv.cli.main import run as qdenv
 from qdenv.domains.base import find_domain
 from qdenv.repair import pool as pools
@@ -182,8 +183,19 @@ def test_without_its_scheduler_an_executor_fails_instead_of_waiting_for_ever(loc
     client = distributed.Client(local.scheduler_address)
     executor = ClusterExecutor(client)
     client.close()
-    with pytest.raises(Exception, match=r".+"):
+    interrupt.advise("`qdenv resume run` goes on")
+    with pytest.raises(InputError, match="scheduler is gone; `qdenv resume run` goes on"):
         executor.submit(pow, 2, 5).result(timeout=60)
+
+
+def test_a_cluster_of_ones_own_obeys_nobody_else():
+    pytest.importorskip("cryptography")
+    with Execution("dask", workers=1).connect() as client:
+        assert client.run(os.getuid) and client.submit(pow, 2, 5).result() == 32
+        address = client.scheduler.address
+        assert address.startswith("tls://127.0.0.1:")
+        with pytest.raises(OSError):
+            distributed.Client(address, timeout=1, security=distributed.Security.temporary())
 
 
 def make_foreign() -> None:

@@ -25,7 +25,7 @@ from pathlib import Path
 from time import monotonic, perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
-from qdenv import devices
+from qdenv import devices, interrupt
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.run.directory import package_versions
 from qdenv.types import InputError
@@ -70,6 +70,7 @@ class Execution(Ranged):
         if self.scheduler and self.workers:
             raise InputError("--workers is for a cluster on this machine: leave --scheduler out")
         try:
+            import cryptography  # noqa: F401 (by which a cluster here knows its own)
             import distributed  # noqa: F401
         except ImportError as error:
             raise InputError("--executor dask needs dask: pip install 'qdenv[dask]'") from error
@@ -84,18 +85,23 @@ class Execution(Ranged):
             # Workers would sample a hundred times a second what they do, for a dashboard that
             # nobody sees.
             stack.enter_context(dask.config.set({"distributed.worker.profile.enabled": False}))
-            place = self.scheduler
+            # A client logs that it loses its scheduler; the line that ends the search says so.
+            logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+            place = cluster = self.scheduler
             if place is None:
                 local = LocalCluster(
+                    # Else every user of this machine could run code as this one.
+                    security=True,
                     n_workers=self.workers or devices.count_cores(),
                     threads_per_worker=1,
                     memory_limit=0,  # a worker is not ended for what a layout needs
-                    dashboard_address=None,
+                    dashboard_address="127.0.0.1:0",  # any port: several searches may run
                     silence_logs=logging.CRITICAL,
                 )
-                place = stack.enter_context(local).scheduler_address
+                cluster = stack.enter_context(local)
+                place = local.scheduler_address
             try:
-                client = stack.enter_context(Client(place, timeout=_ANSWER))
+                client = stack.enter_context(Client(cluster, timeout=_ANSWER))
                 client.wait_for_workers(1, timeout=_ARRIVAL)
             except (OSError, ValueError, TimeoutError) as error:
                 hint = f"start `dask scheduler` and `dask worker {place}` first"
@@ -195,10 +201,13 @@ class ClusterExecutor(Executor):
                 elif self._pending and monotonic() - changed_at >= max(PATIENCE, _SLOW * usual):
                     self._send_copies()
                     changed_at = monotonic()
-        except BaseException as error:  # for example, the scheduler is gone: no result will come
-            self._error = error
+        except BaseException as error:  # no result will come
+            if self._client.status == "running":
+                self._error = error
+            else:
+                self._error = InputError(f"the cluster's scheduler is gone; {interrupt.advice()}")
             for task in list(self._pending):
-                self._settle(task, error=error)
+                self._settle(task, error=self._error)
         self._error = self._error or RuntimeError("it was shut down")
         with contextlib.suppress(Exception):  # the client may be closed
             self._client.cancel([one for task in list(self._pending) for one in task.copies])
