@@ -290,10 +290,15 @@ def test_symbols_lists_every_tile_with_its_meaning(capsys):
 
 def test_the_readme_lists_the_symbols_as_they_are():
     section = README.read_text().partition("## Layout files")[2].partition("\n## ")[0]
-    rows = re.findall(r"^\| (warehouse|manufacturing|maze) \| (.+) \|$", section, re.MULTILINE)
+    rows = re.findall(r"^\| (hall|warehouse|manufacturing|maze) \| (.+) \|$", section, re.MULTILINE)
     listed = [(domain, *(cell.strip() for cell in row.split("|"))) for domain, row in rows]
     known = []
-    for domain, name in (("warehouse", "-even"), ("manufacturing", ""), ("maze", "-walls")):
+    for domain, name in (
+        ("hall", ""),
+        ("warehouse", "-even"),
+        ("manufacturing", ""),
+        ("maze", "-walls"),
+    ):
         for row in list_symbols(find_domain(domain + name)):
             symbol, tile, _, also, meaning = row
             known.append((domain, quote(symbol), tile, quote(also), meaning))
@@ -309,11 +314,13 @@ def test_the_readmes_plan_is_kept_as_it_says(folder):
     lines = section.partition("```\n")[2].partition("```")[0].splitlines()
     plan, drawing = zip(*(line.split() for line in lines), strict=True)
     (folder / "plan.txt").write_text("\n".join(plan))
-    (folder / "walls.txt").write_text("\n".join(drawing))
-    assert run(["repair", "plan.txt", "--keep", "walls.txt"]) == 0
+    (folder / "keep.txt").write_text("\n".join(drawing))
+    repair = ["repair", "plan.txt", "--keep", "keep.txt+1:3,2:6", "--shelves", "6"]
+    assert run([*repair, "--polish", "none"]) == 0
     after = rows_of(folder / "plan_repaired.json")
-    assert after == list(plan) and "".join(plan).count("w") == 6
-    assert run(["check", "plan_repaired.json", "--keep", "walls.txt"]) == 0
+    assert "".join(after).count("@") == 6 and after[0] == "w...........#"
+    assert [row[2:6] for row in after[1:3]] == ["eeee", "@@@@"] and after[2][12] == "i"
+    assert run(["check", "plan.txt"]) == 0 and run(["check", "plan_repaired.json"]) == 0
 
 
 def test_baselines_go_to_files_of_their_own_and_say_so(folder, capsys):
