@@ -159,7 +159,7 @@ def test_a_floor_with_guidance_shows_it_and_who_obeys(folder, tmp_path):
         arrows = shown.locator("#plan-0-guidance")
         assert arrows.is_visible() and shown.locator("#flow-0-axes_1").count() == 1
         shown.locator("#guidance").click()
-        assert not arrows.is_visible()
+        assert not arrows.is_visible() and shown.locator("#guidance").is_visible()
         assert "of their moves take the way that guidance makes cheaper" in shown.inner_text("main")
 
 

@@ -10,6 +10,7 @@ from matplotlib.image import imread
 
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
+from qdenv.guidance import crisscross
 from qdenv.study.plans import Plan
 from qdenv.types import InputError
 from qdenv.view.change import draw_change
@@ -79,6 +80,8 @@ def test_usages_before_and_after_share_one_colour_scale():
     maps = [axes.images[-1] for axes in figure.axes[2:4]]
     assert [image.get_clim() for image in maps] == [(0, 0.4)] * 2
     assert [axes.get_title().partition("\n")[0] for axes in figure.axes[:2]] == ["today", "new"]
+    lanes = draw_change(plan, plan._replace(costs=crisscross(LAYOUT != 1)), usages)
+    assert lanes.axes[1].get_title() == "after\nlanes: arrows point the cheaper way"
     with pytest.raises(InputError, match="nothing to match"):
         draw_change(plan, plan._replace(layout=LAYOUT[:2]))
 
