@@ -112,6 +112,8 @@ def test_options_of_a_hall_are_its_settings(hall, capsys):
     assert facts["valid"] is True
     tasks = facts["settings"]["tasks"]
     assert (tasks["pick"], tasks["drop"], tasks["shares"]) == (3, "i=9,o=4", "i=1")
+    said = capsys.readouterr().out
+    assert "a hall, pick 3, drop i=9,o=4, shares i=1, demand by place; planner" in said
     assert tasks["demand"][1].split()[:4] == ["2", "2", "2", "2"]
     assert tasks["demand"][3] == "0 0 0 0 0 0 0 0 0 0".replace("0", tasks["demand"][3][0])
     plan = with_tasks(read_plan("plan.txt"), facts["settings"]["tasks"] | {"demand": "orders.csv"})

@@ -235,8 +235,10 @@ class Fleet:
         runs = f"{len(self.seeds)} seeds" if len(self.seeds) > 1 else "1 seed"
         end = "" if self.stop else ", no stop at congestion"
         guidance = f"; guidance: {name_guidance(plans)}" if name_guidance(plans) else ""
+        stated = {**self.tasks} | ({"demand": "by place"} if "demand" in self.tasks else {})
+        tasks = "".join(f", {name} {one}" for name, one in stated.items())
         return (
-            f"{agents} agents, {timesteps} timesteps{end}, {runs}, {plans[0].whose}; "
+            f"{agents} agents, {timesteps} timesteps{end}, {runs}, {plans[0].whose}{tasks}; "
             f"planner: {' | '.join(map(describe_planner, planners or [self.planner]))}{guidance}"
         )
 
