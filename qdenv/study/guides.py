@@ -44,8 +44,8 @@ def guide_config(
     weights of an update model; `base` names the guidance where either begins. The `numbers` are
     evaluations, simulations and seed. Raises InputError if no fleet can work there.
     """
+    fleet_tasks(plan.layout, plan.domain.simulator.tasks, fleet.agents)
     domain = plan.fitted()
-    fleet_tasks(plan.layout, domain.simulator.tasks, fleet.agents)
     rows = tuple("".join(".#"[not one] for one in row) for row in domain.drivable(plan.layout))
     generators: dict[str, Any] = {
         "costs": CostsConfig(rows, base),
