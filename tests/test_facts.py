@@ -122,7 +122,7 @@ def test_a_file_of_hers_is_not_replaced(caplog):
         ("shelves = true", "shelves: must be"),
         ("shelves = 99", "no repair exists"),
         ('keep = "zz"', "keep 'zz': give tiles like w#"),
-        ('drawing = ["??"]', "the cells to keep are drawn on 1 x 2"),
+        ('drawing = ["??"]', "has 1 x 2 cells, the layout 4 x 11"),
         ('domain = "moon"', "the file says domain 'moon', which is unknown"),
         ("rows = 3", "unknown fact 'rows'"),
         ("fleet = 3", "unknown fact 'fleet'"),
