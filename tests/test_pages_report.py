@@ -210,6 +210,7 @@ def row_of(layout, mean, error):
             r"B moves 2.5 % more than A at 200 robots, which may be chance "
             r"\(95 %: \d.\d % less to \d+.\d % more\)",
         ),
+        ((1.0, 2.0), (4.0, 1.0), r".* may be chance \(95 %: 100.0 % less to \d+.\d % more\)"),
         ((5.0, np.nan), (4.0, np.nan), r"B moves 25.0 % .* \(too few runs to be sure\)"),
         ((4.0, 0.1), (0.0, 0.0), "A moves nothing at 200 robots, B 4.00 tasks per timestep"),
         ((4.0, 0.1), (4.0, 0.1), "B moves as much as A at 200 robots"),

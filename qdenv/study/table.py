@@ -299,7 +299,8 @@ def decide(ours: Row, theirs: Row) -> dict[str, Any]:
     subject, other = ours.layout, f"{theirs.layout} at {ours.agents} robots"
 
     def more(percent: float) -> str:
-        return f"{abs(percent):.1f} % {'less' if percent < 0 else 'more'}"
+        # With few runs an interval may reach below nothing at all.
+        return f"{percent:.1f} % more" if percent > 0 else f"{min(-percent, 100.0):.1f} % less"
 
     low, high = sorted((abs(apart.low), abs(apart.high)))
     if np.isnan(apart.percent):
