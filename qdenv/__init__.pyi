@@ -19,6 +19,7 @@ from .io.layouts import read_layout as read_layout
 from .io.layouts import write_layout as write_layout
 from .ops.convert import convert as convert
 from .ops.guidance import guide as guide
+from .ops.improve import improve as improve
 from .ops.layouts import check as check
 from .ops.layouts import human_layout as human_layout
 from .ops.layouts import make_environment as make_environment

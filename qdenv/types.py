@@ -261,6 +261,8 @@ class Encoding(NamedTuple):
     # float [B, P] -> int8 [B, H, W], traceable
     draw: Callable[[jax.Array], jax.Array] = lambda layouts: layouts
     choices: int = 0  # how many tiles each parameter may name; 0 where parameters are real numbers
+    margin: tuple[int, int] = (0, 0)  # (rows, columns) that the frame adds to each side
+    around: Array | None = None  # int8 [H, W], a plan around which is searched; None for none
 
 
 class Evaluation(NamedTuple):

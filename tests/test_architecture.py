@@ -52,7 +52,7 @@ ALLOWED = {
     "study": BASE
     | STAGES
     | PLUGS
-    | {"agent", "domains", "pipeline", "settings", "surrogate", "run", "search"},
+    | {"agent", "domains", "pipeline", "settings", "surrogate", "run", "search", "shipped"},
     "view": BASE
     | STAGES
     | PLUGS
@@ -312,7 +312,7 @@ MOST = {
 MOST_REACHED = {
     "pipeline:evaluate": 6,
     "repair.recipe:repair_layout": 110,
-    "run.loop:train": 39,
+    "run.loop:train": 43,
     "ops.traffic:simulate_layout": 145,
     "ops.runs:generate_layout": 180,
     "simulate.mapf.pbs.planner:_plan_window": 49,

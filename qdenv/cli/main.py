@@ -54,6 +54,7 @@ GROUPS = {
         "audit-run": "qdenv.ops.traffic:audit_run",
     },
     "search": {
+        "improve": "qdenv.ops.improve:improve",
         "zoo": "qdenv.ops.searches:zoo",
         "presets": "qdenv.ops.searches:presets",
         "train": "qdenv.ops.searches:train",

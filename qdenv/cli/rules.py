@@ -35,6 +35,7 @@ from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.ops.options import (
     FleetOptions,
     GuideOptions,
+    ImproveOptions,
     Mark,
     PlannerOptions,
     RunOptions,
@@ -73,7 +74,7 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
     # The parser finds the comments behind the fields of a dictionary itself, not in its base.
     helps = {
         field.name: field.helptext
-        for record in (GuideOptions, StudyOptions, FleetOptions, RunOptions)
+        for record in (ImproveOptions, GuideOptions, StudyOptions, FleetOptions, RunOptions)
         for field in _spec_of(record).fields
     }
     rules = number_rules()

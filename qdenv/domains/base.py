@@ -12,7 +12,7 @@ import tyro
 
 from qdenv import devices, score
 from qdenv.generate import Canvas, inside_frame
-from qdenv.grid import draw, of_tiles
+from qdenv.grid import draw, of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Ranged
 from qdenv.registry import Registry
@@ -56,6 +56,12 @@ class DomainConfig(Ranged):
     # rows of a drawing of the whole layout: a tile where a cell must hold it, ``?`` where anything
     # may be; empty for none
     keep: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = field(
+        default=(), kw_only=True
+    )
+
+    # rows of a plan that a search goes around: the archive's only axis is then how many of its
+    # racks were moved; empty for the domain's own axes
+    around: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = field(
         default=(), kw_only=True
     )
 
@@ -310,6 +316,8 @@ def make_domain(config: Any) -> Domain:
     registered, or the drawing of the cells to keep has another shape, or a cell names no tile.
     """
     domain: Domain = DOMAINS.make(config)
+    if config.around:
+        domain = replace(domain, measures=(_racks_moved(domain),))
     if domain.rules is not None:
         own, names = domain.rules, domain.names
         domain = replace(domain, rules=lambda: own()._replace(names=names))
@@ -337,6 +345,18 @@ def make_domain(config: Any) -> Domain:
         return base._replace(allowed=np.where((locked >= 0)[..., None], only, base.allowed))
 
     return replace(domain, rules=rules)
+
+
+def _racks_moved(domain: Domain) -> Measure:
+    """Make the axis that counts the racks of a plan that are no longer where they were."""
+    driven = domain.simulator.tasks.traversable if domain.simulator.tasks else ""
+    racks = "".join(tile for tile in domain.generated if tile not in driven)
+    was = np.asarray(of_tiles(parse(domain.config.around, domain.tiles), racks, domain.tiles))
+
+    def value(layout: jax.Array, runs: Any) -> jax.Array:
+        return (of_tiles(layout, racks, domain.tiles) != was).sum() / 2
+
+    return Measure("racks moved", 0, int(was.sum()) + 1, int(was.sum()) + 1, value)
 
 
 def find_domain(name: str) -> Domain:

@@ -165,6 +165,15 @@ class GuideOptions(RunOptions, total=False):
     seed: NonNegativeInt  # of the search; 0 unless given
 
 
+class ImproveOptions(RunOptions, total=False):
+    """A search of better plans."""
+
+    moves: PositiveInt  # racks that "some racks" moves at most; 20 unless given
+    minutes: PositiveFloat | None  # of all searches; 10 unless evaluations are given
+    evaluations: PositiveInt | None  # floors, or costs of moves, that each search tries
+    seed: NonNegativeInt  # of the searches; 0 unless given
+
+
 class Fleet:
     """The options of runs of a fleet, resolved."""
 

@@ -230,7 +230,7 @@ def resume(
     execution: Annotated[Execution, arg(name="")] = Execution(),  # noqa: B008 (frozen)
     pictures: Suppress[args.OnCommandLine] = False,
 ) -> RunDirectory | Path:
-    """Continue a run where it stopped, of a search or of an agent's training.
+    """Continue a run where it stopped: a search, an improvement, or an agent's training.
 
     Args:
         run: folder of the run.
@@ -244,6 +244,12 @@ def resume(
             another process is at work on it.
     """
     path = run.path if isinstance(run, RunDirectory) else Path(run)
+    for folder in (path, path.parent):  # the searches of an improvement go on together
+        if (folder / "improve.json").exists():
+            from qdenv.ops.improve import improve_folder  # which imports the whole chain
+
+            improve_folder(folder, progress, execution)
+            return folder
     if (path / "checkpoint.npz").exists() and (path / "config.json").exists():  # an agent's
         return train_agent(read_json(path / "config.json", TrainConfig), path, resume=True)
     opened = RunDirectory.open(path)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax.traverse_util import flatten_dict
 
+from qdenv.grid import parse
 from qdenv.pipeline import Pipeline, evaluate, make_pipeline
 from qdenv.run.config import RunConfig, archive_axes, config_to_json
 from qdenv.run.directory import find_start
@@ -76,6 +77,8 @@ def problem_of(pipeline: Pipeline, measures: tuple[Measure, ...]) -> Problem:
         usage=usage is not None,
         draw=lambda solutions: pipeline.grow(jnp.asarray(solutions)),
         choices=pipeline.choices,
+        margin=domain.margin,
+        around=parse(domain.config.around, domain.tiles) if domain.config.around else None,
     )
     extras = {name: np.zeros(leaf.shape[1:], leaf.dtype) for name, leaf in columns.items()}
     return Problem(pipeline.solution_size, measures, extras, encoding)

@@ -21,6 +21,7 @@ ALGORITHMS = Registry(
         "cma-es": "qdenv.search.settings:CMA_ES",
         "random": "qdenv.search.settings:RANDOM_SEARCH",
         "dsage": "qdenv.search.settings:DSAGE",
+        "rearrange": "qdenv.search.settings:REARRANGE",
     },
 )
 

@@ -183,6 +183,18 @@ class RandomSearchConfig(Ranged):
 
 
 @dataclass(frozen=True)
+class RearrangeConfig(Ranged):
+    """Settings of the evolution of a plan, parts of which are moved."""
+
+    encoding: ClassVar[str] = "direct"  # the generator that it searches
+
+    population: PositiveInt = 8  # layouts that are evaluated again in each iteration
+    batch: PositiveInt = 32  # layouts per iteration, those among them
+    shifts: Share = 0.5  # of the changes, those that move the tiles of a rectangle on
+    copies: Share = 0.25  # those that draw a rectangle once more; the others exchange two cells
+
+
+@dataclass(frozen=True)
 class DsageConfig(Ranged):
     """Settings of DSAGE; the defaults suit a CPU, `DSAGE_PUBLISHED` is the paper's."""
 
@@ -211,3 +223,4 @@ MAP_ELITES = Entry(MapElitesConfig, "qdenv.search.map_elites:map_elites")
 CMA_ES = Entry(CmaEsConfig, "qdenv.search.cma_mae:cma_es")
 RANDOM_SEARCH = Entry(RandomSearchConfig, "qdenv.search.map_elites:random_search")
 DSAGE = Entry(DsageConfig, "qdenv.search.dsage:dsage")
+REARRANGE = Entry(RearrangeConfig, "qdenv.search.rearrange:rearrange")

@@ -1,0 +1,273 @@
+"""From one's own plan to a better one: lanes, some racks, a new floor."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, Unpack
+
+import numpy as np
+from tyro.conf import arg
+
+from qdenv.domains.base import Domain
+from qdenv.interrupt import advise
+from qdenv.io.files import write_json
+from qdenv.io.layouts import ENDINGS, write_layout
+from qdenv.io.records import read_json, structured, unstructured
+from qdenv.ops import options as args
+from qdenv.ops.output import Table, format_table, say
+from qdenv.progress import Bar
+from qdenv.run.directory import RunDirectory
+from qdenv.run.executors import Execution
+from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig, check_costs
+from qdenv.study.options import fleet_tasks, usual_fleet
+from qdenv.study.plans import Plan
+from qdenv.study.plans import read_plan as read_file
+from qdenv.types import InputError
+
+SETTINGS, PLAN = "improve.json", "plan.json"  # in the folder
+ROWS, REPORT = "improve.csv", "report.html"
+_MINUTES = 10.0
+
+
+class Improvement(NamedTuple):
+    """What one section found, beside the plan."""
+
+    section: str  # lanes, racks or floor
+    lanes: str  # costs of moves that are part of it; "none"
+    racks_moved: int  # cells from which a rack of the plan is gone
+    agents: int  # for which the next three are
+    throughput: float  # tasks per timestep, averaged over all seeds
+    percent: float  # how much more than the plan
+    low: float  # lower end of its 95 % interval
+    high: float  # upper end
+    better: bool  # no interval of the section reaches down to the plan: its plan was written
+
+
+def improve(
+    layout: args.Source,
+    agents: args.Agents = None,
+    path: args.Folder = None,
+    progress: bool = True,
+    execution: Annotated[Execution, arg(name="")] = Execution(),  # noqa: B008 (frozen)
+    keep: Path | None = None,
+    **search: Unpack[args.ImproveOptions],
+) -> Table:
+    """Search a better plan than one's own: lanes on it, some racks moved, a new floor.
+
+    The folder gets, for each of the three that is better by its 95 % intervals at the number of
+    robots and at a quarter more, the plan in the format it came in and a picture of before and
+    after; a report on all of them; and the searches. The same command again, or `qdenv resume`,
+    goes on where it was stopped.
+
+    Args:
+        layout: layout file.
+        agents: number of agents; 200, or what is known of the layout's size, unless given.
+        path: folder of the results; runs/improve-NAME-AGENTS unless given.
+        progress: show a progress bar.
+        execution: where the searches simulate; the result is the same everywhere.
+        keep: what must stay, beside walls and stations.
+        **search: see `ImproveOptions`.
+
+    Returns:
+        an `Improvement` for each section and number of agents.
+
+    Raises:
+        InputError: the fleet cannot work on this layout, or the folder holds something else.
+    """
+    given: dict[str, Any] = dict(search)
+    minutes, evaluations = given.pop("minutes", None), given.pop("evaluations", None)
+    if minutes is None and evaluations is None:
+        minutes = _MINUTES
+    numbers = {name: given.pop(name) for name in ("moves", "seed") if name in given}
+    options = args.Fleet(given)
+    plan = options.read_plan(layout)
+    agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    fleet = options.config(agents, timesteps)
+    domain = plan.fitted(None, keep)
+    fleet_tasks(plan.layout, domain.simulator.tasks, round(1.25 * agents))
+    from qdenv.study.improve import ImproveConfig  # imports the whole chain
+
+    ending = Path(args.name_of(layout)).suffix.lower()
+    config = ImproveConfig(
+        fleet,
+        ending=ending if ending in ENDINGS else ".json",
+        minutes=minutes,
+        evaluations=evaluations,
+        **numbers,
+    )
+    folder = Path(path) if path else Path("runs") / f"improve-{plan.name}-{agents}"
+    say(*filter(None, [note]), options.describe(str(agents), timesteps, [plan]))
+    _begin(folder, plan, domain, config)
+    return improve_folder(folder, progress, execution)
+
+
+def _begin(folder: Path, plan: Plan, domain: Domain, config: Any) -> None:
+    """Write plan and settings into a new folder, or check that an old one holds the same."""
+    content = unstructured(config, {"planner": PLANNERS}) | {"name": plan.name}
+    if (folder / SETTINGS).exists():
+        same = read_json(folder / SETTINGS, dict[str, Any]) == content
+        if not same or not np.array_equal(read_file(folder / PLAN).layout, plan.layout):
+            raise InputError(f"{folder}: holds another plan or other settings: name a new --out")
+        return
+    RunDirectory(folder).demand_own()
+    if folder.exists() and any(folder.iterdir()):
+        raise InputError(f"{folder}: holds something else: name a new folder with --out")
+    write_layout(
+        folder / PLAN, plan.layout, domain.tiles, domain.meanings, plan.costs, **domain.details
+    )
+    write_json(folder / SETTINGS, content)
+
+
+def improve_folder(
+    folder: Path,
+    progress: bool = True,
+    execution: Execution = Execution(),  # noqa: B008 (frozen)
+) -> Table:
+    """Go on with what `improve` began, to its end."""
+    from qdenv.study import improve as studies
+
+    content = read_json(folder / SETTINGS, dict[str, Any])
+    name = content.pop("name")
+    config = structured(
+        content, studies.ImproveConfig, folder / SETTINGS, choices={"planner": PLANNERS}
+    )
+    plan = read_file(folder / PLAN)._replace(name=name)
+    domain, found, lanes = plan.fitted(), [], None
+    advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
+    for section, (title, _) in studies.SECTIONS.items():
+        if section == "lanes" and not _reads_costs(config.fleet):
+            say(f"{title}: the planner knows no costs of moves, so none are searched")
+            continue
+        if not (folder / section / "config.json").exists():
+            say(f"{title}:")
+        _search(folder, section, plan, domain, config, progress, execution)
+        if section == "lanes":
+            lanes = studies.searched_lanes(plan, folder)
+        found += studies.candidates_of(plan, folder, section, lanes)
+    advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
+    with Bar("judging") as bar:
+        judged = studies.judge(plan, found, config, bar)
+    for one in judged:
+        studies.check_candidate(one.candidate, plan, domain)
+    return _finish(folder, plan, domain, config, judged)
+
+
+def _reads_costs(fleet: FleetConfig) -> bool:
+    try:
+        check_costs(fleet.planner)
+    except InputError:
+        return False
+    return True
+
+
+def _search(
+    folder: Path,
+    section: str,
+    plan: Plan,
+    domain: Domain,
+    config: Any,
+    progress: bool,
+    execution: Execution,
+) -> None:
+    """Begin the run of a section or go on with it, as long as it has evaluations and minutes."""
+    from qdenv.run import loop
+    from qdenv.study import improve as studies
+
+    path, minutes = folder / section, np.inf
+    if config.minutes:
+        minutes = config.minutes * studies.SECTIONS[section][1]
+    if (path / "config.json").exists():
+        run = RunDirectory.open(path)
+        rows = run.read_metrics()
+        spent = rows[-1].seconds / 60 if rows else 0.0
+        if spent < minutes and (not rows or rows[-1].evaluations < run.config.evaluations):
+            loop.resume(path, progress, None, execution, minutes - spent)
+        return
+    evaluations = studies.count_evaluations(plan, config, section)
+    if section == "lanes":
+        run_config = studies.lanes_config(plan, config, evaluations)
+    elif section == "racks":
+        run_config = studies.racks_config(plan.layout, domain, config, evaluations, config.moves)
+    else:
+        start = _choose_start(plan, domain, config)
+        run_config = studies.racks_config(start, domain, config, evaluations)
+    loop.train(run_config, path, progress, execution, minutes)
+
+
+def _choose_start(plan: Plan, domain: Domain, config: Any) -> np.ndarray:
+    """Choose the best of the floors that generators draw here and the plan's (int8 [H, W])."""
+    from qdenv.study import improve as studies
+
+    best = (studies.mean_throughput(plan, config.searched, range(3)).mean(), plan.name, plan.layout)
+    lines = [("floor", "throughput"), (plan.name, f"{best[0]:.3f}")]
+    with Bar("growing generators of the zoo") as bar:
+        for name, layout in studies.zoo_floors(domain, config.seed, bar):
+            grown = plan._replace(layout=layout, costs=None)
+            worth = studies.mean_throughput(grown, config.searched, range(3)).mean()
+            lines.append((name, f"{worth:.3f}"))
+            best = max(best, (worth, name, layout), key=lambda one: one[0])
+    say(*format_table(lines), f"the search begins at {best[1]}")
+    start: np.ndarray = best[2]
+    return start
+
+
+def _finish(folder: Path, plan: Plan, domain: Domain, config: Any, judged: Sequence[Any]) -> Table:
+    """Write and print what is better, section by section."""
+    from qdenv.study import improve as studies
+
+    rows, counts = [], [config.fleet.agents, round(studies.CROWD * config.fleet.agents)]
+    table = [("section", "lanes", "racks moved", *(f"{one} robots (95 %)" for one in counts))]
+    free = domain.drivable(plan.layout)
+    for one in judged:
+        section, better = one.candidate.section, one.is_better
+        moved = int((domain.drivable(one.candidate.plan.layout) & ~free).sum())
+        cells = []
+        for number, agents, change in zip(one.throughput, counts, one.changes, strict=True):
+            figures = change.percent, change.low, change.high
+            rows.append(
+                Improvement(
+                    section,
+                    one.candidate.lanes,
+                    moved,
+                    agents,
+                    float(number.mean()),
+                    *figures,
+                    better,
+                )
+            )
+            cells.append("{:+.1f} % ({:+.1f} to {:+.1f})".format(*figures))
+        title = studies.SECTIONS[section][0]
+        table.append((title, one.candidate.lanes, str(moved), *cells))
+        if better:
+            _write(folder, plan, domain, one, config)
+    say(*format_table(table))
+    worse = [studies.SECTIONS[one.candidate.section][0] for one in judged if not one.is_better]
+    if worse:
+        say(f"nothing better was found by {', '.join(worse)}: no plan is written for that")
+    facts = {"folder": str(folder), "settings": asdict(config)}
+    return Table(rows, facts)
+
+
+def _write(folder: Path, plan: Plan, domain: Domain, one: Any, config: Any) -> None:
+    """Write a better plan, its guidance, and the picture of before and after."""
+    from qdenv.study import improve as studies
+    from qdenv.view.change import draw_change  # imports matplotlib
+    from qdenv.view.style import save_figure
+
+    title, _ = studies.SECTIONS[one.candidate.section]
+    after, name, details = one.candidate.plan, title.replace(" ", "_"), domain.details
+    costs = after.costs
+    target = folder / f"{name}{config.ending}"
+    written = [target]
+    if costs is not None and config.ending in (".txt", ".map"):  # which hold no costs
+        written.append(folder / f"{name}_guidance.json")
+        write_layout(written[1], after.layout, domain.tiles, domain.meanings, costs, **details)
+        costs = None
+    write_layout(target, after.layout, domain.tiles, domain.meanings, costs, **details)
+    usages = studies.map_usage(plan, config.fleet), studies.map_usage(after, config.fleet)
+    picture = folder / f"{name}.png"
+    save_figure(draw_change(plan, after, usages, (plan.name, title)), picture, crop=True)
+    say(*written, picture)

@@ -1,0 +1,282 @@
+"""A better plan than one's own: lanes on it, some of its racks moved, a new floor.
+
+Three searches, each an ordinary run. What they found is judged with seeds that none of them has
+seen, beside the plan itself.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from qdenv import devices
+from qdenv.domains.base import Domain, make_domain
+from qdenv.generate import DirectConfig
+from qdenv.grid import draw
+from qdenv.guidance import unscaled_costs
+from qdenv.progress import Progress, silent
+from qdenv.ranges import NonNegativeInt, PositiveFloat, PositiveInt, Ranged
+from qdenv.repair.audit import audit
+from qdenv.repair.recipe import repair_layout
+from qdenv.repair.settings import RepairConfig
+from qdenv.run.config import RunConfig
+from qdenv.run.directory import RunDirectory
+from qdenv.search.settings import RearrangeConfig
+from qdenv.settings import EvaluationConfig
+from qdenv.shipped import PREFIX, named, names
+from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.stats import Difference, paired_difference
+from qdenv.study.elites import grow_series
+from qdenv.study.engine import run_seeds
+from qdenv.study.guides import find_guidance, guide_config
+from qdenv.study.plans import Plan, guide, keep_costs
+from qdenv.study.recordings import map_run
+from qdenv.types import RepairStatus
+
+# Folder of a search -> how people call it, and its share of the time; the rest is for judging.
+SECTIONS = {
+    "lanes": ("lanes only", 0.2),
+    "racks": ("some racks", 0.25),
+    "floor": ("a new floor", 0.4),
+}
+CROWD = 1.25  # times the number of robots, at which no result may be worse either
+_SEARCHED = 1.125  # times it, with which a search simulates: between both
+_TIMESTEPS = 300  # of a simulation in a search, at most: jams form within that time
+_SIMULATIONS = 2  # of a layout in a search
+# A rearranged layout breaks few rules: a tenth of the usual annealing mends it, in 12 ms on 30 x 40
+# cells where 400 take 30, and changes as little.
+_MENDING = RepairConfig(moves_per_cell=100)
+_FRESH = 1_000_000  # the first of the seeds that judge; searches draw theirs from their own keys
+_PILOTS, _JUDGES = 4, 12  # simulations that choose among candidates, and that judge the chosen
+_CANDIDATES = 4  # layouts of a search that are looked at again: the best one was lucky, too
+
+
+@dataclass(frozen=True)
+class ImproveConfig(Ranged):
+    """What decides the result of an improvement, beside the plan."""
+
+    fleet: FleetConfig  # robots, timesteps and planner that judge
+    ending: str = ".json"  # of the plan's file
+    moves: PositiveInt = 20  # racks that "some racks" moves at most
+    # of each search; as many as the minutes allow where None
+    evaluations: PositiveInt | None = None
+    minutes: PositiveFloat | None = None  # of all searches and judging together
+    seed: NonNegativeInt = 0  # of the searches
+
+    @property
+    def searched(self) -> FleetConfig:
+        """The simulations of a search: shorter, and a little more crowded.
+
+        The planner is the one that judges. At low effort a run takes two thirds of the time, but
+        jams by chance: its throughput spread ten times as much (variance) in a hall of 30 x 40.
+        """
+        return replace(
+            self.fleet,
+            agents=round(_SEARCHED * self.fleet.agents),
+            timesteps=min(self.fleet.timesteps, _TIMESTEPS),
+        )
+
+
+class Candidate(NamedTuple):
+    """A plan that may be better."""
+
+    section: str  # a name of `SECTIONS`
+    plan: Plan
+    lanes: str  # where its costs of moves come from; "none"
+
+
+class Judged(NamedTuple):
+    """A candidate beside the plan, at the number of robots and at `CROWD` times it."""
+
+    candidate: Candidate
+    throughput: np.ndarray  # float [2, seeds], tasks per timestep
+    changes: tuple[Difference, Difference]  # against the plan, with the same seeds
+
+    @property
+    def is_better(self) -> bool:
+        """Return True if neither 95 % interval reaches down to the plan."""
+        return all(change.low > 0 for change in self.changes)
+
+
+def zoo_floors(
+    domain: Domain, seed: int, progress: Progress = silent
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Grow shipped generators into a domain, its own or those of its tiles, and repair the floors.
+
+    Yields names and layouts (int8 [H, W]); what cannot be repaired is left out.
+    """
+    rules = domain.rules() if domain.rules else None
+    every = {home: RunDirectory.open(f"{PREFIX}{home}").config.evaluation for home in names()}
+    alike = [
+        home
+        for home, config in every.items()
+        if make_domain(config.domain).generated == domain.generated
+    ]
+    if rules is None or not alike:
+        return
+    home = domain.name if domain.name in alike else alike[0]
+    config, generators = every[home], named(home).collection.generators
+    trained = make_domain(config.domain).shape
+    longer = max(ours / theirs for ours, theirs in zip(domain.shape, trained, strict=True))
+    steps = round(config.generator.steps * max(longer, 1))
+    for done, one in enumerate(generators):
+        progress("growing generators of the zoo", done / len(generators), one.name)
+        elite = RunDirectory.open(f"{PREFIX}{home}/{one.name}").best
+        drawn = grow_series(config, domain, elite.solution, [steps])[0]
+        mended = repair_layout(drawn, rules, seed, RepairConfig(polish="none"))
+        if mended.status < RepairStatus.IMPOSSIBLE:
+            yield f"{PREFIX}{home}/{one.name}", np.asarray(mended.layout)
+
+
+def racks_config(
+    layout: np.ndarray, domain: Domain, config: ImproveConfig, evaluations: int, most: int = 0
+) -> RunConfig:
+    """Configure a search around a layout (int8 [H, W]), of whose racks `most` move at the most.
+
+    Any number of them where it is 0.
+    """
+    drawing = tuple(draw(layout, domain.tiles))
+    settings = replace(domain.config, fleet=config.searched, around=drawing)
+    axis = make_domain(settings).measures[0]
+    ends = (0.0, float(most + 1), most + 1) if 0 < most < axis.cells else (axis.low, axis.high, 50)
+    return RunConfig(
+        evaluation=EvaluationConfig(
+            settings, DirectConfig(), _SIMULATIONS, alpha=0.0, repair=_MENDING
+        ),
+        algorithm=RearrangeConfig(),
+        evaluations=evaluations,
+        archive=(ends,),
+        seed=config.seed,
+    )
+
+
+def lanes_config(plan: Plan, config: ImproveConfig, evaluations: int) -> RunConfig:
+    """Configure the search of costs of moves on the plan's own floor."""
+    numbers = {"evaluations": evaluations, "simulations": 1, "seed": config.seed}
+    return guide_config(plan, config.searched, "costs", "crisscross", **numbers)
+
+
+def count_evaluations(plan: Plan, config: ImproveConfig, section: str) -> int:
+    """Return how many evaluations a search is given: those stated, or what its minutes allow."""
+    if config.evaluations:
+        return config.evaluations
+    assert config.minutes is not None
+    domain, fleet = plan.fitted(), config.searched
+    done = run_seeds(plan.floor, domain.simulator.tasks, fleet, range(2))
+    seconds = done.cpu_seconds / 2
+    if section != "lanes":
+        before = time.thread_time()
+        holed = np.where(np.arange(plan.layout.size) % 97 == 0, 0, plan.layout.reshape(-1))
+        if domain.rules:
+            repair_layout(holed.reshape(plan.layout.shape), domain.rules(), 0, _MENDING)
+        seconds = _SIMULATIONS * seconds + time.thread_time() - before
+    share = SECTIONS[section][1] * 60 * config.minutes * devices.threads()
+    return max(round(share / max(seconds, 1e-3)), 1)
+
+
+def mean_throughput(plan: Plan, fleet: FleetConfig, seeds: Sequence[int]) -> np.ndarray:
+    """Simulate a plan, float [seeds]: tasks per timestep; congested runs count as they ended."""
+    done = run_seeds(plan.floor, plan.domain.simulator.tasks, fleet, seeds)
+    return np.array([float(run.throughput) for run in done.runs])
+
+
+def map_usage(plan: Plan, fleet: FleetConfig) -> np.ndarray:
+    """Simulate a plan once: the share of time in which a robot is on each cell, float [H, W]."""
+    tasks, shape = plan.domain.simulator.tasks, plan.layout.shape
+    done = run_seeds(
+        plan.floor,
+        tasks,
+        fleet,
+        (_FRESH,),
+        read=lambda seed, run, recording: map_run(shape, run, recording).usage,
+    )
+    return done.readings[0]
+
+
+def candidates_of(
+    plan: Plan, folder: Path, section: str, lanes: np.ndarray | None
+) -> list[Candidate]:
+    """List what a search found, each layout without lanes and with several kinds of them.
+
+    `lanes` are costs of moves that were searched for the plan, float [5, H, W].
+    """
+    if section == "lanes":
+        layouts = [plan.layout]
+    else:
+        archive = RunDirectory.open(folder / section).archive
+        order = np.argsort(-archive.columns["objective"], kind="stable")[:_CANDIDATES]
+        layouts = [archive.columns["repaired"][row] for row in order]
+    found = []
+    for layout in layouts:
+        bare = plan._replace(layout=layout, costs=None, guidance="none")
+        if section != "lanes":
+            found.append(Candidate(section, bare, "none"))
+        found.append(Candidate(section, guide(bare, "crisscross"), "crisscross"))
+        if lanes is not None and section != "floor":
+            own = keep_costs(plan._replace(costs=lanes), layout)
+            found.append(Candidate(section, bare._replace(costs=own, guidance="lanes"), "searched"))
+    return found
+
+
+def searched_lanes(plan: Plan, folder: Path) -> np.ndarray:
+    """Read the costs of moves that the search of lanes found, float [5, H, W]."""
+    costs, _ = find_guidance(RunDirectory.open(folder / "lanes"))
+    return unscaled_costs(costs, plan.domain.drivable(plan.layout))
+
+
+def check_candidate(candidate: Candidate, plan: Plan, domain: Domain) -> None:
+    """Audit what is handed out: every rule holds, every cell that must stay has stayed.
+
+    Raises RuntimeError otherwise, which would be a mistake of ours.
+    """
+    if candidate.section == "lanes":
+        same = np.array_equal(candidate.plan.layout, plan.layout)
+        broken = [] if same else ["a rack moved"]
+    else:
+        broken = (
+            [str(one) for one in audit(candidate.plan.layout, domain.rules())]
+            if domain.rules
+            else []
+        )
+    if broken:
+        raise RuntimeError(f"{SECTIONS[candidate.section][0]}: {broken[0]}")
+
+
+def judge(
+    plan: Plan, found: Sequence[Candidate], config: ImproveConfig, progress: Progress = silent
+) -> list[Judged]:
+    """Choose the best candidate of each section, and compare it with the plan.
+
+    Few simulations choose, others judge: the best of many was lucky, too.
+    """
+    fleets = [
+        replace(config.fleet, agents=round(share * config.fleet.agents)) for share in (1.0, CROWD)
+    ]
+
+    def drive(plan: Plan, first: int, runs: int) -> np.ndarray:
+        seeds = range(_FRESH + first, _FRESH + first + runs)
+        return np.array([mean_throughput(plan, fleet, seeds) for fleet in fleets])
+
+    chosen: dict[str, tuple[float, Candidate]] = {}
+    total = len(found) + 1
+    progress("judging", 0.0, plan.name)
+    hers = drive(plan, 0, _PILOTS).mean(axis=1)
+    for number, one in enumerate(found, 1):
+        progress("judging", number / total, SECTIONS[one.section][0])
+        gain = drive(one.plan, 0, _PILOTS).mean(axis=1) / np.maximum(hers, 1e-9)
+        # First of all it is no worse in the crowd; then what counts is her number of robots.
+        worth = gain[0] + min(gain[1] - 1, 0)
+        if one.section not in chosen or worth > chosen[one.section][0]:
+            chosen[one.section] = worth, one
+    hers, judged = drive(plan, _PILOTS, _JUDGES), []
+    for number, (_, one) in enumerate(chosen.values()):
+        progress("judging the chosen", number / len(chosen), SECTIONS[one.section][0])
+        ours = drive(one.plan, _PILOTS, _JUDGES)
+        first, second = (paired_difference(*pair) for pair in zip(ours, hers, strict=True))
+        judged.append(Judged(one, ours, (first, second)))
+    return judged

@@ -1,0 +1,76 @@
+"""`qdenv improve`: what the folder holds, that it goes on, and never calls a worse plan better."""
+
+import numpy as np
+import pytest
+
+import qdenv
+from qdenv.cli.main import run
+from qdenv.stats import Difference
+from qdenv.study import improve as studies
+from qdenv.types import InputError
+
+pytestmark = pytest.mark.slow
+# Racks in a corner, far from three of four stations.
+ROWS = [
+    "................",
+    "w..............w",
+    "................",
+    "................",
+    "w..............w",
+    "................",
+    "................",
+    "................",
+    "..@@@...........",
+    "..eee...........",
+]
+QUICK = {"agents": 4, "timesteps": 40, "planner": "pibt", "progress": False}
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    path = tmp_path_factory.mktemp("plan") / "hall.txt"
+    path.write_text("\n".join(ROWS) + "\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def done(plan, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("improve") / "better"
+    return qdenv.improve(plan, path=folder, evaluations=160, **QUICK), folder
+
+
+def test_a_better_floor_is_found_and_written_as_the_plan_came(done, plan):
+    table, folder = done
+    rows = {(row.section, row.agents): row for row in table}
+    assert {section for section, _ in rows} == {"lanes", "racks", "floor"}
+    best = rows["floor", 4]
+    assert best.better and best.percent > 10 and best.low > 0
+    assert (folder / "a_new_floor.png").stat().st_size > 10_000
+    written = folder / "a_new_floor.txt"
+    assert run(["check", str(written), "--shelves", "3"]) == 0
+    before, after = qdenv.read_plan(plan), qdenv.read_plan(written)
+    kinds = [before.domain.tiles.index(tile) for tile in before.domain.tiles if tile in "w"]
+    np.testing.assert_array_equal(np.isin(before.layout, kinds), np.isin(after.layout, kinds))
+
+
+def test_what_is_not_better_is_not_written(done):
+    table, folder = done
+    names = {section: title.replace(" ", "_") for section, (title, _) in studies.SECTIONS.items()}
+    for row in table:
+        assert (folder / f"{names[row.section]}.txt").exists() == row.better
+
+
+def test_the_same_command_again_and_a_pause_end_where_one_search_does(done, plan, tmp_path, capsys):
+    table, folder = done
+    again = qdenv.improve(plan, path=folder, evaluations=160, **QUICK)
+    assert list(again) == list(table)
+    with pytest.raises(InputError, match="other settings"):
+        qdenv.improve(plan, path=folder, evaluations=161, **QUICK)
+    with pytest.raises(InputError, match="something else"):
+        qdenv.improve(plan, path=plan.parent, evaluations=160, **QUICK)
+
+
+def test_better_means_better_at_both_numbers_of_robots():
+    good, bad = Difference(5, 1, 9, True), Difference(2, -0.1, 4, False)
+    for changes, better in (((good, good), True), ((good, bad), False), ((bad, good), False)):
+        assert studies.Judged(None, np.zeros((2, 3)), changes).is_better is better
