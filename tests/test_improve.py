@@ -10,7 +10,7 @@ from qdenv.study import improve as studies
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
-# Racks in a corner, far from three of four stations.
+# Racks in a corner, far from most stations.
 ROWS = [
     "................",
     "w..............w",
@@ -19,7 +19,7 @@ ROWS = [
     "w..............w",
     "................",
     "................",
-    "................",
+    "w..............w",
     "..@@@...........",
     "..eee...........",
 ]

@@ -16,9 +16,10 @@ import numpy as np
 
 from qdenv import devices
 from qdenv.domains.base import Domain, make_domain
-from qdenv.generate import DirectConfig
+from qdenv.generate import GENERATORS, DirectConfig
 from qdenv.grid import draw
 from qdenv.guidance import unscaled_costs
+from qdenv.lazy import jax
 from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, PositiveFloat, PositiveInt, Ranged
 from qdenv.repair.audit import audit
@@ -31,7 +32,6 @@ from qdenv.settings import EvaluationConfig
 from qdenv.shipped import PREFIX, named, names
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.stats import Difference, paired_difference
-from qdenv.study.elites import grow_series
 from qdenv.study.engine import run_seeds
 from qdenv.study.guides import find_guidance, guide_config
 from qdenv.study.plans import Plan, guide, keep_costs
@@ -124,11 +124,13 @@ def zoo_floors(
     trained = make_domain(config.domain).shape
     longer = max(ours / theirs for ours, theirs in zip(domain.shape, trained, strict=True))
     steps = round(config.generator.steps * max(longer, 1))
-    for done, one in enumerate(generators):
+    grow = GENERATORS.make(config.generator, domain.canvas).grow
+    runs = [RunDirectory.open(f"{PREFIX}{home}/{one.name}") for one in generators]
+    solutions = np.stack([run.best.solution for run in runs])
+    drawn = jax.jit(lambda some: jax.vmap(domain.frame)(grow(some, steps)))(solutions)
+    for done, (one, layout) in enumerate(zip(generators, np.asarray(drawn), strict=True)):
         progress("growing generators of the zoo", done / len(generators), one.name)
-        elite = RunDirectory.open(f"{PREFIX}{home}/{one.name}").best
-        drawn = grow_series(config, domain, elite.solution, [steps])[0]
-        mended = repair_layout(drawn, rules, seed, RepairConfig(polish="none"))
+        mended = repair_layout(layout, rules, seed, RepairConfig(polish="none"))
         if mended.status < RepairStatus.IMPOSSIBLE:
             yield f"{PREFIX}{home}/{one.name}", np.asarray(mended.layout)
 
