@@ -52,7 +52,7 @@ def improve(
     path: args.Folder = None,
     progress: bool = True,
     execution: Annotated[Execution, arg(name="")] = Execution(),  # noqa: B008 (frozen)
-    keep: Path | None = None,
+    keep: args.KeepCells = None,
     **search: Unpack[args.ImproveOptions],
 ) -> Table:
     """Search a better plan than one's own: lanes on it, some racks moved, a new floor.
@@ -68,7 +68,8 @@ def improve(
         path: folder of the results; runs/improve-NAME-AGENTS unless given.
         progress: show a progress bar.
         execution: where the searches simulate; the result is the same everywhere.
-        keep: what must stay, beside walls and stations.
+        keep: what must stay beside walls and stations: tiles, a rectangle of rows and columns, the
+            last not included (0:7,33:40), or the file of a drawing; several joined by +.
         **search: see `ImproveOptions`.
 
     Returns:
@@ -244,11 +245,29 @@ def _finish(folder: Path, plan: Plan, domain: Domain, config: Any, judged: Seque
         if better:
             _write(folder, plan, domain, one, config)
     say(*format_table(table))
+    _report(folder, plan, [one for one in judged if one.is_better], config)
     worse = [studies.SECTIONS[one.candidate.section][0] for one in judged if not one.is_better]
     if worse:
         say(f"nothing better was found by {', '.join(worse)}: no plan is written for that")
     facts = {"folder": str(folder), "settings": asdict(config)}
     return Table(rows, facts)
+
+
+def _report(folder: Path, plan: Plan, better: Sequence[Any], config: Any) -> None:
+    """Make the page on the plan and what is better, where its package is installed."""
+    if not better:
+        return
+    from qdenv.ops.pages import report
+    from qdenv.study.improve import CROWD, SECTIONS
+
+    fleet = config.fleet
+    plans = [one.candidate.plan._replace(name=SECTIONS[one.candidate.section][0]) for one in better]
+    counts = fleet.agents, round(CROWD * fleet.agents)
+    options: Any = {"timesteps": fleet.timesteps, "planner": fleet.planner, "seeds": 5}
+    try:
+        report([plan, *plans], counts, folder / REPORT, stop=fleet.stop_when_congested, **options)
+    except InputError as error:  # the plans are written: a page that cannot be is no reason to fail
+        say(f"{REPORT}: {error}")
 
 
 def _write(folder: Path, plan: Plan, domain: Domain, one: Any, config: Any) -> None:
