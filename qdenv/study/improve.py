@@ -47,11 +47,13 @@ SECTIONS = {
 CROWD = 1.25  # times the number of robots, at which no result may be worse either
 _SEARCHED = 1.125  # times it, with which a search simulates: between both
 _TIMESTEPS = 300  # of a simulation in a search, at most: jams form within that time
-_SIMULATIONS = 2  # of a layout in a search
+_SIMULATIONS = 1  # of a layout in an evaluation: what looks good is evaluated again and again
 # A rearranged layout breaks few rules: a tenth of the usual annealing mends it, in 12 ms on 30 x 40
 # cells where 400 take 30, and changes as little.
 _MENDING = RepairConfig(moves_per_cell=100)
-_FRESH = 1_000_000  # the first of the seeds that judge; searches draw theirs from their own keys
+# The first of the seeds that judge. Searches draw theirs from their own keys, and costs of moves
+# are chosen with those from 1,000,000 on.
+_FRESH = 2_000_000
 _PILOTS, _JUDGES = 4, 12  # simulations that choose among candidates, and that judge the chosen
 _CANDIDATES = 4  # layouts of a search that are looked at again: the best one was lucky, too
 
