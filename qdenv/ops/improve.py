@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Unpack
 
 import numpy as np
 from tyro.conf import arg
 
-from qdenv.domains.base import Domain
+from qdenv.domains.base import DOMAINS, Domain, make_domain
 from qdenv.interrupt import advise
 from qdenv.io.files import write_json
 from qdenv.io.layouts import ENDINGS, write_layout
@@ -21,7 +21,7 @@ from qdenv.ops.output import Table, format_table, say
 from qdenv.progress import Bar
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
-from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig, check_costs
+from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig, check_costs, describe_planner
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import Plan
 from qdenv.study.plans import read_plan as read_file
@@ -30,6 +30,7 @@ from qdenv.types import InputError
 SETTINGS, PLAN = "improve.json", "plan.json"  # in the folder
 ROWS, REPORT = "improve.csv", "report.html"
 _MINUTES = 10.0
+_CHOICES = {"domain": DOMAINS, "planner": PLANNERS}
 
 
 class Improvement(NamedTuple):
@@ -85,29 +86,30 @@ def improve(
     numbers = {name: given.pop(name) for name in ("moves", "seed") if name in given}
     options = args.Fleet(given)
     plan = options.read_plan(layout)
+    agents = plan.facts.robots if agents is None else agents
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
-    fleet = options.config(agents, timesteps)
-    domain = plan.fitted(None, keep)
-    fleet_tasks(plan.layout, domain.simulator.tasks, round(1.25 * agents))
+    fleet_tasks(plan.layout, plan.domain.simulator.tasks, round(1.25 * agents))
+    settings = replace(plan.fitted(None, keep).config, fleet=options.config(agents, timesteps))
     from qdenv.study.improve import ImproveConfig  # imports the whole chain
 
     ending = Path(args.name_of(layout)).suffix.lower()
     config = ImproveConfig(
-        fleet,
+        settings,
         ending=ending if ending in ENDINGS else ".json",
         minutes=minutes,
         evaluations=evaluations,
         **numbers,
     )
     folder = Path(path) if path else Path("runs") / f"improve-{plan.name}-{agents}"
-    say(*filter(None, [note]), options.describe(str(agents), timesteps, [plan]))
-    _begin(folder, plan, domain, config)
+    planner = describe_planner(options.planner)
+    say(*filter(None, [note]), f"{agents} robots, {timesteps} timesteps; planner: {planner}")
+    _begin(folder, plan, config)
     return improve_folder(folder, progress, execution)
 
 
-def _begin(folder: Path, plan: Plan, domain: Domain, config: Any) -> None:
+def _begin(folder: Path, plan: Plan, config: Any) -> None:
     """Write plan and settings into a new folder, or check that an old one holds the same."""
-    content = unstructured(config, {"planner": PLANNERS}) | {"name": plan.name}
+    content, domain = unstructured(config, _CHOICES) | {"name": plan.name}, plan.domain
     if (folder / SETTINGS).exists():
         same = read_json(folder / SETTINGS, dict[str, Any]) == content
         if not same or not np.array_equal(read_file(folder / PLAN).layout, plan.layout):
@@ -116,9 +118,8 @@ def _begin(folder: Path, plan: Plan, domain: Domain, config: Any) -> None:
     RunDirectory(folder).demand_own()
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder}: holds something else: name a new folder with --out")
-    write_layout(
-        folder / PLAN, plan.layout, domain.tiles, domain.meanings, plan.costs, **domain.details
-    )
+    named = {"domain": domain.name}
+    write_layout(folder / PLAN, plan.layout, domain.tiles, domain.meanings, plan.costs, **named)
     write_json(folder / SETTINGS, content)
 
 
@@ -132,11 +133,9 @@ def improve_folder(
 
     content = read_json(folder / SETTINGS, dict[str, Any])
     name = content.pop("name")
-    config = structured(
-        content, studies.ImproveConfig, folder / SETTINGS, choices={"planner": PLANNERS}
-    )
-    plan = read_file(folder / PLAN)._replace(name=name)
-    domain, found, lanes = plan.fitted(), [], None
+    config = structured(content, studies.ImproveConfig, folder / SETTINGS, choices=_CHOICES)
+    domain, found, lanes = make_domain(config.domain), [], None
+    plan = read_file(folder / PLAN)._replace(name=name, domain=domain, keep=config.domain.keep)
     advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
     for section, (title, _) in studies.SECTIONS.items():
         if section == "lanes" and not _reads_costs(config.fleet):

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,13 +62,20 @@ _CANDIDATES = 4  # layouts of a search that are looked at again: the best one wa
 class ImproveConfig(Ranged):
     """What decides the result of an improvement, beside the plan."""
 
-    fleet: FleetConfig  # robots, timesteps and planner that judge
+    # the plan's domain: what must stay, which rules hold, which robots judge and for how long
+    domain: Any
     ending: str = ".json"  # of the plan's file
     moves: PositiveInt = 20  # racks that "some racks" moves at most
     # of each search; as many as the minutes allow where None
     evaluations: PositiveInt | None = None
     minutes: PositiveFloat | None = None  # of all searches and judging together
     seed: NonNegativeInt = 0  # of the searches
+
+    @property
+    def fleet(self) -> FleetConfig:
+        """The simulations that judge."""
+        fleet: FleetConfig = self.domain.fleet
+        return fleet
 
     @property
     def searched(self) -> FleetConfig:
