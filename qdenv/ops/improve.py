@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -111,7 +112,8 @@ def _begin(folder: Path, plan: Plan, config: Any) -> None:
     """Write plan and settings into a new folder, or check that an old one holds the same."""
     content, domain = unstructured(config, _CHOICES) | {"name": plan.name}, plan.domain
     if (folder / SETTINGS).exists():
-        same = read_json(folder / SETTINGS, dict[str, Any]) == content
+        # As text and back: lists are no tuples.
+        same = read_json(folder / SETTINGS, dict[str, Any]) == json.loads(json.dumps(content))
         if not same or not np.array_equal(read_file(folder / PLAN).layout, plan.layout):
             raise InputError(f"{folder}: holds another plan or other settings: name a new --out")
         return
