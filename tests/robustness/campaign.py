@@ -39,6 +39,7 @@ MODULES = {
     "inputs": ("FILES", "COMMANDS"),
     "interruptions": ("OPERATIONS", "SIGNALS"),
     "repairs": ("REPAIRS",),
+    "halls": ("HALLS",),
     "fleets": ("AUDITS",),
 }
 
