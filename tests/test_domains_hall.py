@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import qdenv
 from qdenv import score
 from qdenv.cli.main import run
 from qdenv.domains.base import find_domain, make_domain
@@ -135,3 +136,29 @@ def test_a_tiled_hall_repeats_walls_and_stations(tmp_path):
     larger = tile(plan, (6, 8), config=RepairConfig("none")).layout
     kinds = [(larger == kind).sum() for kind in range(3, 5)]
     assert kinds == [4, 4] and audit(larger, HALL.fitted(larger).rules()) == []
+
+
+def test_aisles_and_racks_are_settings_that_check_and_repair_take(tmp_path):
+    path = save(tmp_path / "hall.txt")
+    broken = [one.message for one in qdenv.check(path, aisle=2, rack="1x3")]
+    assert broken[-2:] == [
+        "aisle narrower than 2 cells: 3 cells, the first at row 0, column 3",
+        "shelf in no rack of 1 x 3: 4 cells, the first at row 1, column 3",
+    ]
+    made = qdenv.repair_layout(path, polish="none", shelves=6, aisle=2, rack="1x3")
+    fitted = read_plan(path).fitted({"shelves": 6, "aisle": 2, "rack": "1x3"})
+    assert audit(made.layout, fitted.rules()) == []
+    assert audit(made.layout, fitted.resized(7, 13, {"aisle": 4}).rules())
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"rack": "2by3"}, "rack '2by3': give rows and columns like 2x6"),
+        ({"rack": "2x9"}, "4 shelves are required but racks of 2 x 9 have room for 0"),
+        ({"aisle": 0}, "aisle must be at least 1, not 0"),
+    ],
+)
+def test_aisles_and_racks_that_cannot_be_are_refused(settings, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        qdenv.repair_layout(save(tmp_path / "hall.txt"), **settings)

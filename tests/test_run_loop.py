@@ -191,13 +191,15 @@ def test_failed_evaluations_enter_nothing():
     assert len(experiment.algorithm.archive(state).elites()["index"]) == 0
 
 
-def test_metrics_count_failed_repairs(tmp_path, monkeypatch):
+def test_a_search_stops_where_no_layout_of_an_iteration_can_be_repaired(tmp_path, monkeypatch):
     # Rules that counting finds possible may be impossible all the same; these let it be seen.
     monkeypatch.setattr(loop, "check", lambda config: None)
     evaluation = replace(toy.CONFIG.evaluation, domain=toy.GardenConfig(hedges=40))
     config = replace(toy.CONFIG, evaluation=evaluation, evaluations=16)
-    rows = loop.train(config, tmp_path / "run", progress=False).read_metrics()
-    assert [(row.failed_repairs, row.congested_runs) for row in rows] == [(8, 0), (8, 0)]
+    with pytest.raises(InputError, match="none of 8 layouts could be repaired"):
+        loop.train(config, tmp_path / "run", progress=False)
+    (row,) = RunDirectory.open(tmp_path / "run").read_metrics()
+    assert (row.failed_repairs, row.congested_runs) == (8, 0)
 
 
 def test_metrics_count_congested_runs(tmp_path):

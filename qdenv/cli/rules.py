@@ -239,11 +239,15 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
 
 
 def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructConstructorSpec:
-    """Make an option for each number of tiles that the domain of a command line counts."""
+    """Make an option for each number of tiles, and setting of rules, of a command's domain."""
     many = Annotated[tuple[int, ...], arg(help_behavior_hint="(default: )")]
     number = int if get_origin(kind) is None else many
-    counted = _domain_of(chosen, rest).counted.items()
-    return _options((name, number, f"exact number of tiles {tile!r}") for name, tile in counted)
+    domain = _domain_of(chosen, rest)
+    about = "exact number of tiles {!r}"
+    listed = [(name, number, about.format(tile)) for name, tile in domain.counted.items()]
+    if number is int:  # of one layout
+        listed += [one for one in _settings(domain.config) if one[0] in domain.rule_settings]
+    return _options(listed)
 
 
 def _task_settings(domain: Domain) -> Iterator[tuple[str, Any, Any]]:

@@ -164,6 +164,8 @@ class Domain:
     # names of settings that say what robots do at their goals: options of every command that
     # simulates a plan
     task_settings: tuple[str, ...] = ()
+    # names of settings that add rules, which commands take beside the numbers of tiles
+    rule_settings: tuple[str, ...] = ()
     objective_name: str = "objective"  # what the objective is, with its unit
     # among elites of equal objective the one with the larger number in this column of the archive
     # is the best; None for the first
@@ -270,6 +272,8 @@ class Domain:
         size = self.known_size(rows, cols)
         chosen = scaled | dict(size.numbers if size else {}) | dict(numbers or {})
         for name, number in chosen.items():
+            if name in self.rule_settings:
+                continue
             if name not in self.counted:
                 raise InputError(f"{self.name} has no number of {name}: leave --{name} out")
             if number < 0:

@@ -6,6 +6,7 @@ warehouse is this domain with a formula that says where its stations are (`wareh
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,7 +17,7 @@ from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.lazy import jax
-from qdenv.ranges import NonNegativeFloat, NonNegativeInt, Stay, check_range
+from qdenv.ranges import NonNegativeFloat, NonNegativeInt, PositiveInt, Stay, check_range
 from qdenv.registry import Entry
 from qdenv.simulate.mapf.goals import odds_of, station_goal, tile_goal, weigh
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -44,6 +45,9 @@ class HallConfig(DomainConfig):
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
     shelves: int = 240  # how many shelves there are at least
     spare_shelves: NonNegativeInt = 0  # how many more there may be; exactly as many unless given
+    aisle: PositiveInt = 1  # cells that aisles are wide, at least
+    # rows and columns of the smallest rack, as 2x6, along either axis; any shape where empty
+    rack: str = ""
     pick: Stay = 0  # timesteps that a robot stays at an endpoint
     drop: str = "0"  # timesteps at a station: 5 for all, or by their signs, as w=5,i=20
     # of all tasks, by the signs of stations, as i=1,o=3; all stations are alike where empty
@@ -136,15 +140,25 @@ def hall(config: HallConfig) -> Domain:
     times = {sign: int(time) for sign, time in _by_station(config.drop, "drop").items()}
     shares = _by_station(config.shares, "shares")
     domain = storage(config, _TILES, endpoints, station_goal(_STATIONS, _TILES, times, shares))
+    sides = re.fullmatch(r"([1-9]\d{0,2})x([1-9]\d{0,2})", config.rack)
+    if config.rack and not sides:
+        raise InputError(f"rack {config.rack!r}: give rows and columns like 2x6")
+    rack = (int(sides[1]), int(sides[2])) if sides else None
 
     def rules() -> Rules:
         base = domain.rules()  # type: ignore[misc]
         most = config.shelves + config.spare_shelves
-        return base._replace(counts=(Count("@", config.shelves, most), Count(_STATIONS, 1)))
+        base = base._replace(counts=(Count("@", config.shelves, most), Count(_STATIONS, 1)))
+        return base.buildable(config.aisle, rack)
 
-    stays = _TILES[len(GENERATED) :]
-    tasks = ("pick", "drop", "shares", "demand")
-    return replace(domain, rules=rules, stays=stays, meanings=_MEANINGS, task_settings=tasks)
+    return replace(
+        domain,
+        rules=rules,
+        stays=_TILES[len(GENERATED) :],
+        meanings=_MEANINGS,
+        task_settings=("pick", "drop", "shares", "demand"),
+        rule_settings=("aisle", "rack"),
+    )
 
 
 HALL = Entry(HallConfig, hall)

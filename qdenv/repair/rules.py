@@ -238,9 +238,9 @@ def _impossible_covers(facts: Facts) -> str | None:
                 if high is not None and high < rows * cols and not exempt.any():
                     return f"{high} {named} at most are allowed but {rack} take {rows * cols}"
             if not widens and min(rows, cols) > 2 and low > facts.must(tiles).sum():
-                for held, needs in rules.adjacency:
-                    if set(rule.tiles) <= set(held) and not set(needs) & set(rule.tiles):
-                        lacks = f"the middle has no {rules.name(needs)} beside it"
+                for held, need in rules.adjacency:
+                    if set(rule.tiles) <= set(held) and not set(need) & set(rule.tiles):
+                        lacks = f"the middle has no {rules.name(need)} beside it"
                         return f"in racks of {rows} x {cols} {lacks}"
     return None
 

@@ -195,7 +195,10 @@ class Publisher:
         return done, search
 
     def log(self, iteration: int, search: Search, evaluation: Evaluation, start: float) -> Metrics:
-        """Write the rows of an iteration that began at `start` (`time.perf_counter`)."""
+        """Write the rows of an iteration that began at `start` (`time.perf_counter`).
+
+        Raises InputError if none of its layouts could be repaired, and none before.
+        """
         qd_score, filled, cells, best = map(float, self._summarise(search.state))  # this waits
         self._seconds += time.perf_counter() - start
         failed = np.asarray(evaluation.status) >= RepairStatus.IMPOSSIBLE
@@ -222,6 +225,11 @@ class Publisher:
                 for note in self._notes
             ]
             write_csv(self._run.path / NOTES, list(self._notes[0]), table)
+        if failed.all() and not filled:
+            raise InputError(
+                f"none of {failed.size} layouts could be repaired, the rules leave too little "
+                "room: fewer shelves, narrower aisles or smaller racks may do"
+            )
         return row
 
     @property

@@ -141,7 +141,9 @@ def attempt(rng: np.random.Generator, folder: Path) -> Attempt:
     planted = "planted" if hall.planted else "not planted"
     counted = impossible(hall.rules, Facts(hall.rules)) is not None
     why = " by counting" * (status == RepairStatus.IMPOSSIBLE and counted)
-    return Attempt(1, [f"{hall.name}: {one}" for one in faults], {f"{planted}, {status.name}{why}": 1})
+    return Attempt(
+        1, [f"{hall.name}: {one}" for one in faults], {f"{planted}, {status.name}{why}": 1}
+    )
 
 
 HALLS = Attack(
