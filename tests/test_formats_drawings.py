@@ -112,21 +112,23 @@ def drawn(tmp_path):
     return tmp_path / "hall.dxf"
 
 
-def test_a_drawing_of_cad_is_read_by_the_layers_named_beside_it(drawn):
+def test_a_drawing_of_cad_is_read_by_the_layers_named_beside_it(drawn, capsys):
     with pytest.raises(InputError, match="beside it says what its layers are"):
         read_drawing(drawn)
     layers = 'layers = {HALL = ".", RACKS = "@", columns = "#"}\n'
     drawn.with_suffix(".toml").write_text(f"cell = 2.0\n{layers}")
     drawing = read_drawing(drawn)
     assert drawing.rows == [".@.#", ".@@.", "...."]
-    assert drawing.details == {"cell": 2.0} and drawing.lost == ("2 shapes (0, doors) are",)
+    assert drawing.details["cell"] == 2.0 and drawing.lost == ("2 shapes (0, doors) are",)
     drawn.with_suffix(".toml").write_text(f"cell = 1\n{layers}")
     assert (
         read_drawing(drawn).rows == ["..@@..##", "..@@..##", "..@@@@..", "..@@@@.."] + ["." * 8] * 2
     )
+    assert qdenv(["check", str(drawn)]) == 1  # read by every command
+    assert "unknown fact" not in capsys.readouterr().err
     for content, reason in [
         ("cell = 0.001", "not supported"),
-        ("cell = -1", "0.001 to 1000 metres"),
+        ("cell = 0.0001", "0.001 to 1000 metres"),
         ("cell = ", "cannot be read"),
         ('cell = 1\nlayers = {A = "@"}', "no closed polyline on the layers A"),
     ]:
@@ -137,8 +139,8 @@ def test_a_drawing_of_cad_is_read_by_the_layers_named_beside_it(drawn):
 
 
 def test_without_the_library_a_line_names_the_extra(tmp_path, monkeypatch):
-    for ending, library in [(".xlsx", "openpyxl"), (".dxf", "ezdxf")]:
-        monkeypatch.setitem(__import__("sys").modules, library, None)
+    monkeypatch.setattr("qdenv.io.formats.find_spec", lambda name: None)
+    for ending in (".xlsx", ".dxf"):
         with pytest.raises(InputError, match=r"pip install 'qdenv\[formats\]'"):
             write_drawing(tmp_path / f"a{ending}", Drawing(["."]), EVEN.meanings)
     assert EVEN.tiles == TILES

@@ -2,7 +2,7 @@
 
 Metres begin at the lower left corner, x to the right, y up. What is read: closed polylines on
 layers of known names. A cell is what the last polyline around its centre says; a drawing of ours
-knows its layers and cells, any other has both in a .toml file beside it:
+knows its layers and cells, any other has both in the facts beside it (`io.facts`):
 
     cell = 1.2
     layers = {RACKS = "@", COLUMNS = "#"}
@@ -11,7 +11,6 @@ knows its layers and cells, any other has both in a .toml file beside it:
 import io
 import json
 import logging
-import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,7 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from qdenv.io.files import MEGABYTE, damaged, read_bytes, read_text, write_atomically
+from qdenv.io.facts import facts_beside
+from qdenv.io.files import MEGABYTE, damaged, read_bytes, write_atomically
+from qdenv.io.formats import need_library
 from qdenv.io.images import colours_of
 from qdenv.io.lanes import side_of
 from qdenv.io.layouts import BLANKS, MAX_SIDE, Drawing, check_size
@@ -32,10 +33,9 @@ _MAX_WORK = 500_000_000  # corners of polylines times the cells around them
 
 
 def _ezdxf() -> Any:
-    try:
-        import ezdxf
-    except ImportError as error:
-        raise InputError("DXF needs ezdxf: pip install 'qdenv[formats]'") from error
+    need_library(".dxf")
+    import ezdxf
+
     # It warns of whatever it skips; without a handler Python would print that.
     logging.getLogger("ezdxf").addHandler(logging.NullHandler())
     return ezdxf
@@ -91,12 +91,7 @@ def read_dxf(path: Path) -> Drawing:
         raise
     except Exception as error:  # whatever a parser stumbles over in a damaged file
         raise damaged(path, f"not a DXF drawing: {error}") from error
-    beside = path.with_suffix(".toml")
-    if beside.is_file():
-        try:
-            facts = {**facts, **tomllib.loads(read_text(beside))}
-        except tomllib.TOMLDecodeError as error:
-            raise damaged(beside, error) from error
+    beside, facts = path.with_suffix(".toml"), {**facts, **facts_beside(path)}
     layers, side = facts.get("layers"), facts.get("cell")
     if not isinstance(layers, dict) or not side:
         raise damaged(

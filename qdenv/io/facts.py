@@ -18,7 +18,17 @@ from qdenv.types import InputError, about
 
 FENCE = "+++"  # a line before and after facts above a drawing
 # Names of facts; any other is a setting of the domain.
-FACTS = ("domain", "legend", "shelves", "robots", "cell", "seconds_per_step", "keep", "drawing")
+FACTS = (
+    "domain",
+    "legend",
+    "layers",
+    "shelves",
+    "robots",
+    "cell",
+    "seconds_per_step",
+    "keep",
+    "drawing",
+)
 _HEAD = "# Written by qdenv beside the plan of this name.\n"  # such a file may be replaced
 
 
@@ -29,6 +39,8 @@ class PlanFacts(Ranged):
     domain: str | None = None  # name of a domain
     # signs of one's own, each with the tile it stands for: {S = "@", P = "w"}
     legend: Mapping[str, str] = field(default_factory=dict)
+    # layers of a drawing of CAD, each with the tile that its shapes are: {RACKS = "@"}
+    layers: Mapping[str, str] = field(default_factory=dict)
     shelves: int | str | None = None  # how many there are to be: 1100, or from "1000:1200"
     robots: PositiveInt | None = None  # how many drive where no option says so
     cell: PositiveFloat | None = None  # length of a cell's side [m]

@@ -7,6 +7,7 @@ named here, and imported when it is needed.
 
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +30,7 @@ _LAYOUTS, _MAPS, _RHCR = "qdenv.io.layouts", "qdenv.io.maps", "qdenv.io.rhcr"
 _ROADS = "qdenv.io.lanes"
 _ROBOTS, _LANES = ("starts", "tasks"), ("weights", "cell", "name")
 _PLAIN = " .@#X"  # floor and obstacles, which mean the same in every format
+LIBRARIES = {".xlsx": "openpyxl", ".dxf": "ezdxf"}  # that need to be installed, by endings
 _SEVERAL = (".yaml",)  # endings of which no format is the usual one
 # Of several with the same ending, the first one is meant where nothing else says which.
 FORMATS: dict[str, Format] = {
@@ -133,6 +135,13 @@ def find_reader(path: Path, form: str | None = None) -> Callable[[Path], Any]:
     return reader
 
 
+def need_library(ending: str) -> None:
+    """Raise InputError, which says what to install, if a format with this ending needs it."""
+    library = LIBRARIES.get(ending)
+    if library and not find_spec(library):
+        raise InputError(f"{ending} files need {library}: pip install 'qdenv[formats]'")
+
+
 def find_writer(path: Path, form: str | None = None) -> str:
     """Return the name of the format in which a file is written, see `find_reader`."""
     if name := _find(path, form, "write"):
@@ -184,7 +193,8 @@ def _not_held(path: Path, name: str, drawing: Any) -> list[str]:
         "tasks": ("tasks are", bool(drawing.tasks)),
     }
     lost = [words for part, (words, there) in parts.items() if there and part not in holds]
-    keys = [key for key in drawing.details if key not in (*holds, "domain")]
+    facts = {**drawing.details, **drawing.details.get("facts", {})}
+    keys = [key for key, fact in facts.items() if key not in (*holds, "domain", "facts") and fact]
     return lost + [f"facts ({', '.join(keys)}) are"] * (bool(keys) and "details" not in holds)
 
 

@@ -9,7 +9,6 @@ rows are what is simulated. JSON and a CSV of another form hold costs of moves a
 import csv
 import json
 from collections.abc import Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
@@ -19,13 +18,12 @@ import numpy as np
 from qdenv.grid import draw, parse
 from qdenv.io.facts import FENCE, facts_beside, make_facts, parse_facts
 from qdenv.io.files import damaged, read_text, write_atomically
-from qdenv.io.formats import ALL_ENDINGS, READ_ENDINGS, find_reader, write_drawing
+from qdenv.io.formats import ALL_ENDINGS, LIBRARIES, READ_ENDINGS, find_reader, write_drawing
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, write_table
 from qdenv.io.records import parse_json, structured
 from qdenv.types import Array, DamagedError, InputError, Tile
 
 ENDINGS = (".json", ".txt", ".csv", ".map")  # of layout files; any other ending is JSON's
-_LIBRARIES = {".xlsx": "openpyxl", ".dxf": "ezdxf"}  # endings that need one to be installed
 _MAX_BYTES = 32 * 2**20
 MAX_SIDE = 1000  # rows or columns; nothing larger was tried
 _MAX_LINES = 20 * MAX_SIDE  # blank ones around a drawing with them
@@ -238,10 +236,10 @@ def aliases(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> dict[str
 
 
 def endings_for(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> tuple[str, ...]:
-    """List the endings of files that can hold every tile of an alphabet, and be written here."""
+    """List the endings of files that can hold every tile of an alphabet."""
     every = set(tiles) <= _on_map(tiles, meanings).keys()
     plain = tuple(ending for ending in ENDINGS if every or ending != ".map")
-    return plain + tuple(ending for ending, library in _LIBRARIES.items() if find_spec(library))
+    return (*plain, *LIBRARIES)
 
 
 def write_layout(
@@ -263,7 +261,7 @@ def write_layout(
     path, rows = Path(path), draw(layout, tiles)
     ending = path.suffix.lower()
     check_size(len(rows), len(rows[0]))
-    if costs is not None and ending in (".txt", ".map", *_LIBRARIES):
+    if costs is not None and ending in (".txt", ".map", *LIBRARIES):
         raise InputError(f"{path}: a {ending} holds no costs of moves: write a .json or .csv")
     if ending == ".map":
         table = _on_map(tiles, meanings)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from qdenv.io.files import MEGABYTE, damaged, read_bytes, write_atomically
+from qdenv.io.formats import need_library
 from qdenv.io.images import colours_of
 from qdenv.io.layouts import MAX_SIDE, Drawing, join_cells
 from qdenv.types import InputError, Tile
@@ -16,10 +17,9 @@ _MAX_BYTES, _MAX_UNPACKED = 32 * MEGABYTE, 128 * MEGABYTE
 
 
 def _openpyxl() -> Any:
-    try:
-        import openpyxl
-    except ImportError as error:
-        raise InputError("sheets of Excel need openpyxl: pip install 'qdenv[formats]'") from error
+    need_library(".xlsx")
+    import openpyxl
+
     return openpyxl
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from qdenv.domains.base import Domain
 from qdenv.io.facts import write_facts
 from qdenv.io.files import check_writable, find_stream, reserve
+from qdenv.io.formats import need_library
 from qdenv.io.layouts import write_layout
 from qdenv.study.plans import is_plain
 from qdenv.types import InputError
@@ -78,6 +79,7 @@ def place(
     if path == AUTO:
         return Place(reserve(Path(default)), False, True)
     ending = path.suffix.lower()
+    need_library(ending)
     if endings and ending not in endings:
         raise InputError(f"{path}: give a name that ends in {' or '.join(endings)}")
     if not endings and ending in PICTURES + FILMS:
