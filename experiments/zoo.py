@@ -13,10 +13,12 @@ a file and is not repeated, so this can be stopped and started again.
 import shutil
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import jax
 import numpy as np
 import tyro
 
@@ -29,10 +31,13 @@ from qdenv.domains.base import DOMAINS
 from qdenv.io.arrays import write_arrays
 from qdenv.io.files import tidy, write_json
 from qdenv.io.records import read_json
+from qdenv.pipeline import evaluate
 from qdenv.run.archive import SavedArchive
 from qdenv.run.directory import RunDirectory
+from qdenv.run.experiment import make_experiment, observed
 from qdenv.search.registry import ALGORITHMS
 from qdenv.shipped import HOME, TABLE, USUAL, Collection, NamedGenerator, Origin
+from qdenv.study.elites import Unrepaired, grow_series, repair_grown
 from qdenv.types import InputError, look_up
 
 
@@ -105,6 +110,36 @@ def origin_of(workshop: Workshop, domain: str) -> Origin:
     return Origin(preset, algorithm, config.seed, done, version, created, counted, more)
 
 
+def as_generated(run: RunDirectory, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Evaluate elites again whose repaired layout is not the one that `qdenv generate` makes.
+
+    Runs that began at elites of `run` repaired with seeds of their own, and only `run` is in the
+    zoo. The cells stay, as they are names; measures may lie just outside of theirs.
+    """
+    experiment = make_experiment(run.config)
+    pipeline, config = experiment.pipeline, run.config.evaluation
+    if pipeline.domain.rules is None:
+        return dict(columns)
+    changed = []
+    for row, solution in enumerate(columns["solution"]):
+        (layout,) = grow_series(config, pipeline.domain, solution, [config.generator.steps])
+        grown = Unrepaired(pipeline.domain, None, layout, config.generator.steps)
+        repaired = repair_grown(grown, config.repair, run.config.seed)
+        if repaired is not None and (repaired.layout != columns["repaired"][row]).any():
+            changed.append(row)
+    if not changed:
+        return dict(columns)
+    again = jax.jit(partial(evaluate, pipeline))(
+        columns["solution"][changed], experiment.evaluation_key
+    )
+    fresh = observed(again) | {"measures": again.score.measures}
+    fresh["objective"] = again.score.result_objective
+    made = {name: np.array(values) for name, values in columns.items()}
+    for name in made.keys() & fresh.keys():
+        made[name][changed] = fresh[name]
+    return made
+
+
 def main(
     run_dir: tyro.conf.Positional[Path],
     measuring: Annotated[Measuring, tyro.conf.arg(name="")] = Measuring(),  # noqa: B008 (frozen)
@@ -133,7 +168,7 @@ def main(
             rule.name,
             rule.about,
             cell,
-            tidy(archive.elite(cell).objective),
+            0.0,  # until it is evaluated below
             tuple(workshop.measure(cell, shape) for shape in workshop.shapes),
         )
         for rule, cell in chosen.items()
@@ -146,9 +181,12 @@ def main(
         shutil.copyfile(run.path / name, folder / name)
     places = [int(np.ravel_multi_index(one.cell, archive.shape)) for one in found]
     rows = [int(np.flatnonzero(archive.columns["index"] == place)[0]) for place in places]
-    columns = {name: one[rows] for name, one in archive.columns.items()}
+    columns = as_generated(run, {name: one[rows] for name, one in archive.columns.items()})
     write_arrays(folder / "archive.npz", columns, compressed=True)
-    write_json(folder / TABLE, asdict(collection))
+    found = [
+        replace(one, objective=tidy(columns["objective"][row])) for row, one in enumerate(found)
+    ]
+    write_json(folder / TABLE, asdict(replace(collection, generators=tuple(found))))
     size = sum(path.stat().st_size for path in folder.iterdir())
     print(f"{folder}: {len(found)} generators, {size / 1e6:.2f} MB")
 

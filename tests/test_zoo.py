@@ -118,6 +118,8 @@ def test_every_recorded_drawing_is_repaired_to_the_recorded_figures(domain):
         repaired = repair_grown(grown, evaluation.repair, config.seed)
         layout = drawn[row] if repaired is None else np.asarray(repaired.layout)
         assert (layout != drawn[row]).sum() == one.sizes[0].changed
+        # What pages and pictures show is what `qdenv generate` makes.
+        np.testing.assert_array_equal(layout, archive.columns["repaired"][row])
         for axis in found.measures:
             if axis.name in one.sizes[0].measures:
                 value = float(axis.value(layout, None))
