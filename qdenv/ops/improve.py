@@ -14,7 +14,7 @@ from tyro.conf import arg
 
 from qdenv.domains.base import DOMAINS, Domain, make_domain
 from qdenv.interrupt import advise
-from qdenv.io.files import write_json
+from qdenv.io.files import write_csv, write_json
 from qdenv.io.layouts import ENDINGS, write_layout
 from qdenv.io.records import read_json, structured, unstructured
 from qdenv.ops import options as args
@@ -245,7 +245,8 @@ def _finish(folder: Path, plan: Plan, domain: Domain, config: Any, judged: Seque
         table.append((title, one.candidate.lanes, str(moved), *cells))
         if better:
             _write(folder, plan, domain, one, config)
-    say(*format_table(table))
+    write_csv(folder / ROWS, Improvement._fields, rows)
+    say(folder / ROWS, *format_table(table))
     _report(folder, plan, [one for one in judged if one.is_better], config)
     worse = [studies.SECTIONS[one.candidate.section][0] for one in judged if not one.is_better]
     if worse:
