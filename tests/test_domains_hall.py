@@ -162,3 +162,11 @@ def test_aisles_and_racks_are_settings_that_check_and_repair_take(tmp_path):
 def test_aisles_and_racks_that_cannot_be_are_refused(settings, message, tmp_path):
     with pytest.raises(InputError, match=message):
         qdenv.repair_layout(save(tmp_path / "hall.txt"), **settings)
+
+
+def test_generators_draw_racks_into_a_plan(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    save(Path("l.txt"))
+    line = "generate zoo:warehouse-even/best --plan l.txt --aisle 2 --rack 1x2 --out made.txt"
+    assert run(line.split()) == 0
+    assert run(["check", "made.txt", "--aisle", "2", "--rack", "1x2"]) == 0

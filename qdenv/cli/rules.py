@@ -264,9 +264,11 @@ def _demand(domain: Domain) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _domain_of(chosen: Choices, rest: Sequence[str]) -> Domain:
-    """Find the domain chosen by name, of a run or of a layout, or the usual one."""
-    domain = find_domain(chosen.domain or USUAL)
-    for word in () if chosen.domain else rest:
+    """Find the domain chosen by name, of a plan, a run or a layout, or the usual one."""
+    domain, words = find_domain(chosen.domain or USUAL), list(rest)
+    if "--plan" in words:  # whose rules hold, whatever the run's are
+        words = words[words.index("--plan") + 1 :] + words
+    for word in () if chosen.domain else words:
         if max(map(len, word.split("/"))) > _LONGEST_NAME:  # a list of numbers, perhaps
             continue
         if word.startswith(PREFIX) or (Path(word) / "config.json").exists():
