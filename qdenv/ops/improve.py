@@ -200,15 +200,18 @@ def _search(
 
 
 def _choose_start(plan: Plan, domain: Domain, config: Any) -> np.ndarray:
-    """Choose the best of the floors that generators draw here and the plan's (int8 [H, W])."""
+    """Choose the best of the floors that generators draw here and the plan's (int8 [H, W]).
+
+    By whole runs: in the short ones of a search, floors that fill up later look as good.
+    """
     from qdenv.study import improve as studies
 
-    best = (studies.mean_throughput(plan, config.searched, range(3)).mean(), plan.name, plan.layout)
+    best = (studies.mean_throughput(plan, config.fleet, range(2)).mean(), plan.name, plan.layout)
     lines = [("floor", "throughput"), (plan.name, f"{best[0]:.3f}")]
     with Bar("growing generators of the zoo") as bar:
         for name, layout in studies.zoo_floors(domain, config.seed, bar):
             grown = plan._replace(layout=layout, costs=None)
-            worth = studies.mean_throughput(grown, config.searched, range(3)).mean()
+            worth = studies.mean_throughput(grown, config.fleet, range(2)).mean()
             lines.append((name, f"{worth:.3f}"))
             best = max(best, (worth, name, layout), key=lambda one: one[0])
     say(*format_table(lines), f"the search begins at {best[1]}")
