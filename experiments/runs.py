@@ -13,7 +13,7 @@ import numpy as np
 import qdenv
 from experiments.pieces import Folders, Piece, say
 from qdenv.io.files import write_csv
-from qdenv.ops.searches import CPU_SECONDS, base_of
+from qdenv.ops.costs import cpu_seconds
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import Metrics, RunDirectory
 from qdenv.run.executors import Execution
@@ -83,7 +83,7 @@ class SavedRun(Piece):
             made = rows[-1].evaluations if rows else 0
         if self.done(folders) == 1:
             return 0.0
-        return CPU_SECONDS[base_of(self.preset)] * max(self.config.evaluations - made, 0)
+        return (cpu_seconds(self.config) or 0.0) * max(self.config.evaluations - made, 0)
 
     def make(self, folders: Folders) -> None:
         """Begin or continue the run, then summarise it."""

@@ -22,6 +22,7 @@ from experiments.runs import SavedRun, read_summary, summarise
 from qdenv.configurations import PRESETS
 from qdenv.io.files import write_csv
 from qdenv.io.tables import read_rows
+from qdenv.ops.costs import cpu_seconds
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
@@ -89,7 +90,7 @@ def test_a_run_is_made_once_and_goes_on_where_it_was_left(folders, monkeypatch):
     assert run.done(folders) == 1 and run.cost(folders) == 0
     more = replace(run, evaluations=12)
     assert more.done(folders) == 0.5
-    assert more.cost(folders) == pytest.approx(6 * 0.91)
+    assert more.cost(folders) == pytest.approx(6 * cpu_seconds(more.config))
     with pytest.raises(InputError, match="other settings"):
         config = replace(PRESETS["warehouse-even"], archive=())
         monkeypatch.setitem(PRESETS, "warehouse-even", config)

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-import platformdirs
 from tyro.conf import Positional, Suppress, arg
 
-from qdenv import devices
 from qdenv.agent.settings import TrainConfig
 from qdenv.configurations import PRESETS, find_preset
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
-from qdenv.io.files import refuse_second_run, reserve, write_json
+from qdenv.io.files import refuse_second_run, reserve
 from qdenv.io.records import read_json
 from qdenv.ops import options as args
+from qdenv.ops.costs import describe_cost, remember_cost
 from qdenv.ops.networks import train_agent
-from qdenv.ops.output import PICTURES, Result, format_duration, format_table, place, say
+from qdenv.ops.output import PICTURES, Result, format_table, place, say
 from qdenv.ops.runs import plot_one
-from qdenv.run.config import RunConfig, planner_of, resolve
-from qdenv.run.directory import Metrics, RunDirectory, find_start
+from qdenv.run.config import planner_of, resolve
+from qdenv.run.directory import RunDirectory, find_start
 from qdenv.run.executors import Execution
 from qdenv.search.registry import ALGORITHMS
 from qdenv.shipped import PREFIX, Collection, Driven, Origin, Shipped, named, names
@@ -32,27 +29,6 @@ from qdenv.study.keep import keep_from
 from qdenv.study.plans import resolve_plan, with_tasks
 from qdenv.types import InputError
 
-# CPU seconds of one evaluation, measured on two cores of a cloud machine. Those of DSAGE on the
-# paper's rows are reckoned from `python -m experiments.benchmarks surrogate`, for outer loops of
-# one batch of 50 (mazes: 400 evaluations) that learn from half of the evaluations.
-CPU_SECONDS = {
-    "quick": 0.06,
-    "laptop": 0.91,
-    "warehouse-even": 0.91,
-    "warehouse-uneven": 1.14,
-    "manufacturing": 1.14,
-    "manufacturing-quick": 0.092,
-    "maze-walls": 0.023,
-    "maze-entropy": 0.023,
-    "maze-quick": 0.017,
-    "dsage-quick": 0.25,
-    "dsage-laptop": 4.8,
-    "warehouse-even-dsage": 280.0,
-    "warehouse-uneven-dsage": 280.0,
-    "manufacturing-dsage": 280.0,
-    "maze-walls-dsage": 60.0,
-    "maze-entropy-dsage": 60.0,
-}
 # Name of a preset, or a whole configuration.
 Preset: TypeAlias = Annotated[
     Any, Positional, args.option("{" + ",".join(PRESETS) + "}", str, names=tuple(PRESETS))
@@ -74,7 +50,7 @@ def presets() -> Result:
                 "agents": settings.fleet.agents if settings.fleet else 1,
                 "steps": settings.horizon,
                 "evaluations": config.evaluations,
-                "takes": describe_cost(name, config) or "not known",
+                "takes": describe_cost(config) or "not known",
                 "alpha": config.evaluation.alpha,
                 "algorithm": ALGORITHMS.name_of(config.algorithm),
                 "simulations": config.evaluation.simulations,
@@ -94,55 +70,6 @@ def presets() -> Result:
             listed = ", ".join(f"{value} {name}" for name, value in numbers.items())
             say(f"  {domain.name}, {rows} x {cols}: {listed}")
     return Result({"presets": table, "sizes": sizes, "settings": {}})
-
-
-def describe_cost(preset: str, config: RunConfig) -> str:
-    """Return how long `config`, made from a preset, takes here: "about 8 min", or "" if unknown."""
-    base = base_of(preset)
-    usual = find_preset(preset) if base else config
-    if hasattr(config.algorithm, "surrogate"):
-        # What a surrogate learns is no part of what another algorithm takes.
-        base = preset if type(usual.algorithm) is type(config.algorithm) else ""
-    if planner_of(config) != planner_of(usual):  # which may take ten times as long
-        return ""
-    _, costs = _read_costs()
-    measured = base and (costs.get(preset) or costs.get(base))
-    # The table's are CPU seconds, which all cores share; measured ones are of the clock.
-    seconds = measured or CPU_SECONDS.get(base, 0.0) / devices.count_cores()
-    if not seconds:
-        return ""
-    source = "as measured here" if measured else "an estimate"
-    return f"about {format_duration(seconds * config.evaluations)} ({source})"
-
-
-def base_of(preset: str) -> str:
-    """Return the preset whose evaluations cost as much, by its name; "" where there is none.
-
-    Rows that differ in alpha or in the algorithm alone are called like ``warehouse-even-cma-es``.
-    """
-    bases = [name for name in CPU_SECONDS if f"{preset}-".startswith(f"{name}-")]
-    return max(bases, key=len, default="")
-
-
-def remember_cost(preset: str, rows: Sequence[Metrics]) -> None:
-    """Save what an evaluation of a preset took on this machine, by the rows of a run's log."""
-    # Too few rows tell nothing: the first iteration compiles, which is left out below.
-    if len(rows) < 5 or not platformdirs.user_cache_path().is_absolute():  # a user without a home
-        return
-    seconds = rows[-1].seconds - rows[0].seconds
-    evaluations = rows[-1].evaluations - rows[0].evaluations
-    # A home that cannot be written to is no reason to fail a run.
-    with contextlib.suppress(InputError):
-        file, costs = _read_costs()
-        write_json(file, costs | {preset: float(f"{seconds / evaluations:.3g}")})
-
-
-def _read_costs() -> tuple[Path, dict[str, float]]:
-    """Return the file of seconds for an evaluation, by preset, and what it holds so far."""
-    file, costs = platformdirs.user_cache_path("qdenv") / "costs.json", {}
-    with contextlib.suppress(InputError):  # nothing was measured yet
-        costs = read_json(file, dict[str, float])
-    return file, costs
 
 
 def train(
@@ -208,7 +135,7 @@ def train(
     path = reserve(fresh, folder=True) if fresh else path
     if scaled:
         say(f"for this size: {scaled}")
-    cost, planner = describe_cost(name, config), planner_of(config)
+    cost, planner = describe_cost(config), planner_of(config)
     who = f"; planner: {describe_planner(planner)}" if planner else ""
     say(f"{name}: {config.evaluations} evaluations into {path}{cost and f', {cost}'}{who}")
     # This imports both compilers: refusals are faster without them.
@@ -217,9 +144,7 @@ def train(
     run = loop.train(config, path, progress, execution)
     if pictures:
         plot_one(run)
-    # Other settings cost something else: only the preset's own are remembered.
-    if (config.evaluation, config.algorithm) == (base.evaluation, base.algorithm):
-        remember_cost(name, run.read_metrics())
+    remember_cost(config, run.read_metrics())
     return run
 
 
