@@ -5,8 +5,10 @@ import pytest
 from conftest import STUDY_DATA
 
 import qdenv
+from qdenv.cli.main import run
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.io.layouts import endings_for, write_layout
+from qdenv.io.trajectories import read_run
 from qdenv.study.plans import close_parts, read_plan
 from qdenv.types import InputError
 
@@ -73,3 +75,31 @@ def test_a_published_map_is_driven_on():
     path = STUDY_DATA / "formats" / "planviz_random-32-32-20.map"
     done = qdenv.simulate_layout(path, agents=50, domain="map", timesteps=60, seeds=1, audit=True)
     assert done["valid"] and done["mean_of_all"] > 1
+
+
+def test_goals_are_as_likely_as_a_scenario_has_them(tmp_path, capsys):
+    save(tmp_path / "own.map", [".....", ".@.@.", "....."])
+    # Bucket, map, width, height, start x, y, goal x, y, length.
+    line = "0\town.map\t5\t3\t2\t0\t{}\t{}\t1"
+    goals = [line.format(*cell) for cell in ((4, 2), (0, 0), (4, 2))]
+    (tmp_path / "own.scen").write_text("\n".join(["version 1", *goals]))
+    words = [
+        "--domain",
+        "map",
+        "--robots",
+        "2",
+        "--timesteps",
+        "60",
+        "--seeds",
+        "1",
+        "--no-verdict",
+        "--demand",
+    ]
+    words = ["simulate", str(tmp_path / "own.map"), *words, str(tmp_path / "own.scen")]
+    assert run([*words, "--paths", str(tmp_path / "paths.csv")]) == 0
+    assert "demand by place" in capsys.readouterr().out
+    places = {one.place for one in read_run(tmp_path / "paths.csv").errands}
+    assert places == {(0, 0), (2, 4)}
+    save(tmp_path / "other.map", ["....", "...."])
+    assert run([words[0], str(tmp_path / "other.map"), *words[2:]]) == 2
+    assert "goals on a map of 3 x 5, the plan has 2 x 4" in capsys.readouterr().err

@@ -259,7 +259,7 @@ def _task_settings(domain: Domain) -> Iterator[tuple[str, Any, Any]]:
 def _demand(domain: Domain) -> Iterator[tuple[str, Any, Any]]:
     """Make the option for where goals are, if a domain has it: files and zones become its map."""
     if "demand" in domain.task_settings:
-        about = "how likely each place is a goal: a CSV file, or zones like 0:10,0:20=3"
+        about = "how likely each place is a goal: a CSV file, goals of a .scen, zones as 0:9,0:20=3"
         yield "demand", Annotated[str, arg(metavar="FILE|ZONES")], about
 
 

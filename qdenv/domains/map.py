@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import tyro
+
 from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig, environment_entropy
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.goals import tile_goal
+from qdenv.simulate.mapf.goals import odds_of, tile_goal, weigh
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import Measure, TaskRule, Tile, Traffic
 
@@ -29,6 +31,8 @@ class MapConfig(DomainConfig):
     """The numbers of a map."""
 
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
+    # rows of numbers, one a cell: how likely it is drawn as a goal; empty where all are alike
+    demand: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
 
 
 def make_map(config: MapConfig) -> Domain:
@@ -38,8 +42,10 @@ def make_map(config: MapConfig) -> Domain:
         return score.count(layout, ".", _TILES)
 
     # Robots go from one goal to the next, as in the League of Robot Runners.
-    tasks = TaskRule(_TILES, ".", (tile_goal(".", _TILES),))
-    area = config.rows * config.cols
+    goal, area = tile_goal(".", _TILES)._replace(name="free cell"), config.rows * config.cols
+    if config.demand:
+        goal = weigh(goal, odds_of(config.demand, (config.rows, config.cols)))
+    tasks = TaskRule(_TILES, ".", (goal,))
     return Domain(
         tiles=_TILES,
         generated=_TILES,
@@ -55,6 +61,7 @@ def make_map(config: MapConfig) -> Domain:
         ),
         objective_name=THROUGHPUT,
         meanings=_MEANINGS,
+        task_settings=("demand",),
         config=config,
     )
 

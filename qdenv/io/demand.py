@@ -8,7 +8,9 @@ holds at its cell. It comes as
   have the weight 1, where zones overlap the last one counts;
 * order lines (CSV) with the columns ``row`` and ``column``, or ``place`` with a second file that
   says where each place is (``place,row,column``): ``orders.csv,places.csv``. A column ``count`` or
-  ``quantity`` counts a line several times.
+  ``quantity`` counts a line several times;
+* a scenario of MovingAI (.scen) or a problem of the League of Robot Runners (.json): a cell is as
+  likely as it is among their goals.
 """
 
 import csv
@@ -22,6 +24,7 @@ import numpy as np
 
 from qdenv.grid import MOVES
 from qdenv.io.files import damaged, read_text
+from qdenv.io.layouts import read_drawing
 from qdenv.lazy import ndimage
 from qdenv.types import InputError, about
 
@@ -35,12 +38,14 @@ def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
 
     `endpoints` (bool [H, W]) are the cells of the plan that order lines may lead to; those of a
     shelf are divided among the endpoints beside it. Order lines say nothing of other cells, which
-    get what the nearest endpoint has. Raises InputError if the source is none of the three, or
+    get what the nearest endpoint has. Raises InputError if the source is none of these, or
     does not fit the plan.
     """
     text = str(source)
     if "=" in text and not Path(text).is_file():
         return _zones(text, endpoints.shape)
+    if text.lower().endswith((".scen", ".json")):
+        return _goals(text, endpoints.shape)
     orders, _, places = (text, "", "") if Path(text).is_file() else text.partition(",")
     if not orders.lower().endswith(".csv"):
         raise InputError(f"{text!r} is no demand: {_FORM}")
@@ -61,6 +66,19 @@ def demand_in(folder: Path, fact: Any) -> str | tuple[str, ...]:
     if (folder / str(fact).partition(",")[0]).is_file():
         return ",".join(str(folder / file) for file in str(fact).split(","))
     return str(fact)
+
+
+def _goals(path: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Count how often each cell is a goal of a benchmark's tasks."""
+    drawing = read_drawing(path)
+    goals = np.array([cell for task in drawing.tasks for cell in task], int)
+    if not goals.size:
+        raise InputError(f"{path}: the file holds no goals of robots")
+    theirs = (len(drawing.rows), len(drawing.rows[0]))
+    if theirs != shape:
+        sizes = "{} x {}, the plan has {} x {}".format(*theirs, *shape)
+        raise InputError(f"{path}: goals on a map of {sizes}")
+    return np.bincount(goals, minlength=shape[0] * shape[1]).reshape(shape).astype(float)
 
 
 def _zones(text: str, shape: tuple[int, ...]) -> np.ndarray:

@@ -35,7 +35,7 @@ from qdenv.types import InputError
 _SEARCH = 0.012  # asking, telling, and what a small evaluation takes besides
 _GROWTH = 4e-7  # of one cell in one step
 _REPAIR = 1e-4  # of one cell
-_SHAPED = 10.0  # times as long, where rules prescribe aisles
+_SHAPED = 3.0  # times as long, where rules prescribe aisles or racks
 _USUAL_CELLS = 33 * 36
 # Of one agent in one timestep there. In a search many runs congest and end early, which is in it.
 _STEP = {"low": 0.8e-6, OWN: 4e-6, "pibt": 0.25e-6, "pbs": 3e-5}
@@ -60,7 +60,7 @@ def cpu_seconds(config: RunConfig) -> float | None:
     cells, horizon = domain.shape[0] * domain.shape[1], domain.config.horizon
     seconds = _SEARCH + _GROWTH * cells * getattr(evaluation.generator, "steps", 0)
     if domain.rules is not None:
-        seconds += _REPAIR * cells * (_SHAPED if domain.rules().aisle > 1 else 1)
+        seconds += _REPAIR * cells * (_SHAPED if domain.rules().covers else 1)
     step, planner = _MAZE_STEP, planner_of(config)
     if planner is not None:
         name = "low" if planner == LOW else PLANNERS.name_of(planner)
