@@ -14,6 +14,7 @@ import json
 import logging
 import os
 import pkgutil
+import re
 import shlex
 import shutil
 import sys
@@ -139,7 +140,9 @@ def _describe(error: OSError | MemoryError | RuntimeError) -> str:
         # results have messages of their own (`write_atomically`).
         place = error.filename or ("standard output" if error.errno in _WRITING else "the system")
         message = f"{str(place)[:_LONGEST]}: {error.strerror or error}"
-    elif isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):  # XLA's
+    elif isinstance(error, MemoryError) or re.search(
+        "RESOURCE_EXHAUSTED|Out of memory", str(error)
+    ):
         message = "this takes more memory than there is: choose smaller numbers"
     else:
         raise error
@@ -272,8 +275,8 @@ def main() -> None:
     cache = platformdirs.user_cache_path("qdenv") / "jax"
     if cache.is_absolute():  # else nobody knows this user's home
         # Read when jax is imported, which is later. By itself jax keeps what took a second.
-        cache = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(cache)
-        os.environ["JAX_COMPILATION_CACHE_DIR"] = cache
+        chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(cache)
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = chosen
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
     # Everything is computed in single precision, whatever other programs here prefer.
     os.environ["JAX_ENABLE_X64"] = "0"

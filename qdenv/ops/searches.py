@@ -122,8 +122,8 @@ def train(
         config = dataclasses.replace(config, evaluation=evaluation)
     name = preset if isinstance(preset, str) else "run"
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-    fresh = Path("runs") / f"{name}-{stamp}" if path is None else None
-    path = fresh or Path(path)
+    fresh = path is None
+    path = Path("runs") / f"{name}-{stamp}" if path is None else Path(path)
     if path.as_posix().startswith(PREFIX):
         raise InputError(f"{path}: names that begin with {PREFIX} ship with qdenv: name a folder")
     RunDirectory(path).demand_own()
@@ -132,7 +132,7 @@ def train(
         if parent.exists() and not parent.is_dir():
             raise InputError(f"{path}: {parent} is a file: name a folder")
     refuse_second_run(path / "config.json")
-    path = reserve(fresh, folder=True) if fresh else path
+    path = reserve(path, folder=True) if fresh else path
     if scaled:
         say(f"for this size: {scaled}")
     cost, planner = describe_cost(config), planner_of(config)
