@@ -144,6 +144,13 @@ def test_nothing_is_written_through_links_of_a_run(name, run, tmp_path):
     assert before == [(path, path.read_bytes()) for path in tmp_path.rglob("*") if path.is_file()]
 
 
+def test_more_memory_than_there_is_is_refused_before_a_folder_exists(tmp_path, monkeypatch):
+    monkeypatch.setattr(loop.os, "sysconf", lambda name: 10)  # a hundred bytes
+    with pytest.raises(InputError, match="GiB of memory: choose fewer emitters"):
+        loop.train(SHORT, tmp_path / "run", progress=False)
+    assert not list(tmp_path.iterdir())
+
+
 def test_single_precision_is_a_condition(tmp_path):
     with jax.enable_x64(True), pytest.raises(InputError, match="JAX_ENABLE_X64"):
         loop.train(SHORT, tmp_path / "run", progress=False)

@@ -44,8 +44,8 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) 
     try:
         if (stream := find_stream(path)) is not None:
             sys.stdout.flush()  # what was printed before comes first
-            with os.fdopen(os.dup(stream), "wb", 0) as file:
-                file.write(_content_of(content))
+            with os.fdopen(os.dup(stream), "wb") as output:
+                output.write(_content_of(content))
             return
         path = Path(os.path.realpath(path))  # what a link stands for is written, the link stays
         if path.exists() and not path.is_file() and not path.is_dir():

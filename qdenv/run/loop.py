@@ -52,23 +52,16 @@ def train(
     check(config)
     start = find_start(config)
     experiment = make_experiment(config, start)
-    _check_memory(experiment)
+    # The state of the search alone, before a folder exists.
+    state = jax.tree.leaves(jax.eval_shape(experiment.algorithm.init, experiment.search_key))
+    needed = sum(leaf.size * leaf.dtype.itemsize for leaf in state)
+    if needed > os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"):
+        fewer = "choose fewer emitters, a smaller batch or a smaller generator"
+        raise InputError(f"this search takes {needed / 2**30:,.0f} GiB of memory: {fewer}")
     run = RunDirectory(Path(path))
     with run.locked():
         run = RunDirectory.create(path, config, experiment.measures, start)
         return _run(experiment, config, run, progress, execution, minutes)
-
-
-def _check_memory(experiment: Experiment) -> None:
-    """Raise InputError if the state of a search alone takes more memory than the machine has."""
-    state = jax.eval_shape(experiment.algorithm.init, experiment.search_key)
-    needed = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(state)) / 2**30
-    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
-    if needed > there:
-        fewer = "choose fewer emitters, a smaller batch or a smaller generator"
-        raise InputError(
-            f"this search takes {needed:,.0f} GiB of memory, {there:.0f} are here: {fewer}"
-        )
 
 
 def resume(
