@@ -1,5 +1,7 @@
 """The book: it builds without a warning, and every public name and command is in its reference."""
 
+import inspect
+import pkgutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +12,20 @@ import qdenv
 from qdenv.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[1]
+
+
+def test_the_readme_lists_every_command_in_its_own_words():
+    table = (ROOT / "README.md").read_text().partition("<!-- commands -->")[2]
+    lines = table.partition("<!-- end of commands -->")[0].strip().splitlines()[2:]
+    summaries = {
+        name: " ".join(inspect.getdoc(pkgutil.resolve_name(place)).split("\n\n")[0].split())
+        for name, place in COMMANDS.items()
+    }
+    assert lines == [f"| `qdenv {name}` | {text} |" for name, text in summaries.items()]
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text().split()) <= 1500
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from qdenv.io.layouts import read_layout, write_layout
 from qdenv.ops.layouts import list_symbols
 from qdenv.repair import recipe
 
-README = Path(__file__).parents[1] / "README.md"
+PAGE = Path(__file__).parents[1] / "notebooks" / "how_to" / "layout_files.md"
 TILES = ".@ew"
 EVEN = ["--domain", "warehouse-even"]
 PLAN = [
@@ -288,8 +288,8 @@ def test_symbols_lists_every_tile_with_its_meaning(capsys):
     assert "workstation" not in capsys.readouterr().out
 
 
-def test_the_readme_lists_the_symbols_as_they_are():
-    section = README.read_text().partition("## Layout files")[2].partition("\n## ")[0]
+def test_the_book_lists_the_symbols_as_they_are():
+    section = PAGE.read_text()
     rows = re.findall(r"^\| (hall|warehouse|manufacturing|maze) \| (.+) \|$", section, re.MULTILINE)
     listed = [(domain, *(cell.strip() for cell in row.split("|"))) for domain, row in rows]
     known = []
@@ -309,8 +309,8 @@ def quote(cell: str) -> str:
     return ", ".join("blank" if one == " " else f"`{one}`" for one in re.findall("'(.)'", cell))
 
 
-def test_the_readmes_plan_is_kept_as_it_says(folder):
-    section = README.read_text().partition("**What must stay.**")[2]
+def test_the_books_plan_is_kept_as_it_says(folder):
+    section = PAGE.read_text().partition("**What must stay.**")[2]
     lines = section.partition("```\n")[2].partition("```")[0].splitlines()
     plan, drawing = zip(*(line.split() for line in lines), strict=True)
     (folder / "plan.txt").write_text("\n".join(plan))

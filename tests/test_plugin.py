@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 TESTS = Path(__file__).parent
 PLUGIN = TESTS / "plugin"
-README = TESTS.parent / "README.md"
+PAGE = TESTS.parent / "notebooks" / "how_to" / "extend.md"
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +46,8 @@ def command(tmp_path_factory):
     return run
 
 
-def test_the_readme_shows_this_very_package():
-    section = README.read_text().partition("## Extend it")[2].partition("\n## ")[0]
+def test_the_book_shows_this_very_package():
+    section = PAGE.read_text()
     (toml,) = re.findall(r"```toml\n(.*?)```", section, re.DOTALL)
     parts = re.findall(r"```python\n(.*?)```", section, re.DOTALL)[:3]
     assert toml == (PLUGIN / "pyproject.toml").read_text()
