@@ -8,8 +8,7 @@ import qdenv
 from qdenv.cli.main import run
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.io.layouts import endings_for, write_layout
-from qdenv.io.trajectories import read_run
-from qdenv.study.plans import close_parts, read_plan
+from qdenv.study.plans import close_parts, read_plan, with_tasks
 from qdenv.types import InputError
 
 HEAD = "type octile\nheight {}\nwidth {}\nmap\n"
@@ -78,28 +77,18 @@ def test_a_published_map_is_driven_on():
 
 
 def test_goals_are_as_likely_as_a_scenario_has_them(tmp_path, capsys):
-    save(tmp_path / "own.map", [".....", ".@.@.", "....."])
+    plan = read_plan(save(tmp_path / "own.map", [".....", ".@.@.", "....."]), "map")
     # Bucket, map, width, height, start x, y, goal x, y, length.
     line = "0\town.map\t5\t3\t2\t0\t{}\t{}\t1"
     goals = [line.format(*cell) for cell in ((4, 2), (0, 0), (4, 2))]
     (tmp_path / "own.scen").write_text("\n".join(["version 1", *goals]))
-    words = [
-        "--domain",
-        "map",
-        "--robots",
-        "2",
-        "--timesteps",
-        "60",
-        "--seeds",
-        "1",
-        "--no-verdict",
-        "--demand",
-    ]
-    words = ["simulate", str(tmp_path / "own.map"), *words, str(tmp_path / "own.scen")]
-    assert run([*words, "--paths", str(tmp_path / "paths.csv")]) == 0
+    tasks = with_tasks(plan, {"demand": tmp_path / "own.scen"}).domain.simulator.tasks
+    odds = np.asarray(tasks.cycle[0].weight(plan.layout))
+    assert odds[2, 4] == 2 * odds[0, 0] > 0 and np.count_nonzero(odds) == 2
+    words = "--domain map --robots 2 --timesteps 9 --seeds 1 --no-verdict --demand"
+    words = [*words.split(), str(tmp_path / "own.scen")]
+    assert run(["simulate", str(tmp_path / "own.map"), *words]) == 0
     assert "demand by place" in capsys.readouterr().out
-    places = {one.place for one in read_run(tmp_path / "paths.csv").errands}
-    assert places == {(0, 0), (2, 4)}
     save(tmp_path / "other.map", ["....", "...."])
-    assert run([words[0], str(tmp_path / "other.map"), *words[2:]]) == 2
+    assert run(["simulate", str(tmp_path / "other.map"), *words]) == 2
     assert "goals on a map of 3 x 5, the plan has 2 x 4" in capsys.readouterr().err
