@@ -1,6 +1,5 @@
 """What the system refuses is one line and exit code 2: permissions, full and closed outputs."""
 
-import ctypes
 import os
 import subprocess
 import sys
@@ -10,21 +9,20 @@ from small_warehouse import ROWS
 
 from qdenv.cli import main as cli
 
-DROP_BOUND, OVERRIDES = 24, (1, 2)  # prctl, capabilities(7): what lets root into every folder
+# Become a user to whom permissions apply, which root is not: without its capabilities to look into
+# every folder, 1 and 2 of capabilities(7), whose bound prctl lowers by its command 24.
+ORDINARY = "import ctypes; [ctypes.CDLL(None).prctl(24, one, 0, 0, 0) for one in (1, 2)]"
+CLOSED = "os.close({})"
+BEGIN = (
+    "import os, sys; {}; os.execv(sys.executable, [sys.executable, '-m', 'qdenv', *sys.argv[1:]])"
+)
 
 
-def give_up_privileges():
-    """Become a user to whom permissions apply, which root is not."""
-    for capability in OVERRIDES:
-        ctypes.CDLL(None).prctl(DROP_BOUND, capability, 0, 0, 0)
-
-
-def call(line, folder, **options):
-    """Run a command line as an ordinary user, in a process of its own."""
-    command = [sys.executable, "-m", "qdenv", *line.split()]
-    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
-    prepare = options.pop("preexec_fn", give_up_privileges)
-    return subprocess.run(command, cwd=folder, text=True, preexec_fn=prepare, **options)
+def call(line, folder, prepare=ORDINARY, **streams):
+    """Run a command line in a process of its own, which something is done to before it begins."""
+    command = [sys.executable, "-c", f"import os, sys; {prepare}; {RUN}", *line.split()]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | streams
+    return subprocess.run(command, cwd=folder, text=True, **streams)
 
 
 @pytest.fixture
@@ -69,7 +67,7 @@ def test_a_full_standard_output_is_one_line(line, folder):
 
 @pytest.mark.parametrize("stream", [0, 1, 2])
 def test_closed_streams_are_no_traceback_and_no_file(stream, folder):
-    done = call("check plan.txt --json f.json", folder, preexec_fn=lambda: os.close(stream))
+    done = call("check plan.txt --json f.json", folder, CLOSED.format(stream))
     if stream == 1:
         refused(done, "standard output is closed")
     else:

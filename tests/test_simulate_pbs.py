@@ -81,12 +81,14 @@ def run_of(instance: Instance, seed: int = 0) -> HostRun:
     agents, (_, cols) = instance.agents, instance.free.shape
     count, horizon = len(agents), instance.horizon
     goals = pad(np.array([goal for agent in agents for goal in agent.goals]), cols, 1)
-    table = GoalTable(goals, goals > 0, np.ones((2 * count, 2 * count), np.float32), np.bool_(True))
-    services = np.array([stay for agent in agents for stay in agent.services])
+    services = np.array([stay for agent in agents for stay in agent.services], np.int32)
+    times = np.tile(services[:, None], 2 * count)
+    odds = np.ones((2 * count, 2 * count), np.float32)
+    table = GoalTable(goals, goals > 0, odds, times, np.bool_(True))
     costs = instance.costs
     if costs is not None:
         costs = np.pad(costs, ((0, 0), (1, 1), (1, 1))).reshape(len(costs), -1).astype(np.int32)
-    world = World(np.pad(instance.free, 1), table, None, services, np.bool_(True), 1, costs)
+    world = World(np.pad(instance.free, 1), table, None, np.bool_(True), 1, costs)
     kinds = np.int32, np.int32, np.bool_, np.int32
     block = Block(*(np.zeros((horizon, count), kind) for kind in kinds))
     settings = RunSettings(seed, horizon, instance.window, horizon, True)
