@@ -13,9 +13,7 @@ from qdenv.cli import main as cli
 # every folder, 1 and 2 of capabilities(7), whose bound prctl lowers by its command 24.
 ORDINARY = "import ctypes; [ctypes.CDLL(None).prctl(24, one, 0, 0, 0) for one in (1, 2)]"
 CLOSED = "os.close({})"
-BEGIN = (
-    "import os, sys; {}; os.execv(sys.executable, [sys.executable, '-m', 'qdenv', *sys.argv[1:]])"
-)
+RUN = "os.execv(sys.executable, [sys.executable, '-m', 'qdenv', *sys.argv[1:]])"
 
 
 def call(line, folder, prepare=ORDINARY, **streams):
