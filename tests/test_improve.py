@@ -5,6 +5,9 @@ import pytest
 
 import qdenv
 from qdenv.cli.main import run
+from qdenv.domains.base import make_domain
+from qdenv.repair.audit import audit
+from qdenv.run.directory import RunDirectory
 from qdenv.stats import Difference
 from qdenv.study import improve as studies
 from qdenv.types import InputError
@@ -53,6 +56,16 @@ def test_a_better_floor_is_found_and_written_as_the_plan_came(done, plan):
     before, after = qdenv.read_plan(plan), qdenv.read_plan(written)
     kinds = [before.domain.tiles.index(tile) for tile in before.domain.tiles if tile in "w#"]
     np.testing.assert_array_equal(np.isin(before.layout, kinds), np.isin(after.layout, kinds))
+
+
+def test_rules_of_a_hall_that_is_built_hold_in_what_is_found(plan, tmp_path, only_floor):
+    folder = tmp_path / "wide"
+    qdenv.improve(plan, path=folder, evaluations=64, aisle=2, rack="1x3", **QUICK)
+    found = RunDirectory.open(folder / "floor")
+    rules = make_domain(found.config.evaluation.domain).rules()
+    assert [cover.shapes for cover in rules.covers] == [((2, 2),), ((1, 3), (3, 1))]
+    layouts = found.archive.columns["repaired"]
+    assert len(layouts) and not any(audit(layout, rules) for layout in layouts)
 
 
 def test_what_is_not_better_is_not_written(done):

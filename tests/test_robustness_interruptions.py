@@ -19,7 +19,7 @@ def test_runs_that_die_while_they_write_are_resumed_to_the_same_bytes(tmp_path):
 
 
 def test_files_that_nobody_removes_are_found(tmp_path, monkeypatch):
-    monkeypatch.setattr("qdenv.run.directory.sweep", lambda folder: None)
+    monkeypatch.setattr("qdenv.io.files.sweep", lambda folder: None)
     monkeypatch.setattr(interruptions, "MOST_TROUBLES", 1)
     attempt = interruptions.fail_operations(np.random.default_rng(10), tmp_path)
     assert attempt.notes == {"death": 1}

@@ -85,12 +85,13 @@ def improve(
     if minutes is None and evaluations is None:
         minutes = _MINUTES
     numbers = {name: given.pop(name) for name in ("moves", "seed") if name in given}
+    rules: dict[str, Any] = {name: given.pop(name) for name in ("aisle", "rack") if name in given}
     options = args.Fleet(given)
     plan = options.read_plan(layout)
     agents = plan.facts.robots if agents is None else agents
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     fleet_tasks(plan.layout, plan.domain.simulator.tasks, round(1.25 * agents))
-    settings = replace(plan.fitted(None, keep).config, fleet=options.config(agents, timesteps))
+    settings = replace(plan.fitted(rules, keep).config, fleet=options.config(agents, timesteps))
     from qdenv.study.improve import ImproveConfig  # imports the whole chain
 
     ending = Path(args.name_of(layout)).suffix.lower()

@@ -169,6 +169,8 @@ class ImproveOptions(RunOptions, total=False):
     """A search of better plans."""
 
     moves: PositiveInt  # racks that "some racks" moves at most; 20 unless given
+    aisle: PositiveInt  # cells that aisles are wide, at least; what the plan says unless given
+    rack: str  # rows and columns of the smallest rack, as 2x6; what the plan says unless given
     minutes: PositiveFloat | None  # of all searches; 10 unless evaluations are given
     evaluations: PositiveInt | None  # floors, or costs of moves, that each search tries
     seed: NonNegativeInt  # of the searches; 0 unless given
