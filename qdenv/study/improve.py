@@ -81,8 +81,8 @@ class ImproveConfig(Ranged):
     def searched(self) -> FleetConfig:
         """The simulations of a search: shorter, and a little more crowded.
 
-        The planner is the one that judges. At low effort a run takes two thirds of the time, but
-        jams by chance: its throughput spread ten times as much (variance) in a hall of 30 x 40.
+        The planner is the one that judges: at low effort a run takes two thirds of the time, but
+        jams by chance more often, and chance is what a search of single runs suffers from.
         """
         return replace(
             self.fleet,
