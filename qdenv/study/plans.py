@@ -68,7 +68,7 @@ class Plan(NamedTuple):
 
         The exact numbers of tiles are the plan's own unless given; `keep` says what must stay
         beyond what does by itself and what the plan's file says (`keep_from`). Raises InputError if
-        it is none of what may be said, or no layout can be like this.
+        it is no such list, or no layout can have these cells.
         """
         domain = self.domain
         if "shelves" in (numbers or {}) and getattr(domain.config, "spare_shelves", False):

@@ -86,8 +86,8 @@ def _frame(
         if kind and (kinds == kind).any()
     ]
     lanes = "" if plan.costs is None else "lanes: arrows point the cheaper way"
-    said = f"{verb}: {', '.join(counts)}" if counts else lanes or f"nothing {verb}"
-    axes.set_title(f"{name}\n{said}")
+    text = f"{verb}: {', '.join(counts)}" if counts else lanes or f"nothing {verb}"
+    axes.set_title(f"{name}\n{text}")
     if changed.mean() <= _FRAMED:
         cells = np.argwhere(changed & (plan.layout > 0))
         frames = [Rectangle((column - 0.42, row - 0.42), 0.84, 0.84) for row, column in cells]
